@@ -29,30 +29,49 @@ from numpy.typing import NDArray
 
 from firmware_protocol import messages as m
 from firmware_protocol.connection import Connection, Event, Received, Refused, State
-from firmware_protocol.faults import Fault, Input, LimitFlag, Status
-from firmware_protocol.messages import Message, Mode, Role, Sync
+from firmware_protocol.faults import Fault, Input, Status
+from firmware_protocol.messages import Message, Mode, Role
 from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import BY_NAME, ParameterError
 from firmware_protocol.replies import Replies
 from rig.core.errors import ConfigError
 from rig.core.model import RigModel
+from rig.realtime.codec import STATE
 from sim_backend.configuration import Configuration, describe
 from sim_backend.hardware import Hardware
-from sim_backend.safety import UNITS_PER_SECOND, UNITS_PER_US, FaultMemory, Limits, Monitor, Thermal, Watchdog
-
-UNARMED_STATES_HZ = 100  # STATE frames a second while the device is not armed: enough to home by hand
+from sim_backend.lockstep import COUNT, CUTS, DUE, EDGE_AGE, INPUTS, MEASURED, SAMPLE_INDEX, SESSION, TIME
+from sim_backend.safety import (
+    AT,
+    UNITS_PER_SECOND,
+    UNITS_PER_US,
+    FaultMemory,
+    Safety,
+    flat,
+    idle,
+    in_window,
+    overheated,
+)
+from sim_backend.ticks import BOARD_WORDS, OWN, Board, drive, obey, report, sample, time_of
 
 _U32 = 0xFFFFFFFF
-_U16 = 0xFFFF
 _NS_NUMERATOR, _NS_DENOMINATOR = 125, 2  # a unit of device time is 62.5 ns
-_RAMPING, _RELEASED = int(LimitFlag.RAMPING), int(LimitFlag.HOLD_TO_RUN_RELEASED)
 _EMERGENCY, _HELD, _SYNC = int(Input.EMERGENCY_STOP), int(Input.HOLD_TO_RUN), int(Input.SYNC)
-_MODES = frozenset(int(mode) for mode in Mode)
-_SYNC_OF_COMMANDS = int(Sync.TRIAL | Sync.INSIDE)
-_SHOWN = tuple(  # `Sync` bits → `Input` bits
-    int(Input.SYNC_TRIAL if bits & Sync.TRIAL else 0) | int(Input.SYNC_INSIDE if bits & Sync.INSIDE else 0)
-    for bits in range(8)
-)
+MODES = frozenset(int(mode) for mode in Mode)
+
+
+class Word:
+    """An attribute that lies in the device's words, where its ticks find it."""
+
+    def __init__(self, place: int) -> None:
+        self._place = place
+
+    def __get__(self, device: SimulatedDevice, owner: object = None) -> int:
+        """Read it."""
+        return int(device.board.words[self._place])
+
+    def __set__(self, device: SimulatedDevice, value: int) -> None:
+        """Write it."""
+        device.board.words[self._place] = value
 
 
 class SimulatedDevice:
@@ -75,6 +94,8 @@ class SimulatedDevice:
 
     Attributes
     ----------
+    board
+        Its memory, as views for Python.
     connection
         The protocol's end of this device: state, session, statistics.
     hardware
@@ -96,6 +117,9 @@ class SimulatedDevice:
         The default rate is above the maximum, or the model cannot be stepped at it.
     """
 
+    sample_index, time, inputs, sync = Word(SAMPLE_INDEX), Word(TIME), Word(INPUTS), Word(OWN.sync)
+    worst_execution_time, missed_ticks = Word(OWN.worst_execution_time), Word(OWN.missed_ticks)
+
     def __init__(
         self,
         model: RigModel,
@@ -115,36 +139,46 @@ class SimulatedDevice:
         self._dictionary = describe(model, name or model.name, position_rate_default, position_rate_maximum)
         self.connection = Connection(Role.DEVICE)
         self.hardware = Hardware(model, position_rate_default, seed=seed, initial_position=initial_position)
-        self.inputs = 0 if model.operator is None else _HELD  # a person at the handle holds the switch too
         self._replies = Replies()
-        self._watchdog = Watchdog()
-        self._thermal = Thermal()
-        self._limits = Limits(self._thermal)
-        self._monitor = Monitor(model, self._thermal)
+        self._safety = Safety(model)
+        self._faults = FaultMemory(self._safety.rules)
+        self.board = Board(
+            words=flat(np.int64, BOARD_WORDS),
+            rules=self._safety.rules,
+            heat=self._safety.heat,
+            counts=self._safety.counts,
+            ring=self._faults.ring,
+            state=flat(np.int64, len(STATE)),
+        )
+        self.inputs = 0 if model.operator is None else _HELD  # a person at the handle holds the switch too
         self._keep_truth = keep_truth
         self._epoch_ns = 0
-        self._next_time = 0
-        self._rate = position_rate_default
         self._start()
 
     def _start(self) -> None:
         """Set what a microcontroller has in its memory, as its reset leaves it."""
-        self.sample_index = self.time = self._received_at = self._sync_time = 0
-        self._faults = FaultMemory()
+        self.sample_index = self.time = self._received_at = 0
+        self.board.words[OWN.sync_time] = 0
+        self._faults.forget()
         self.hardware.reset()
         self._configuration = Configuration(self._dictionary, self._apply)
         self._truth = self.hardware.new_truth() if self._keep_truth else None
+        self._note_protocol()
         self._begin_session()
 
     def _begin_session(self) -> None:
-        self._watchdog.idle(self.time)
-        self._limits.cut()
-        self._monitor.forget()
-        self._limits.flags = self._monitor.flags = self._acted = 0
-        self._command_sequence = 0
-        self._command_index: int | None = None
-        self._command_sync = self.sync = 0
-        self.worst_execution_time = self.missed_ticks = 0
+        words, rules = self.board.words, self._safety.rules
+        idle(rules, self.time)
+        self._safety.forget()
+        rules[AT.current] = rules[AT.flags] = 0
+        words[OWN.acted] = words[OWN.command_sequence] = words[OWN.command_sync] = 0
+        words[OWN.command_index] = -1
+        self.sync = self.worst_execution_time = self.missed_ticks = 0
+
+    def _note_protocol(self) -> None:
+        """Let ticks know where the protocol is."""
+        words = self.board.words
+        words[OWN.protocol_state], words[SESSION] = self.connection.state, self.connection.session
 
     # ------------------------------------------------------------------ time
 
@@ -161,49 +195,35 @@ class SimulatedDevice:
     @property
     def next_tick_ns(self) -> int:
         """When the next sample is due, on the scale of `elapsed_ns` (ns)."""
-        return self._epoch_ns + self._next_time * _NS_NUMERATOR // _NS_DENOMINATOR
+        return self._epoch_ns + int(self.board.words[DUE]) * _NS_NUMERATOR // _NS_DENOMINATOR
 
     @property
     def rate(self) -> int:
         """Ticks a second (Hz)."""
-        return self._rate
+        return int(self.board.words[OWN.rate])
 
     @property
     def current(self) -> int:
         """Active current, after all limits (quanta)."""
-        return self._limits.current
-
-    def _time_of(self, index: int) -> int:
-        """Device time of a sample, from its number: a period that is no whole number of units does not drift."""
-        return self._grid_time + (index - self._grid_index) * UNITS_PER_SECOND // self._rate
+        return int(self._safety.rules[AT.current])
 
     # ------------------------------------------------------------------ the tick
 
     def tick(self) -> bytes:
         """Let one period pass; return the STATE frame that is due then, or nothing."""
-        connection, hardware, limits, monitor = self.connection, self.hardware, self._limits, self._monitor
-        current = self._current() if self._armed else 0
-        self.sync = self._command_sync if self._armed and not self._watchdog.ramping else 0
+        board, words, hardware = self.board, self.board.words, self.hardware
+        current = drive(board)
+        if words[OWN.found] or words[CUTS]:
+            self._heed()
         hardware.advance(current)
-        count, measured = hardware.count, hardware.measured
-        self.sample_index += 1
-        self.time = self._next_time
-        self._next_time = self._time_of(self.sample_index + 1)
-        self._thermal.update(measured)
-        faults = monitor.check(count, current, measured)
-        flags = limits.flags | monitor.flags
-        limits.flags = monitor.flags = 0
-        self._acted |= flags
-        self._faults.remember((self.sample_index & _U32, count, current, measured, flags))
-        if connection.session:
-            if faults:
-                self._latch(faults)
-            if self._truth is not None:
-                hardware.log(self._truth, self.sample_index)
-        elif not self._shows_itself():
-            return b""
-        acted, self._acted = self._acted, 0  # since the last STATE
-        return connection.send(self._state(count, current, measured, acted))
+        words[COUNT], words[MEASURED] = hardware.count, hardware.measured
+        words[EDGE_AGE] = round(min(hardware.edge_age_s * UNITS_PER_SECOND, words[DUE]))
+        sample(board)
+        if words[OWN.found]:
+            self._heed()
+        if self._truth is not None and words[SESSION]:
+            hardware.log(self._truth, words[SAMPLE_INDEX])
+        return self.connection.send(m.State(*board.state)) if report(board) else b""
 
     def run(self, until_ns: int, most: int) -> tuple[bytes, int]:
         """Let ticks pass until there is something to say; return that, and how many they were.
@@ -223,64 +243,24 @@ class SimulatedDevice:
         self.tick()
         self.missed_ticks += 1
 
-    def _current(self) -> int:
-        """Current for the coming tick of an armed device (quanta)."""
-        limits, watchdog = self._limits, self._watchdog
-        if self.inputs & _EMERGENCY:
-            self._latch(1 << Fault.EMERGENCY_STOP)
-            return 0
-        wanted = watchdog.wanted(self._next_time, limits.current)
-        if watchdog.ramping:
-            limits.flags |= _RAMPING
-            if watchdog.lost:
-                self._latch(1 << Fault.LINK_LOST)
-                return 0
-        if self._needs_hold and not self.inputs & _HELD:
-            limits.flags |= _RELEASED
-            self._cut()
-            return 0
-        return limits.apply(wanted)
+    def _heed(self) -> None:
+        """Do what a part of a tick, or a command, asks for: enter FAULT, or pull the amplifier's enable low."""
+        if self.board.words[OWN.found]:
+            self._latch(self.board.words[OWN.found])
+        elif self.board.words[CUTS]:
+            self.hardware.cut()
 
     def _cut(self) -> None:
         """Zero current, regardless of the slew limit."""
-        self._limits.cut()
+        self._safety.rules[AT.current] = 0
         self.hardware.cut()
 
     def _latch(self, faults: int) -> None:
         """Enter FAULT with bits ``1 << code``."""
         self._faults.latch(faults, self.time)
         self.connection.fault()
+        self._note_protocol()
         self._cut()
-
-    def _shows_itself(self) -> bool:
-        """Whether a STATE is due in a device that is not armed."""
-        if self.connection.state is State.BOOT:
-            return False
-        return self.sample_index % max(1, self._rate // UNARMED_STATES_HZ) == 0
-
-    def _state(self, count: int, current: int, measured: int, flags: int) -> m.State:
-        age = m.NO_COMMAND_YET
-        if self._command_index is not None:
-            age = min(self.sample_index - self._command_index, _U16)
-        edge_age = min(self.hardware.edge_age_s * UNITS_PER_SECOND, self.time, m.OLDEST_EDGE)
-        return m.State(
-            self._command_sequence,
-            age,
-            self.sample_index & _U32,
-            self.time & _U32,
-            count,
-            (self.time - round(edge_age)) & _U32,
-            measured,
-            current,
-            flags,
-            self._faults.latched,
-            min(self.worst_execution_time, _U16),
-            min(self.missed_ticks, _U16),
-            self.connection.state,
-            self.inputs | _SHOWN[self.sync],
-            0,  # no law of its own
-            self._sync_time & _U32,
-        )
 
     # ------------------------------------------------------------------ the conversation
 
@@ -298,24 +278,16 @@ class SimulatedDevice:
                 self._command(event.message, event.sequence)
             else:
                 answers += connection.send(self._answer(event))
+        self._note_protocol()
         return answers
 
     def _command(self, command: m.Command, sequence: int) -> None:
-        if command.mode not in _MODES:
+        if command.mode not in MODES:
             self.connection.statistics.malformed += 1
             return
-        self._command_sequence = sequence
-        self._command_index = self.sample_index
-        if command.mode == Mode.STOP:
-            self._watchdog.idle(self.time)
-            self._cut()
-            self._command_sync = 0
-            return
-        supervise = command.mode == Mode.SUPERVISE
-        cap = self._supervise_lifetime if supervise else self._command_lifetime
-        lifetime = min(command.lifetime_us * UNITS_PER_US, cap)
-        self._command_sync = 0 if supervise else command.flags & _SYNC_OF_COMMANDS
-        self._watchdog.feed(self.time, 0 if supervise else command.current, lifetime, self._ramp)
+        obey(self.board, sequence, command.mode, command.flags, command.current, command.lifetime_us)
+        if self.board.words[CUTS]:
+            self.hardware.cut()
 
     def _answer(self, event: Event) -> Message:
         if self._replies.remembers(event):
@@ -367,7 +339,7 @@ class SimulatedDevice:
         if not configuration.values["verified"]:
             return Status.NOT_VERIFIED, 0
         present = self._present_fault()
-        if not present and not self._monitor.in_window(self.hardware.count):
+        if not present and not in_window(self._safety.rules, self.hardware.count):
             present = Fault.POSITION_WINDOW
         if present:
             return Status.FAULT_PRESENT, present
@@ -387,7 +359,7 @@ class SimulatedDevice:
         """Return the cause of a fault that is there now and will not go by itself when the effort is zero."""
         if self.inputs & _EMERGENCY:
             return Fault.EMERGENCY_STOP
-        return Fault.THERMAL if self._thermal.overheated else Fault.NONE
+        return Fault.THERMAL if overheated(self._safety.heat) else Fault.NONE
 
     def _commit(self, request: m.SetCommit) -> tuple[Status, int]:
         return self._configuration.commit(request, armed=self._armed)
@@ -410,16 +382,14 @@ class SimulatedDevice:
         except ConfigError as error:
             number = BY_NAME["position_rate"].id
             raise ParameterError(Status.INCONSISTENT, error.message, detail=number) from error
-        self._rate = rate
-        self._grid_index, self._grid_time = self.sample_index, self.time
-        self._next_time = self._time_of(self.sample_index + 1)
-        self._thermal.configure(values["continuous_current"], values["thermal_time_constant"], rate)
-        self._limits.configure(values)
-        self._monitor.configure(values, self.hardware.count)
-        self._needs_hold = bool(values["hold_to_run"])
-        self._command_lifetime = int(values["command_lifetime_us"]) * UNITS_PER_US
-        self._supervise_lifetime = int(values["supervise_lifetime_us"]) * UNITS_PER_US
-        self._ramp = int(values["ramp_us"]) * UNITS_PER_US
+        words = self.board.words
+        words[OWN.rate], words[OWN.grid_index], words[OWN.grid_time] = rate, self.sample_index, self.time
+        words[DUE] = time_of(words, self.sample_index + 1)
+        self._safety.configure(values, self.hardware.count)
+        words[OWN.needs_hold] = int(values["hold_to_run"])
+        words[OWN.ramp] = int(values["ramp_us"]) * UNITS_PER_US
+        words[OWN.command_lifetime] = int(values["command_lifetime_us"]) * UNITS_PER_US
+        words[OWN.supervise_lifetime] = int(values["supervise_lifetime_us"]) * UNITS_PER_US
 
     # ------------------------------------------------------------------ the world
 
@@ -443,7 +413,7 @@ class SimulatedDevice:
         last sample's time.
         """
         if high and not self.inputs & _SYNC:
-            self._sync_time = self.time if at is None else at
+            self.board.words[OWN.sync_time] = self.time if at is None else at
         self.inputs = self.inputs | _SYNC if high else self.inputs & ~_SYNC
 
     def inject_fault(self, fault: Fault) -> None:

@@ -1,4 +1,4 @@
-"""The far end of a link in virtual time, compiled: the plug functions of the loop, for a device that is C code.
+"""The far end of a link in virtual time, compiled: the plug functions of the loop, for a device that is compiled too.
 
 A tick of the loop then passes no Python: `wait` lets ticks pass until the device has said something, `write` hands it
 the host's bytes, `read` takes what it said. Python is asked (`serve`) where something is used up, where the device
@@ -24,6 +24,7 @@ from rig.realtime.groups import Bytes, Int, Ints, group, group_at, group_bytes, 
 from rig.realtime.kernel import kernel, prepare
 from rig.realtime.native import native_call
 from rig.realtime.plugs import TRANSFER_SIGNATURE, WAIT_SIGNATURE
+from sim_backend.compiled_device import CompiledDevice
 from sim_backend.firmware import FirmwareDevice
 from sim_backend.lockstep import (
     BYTE_COUNT,
@@ -245,7 +246,7 @@ class CompiledPort:
 
     def __init__(
         self,
-        device: FirmwareDevice,
+        device: FirmwareDevice | CompiledDevice,
         clock: Clock,
         origin_ns: Callable[[], int],
         *,

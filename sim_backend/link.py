@@ -29,6 +29,7 @@ from rig.devices.port import LoopPort
 from rig.realtime.clock import VirtualClock
 from rig.realtime.plugs import TRANSFER_SIGNATURE, WAIT_SIGNATURE, NativeFunction
 from sim_backend.channel import DeviceFault, Direction, Faults, Line
+from sim_backend.compiled_device import CompiledDevice
 from sim_backend.device import SimulatedDevice
 from sim_backend.far_end import ARRIVED, CLOSED, DISCARDED, OUTPUT_BYTES, PROGRESS, TICKS, CompiledPort
 from sim_backend.firmware import FirmwareDevice
@@ -63,7 +64,7 @@ _LONG = 1 << 62  # ticks: without an end
 
 
 class Device(Protocol):
-    """A simulated device: `device.SimulatedDevice`, or the firmware with a rig behind it, `firmware.FirmwareDevice`."""
+    """A simulated device: `device.SimulatedDevice`, `compiled_device.CompiledDevice`, or the firmware with a rig."""
 
     @property
     def time(self) -> int:
@@ -118,8 +119,9 @@ def open_link(url: DeviceUrl, model: RigModel | None = None) -> MemoryLink:
     which the device's clock runs fast; `sync` = 0.5,0.75 for pulses on the sync input that begin so many seconds after
     power-up; `firmware` = 1 for a device that can run the law, the firmware itself, compiled for this machine.
 
-    Unless `firmware` is given the device runs no law, and is the firmware too where this machine can compile it: it
-    says what the one in Python says (`sim_backend.device`, `firmware` = 0), and its ticks pass no Python.
+    Unless `firmware` is given the device runs no law, and its ticks pass no Python: it is the firmware too where this
+    machine can compile it, else `sim_backend.compiled_device`. Both say what the readable one says
+    (`sim_backend.device`, `firmware` = 0).
 
     Raises
     ------
@@ -145,6 +147,7 @@ def _device(
     if firmware is None:
         with suppress(ConfigError):
             return FirmwareDevice(model, law_maximum=0, library=library(), **options)
+        return CompiledDevice(model, **options)
     return SimulatedDevice(model, **options)
 
 
@@ -256,7 +259,7 @@ class MemoryLink:
     def _compile(self, device: Device) -> CompiledPort | None:
         """Return what runs the loop's far end without Python, unless frames, the device or its clock go wrong here."""
         scripted = self.line is not None or self._happenings or self._levels or self._pace != _BILLION
-        if scripted or not isinstance(device, FirmwareDevice):
+        if scripted or not isinstance(device, FirmwareDevice | CompiledDevice):
             return None
 
         def failed(failure: BaseException) -> None:

@@ -1,4 +1,4 @@
-"""Many ticks of a device whose software is C code, in one compiled call: plant and sensors here, the device by address.
+"""Many ticks of a device that is compiled too, in one compiled call: plant and sensors here, the device by address.
 
 The order of a tick is that of `sim_backend.device`: the current, the plant, the sample. A law that runs on the device
 needs nothing of the host in between, so that ticks pass until the device has something to say.
@@ -38,7 +38,7 @@ _call = native_call(2)  # half a tick: (device, words), both by address
 
 @group
 class Lockstep(NamedTuple):
-    """A device: functions of its firmware (lockstep.h, host.h), itself and its words by address, the words."""
+    """A device: its functions (of the firmware: lockstep.h, host.h), itself and its words by address, the words."""
 
     drive: Int
     sample: Int

@@ -1,11 +1,12 @@
 """What keeps the simulated device safe whatever its host does: watchdog, limits, monitors.
 
-One object for each question of a tick. `Watchdog`: which current does the host want, now that it has been silent
-for so long? `Limits`: how much of that may flow? `Monitor`: does the motion that follows mean that the motor must
-be cut? `FaultMemory`: what was the first thing to go wrong, and what happened before it?
+Functions for each question of a tick. Which current does the host want, now that it has been silent for so long? How
+much of that may flow? Does the motion that follows mean that the motor must be cut? What was the first thing to go
+wrong, and what happened before it?
 
-All of it is integer counts, current quanta and device time, as in a firmware; `device` calls it, and nothing
-here knows a frame, a clock or the plant.
+All of it is integer counts, current quanta and device time, as in a firmware; `ticks` calls it, and nothing
+here knows a frame, a clock or the plant. What is remembered lies in flat memory (`Safety`), so that the rules are
+written once: Python runs them in the readable device (`device`), and a kernel in the compiled one (`compiled_device`).
 
 It mirrors the safety rules of DESIGN.md ("Safety on the device"), which hold for every device.
 """
@@ -13,16 +14,24 @@ It mirrors the safety rules of DESIGN.md ("Safety on the device"), which hold fo
 from __future__ import annotations
 
 import math
-from collections import deque
-from collections.abc import Mapping
+from collections import namedtuple
+from collections.abc import Callable, Mapping
+from typing import Any, TypeVar, cast
+
+import numpy as np
+from numba.extending import register_jitable
 
 from firmware_protocol import messages as m
 from firmware_protocol.faults import Fault, LimitFlag
 from firmware_protocol.messages import TIME_UNIT_NS
 from firmware_protocol.packing import FAULT_ENTRY_BYTES, data_limit, pack_fault_entries
 from firmware_protocol.parameter import Value
-from rig.core.board import OVER_CURRENT_MARGIN, STALL_COUNTS
+from firmware_protocol.parameters import BY_NAME
+from rig.core.board import STALL_COUNTS, over_current
 from rig.core.model import RigModel
+from rig.realtime.groups import Floats, Ints
+
+F = TypeVar("F", bound=Callable[..., Any])
 
 UNITS_PER_SECOND = round(1e9 / TIME_UNIT_NS)  # of device time
 UNITS_PER_US = UNITS_PER_SECOND // 1_000_000
@@ -59,6 +68,22 @@ GRAVITY = (
 RING_TICKS = 256
 Entry = tuple[int, int, int, int, int]  # sample index, count, current commanded, current measured, limits
 
+_Places = namedtuple(
+    "_Places",
+    # of the command and of how it fades
+    "wanted expires ramp ramp_from applied ramping lost "
+    # of the limits: active current (quanta), `LimitFlag` bits that acted since they were last cleared
+    "current flags limit continuous slew "
+    # of the monitors
+    "sign peak large stall_ticks driven still pushed ticks slot fastest near_fastest first last near_first near_last "
+    # of the fault that is latched, and the ticks before it
+    "fault remembered",
+)
+AT: Any = _Places(*range(len(_Places._fields)))  # in `Safety.rules`
+HEAT, BUDGET, DECAY = range(3)
+
+_ENTRY = 5
+_LONGEST_WINDOW = round(BY_NAME["position_rate"].maximum * SPEED_WINDOW_S)
 _NEVER = 1 << 62
 _IDLE_LIFETIME = round(IDLE_LIFETIME_S * UNITS_PER_SECOND)
 _PAGE_ENTRIES = data_limit(m.FaultLog) // FAULT_ENTRY_BYTES
@@ -70,254 +95,263 @@ _RUNAWAY, _OVER_SPEED, _OVER_CURRENT, _WINDOW, _TOO_HOT = (
 )
 
 
-class Watchdog:
-    """The active command, and how it fades once its lifetime is over.
+def rule(function: F) -> F:
+    """Let a kernel call a plain function too: Python itself runs it on memory views, whose numbers are its own."""
+    return cast("F", register_jitable(function))
+
+
+def flat(kind: type, size: int) -> Any:
+    """Zeros, as a view of their memory; `numpy.asarray` of it is the array that compiled code takes."""
+    return memoryview(np.zeros(size, kind))  # type: ignore[arg-type]
+
+
+# ---------------------------------------------------------------------- which current does the host want?
+
+
+@rule
+def idle(rules: Ints, now: int) -> None:
+    """Want no current, and wait for the host's next command: after ARM, after STOP."""
+    rules[AT.lost] = 0
+    feed(rules, now, 0, _IDLE_LIFETIME, 0)
+
+
+@rule
+def feed(rules: Ints, now: int, current: int, lifetime: int, ramp: int) -> None:
+    """Take a valid command: current in quanta, times in device time."""
+    rules[AT.wanted] = current
+    rules[AT.expires] = now + lifetime
+    rules[AT.ramp] = ramp
+    rules[AT.applied] = rules[AT.ramping] = 0
+
+
+@rule
+def wanted(rules: Ints, until: int) -> int:
+    """Return the current for a tick that ends at `until`: that of the command, which fades when its lifetime is over.
 
     Effort is held over a tick, so everything is judged at the tick's end: the current is exactly zero when the
-    ramp ends, not a tick later.
-
-    Attributes
-    ----------
-    ramping
-        The lifetime is over and the current is being ramped.
-    lost
-        The ramp has ended: latch LINK_LOST.
+    ramp ends, not a tick later. The ramp begins at what the limits left of the command, so that it falls in every
+    tick.
     """
-
-    __slots__ = ("_applied", "_current", "_expires", "_from", "_ramp", "lost", "ramping")
-
-    def __init__(self) -> None:
-        self._from = 0
-        self.idle(0)
-
-    def idle(self, now: int) -> None:
-        """Want no current, and wait for the host's next command: after ARM, after STOP."""
-        self.lost = False
-        self.feed(now, 0, _IDLE_LIFETIME, 0)
-
-    def feed(self, now: int, current: int, lifetime: int, ramp: int) -> None:
-        """Take a valid command: current in quanta, times in device time."""
-        self._current = current
-        self._expires = now + lifetime
-        self._ramp = ramp
-        self._applied = self.ramping = False
-
-    def wanted(self, until: int, active: int) -> int:
-        """Return the current for a tick that ends at `until`, when `active` flowed in the last one.
-
-        The ramp begins at what the limits left of the command, so that it falls in every tick.
-        """
-        if until <= self._expires:
-            self._applied = True
-            return self._current
-        if not self.ramping:
-            self.ramping = True
-            self._from = active if self._applied else self._current
-        left = self._expires + self._ramp - until
-        if left <= 0:
-            self.lost = True
-            return 0
-        return self._from * left // self._ramp if self._from > 0 else -(-self._from * left // self._ramp)
+    if until <= rules[AT.expires]:
+        rules[AT.applied] = 1
+        return int(rules[AT.wanted])
+    if not rules[AT.ramping]:
+        rules[AT.ramping] = 1
+        rules[AT.ramp_from] = rules[AT.current] if rules[AT.applied] else rules[AT.wanted]
+    begin, ramp = rules[AT.ramp_from], rules[AT.ramp]
+    left = rules[AT.expires] + ramp - until
+    if left <= 0:
+        rules[AT.lost] = 1
+        return 0
+    return int(begin * left // ramp if begin > 0 else -(-begin * left // ramp))
 
 
-class Thermal:
-    """I²t: the winding's temperature rise as a first-order lag of the squared current, in units of quanta².
+# ---------------------------------------------------------------------- how much of it may flow?
+
+
+@rule
+def warm(heat: Floats, measured: int) -> None:
+    """Let one tick of the measured current pass: I²t, the winding's rise as a first-order lag of its square."""
+    heat[HEAT] += (measured * measured - heat[HEAT]) * heat[DECAY]
+
+
+@rule
+def overheated(heat: Floats) -> bool:
+    """Whether the heat is so far above the budget that reducing the current has failed."""
+    return bool(heat[HEAT] > THERMAL_CUT * heat[BUDGET] > 0.0)
+
+
+def configure_heat(heat: Floats, continuous_current: float, time_constant_s: float, rate: float) -> None:
+    """Set the budget, and the lag for `rate` ticks a second.
 
     `continuous_current` squared, the rise that this current gives in the end, is the budget. A motor does not cool
     by being configured: only the budget changes then.
     """
-
-    __slots__ = ("_decay", "budget", "heat")
-
-    def __init__(self) -> None:
-        self.heat = 0.0
-        self.budget = 0.0
-        self._decay = 0.0
-
-    def configure(self, continuous_current: float, time_constant_s: float, rate: float) -> None:
-        """Set the budget, and the lag for `rate` ticks a second."""
-        self.budget = float(continuous_current) ** 2
-        self._decay = -math.expm1(-1.0 / (rate * time_constant_s))
-
-    def update(self, measured: int) -> None:
-        """Let one tick of the measured current pass."""
-        self.heat += (measured * measured - self.heat) * self._decay
-
-    @property
-    def overheated(self) -> bool:
-        """Whether the heat is so far above the budget that reducing the current has failed."""
-        return self.heat > THERMAL_CUT * self.budget > 0.0
+    heat[BUDGET] = float(continuous_current) ** 2
+    heat[DECAY] = -math.expm1(-1.0 / (rate * time_constant_s))
 
 
-class Limits:
-    """How much of a wanted current may flow: current limit, thermal model, slew limit, in this order.
-
-    Attributes
-    ----------
-    current
-        Active current (quanta).
-    flags
-        `LimitFlag` bits that acted since they were last cleared.
-    """
-
-    __slots__ = ("_continuous", "_limit", "_slew", "_thermal", "current", "flags")
-
-    def __init__(self, thermal: Thermal) -> None:
-        self.current = 0
-        self.flags = 0
-        self._thermal = thermal
-        self._limit = self._continuous = self._slew = 0
-
-    def configure(self, values: Mapping[str, Value]) -> None:
-        """Take the limits out of a parameter block."""
-        self._limit = int(values["current_limit"])
-        self._continuous = int(values["continuous_current"])
-        slew = int(values["slew_limit"])
-        self._slew = _NEVER if slew == NO_SLEW_LIMIT else slew
-
-    def apply(self, wanted: int) -> int:
-        """Put into force what is allowed of a current, and return it."""
-        limit = self._limit
-        current = wanted
-        if not -limit <= current <= limit:
-            current = limit if current > 0 else -limit
-            self.flags |= _CURRENT
-        thermal = self._thermal
-        if thermal.heat >= thermal.budget and abs(current) > self._continuous:
-            current = self._continuous if current > 0 else -self._continuous
-            self.flags |= _THERMAL
-        change = current - self.current
-        if not -self._slew <= change <= self._slew:
-            current = self.current + (self._slew if change > 0 else -self._slew)
-            self.flags |= _SLEW
-        self.current = current
-        return current
-
-    def cut(self) -> None:
-        """Zero at once, regardless of the slew limit."""
-        self.current = 0
+@rule
+def limited(rules: Ints, heat: Floats, wanted: int) -> int:
+    """Put into force what is allowed of a current, and return it: current limit, thermal model, slew limit."""
+    limit, continuous, slew = rules[AT.limit], rules[AT.continuous], rules[AT.slew]
+    current = wanted
+    if not -limit <= current <= limit:
+        current = limit if current > 0 else -limit
+        rules[AT.flags] |= _CURRENT
+    if heat[HEAT] >= heat[BUDGET] and abs(current) > continuous:
+        current = continuous if current > 0 else -continuous
+        rules[AT.flags] |= _THERMAL
+    change = current - rules[AT.current]
+    if not -slew <= change <= slew:
+        current = rules[AT.current] + (slew if change > 0 else -slew)
+        rules[AT.flags] |= _SLEW
+    rules[AT.current] = current
+    return current
 
 
-class Monitor:
-    """Faults that the motion shows: over-speed, position window, runaway, over-current, heat.
+# ---------------------------------------------------------------------- must the motor be cut?
+
+
+@rule
+def check(rules: Ints, heat: Floats, counts: Ints, count: int, current: int, measured: int) -> int:
+    """Judge one tick: the count at its end, active current and measured. Return the faults as bits 1 << code."""
+    slot, ticks = rules[AT.slot], rules[AT.ticks]
+    moved = count - counts[slot]
+    stood = count == counts[slot - 1 if slot > 0 else ticks - 1]
+    counts[slot] = count
+    rules[AT.slot] = slot + 1 if slot + 1 < ticks else 0
+    faults = _runaway(rules, current, moved, stood)
+    if abs(moved) > rules[AT.near_fastest]:
+        rules[AT.flags] |= _SPEED
+        if abs(moved) > rules[AT.fastest]:
+            faults |= _OVER_SPEED
+            if rules[AT.driven] >= ticks:
+                faults |= _RUNAWAY
+    if not rules[AT.near_first] <= count <= rules[AT.near_last]:
+        rules[AT.flags] |= _POSITION
+        if not in_window(rules, count):
+            faults |= _WINDOW
+    if abs(measured) > rules[AT.peak]:
+        faults |= _OVER_CURRENT
+    if overheated(heat):
+        faults |= _TOO_HOT
+    return faults
+
+
+@rule
+def in_window(rules: Ints, count: int) -> bool:
+    """Whether a count lies in the position window."""
+    return bool(rules[AT.first] <= count <= rules[AT.last])
+
+
+@rule
+def _runaway(rules: Ints, current: int, moved: int, stood: bool) -> int:
+    """Count the ticks of large effort along the motion, and those without any; say when the latter are too many."""
+    if abs(current) <= rules[AT.large]:
+        rules[AT.driven] = rules[AT.still] = 0
+        return 0
+    push = 1 if current > 0 else -1
+    rules[AT.driven] = rules[AT.driven] + 1 if push * rules[AT.sign] * moved > 0 else 0
+    rules[AT.still] = rules[AT.still] + 1 if stood and push == rules[AT.pushed] else 0
+    rules[AT.pushed] = push
+    return _RUNAWAY if rules[AT.still] > rules[AT.stall_ticks] else 0
+
+
+class Safety:
+    """The memory of the rules, and their settings.
 
     Parameters
     ----------
     model
         What the board knows of its rig: direction of counting, the amplifier's peak, and what must move how fast.
-    thermal
-        The motor's heat.
+
+    Attributes
+    ----------
+    rules
+        By the places of `AT`.
+    heat
+        By `HEAT`, `BUDGET`, `DECAY` (quanta², a share of it for a tick).
+    counts
+        Those of the speed window, as a ring.
     """
 
-    def __init__(self, model: RigModel, thermal: Thermal) -> None:
-        self.flags = 0
+    def __init__(self, model: RigModel) -> None:
+        self.rules, self.heat = flat(np.int64, len(AT)), flat(np.float64, 3)
+        self.counts = flat(np.int64, _LONGEST_WINDOW)
         self._model = model
-        self._sign = model.encoder.sign
-        self._peak = OVER_CURRENT_MARGIN * model.amplifier.effort_limit / model.amplifier.effort_quantum
-        self._thermal = thermal
-        self._counts = [0]
-        self._slot = 0
-        self._driven = self._still = self._pushed = 0
-        self._fastest = self._near_fastest = self._large = 0.0
-        self._stall_ticks = _NEVER
-        self._first = self._last = 0
-        self._near_first = self._near_last = 0.0
+        self.rules[AT.sign], self.rules[AT.peak] = model.encoder.sign, over_current(model)
+        self.rules[AT.ticks] = 1
 
     def configure(self, values: Mapping[str, Value], count: int) -> None:
-        """Take the limits out of a parameter block and begin to watch at `count`."""
-        rate = int(values["position_rate"])
-        ticks = max(1, round(rate * SPEED_WINDOW_S))
+        """Take the limits out of a parameter block and begin to watch at `count`. Thresholds become whole counts."""
+        rules, rate = self.rules, int(values["position_rate"])
+        configure_heat(self.heat, values["continuous_current"], values["thermal_time_constant"], rate)
+        rules[AT.limit] = int(values["current_limit"])
+        rules[AT.continuous] = int(values["continuous_current"])
+        slew = int(values["slew_limit"])
+        rules[AT.slew] = _NEVER if slew == NO_SLEW_LIMIT else slew
+        ticks = rules[AT.ticks] = max(1, round(rate * SPEED_WINDOW_S))
         travel = values["speed_limit"] * ticks / rate
-        self._fastest = travel + 1.0  # the ends of the window may each lie anywhere in their cells
-        self._near_fastest = NEAR_SPEED * travel + 1.0
-        self._first, self._last = int(values["window_minimum"]), int(values["window_maximum"])
-        margin = NEAR_EDGE * (self._last - self._first)
-        self._near_first, self._near_last = self._first + margin, self._last - margin
-        self._large = RUNAWAY_SHARE * values["current_limit"]
-        stall_s = math.inf if values["hold_to_run"] else stall_time(self._model, self._large)
-        self._stall_ticks = math.ceil(stall_s * rate) if stall_s < math.inf else _NEVER
-        self._counts = [count] * ticks
-        self._slot = 0
+        rules[AT.fastest] = math.floor(travel + 1.0)  # the ends of the window may lie anywhere in their cells
+        rules[AT.near_fastest] = math.floor(NEAR_SPEED * travel + 1.0)
+        first, last = int(values["window_minimum"]), int(values["window_maximum"])
+        margin = NEAR_EDGE * (last - first)
+        rules[AT.first], rules[AT.last] = first, last
+        rules[AT.near_first], rules[AT.near_last] = math.ceil(first + margin), math.floor(last - margin)
+        large = RUNAWAY_SHARE * values["current_limit"]
+        rules[AT.large] = math.floor(large)
+        stall_s = math.inf if values["hold_to_run"] else stall_time(self._model, large)
+        rules[AT.stall_ticks] = math.ceil(stall_s * rate) if stall_s < math.inf else _NEVER
+        for slot in range(ticks):
+            self.counts[slot] = count
+        rules[AT.slot] = 0
         self.forget()
 
     def forget(self) -> None:
         """Restart the runaway check: another session."""
-        self._driven = self._still = self._pushed = 0
+        self.rules[AT.driven] = self.rules[AT.still] = self.rules[AT.pushed] = 0
 
-    def in_window(self, count: int) -> bool:
-        """Whether a count lies in the position window."""
-        return self._first <= count <= self._last
 
-    def check(self, count: int, current: int, measured: int) -> int:
-        """Judge one tick: the count at its end, active current and measured. Return the faults as bits 1 << code."""
-        counts, slot = self._counts, self._slot
-        moved = count - counts[slot]
-        stood = count == counts[slot - 1]
-        counts[slot] = count
-        self._slot = slot + 1 if slot + 1 < len(counts) else 0
-        faults = self._runaway(current, moved, stood)
-        if not -self._near_fastest <= moved <= self._near_fastest:
-            self.flags |= _SPEED
-            if abs(moved) > self._fastest:
-                faults |= _OVER_SPEED
-                if self._driven >= len(counts):
-                    faults |= _RUNAWAY
-        if not self._near_first <= count <= self._near_last:
-            self.flags |= _POSITION
-            if not self._first <= count <= self._last:
-                faults |= _WINDOW
-        if not -self._peak <= measured <= self._peak:
-            faults |= _OVER_CURRENT
-        if self._thermal.overheated:
-            faults |= _TOO_HOT
-        return faults
+# ---------------------------------------------------------------------- what went wrong first, and before it?
 
-    def _runaway(self, current: int, moved: int, stood: bool) -> int:
-        """Count the ticks of large effort along the motion, and those without any; say when the latter are too many."""
-        if -self._large <= current <= self._large:
-            self._driven = self._still = 0
-            return 0
-        push = 1 if current > 0 else -1
-        self._driven = self._driven + 1 if push * self._sign * moved > 0 else 0
-        self._still = self._still + 1 if stood and push == self._pushed else 0
-        self._pushed = push
-        return _RUNAWAY if self._still > self._stall_ticks else 0
+
+@rule
+def remember(
+    rules: Ints, ring: Ints, index: int, count: int, current: int, measured: int, flags: int
+) -> None:
+    """Put a tick (the values of a `FaultEntry`) into the ring, unless it is frozen."""
+    if rules[AT.fault] == 0:
+        at = rules[AT.remembered] % RING_TICKS * _ENTRY
+        ring[at], ring[at + 1], ring[at + 2] = index, count, current
+        ring[at + 3], ring[at + 4] = measured, flags
+        rules[AT.remembered] += 1
 
 
 class FaultMemory:
     """The fault that is latched, those that came later, and the ticks before the first.
 
-    Attributes
+    Parameters
     ----------
-    latched
-        First fault since the last clear, or NONE.
+    rules
+        Of `Safety`: the latched fault is there, where ticks see it.
     """
 
-    def __init__(self) -> None:
-        self.latched = Fault.NONE
+    def __init__(self, rules: Ints) -> None:
+        self.ring = flat(np.int64, RING_TICKS * _ENTRY)
+        self._rules = rules
+        self.forget()
+
+    def forget(self) -> None:
+        """Know of no fault and of no tick: after a reset."""
+        self.clear()
+        self._rules[AT.remembered] = 0
         self._first = Fault.NONE
         self._later = 0
         self._time = 0
-        self._ring: deque[Entry] = deque(maxlen=RING_TICKS)
         self._frozen: list[Entry] = []
 
-    def remember(self, entry: Entry) -> None:
-        """Put a tick (the values of a `FaultEntry`) into the ring, unless it is frozen."""
-        if not self.latched:
-            self._ring.append(entry)
+    @property
+    def latched(self) -> Fault:
+        """First fault since the last clear, or NONE."""
+        return Fault(self._rules[AT.fault])
 
     def latch(self, faults: int, time: int) -> None:
         """Take faults as bits ``1 << code``. The gravest is the first, if there is none yet: the ring freezes."""
         if not self.latched:
-            self.latched = self._first = _gravest(faults)
+            self._first = _gravest(faults)
+            self._rules[AT.fault] = self._first
             self._later = 0
             self._time = time
-            self._frozen = list(self._ring)
+            end = self._rules[AT.remembered]
+            ring = np.asarray(self.ring).reshape(RING_TICKS, _ENTRY)
+            rows = np.arange(max(0, end - RING_TICKS), end) % RING_TICKS
+            self._frozen = [tuple(entry) for entry in ring[rows].tolist()]
         self._later |= faults & ~(1 << self._first)
 
     def clear(self) -> None:
         """Let go of the fault; what was frozen can still be read, until the next one."""
-        self.latched = Fault.NONE
+        self._rules[AT.fault] = Fault.NONE
 
     def page(self, request: m.GetFaultLog) -> m.FaultLog:
         """Answer a request for the log."""

@@ -48,3 +48,9 @@ def native_call(arity: int) -> Any:
 
         return call_three
     raise ValueError(f"no call of {arity} arguments is written")
+
+
+def address_of(kernel: Any, signature: Any) -> int:
+    """Address of a kernel as a C function, for a table that native code calls; compiled or loaded if it has to be."""
+    found = kernel.get_compile_result(signature)
+    return int(found.library.get_pointer_to_function(found.fndesc.llvm_cfunc_wrapper_name))

@@ -31,6 +31,7 @@ from sim_backend.channel import Direction, FrameFault, Line
 from sim_backend.device import SimulatedDevice
 from sim_backend.firmware import FirmwareDevice
 from sim_backend.real_time import FirmwareTime, Port, RealTime, sleep_until
+from sim_backend.safety import AT
 from tests.conformance.started import die_with_parent
 
 WAIT_S = 30.0  # for anything at all, on a loaded machine
@@ -119,7 +120,7 @@ class WatchedDevice(SimulatedDevice):
     def tick(self) -> bytes:
         before = abs(self.current)
         said = super().tick()
-        if self._watchdog.ramping and abs(self.current) > before:
+        if self.board.rules[AT.ramping] and abs(self.current) > before:
             self.witness.rises += 1
         self.witness.see_tick(self.connection.state, self.current, self.fault)
         self.witness.write(self.connection.state, self.current, self.fault, self.connection.statistics)

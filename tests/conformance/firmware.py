@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from rig.core.errors import ConfigError
-from sim_backend import firmware_library
+from sim_backend import firmware_library, link
 
 
 def need_compiler() -> None:
@@ -14,3 +14,10 @@ def need_compiler() -> None:
         firmware_library.compiler()
     except ConfigError:
         pytest.skip("no C compiler is installed (package gcc)")
+
+
+def hide_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Be a machine without a C compiler, whose library nobody has opened before."""
+    monkeypatch.delenv("CC", raising=False)
+    monkeypatch.setattr(firmware_library, "COMPILERS", ())
+    monkeypatch.setattr(link, "library", firmware_library.library.__wrapped__)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Iterator
 
+import numpy as np
 import pytest
 
 from firmware_protocol import messages as m
@@ -19,7 +20,7 @@ from firmware_protocol.parameters import BY_NAME, encode_block
 from firmware_protocol.transfer import set_parameters
 from rig.core.model import RigModel
 from sim_backend.firmware import Core
-from sim_backend.safety import Thermal
+from sim_backend.safety import BUDGET, HEAT, configure_heat, flat, warm
 from tests.conformance.host import RUN_PARAMETERS
 from tests.conformance.rigs import rotary_rig
 
@@ -310,15 +311,15 @@ class CThermal(ctypes.Structure):
 @pytest.mark.parametrize("time_constant_s", [0.125, 8.0, 8_192.0])
 def test_heat_in_integers_is_heat_in_doubles(library: ctypes.CDLL, rate: int, time_constant_s: float) -> None:
     """From cold, warming and cooling: to 1e-6 of itself, and a millionth of a quantum² where there is hardly any."""
-    ours, theirs = CThermal(), Thermal()
+    ours, theirs = CThermal(), flat(np.float64, 3)
     library.thermal_configure.argtypes = [ctypes.c_void_p, ctypes.c_uint16, ctypes.c_float, ctypes.c_uint32]
     library.thermal_update.argtypes = [ctypes.c_void_p, ctypes.c_int16]
     library.thermal_configure(ctypes.byref(ours), 1_000, time_constant_s, rate)
-    theirs.configure(1_000, time_constant_s, rate)
-    assert ours.budget == int(theirs.budget) << 32
+    configure_heat(theirs, 1_000, time_constant_s, rate)
+    assert ours.budget == int(theirs[BUDGET]) << 32
     for tick in range(20_000):
         measured = (1, -32_767, 300, 0)[tick // 5_000]
         library.thermal_update(ctypes.byref(ours), measured)
-        theirs.update(measured)
+        warm(theirs, measured)
         if tick % 500 == 499:
-            assert ours.heat / 2**32 == pytest.approx(theirs.heat, rel=1e-6, abs=1e-6)
+            assert ours.heat / 2**32 == pytest.approx(theirs[HEAT], rel=1e-6, abs=1e-6)

@@ -1,4 +1,4 @@
-"""Two devices of one protocol: the simulated one in Python and the firmware's core in C.
+"""Three devices of one protocol: the simulated one in Python, the same compiled, and the firmware's core in C.
 
 They see the same world and the same bytes, and say the same, byte for byte, tick for tick.
 """
@@ -12,6 +12,7 @@ import struct
 from collections import deque
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from itertools import pairwise
 from typing import Any
 from zlib import crc32
@@ -31,9 +32,12 @@ from firmware_protocol.parameters import PARAMETERS, block_crc, encode_block
 from firmware_protocol.transfer import set_parameters
 from firmware_protocol.wire import wire_fields
 from rig.core.model import RigModel
+from sim_backend.compiled_device import SAID, CompiledDevice
 from sim_backend.device import SimulatedDevice
 from sim_backend.firmware import FirmwareDevice
 from sim_backend.hardware import Hardware
+from sim_backend.lockstep import BYTE_COUNT, BYTES, COUNT, CUTS, DUE, EDGE_AGE, MEASURED, RECEIVED_AT
+from sim_backend.safety import UNITS_PER_SECOND
 from tests.conformance.host import RUN_PARAMETERS
 from tests.conformance.rigs import linear_rig, rotary_rig
 from tests.conformance.wire_strategies import messages_of, parameter_sets
@@ -43,6 +47,8 @@ WALK_STEPS = 120
 RATES = [50, 99, 300, 500, 700, 1_000, 1_100, 2_000, 3_000, 7_777, 20_000, 50_000]
 LIFETIMES_US = [0, 1_000, 3_000, 20_000, 2**32 - 1]
 HOST_MESSAGES = [cls for type_id, cls in m.MESSAGES.items() if m.sender_of(type_id) is m.Role.HOST]
+HALF = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_size_t, ctypes.c_size_t)
+DRIVE, SAMPLE, RECEIVE = range(3)
 COUNTERS = [
     "frames", "framing_errors", "crc_errors", "malformed", "unknown_type", "wrong_direction", "foreign_major",
     "stale_session", "out_of_state", "lost", "duplicated", "reordered",
@@ -70,23 +76,72 @@ class Puppet(Hardware):
         self.count += self.speed
 
 
+class ByAddress(CompiledDevice):
+    """The compiled device, the parts of a tick called one by one, as `FirmwareDevice.tick` does."""
+
+    asked = False
+
+    def tick(self) -> bytes:
+        words, hardware = self.board.words, self.hardware
+        self._lend()
+        current = self._call(DRIVE)
+        if words[CUTS]:
+            hardware.cut()
+        hardware.advance(current)
+        words[COUNT], words[MEASURED] = hardware.count, hardware.measured
+        words[EDGE_AGE] = round(min(hardware.edge_age_s * UNITS_PER_SECOND, words[DUE]))
+        self._call(SAMPLE)
+        self._take_back()
+        return self._taken()
+
+    def receive(self, data: bytes, *, received_at: int | None = None) -> bytes:
+        if self.asked:
+            return super().receive(data, received_at=received_at)
+        words, buffer = self.board.words, ctypes.create_string_buffer(data, max(1, len(data)))
+        _, world = self.compiled()
+        words[BYTES], words[BYTE_COUNT] = ctypes.addressof(buffer), len(data)
+        words[RECEIVED_AT] = self.time
+        self.asked = True
+        self._call(RECEIVE)
+        self.asked = False
+        if words[CUTS]:
+            self.hardware.cut()
+        self.passed(world)
+        return self._taken()
+
+    @cached_property
+    def _halves(self) -> list[Any]:
+        return [HALF(address) for address in self._lockstep[:3]]
+
+    def _call(self, half: int) -> int:
+        result: int = self._halves[half](self._lockstep.device, self._lockstep.address)
+        assert self._failure is None
+        return result
+
+    def _taken(self) -> bytes:
+        size, self._counters[SAID] = self._counters.item(SAID), 0
+        return self._said[:size].tobytes()
+
+
 class Pair:
-    """Both devices under the same hand; every step compares them."""
+    """The devices under the same hand, Python's compiled too; every step compares them."""
 
     def __init__(self, library: ctypes.CDLL, model: RigModel, **options: Any) -> None:
         self.python = SimulatedDevice(model, **options)
+        self.compiled = ByAddress(model, **options)
         self.c = FirmwareDevice(model, library=library, law_maximum=0, **options)
         self.nonce = 0
         self.session = 0
         self.sequence = 0
         self.said = b""
         self.frames: deque[bytes] = deque(maxlen=8)  # the last ones, to be sent again
-        for device in (self.python, self.c):
-            device.hardware.__class__ = Shaky
+        self.hardware: list[Any] = [device.hardware for device in (self.python, self.compiled, self.c)]
+        for hardware in self.hardware:
+            hardware.__class__ = Shaky
 
     def both(self, call: Callable[[Any], bytes | None]) -> None:
-        self.said, c = call(self.python) or b"", call(self.c) or b""
-        assert c == self.said
+        self.said, compiled, c = (call(one) or b"" for one in (self.python, self.compiled, self.c))
+        assert compiled == c == self.said
         connection = self.python.connection
         assert (self.c.state, self.c.session, self.c.fault) == (
             connection.state,
@@ -163,6 +218,7 @@ class Pair:
         assert {name: getattr(ours, name) for name in COUNTERS} == {
             name: getattr(counted, name) for name in COUNTERS
         }
+        assert self.compiled.connection.statistics == counted
 
 
 def frame_of(message: Message, session: int, sequence: int, major: int = m.MAJOR) -> bytes:
@@ -235,10 +291,11 @@ class Step:
         pair.both(lambda device: device.inject_fault(fault))
 
     def _push(self, pair: Pair, effort: float) -> None:
-        pair.python.hardware.external_effort = pair.c.hardware.external_effort = effort
+        for hardware in pair.hardware:
+            hardware.external_effort = effort
 
     def _shake(self, pair: Pair, jump: int, spike: int) -> None:
-        for hardware in (pair.python.hardware, pair.c.hardware):
+        for hardware in pair.hardware:
             assert isinstance(hardware, Shaky)
             hardware.jump, hardware.spike = jump, spike
 
@@ -594,8 +651,8 @@ def test_the_motion_is_judged_alike_at_every_threshold(library: ctypes.CDLL, see
     rng = random.Random(seed)
     sign = rng.choice([1, -1])
     pair = Pair(library, rotary_rig(coulomb=2e-3, sign=sign))
-    for device in (pair.python, pair.c):
-        device.hardware.__class__ = Puppet
+    for hardware in pair.hardware:
+        hardware.__class__ = Puppet
     for session in range(1, 30):
         rate = rng.choice([200, 1_000, 2_000])
         window = max(1, rate // 200)
@@ -615,7 +672,7 @@ def test_the_motion_is_judged_alike_at_every_threshold(library: ctypes.CDLL, see
         while pair.c.state in {State.ARMED, State.RUNNING}:
             current, speed = rng.choice([0, 99, 100, 101, 300]) * rng.choice([1, -1]), rng.randrange(-3, 4)
             measured = rng.choice([0, 0, 0, current, 11_000, -11_000, 11_001]) if rng.random() < 0.1 else 0
-            for hardware in (pair.python.hardware, pair.c.hardware):
+            for hardware in pair.hardware:
                 hardware.speed, hardware.measured = speed, measured
             for _ in range(rng.choice([1, window - 1, window, window + 1, 3 * window, 10 * window])):
                 pair.command(current)

@@ -25,7 +25,18 @@ from rig.core.sample import TRUTH
 from sim_backend.device import SimulatedDevice
 from sim_backend.link import MemoryLink
 from sim_backend.plant import DiscretePlant, advance
-from sim_backend.safety import IDLE_LIFETIME_S, RING_TICKS, Monitor, Thermal, Watchdog, stall_time
+from sim_backend.safety import (
+    AT,
+    IDLE_LIFETIME_S,
+    RING_TICKS,
+    Safety,
+    check,
+    feed,
+    flat,
+    stall_time,
+    wanted,
+    warm,
+)
 from tests.conformance.device import check_device
 from tests.conformance.host import RUN_PARAMETERS, Host
 from tests.conformance.rigs import linear_rig, rotary_rig
@@ -485,16 +496,16 @@ def test_a_command_in_the_ramp_takes_the_effort_back() -> None:
 def test_the_ramp_never_rises_and_never_changes_sign(
     current: int, lifetime: int, ramp: int, step: int
 ) -> None:
-    watchdog = Watchdog()
-    watchdog.feed(0, current, lifetime, ramp)
-    wanted, flows = [], current
+    rules = flat(np.int64, len(AT))
+    feed(rules, 0, current, lifetime, ramp)
+    sizes, rules[AT.current] = [], current
     for until in range(step, lifetime + ramp + 2 * step, step):
-        flows = watchdog.wanted(until, flows)
-        wanted.append(abs(flows))
+        flows = rules[AT.current] = wanted(rules, until)
+        sizes.append(abs(flows))
         assert flows * current >= 0
         assert until < lifetime + ramp or until <= lifetime or flows == 0
-    assert wanted == sorted(wanted, reverse=True)
-    assert watchdog.lost
+    assert sizes == sorted(sizes, reverse=True)
+    assert rules[AT.lost]
 
 
 @pytest.mark.parametrize("stopped", [False, True], ids=["after-arm", "after-stop"])
@@ -627,10 +638,10 @@ def test_over_speed_cuts_when_the_limit_is_passed_and_not_by_one_count() -> None
 
 
 def test_a_toggling_count_is_no_speed() -> None:
-    monitor = Monitor(rotary_rig(), Thermal())
-    monitor.configure({**_values(), "position_rate": 20_000, "speed_limit": 10}, 0)
-    assert all(monitor.check(k % 2, 0, 0) == 0 for k in range(1_000))
-    assert monitor.flags == 0
+    safety = Safety(rotary_rig())
+    safety.configure({**_values(), "position_rate": 20_000, "speed_limit": 10}, 0)
+    assert all(judge(safety, k % 2, 0, 0) == 0 for k in range(1_000))
+    assert safety.rules[AT.flags] == 0
 
 
 def test_near_the_limits_the_state_warns() -> None:
@@ -673,9 +684,9 @@ def test_speed_against_the_effort_is_over_speed_alone() -> None:
 def test_a_dead_encoder_is_found_by_the_edges_that_do_not_come() -> None:
     model = rotary_rig(inertia=1e-3, coulomb=5e-3)
     device = device_of(armed(model))
-    monitor = Monitor(model, Thermal())
-    monitor.configure({**_values(), "current_limit": 500, "position_rate": RATE}, 0)
-    ticks = next(k for k in range(RATE) if monitor.check(0, 200, 200))
+    safety = Safety(model)
+    safety.configure({**_values(), "current_limit": 500, "position_rate": RATE}, 0)
+    ticks = next(k for k in range(RATE) if judge(safety, 0, 200, 200))
     assert ticks * TICK_S == pytest.approx(stall_time(model, 0.2 * 500), abs=2 * TICK_S)
     assert device.fault == Fault.NONE
 
@@ -691,9 +702,9 @@ def test_the_free_rig_shows_edges_long_before_it_is_called_stalled() -> None:
 def test_a_person_may_hold_the_handle_still_as_long_as_she_holds_the_switch() -> None:
     model = rotary_rig(coulomb=5e-3)
     values = {**_values(), "current_limit": 500, "position_rate": RATE, "hold_to_run": 1}
-    monitor = Monitor(model, Thermal())
-    monitor.configure(values, 0)
-    assert all(monitor.check(0, 400, 400) == 0 for _ in range(10 * RATE))
+    safety = Safety(model)
+    safety.configure(values, 0)
+    assert all(judge(safety, 0, 400, 400) == 0 for _ in range(10 * RATE))
 
 
 def test_an_effort_that_friction_may_hold_demands_no_edge() -> None:
@@ -702,20 +713,20 @@ def test_an_effort_that_friction_may_hold_demands_no_edge() -> None:
 
 
 def test_a_current_above_the_amplifiers_peak_is_over_current() -> None:
-    monitor = Monitor(rotary_rig(), Thermal())
-    monitor.configure(_values(), 0)
-    assert monitor.check(0, 0, 10_500) == 0
-    assert monitor.check(0, 0, -11_001) == 1 << Fault.OVER_CURRENT
+    safety = Safety(rotary_rig())
+    safety.configure(_values(), 0)
+    assert judge(safety, 0, 0, 10_500) == 0
+    assert judge(safety, 0, 0, -11_001) == 1 << Fault.OVER_CURRENT
 
 
 def test_heat_that_the_reduction_does_not_stop_cuts() -> None:
-    thermal = Thermal()
-    thermal.configure(100, 0.5, 1_000)
-    monitor = Monitor(rotary_rig(), thermal)
-    monitor.configure(_values(), 0)
+    safety = Safety(rotary_rig())
+    safety.configure(
+        {**_values(), "position_rate": 1_000, "continuous_current": 100, "thermal_time_constant": 0.5}, 0
+    )
     for _ in range(2_000):
-        thermal.update(150)
-    assert monitor.check(0, 0, 150) == 1 << Fault.THERMAL
+        warm(safety.heat, 150)
+    assert judge(safety, 0, 0, 150) == 1 << Fault.THERMAL
 
 
 def test_after_an_encoder_fault_it_wants_to_be_homed_again() -> None:
@@ -754,6 +765,10 @@ def test_missed_ticks_pass_in_the_plant_and_are_counted() -> None:
     assert state.missed_ticks == 7
     assert state.sample_index == before.sample_index + 8
     assert host.connection.statistics.lost == 7
+
+
+def judge(safety: Safety, count: int, current: int, measured: int) -> int:
+    return check(safety.rules, safety.heat, safety.counts, count, current, measured)
 
 
 def _values() -> dict[str, Value]:

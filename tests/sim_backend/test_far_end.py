@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
@@ -16,16 +17,18 @@ from firmware_protocol import messages as m
 from firmware_protocol.errors import LocalProtocolError
 from firmware_protocol.faults import Fault
 from firmware_protocol.messages import Mode
-from rig.core.errors import ConfigError
 from rig.devices.device import DeviceUrl
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import TRANSFER
 from sim_backend import link as links
 from sim_backend.channel import Faults
+from sim_backend.compiled_device import CompiledDevice
 from sim_backend.device import SimulatedDevice
 from sim_backend.far_end import LONGEST_RUN
 from sim_backend.firmware import FirmwareDevice
 from sim_backend.link import BUFFER_BYTES, MemoryLink
+from sim_backend.lockstep import BYTES, CUTS, WORDS
+from tests.conformance.firmware import hide_compiler
 from tests.conformance.host import RUN_PARAMETERS, Host
 from tests.conformance.link import COMPILED, check_link, listen
 from tests.conformance.rigs import rotary_rig
@@ -67,12 +70,21 @@ def fresh(**options: Any) -> MemoryLink:
     return MemoryLink(FirmwareDevice(rotary_rig(current_noise_a=0.002), law_maximum=0, **options))
 
 
-def three() -> list[ThroughThePort]:
-    """The compiled far end; the firmware behind callbacks; the readable device behind callbacks."""
+def without_c(**options: Any) -> MemoryLink:
+    return MemoryLink(CompiledDevice(rotary_rig(current_noise_a=0.002), **options))
+
+
+KINDS = pytest.mark.parametrize("made", [fresh, without_c], ids=["firmware", "without-c"])
+
+
+def five() -> list[ThroughThePort]:
+    """The compiled far end of firmware and device; both, and the readable device, behind callbacks."""
     rig = rotary_rig(current_noise_a=0.002)
     return [
         ThroughThePort(fresh()),
+        ThroughThePort(without_c()),
         ThroughThePort(MemoryLink(FirmwareDevice(rig, law_maximum=0), Faults())),
+        ThroughThePort(MemoryLink(CompiledDevice(rig), Faults())),
         ThroughThePort(MemoryLink(SimulatedDevice(rig))),
     ]
 
@@ -116,38 +128,50 @@ STEPS = ("command", "command", "wait", "wait", "sleep", "stop", "ask", "push", "
 )
 @example([("command", 300), ("sleep", 400), ("sleep", 400), ("wait", 1), ("again", -300), ("wait", 300)])
 def test_it_says_the_same_at_the_same_time_and_moves_alike(steps: list[tuple[str, int]]) -> None:
-    wires = three()
+    wires = five()
     for wire in wires:
         walk(wire, steps)
-    compiled, called, readable = wires
-    assert compiled.log == called.log == readable.log
-    truths = [wire.link.truth() for wire in wires]
-    assert truths[0].tobytes() == truths[1].tobytes() == truths[2].tobytes()
-    ends = [
-        (w.clock.now_ns(), w.link.device.time, w.link.device.current, w.link.device.fault, w.link.discarded)
-        for w in wires
+    *others, readable = [
+        (
+            *(wire.log, wire.link.truth().tobytes(), wire.clock.now_ns(), wire.link.discarded),
+            *(wire.link.device.time, wire.link.device.current, wire.link.device.fault),
+        )
+        for wire in wires
     ]
-    assert ends[0] == ends[1] == ends[2]
+    assert others == [readable] * 4
+    device = wires[-1].link.device
+    for wire in (wires[1], wires[3]):
+        assert remembered(wire.link.device) == remembered(device)
+        assert wire.link.device.connection.statistics == device.connection.statistics
 
 
-def test_it_conforms_as_a_link() -> None:
-    check_link(fresh, fresh)
+def remembered(device: SimulatedDevice) -> list[list[float]]:
+    """The device's memory, but for what the parts of a tick say to each other."""
+    words = [0 if at in {CUTS, *range(BYTES, WORDS)} else word for at, word in enumerate(device.board.words)]
+    return [words, *map(list, device.board[1:])]
+
+
+@KINDS
+def test_it_conforms_as_a_link(made: Callable[..., MemoryLink]) -> None:
+    check_link(made, made)
 
 
 def test_what_is_not_read_is_lost_and_counted() -> None:
-    wires = three()
+    wires = five()
     for wire in wires:
         host = Host(wire)  # type: ignore[arg-type]
         host.begin(position_rate=RATE)
         wire.clock.sleep_until(wire.clock.now_ns() + 2_000_000_000)
         wire.read(0.0)
-    assert wires[0].log == wires[1].log == wires[2].log
-    assert wires[0].link.discarded == wires[1].link.discarded == wires[2].link.discarded > 0
+    assert [wire.log for wire in wires] == [wires[0].log] * 5
+    assert [wire.link.discarded for wire in wires] == [wires[0].link.discarded] * 5
+    assert wires[0].link.discarded > 0
 
 
-def test_a_change_that_python_makes_is_seen_by_ticks_that_run() -> None:
+@KINDS
+def test_a_change_that_python_makes_is_seen_by_ticks_that_run(made: Callable[..., MemoryLink]) -> None:
     """A thread with the device in its hand, without asking the link again."""
-    wire = ThroughThePort(fresh())
+    wire = ThroughThePort(made())
     device = wire.link.device
     host = Host(wire)  # type: ignore[arg-type]
     host.begin(position_rate=RATE)
@@ -161,8 +185,9 @@ def test_a_change_that_python_makes_is_seen_by_ticks_that_run() -> None:
     assert abs(after) > abs(before)
 
 
-def test_an_exception_inside_is_eio_and_kept_as_the_links_failure() -> None:
-    wire = ThroughThePort(fresh())
+@KINDS
+def test_an_exception_inside_is_eio_and_kept_as_the_links_failure(made: Callable[..., MemoryLink]) -> None:
+    wire = ThroughThePort(made())
     Host(wire).begin(position_rate=RATE)  # type: ignore[arg-type]
     wire.link.device.hardware.external_effort = "no number"
     into = np.zeros(64, np.uint8)
@@ -171,8 +196,24 @@ def test_an_exception_inside_is_eio_and_kept_as_the_links_failure() -> None:
     assert isinstance(wire.link.failure(), TypeError)
 
 
-def test_a_closed_one_is_eio() -> None:
-    wire = ThroughThePort(fresh())
+@pytest.mark.parametrize("part", ["receive", "_latch"])
+def test_what_python_raises_for_compiled_ticks_ends_the_link_at_the_next_bytes(
+    part: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wire = ThroughThePort(without_c())
+    Host(wire).begin(position_rate=RATE)  # type: ignore[arg-type]
+    device = wire.link.device
+    monkeypatch.setattr(device, part, lambda *_, **__: 1 / 0)
+    device.press_emergency_stop()
+    wire.read(TICK_S)
+    data = np.zeros(1, np.uint8)
+    assert tell(wire.port.write, wire.port.handle, data) == -errno.EIO
+    assert isinstance(wire.link.failure(), ZeroDivisionError)
+
+
+@KINDS
+def test_a_closed_one_is_eio(made: Callable[..., MemoryLink]) -> None:
+    wire = ThroughThePort(made())
     wire.link.close()
     assert tell(wire.port.write, wire.port.handle, np.zeros(1, np.uint8)) == -errno.EIO
     assert (
@@ -181,14 +222,11 @@ def test_a_closed_one_is_eio() -> None:
     assert wire.link.failure() is None
 
 
-def test_without_a_compiler_the_readable_device_runs(monkeypatch: pytest.MonkeyPatch) -> None:
-    def none() -> Any:
-        raise ConfigError("there is no C compiler", remedy="install one")
-
+def test_without_a_c_compiler_the_device_is_compiled_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     url = DeviceUrl.parse("sim://test")
     assert isinstance(links.open_link(url, rotary_rig()).device, FirmwareDevice)
     assert isinstance(
         links.open_link(DeviceUrl.parse("sim://test?firmware=0"), rotary_rig()).device, SimulatedDevice
     )
-    monkeypatch.setattr(links, "library", none)
-    assert isinstance(links.open_link(url, rotary_rig()).device, SimulatedDevice)
+    hide_compiler(monkeypatch)
+    assert isinstance(links.open_link(url, rotary_rig()).device, CompiledDevice)

@@ -15,9 +15,12 @@ from rig.devices.framed import FramedDevice
 from rig.recording.header import repeatable
 from rig.recording.reader import open_recording
 from sim_backend import trial as bare
+from sim_backend.compiled_device import CompiledDevice
 from sim_backend.link import open_link
 from sim_backend.operator import Script
 from sim_backend.plant import DiscretePlant
+from tests.conformance.firmware import hide_compiler, need_compiler
+from tests.conformance.rigs import rotary_rig
 from tests.conformance.trials import trial_on
 
 SHORT = {"trial.duration_s": 0.15, "trial.release_s": 0.02, "verdict.tail_s": 0.05, "homing.settle_s": 0.02}
@@ -89,6 +92,23 @@ def test_the_same_seed_gives_the_same_recording_bit_for_bit(tmp_path: Path) -> N
     assert first.rows["count"].tobytes() == other.rows["count"].tobytes(), (
         "sensor noise of the current is not felt"
     )
+
+
+@pytest.mark.parametrize("changes", [{}, HELD], ids=["pushed", "held"])
+def test_without_a_c_compiler_the_recording_is_the_same_bit_for_bit(
+    changes: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    need_compiler()
+    noise = {"rig.amplifier.current_noise_a": 0.01}
+    experiment = config.override(presets.load("koul-compliant"), {**SHORT, **noise, **changes})
+    first = over_the_wire(experiment, tmp_path / "with.rigcap")
+    hide_compiler(monkeypatch)
+    assert isinstance(open_link(DeviceUrl.parse("sim://"), rotary_rig()).device, CompiledDevice)
+    second = over_the_wire(experiment, tmp_path / "without.rigcap")
+
+    assert first.rows.tobytes() == second.rows.tobytes()
+    assert repeatable(first.header) == repeatable(second.header)
+    assert first.trailer == second.trailer
 
 
 def test_a_second_trial_in_the_same_hand_begins_where_the_first_one_left_the_handle(tmp_path: Path) -> None:

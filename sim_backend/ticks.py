@@ -1,0 +1,198 @@
+"""A tick of the simulated device in its parts, over flat memory: what a microcontroller does without its host.
+
+The order is that of `device`: `drive`, then the plant moves, then `sample`, and `report` if a STATE is due; between two
+ticks `obey` takes a COMMAND. Python runs these functions in the readable device (`device`), on memory views; a kernel
+runs the same ones in the compiled device (`compiled_device`). What is rare is left to Python: they only leave the
+faults that they find in a word.
+"""
+
+from __future__ import annotations
+
+from collections import namedtuple
+from typing import Any, NamedTuple
+
+from firmware_protocol import messages as m
+from firmware_protocol.connection import State
+from firmware_protocol.faults import Fault, Input, LimitFlag
+from firmware_protocol.messages import Mode, Sync
+from rig.realtime.codec import STATE
+from rig.realtime.groups import Floats, Ints, group
+from sim_backend.lockstep import (
+    COUNT,
+    CUTS,
+    DUE,
+    EDGE_AGE,
+    INPUTS,
+    MEASURED,
+    SAMPLE_INDEX,
+    SESSION,
+    TIME,
+    WORDS,
+)
+from sim_backend.safety import (
+    AT,
+    UNITS_PER_SECOND,
+    UNITS_PER_US,
+    check,
+    feed,
+    idle,
+    limited,
+    remember,
+    rule,
+    wanted,
+    warm,
+)
+
+UNARMED_STATES_HZ = 100  # STATE frames a second while the device is not armed: enough to home by hand
+
+_Own = namedtuple(
+    "_Own",
+    # what the tick found (faults as bits 1 << code) and drove, limits that acted since the last STATE, sync outputs
+    "found driven acted sync "
+    # of the active command
+    "command_sequence command_index command_sync "
+    # what Python counts, and where the protocol is
+    "worst_execution_time missed_ticks sync_time protocol_state "
+    # the grid of time, and settings
+    "rate grid_index grid_time needs_hold command_lifetime supervise_lifetime ramp",
+)
+BOARD_WORDS = WORDS + len(_Own._fields)
+OWN: Any = _Own(*range(WORDS, BOARD_WORDS))  # the device's own words, behind those of `lockstep`
+
+_U32 = 0xFFFFFFFF
+_U16 = 0xFFFF
+_NO_COMMAND_YET, _OLDEST_EDGE = m.NO_COMMAND_YET, m.OLDEST_EDGE
+_RAMPING, _RELEASED = int(LimitFlag.RAMPING), int(LimitFlag.HOLD_TO_RUN_RELEASED)
+_EMERGENCY, _HELD = int(Input.EMERGENCY_STOP), int(Input.HOLD_TO_RUN)
+_PRESSED, _LINK_LOST = 1 << Fault.EMERGENCY_STOP, 1 << Fault.LINK_LOST
+_BOOT, _ARMED, _RUNNING = int(State.BOOT), int(State.ARMED), int(State.RUNNING)
+_SUPERVISE, _STOP = int(Mode.SUPERVISE), int(Mode.STOP)
+_SYNC_OF_COMMANDS = int(Sync.TRIAL | Sync.INSIDE)
+_SHOWN = tuple(  # `Sync` bits → `Input` bits
+    int(Input.SYNC_TRIAL if bits & Sync.TRIAL else 0) | int(Input.SYNC_INSIDE if bits & Sync.INSIDE else 0)
+    for bits in range(8)
+)
+
+
+@group
+class Board(NamedTuple):
+    """The memory of a device.
+
+    Attributes
+    ----------
+    words
+        Those of `lockstep`, and behind them `OWN`.
+    rules, heat, counts
+        Of `sim_backend.safety.Safety`.
+    ring
+        Of `sim_backend.safety.FaultMemory`.
+    state
+        Fields of the STATE that is due, by `rig.realtime.codec.STATE`.
+    """
+
+    words: Ints
+    rules: Ints
+    heat: Floats
+    counts: Ints
+    ring: Ints
+    state: Ints
+
+
+@rule
+def drive(board: Board) -> int:
+    """Begin a tick: the current that flows in it (quanta)."""
+    words, rules = board.words, board.rules
+    words[OWN.found] = words[CUTS] = words[OWN.sync] = words[OWN.driven] = 0
+    if words[OWN.protocol_state] != _ARMED and words[OWN.protocol_state] != _RUNNING:
+        return 0
+    if words[INPUTS] & _EMERGENCY:
+        words[OWN.found] = _PRESSED
+        return 0
+    current = wanted(rules, words[DUE])
+    if rules[AT.ramping]:
+        rules[AT.flags] |= _RAMPING
+        if rules[AT.lost]:
+            words[OWN.found] = _LINK_LOST
+            return 0
+    else:
+        words[OWN.sync] = words[OWN.command_sync]
+    if words[OWN.needs_hold] and not words[INPUTS] & _HELD:
+        rules[AT.flags] |= _RELEASED
+        rules[AT.current] = 0  # regardless of the slew limit
+        words[CUTS] = 1
+        return 0
+    words[OWN.driven] = limited(rules, board.heat, current)
+    return int(words[OWN.driven])
+
+
+@rule
+def sample(board: Board) -> None:
+    """End a tick: its sample is in the words; the monitors look at it."""
+    words, rules = board.words, board.rules
+    count, current, measured = words[COUNT], words[OWN.driven], words[MEASURED]
+    words[CUTS] = 0
+    words[SAMPLE_INDEX] += 1
+    words[TIME] = words[DUE]
+    words[DUE] = time_of(words, words[SAMPLE_INDEX] + 1)
+    warm(board.heat, measured)
+    faults = check(rules, board.heat, board.counts, count, current, measured)
+    words[OWN.found] = faults if words[SESSION] else 0
+    flags = rules[AT.flags]
+    rules[AT.flags] = 0
+    words[OWN.acted] |= flags
+    remember(rules, board.ring, words[SAMPLE_INDEX] & _U32, count, current, measured, flags)
+
+
+@rule
+def time_of(words: Ints, index: int) -> int:
+    """Device time of a sample, from its number: a period that is no whole number of units does not drift."""
+    return int(words[OWN.grid_time] + (index - words[OWN.grid_index]) * UNITS_PER_SECOND // words[OWN.rate])
+
+
+@rule
+def report(board: Board) -> bool:
+    """Fill the fields of a STATE, if one is due."""
+    words, state = board.words, board.state
+    index, time = words[SAMPLE_INDEX], words[TIME]
+    if not words[SESSION]:
+        every = max(1, words[OWN.rate] // UNARMED_STATES_HZ)
+        if words[OWN.protocol_state] == _BOOT or index % every != 0:
+            return False
+    age = _NO_COMMAND_YET
+    if words[OWN.command_index] >= 0:
+        age = min(index - words[OWN.command_index], _U16)
+    state[STATE.command_sequence], state[STATE.command_age] = words[OWN.command_sequence], age
+    state[STATE.sample_index], state[STATE.device_time] = index & _U32, time & _U32
+    state[STATE.count] = words[COUNT]
+    state[STATE.edge_time] = (time - min(words[EDGE_AGE], _OLDEST_EDGE)) & _U32
+    state[STATE.current_measured], state[STATE.current_commanded] = words[MEASURED], words[OWN.driven]
+    state[STATE.limits], state[STATE.fault] = words[OWN.acted], board.rules[AT.fault]
+    state[STATE.execution_time] = min(words[OWN.worst_execution_time], _U16)
+    state[STATE.missed_ticks] = min(words[OWN.missed_ticks], _U16)
+    state[STATE.state], state[STATE.inputs] = (
+        words[OWN.protocol_state],
+        words[INPUTS] | _SHOWN[words[OWN.sync]],
+    )
+    state[STATE.phase] = 0  # no law of its own
+    state[STATE.sync_time] = words[OWN.sync_time] & _U32
+    words[OWN.acted] = 0  # since the last STATE
+    return True
+
+
+@rule
+def obey(board: Board, sequence: int, mode: int, flags: int, current: int, lifetime_us: int) -> None:
+    """Take a COMMAND."""
+    words = board.words
+    words[OWN.command_sequence], words[OWN.command_index] = sequence, words[SAMPLE_INDEX]
+    words[OWN.command_sync] = words[CUTS] = 0
+    if mode == _STOP:
+        idle(board.rules, words[TIME])
+        board.rules[AT.current] = 0
+        words[CUTS] = 1
+        return
+    lifetime = lifetime_us * UNITS_PER_US
+    if mode == _SUPERVISE:
+        feed(board.rules, words[TIME], 0, min(lifetime, words[OWN.supervise_lifetime]), words[OWN.ramp])
+    else:
+        words[OWN.command_sync] = flags & _SYNC_OF_COMMANDS
+        feed(board.rules, words[TIME], current, min(lifetime, words[OWN.command_lifetime]), words[OWN.ramp])
