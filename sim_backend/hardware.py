@@ -9,9 +9,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numba import types
 
 from rig.core.model import RigModel
-from rig.realtime.kernel import prepare
+from rig.realtime.groups import group_at, group_bytes
+from rig.realtime.kernel import kernel, prepare
 from sim_backend.driven_hand import DrivenHand
 from sim_backend.inner import Vector
 from sim_backend.lockstep import (
@@ -27,7 +29,7 @@ from sim_backend.lockstep import (
     run_ticks,
 )
 from sim_backend.operator import Script
-from sim_backend.plant import DiscretePlant, PlantArguments, advance
+from sim_backend.plant import PLANT_TYPE, DiscretePlant, PlantArguments, advance
 from sim_backend.sensors import CURRENT_QUANTA_LIMIT, current_quanta
 from sim_backend.truth import TruthLog
 
@@ -36,6 +38,21 @@ _PEAK = int(CURRENT_QUANTA_LIMIT)
 NO_END = 1 << 62  # ticks
 World = tuple[PlantArguments, Script, Wires, Supplies]
 _NO_INDICES, _NO_STATES = np.zeros(0, np.int64), np.zeros((0, 0))
+
+
+_put, _at = group_at(PlantArguments)
+
+
+@kernel(types.void(types.int64, PLANT_TYPE))
+def _keep(handle: int, plant: PlantArguments) -> None:
+    """Let a handle stand for a plant: to take its group apart costs Python as much as a whole tick."""
+    _put(handle, plant)
+
+
+@kernel(types.int64(types.int64, types.float64, types.float64), no_refcount=True)
+def _advance(handle: int, command_effort: float, external_effort: float) -> int:
+    """Move the plant behind a handle by one tick; see `sim_backend.plant.advance`."""
+    return int(advance(_at(handle), command_effort, external_effort))
 
 
 class Hardware:
@@ -67,13 +84,13 @@ class Hardware:
     """
 
     def __init__(self, model: RigModel, rate: int, *, seed: int, initial_position: float | None) -> None:
-        prepare(advance, current_quanta)  # a board does not compile between two ticks
         if initial_position is None:
             initial_position = model.simulation.initial_position or 0.0
         self._model = model
         self._plant = DiscretePlant.build(model, 1.0 / rate)
         self._state = self._plant.at_rest(initial_position)
-        self._moving = self._plant.arguments(self._state)
+        self._memory = np.zeros(0, np.int64)
+        self._let_move()
         self._effort_quantum = model.amplifier.effort_quantum
         self._ampere_per_effort = 1.0 / model.amplifier.effort_per_ampere
         self._quantum_a = model.amplifier.current_quantum_a
@@ -90,9 +107,20 @@ class Hardware:
     def set_rate(self, rate: int) -> None:
         """Tick at another rate (Hz) from here on; the motion continues. Raises `ConfigError` and changes nothing."""
         self._plant = DiscretePlant.build(self._model, 1.0 / rate)
-        self._moving = self._plant.arguments(self._state)
+        self._let_move()
         self._script = Script.silent()  # of other ticks; the person at the handle stays
         self._hand_driven = False
+
+    def _let_move(self) -> None:
+        self._moving = self._plant.arguments(self._state)
+        self._handle = 0
+
+    def prepare(self) -> None:
+        """Compile or load what `advance` needs: a board does not compile between two ticks."""
+        prepare(_advance, current_quanta)
+        self._memory = np.zeros(-(-group_bytes(PlantArguments) // 8), np.int64)
+        self._handle = int(self._memory.ctypes.data)
+        _keep(self._handle, self._moving)
 
     def drive_hand(self, hand: DrivenHand) -> None:
         """Let a person drive the hand, from the next session on, in place of its script."""
@@ -124,7 +152,9 @@ class Hardware:
             state[self._plant.intentions] = script.rows[self._row]
             self._row = self._row + 1 if self._row + 1 < len(script.rows) else script.again
         effort = current * self._effort_quantum
-        count = advance(self._moving, effort, self.external_effort)
+        if self._handle == 0:
+            self.prepare()
+        count = _advance(self._handle, effort, self.external_effort)
         self.count = count + self.slip
         measured_a = state.item(self._plant.effort) * self._ampere_per_effort + self._noise.next()
         self.measured = current_quanta(measured_a, self._quantum_a)
