@@ -12,7 +12,7 @@ import sys
 
 import click
 
-from rig.cli.compiling import CompilingNotice
+from rig.cli.compiling import EXPECTED, CompilingNotice
 from rig.cli.lazy import LazyGroup
 from rig.cli.output import error_facts, print_json
 from rig.core.errors import RigError
@@ -89,7 +89,7 @@ def main(obj: object = None) -> None:
     for library in ("OPENBLAS", "MKL"):
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     signal.signal(signal.SIGTERM, _interrupt)
-    compiling.listen(CompilingNotice())
+    compiling.listen(CompilingNotice(EXPECTED.get("".join(sys.argv[1:2]), 0)))
     sys.exit(run(sys.argv[1:], obj))
 
 

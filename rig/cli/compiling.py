@@ -2,20 +2,28 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import threading
 import time
 
 import click
 
+from rig.realtime import compiling
+
 SIGN_OF_LIFE_S = 0.2  # on a terminal
 LINE_S = 5.0  # in a log
+EXPECTED = {"hit": 120}  # kernels that a command compiles first; tests/benchmarks/test_startup.py counts them
 
 
 class CompilingNotice:
-    """Says that kernels are being compiled, and how long it has taken so far, while they are."""
+    """Says while kernels are being compiled how many are, and how long the rest will take where that is known.
 
-    def __init__(self) -> None:
+    `expected` is how many the command compiles with an empty cache, 0 for a command that nobody has counted.
+    """
+
+    def __init__(self, expected: int = 0) -> None:
+        self._expected = expected
         self._busy = threading.Event()
         self._began = 0.0
         self._spent_s = 0.0
@@ -43,6 +51,12 @@ class CompilingNotice:
             time.sleep(SIGN_OF_LIFE_S if terminal else LINE_S)
             spent_s = self._spent_s + (time.monotonic() - self._began if self._busy.is_set() else 0.0)
             if terminal:
-                click.echo(f"\r{text}: {spent_s:.0f} s ", nl=not self._busy.is_set(), err=True)
+                click.echo(f"\r{text}: {self._so_far(spent_s)} ", nl=not self._busy.is_set(), err=True)
             elif self._busy.is_set():
-                click.echo(f"  still compiling, {spent_s:.0f} s", err=True)
+                click.echo(f"  still compiling: {self._so_far(spent_s)}", err=True)
+
+    def _so_far(self, spent_s: float) -> str:
+        done = compiling.kernels()
+        left = self._expected - done
+        rest = f", about {math.ceil(spent_s / done * left)} s left" if done and left > 0 else ""
+        return f"{done} kernels in {spent_s:.0f} s{rest}".ljust(40)

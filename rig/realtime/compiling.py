@@ -11,6 +11,7 @@ from collections.abc import Callable
 _lock = threading.Lock()
 _depth = 0
 _listeners: list[Callable[[bool], None]] = []
+_count = {"kernels": 0}
 
 
 def listen(listener: Callable[[bool], None]) -> None:
@@ -26,6 +27,16 @@ def began() -> None:
 def ended() -> None:
     """That function is compiled, or cannot be."""
     _move(-1)
+
+
+def counted() -> None:
+    """One more kernel is typed and lowered."""
+    _count["kernels"] += 1
+
+
+def kernels() -> int:
+    """Number of kernels that this process has typed and lowered."""
+    return _count["kernels"]
 
 
 def _move(step: int) -> None:

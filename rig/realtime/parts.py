@@ -19,6 +19,8 @@ from numba.core import codegen, compiler, dispatcher, sigutils
 from numba.core.compiler_lock import require_global_compiler_lock
 from numba.core.registry import cpu_target
 
+from rig.realtime import compiling
+
 
 class _Linked:
     """A library that is linked with all that its parts need, each once, callers first."""
@@ -141,8 +143,10 @@ class Compiler(dispatcher._FunctionCompiler):  # type: ignore[misc,name-defined]
             flags.no_compile = flags.no_cpython_wrapper = flags.no_cfunc_wrapper = True
         library = kind(target.target_context.codegen(), self.py_func.__qualname__)
         library.enable_object_caching()
-        return compiler.compile_extra(
+        result = compiler.compile_extra(
             target.typing_context, target.target_context, self.py_func,
             args=args, return_type=return_type, flags=flags, locals=self.locals, library=library,
             pipeline_class=self.pipeline_class,
         )  # fmt: skip
+        compiling.counted()
+        return result
