@@ -26,6 +26,7 @@ from __future__ import annotations
 import ctypes
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -116,7 +117,7 @@ class DiscretePlant:
 
     @classmethod
     def build(cls, model: RigModel, tick_s: float) -> DiscretePlant:
-        """Discretise a rig for ticks of `tick_s` seconds.
+        """Discretise a rig for ticks of `tick_s` seconds; the same object for the same rig, whose arrays do not change.
 
         Raises
         ------
@@ -125,22 +126,7 @@ class DiscretePlant:
         """
         if not (tick_s > 0.0 and math.isfinite(tick_s)):
             raise ConfigError(f"a tick of {tick_s} s", remedy="choose a rate above zero")
-        continuous = state_space(model.mechanics, model.amplifier, model.operator)
-        steps = max(1, math.ceil(tick_s / model.simulation.inner_step_s - 1e-9))  # 1e-9: 1 ms / 50 µs is 20
-        phi, gamma = _exact(continuous, tick_s / steps)
-        _check_friction(continuous, gamma, tick_s / steps)
-        return cls(
-            phi=phi,
-            gamma=gamma,
-            parameters=_parameters(model, continuous, tick_s / steps, steps),
-            tick_s=tick_s,
-            delay_ticks=model.simulation.computation_delay_ticks,
-            sensed_position=continuous.sensed_position,
-            handle_position=continuous.handle_position,
-            effort=continuous.effort,
-            edge_age=len(phi),
-            hand_position=continuous.hand_position,
-        )
+        return _discretised(model, tick_s)
 
     @property
     def arrays(self) -> tuple[Matrix, Matrix, Vector]:
@@ -188,6 +174,26 @@ class DiscretePlant:
         p = self.parameters
         position = state[self.sensed_position]
         return encoder_count(position, p[RESOLUTION], p[OFFSET], int(p[SIGN]))
+
+
+@lru_cache(maxsize=64)
+def _discretised(model: RigModel, tick_s: float) -> DiscretePlant:
+    continuous = state_space(model.mechanics, model.amplifier, model.operator)
+    steps = max(1, math.ceil(tick_s / model.simulation.inner_step_s - 1e-9))  # 1e-9: 1 ms / 50 µs is 20
+    phi, gamma = _exact(continuous, tick_s / steps)
+    _check_friction(continuous, gamma, tick_s / steps)
+    return DiscretePlant(
+        phi=phi,
+        gamma=gamma,
+        parameters=_parameters(model, continuous, tick_s / steps, steps),
+        tick_s=tick_s,
+        delay_ticks=model.simulation.computation_delay_ticks,
+        sensed_position=continuous.sensed_position,
+        handle_position=continuous.handle_position,
+        effort=continuous.effort,
+        edge_age=len(phi),
+        hand_position=continuous.hand_position,
+    )
 
 
 def energy(state: Vector, model: RigModel) -> float:
