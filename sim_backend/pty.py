@@ -1,6 +1,7 @@
 """The simulated rig as a process of its own: a pseudo-terminal that any serial program opens, in real time.
 
-The device here is the one of `device`, its clock that of `real_time`; this file gives it a port.
+The device is the firmware, its clock that of `board_time`; where nothing compiles it, the readable device (`device`),
+by the clock of `real_time`. This file gives either a port.
 
 It mirrors a USB serial device: it stays when a host goes, even by kill -9, and its watchdog knows of that only by
 the silence. After the hang-up of the line it writes nothing, for it would not be read; what a host does not read in
@@ -24,18 +25,20 @@ from typing import Any
 from rig.core.errors import ConfigError
 from rig.core.model import RigModel
 from rig.devices.hand import SharedHand
+from rig.devices.port import LoopPort
+from rig.realtime import system
+from rig.realtime.clock import MonotonicClock
+from sim_backend.board_time import BoardTime
 from sim_backend.device import SimulatedDevice
 from sim_backend.driven_hand import DrivenHand
 from sim_backend.firmware import FirmwareDevice
-from sim_backend.real_time import READ_BYTES, FirmwareTime, Port, RealTime, sleep_until
+from sim_backend.firmware_library import library
+from sim_backend.real_time import READ_BYTES, RealTime, sleep_until
 
 POSITION_RATE_DEFAULT = 1_000
-POSITION_RATE_MAXIMUM = 4_000  # what an ordinary kernel wakes a Python process for, with room for the frames
-FIRMWARE_RATE_MAXIMUM = (
-    20_000  # of compiled ticks, which need no waking each; beyond, a line of 3 Mbaud is full
-)
-PENDING_BYTES = 8192  # answers that the host has not read yet
-FIRMWARE_PENDING_BYTES = 65536  # and BATCH of 100 ms and more
+POSITION_RATE_MAXIMUM = 4_000  # that a host answers tick by tick, as an ordinary kernel wakes it
+FIRMWARE_RATE_MAXIMUM = 20_000  # of a law on the device; beyond, a line of 3 Mbaud is full
+PENDING_BYTES = 8192  # answers of the readable device that the host has not read yet
 
 
 def serve(
@@ -44,7 +47,7 @@ def serve(
     rate: int = POSITION_RATE_DEFAULT,
     seed: int = 0,
     name: str | None = None,
-    firmware: bool = False,
+    firmware: bool | None = None,
     hand: str | Path | None = None,
     announce: Callable[[str], None] = print,
     stop_event: threading.Event | None = None,
@@ -64,7 +67,8 @@ def serve(
     name
         What the device calls itself; the model's name unless given.
     firmware
-        The device is the firmware itself, compiled for this machine, which can run the law.
+        True: the firmware itself, compiled for this machine, which can run the law. False: the readable device. Unless
+        given, the firmware without its laws where this machine can compile it, else the readable device.
     hand
         File through which a person drives the hand at the handle (`rig.devices.hand`); without one it plays its
         script.
@@ -92,47 +96,55 @@ def serve(
         raise ConfigError(
             f"rate = {rate} Hz is outside 50 … {maximum}",
             remedy="run faster in virtual time (sim://)"
-            + ("" if firmware else f", or as firmware, up to {FIRMWARE_RATE_MAXIMUM} Hz"),
+            + ("" if firmware else f", or with the law on the device, up to {FIRMWARE_RATE_MAXIMUM} Hz"),
         )
     stop = stop_event or threading.Event()
-    timed = _timed_firmware if firmware else _timed_device
-    pending = FIRMWARE_PENDING_BYTES if firmware else PENDING_BYTES
-    with _Port(pending) as port:
-        body = timed(model, port, stop, name=name, position_rate_default=rate, seed=seed)
-        with _driven(body, model, hand), _linked(link_path, port.path), _signals(stop):
+    device = _device(
+        model,
+        firmware,
+        name=name,
+        position_rate_default=rate,
+        position_rate_maximum=maximum,
+        seed=seed,
+        keep_truth=False,  # it would grow without bound, and could not be read
+    )
+    with Master() as port:
+        body = (
+            RealTime(device, port, stop)
+            if isinstance(device, SimulatedDevice)
+            else BoardTime(device, port.loop_port(), stop, hung_up=port.forget_unread)
+        )
+        with _driven(device, model, hand), _linked(link_path, port.path), _signals(stop):
             announce(str(link_path) if link_path is not None else port.path)
             body.run(duration_s)
 
 
-# No truth is kept: it would grow without bound, and could not be read.
-
-
-def _timed_device(model: RigModel, port: Port, stop: threading.Event, **options: Any) -> RealTime:
-    options |= {"position_rate_maximum": POSITION_RATE_MAXIMUM, "keep_truth": False}
-    return RealTime(SimulatedDevice(model, **options), port, stop)
-
-
-def _timed_firmware(model: RigModel, port: Port, stop: threading.Event, **options: Any) -> FirmwareTime:
-    options |= {"position_rate_maximum": FIRMWARE_RATE_MAXIMUM, "keep_truth": False}
-    return FirmwareTime(FirmwareDevice(model, **options), port, stop)
+def _device(model: RigModel, firmware: bool | None, **options: Any) -> SimulatedDevice | FirmwareDevice:
+    if firmware:
+        return FirmwareDevice(model, **options)
+    if firmware is None:
+        with contextlib.suppress(ConfigError):
+            return FirmwareDevice(model, law_maximum=0, library=library(), **options)
+    return SimulatedDevice(model, **options)
 
 
 @contextlib.contextmanager
-def _driven(body: RealTime | FirmwareTime, model: RigModel, hand: str | Path | None) -> Iterator[None]:
+def _driven(
+    device: SimulatedDevice | FirmwareDevice, model: RigModel, hand: str | Path | None
+) -> Iterator[None]:
     """Let a person drive the hand, if there is a file for it."""
     if hand is None:
         yield
         return
     with SharedHand.open(hand) as shared:
-        body.device.hardware.drive_hand(DrivenHand(model, shared.read))
+        device.hardware.drive_hand(DrivenHand(model, shared.read))
         yield
 
 
-class _Port:
+class Master:
     """The master side of a pseudo-terminal in raw mode. No call blocks beyond its deadline."""
 
-    def __init__(self, pending: int = PENDING_BYTES) -> None:
-        self._room = pending
+    def __init__(self) -> None:
         self._master, slave = os.openpty()
         self.path = os.ttyname(slave)
         tty.setraw(slave)
@@ -141,11 +153,28 @@ class _Port:
         self._pending = b""
         self._hung_up = False
 
-    def __enter__(self) -> _Port:
+    def __enter__(self) -> Master:
         return self
 
     def __exit__(self, *error: object) -> None:
         os.close(self._master)
+
+    def loop_port(self) -> LoopPort:
+        """Return the system calls on its descriptor, for compiled code."""
+        return LoopPort.on(
+            MonotonicClock(),
+            read=system.descriptor_read,
+            write=system.descriptor_write,
+            wait=system.descriptor_wait,
+            handle=self._master,
+        )
+
+    def forget_unread(self) -> None:
+        """Throw away what the host that went has not read: the terminal keeps 4 KiB of it for ever."""
+        with contextlib.suppress(OSError, termios.error):
+            slave = os.open(self.path, os.O_RDWR | os.O_NOCTTY)
+            termios.tcflush(slave, termios.TCIFLUSH)
+            os.close(slave)
 
     def read(self, deadline_ns: int) -> bytes:
         """Return what the host sent, waiting for it until the deadline; without a host, nothing, at the deadline."""
@@ -169,7 +198,7 @@ class _Port:
         if self._hung_up:
             return
         self._flush()
-        if frames and len(self._pending) + len(frames) <= self._room:
+        if frames and len(self._pending) + len(frames) <= PENDING_BYTES:
             self._pending += frames
             self._flush()
 
@@ -191,12 +220,7 @@ class _Port:
         if not self._hung_up:
             self._hung_up = True
             self._pending = b""
-            with contextlib.suppress(OSError, termios.error):
-                slave = os.open(
-                    self.path, os.O_RDWR | os.O_NOCTTY
-                )  # its line discipline keeps 4 KiB for ever
-                termios.tcflush(slave, termios.TCIFLUSH)
-                os.close(slave)
+            self.forget_unread()
 
 
 @contextlib.contextmanager

@@ -62,6 +62,9 @@ def arguments() -> argparse.Namespace:
     )
     parser.add_argument("--effort", type=float, help="push of the trial on a device (default: the preset's)")
     parser.add_argument("--priority", type=int, default=80)
+    parser.add_argument(
+        "--without-rights", action="store_true", help="a device's run asks for no real-time scheduling"
+    )
     parser.add_argument("--cpu", type=int, default=None)
     parser.add_argument("--spin-us", type=float, default=0.0)
     parser.add_argument(
@@ -266,11 +269,13 @@ def device_run(options: argparse.Namespace, directory: Path, watch: Watch) -> di
     from rig.config import presets  # noqa: PLC0415
     from rig.core.errors import RigError  # noqa: PLC0415
     from rig.experiments.hit import HitRequest, hit  # noqa: PLC0415
+    from tests.benchmarks.realtime import workbench  # noqa: PLC0415
 
     changes: dict[str, Any] = {
         "trial.duration_s": options.minutes * MINUTE_S,
         "host.pacing": options.pacing,
         "host.priority": options.priority,
+        "host.realtime": "off" if options.without_rights else "try",
         "host.spin_s": options.spin_us * 1e-6,
     }
     if options.cpu is not None:
@@ -281,10 +286,15 @@ def device_run(options: argparse.Namespace, directory: Path, watch: Watch) -> di
         changes |= {"controller.position_rate": options.rate, "controller.velocity_rate": options.rate}
     experiment = config.override(presets.load(options.preset), changes)
     rings: list[Any] = []
+    busy: list[int] = []
 
     def progress(ticks: int, phase: int) -> None:
         if not rings:
             rings.append(own_ring())
+        if options.busy and not busy and ticks > 0:  # beside the loop, not beside the questions before it
+            busy.append(ticks)
+            load.enter_context(workbench.processor_hogs(1))
+            load.enter_context(workbench.interpreter_hogs())
         if time.monotonic() > looked[0] + LOOK_S:
             looked[0] = time.monotonic()
             watch.look(rings[0])
@@ -303,11 +313,12 @@ def device_run(options: argparse.Namespace, directory: Path, watch: Watch) -> di
         output=options.output or directory,
     )
     found: dict[str, Any] = {"end": "FINISHED"}
-    try:
-        for result in hit(request, watched):
-            found["verdict"] = result.verdict.kind
-    except RigError as error:
-        found |= {"end": type(error).__name__, "error": str(error)}
+    with contextlib.ExitStack() as load:
+        try:
+            for result in hit(request, watched):
+                found["verdict"] = result.verdict.kind
+        except RigError as error:
+            found |= {"end": type(error).__name__, "error": str(error)}
     if rings:
         watch.look(rings[0], last=True)
         found["rows_lost"] = watch.before["rows_dropped"]
