@@ -11,7 +11,8 @@ faster, so that a host which was there all the time can answer each of them and 
 longer than `LONGEST_PAUSE_NS` (a suspended process) the grid restarts, because the simulated world stood still too.
 
 The answer to STATE k acts from sample k + 1 on: one tick of delay at least, as behind any real port. A process that is
-late hands over what came before the late ticks pass, so that the watchdog hears of it first.
+late lets a host that stood still with it answer first, and hands over what came before the late tick passes, so that
+the watchdog hears of it first.
 
 It mirrors a board behind a USB serial port: that stays when a host goes, even by kill -9, and its watchdog knows of
 that only by the silence.
@@ -51,6 +52,7 @@ from sim_backend.plant import PLANT_TYPE, PlantArguments
 
 SLICE_NS = 10_000_000  # in which a signal or a wish to stop is heard
 LONGEST_PAUSE_NS = 1_000_000_000
+LATE_NS = 50_000  # beyond what it takes to wake
 SHORTEST_STEP_NS = (
     250_000  # of faster ticks several pass at once: a process that is woken more often does little else
 )
@@ -60,9 +62,10 @@ HEARD_BYTES = 1 << 12  # that are taken from the host in one go
 BURST_BYTES = 1 << 12  # that end a run of ticks to be written
 
 # What a call shares with the next one: device time 0 on the clock (ns), half of what one pass may make up (ns), when
-# the last pass was (ns), ticks that may pass before Python is asked, bytes that wait for the host, whether it is gone.
-BOOT_NS, STEP_NS, PASSED_NS, MOST, PENDING, HUNG_UP = range(6)
-GRID = 6
+# the last pass was (ns), ticks that may pass before Python is asked, bytes that wait for the host, whether it is gone,
+# whether a late tick has waited for it.
+BOOT_NS, STEP_NS, PASSED_NS, MOST, PENDING, HUNG_UP, WAITED = range(7)
+GRID = 7
 
 AGAIN, ASK, GONE = range(3)  # why the call returned: its time is up; Python has to look; the host hung up
 
@@ -148,14 +151,17 @@ def keep_time(
             grid[HUNG_UP] = 0
         now_ns = port.now(port.clock_handle)
         late_ns = now_ns - deadline_ns
-        if ready > 0 and not 0 <= late_ns <= step_ns and not _hear(software, plant, port, grid, said, heard):
+        if ready > 0 and not 0 <= late_ns <= LATE_NS and not _hear(software, plant, port, grid, said, heard):
             ready = -1
         if ready < 0 and grid[HUNG_UP] == 0:
             grid[HUNG_UP] = 1
             return GONE
         if words[RATE_CHANGED] != 0 or words[SWITCHED_ON] != 0:
             return ASK
-        if late_ns >= 0:
+        if late_ns > LATE_NS and grid[WAITED] == 0:  # a host that stood still too answers first
+            grid[WAITED], grid[PASSED_NS] = 1, now_ns - step_ns + step_ns // 4
+        elif late_ns >= 0:
+            grid[WAITED] = 0
             if now_ns - due_ns > LONGEST_PAUSE_NS:
                 grid[BOOT_NS] += now_ns - due_ns
                 due_ns = now_ns

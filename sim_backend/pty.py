@@ -1,23 +1,18 @@
-"""The simulated rig as a process of its own: a pseudo-terminal that any serial program opens, in real time.
+"""The simulated rig as a process of its own, in real time, behind a pseudo-terminal or a socket (`line`).
 
 The device is the firmware, its clock that of `board_time`; where nothing compiles it, the readable device (`device`),
-by the clock of `real_time`. This file gives either a port.
+by the clock of `real_time`.
 
 It mirrors a USB serial device: it stays when a host goes, even by kill -9, and its watchdog knows of that only by
-the silence. After the hang-up of the line it writes nothing, for it would not be read; what a host does not read in
-time is thrown away, newest first, whole frames only.
+the silence.
 """
 
 from __future__ import annotations
 
 import contextlib
 import os
-import select
 import signal
-import termios
 import threading
-import time
-import tty
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -25,20 +20,17 @@ from typing import Any
 from rig.core.errors import ConfigError
 from rig.core.model import RigModel
 from rig.devices.hand import SharedHand
-from rig.devices.port import LoopPort
-from rig.realtime import system
-from rig.realtime.clock import MonotonicClock
 from sim_backend.board_time import BoardTime
 from sim_backend.device import SimulatedDevice
 from sim_backend.driven_hand import DrivenHand
 from sim_backend.firmware import FirmwareDevice
 from sim_backend.firmware_library import library
-from sim_backend.real_time import READ_BYTES, RealTime, sleep_until
+from sim_backend.line import Socket, Terminal
+from sim_backend.real_time import RealTime
 
 POSITION_RATE_DEFAULT = 1_000
 POSITION_RATE_MAXIMUM = 4_000  # that a host answers tick by tick, as an ordinary kernel wakes it
 FIRMWARE_RATE_MAXIMUM = 20_000  # of a law on the device; beyond, a line of 3 Mbaud is full
-PENDING_BYTES = 8192  # answers of the readable device that the host has not read yet
 
 
 def serve(
@@ -49,12 +41,13 @@ def serve(
     name: str | None = None,
     firmware: bool | None = None,
     hand: str | Path | None = None,
+    socket: str | Path | None = None,
     announce: Callable[[str], None] = print,
     stop_event: threading.Event | None = None,
     link_path: str | Path | None = None,
     duration_s: float | None = None,
 ) -> None:
-    """Run a simulated rig behind a pseudo-terminal until it is stopped.
+    """Run a simulated rig behind a port until it is stopped.
 
     Parameters
     ----------
@@ -72,6 +65,8 @@ def serve(
     hand
         File through which a person drives the hand at the handle (`rig.devices.hand`); without one it plays its
         script.
+    socket
+        Path of a Unix socket to be made and removed at the end; a pseudo-terminal unless given.
     announce
         Called once with the path of the port, when a host can open it.
     stop_event
@@ -108,14 +103,14 @@ def serve(
         seed=seed,
         keep_truth=False,  # it would grow without bound, and could not be read
     )
-    with Master() as port:
+    with Terminal() if socket is None else Socket(Path(socket)) as port:
         body = (
             RealTime(device, port, stop)
             if isinstance(device, SimulatedDevice)
-            else BoardTime(device, port.loop_port(), stop, hung_up=port.forget_unread)
+            else BoardTime(device, port.loop_port(), stop, hung_up=port.next_host)
         )
-        with _driven(device, model, hand), _linked(link_path, port.path), _signals(stop):
-            announce(str(link_path) if link_path is not None else port.path)
+        with _driven(device, model, hand), _linked(link_path, port.place), _signals(stop):
+            announce(str(link_path) if link_path is not None else port.place)
             body.run(duration_s)
 
 
@@ -139,88 +134,6 @@ def _driven(
     with SharedHand.open(hand) as shared:
         device.hardware.drive_hand(DrivenHand(model, shared.read))
         yield
-
-
-class Master:
-    """The master side of a pseudo-terminal in raw mode. No call blocks beyond its deadline."""
-
-    def __init__(self) -> None:
-        self._master, slave = os.openpty()
-        self.path = os.ttyname(slave)
-        tty.setraw(slave)
-        os.set_blocking(self._master, False)
-        os.close(slave)  # from now on a hang-up shows that no host has it open
-        self._pending = b""
-        self._hung_up = False
-
-    def __enter__(self) -> Master:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        os.close(self._master)
-
-    def loop_port(self) -> LoopPort:
-        """Return the system calls on its descriptor, for compiled code."""
-        return LoopPort.on(
-            MonotonicClock(),
-            read=system.descriptor_read,
-            write=system.descriptor_write,
-            wait=system.descriptor_wait,
-            handle=self._master,
-        )
-
-    def forget_unread(self) -> None:
-        """Throw away what the host that went has not read: the terminal keeps 4 KiB of it for ever."""
-        with contextlib.suppress(OSError, termios.error):
-            slave = os.open(self.path, os.O_RDWR | os.O_NOCTTY)
-            termios.tcflush(slave, termios.TCIFLUSH)
-            os.close(slave)
-
-    def read(self, deadline_ns: int) -> bytes:
-        """Return what the host sent, waiting for it until the deadline; without a host, nothing, at the deadline."""
-        if self._hung_up:  # the descriptor polls as readable then: sleep instead, and look once
-            sleep_until(deadline_ns)
-        remaining_s = max(0, deadline_ns - time.monotonic_ns()) * 1e-9
-        readable, _, _ = select.select([self._master], [], [], remaining_s)
-        if not readable:
-            self._hung_up = False
-            return b""
-        try:
-            data = os.read(self._master, READ_BYTES)
-        except OSError:
-            self._hang_up()
-            return b""
-        self._hung_up = False
-        return data
-
-    def write(self, frames: bytes) -> None:
-        """Send answers, now or as soon as the host reads; a host that leaves kilobytes unread loses them."""
-        if self._hung_up:
-            return
-        self._flush()
-        if frames and len(self._pending) + len(frames) <= PENDING_BYTES:
-            self._pending += frames
-            self._flush()
-
-    def _flush(self) -> None:
-        if not self._pending:
-            return
-        with contextlib.suppress(OSError):
-            self._pending = self._pending[os.write(self._master, self._pending) :]
-
-    def write_if_free(self, frame: bytes) -> None:
-        """Send a frame that is worth nothing later, unless older ones still wait; its sequence shows the loss."""
-        if self._pending:
-            self.write(b"")
-        if not self._pending:
-            self.write(frame)
-
-    def _hang_up(self) -> None:
-        """When a host goes, what it has not read goes too: the next one begins with an empty line."""
-        if not self._hung_up:
-            self._hung_up = True
-            self._pending = b""
-            self.forget_unread()
 
 
 @contextlib.contextmanager

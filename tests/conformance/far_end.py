@@ -36,6 +36,7 @@ from sim_backend.channel import Direction, FrameFault, Line
 from sim_backend.device import SimulatedDevice
 from sim_backend.firmware import FirmwareDevice
 from sim_backend.hardware import World
+from sim_backend.line import Terminal
 from sim_backend.real_time import Port, RealTime, sleep_until
 from tests.conformance.started import die_with_parent
 
@@ -255,14 +256,14 @@ def native(function: Callable[..., int], signature: Any, words: int) -> NativeFu
 
 @contextmanager
 def _pty_port() -> Iterator[tuple[str, Port, Callable[[], None]]]:
-    with pty.Master() as port:
+    with Terminal() as port:
 
         def hang_up() -> None:
             null = os.open(os.devnull, os.O_RDWR)
-            os.dup2(null, port._master)  # the last descriptor of the master goes: the other end hangs up
+            os.dup2(null, port.descriptor)  # the last descriptor of the master goes: the other end hangs up
             os.close(null)
 
-        yield f"serial://{port.path}", port, hang_up
+        yield f"serial://{port.place}", port, hang_up
 
 
 # name → context manager that opens the port in the device's process: (URL for the host, port, how to unplug it)

@@ -264,7 +264,7 @@ def test_a_pause_of_the_whole_process_is_counted_and_not_made_up_for(monkeypatch
     before = host.next_state()
     jump_ns = 0
     monotonic_ns = time.monotonic_ns
-    monkeypatch.setattr(pty.time, "monotonic_ns", lambda: monotonic_ns() + jump_ns)
+    monkeypatch.setattr(time, "monotonic_ns", lambda: monotonic_ns() + jump_ns)
     jump_ns = 500_000_000
     while (after := host.next_state()).missed_ticks < 400:
         pass
