@@ -11,12 +11,14 @@ It mirrors `sim_backend.firmware.FirmwareDevice`, which is the same for the firm
 from __future__ import annotations
 
 import ctypes
+from contextlib import suppress
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numba import types
 
 from firmware_protocol.connection import State
+from rig.core.errors import ConfigError
 from rig.core.model import RigModel
 from rig.realtime.codec import (
     COMMAND,
@@ -32,6 +34,8 @@ from rig.realtime.groups import Bytes, Int, Ints, group, group_at, group_bytes, 
 from rig.realtime.kernel import kernel, prepare
 from rig.realtime.native import address_of, native_call
 from sim_backend.device import MODES, SimulatedDevice
+from sim_backend.firmware import FirmwareDevice
+from sim_backend.firmware_library import library
 from sim_backend.hardware import World
 from sim_backend.lockstep import (
     BYTE_COUNT,
@@ -276,3 +280,20 @@ class CompiledDevice(SimulatedDevice):
         end = min(counters[SAID] + len(answers), OUTPUT_BYTES)  # what has no room is lost, as at a port
         self._said[counters[SAID] : end] = np.frombuffer(answers, np.uint8)[: end - counters[SAID]]
         counters[SAID] = end
+
+
+def device_for(
+    model: RigModel, firmware: bool | None, **options: Any
+) -> SimulatedDevice | CompiledDevice | FirmwareDevice:
+    """Return the device that stands for a rig: the firmware (True), the readable one (False), or the best there is.
+
+    That is the firmware without its laws where this machine can compile it, else the compiled device. `options` are
+    those of `SimulatedDevice`. Raises `ConfigError` as the devices do, and for firmware that cannot be compiled.
+    """
+    if firmware:
+        return FirmwareDevice(model, **options)
+    if firmware is None:
+        with suppress(ConfigError):
+            return FirmwareDevice(model, law_maximum=0, library=library(), **options)
+        return CompiledDevice(model, **options)
+    return SimulatedDevice(model, **options)

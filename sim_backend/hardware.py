@@ -175,8 +175,9 @@ class Hardware:
 
     @property
     def most_ticks(self) -> int:
-        """Ticks until a driven hand has to be asked again."""
-        return len(self._script.rows) - self._row if self._hand_driven else NO_END
+        """Ticks until a driven hand has to be asked again, or noise to be drawn."""
+        hand = len(self._script.rows) - self._row if self._hand_driven else NO_END
+        return min(hand, self._noise.left or NO_END)
 
     def world(self, truth: TruthLog | None) -> World:
         """Return what compiled ticks take of the rig as it is now; noise and truth have room for one at least."""

@@ -13,7 +13,6 @@ import ctypes
 import errno
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any, Protocol
@@ -29,11 +28,9 @@ from rig.devices.port import LoopPort
 from rig.realtime.clock import VirtualClock
 from rig.realtime.plugs import TRANSFER_SIGNATURE, WAIT_SIGNATURE, NativeFunction
 from sim_backend.channel import DeviceFault, Direction, Faults, Line
-from sim_backend.compiled_device import CompiledDevice
-from sim_backend.device import SimulatedDevice
+from sim_backend.compiled_device import CompiledDevice, device_for
 from sim_backend.far_end import ARRIVED, CLOSED, DISCARDED, OUTPUT_BYTES, PROGRESS, TICKS, CompiledPort
 from sim_backend.firmware import FirmwareDevice
-from sim_backend.firmware_library import library
 
 
 def _times(text: str) -> tuple[float, ...]:
@@ -135,20 +132,9 @@ def open_link(url: DeviceUrl, model: RigModel | None = None) -> MemoryLink:
         model = _with_offset(url, model, options.pop("offset"))
     clock_ppm = options.pop("clock_ppm", 0.0)
     sync_s = options.pop("sync", ())
-    device = _device(model, options.pop("firmware", None), options)
+    firmware = options.pop("firmware", None)
+    device = device_for(model, None if firmware is None else bool(firmware), **options)
     return MemoryLink(device, url=url, clock_ppm=clock_ppm, sync_s=sync_s)
-
-
-def _device(
-    model: RigModel, firmware: int | None, options: Mapping[str, Any]
-) -> SimulatedDevice | FirmwareDevice:
-    if firmware == 1:
-        return FirmwareDevice(model, **options)
-    if firmware is None:
-        with suppress(ConfigError):
-            return FirmwareDevice(model, law_maximum=0, library=library(), **options)
-        return CompiledDevice(model, **options)
-    return SimulatedDevice(model, **options)
 
 
 def _parse(url: DeviceUrl) -> dict[str, Any]:

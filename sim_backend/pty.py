@@ -1,41 +1,35 @@
-"""The simulated rig as a process of its own: a pseudo-terminal that any serial program opens, in real time.
+"""The simulated rig as a process of its own, in real time, behind a pseudo-terminal or a socket (`line`).
 
-The device here is the one of `device`, its clock that of `real_time`; this file gives it a port.
+The device is the firmware, its clock that of `board_time`; where nothing compiles it, the readable device (`device`),
+by the clock of `real_time`.
 
 It mirrors a USB serial device: it stays when a host goes, even by kill -9, and its watchdog knows of that only by
-the silence. After the hang-up of the line it writes nothing, for it would not be read; what a host does not read in
-time is thrown away, newest first, whole frames only.
+the silence.
 """
 
 from __future__ import annotations
 
 import contextlib
 import os
-import select
 import signal
-import termios
 import threading
-import time
-import tty
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 from rig.core.errors import ConfigError
 from rig.core.model import RigModel
 from rig.devices.hand import SharedHand
+from sim_backend.board_time import BoardTime
+from sim_backend.compiled_device import CompiledDevice, device_for
 from sim_backend.device import SimulatedDevice
 from sim_backend.driven_hand import DrivenHand
 from sim_backend.firmware import FirmwareDevice
-from sim_backend.real_time import READ_BYTES, FirmwareTime, Port, RealTime, sleep_until
+from sim_backend.line import Socket, Terminal
+from sim_backend.real_time import RealTime
 
 POSITION_RATE_DEFAULT = 1_000
-POSITION_RATE_MAXIMUM = 4_000  # what an ordinary kernel wakes a Python process for, with room for the frames
-FIRMWARE_RATE_MAXIMUM = (
-    20_000  # of compiled ticks, which need no waking each; beyond, a line of 3 Mbaud is full
-)
-PENDING_BYTES = 8192  # answers that the host has not read yet
-FIRMWARE_PENDING_BYTES = 65536  # and BATCH of 100 ms and more
+POSITION_RATE_MAXIMUM = 4_000  # that a host answers tick by tick, as an ordinary kernel wakes it
+FIRMWARE_RATE_MAXIMUM = 20_000  # of a law on the device; beyond, a line of 3 Mbaud is full
 
 
 def serve(
@@ -44,14 +38,15 @@ def serve(
     rate: int = POSITION_RATE_DEFAULT,
     seed: int = 0,
     name: str | None = None,
-    firmware: bool = False,
+    firmware: bool | None = None,
     hand: str | Path | None = None,
+    socket: str | Path | None = None,
     announce: Callable[[str], None] = print,
     stop_event: threading.Event | None = None,
     link_path: str | Path | None = None,
     duration_s: float | None = None,
 ) -> None:
-    """Run a simulated rig behind a pseudo-terminal until it is stopped.
+    """Run a simulated rig behind a port until it is stopped.
 
     Parameters
     ----------
@@ -64,10 +59,13 @@ def serve(
     name
         What the device calls itself; the model's name unless given.
     firmware
-        The device is the firmware itself, compiled for this machine, which can run the law.
+        True: the firmware itself, compiled for this machine, which can run the law. False: the readable device. Unless
+        given, the firmware without its laws where this machine can compile it, else the compiled device.
     hand
         File through which a person drives the hand at the handle (`rig.devices.hand`); without one it plays its
         script.
+    socket
+        Path of a Unix socket to be made and removed at the end; a pseudo-terminal unless given.
     announce
         Called once with the path of the port, when a host can open it.
     stop_event
@@ -92,111 +90,40 @@ def serve(
         raise ConfigError(
             f"rate = {rate} Hz is outside 50 … {maximum}",
             remedy="run faster in virtual time (sim://)"
-            + ("" if firmware else f", or as firmware, up to {FIRMWARE_RATE_MAXIMUM} Hz"),
+            + ("" if firmware else f", or with the law on the device, up to {FIRMWARE_RATE_MAXIMUM} Hz"),
         )
     stop = stop_event or threading.Event()
-    timed = _timed_firmware if firmware else _timed_device
-    pending = FIRMWARE_PENDING_BYTES if firmware else PENDING_BYTES
-    with _Port(pending) as port:
-        body = timed(model, port, stop, name=name, position_rate_default=rate, seed=seed)
-        with _driven(body, model, hand), _linked(link_path, port.path), _signals(stop):
-            announce(str(link_path) if link_path is not None else port.path)
+    device = device_for(
+        model,
+        firmware,
+        name=name,
+        position_rate_default=rate,
+        position_rate_maximum=maximum,
+        seed=seed,
+        keep_truth=False,  # it would grow without bound, and could not be read
+    )
+    with Terminal() if socket is None else Socket(Path(socket)) as port:
+        body = (
+            BoardTime(device, port.loop_port(), stop, hung_up=port.next_host)
+            if isinstance(device, FirmwareDevice | CompiledDevice)
+            else RealTime(device, port, stop)
+        )
+        with _driven(device, model, hand), _linked(link_path, port.place), _signals(stop):
+            announce(str(link_path) if link_path is not None else port.place)
             body.run(duration_s)
 
 
-# No truth is kept: it would grow without bound, and could not be read.
-
-
-def _timed_device(model: RigModel, port: Port, stop: threading.Event, **options: Any) -> RealTime:
-    options |= {"position_rate_maximum": POSITION_RATE_MAXIMUM, "keep_truth": False}
-    return RealTime(SimulatedDevice(model, **options), port, stop)
-
-
-def _timed_firmware(model: RigModel, port: Port, stop: threading.Event, **options: Any) -> FirmwareTime:
-    options |= {"position_rate_maximum": FIRMWARE_RATE_MAXIMUM, "keep_truth": False}
-    return FirmwareTime(FirmwareDevice(model, **options), port, stop)
-
-
 @contextlib.contextmanager
-def _driven(body: RealTime | FirmwareTime, model: RigModel, hand: str | Path | None) -> Iterator[None]:
+def _driven(
+    device: SimulatedDevice | FirmwareDevice, model: RigModel, hand: str | Path | None
+) -> Iterator[None]:
     """Let a person drive the hand, if there is a file for it."""
     if hand is None:
         yield
         return
     with SharedHand.open(hand) as shared:
-        body.device.hardware.drive_hand(DrivenHand(model, shared.read))
+        device.hardware.drive_hand(DrivenHand(model, shared.read))
         yield
-
-
-class _Port:
-    """The master side of a pseudo-terminal in raw mode. No call blocks beyond its deadline."""
-
-    def __init__(self, pending: int = PENDING_BYTES) -> None:
-        self._room = pending
-        self._master, slave = os.openpty()
-        self.path = os.ttyname(slave)
-        tty.setraw(slave)
-        os.set_blocking(self._master, False)
-        os.close(slave)  # from now on a hang-up shows that no host has it open
-        self._pending = b""
-        self._hung_up = False
-
-    def __enter__(self) -> _Port:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        os.close(self._master)
-
-    def read(self, deadline_ns: int) -> bytes:
-        """Return what the host sent, waiting for it until the deadline; without a host, nothing, at the deadline."""
-        if self._hung_up:  # the descriptor polls as readable then: sleep instead, and look once
-            sleep_until(deadline_ns)
-        remaining_s = max(0, deadline_ns - time.monotonic_ns()) * 1e-9
-        readable, _, _ = select.select([self._master], [], [], remaining_s)
-        if not readable:
-            self._hung_up = False
-            return b""
-        try:
-            data = os.read(self._master, READ_BYTES)
-        except OSError:
-            self._hang_up()
-            return b""
-        self._hung_up = False
-        return data
-
-    def write(self, frames: bytes) -> None:
-        """Send answers, now or as soon as the host reads; a host that leaves kilobytes unread loses them."""
-        if self._hung_up:
-            return
-        self._flush()
-        if frames and len(self._pending) + len(frames) <= self._room:
-            self._pending += frames
-            self._flush()
-
-    def _flush(self) -> None:
-        if not self._pending:
-            return
-        with contextlib.suppress(OSError):
-            self._pending = self._pending[os.write(self._master, self._pending) :]
-
-    def write_if_free(self, frame: bytes) -> None:
-        """Send a frame that is worth nothing later, unless older ones still wait; its sequence shows the loss."""
-        if self._pending:
-            self.write(b"")
-        if not self._pending:
-            self.write(frame)
-
-    def _hang_up(self) -> None:
-        """When a host goes, what it has not read goes too: the next one begins with an empty line."""
-        if not self._hung_up:
-            self._hung_up = True
-            self._pending = b""
-            with contextlib.suppress(OSError, termios.error):
-                slave = os.open(
-                    self.path, os.O_RDWR | os.O_NOCTTY
-                )  # its line discipline keeps 4 KiB for ever
-                termios.tcflush(slave, termios.TCIFLUSH)
-                os.close(slave)
 
 
 @contextlib.contextmanager

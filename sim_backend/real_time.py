@@ -1,19 +1,14 @@
-"""The clock of a simulated device that runs in real time, and the mover of its bytes, whatever port they pass.
+"""The clock of the readable device in real time, and the mover of its bytes, whatever port they pass.
 
 In each period: the plant moves under the active current, STATE goes out, and then the bytes that came meanwhile are
 handed to the device. So the answer to STATE k acts from sample k + 1 on: one tick of delay at least, as behind any
 real port.
 
-That is `RealTime`, for the device that Python runs. `FirmwareTime` is for the firmware, whose ticks may be far shorter
-than a process can be woken for: all that are due run in one compiled call, and bytes of the host are handed over as
-soon as they come, behind the ticks before them, as a board's main loop does. It leaves no tick out, since a law runs in
-them: a process that is late makes them up, at twice the pace and no faster, so that a host which was there all the time
-is not found silent.
+It is the reference of `board_time`, where no Python passes in a tick, and what runs where nothing compiles.
 
-Time keeps its grid: deadlines follow from the device's own clock, so lateness never adds up. A `RealTime` that wakes a
-few ticks late runs them at once; what is beyond that passes without STATE and is counted in `missed_ticks`; after a
-pause longer than `LONGEST_PAUSE_S` (a suspended process) the grid restarts, because the simulated world stood
-still too.
+Time keeps its grid: deadlines follow from the device's own clock, so lateness never adds up. A few ticks that are late
+run at once; what is beyond that passes without STATE and is counted in `missed_ticks`; after a pause longer than
+`LONGEST_PAUSE_S` (a suspended process) the grid restarts, because the simulated world stood still too.
 """
 
 from __future__ import annotations
@@ -23,15 +18,11 @@ import time
 from typing import Protocol
 
 from sim_backend.device import SimulatedDevice
-from sim_backend.firmware import FirmwareDevice
 from sim_backend.safety import UNITS_PER_SECOND
 
 CATCH_UP_TICKS = 4  # late ticks that are run at once, each with its STATE
 LONGEST_PAUSE_S = 1.0
 READ_BYTES = 4096
-SLICE_NS = 250_000  # a process that is woken more often does little else
-LONGEST_STEP_NS = 8_000_000  # between two looks at the host that counts: twice this is below a lifetime
-BURST_BYTES = 4096  # said in one go
 
 _UNIT_NS = 1e9 / UNITS_PER_SECOND
 
@@ -56,6 +47,7 @@ class RealTime:
     """Runs a `device` behind a port, tick by tick, until `stop` is set."""
 
     def __init__(self, device: SimulatedDevice, port: Port, stop: threading.Event) -> None:
+        device.hardware.prepare()
         self.device = device
         self._port = port
         self._stop = stop
@@ -108,59 +100,6 @@ class RealTime:
         units = round((time.perf_counter_ns() - started_ns) / _UNIT_NS)
         self.device.worst_execution_time = max(self.device.worst_execution_time, units)
         self._port.write_if_free(state)
-
-
-class FirmwareTime:
-    """Runs the firmware, its `device`, behind a port until `stop` is set."""
-
-    def __init__(self, device: FirmwareDevice, port: Port, stop: threading.Event) -> None:
-        self.device = device
-        self._port = port
-        self._stop = stop
-        self._origin_ns = self._passed_ns = 0
-
-    def run(self, duration_s: float | None) -> None:
-        """Tick until stopped."""
-        device, port = self.device, self._port
-        start_ns = self._passed_ns = time.monotonic_ns()
-        end_ns = start_ns + round(duration_s * 1e9) if duration_s is not None else None
-        self._origin_ns = start_ns - device.elapsed_ns
-        while not self._stop.is_set():
-            deadline_ns = max(self._origin_ns + device.next_tick_ns, self._passed_ns + SLICE_NS)
-            if end_ns is not None and deadline_ns > end_ns:
-                return
-            received = port.read(deadline_ns)
-            if not received:
-                sleep_until(deadline_ns)
-            now_ns = time.monotonic_ns()
-            late = now_ns - deadline_ns > SLICE_NS
-            if late:  # the watchdog must hear first of what came for ticks that should have passed
-                self._hear(received)
-            self._pass(now_ns)
-            if not late:
-                self._hear(received)
-
-    def _hear(self, received: bytes) -> None:
-        if received:
-            self._port.write(self.device.receive(received, received_at=self._now()))
-
-    def _pass(self, now_ns: int) -> None:
-        """Run the ticks that are due; of those that are late, as many as make it up at twice the pace."""
-        device = self.device
-        if now_ns - self._origin_ns - device.next_tick_ns > LONGEST_PAUSE_S * 1e9:
-            self._origin_ns = now_ns - device.next_tick_ns
-        pace_ns = 2 * min(now_ns - self._passed_ns, LONGEST_STEP_NS)
-        until_ns = min(now_ns - self._origin_ns, max(device.elapsed_ns + pace_ns, device.next_tick_ns))
-        self._passed_ns = now_ns
-        while device.next_tick_ns <= until_ns:
-            said, _ = device.run(until_ns, device.rate, enough=BURST_BYTES)
-            self._port.write(said)  # nothing, too: what waits from before goes now
-
-    def _now(self) -> int:
-        """Device time, not beyond the next tick (1/16 µs)."""
-        device = self.device
-        since_ns = time.monotonic_ns() - self._origin_ns - device.elapsed_ns
-        return min(device.time + max(0, round(since_ns / _UNIT_NS)), int(device.status.due))
 
 
 def sleep_until(deadline_ns: int) -> None:

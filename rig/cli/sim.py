@@ -9,6 +9,7 @@ import click
 from rig import config
 from rig.cli import options, output
 from rig.devices.local import serve as serve_here
+from rig.realtime.scheduling import Realtime
 
 
 @click.group()
@@ -24,12 +25,12 @@ def sim() -> None:
     "--rate",
     type=int,
     default=None,
-    help="Rate that the device advertises, 50 to 4000 Hz, to 20000 Hz as firmware. [1000]",
+    help="Rate that the device advertises, 50 to 4000 Hz, to 20000 Hz with --firmware. [1000]",
 )
 @click.option(
     "--firmware",
     is_flag=True,
-    help="The device is the firmware, compiled for this machine: it can run the law.",
+    help="The device can run the law: it is the firmware, compiled for this machine.",
 )
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of the sensor noise.")
 @click.option("--json", "as_json", is_flag=True, help="Announce the port as JSON.")
@@ -46,5 +47,13 @@ def serve(preset: str, rate: int | None, firmware: bool, seed: int, as_json: boo
                 f"{experiment.rig.name} is simulated there; try: rig hit --url serial://{port}", err=True
             )
 
-    chosen: dict[str, Any] = {"firmware": firmware} if rate is None else {"rate": rate, "firmware": firmware}
-    serve_here(config.rig_model(experiment), seed=seed, announce=announce, **chosen)
+    def scheduled(granted: Realtime) -> None:
+        obtained = granted.report["obtained"]
+        locked = "its memory locked" if obtained["locked_bytes"] else "its memory not locked"
+        click.echo(f"scheduled as {obtained['policy']} {obtained['priority']}, {locked}", err=True)
+        for message in granted.messages:
+            click.echo(message, err=True)
+
+    chosen: dict[str, Any] = {} if rate is None else {"rate": rate}
+    chosen |= {"firmware": True} if firmware else {}
+    serve_here(config.rig_model(experiment), seed=seed, announce=announce, scheduled=scheduled, **chosen)

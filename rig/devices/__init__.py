@@ -23,6 +23,7 @@ from rig.devices.simulated import OpenExcitedSimulation, OpenRig
 BUILT_IN = {
     "sim": "sim_backend.link:open_link",
     "serial": "rig.devices.serial:open_link",
+    "unix": "rig.devices.local_socket:open_link",
     "usb": "rig.devices.usb:open_link",
 }
 FIRMWARE = "firmware"  # option of sim://: 1 is the compiled firmware in place of its mirror in Python

@@ -68,8 +68,9 @@ FAILURES: dict[int, Failure] = {
     errno.EILSEQ: _BROKEN,
     errno.EIO: _BROKEN,
 }
-# A terminal has no error for "unplugged": when its device is gone it gives EIO, and so does ppoll here.
-_SERIAL = FAILURES | {errno.EIO: _UNPLUGGED, errno.EPIPE: _UNPLUGGED}
+# Descriptors have no error for "unplugged": a terminal whose device is gone gives EIO, and so does ppoll here.
+_DESCRIPTORS = ("serial:", "unix:")
+_OF_DESCRIPTORS = FAILURES | dict.fromkeys((errno.EIO, errno.EPIPE, errno.ECONNRESET), _UNPLUGGED)
 
 
 def failure(number: int, url: str) -> Failure:
@@ -77,7 +78,7 @@ def failure(number: int, url: str) -> Failure:
 
     Numbers that are not in the table keep the kernel's text.
     """
-    table = _SERIAL if url.startswith("serial:") else FAILURES
+    table = _OF_DESCRIPTORS if url.startswith(_DESCRIPTORS) else FAILURES
     found = table.get(number)
     if found is not None:
         return found

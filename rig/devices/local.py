@@ -1,7 +1,7 @@
 """A simulated device as a process of its own, for a run in real time on this machine.
 
-The process speaks through a pseudo-terminal, so that everything from pyserial upwards is what a real rig
-meets.
+The process speaks through a socket (`rig.devices.local_socket`); everything above the link is what a real rig meets.
+`rig sim serve` speaks through a pseudo-terminal, which has pyserial in it too.
 """
 
 from __future__ import annotations
@@ -10,19 +10,21 @@ import ctypes
 import multiprocessing
 import os
 import signal
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from rig import devices
+from rig.config.sections import Host
 from rig.core.errors import ConfigError, DeviceNotFoundError
 from rig.core.model import RigModel
 from rig.devices import simulated_model
-from rig.devices.device import DeviceUrl
+from rig.devices.device import DeviceUrl, Link
 from rig.devices.framed import FramedDevice
 from rig.devices.hand import SharedHand
-from rig.realtime.scheduling import obtained
+from rig.realtime.scheduling import Realtime, obtained
 
 START_TIMEOUT_S = 60.0  # the first start compiles the plant
 STOP_TIMEOUT_S = 5.0
@@ -38,25 +40,43 @@ class Board:
     cpu: int | None = None
 
 
-def serve(model: RigModel, *, realtime: str = "try", **options: Any) -> None:
+def serve(
+    model: RigModel,
+    *,
+    realtime: str = "try",
+    cpu: int | None = None,
+    scheduled: Callable[[Realtime], object] = lambda granted: None,
+    **options: Any,
+) -> None:
     """Serve a simulated rig in this process until stopped (see `sim_backend.pty.serve`).
 
-    The calling thread gets real-time scheduling while it serves, where that is granted; ``realtime="off"`` requests
-    none. Raises `DeviceNotFoundError` when the simulation does not load.
+    The calling thread gets real-time scheduling and its processor while it serves, where that is granted, and
+    `scheduled` is told; ``realtime="off"`` requests none. Raises `DeviceNotFoundError` when the simulation does not
+    load.
     """
     server = devices.loaded(devices.SERVER)
-    with obtained(Board(realtime)) as granted:
+    with obtained(Board(realtime, cpu=cpu)) as granted:
         granted.enter_thread()
+        scheduled(granted)
         try:
             server(model, **options)
         finally:
             granted.leave_thread()
 
 
-def _child(model: RigModel, seed: int, realtime: str, options: Mapping[str, Any], pipe: Any) -> None:
+def host_beside(host: Host, link: Link) -> Host:
+    """Scheduling of a loop, on the processor of the device when that is a program here and the user names none.
+
+    So a pause of that processor (of a virtual machine, by another program) stops both, and loses no sample.
+    """
+    cpu = getattr(link, "cpu", None)
+    return replace(host, cpu=cpu) if host.cpu is None and cpu is not None else host
+
+
+def _child(model: RigModel, realtime: str, options: Mapping[str, Any], pipe: Any) -> None:
     os.setsid()  # Ctrl-C is for the host: a device that died of it could not be brought to rest
     _die_with_parent()
-    serve(model, realtime=realtime, seed=seed, announce=pipe.send, **options)
+    serve(model, realtime=realtime, announce=pipe.send, **options)
 
 
 def _die_with_parent() -> None:
@@ -89,23 +109,26 @@ def serve_locally(url: str, model: RigModel, *, seed: int = 0, realtime: str = "
     if "hand" in options:
         _check_led(options["hand"], described)
     context = multiprocessing.get_context("spawn")
-    receiver, sender = context.Pipe(duplex=False)
-    process = context.Process(
-        target=_child,
-        args=(described, seed, realtime, options, sender),
-        name="rig-device",
-        daemon=True,
-    )
-    process.start()
-    sender.close()
-    try:
-        yield f"serial://{_announced(receiver, url)}"
-    finally:
-        process.terminate()
-        process.join(STOP_TIMEOUT_S)
-        if process.is_alive():
-            process.kill()
+    cpu = max(os.sched_getaffinity(0))
+    with TemporaryDirectory(prefix="rig-device-") as place:
+        options |= {"seed": seed, "cpu": cpu, "socket": f"{place}/port"}
+        receiver, sender = context.Pipe(duplex=False)
+        process = context.Process(
+            target=_child,
+            args=(described, realtime, options, sender),
+            name="rig-device",
+            daemon=True,
+        )
+        process.start()
+        sender.close()
+        try:
+            yield f"unix://{_announced(receiver, url)}?cpu={cpu}"
+        finally:
+            process.terminate()
             process.join(STOP_TIMEOUT_S)
+            if process.is_alive():
+                process.kill()
+                process.join(STOP_TIMEOUT_S)
 
 
 @contextmanager
@@ -144,17 +167,19 @@ def opened(
 def _served_options(url: DeviceUrl) -> dict[str, Any]:
     """Options of a URL that mean something in real time."""
     options = dict(url.options)
-    firmware, hand = options.pop("firmware", "0"), options.pop("hand", None)
+    firmware, hand = options.pop("firmware", None), options.pop("hand", None)
     if options:
         raise ConfigError(
             f"{url.text}: {next(iter(options))} has no effect in real time",
             remedy="leave it out, or run in virtual time",
         )
-    if firmware not in ("0", "1"):
+    if firmware not in (None, "0", "1"):
         raise ConfigError(
             f"{url.text}: firmware = {firmware} is neither 0 nor 1", remedy="give 1, or leave it out"
         )
-    return ({"firmware": True} if firmware == "1" else {}) | ({} if hand is None else {"hand": hand})
+    return ({} if firmware is None else {"firmware": firmware == "1"}) | (
+        {} if hand is None else {"hand": hand}
+    )
 
 
 def _check_led(path: str, model: RigModel | None) -> None:

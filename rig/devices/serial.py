@@ -18,32 +18,23 @@ What could not be obtained is in `SerialLink.messages`, with its remedy.
 from __future__ import annotations
 
 import errno
-import math
 import os
-import select
 import termios
-import time
 from contextlib import suppress
 from pathlib import Path
 
 import serial
 from serial.tools import list_ports
 
-from rig.core.errors import ConfigError, DeviceNotFoundError, LinkLostError
+from rig.core.errors import ConfigError, DeviceNotFoundError
 from rig.core.model import RigModel
 from rig.devices import tty
-from rig.devices.device import DeviceUrl, RealLink
-from rig.devices.failures import error_number, link_error
-from rig.devices.port import LoopPort
+from rig.devices.descriptor import CLOSED, WRITE_TIMEOUT_S, DescriptorLink
+from rig.devices.device import DeviceUrl
 from rig.devices.port_facts import PortFacts, is_pseudo, port_facts
-from rig.realtime import system
-from rig.realtime.clock import Clock, MonotonicClock
 
 DEFAULT_BAUD = 921_600
 OPTIONS = ("baud", "dtr")
-WRITE_TIMEOUT_S = 0.5
-CHUNK = 4096
-FULL_PAUSE_MS = 10  # between two looks at a line that takes nothing
 
 __all__ = ["PortFacts", "SerialLink", "available_ports", "open_link", "port_facts"]
 
@@ -101,7 +92,7 @@ def available_ports() -> list[tuple[str, str]]:
     return [(p.device, p.description) for p in sorted(list_ports.comports()) if p.hwid != "n/a"]
 
 
-class SerialLink(RealLink):
+class SerialLink(DescriptorLink):
     """`rig.devices.device.Link` over an open port.
 
     Attributes
@@ -113,57 +104,12 @@ class SerialLink(RealLink):
     """
 
     def __init__(self, url: DeviceUrl, port: serial.Serial, *, dtr: bool = True) -> None:
-        self.url = url
-        self.clock: Clock = MonotonicClock()
+        super().__init__(url, port.fileno())
         self.bytes_per_second = _capacity(url.place, int(port.baudrate))
         self._port: serial.Serial | None = port
-        self._descriptor: int = port.fileno()
         self.facts, self.messages = _set_up(url.place, self._descriptor, dtr=dtr)
-        self._readable, self._writable = select.poll(), select.poll()  # select(2) ends at descriptor 1023
-        self._readable.register(self._descriptor, select.POLLIN)
-        self._writable.register(self._descriptor, select.POLLOUT)
         with suppress(termios.error):
             port.reset_input_buffer()
-
-    def read(self, timeout_s: float) -> bytes:
-        """Return what has arrived, waiting at most `timeout_s` for the first byte."""
-        if self._port is None:
-            raise self._lost(None)
-        try:
-            if not self._readable.poll(max(0, math.ceil(timeout_s * 1e3))):
-                return b""
-            data = os.read(self._descriptor, CHUNK)
-        except BlockingIOError:
-            return b""
-        except (OSError, ValueError) as error:
-            raise self._lost(error) from error
-        if not data:
-            raise self._lost(None)
-        return data
-
-    def write(self, data: bytes) -> None:
-        """Send all of `data`, or raise `LinkLostError` when the line stays full or is gone."""
-        deadline = time.monotonic() + WRITE_TIMEOUT_S
-        view = memoryview(data)
-        while view:
-            try:
-                view = view[os.write(self._descriptor, view) :]
-            except BlockingIOError:
-                if time.monotonic() > deadline:
-                    raise self._lost(TimeoutError("it takes no more bytes")) from None
-                self._writable.poll(FULL_PAUSE_MS)
-            except (OSError, ValueError) as error:
-                raise self._lost(error) from error
-
-    def port(self) -> LoopPort:
-        """Return the system calls of the loop on this descriptor."""
-        return LoopPort.on(
-            self.clock,
-            read=system.descriptor_read,
-            write=system.descriptor_write,
-            wait=system.descriptor_wait,
-            handle=self._descriptor,
-        )
 
     def close(self) -> None:
         """Release the port."""
@@ -172,11 +118,7 @@ class SerialLink(RealLink):
             with suppress(OSError, termios.error):
                 self._port.close()
             self._port = None
-            self._descriptor = -1
-
-    def _lost(self, error: BaseException | None) -> LinkLostError:
-        number = errno.ENODEV if error is None or isinstance(error, ValueError) else error_number(error)
-        return link_error(number, self.url.text, self.url.place)
+            self._descriptor = CLOSED
 
 
 def _capacity(port: str, baud: int) -> float | None:

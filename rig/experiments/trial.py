@@ -29,6 +29,7 @@ from rig.core.errors import RigError, StoppedError
 from rig.core.sample import Phase
 from rig.devices.device import Link
 from rig.devices.framed import Echo, FaultReport, FramedDevice
+from rig.devices.local import host_beside
 from rig.experiments.endings import error_of
 from rig.experiments.judgement import Judgement
 from rig.loop import exchange
@@ -135,7 +136,7 @@ def run_trial(device: FramedDevice, request: TrialRequest) -> TrialEnd:
     echo = device.configure(parameters)
     virtual = device.link.clock.virtual
     with (
-        obtained(run.experiment.host, virtual=virtual) as realtime,
+        obtained(host_beside(run.experiment.host, device.link), virtual=virtual) as realtime,
         _ring(device, request) as ring,
         stop_on_signals(ring) as signals,
     ):

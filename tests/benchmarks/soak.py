@@ -2,7 +2,9 @@
 
     python tests/benchmarks/soak.py --minutes 10                          2 kHz over a pseudo-terminal
     python tests/benchmarks/soak.py --far-end near --busy --stall 1.0     its own grid, GIL hogs, a disk that stalls
-    python tests/benchmarks/soak.py --url sim://                          a simulated rig in real time
+    python tests/benchmarks/soak.py --url sim:// --busy                   a simulated rig in real time, beside its goal
+    python tests/benchmarks/soak.py --url sim:// --busy --without-rights  the same as an ordinary user
+    python tests/benchmarks/soak.py --url sim:// --rate 4000              on an idle machine
     python tests/benchmarks/soak.py --url serial:///dev/ttyACM0 --verified
 
 Without a URL the far end is the C program of the benchmarks (`realtime/far_end.c`), which sends STATE at the rate, or,
@@ -17,8 +19,10 @@ import argparse
 import contextlib
 import ctypes
 import json
+import math
 import os
 import pty
+import resource
 import shutil
 import subprocess
 import sys
@@ -32,10 +36,14 @@ from typing import Any
 
 import numpy as np
 
+from rig.realtime.scheduling.rights import CAP_SYS_NICE, Rights
+
 if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # for tests.*
 
 LOOK_S = 0.5
+BEFORE_THE_END_S = 0.3
+GOAL_WITHOUT_RIGHTS = 1e-3  # of the samples; with them, none
 MINUTE_S = 60.0
 RING_SECONDS = 5.0
 COLUMNS = (
@@ -62,6 +70,9 @@ def arguments() -> argparse.Namespace:
     )
     parser.add_argument("--effort", type=float, help="push of the trial on a device (default: the preset's)")
     parser.add_argument("--priority", type=int, default=80)
+    parser.add_argument(
+        "--without-rights", action="store_true", help="give up the right to real-time scheduling first"
+    )
     parser.add_argument("--cpu", type=int, default=None)
     parser.add_argument("--spin-us", type=float, default=0.0)
     parser.add_argument(
@@ -266,6 +277,7 @@ def device_run(options: argparse.Namespace, directory: Path, watch: Watch) -> di
     from rig.config import presets  # noqa: PLC0415
     from rig.core.errors import RigError  # noqa: PLC0415
     from rig.experiments.hit import HitRequest, hit  # noqa: PLC0415
+    from tests.benchmarks.realtime import workbench  # noqa: PLC0415
 
     changes: dict[str, Any] = {
         "trial.duration_s": options.minutes * MINUTE_S,
@@ -281,10 +293,19 @@ def device_run(options: argparse.Namespace, directory: Path, watch: Watch) -> di
         changes |= {"controller.position_rate": options.rate, "controller.velocity_rate": options.rate}
     experiment = config.override(presets.load(options.preset), changes)
     rings: list[Any] = []
+    busy: list[int] = []
+    end = [math.inf]
 
     def progress(ticks: int, phase: int) -> None:
         if not rings:
             rings.append(own_ring())
+        if time.monotonic() > end[0]:  # beside the loop, not beside what follows it
+            load.close()
+        elif options.busy and not busy and ticks > 0:
+            busy.append(ticks)
+            end[0] = time.monotonic() + max(0.0, options.minutes * MINUTE_S - BEFORE_THE_END_S)
+            load.enter_context(workbench.processor_hogs(1))
+            load.enter_context(workbench.interpreter_hogs())
         if time.monotonic() > looked[0] + LOOK_S:
             looked[0] = time.monotonic()
             watch.look(rings[0])
@@ -303,11 +324,12 @@ def device_run(options: argparse.Namespace, directory: Path, watch: Watch) -> di
         output=options.output or directory,
     )
     found: dict[str, Any] = {"end": "FINISHED"}
-    try:
-        for result in hit(request, watched):
-            found["verdict"] = result.verdict.kind
-    except RigError as error:
-        found |= {"end": type(error).__name__, "error": str(error)}
+    with contextlib.ExitStack() as load:
+        try:
+            for result in hit(request, watched):
+                found["verdict"] = result.verdict.kind
+        except RigError as error:
+            found |= {"end": type(error).__name__, "error": str(error)}
     if rings:
         watch.look(rings[0], last=True)
         found["rows_lost"] = watch.before["rows_dropped"]
@@ -327,9 +349,31 @@ def own_ring() -> Any:
     raise LookupError("no ring here")
 
 
+def give_up_rights() -> None:
+    """Begin again as a program that may neither schedule in real time nor lock its memory."""
+    resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
+    resource.setrlimit(resource.RLIMIT_MEMLOCK, (1 << 16, 1 << 16))
+    if Rights.here().has(CAP_SYS_NICE):
+        setpriv = ("setpriv", "--bounding-set", "-sys_nice,-ipc_lock")
+        os.execvp("setpriv", (*setpriv, sys.executable, *sys.argv))
+
+
+def beside_the_goal(options: argparse.Namespace, totals: dict[str, Any]) -> str:
+    """What was lost of a device's samples, and what may be."""
+    granted = Rights.here().may_schedule(options.priority)
+    lost, ticks = totals["lost"] + totals["skipped"], totals["ticks"]
+    share = lost / max(1, lost + ticks)
+    return (
+        f"{'with' if granted else 'without'} real-time rights: lost {lost} of {lost + ticks} samples "
+        f"({share:.3%}); goal: {0.0 if granted else GOAL_WITHOUT_RIGHTS:.1%}"
+    )
+
+
 def main() -> int:
     """Run, print, and say whether nothing was lost."""
     options = arguments()
+    if options.without_rights:
+        give_up_rights()
     if shutil.which("gcc") is None and options.url is None:
         print("gcc is not installed (package gcc): the far end is in C. Or give --url", file=sys.stderr)
         return 2
@@ -341,6 +385,8 @@ def main() -> int:
             found = free_run(options, directory, watch, disk)
         else:
             found = device_run(options, directory, watch)
+    if options.url is not None and watch.totals:
+        print(beside_the_goal(options, watch.totals))
     said = {name: str(value) if isinstance(value, Path) else value for name, value in vars(options).items()}
     summary = {"asked": said, **found, **watch.totals}
     print(json.dumps(summary))

@@ -9,6 +9,7 @@ A far end differs from another by its port alone (`PORTS`): everything else here
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import itertools
 import multiprocessing
 import os
@@ -26,11 +27,17 @@ import numpy as np
 from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault
 from rig.core.model import RigModel
+from rig.devices.port import LoopPort
+from rig.realtime.clock import MonotonicClock
+from rig.realtime.plugs import TRANSFER_SIGNATURE, WAIT_SIGNATURE, NativeFunction
 from sim_backend import pty
+from sim_backend.board_time import BoardTime
 from sim_backend.channel import Direction, FrameFault, Line
 from sim_backend.device import SimulatedDevice
 from sim_backend.firmware import FirmwareDevice
-from sim_backend.real_time import FirmwareTime, Port, RealTime, sleep_until
+from sim_backend.hardware import World
+from sim_backend.line import Terminal
+from sim_backend.real_time import Port, RealTime, sleep_until
 from sim_backend.safety import AT
 from tests.conformance.started import die_with_parent
 
@@ -134,16 +141,12 @@ class WatchedFirmware(FirmwareDevice):
         super().__init__(model, **options)
         self.witness = Witness(self, witness, script)
 
-    def run(self, until_ns: int, most: int, *, enough: int = 1) -> tuple[bytes, int]:
-        said, ticks = b"", 0
-        while ticks < most and len(said) < enough:
-            piece, ran = super().run(until_ns, 1)
-            if not ran:
-                break
-            said, ticks = said + piece, ticks + 1
+    def passed(self, world: World) -> None:
+        before = self.time
+        super().passed(world)
+        if self.time != before:  # one tick, as asked
             self.witness.see_tick(self.state, self.current, self.fault)
-        self.witness.write(self.state, self.current, self.fault, self.status.counters)
-        return said, ticks
+            self.witness.write(self.state, self.current, self.fault, self.status.counters)
 
 
 class FaultyPort:
@@ -213,16 +216,55 @@ class FaultyPort:
             self._unplug()
 
 
+class PluggedPort:
+    """Plug functions for compiled code that come back into a `Port`."""
+
+    def __init__(self, port: Port) -> None:
+        self._port = port
+        self._heard = b""
+
+    def loop_port(self) -> LoopPort:
+        """Return them."""
+        return LoopPort.on(
+            MonotonicClock(),
+            read=native(self._read, TRANSFER_SIGNATURE, 3),
+            write=native(self._write, TRANSFER_SIGNATURE, 3),
+            wait=native(self._wait, WAIT_SIGNATURE, 2),
+            handle=0,
+        )
+
+    def _wait(self, handle: int, deadline_ns: int) -> int:
+        self._heard = self._heard or self._port.read(deadline_ns)
+        return int(bool(self._heard))
+
+    def _read(self, handle: int, address: int, size: int) -> int:
+        data, self._heard = self._heard[:size], self._heard[size:]
+        ctypes.memmove(address, data, len(data))
+        return len(data)
+
+    def _write(self, handle: int, address: int, size: int) -> int:
+        self._port.write(ctypes.string_at(address, size))
+        return size
+
+
+def native(function: Callable[..., int], signature: Any, words: int) -> NativeFunction:
+    """Make a plug function of one in Python that takes so many words."""
+    callback = ctypes.CFUNCTYPE(ctypes.c_int64, *[ctypes.c_int64] * words)(function)
+    address = ctypes.cast(callback, ctypes.c_void_p).value
+    assert address is not None
+    return NativeFunction(address, signature, keep=callback)
+
+
 @contextmanager
 def _pty_port() -> Iterator[tuple[str, Port, Callable[[], None]]]:
-    with pty._Port() as port:
+    with Terminal() as port:
 
         def hang_up() -> None:
             null = os.open(os.devnull, os.O_RDWR)
-            os.dup2(null, port._master)  # the last descriptor of the master goes: the other end hangs up
+            os.dup2(null, port.descriptor)  # the last descriptor of the master goes: the other end hangs up
             os.close(null)
 
-        yield f"serial://{port.path}", port, hang_up
+        yield f"serial://{port.place}", port, hang_up
 
 
 # name → context manager that opens the port in the device's process: (URL for the host, port, how to unplug it)
@@ -247,11 +289,13 @@ def _serve(
     witness = np.memmap(witness_path, WITNESS, mode="r+", shape=1)
     options: dict[str, Any] = {"position_rate_default": rate, "keep_truth": False}
     with PORTS[port_name]() as (url, port, unplug):
+        running: BoardTime | RealTime
         if firmware:
             made = WatchedFirmware(
                 model, witness, script, position_rate_maximum=pty.FIRMWARE_RATE_MAXIMUM, **options
             )
-            running = FirmwareTime(made, FaultyPort(port, made, script, unplug, witness), stop)
+            faulty = PluggedPort(FaultyPort(port, made, script, unplug, witness))
+            running = BoardTime(made, faulty.loop_port(), stop, most=1)
         else:
             device = WatchedDevice(model, witness, script, position_rate_maximum=4_000, **options)
             running = RealTime(device, FaultyPort(port, device, script, unplug, witness), stop)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from rig.core.errors import ConfigError
-from sim_backend import firmware_library, link
+from sim_backend import compiled_device, firmware_library
 
 
 def need_compiler() -> None:
@@ -20,4 +20,4 @@ def hide_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
     """Be a machine without a C compiler, whose library nobody has opened before."""
     monkeypatch.delenv("CC", raising=False)
     monkeypatch.setattr(firmware_library, "COMPILERS", ())
-    monkeypatch.setattr(link, "library", firmware_library.library.__wrapped__)
+    monkeypatch.setattr(compiled_device, "library", firmware_library.library.__wrapped__)

@@ -22,7 +22,7 @@ from rig.core.present import Item, Row, reported
 from rig.core.sample import unit_of
 from rig.devices.device_facts import DeviceFacts
 from rig.devices.framed import FramedDevice
-from rig.devices.local import opened
+from rig.devices.local import host_beside, opened
 from rig.realtime.scheduling import obtained
 
 SECONDS = 4.0  # of measuring: bounds p99.9 from some 750 questions a second on
@@ -192,7 +192,7 @@ def _measured(
     virtual = device.link.clock.virtual
     # Virtual time passes between questions only.
     rate = experiment.controller.position_rate if virtual else None
-    with obtained(experiment.host, virtual=virtual) as realtime:
+    with obtained(host_beside(experiment.host, device.link), virtual=virtual) as realtime:
         return measure_link(device, seconds, rate, realtime=realtime, progress=progress)
 
 

@@ -39,6 +39,7 @@ from rig.core.errors import ConfigError, PlanError
 from rig.core.present import Item, Row, reported
 from rig.core.sample import unit_of
 from rig.devices.framed import FramedDevice
+from rig.devices.local import host_beside
 from rig.realtime.scheduling import obtained
 
 LIFETIME_SHARE = 0.5  # of a command's lifetime that the link may take there and back
@@ -334,7 +335,7 @@ def measured_once(
         seconds = min(LONGEST_S, max(SHORTEST_S, 1.05 * ENOUGH / rate))
         if device.dictionary.simulated:
             seconds = SIMULATED_S
-        with obtained(host, virtual=device.link.clock.virtual) as realtime:
+        with obtained(host_beside(host, device.link), virtual=device.link.clock.virtual) as realtime:
             found = measure_link(device, seconds, realtime=realtime, progress=progress)
         kept[scheduling] = found
     return found

@@ -14,6 +14,7 @@ from rig.realtime.scheduling.rights import Rights
 
 STACK_BYTES = 512 * 1024  # from the top: frames of Python and of the loop, and what they call
 SHORTEST_SLACK_NS = 1
+SHORTEST_SLICE_NS = 100_000  # what the kernel grants at least
 _POLICIES = {
     getattr(os, name): name
     for name in ("SCHED_OTHER", "SCHED_BATCH", "SCHED_IDLE", "SCHED_FIFO", "SCHED_RR")
@@ -74,6 +75,7 @@ def raise_thread(priority: int, cpu: int | None) -> list[Check]:
         refused.append(refusals.of_policy(priority, Rights.here(), error.errno or 1))
         if not ThreadState.here().is_fifo:
             calls.set_timer_slack(SHORTEST_SLACK_NS)
+            calls.set_slice(SHORTEST_SLICE_NS)
     return refused
 
 

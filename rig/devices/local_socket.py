@@ -1,0 +1,59 @@
+"""A program on this computer as a link: a Unix socket, by its path.
+
+A pseudo-terminal hands its bytes over in a worker of the kernel, which waits for a processor as any ordinary program
+does: beside two busy ones it comes milliseconds late, whatever the priorities at both ends are. A socket wakes its
+reader itself. So a simulated device that is started for a run (`rig.devices.local`) speaks through one.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+from contextlib import suppress
+
+from rig.core.errors import ConfigError, DeviceNotFoundError
+from rig.core.model import RigModel
+from rig.devices.descriptor import CLOSED, DescriptorLink
+from rig.devices.device import DeviceUrl
+
+
+def open_link(url: DeviceUrl, model: RigModel | None = None) -> SocketLink:
+    """Open ``unix:///run/rig?cpu=1``; see `rig.devices.open_link` for what it raises.
+
+    `cpu` is the processor of the program, for the loop to share.
+    """
+    url.allow(("cpu",))
+    cpu = url.options.get("cpu")
+    if cpu is not None and not cpu.isdecimal():
+        raise ConfigError(f"{url.text}: cpu = {cpu!r} is not a processor", remedy="give its number, from 0")
+    if not url.place:
+        raise ConfigError(f"{url.text}: no path", remedy="name a socket, like unix:///run/rig")
+    end = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    end.setblocking(False)
+    try:
+        end.connect(url.place)
+    except OSError as error:
+        end.close()
+        raise DeviceNotFoundError(
+            f"no program answers at {url.place}: {error.strerror or error}",
+            remedy="start it, or name the path of its socket",
+        ) from None
+    return SocketLink(url, end.detach(), cpu=None if cpu is None else int(cpu))
+
+
+class SocketLink(DescriptorLink):
+    """`rig.devices.device.Link` over a connected socket."""
+
+    bytes_per_second: float | None = None
+    messages: tuple[str, ...] = ()
+
+    def __init__(self, url: DeviceUrl, descriptor: int, *, cpu: int | None = None) -> None:
+        super().__init__(url, descriptor)
+        self.cpu = cpu
+
+    def close(self) -> None:
+        """Release the socket."""
+        if self._descriptor != CLOSED:
+            with suppress(OSError):
+                os.close(self._descriptor)
+            self._descriptor = CLOSED

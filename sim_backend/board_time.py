@@ -1,0 +1,280 @@
+"""Real time for a device whose ticks are compiled: a board's timer and main loop, without Python and without its lock.
+
+One compiled call does what a board does: it waits for bytes or for the next tick, hands bytes to the device as soon as
+they come, lets the ticks pass that are due, and writes what the device says. Python is asked (the call returns, and is
+made again) where something is used up, where the device changed its rate or was armed, where the host hung up, and
+every `SLICE_NS` whether it is to stop: then it also hears its signals.
+
+Time keeps its grid: deadlines follow from the device's own clock, so lateness never adds up. A board's timer is never
+late, a process is. No tick is left out and each has its sample: what is late is made up at twice the pace and no
+faster, so that a host which was there all the time can answer each of them and is not found silent. After a pause
+longer than `LONGEST_PAUSE_NS` (a suspended process) the grid restarts, because the simulated world stood still too.
+
+The answer to STATE k acts from sample k + 1 on: one tick of delay at least, as behind any real port. A process that is
+late lets a host that stood still with it answer first, and hands over what came before the late tick passes, so that
+the watchdog hears of it first.
+
+It mirrors a board behind a USB serial port: that stays when a host goes, even by kill -9, and its watchdog knows of
+that only by the silence.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import numpy as np
+from numba import types
+
+from rig.devices.port import PORT_TYPE, LoopPort
+from rig.realtime.groups import type_of
+from rig.realtime.kernel import kernel, prepare
+from rig.realtime.native import native_call
+from sim_backend.hardware import NO_END, Hardware, World
+from sim_backend.lockstep import (
+    BYTE_COUNT,
+    BYTES,
+    CUTS,
+    DUE,
+    RATE_CHANGED,
+    RECEIVED_AT,
+    SWITCHED_ON,
+    TIME,
+    Lockstep,
+    Supplies,
+    Wires,
+    cut,
+    run_ticks,
+)
+from sim_backend.operator import Script
+from sim_backend.plant import PLANT_TYPE, PlantArguments
+
+SLICE_NS = 10_000_000  # in which a signal or a wish to stop is heard
+LONGEST_PAUSE_NS = 1_000_000_000
+LATE_NS = 50_000  # beyond what it takes to wake
+SHORTEST_STEP_NS = (
+    250_000  # of faster ticks several pass at once: a process that is woken more often does little else
+)
+PENDING_BYTES = 1 << 16  # that the host has not read yet: BATCH of 100 ms and more
+SAID_BYTES = 1 << 16  # that a device says in one go at most
+HEARD_BYTES = 1 << 12  # that are taken from the host in one go
+BURST_BYTES = 1 << 12  # that end a run of ticks to be written
+
+# What a call shares with the next one: device time 0 on the clock (ns), half of what one pass may make up (ns), when
+# the last pass was (ns), ticks that may pass before Python is asked, bytes that wait for the host, whether it is gone,
+# whether a late tick has waited for it.
+BOOT_NS, STEP_NS, PASSED_NS, MOST, PENDING, HUNG_UP, WAITED = range(7)
+GRID = 7
+
+AGAIN, ASK, GONE = range(3)  # why the call returned: its time is up; Python has to look; the host hung up
+
+_UNITS, _UNITS_NS = 2, 125  # of device time: 62.5 ns
+_receive = native_call(2)
+_take = native_call(3)
+_INTS, _BYTES = types.int64[::1], types.uint8[::1]
+
+
+@kernel(types.void(PORT_TYPE, _INTS, _BYTES))
+def _flush(port: LoopPort, grid: Any, said: Any) -> None:
+    """Write what waits, as far as the port takes it; a port that is broken shows it when it is read."""
+    sent = port.write(port.handle, np.int64(said.ctypes.data), grid[PENDING])
+    if sent > 0:
+        for i in range(sent, grid[PENDING]):
+            said[i - sent] = said[i]
+        grid[PENDING] -= sent
+
+
+@kernel(types.void(type_of(Lockstep), PORT_TYPE, _INTS, _BYTES))
+def _say(software: Lockstep, port: LoopPort, grid: Any, said: Any) -> None:
+    """Send what the device has said. What has no room is thrown away, newest first, whole frames only."""
+    behind = np.int64(said.ctypes.data) + grid[PENDING]
+    count = _take(software.take, software.device, behind, SAID_BYTES)
+    if grid[HUNG_UP] == 0 and grid[PENDING] + count <= PENDING_BYTES:
+        grid[PENDING] += count
+    if grid[PENDING] != 0:
+        _flush(port, grid, said)
+
+
+@kernel(types.boolean(type_of(Lockstep), PLANT_TYPE, PORT_TYPE, _INTS, _BYTES, _BYTES))
+def _hear(
+    software: Lockstep, plant: PlantArguments, port: LoopPort, grid: Any, said: Any, heard: Any
+) -> bool:
+    """Hand the device what the host sent, and send its answers; False when the port is broken."""
+    words, address = software.words, np.int64(heard.ctypes.data)
+    count = port.read(port.handle, address, HEARD_BYTES)
+    if count <= 0:
+        return bool(count == 0)
+    now = (port.now(port.clock_handle) - grid[BOOT_NS]) * _UNITS // _UNITS_NS
+    words[RECEIVED_AT] = min(max(words[TIME], now), words[DUE])
+    words[BYTES], words[BYTE_COUNT] = address, count
+    _receive(software.receive, software.device, software.address)
+    if words[CUTS] != 0:
+        cut(plant)
+    _say(software, port, grid, said)
+    return True
+
+
+@kernel(
+    types.int64(
+        *(type_of(Lockstep), PLANT_TYPE, type_of(Script), type_of(Wires), type_of(Supplies)),
+        *(PORT_TYPE, _INTS, _BYTES, _BYTES, types.int64),
+    )
+)
+def keep_time(
+    software: Lockstep,
+    plant: PlantArguments,
+    script: Script,
+    wires: Wires,
+    supplies: Supplies,
+    port: LoopPort,
+    grid: Any,
+    said: Any,
+    heard: Any,
+    end_ns: int,
+) -> int:
+    """Tick and move bytes until `end_ns` on the port's clock, or until Python has to look; say why it returned.
+
+    `said` has room for `SAID_BYTES` behind the `PENDING_BYTES` that are kept, `heard` for `HEARD_BYTES`.
+    """
+    words = software.words
+    while True:
+        step_ns = grid[STEP_NS]
+        due_ns = grid[BOOT_NS] + words[DUE] * _UNITS_NS // _UNITS
+        deadline_ns = max(due_ns, grid[PASSED_NS] + step_ns)
+        until_ns = min(deadline_ns, end_ns)
+        if grid[HUNG_UP] != 0:  # the port would not wait
+            port.sleep(port.clock_handle, until_ns)
+            until_ns = 0
+        ready = port.wait(port.handle, until_ns)
+        if ready >= 0:
+            grid[HUNG_UP] = 0
+        now_ns = port.now(port.clock_handle)
+        late_ns = now_ns - deadline_ns
+        if ready > 0 and not 0 <= late_ns <= LATE_NS and not _hear(software, plant, port, grid, said, heard):
+            ready = -1
+        if ready < 0 and grid[HUNG_UP] == 0:
+            grid[HUNG_UP] = 1
+            return GONE
+        if words[RATE_CHANGED] != 0 or words[SWITCHED_ON] != 0:
+            return ASK
+        if late_ns > LATE_NS and grid[WAITED] == 0:  # a host that stood still too answers first
+            grid[WAITED], grid[PASSED_NS] = 1, now_ns - step_ns + step_ns // 4
+        elif late_ns >= 0:
+            grid[WAITED] = 0
+            if now_ns - due_ns > LONGEST_PAUSE_NS:
+                grid[BOOT_NS] += now_ns - due_ns
+                due_ns = now_ns
+            since_boot_ns = min(now_ns, due_ns + 2 * step_ns - 1) - grid[BOOT_NS]
+            until = (_UNITS * since_boot_ns + 1) // _UNITS_NS  # the last unit that is not later
+            while words[DUE] <= until and grid[MOST] > 0:
+                ticks = run_ticks(software, plant, script, wires, supplies, until, grid[MOST], BURST_BYTES)
+                grid[MOST] = grid[MOST] - ticks if ticks != 0 else 0
+                _say(software, port, grid, said)
+            grid[PASSED_NS] = now_ns
+            if grid[MOST] <= 0:
+                return ASK
+        if now_ns >= end_ns:
+            return AGAIN
+
+
+class Device(Protocol):
+    """A device that compiled ticks can run (`sim_backend.lockstep`)."""
+
+    hardware: Hardware
+
+    @property
+    def time_ns(self) -> int:
+        """Device time of the last sample (ns since boot)."""
+        ...
+
+    @property
+    def elapsed_ns(self) -> int:
+        """Simulated time, over all resets (ns)."""
+        ...
+
+    @property
+    def rate(self) -> int:
+        """Ticks a second (Hz)."""
+        ...
+
+    def compiled(self) -> tuple[Lockstep, World]:
+        """Return what compiled ticks take of the device and its rig as they are now."""
+        ...
+
+    def passed(self, world: World) -> None:
+        """Take note of what has happened to what `compiled` returned."""
+        ...
+
+
+class BoardTime:
+    """Runs a device behind a port until `stop` is set.
+
+    Parameters
+    ----------
+    device
+        The device.
+    port
+        Its end of a line. A negative answer of `wait` or `read` means that the host hung up.
+    stop
+        Ends the run when it is set.
+    hung_up
+        Called when the host hung up.
+    most
+        Ticks after which the device is told what has passed, at the latest.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        port: LoopPort,
+        stop: threading.Event,
+        *,
+        hung_up: Callable[[], None] = lambda: None,
+        most: int = NO_END,
+    ) -> None:
+        prepare(keep_time, port.read, port.write, port.wait, port.now, port.sleep)
+        self.device = device
+        self._port = port
+        self._stop = stop
+        self._hung_up = hung_up
+        self._most = most
+        self._grid = np.zeros(GRID, np.int64)
+        self._said = np.zeros(PENDING_BYTES + SAID_BYTES, np.uint8)
+        self._heard = np.zeros(HEARD_BYTES, np.uint8)
+        self._boot_ns = 0
+
+    def run(self, duration_s: float | None) -> None:
+        """Tick until stopped."""
+        port, grid = self._port, self._grid
+        now_ns = port.now(port.clock_handle)
+        end_ns = NO_END if duration_s is None else now_ns + round(duration_s * 1e9)
+        self._boot_ns = 0
+        grid[BOOT_NS] = grid[PASSED_NS] = now_ns - self.device.elapsed_ns
+        why = ASK
+        while now_ns < end_ns and not self._stop.is_set():
+            if why == ASK:
+                software, world = self._asked()
+            why = keep_time(
+                software, *world, port, grid, self._said, self._heard, min(now_ns + SLICE_NS, end_ns)
+            )
+            if why == ASK:
+                self.device.passed(world)
+            elif why == GONE:  # what it has not read goes too: the next host begins with an empty line
+                grid[PENDING] = 0
+                self._hung_up()
+            now_ns = port.now(port.clock_handle)
+        if why != ASK:
+            self.device.passed(world)
+
+    def _asked(self) -> tuple[Lockstep, World]:
+        """Put out what the next ticks use up; return what they take."""
+        device, grid = self.device, self._grid
+        software, world = device.compiled()
+        boot_ns = device.elapsed_ns - device.time_ns  # of the simulated time; a reset moves it
+        grid[BOOT_NS] += boot_ns - self._boot_ns
+        self._boot_ns = boot_ns
+        period_ns = 1_000_000_000 // device.rate
+        grid[STEP_NS] = period_ns // 2 if period_ns >= SHORTEST_STEP_NS else SHORTEST_STEP_NS
+        grid[MOST] = min(device.hardware.most_ticks, self._most)
+        return software, world

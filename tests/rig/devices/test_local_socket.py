@@ -1,0 +1,104 @@
+"""A program on this computer as a link: a simulated rig behind a Unix socket, in real time; latency is not asserted."""
+
+from __future__ import annotations
+
+import socket
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from queue import Queue
+from typing import Any
+
+import pytest
+
+from firmware_protocol import messages as m
+from firmware_protocol.faults import Fault
+from rig.config.sections import Host as Scheduling
+from rig.core.errors import ConfigError, DeviceNotFoundError, UnpluggedError
+from rig.devices.device import DeviceUrl
+from rig.devices.local import host_beside
+from rig.devices.local_socket import SocketLink, open_link
+from sim_backend import pty
+from tests.conformance.device import check_device
+from tests.conformance.host import Host
+from tests.conformance.link import check_link
+from tests.conformance.rigs import rotary_rig
+
+WAIT_S = 20.0
+SLACK_S = 5.0  # of a loaded machine
+
+
+def opened(path: Any, query: str = "") -> SocketLink:
+    return open_link(DeviceUrl.parse(f"unix://{path}{query}"))
+
+
+@pytest.fixture(params=[None, False], ids=["default", "readable"])
+def path(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Path]:
+    """Of a simulated rig that is served."""
+    announced: Queue[str] = Queue()
+    stop = threading.Event()
+    options = {"firmware": request.param, "socket": tmp_path / "port", "stop_event": stop}
+    thread = threading.Thread(
+        target=pty.serve, args=(rotary_rig(),), kwargs=options | {"announce": announced.put}
+    )
+    thread.start()
+    yield Path(announced.get(timeout=WAIT_S))
+    stop.set()
+    thread.join(WAIT_S)
+    assert not thread.is_alive()
+    assert not (tmp_path / "port").exists()
+
+
+def test_the_rig_behind_it_conforms_as_a_device(path: Path) -> None:
+    check_device(lambda: opened(path), starts_in_boot=False)
+
+
+def test_it_conforms_as_a_link(path: Path, tmp_path: Path) -> None:
+    with socket.socket(socket.AF_UNIX) as silent:
+        silent.bind(str(tmp_path / "silent"))
+        silent.listen()
+        check_link(lambda: opened(path), lambda: opened(tmp_path / "silent"), slack_s=SLACK_S)
+
+
+def test_after_a_host_that_went_the_next_one_finds_link_lost_and_an_empty_line(path: Path) -> None:
+    host = Host(opened(path))
+    host.begin()
+    last = host.next_state()
+    host.link.close()  # no STOP, no DISARM
+    heir = Host(opened(path), first_nonce=500)
+    heir.identify()
+    while not (log := heir.ask(m.GetFaultLog(heir.nonce(), 0))).fault:
+        pass
+    assert log.fault == Fault.LINK_LOST
+    assert heir.disarm(clear_fault=True).status == 0
+    assert heir.next_state().sample_index > last.sample_index
+    heir.link.close()
+
+
+def test_a_program_that_ends_is_unplugged(tmp_path: Path) -> None:
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind(str(tmp_path / "port"))
+        listener.listen()
+        link = opened(tmp_path / "port")
+        listener.accept()[0].close()
+        with pytest.raises(UnpluggedError):
+            link.read(WAIT_S)
+        link.close()
+
+
+def test_where_nobody_listens_nothing_opens(tmp_path: Path) -> None:
+    with pytest.raises(DeviceNotFoundError, match="no program answers"):
+        opened(tmp_path / "nobody")
+    for query in ("?cpu=one", "?seed=1"):
+        with pytest.raises(ConfigError, match="cpu"):
+            opened(tmp_path / "nobody", query)
+
+
+def test_a_loop_shares_the_processor_of_its_device_unless_the_user_names_another(tmp_path: Path) -> None:
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind(str(tmp_path / "port"))
+        listener.listen()
+        link = opened(tmp_path / "port", "?cpu=3")
+        assert host_beside(Scheduling(), link).cpu == 3
+        assert host_beside(Scheduling(cpu=1), link).cpu == 1
+        link.close()

@@ -1,0 +1,234 @@
+"""The compiled timer of a device: what it says and when, against the readable device; lateness, hosts that go, the end.
+
+Time is a number here and the port a script: nothing waits.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+import itertools
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from firmware_protocol import messages as m
+from firmware_protocol.connection import State
+from firmware_protocol.faults import Fault
+from firmware_protocol.framing import FrameSplitter
+from firmware_protocol.packing import unpack
+from rig.devices.port import LoopPort
+from rig.realtime.clock import VirtualClock
+from rig.realtime.plugs import TRANSFER_SIGNATURE, WAIT_SIGNATURE
+from sim_backend.board_time import LONGEST_PAUSE_NS, PENDING_BYTES, BoardTime
+from sim_backend.device import SimulatedDevice
+from sim_backend.firmware import FirmwareDevice
+from sim_backend.link import MemoryLink
+from tests.conformance.far_end import native
+from tests.conformance.firmware import need_compiler
+from tests.conformance.host import Host
+from tests.conformance.link import COMPILED
+from tests.conformance.rigs import rotary_rig
+
+pytestmark = pytest.mark.skipif(not COMPILED, reason="function types need the compiler")
+
+RATE = 1_000
+TICK_NS = 1_000_000_000 // RATE
+ANSWERED_NS = 300_000  # after the sample
+RIG = rotary_rig(current_noise_a=0.002)
+Said = list[tuple[int, bytes]]
+
+
+@pytest.fixture(autouse=True)
+def _compiler() -> None:
+    need_compiler()
+
+
+class ScriptedPort:
+    """A host that says some bytes at some times, on a clock that jumps.
+
+    `late` is by how much a wait passes its deadline (ns); in `gone` nobody is there; `full` lets the line take nothing.
+    """
+
+    def __init__(self, script: Said, late: Callable[[int], int] = lambda deadline_ns: 0) -> None:
+        self.clock = VirtualClock()
+        self.said: Said = []
+        self.gone: range = range(0)
+        self.full: range = range(0)
+        self._script = list(script)
+        self._late = late
+
+    def loop_port(self) -> LoopPort:
+        return LoopPort.on(
+            self.clock,
+            read=native(self._read, TRANSFER_SIGNATURE, 3),
+            write=native(self._write, TRANSFER_SIGNATURE, 3),
+            wait=native(self._wait, WAIT_SIGNATURE, 2),
+            handle=0,
+        )
+
+    def _wait(self, handle: int, deadline_ns: int) -> int:
+        now_ns = self.clock.now_ns()
+        if now_ns in self.gone:
+            return -errno.EIO
+        if self._script and self._script[0][0] <= max(now_ns, deadline_ns):
+            self.clock.sleep_until(self._script[0][0])
+            return 1
+        if deadline_ns > now_ns:
+            self.clock.sleep_until(deadline_ns + self._late(deadline_ns))
+        return 0
+
+    def _read(self, handle: int, address: int, size: int) -> int:
+        data = self._script.pop(0)[1]
+        ctypes.memmove(address, data, len(data))
+        return len(data)
+
+    def _write(self, handle: int, address: int, size: int) -> int:
+        now_ns = self.clock.now_ns()
+        if now_ns in self.full:
+            return 0
+        self.said.append((now_ns, ctypes.string_at(address, size)))
+        return size
+
+    def states(self) -> list[m.State]:
+        """All STATE frames that left, each whole."""
+        found = [unpack(frame)[1] for frame in FrameSplitter().feed(b"".join(data for _, data in self.said))]
+        return [message for message in found if isinstance(message, m.State)]
+
+
+def conversation(commands: int) -> Said:
+    """What a host says and when: it configures, arms, answers so many STATEs; each a little after a sample."""
+
+    class Noted(MemoryLink):
+        def write(self, data: bytes) -> None:
+            script.append((self.clock.now_ns() + ANSWERED_NS, data))
+            super().write(data)
+
+    script: Said = []
+    host = Host(Noted(SimulatedDevice(RIG, position_rate_default=RATE)))
+    list(host.events(0.01))
+    host.begin()
+    for number in range(commands):
+        list(host.events(1.0))
+        host.command(number % 40 - 20)
+    return script
+
+
+def reference(script: Said, until_ns: int) -> Said:
+    """The readable device under the same words: what it says at which time."""
+    device = SimulatedDevice(RIG, position_rate_default=RATE, keep_truth=False)
+    said: Said = []
+    for at_ns, data in [*script, (until_ns, b"")]:
+        while device.next_tick_ns <= at_ns and device.next_tick_ns <= until_ns:
+            said.append((device.next_tick_ns, device.tick()))
+        if at_ns < until_ns:
+            said.append((at_ns, device.receive(data, received_at=at_ns * 2 // 125)))
+    return [(at_ns, data) for at_ns, data in said if data]
+
+
+def run(port: ScriptedPort, duration_s: float, **options: Any) -> FirmwareDevice:
+    """Let the firmware run behind a port."""
+    device = FirmwareDevice(RIG, law_maximum=0, position_rate_default=RATE, keep_truth=False)
+    BoardTime(device, port.loop_port(), threading.Event(), **options).run(duration_s)
+    return device
+
+
+def grouped(said: Said) -> Said:
+    """Bytes by the time at which they left."""
+    found: dict[int, bytes] = {}
+    for at_ns, data in said:
+        found[at_ns] = found.get(at_ns, b"") + data
+    return list(found.items())
+
+
+@pytest.mark.parametrize("most", [1, 7, 1 << 62])
+def test_it_says_the_same_bytes_at_the_same_times_as_the_readable_device(most: int) -> None:
+    script = conversation(300)
+    port = ScriptedPort(script)
+    until_ns = script[-1][0] + 5 * TICK_NS
+    device = run(port, until_ns * 1e-9, most=most)
+    assert grouped(port.said) == grouped(reference(script, until_ns))
+    assert device.state == State.RUNNING
+
+
+def test_a_process_that_is_late_now_and_then_leaves_no_tick_out_and_keeps_its_grid() -> None:
+    def late(deadline_ns: int) -> int:
+        return 5 * TICK_NS if deadline_ns // TICK_NS % 50 == 0 else 20_000
+
+    script = conversation(300)
+    port = ScriptedPort(script, late)
+    device = run(port, script[-1][0] * 1e-9)
+    states = port.states()
+    indices = [state.sample_index for state in states[-200:]]
+    assert indices == list(range(indices[0], indices[0] + 200))
+    assert states[-1].missed_ticks == 0
+    assert abs(device.elapsed_ns - port.clock.now_ns()) < 6 * TICK_NS
+
+
+def test_what_is_late_is_made_up_one_tick_at_a_time_with_room_for_an_answer() -> None:
+    script = conversation(100)
+    stopped_ns = script[-50][0] // TICK_NS * TICK_NS
+    port = ScriptedPort(script[:-50], lambda deadline_ns: 8 * TICK_NS if deadline_ns == stopped_ns else 0)
+    run(port, stopped_ns * 1e-9 + 0.02)
+    after = [at_ns for at_ns, _ in port.said if at_ns > stopped_ns]
+    assert len(after) >= 20
+    assert min(b - a for a, b in itertools.pairwise(after)) >= TICK_NS // 2
+    assert after[0] > stopped_ns + 8 * TICK_NS, "whoever stood still with it has its turn first"
+
+
+def test_a_long_pause_passes_in_neither_world() -> None:
+    pause_ns = 3600 * LONGEST_PAUSE_NS
+    port = ScriptedPort([], lambda deadline_ns: pause_ns if deadline_ns == 20 * TICK_NS else 0)
+    device = run(port, 0.1)
+    assert device.elapsed_ns <= 20 * TICK_NS
+    port = ScriptedPort([], lambda deadline_ns: pause_ns if deadline_ns == 20 * TICK_NS else 0)
+    device = run(port, pause_ns * 1e-9 + 0.1)
+    assert 90 * TICK_NS < device.elapsed_ns < 110 * TICK_NS
+
+
+def test_a_host_that_goes_is_lost_and_the_next_one_begins_with_an_empty_line() -> None:
+    script = conversation(100)
+    gone_ns = script[-1][0] + ANSWERED_NS
+    port = ScriptedPort(script)
+    port.gone = range(gone_ns, gone_ns + 100 * TICK_NS)
+    hung_up: list[int] = []
+    device = run(port, gone_ns * 1e-9 + 0.15, hung_up=lambda: hung_up.append(port.clock.now_ns()))
+    assert len(hung_up) == 1
+    assert device.fault == Fault.LINK_LOST
+    assert device.current == 0
+    assert not [at_ns for at_ns, _ in port.said if gone_ns + TICK_NS < at_ns < port.gone.stop]
+    after = [at_ns for at_ns, _ in port.said if at_ns >= port.gone.stop]
+    assert len(after) >= 40
+
+
+def test_what_nobody_reads_is_thrown_away_newest_first_and_whole() -> None:
+    script = conversation(10)
+    full_ns = script[-1][0]
+    port = ScriptedPort(script)
+    port.full = range(full_ns, full_ns + 4000 * TICK_NS)
+    run(port, full_ns * 1e-9 + 4.1)
+    at_once = next(data for at_ns, data in port.said if at_ns >= port.full.stop)
+    assert PENDING_BYTES - 100 < len(at_once) <= PENDING_BYTES
+    splitter = FrameSplitter()
+    indices = [unpack(frame)[1].sample_index for frame in splitter.feed(at_once)]
+    assert indices == list(range(indices[0], indices[0] + len(indices)))
+
+
+def test_it_stops_when_it_is_told_and_passes_on_what_has_happened() -> None:
+    port = ScriptedPort(conversation(10))
+    stop = threading.Event()
+    device = FirmwareDevice(RIG, law_maximum=0, position_rate_default=RATE, keep_truth=False)
+    told: list[int] = []
+
+    def late(deadline_ns: int) -> int:
+        if deadline_ns >= 50 * TICK_NS and not told:
+            told.append(port.clock.now_ns())
+            stop.set()
+        return 0
+
+    port._late = late
+    BoardTime(device, port.loop_port(), stop).run(None)
+    assert port.clock.now_ns() <= told[0] + 12 * TICK_NS
+    assert device.elapsed_ns >= told[0] - TICK_NS
