@@ -18,14 +18,15 @@ from rig.config import controller, presets
 from rig.control import laws
 from rig.control.friction import DEFAULT_SHARE, Compensation, around, compensated, compensation, dead_band_of
 from rig.control.law import Law
-from rig.control.step import CONTROLLER_TYPE, step
+from rig.control.step import CONTROLLER_TYPE, ControllerArguments, step
 from rig.core.errors import ConfigError
 from rig.core.sample import Phase
 from rig.experiments.hit import HitRequest, hit
-from rig.realtime.kernel import kernel
+from rig.realtime.groups import group_at, group_bytes
+from rig.realtime.kernel import kernel, prepare
 from rig.realtime.plugs import LAW_SIGNATURE
 from rig.recording.reader import open_recording
-from sim_backend.plant import DiscretePlant, advance
+from sim_backend.plant import PLANT_TYPE, DiscretePlant, PlantArguments, advance
 
 if numba.config.DISABLE_JIT:
     pytest.skip("plug points are function types of compiled code", allow_module_level=True)
@@ -101,27 +102,43 @@ def bench(law: Any, external: Any, velocity: float = 0.0, seconds: float = 1.5, 
     state = plant.at_rest(0.0)
     state[1] = velocity
     states, efforts, pushes = [], [], []
-    run = stepping()
+    keep, run, moved = stepping()
+    law_memory = np.zeros(-(-group_bytes(ControllerArguments) // 8), np.int64)
+    plant_memory = np.zeros(-(-group_bytes(PlantArguments) // 8), np.int64)
+    arguments, moving = control.arguments(), plant.arguments(state)
+    keep(law_memory.ctypes.data, plant_memory.ctypes.data, arguments, moving)
     count = plant.count(state)
     for tick in range(round(seconds * rate)):
-        run(control.arguments(), count)
+        run(law_memory.ctypes.data, count)
         push = external(tick / rate, state)
         states.append(state[:2].copy())
         efforts.append(float(control.memory["effort_sent"][0]))
         pushes.append(push)
-        count = advance(plant.arguments(state), efforts[-1], push)
+        count = moved(plant_memory.ctypes.data, efforts[-1], push)
     return np.array(states), np.array(efforts), np.array(pushes)
 
 
 @cache
 def stepping() -> Any:
-    """`rig.control.step.step` for plain Python: it is made to be inlined into compiled callers."""
+    """Tick and plant for plain Python, behind addresses: to take their groups apart costs more than they do."""
+    put_law, law_at = group_at(ControllerArguments)
+    put_plant, plant_at = group_at(PlantArguments)
 
-    @kernel(types.int64(CONTROLLER_TYPE, types.int64), cache=False)
-    def run(controller: Any, count: Any) -> Any:
-        return step(controller, count, 1.0, 1)
+    @kernel(types.void(types.int64, types.int64, CONTROLLER_TYPE, PLANT_TYPE), cache=False)
+    def keep(law: Any, plant: Any, arguments: Any, moving: Any) -> None:
+        put_law(law, arguments)
+        put_plant(plant, moving)
 
-    return run
+    @kernel(types.int64(types.int64, types.int64), cache=False, no_refcount=True)
+    def run(law: Any, count: Any) -> Any:
+        return step(law_at(law), count, 1.0, 1)
+
+    @kernel(types.int64(types.int64, types.float64, types.float64), cache=False, no_refcount=True)
+    def moved(plant: Any, effort: Any, push: Any) -> Any:
+        return advance(plant_at(plant), effort, push)
+
+    prepare(keep, run, moved)
+    return keep, run, moved
 
 
 @pytest.fixture(scope="module")
