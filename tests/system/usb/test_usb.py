@@ -14,7 +14,7 @@ import pytest
 
 from rig import config
 from rig.config import presets
-from rig.core.errors import DeviceFaultError, LinkLostError
+from rig.core.errors import DeviceFaultError, GuardError, LinkLostError
 from rig.recording.reader import open_recording
 from sim_backend.usb import HIGH_SPEED_PACKET, UsbShape
 from tests.conformance.tolerance import tolerated
@@ -161,7 +161,7 @@ def test_a_hit_from_the_command_line(rig: Bus, tmp_path: Path, url: str) -> None
         assert (
             host.returncode
             == told["error"]["exit_code"]
-            in (LinkLostError.exit_code, DeviceFaultError.exit_code)
+            in (LinkLostError.exit_code, DeviceFaultError.exit_code, GuardError.exit_code)
         ), told["error"]
         assert told["error"]["remedy"]
         tolerated(told["error"]["error"])
