@@ -137,6 +137,7 @@ UNSTABLE = Objection.EXITS | Objection.GROWS | Objection.SATURATES
 INVALID = (
     Objection(Objection.EXITS - 1) | Objection.TOUCHED_EARLY | Objection.LEFT
 )  # all before, and the last two
+MACHINE = Objection.GAPS | Objection.LATE  # faults of the computer or the link, not of the wall or the hand
 KINDS = (Kind.STABLE, Kind.LIMIT_CYCLE, Kind.UNSTABLE, Kind.INVALID)  # by the codes of `kinds`
 CRITERIA = ("felt", "heard", "any")  # what may end a Z-width, besides instability
 _EXCEEDED_BY = dict(zip(CRITERIA, (Objection.FELT, Objection.HEARD, EXCEEDED), strict=True))
@@ -226,6 +227,12 @@ class Measured:
         if self.thrown_out:
             return Kind.UNSTABLE if self.numbers["contact_s"] >= 0.0 else Kind.INVALID
         return KINDS[int(_codes(int(self.found)))]
+
+    @property
+    def by_machine(self) -> bool:
+        """Whether it is invalid because of gaps or late ticks alone: another time the same hit would say something."""
+        against = self.found & INVALID
+        return not self.thrown_out and against != 0 and not against & ~MACHINE
 
     @cached_property
     def verdict(self) -> Verdict:

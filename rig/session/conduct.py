@@ -35,6 +35,7 @@ from rig.session.directory import TRIALS, Session
 from rig.session.expected import likely_trials
 from rig.session.items import asked, parse_answer
 from rig.session.log import Event
+from rig.session.place import resume_command
 from rig.session.protocol import BLINDED, VERDICTS
 from rig.session.runner import Done, TrialRunner
 from rig.session.schedule import Block, Run
@@ -44,6 +45,7 @@ from rig.session.state import (
     DoDecide,
     DoEnd,
     DoJudge,
+    DoPause,
     DoRest,
     DoTrial,
     State,
@@ -60,6 +62,8 @@ _PHASES = {
     Phase.RELEASE: "release",
     Phase.DONE: "release",
 }
+ASKED_FOR = "the operator asked for it"  # why a session pauses, where the machine is not the cause
+MEND = "close other programs, and see `rig doctor`, which names what delays this computer and the link"
 _ALWAYS: tuple[Action, ...] = ("note", "abort")
 _ASKED = (
     GuardError,
@@ -229,8 +233,8 @@ class _Engine:
     def step(self) -> bool:
         """Do what comes next; False when the session is over or somebody left it."""
         try:
-            if self._state.paused:
-                self._pause()
+            if self._state.paused is not None:
+                self._pause(self._state.paused)
             step = self._state.next()
             match step:
                 case DoTrial(presented):
@@ -239,6 +243,8 @@ class _Engine:
                     self._judge(trial)
                 case DoRest(seconds, reason):
                     self._rest(seconds, reason)
+                case DoPause(reason):
+                    self._machine_pauses(reason)
                 case DoBlock(block):
                     self.record("block", block=block.number)
                 case DoAsk():
@@ -267,7 +273,7 @@ class _Engine:
         reply = self._ask(Question(kind="ready", text="ready?", actions=(*actions, *_ALWAYS)))
         match reply.action:
             case "pause":
-                self._pause()
+                self._pause(ASKED_FOR)
             case "skip":
                 self.record("skipped", run=presented.run)
             case "redo":
@@ -393,11 +399,23 @@ class _Engine:
             self._redo()
         return reply.action == "go"
 
-    def _pause(self) -> None:
-        if not self._state.paused:
-            self.record("paused")
+    def _machine_pauses(self, reason: str) -> None:
+        """Wait until somebody has seen to the machine; where nobody sits there, the session is left for that."""
+        if self._desk.who != "simulated":
+            self._pause(reason)
+            return
+        self.record("paused", reason=reason)
+        raise OverrunError(
+            reason,
+            remedy=f"{MEND}; then resume: {resume_command(self._session.directory, self._session.log.events)}",
+        )
+
+    def _pause(self, reason: str) -> None:
+        if self._state.paused is None:
+            self.record("paused", reason=reason)
+        text = "paused" if reason == ASKED_FOR else f"paused: {reason}; {MEND}, then continue"
         self._show("paused", say="Let go of the handle.")
-        self._ask(Question(kind="paused", text="paused", actions=("go", *_ALWAYS)))
+        self._ask(Question(kind="paused", text=text, actions=("go", *_ALWAYS)))
         self.record("continued")
 
     def _redoable(self) -> Trial | None:

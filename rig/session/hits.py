@@ -308,6 +308,7 @@ def _hit_of(left: Recorded, path: Path, heat: float) -> Hit:
         aborted=ended if ended in THREW_OUT else fault.lower() if fault in THROWN_OUT else "",
         automatic=str(verdict.kind),
         reasons=verdict.reasons,
+        by_machine=left.judgement.early is None and invalid and measured.by_machine,
         passes={criterion: None if invalid else measured.passes(criterion) for criterion in CRITERIA},
         numbers=plain({name: getattr(verdict, name) for name in NUMBERS}),
         baseline=None if free is None else plain(free),

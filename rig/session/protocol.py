@@ -228,9 +228,22 @@ class Stop:
     minutes: Annotated[float | None, Gt(0), Le(1440), Quantity("min", "after this time, rests included")] = (
         None
     )
-    invalid: Annotated[int | None, Ge(1), Le(1000), Quantity("", "after so many invalid trials in a row")] = (
-        None
-    )
+    invalid: Annotated[
+        int | None,
+        Ge(1),
+        Le(1000),
+        Quantity(
+            "", "after so many invalid trials in a row, those aside that the computer or the link spoiled"
+        ),
+    ] = None
+    machine: Annotated[
+        int,
+        Ge(1),
+        Le(1000),
+        Quantity(
+            "", "trials in a row that gaps or late ticks spoiled, before the session pauses; it does not end"
+        ),
+    ] = 5
     aborts: Annotated[
         int | None,
         Ge(1),

@@ -64,8 +64,9 @@ class SessionResult:
         Of the participant.
     ended, stopped
         Why it is over, or why it was left; None where it is not.
-    trials, counted, invalid, aborted
-        Recorded hits; those that count and were judged; invalid ones; those cut off for safety.
+    trials, counted, invalid, by_machine, aborted
+        Recorded hits; those that count and were judged; invalid ones, and how many of these the computer or the link
+        spoiled; those cut off for safety.
     blocks, blocks_done
         Of the order, practice aside, and how many of them are finished.
     resume
@@ -82,6 +83,7 @@ class SessionResult:
     trials: int
     counted: int
     invalid: int
+    by_machine: int
     aborted: int
     blocks: int
     blocks_done: int
@@ -272,6 +274,7 @@ def summary(
         trials=len(state.trials),
         counted=len(counted),
         invalid=sum(trial.invalid for trial in state.trials),
+        by_machine=sum(trial.by_machine for trial in state.trials),
         aborted=sum(bool(trial.aborted) for trial in state.trials),
         blocks=len(blocks),
         blocks_done=sum(all(state.asks(run) is None for run in block.runs) for block in blocks),

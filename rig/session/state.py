@@ -14,7 +14,7 @@ reads what the session itself went by. The kinds of events, and what each holds:
 ``retried``    run: its trials were invalid so often that somebody was asked, and continued
 ``skipped``    run: it is left without a limit
 ``note``       text, trial
-``paused``     … ``continued``
+``paused``     reason … ``continued``
 ``rested``     seconds, reason (every, block, heat)
 ``answered``   item, answer, block
 ``restarted``  block: its trials do not count
@@ -92,6 +92,13 @@ class DoRest:
 
 
 @dataclass(frozen=True, slots=True)
+class DoPause:
+    """The computer or the link spoiled so many trials in a row that the next one would most likely go the same way."""
+
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
 class DoDecide:
     """Trials of this run were invalid again and again: somebody must decide."""
 
@@ -106,7 +113,7 @@ class DoEnd:
     reason: str
 
 
-Step = DoTrial | DoJudge | DoAsk | DoBlock | DoRest | DoDecide | DoEnd
+Step = DoTrial | DoJudge | DoAsk | DoBlock | DoRest | DoPause | DoDecide | DoEnd
 
 WALKING = ("ascending", "staircase", "interleaved")  # rules that go from wall to wall
 
@@ -129,6 +136,8 @@ class State:
         Runs that were left, and runs of which a verdict was corrected or a trial left out afterwards.
     stopped
         Why the session was left, until it is resumed.
+    paused
+        Why it pauses, until somebody continues.
     ended
         Why it is over; None while it is not.
     """
@@ -148,11 +157,12 @@ class State:
     notes: list[tuple[int, str]] = field(default_factory=list)
     stopped: str | None = None
     ended: str | None = None
-    paused: bool = False
+    paused: str | None = None
     heat: float = 0.0
     active_s: float = 0.0
     _last_at: float = 0.0
     _rested: dict[str, int] = field(default_factory=dict)  # newest trial at the last rest, by reason
+    _continued: int = 0  # newest trial when somebody continued after a pause
     _retried: dict[int, int] = field(default_factory=dict)  # newest trial when a run was tried again
     _owed: dict[int, int] = field(default_factory=dict)  # redone trials that have not come again, by run
     _asked: dict[int, tuple[tuple[Answer, ...], Probe | None]] = field(default_factory=dict)
@@ -258,10 +268,10 @@ class State:
         self.notes.append((content["trial"], content["text"]))
 
     def _pause(self, content: Any) -> None:
-        self.paused = True
+        self.paused = content["reason"]
 
     def _continue(self, content: Any) -> None:
-        self.paused = False
+        self.paused, self._continued = None, self.newest
 
     def _resume(self, content: Any) -> None:
         self.stopped = None
@@ -406,6 +416,10 @@ class State:
             if between > 0.0 and self._rested.get("block") != self.newest:
                 return DoRest(between, "block")
             return DoBlock(block)
+        spoiled = _in_a_row(trial.by_machine for trial in self.trials[self._continued :])
+        if spoiled >= self.protocol.stop.machine:
+            why = "; ".join(self.trials[-1].reasons)
+            return DoPause(f"this computer or the link spoiled {spoiled} trials in a row: {why}")
         last = next((t for t in reversed(self.trials) if t.block == block.number and not t.void), None)
         if last is not None and last.invalid and last.run in [run.number for run in waiting]:
             run = next(run for run in waiting if run.number == last.run)
@@ -450,13 +464,13 @@ class State:
         return int(np.random.SeedSequence([self.seed, self.row, 2, trial]).generate_state(1)[0])
 
     def _invalid_in_a_row(self, run: Run) -> int:
-        """Invalid trials of a run in a row, since somebody last decided to continue."""
+        """Invalid trials of a run in a row, since somebody last decided to continue; the machine's aside."""
         since = self._retried.get(run.number, 0)
         count = 0
         for trial in reversed(self.trials_of(run)):
             if not trial.invalid or trial.trial <= since:
                 break
-            count += 1
+            count += not trial.by_machine
         return count
 
     def _rest_due(self) -> DoRest | None:
@@ -491,7 +505,8 @@ class State:
             return f"{stop.trials} trials"
         if stop.minutes is not None and self.active_s >= 60.0 * stop.minutes:
             return f"{stop.minutes:g} minutes"
-        if stop.invalid is not None and _in_a_row(one.invalid for one in self.trials) >= stop.invalid:
+        invalid = [one.invalid for one in self.trials if not one.by_machine]
+        if stop.invalid is not None and _in_a_row(invalid) >= stop.invalid:
             return f"{stop.invalid} invalid trials in a row"
         aborted = [one.aborted != "" for one in self.trials if not one.invalid]
         if stop.aborts is not None and _in_a_row(aborted) >= stop.aborts:

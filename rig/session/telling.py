@@ -14,6 +14,7 @@ _LINES: dict[str, str] = {
     "note": "note: {text}",
     "rested": "rested {seconds:g} s",
     "answered": "{item}: {answer}",
+    "paused": "paused: {reason}",
     "ended": "ended: {reason}",
     "amended": "event {number} corrected: {value} ({why})",
 }

@@ -66,6 +66,12 @@ class Hit:
     aborted: Annotated[str, Quantity("", "what cut the hit off for safety; empty when nothing did")]
     automatic: Annotated[str, Quantity("", "automatic verdict: stable, limit cycle, unstable, invalid")]
     reasons: Annotated[tuple[str, ...], Quantity("", "of the automatic verdict")]
+    by_machine: Annotated[
+        bool,
+        Quantity(
+            "", "whether it is invalid because of gaps or late ticks alone: of the computer, or the link"
+        ),
+    ]
     passes: Annotated[
         Mapping[str, bool | None],
         Quantity("", "whether the wall is stable under each criterion; None: invalid"),

@@ -80,7 +80,7 @@ def test_show_tells_when(study: Path, capsys: pytest.CaptureFixture[str], tmp_pa
     content = dict(read(study / "all" / "P01" / LOG)[0].content)
     with SessionLog(real / LOG, clock=iter((1.7e9, 1.7e9 + 1, 1.7e9 + 90_000)).__next__) as log:
         log.append("began", **content)
-        log.append("paused")
+        log.append("paused", reason="the operator asked for it")
         log.append("continued")
     _, out, _ = call(capsys, "show", str(real), "--log")
     dates = [line for line in out.splitlines() if line.startswith("  2023-11-1")]

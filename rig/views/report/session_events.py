@@ -61,7 +61,8 @@ def invalid_trials(study: Study) -> tuple[Deviation, ...]:
             aborted = event.content["aborted"]
             if aborted or event.content["automatic"] == Kind.INVALID:
                 why = _CUT_OFF.get(aborted, aborted.replace("_", " "))
-                what = f"cut off: {why}" if aborted else "invalid"
+                invalid = "invalid, by the machine" if event.content["by_machine"] else "invalid"
+                what = f"cut off: {why}" if aborted else invalid
                 found.append(_deviation(session, event, what, _sentence(session, event)))
     return tuple(found)
 
@@ -100,6 +101,7 @@ def _sentence(session: Session, event: Event) -> str:
         lost_trials=sum(
             one.kind == "trial" and one.content["block"] == content.get("block") for one in before
         ),
+        why_paused=next((one.content["reason"] for one in reversed(before) if one.kind == "paused"), ""),
         away_s=_away_s(session, event),
         losses=lost(event),
         reasons=_with_units(session, "; ".join(content.get("reasons", ()))),

@@ -293,7 +293,12 @@ def participants(found: Analysis) -> Table:
         "counted",
     )
     rows = [_participant(found, session) for session in found.study.sessions]
-    return Table((*head, "invalid", "redone, restarted or left out", "cut off"), rows, "Sessions", words=3)
+    return Table(
+        (*head, "invalid", "by the machine", "redone, restarted or left out", "cut off"),
+        rows,
+        "Sessions",
+        words=3,
+    )
 
 
 def _participant(found: Analysis, session: Session) -> tuple[object, ...]:
@@ -311,6 +316,7 @@ def _participant(found: Analysis, session: Session) -> tuple[object, ...]:
         len(trials),
         next(one.counted for one in found.participants if one.participant == session.code),
         sum(trial.void == "invalid" for trial in trials),
+        sum(trial.void == "invalid" and trial.by_machine for trial in trials),
         sum(trial.void in VOIDED for trial in trials),
         sum(trial.aborted != "" for trial in trials),
     )

@@ -652,6 +652,15 @@ def test_a_push_that_a_guard_ended_is_unstable_after_contact_and_says_nothing_wi
     assert [side.passes("any") for side in (thrown, lost)] == [False, None]
 
 
+def test_only_gaps_and_late_ticks_by_themselves_are_the_machines_fault() -> None:
+    calm, gone = measured(REST).numbers, measured(np.where(TIME < 0.2, 1e-3, -1e-3)).numbers
+    lost, late, both, elsewhere = (numbers.copy() for numbers in (calm, calm, gone, calm))
+    lost["gaps"], late["late_fraction"], both["gaps"], elsewhere["slew_bound_ticks"] = 1, 0.02, 1, 1
+    found = [Measured(numbers, LIMITS) for numbers in (lost, late, both, elsewhere, calm)]
+    assert [one.by_machine for one in found] == [True, True, False, False, False]
+    assert not Measured(lost, LIMITS, thrown_out=True).by_machine
+
+
 def test_a_sweep_has_the_numbers_of_the_verdict() -> None:
     position, velocity, _ = hit()
     effort = PUSH - STIFFNESS * position

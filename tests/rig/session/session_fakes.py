@@ -102,6 +102,7 @@ class FakeRunner:
             "aborted": "",
             "automatic": "stable" if stable else "limit cycle",
             "reasons": [] if stable else ["heard"],
+            "by_machine": False,
             "passes": {"felt": stable, "heard": stable, "any": stable},
             "numbers": {"heard": 0.1},
             "baseline": None,
@@ -115,6 +116,9 @@ class FakeRunner:
 
 
 INVALID = {"automatic": "invalid", "reasons": ["gaps"], "passes": {"felt": None, "heard": None, "any": None}}
+
+
+SPOILED = {**INVALID, "reasons": ["3 gaps in the samples"], "by_machine": True}
 
 
 class ScriptedDesk(Desk):

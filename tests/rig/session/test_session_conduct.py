@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from rig.config.presets import load as preset
-from rig.core.errors import ConfigError, LinkLostError, PlanError, RecordingError, StoppedError
+from rig.core.errors import ConfigError, LinkLostError, OverrunError, PlanError, RecordingError, StoppedError
 from rig.core.present import plain
 from rig.session.conduct import conduct
 from rig.session.desk import Question, Reply
@@ -24,9 +24,17 @@ from rig.session.log import Event, read
 from rig.session.protocol import Protocol
 from rig.session.rehearsal import Day, Person, RehearsalDesk
 from rig.session.run import row_of, summary
-from rig.session.state import State
+from rig.session.state import BOOKKEEPING, State
 from rig.session.telling import line_of_event
-from tests.rig.session.session_fakes import INVALID, FakeRunner, ScriptedDesk, decisions, protocol_of, study
+from tests.rig.session.session_fakes import (
+    INVALID,
+    SPOILED,
+    FakeRunner,
+    ScriptedDesk,
+    decisions,
+    protocol_of,
+    study,
+)
 
 
 @pytest.fixture(autouse=True)
@@ -659,3 +667,86 @@ def test_the_console_is_told_about_how_many_trials_there_will_be(tmp_path: Path)
     state = run_with(started(tmp_path / "P01"), FakeRunner(), desk)
     told = {view.trials for view in desk.views}
     assert all(0.5 * len(state.trials) <= number <= 3.0 * len(state.trials) for number in told)
+
+
+def spoiled(*trials: int) -> FakeRunner:
+    """A rig that loses samples in these trials."""
+    return FakeRunner(dict.fromkeys(trials, (SPOILED, None)))
+
+
+def test_what_the_machine_spoils_is_repeated_and_counts_for_no_rule(tmp_path: Path) -> None:
+    protocol = protocol_of(stop={"invalid": 2, "machine": 5}, trial={"attempts": 2})
+    runner, desk = spoiled(1, 2, 3, 4), ScriptedDesk()
+    state = run_with(started(tmp_path / "P01", protocol), runner, desk)
+    assert state.ended == "complete"
+    assert [trial.attempt for trial in state.trials[:5]] == [1, 2, 3, 4, 5]
+    assert len({stiffness for _, stiffness in runner.hits[:5]}) == 1
+    assert not [question for question in desk.questions if question.kind in ("trouble", "paused")]
+    assert (summary(tmp_path, state).invalid, summary(tmp_path, state).by_machine) == (4, 4)
+
+
+def test_the_machine_neither_counts_among_invalid_trials_nor_parts_them(tmp_path: Path) -> None:
+    runner = FakeRunner({1: (INVALID, None), 2: (SPOILED, None), 3: (INVALID, None)})
+    state = run_with(started(tmp_path / "P01", protocol_of(stop={"invalid": 2})), runner, ScriptedDesk())
+    assert (state.ended, state.newest) == ("2 invalid trials in a row", 3)
+
+
+def test_a_machine_that_spoils_one_trial_after_another_pauses_the_session(tmp_path: Path) -> None:
+    protocol, desk = protocol_of(stop={"machine": 3}), ScriptedDesk()
+    state = run_with(started(tmp_path / "P01", protocol), spoiled(2, 3, 4, 5, 6, 8, 9), desk)
+    (asked,) = [question for question in desk.questions if question.kind == "paused"]
+    assert "spoiled 3 trials in a row: 3 gaps in the samples; close other programs" in asked.text
+    assert asked.actions == ("go", "note", "abort")
+    events = read(tmp_path / "P01" / LOG)
+    at = next(number for number, event in enumerate(events) if event.kind == "paused")
+    kinds = [event.kind for event in events[at - 3 : at + 5]]
+    assert kinds == [*["trial"] * 3, "paused", "continued", *["trial"] * 3]  # counted anew from there
+    assert state.ended == "complete"
+    assert State.of(events).trials == state.trials
+
+
+@pytest.mark.parametrize("kept", ["trial", "paused", "continued"])
+def test_a_session_killed_at_such_a_pause_goes_on_like_one_that_was_not(tmp_path: Path, kept: str) -> None:
+    protocol = protocol_of(stop={"machine": 3})
+    run_with(started(tmp_path / "calm", protocol), spoiled(2, 3, 4), ScriptedDesk())
+    calm = read(tmp_path / "calm" / LOG)
+    paused = next(event.number for event in calm if event.kind == "paused")
+    last = {"trial": paused, "paused": paused + 1, "continued": paused + 2}[kept]
+    with started(tmp_path / "P01", protocol) as session:
+        for event in calm[1:last]:
+            if event.kind not in BOOKKEEPING:
+                session.record(event.kind, **event.content)
+    desk = ScriptedDesk()
+    with resume(tmp_path / "P01", clock=Day()) as session:
+        conduct(session, spoiled(2, 3, 4), desk)
+    assert decisions(read(tmp_path / "P01" / LOG)) == decisions(calm)
+    assert sum(question.kind == "paused" for question in desk.questions) == (kept != "continued")
+
+
+def test_who_leaves_at_such_a_pause_finds_it_again(tmp_path: Path) -> None:
+    protocol = protocol_of(stop={"machine": 3})
+    state = run_with(
+        started(tmp_path / "P01", protocol), spoiled(1, 2, 3), ScriptedDesk(first("paused", "abort"))
+    )
+    assert (state.stopped, state.newest) == ("the operator left", 3)
+    desk = ScriptedDesk()
+    with resume(tmp_path / "P01", clock=Day()) as session:
+        state = conduct(session, FakeRunner(), desk)
+    assert "spoiled 3 trials" in desk.questions[0].text
+    assert state.ended == "complete"
+
+
+def test_where_nobody_sits_the_session_ends_there_and_is_resumed(tmp_path: Path) -> None:
+    session, person = started(tmp_path / "P01", protocol_of(stop={"machine": 3})), Person(thresholds={})
+    assert isinstance(session.clock, Day)
+    with session, pytest.raises(OverrunError, match="spoiled 3 trials in a row: 3 gaps") as ended:
+        conduct(session, spoiled(1, 2, 3, 4), RehearsalDesk(person, session.clock))
+    assert ended.value.exit_code == 14
+    assert "rig session resume" in ended.value.remedy
+    kinds = [event.kind for event in read(tmp_path / "P01" / LOG)]
+    assert kinds[-2:] == ["paused", "stopped"]
+    with resume(tmp_path / "P01", clock=Day()) as session:
+        assert isinstance(session.clock, Day)
+        state = conduct(session, spoiled(4), RehearsalDesk(person, session.clock))
+    assert state.ended == "complete"
+    assert not state.skipped

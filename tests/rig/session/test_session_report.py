@@ -80,7 +80,7 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Any:
             one.record("note", text=NASTY, trial=5)
             one.record("redone", trial=one.state.newest)
             one.run(4)
-            one.record("paused")
+            one.record("paused", reason="the operator asked for it")
             one.now[0] += 90.0
             one.record("continued")
             one.run()

@@ -140,6 +140,7 @@ def trial_row(
         "sha256": "",
         "rows_sha256": "",
         "reasons": (),
+        "by_machine": False,
         "passes": {},
         "numbers": {},
         "baseline": None,
