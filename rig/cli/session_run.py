@@ -23,11 +23,12 @@ from rig.session.directory import LOG, event_of_trial
 from rig.session.directory import amend as amend_event
 from rig.session.hits import DeviceRunner
 from rig.session.log import DamagedLineError, set_damaged_line_aside
+from rig.session.place import last_opened
 from rig.session.rehearsal import Person
 from rig.session.run import DeskFor, SessionResult, rehearsal_desk, session_state, summary
 from rig.session.runner import TrialRunner
 from rig.session.state import State
-from rig.session.telling import line_of_event
+from rig.session.telling import line_of_event, lost_samples
 
 _VIRTUAL_S = 1e8  # since 1970: no participant sat then
 
@@ -42,6 +43,11 @@ def _device_options(command: Any) -> Any:
                 "--verified", is_flag=True, help="Signs of this real rig were checked; the handle is at zero."
             ),
             options.arm_anyway_option,
+            click.option(
+                "--lossy-anyway",
+                is_flag=True,
+                help="Begin although this computer or the link spoils nearly every trial.",
+            ),
             click.option(
                 "--hand",
                 type=click.Choice(["simulated", "mouse", "keyboard"]),
@@ -99,6 +105,7 @@ def run(
     realtime: bool,
     verified: bool,
     arm_anyway: bool,
+    lossy_anyway: bool,
     hand: str,
     plain: bool,
     lsl: bool,
@@ -126,7 +133,7 @@ def run(
         name: value for name, value in (("spread", spread), ("lapse_rate", lapse_rate)) if value is not None
     }
     person = rehearsal.Person(thresholds=_thresholds(thresholds), **known) if rehearse else None
-    runner = _runner(url, realtime or not rehearse, verified, arm_anyway)
+    runner = _runner(url, realtime or not rehearse, verified, arm_anyway, lossy_anyway)
     with Rehearsed(quiet=as_json or person is None) as seen:
         desk = _desk(person, seen, hand=hand, plain=plain)
         result = sessions.run_session(
@@ -172,6 +179,7 @@ def resume(
     realtime: bool,
     verified: bool,
     arm_anyway: bool,
+    lossy_anyway: bool,
     hand: str,
     plain: bool,
     lsl: bool,
@@ -187,7 +195,9 @@ def resume(
         found = "no line is damaged" if kept is None else f"the damaged line is in {kept} now"
         click.echo(f"rig: {found}", err=True)
     person, place = sessions.rehearsed(directory), sessions.took_place(directory)
-    runner = _runner(url or place.url, realtime or place.realtime or person is None, verified, arm_anyway)
+    runner = _runner(
+        url or place.url, realtime or place.realtime or person is None, verified, arm_anyway, lossy_anyway
+    )
     with Rehearsed(quiet=as_json or person is None) as seen:
         desk = _desk(person, seen, hand=hand, plain=plain)
         result = sessions.resume_session(
@@ -211,7 +221,7 @@ def show(directory: Path, with_log: bool, unblind: bool, as_json: bool) -> None:
             raise
         damage, events = error, list(error.events)
         state = State.of(events)
-    result = summary(directory, state, events)
+    result = summary(directory, state, events, tuple(lost_samples(last_opened(events))))
     if as_json:
         listed = [
             {
@@ -280,8 +290,12 @@ def _desk(person: Person | None, seen: Rehearsed, *, hand: str, plain: bool) -> 
     return _console(hand=hand, plain=plain) if person is None else rehearsal_desk(person, looks=seen.looks)
 
 
-def _runner(url: str | None, realtime: bool, verified: bool, arm_anyway: bool) -> TrialRunner:
-    return DeviceRunner(url=url, realtime=realtime, verified=verified, arm_anyway=arm_anyway)
+def _runner(
+    url: str | None, realtime: bool, verified: bool, arm_anyway: bool, lossy_anyway: bool
+) -> TrialRunner:
+    return DeviceRunner(
+        url=url, realtime=realtime, verified=verified, arm_anyway=arm_anyway, lossy_anyway=lossy_anyway
+    )
 
 
 def _console(*, hand: str, plain: bool) -> DeskFor:

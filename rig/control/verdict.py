@@ -230,9 +230,13 @@ class Measured:
 
     @property
     def by_machine(self) -> bool:
-        """Whether it is invalid because of gaps or late ticks alone: another time the same hit would say something."""
+        """Whether it is invalid because of gaps or late ticks alone: another time the same hit would say something.
+
+        A device whose command does not come overrules the law by itself: beside a gap that is the same fault.
+        """
         against = self.found & INVALID
-        return not self.thrown_out and against != 0 and not against & ~MACHINE
+        same = Objection.OVERRULED if against & Objection.GAPS else Objection(0)
+        return not self.thrown_out and bool(against & MACHINE) and not against & ~(MACHINE | same)
 
     @cached_property
     def verdict(self) -> Verdict:

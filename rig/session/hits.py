@@ -14,6 +14,7 @@ import numpy as np
 
 from rig import config, devices
 from rig.bench.doctor.in_effect import in_effect
+from rig.bench.doctor.pace import Pace, measured_pace
 from rig.config import Experiment
 from rig.control.verdict import CRITERIA, Kind
 from rig.core.check import Check
@@ -31,6 +32,7 @@ from rig.experiments.trial import prepared_on
 from rig.recording.data import Recording
 from rig.recording.header import host_facts
 from rig.session.arming import refusals
+from rig.session.pace import sentence
 from rig.session.place import software
 from rig.session.runner import Done, RefusedWalls, Wall, Watch
 from rig.session.trial import Hit
@@ -70,6 +72,8 @@ class DeviceRunner:
     arm_anyway
         Arm what the gate refuses, in every trial: consent for a whole session, because a search for the limit asks for
         walls that do not hold.
+    lossy_anyway
+        Begin although nearly every trial would be lost to the computer or the link.
     hand
         File through which somebody moves the simulated hand (`rig.devices.hand`); None: it plays its script.
     messages
@@ -80,12 +84,14 @@ class DeviceRunner:
     realtime: bool = False
     verified: bool = False
     arm_anyway: bool = False
+    lossy_anyway: bool = False
     hand: Path | None = None
     messages: list[str] = field(default_factory=list)
     _open: FramedDevice | None = None
     _served: tuple[RigModel, Path | None] | None = None  # model and hand of the open device
     _zero: int = 0
     _refused: tuple[RefusedWalls, ...] = ()
+    _pace: Pace | None = None
     _stack: ExitStack = field(default_factory=ExitStack)
 
     @property
@@ -115,6 +121,9 @@ class DeviceRunner:
         clock = device.exchange_clock()
         if self._refused:
             facts["armed_anyway"] = plain(self._refused)
+        if self._pace is not None:
+            said = sentence(self._pace, simulated=self.simulated)
+            facts["pace"] = {**plain(self._pace), "said": said}
         return {
             **facts,
             "device": dictionary.device,
@@ -150,6 +159,21 @@ class DeviceRunner:
             under.setdefault((wall.condition, x.wall.damping), []).append(x)
         self._refused = refusals(device, under)
         return self._refused
+
+    def pace(self, experiment: Experiment, changes: Mapping[str, Any]) -> Pace | None:
+        """What this computer and the link lose at an experiment's rate, measured on the open device; nothing moves.
+
+        Raises
+        ------
+        RigError
+            A device that does not open or answer, or scheduling that is demanded and not granted.
+        """
+        device = self._device(experiment, changes)
+        if device is None:
+            return None
+        x = in_effect(experiment, device, changes)
+        self._pace = measured_pace(device, x.host, x.controller.position_rate, x.verdict.late_fraction)
+        return self._pace
 
     def fits(self, experiment: Experiment, changes: Mapping[str, Any]) -> list[Check]:
         """Whether the device and its link carry an experiment; nothing moves.

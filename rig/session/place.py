@@ -56,6 +56,8 @@ def resume_command(directory: Path, events: Sequence[Event]) -> str:
         words.append("--verified")
     if last_opened(events).get("armed_anyway"):
         words.append("--arm-anyway")
+    if (last_opened(events).get("pace") or {}).get("refused"):
+        words.append("--lossy-anyway")
     return shlex.join(words)
 
 

@@ -27,6 +27,7 @@ from rig.session.fitting import refuse_misfit
 from rig.session.load import load_walls
 from rig.session.log import Event, read
 from rig.session.lsl.session import LslMarks
+from rig.session.pace import refuse_lossy
 from rig.session.place import (
     OTHER_DEVICE,
     Place,
@@ -153,6 +154,7 @@ def run_session(
         runner.facts(*first_wall(walls, schedule(protocol, row)))
         refuse_misfit(walls, runner)
         refuse_unarmable(walls, runner)
+        refuse_lossy(walls, runner)
         with (
             desk(protocol, mapping, runner) as somebody,
             _streams(protocol, mapping, wanted=lsl) as marks,
@@ -195,6 +197,7 @@ def resume_session(
         if not other_device and state.ended is None:
             _refuse_another_device(state, events, runner, walls)
         refuse_unarmable(walls, runner)
+        refuse_lossy(walls, runner)
         return _resumed(directory, desk, state, person, runner, walls, at, on_event, lsl=lsl)
 
 

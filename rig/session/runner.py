@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
+from rig.bench.doctor.pace import Pace
 from rig.config import Experiment
 from rig.core.check import Check
 from rig.session.trial import Hit
@@ -47,11 +48,13 @@ class TrialRunner(Protocol):
     """Where trials are run: a rig (`DeviceRunner`), or what a test puts in its place.
 
     `hand` is the file through which somebody moves the simulated hand, None while it plays its script. `arm_anyway`:
-    somebody consented to walls that the arming gate refuses.
+    somebody consented to walls that the arming gate refuses; `lossy_anyway`: to a computer or a link that loses
+    samples.
     """
 
     hand: Path | None
     arm_anyway: bool
+    lossy_anyway: bool
 
     @property
     def simulated(self) -> bool:
@@ -74,6 +77,10 @@ class TrialRunner(Protocol):
 
     def refusals(self, walls: Sequence[Wall]) -> Sequence[RefusedWalls]:
         """Which of these walls the rig does not arm without consent; see `DeviceRunner.refusals`."""
+        ...
+
+    def pace(self, experiment: Experiment, changes: Mapping[str, Any]) -> Pace | None:
+        """What this computer and the link lose at an experiment's rate, measured; None where time is virtual."""
         ...
 
     def fits(self, experiment: Experiment, changes: Mapping[str, Any]) -> Sequence[Check]:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 from rig.control.verdict import Kind
 from rig.session.log import Event
 from rig.session.trial import Trial
@@ -26,11 +29,13 @@ def line_of_event(event: Event) -> str:
         return f"trial {event.content['trial']}" + (
             ", invalid" if event.content["automatic"] == Kind.INVALID else ""
         )
-    if event.kind == "opened" and event.content.get("armed_anyway"):
-        walls = sum(len(one["stiffness"]) for one in event.content["armed_anyway"])
-        return (
-            f"opened; the arming gate refuses {walls} walls, and they are armed with the operator's consent"
-        )
+    if event.kind == "opened":
+        told = ["opened"]
+        if walls := sum(len(one["stiffness"]) for one in event.content.get("armed_anyway", ())):
+            told.append(
+                f"the arming gate refuses {walls} walls, and they are armed with the operator's consent"
+            )
+        return "; ".join([*told, *lost_samples(event.content)])
     if event.kind == "amended" and "trial" in event.content:
         value = event.content["value"]
         said = {True: "does not count", False: "counts after all"}.get(value, f"corrected: {value}")
@@ -40,6 +45,15 @@ def line_of_event(event: Event) -> str:
     if event.kind == "resumed":
         return "; ".join(["resumed", *lost(event)])
     return _LINES.get(event.kind, event.kind).format(**event.content)
+
+
+def lost_samples(opened: Mapping[str, Any]) -> list[str]:
+    """What was measured to be lost when the rig was opened (content of that event), in one sentence or none."""
+    pace = opened.get("pace") or {}
+    if not pace.get("said"):
+        return []
+    anyway = "; nearly every trial will be invalid, as the operator knows" if pace["refused"] else ""
+    return [pace["said"] + anyway]
 
 
 def lost(event: Event) -> list[str]:

@@ -12,7 +12,7 @@ from rig.control.verdict import Kind
 from rig.core.sample import unit_of
 from rig.session.analysis.study import Session, Study
 from rig.session.log import Event
-from rig.session.telling import lost
+from rig.session.telling import lost, lost_samples
 from rig.views.report.template import fill_text
 
 TEMPLATE = "session_events.j2"
@@ -39,13 +39,15 @@ class Deviation:
 def deviations(study: Study) -> tuple[Deviation, ...]:
     """Decisions and interruptions: redone, amended, restarted, skipped, tried again, stopped, resumed, ended early.
 
+    An opening of the rig is one where this computer or the link was measured to lose samples.
     Recordings that are missing or were changed stand at the end of each session.
     """
     found: list[Deviation] = []
     for session in study.sessions:
         for event in session.events:
             planned = event.kind == "ended" and event.content["reason"] == "complete"
-            if event.kind in KINDS and not planned:
+            lossy = event.kind == "opened" and bool(lost_samples(event.content))
+            if (event.kind in KINDS or lossy) and not planned:
                 found.append(_deviation(session, event, event.kind, _sentence(session, event)))
         for trial, state in session.recordings.items():
             if state in {"missing", "changed"}:
@@ -104,6 +106,7 @@ def _sentence(session: Session, event: Event) -> str:
         why_paused=next((one.content["reason"] for one in reversed(before) if one.kind == "paused"), ""),
         away_s=_away_s(session, event),
         losses=lost(event),
+        lost_samples=lost_samples(content),
         reasons=_with_units(session, "; ".join(content.get("reasons", ()))),
     )
     return " ".join(text.split())

@@ -659,6 +659,9 @@ def test_only_gaps_and_late_ticks_by_themselves_are_the_machines_fault() -> None
     found = [Measured(numbers, LIMITS) for numbers in (lost, late, both, elsewhere, calm)]
     assert [one.by_machine for one in found] == [True, True, False, False, False]
     assert not Measured(lost, LIMITS, thrown_out=True).by_machine
+    lost["overruled_ticks"], elsewhere["overruled_ticks"], elsewhere["slew_bound_ticks"] = 1, 1, 0
+    assert Measured(lost, LIMITS).by_machine  # a command that does not come is replaced by the device
+    assert not Measured(elsewhere, LIMITS).by_machine
 
 
 def test_a_sweep_has_the_numbers_of_the_verdict() -> None:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from rig.bench.doctor.pace import Pace
 from rig.config import Experiment
 from rig.core.errors import RigError
 from rig.recording.files import whole_file
@@ -57,7 +58,7 @@ class FakeRunner:
     virtual = True
     simulated = True
     hand: Path | None = None
-    arm_anyway = False
+    arm_anyway = lossy_anyway = False
     messages: tuple[str, ...] = ()
 
     def __init__(self, fails: Mapping[int, tuple[Mapping[str, Any], RigError | None]] | None = None) -> None:
@@ -70,6 +71,9 @@ class FakeRunner:
 
     def refusals(self, walls: Sequence[Wall]) -> Sequence[RefusedWalls]:
         return ()
+
+    def pace(self, experiment: Experiment, changes: Mapping[str, Any]) -> Pace | None:
+        return None
 
     def fits(self, experiment: Experiment, changes: Mapping[str, Any]) -> tuple[()]:
         return ()

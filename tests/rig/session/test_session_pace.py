@@ -1,0 +1,114 @@
+"""What a computer or a link loses: measured before a session, told, kept in its log, refused where it is hopeless."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rig.bench.doctor.pace import Pace, pace_of
+from rig.bench.doctor.round_trip import LinkMeasurement
+from rig.config import Experiment
+from rig.config.presets import load as preset
+from rig.core.errors import PlanError
+from rig.core.present import plain
+from rig.recording.quantiles import Distribution
+from rig.session.conditions import Walls
+from rig.session.log import Event
+from rig.session.pace import refuse_lossy, sentence
+from rig.session.place import resume_command
+from rig.session.telling import line_of_event
+from tests.rig.session.session_fakes import FakeRunner, protocol_of
+
+LIMIT = 0.01
+
+
+def measured(stalls_s: Mapping[int, float]) -> LinkMeasurement:
+    """Two seconds of answers in 0.3 ms at 1 kHz, but for those that take longer."""
+    travel_s = np.full(2000, 0.3e-3)
+    for place, stall in stalls_s.items():
+        travel_s[place] = stall
+    sent = np.arange(2000) * 1_000_000
+    received = sent + np.rint(1e9 * travel_s).astype(np.int64)
+    exchanges = np.column_stack([sent, sent, sent, received])
+    return LinkMeasurement(
+        url="test", virtual=False, simulated=True, duration_s=2.0, asked_rate_hz=1000.0, sent=2000, lost=0, late=0,
+        unsent=0, bad_frames=0, round_trip_s=Distribution.of(travel_s), travel_s=Distribution.of(travel_s),
+        stamps_trusted=True, bytes_to_device_per_s=0.0, bytes_to_host_per_s=0.0, capacity_bytes_per_s=None, states=0,
+        exchanges=exchanges,
+    )  # fmt: skip
+
+
+def test_a_stall_loses_the_samples_of_all_its_periods_but_one() -> None:
+    found = pace_of(measured({700: 11.2e-3}), 1000, LIMIT)
+    assert found.lost_share == 10 / 2000
+    assert (found.least_share, found.refused) == (0.0, False)  # a bad moment is not a bad machine
+    assert pace_of(measured({}), 1000, LIMIT).text == ""
+
+
+def test_the_rate_that_is_proposed_is_the_highest_that_these_answers_keep() -> None:
+    often = dict.fromkeys(range(0, 2000, 50), 3.9e-3)
+    found = pace_of(measured(often), 1000, LIMIT)
+    assert found.lost_share == 40 * 2 / 2000
+    assert found.kept_hz == 500
+    assert pace_of(measured(often), 500, LIMIT).lost_share == 0.0
+    assert sentence(found, simulated=True) == (
+        "this computer or the link loses 4 % of the samples at 1000 Hz; run at 500 Hz, or rehearse (--rehearse), or "
+        "close other programs and see `rig doctor`"
+    )
+    assert pace_of(measured({0: 0.1, 900: 0.1}), 1000, LIMIT).kept_hz is None
+
+
+def test_what_every_quarter_loses_is_refused() -> None:
+    everywhere = dict.fromkeys(range(0, 2000, 100), 4.5e-3)
+    assert pace_of(measured(everywhere), 1000, LIMIT).refused
+    but_one = {place: stall for place, stall in everywhere.items() if place >= 500}
+    assert not pace_of(measured(but_one), 1000, LIMIT).refused
+
+
+class SlowRunner(FakeRunner):
+    """A rig in real time, measured."""
+
+    virtual = False
+
+    def __init__(self, pace: Pace, *, lossy_anyway: bool = False) -> None:
+        super().__init__()
+        self.found, self.lossy_anyway = pace, lossy_anyway
+        self.rates: list[int] = []
+
+    def pace(self, experiment: Experiment, changes: Mapping[str, Any]) -> Pace | None:
+        self.rates.append(experiment.controller.position_rate)
+        return self.found
+
+
+def test_a_hopeless_session_is_refused_unless_somebody_accepts_that() -> None:
+    bad = pace_of(measured(dict.fromkeys(range(0, 2000, 100), 4.5e-3)), 1000, LIMIT)
+    walls = Walls(protocol_of(), preset("koul-rigid"))
+    with pytest.raises(PlanError, match="nearly every trial would be invalid") as refused:
+        refuse_lossy(walls, SlowRunner(bad))
+    assert "--lossy-anyway" in refused.value.remedy
+    runner = SlowRunner(bad, lossy_anyway=True)
+    refuse_lossy(walls, runner)
+    assert runner.rates == [20_000]  # the fastest of the session, once
+    refuse_lossy(walls, SlowRunner(replace(bad, least_share=0.0)))
+
+
+def test_what_was_measured_stands_in_the_log_and_is_told() -> None:
+    bad = pace_of(measured(dict.fromkeys(range(0, 2000, 100), 4.5e-3)), 1000, LIMIT)
+    opened = Event(
+        1,
+        0.0,
+        "opened",
+        {
+            "pace": {**plain(bad), "said": sentence(bad, simulated=True)},
+            "place": {"url": None, "realtime": True},
+        },
+    )
+    assert "loses 3 % of the samples at 1000 Hz; run at 500 Hz" in line_of_event(opened)
+    assert "nearly every trial will be invalid, as the operator knows" in line_of_event(opened)
+    assert resume_command(Path("P01"), [opened]).endswith("--lossy-anyway")
+    assert line_of_event(Event(1, 0.0, "opened", {"pace": None})) == "opened"
