@@ -46,6 +46,7 @@ from scipy import stats
 from rig import config
 from rig.config import controller, presets
 from rig.control import judging
+from rig.control.measure import LOST_BITS
 from rig.control.step import THROWN_OUT
 from rig.control.verdict import Kind, Measured
 from rig.core.sample import Phase, RowFlag
@@ -126,8 +127,11 @@ class World:
         self.ticks = round((1.0 + trial.baseline_s + trial.duration_s) / self.tick_s)
         self._meter = judging.meter(self.limits, self.tick_s, experiment.rig.encoder.resolution)
 
-    def hit(self, stiffness: float, delays: Delays | None = None) -> Hit:
-        """Hit a wall of this stiffness and the damping of the preset; delays are those of `ages`."""
+    def hit(self, stiffness: float, delays: Delays | None = None, *, judged: bool = False) -> Hit:
+        """Hit a wall of this stiffness and the damping of the preset; delays are those of `ages`.
+
+        What is lost or late decides only where it is `judged`.
+        """
         wall = asdict(replace(self.experiment.wall, stiffness=stiffness))
         law, plant = self._template.fresh(wall), self._plant
         trace = run_trial(
@@ -143,7 +147,9 @@ class World:
         pushed = len(seen) > 1 and seen[-2] == Phase.RELEASE
         thrown_out = bool(trace.flags[-1] & THROWN_OUT) and not pushed
         position = c["resolution"] * (trace.counts[part] - c["reference_count"])
-        side, states, flags = c["wall_side"], trace.states[part], trace.flags[part] & ~_TIMING
+        side, states, flags = c["wall_side"], trace.states[part], trace.flags[part]
+        lost = np.diff(part, prepend=part[0] - 1) - 1
+        flags = flags | lost << LOST_BITS if judged else flags & ~_TIMING
         recorded = self._meter.recorded(
             position,
             trace.currents[part] * c["effort_quantum"],
