@@ -40,6 +40,7 @@ def hit(
     controller: ControllerArguments,
     plant: PlantArguments,
     script: Script,
+    ages: Any,
     external_effort: float,
     start_units: int,
     tick_units: int,
@@ -51,10 +52,10 @@ def hit(
 ) -> int:
     """Run one trial and measure its trial phase; returns its number of ticks.
 
-    The arguments of `sim_backend.trial.run_ticks`, room for `SIGNALS` signals, the meter, and a record of
-    `rig.control.measure.NUMBERS` for what the rig records and for what is true.
+    The arguments of `sim_backend.trial.run_ticks` with every sample in time, room for `SIGNALS` signals, the meter, and
+    a record of `rig.control.measure.NUMBERS` for what the rig records and for what is true.
     """
-    ticks = run_ticks(controller, plant, script, external_effort, start_units, tick_units, trace)
+    ticks = run_ticks(controller, plant, script, ages, external_effort, start_units, tick_units, trace)
     states, counts, phases, flags = trace.states, trace.counts, trace.phases, trace.flags
     c = controller.control[0]
     # A run that filled the arrays was cut off, in homing or later: nothing of it is measured.

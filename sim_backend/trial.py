@@ -1,8 +1,10 @@
 """A whole trial in one compiled call: plant, sensors and the law, without bytes, frames or clocks.
 
-The same `rig.control.step.step`, the same `advance`, the same quantisers as the simulated device behind its link; what
-is missing is everything that can go wrong in between. Both ways therefore give the same trajectory, to the last bit,
-and a map of thousands of trials may be computed this way.
+The same `rig.control.step.step`, the same `advance`, the same quantisers as the simulated device behind its link. Both
+ways therefore give the same trajectory, to the last bit, and a map of thousands of trials may be computed this way. Of
+what can go wrong in between there is one thing: samples that come late or never (`ages`). The law then computes no
+command, and the device holds the last one; that its watchdog would end this after a command's lifetime is left to who
+asks for it.
 
 Device time appears only as the age of the last encoder edge, which the wire carries in units of 1/16 µs; it is rounded
 here as it is there.
@@ -14,9 +16,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import types
+from numpy.typing import NDArray
 
 from firmware_protocol.messages import OLDEST_EDGE, TIME_UNIT_NS
 from rig.control.step import CONTROLLER_TYPE, DONE, Controller, ControllerArguments, step
+from rig.core.sample import RowFlag
 from rig.realtime.groups import FloatRows, Ints, group, type_of
 from rig.realtime.kernel import kernel
 from sim_backend.coupled_hand import want
@@ -26,11 +30,17 @@ from sim_backend.plant import PLANT_TYPE, DiscretePlant, PlantArguments, advance
 from sim_backend.safety import UNITS_PER_SECOND
 
 NS_NUMERATOR, NS_DENOMINATOR = TIME_UNIT_NS.as_integer_ratio()
+UNSEEN = -1  # phase of a sample that the law never saw
+IN_TIME = np.zeros(0, np.int64)  # ages of samples that all come at once
+_LATE, _GAP = int(RowFlag.LATE), int(RowFlag.GAP)
 
 
 @group
 class Trace(NamedTuple):
-    """What happened in each tick: plant state at the sample, count, phase, current commanded in answer, row flags."""
+    """What happened in each tick: plant state at the sample, count, phase, current commanded in answer, row flags.
+
+    Of a sample that the law never saw the phase is `UNSEEN`, and it has no flags.
+    """
 
     states: FloatRows
     counts: Ints
@@ -50,7 +60,7 @@ class Trace(NamedTuple):
 
 
 RUN_TYPES = (
-    *(CONTROLLER_TYPE, PLANT_TYPE, type_of(Script)),
+    *(CONTROLLER_TYPE, PLANT_TYPE, type_of(Script), types.int64[::1]),
     *(types.float64, types.int64, types.int64, type_of(Trace)),
 )
 
@@ -60,34 +70,45 @@ def run_ticks(
     controller: ControllerArguments,
     plant: PlantArguments,
     script: Script,
+    ages: Ints,
     external_effort: float,
     start_units: int,
     tick_units: int,
     trace: Trace,
 ) -> int:
-    """Run until the law is done or the trace is full; returns the number of ticks.
+    """Run until the law is done or the trace is full; returns the number of ticks up to the last sample it saw.
 
-    `script` has what the hand wants; `external_effort` acts on the link all along; `start_units` and `tick_units` are
-    device time of the first sample and length of a tick (1/16 µs).
+    `script` has what the hand wants; `ages` how many ticks old the newest sample is that has reached the law in each
+    tick (0: that of the tick; behind its end all are in time), flagged as the loop would; `external_effort` acts on the
+    link all along; `start_units` and `tick_units` are device time of the first sample and length of a tick (1/16 µs).
     """
     m, state, edge_age = controller.memory[0], plant.state, plant.edge_age
     row = want(state, edge_age, script.rows, 0, script.again)
     count = advance(plant, 0.0, external_effort)
+    seen = -1
     for k in range(len(trace.counts)):
-        units = min(
-            state[edge_age] * UNITS_PER_SECOND, float(start_units + k * tick_units), float(OLDEST_EDGE)
-        )
-        edge_age_ns = int(np.rint(units)) * NS_NUMERATOR // NS_DENOMINATOR
-        current = step(controller, count, edge_age_ns * 1e-9, 1)
-        ends = m["phase"] == DONE
         for i in range(len(state)):  # a slice would be an array to count references to
             trace.states[k, i] = state[i]
         trace.counts[k] = count
-        trace.phases[k] = m["phase"]
-        trace.currents[k] = 0 if ends else current
-        trace.flags[k] = m["flags"]
-        if ends:
-            return k + 1
+        trace.phases[k], trace.flags[k] = UNSEEN, 0
+        age = ages[k] if k < len(ages) else 0
+        sample = k - age
+        if sample > seen:
+            elapsed = 1 if seen < 0 else sample - seen
+            seen = sample
+            units = min(
+                trace.states[sample, edge_age] * UNITS_PER_SECOND,
+                float(start_units + sample * tick_units),
+                float(OLDEST_EDGE),
+            )
+            edge_age_ns = int(np.rint(units)) * NS_NUMERATOR // NS_DENOMINATOR
+            current = step(controller, trace.counts[sample], edge_age_ns * 1e-9, elapsed)
+            ends = m["phase"] == DONE
+            trace.phases[sample] = m["phase"]
+            trace.currents[sample] = 0 if ends else current
+            trace.flags[sample] = m["flags"] | (_LATE if age > 1 else 0) | (_GAP if elapsed > 1 else 0)
+            if ends:
+                return sample + 1
         row = want(state, edge_age, script.rows, row, script.again)
         count = advance(plant, m["effort_sent"], external_effort)
     return len(trace.counts)
@@ -103,6 +124,7 @@ def run_trial(
     initial_velocity: float = 0.0,
     external_effort: float = 0.0,
     script: Script | None = None,
+    ages: NDArray[np.int64] = IN_TIME,
 ) -> Trace:
     """Run one trial, from rest unless a velocity is given.
 
@@ -124,6 +146,8 @@ def run_trial(
         Effort of the world on the link, all along (N·m or N).
     script
         What the hand of a held plant wants, tick by tick; without one it holds still where it is.
+    ages
+        See `run_ticks`.
     """
     script = script or Script.silent()
     if len(script.rows) and plant.hand_position is None:
@@ -133,7 +157,7 @@ def run_trial(
     for position in (plant.sensed_position, plant.handle_position, plant.hand_position):
         if position is not None:
             state[position + 1] = initial_velocity
-    arguments = run_arguments(controller, plant, state, external_effort, start_units, script)
+    arguments = run_arguments(controller, plant, state, external_effort, start_units, script, ages)
     ticks = run_ticks(*arguments, trace)
     return trace.first(ticks)
 
@@ -145,13 +169,15 @@ def run_arguments(
     external_effort: float,
     start_units: int,
     script: Script,
-) -> tuple[ControllerArguments, PlantArguments, Script, float, int, int]:
+    ages: NDArray[np.int64] = IN_TIME,
+) -> tuple[ControllerArguments, PlantArguments, Script, NDArray[np.int64], float, int, int]:
     """Arguments of `run_ticks` before the trace, in its order."""
     tick_units = round(plant.tick_s * UNITS_PER_SECOND)
     return (
         controller.arguments(),
         plant.arguments(state),
         script,
+        ages,
         external_effort,
         start_units,
         tick_units,

@@ -1,0 +1,25 @@
+"""Which sample is the newest that has reached the law: what a line with delays and losses makes of a run."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+LOST = -1
+
+
+def ages(delays: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Ages of the newest sample in each tick, as `sim_backend.trial.run_ticks` takes them.
+
+    Parameters
+    ----------
+    delays
+        Of each sample from the law's first on (ticks, 0 in time), or `LOST`. A line keeps the order: what comes behind
+        a late sample waits for it.
+    """
+    ticks = np.arange(len(delays))
+    arrivals = np.maximum.accumulate(np.where(delays == LOST, 0, ticks + delays))
+    arrived = (delays != LOST) & (arrivals < len(delays))
+    newest = np.full(len(delays), -1)
+    np.maximum.at(newest, arrivals[arrived], ticks[arrived])
+    return np.asarray(ticks - np.maximum.accumulate(newest))
