@@ -13,6 +13,7 @@ import ctypes
 import errno
 from collections.abc import Callable
 from typing import Annotated, Any, NamedTuple
+from weakref import WeakMethod
 
 import numpy as np
 from numba import types
@@ -240,8 +241,11 @@ class CompiledPort:
         Shared with the link.
     capacity
         Bytes of unread input.
-    failed
-        Called with an exception that Python raised inside the loop.
+
+    Attributes
+    ----------
+    failure
+        The first exception that Python raised inside the loop, or None.
     """
 
     def __init__(
@@ -253,15 +257,16 @@ class CompiledPort:
         progress: Any,
         arrived: Any,
         capacity: int,
-        failed: Callable[[BaseException], None],
     ) -> None:
         prepare(put, wait, read, write)
         self._device = device
         self._clock = clock
         self._origin_ns = origin_ns
         self._progress, self._arrived, self._capacity = progress, arrived, capacity
-        self._failed = failed
-        self._callback = _SERVE(self._serve)
+        self.failure: BaseException | None = None
+        # A callback that held this object would keep a run's memory until Python looks for cycles, many runs later.
+        serve = WeakMethod(self._serve)
+        self._callback = _SERVE(lambda none: found(none) if (found := serve()) is not None else _BROKEN)
         address = ctypes.cast(self._callback, ctypes.c_void_p).value
         assert address is not None
         self._address = address
@@ -313,5 +318,5 @@ class CompiledPort:
             self._progress[STALE] = 0
             return 0
         except BaseException as failure:
-            self._failed(failure)
+            self.failure = self.failure or failure
             return _BROKEN

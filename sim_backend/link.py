@@ -247,18 +247,14 @@ class MemoryLink:
         scripted = self.line is not None or self._happenings or self._levels or self._pace != _BILLION
         if scripted or not isinstance(device, FirmwareDevice | CompiledDevice):
             return None
-
-        def failed(failure: BaseException) -> None:
-            self._failure = self._failure or failure
-
+        start_ns = self._start_ns
         return CompiledPort(
             device,
             self.clock,
-            lambda: device.elapsed_ns - device.time_ns - self._start_ns,
+            lambda: device.elapsed_ns - device.time_ns - start_ns,
             progress=self._progress,
             arrived=self._arrived,
             capacity=BUFFER_BYTES,
-            failed=failed,
         )
 
     @property
@@ -305,7 +301,7 @@ class MemoryLink:
 
     def failure(self) -> BaseException | None:
         """Return the exception that the simulation raised inside the loop, or None; a scripted unplug is none."""
-        return self._failure
+        return self._failure or (None if self._compiled is None else self._compiled.failure)
 
     def truth(self) -> NDArray[np.void]:
         """Return the plant's true state in every tick of a session (`rig.core.sample.TRUTH`)."""

@@ -65,6 +65,8 @@ step = 10
 settings = {{ repeats = 1 }}
 [order]
 kind = "fixed"
+[stop]
+machine = 1000
 [[condition]]
 name = "hidden-name"
 [[question]]
@@ -100,7 +102,7 @@ def witness(device, *rest):
 trial._conclude = witness
 clock, what, path, *more = sys.argv[1:]
 if clock == "real":
-    sys.exit(rig(["session", what, path, *more, "--hand", "keyboard"]))
+    sys.exit(rig(["session", what, path, *more, "--hand", "keyboard", "--lossy-anyway"]))
 runner = DeviceRunner(url="sim://?firmware=0")  # whose hits last long enough for somebody to act in them
 if what == "run":
     result = run_session(Path(path), more[0], at_console(), runner=runner, study=Path(more[2]))

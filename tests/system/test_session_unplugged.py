@@ -101,7 +101,7 @@ def about(trial: Trial) -> tuple[Any, ...]:
 
 
 def runner_on(port: str) -> DeviceRunner:
-    return DeviceRunner(url=port, realtime=True, verified=True, arm_anyway=True)
+    return DeviceRunner(url=port, realtime=True, verified=True, arm_anyway=True, lossy_anyway=True)
 
 
 def test_a_second_session_on_the_same_rig_is_refused_and_leaves_nothing(tmp_path: Path) -> None:

@@ -108,7 +108,7 @@ def test_what_was_measured_stands_in_the_log_and_is_told() -> None:
             "place": {"url": None, "realtime": True},
         },
     )
-    assert "loses 3 % of the samples at 1000 Hz; run at 500 Hz" in line_of_event(opened)
+    assert "loses 3 % of the samples at 1000 Hz; run at 250 Hz" in line_of_event(opened)
     assert "nearly every trial will be invalid, as the operator knows" in line_of_event(opened)
     assert resume_command(Path("P01"), [opened]).endswith("--lossy-anyway")
     assert line_of_event(Event(1, 0.0, "opened", {"pace": None})) == "opened"
