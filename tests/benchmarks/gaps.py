@@ -1,29 +1,37 @@
-"""What lost samples and late ticks do to verdicts and K_max, by where in a hit they fall: limits of `[verdict]`.
+"""What lost and late samples do to a verdict: the study from which the limits of `[verdict]` for them come.
 
-    python -m tests.benchmarks.gaps            # the table in `rig/session/README.md`: some minutes on two cores
-    python -m tests.benchmarks.gaps 8          # with so many ladders a cell
+What counts as changed, and how limits follow, was written before the first result.
 
-A *ladder* is nine walls, four rungs below to four above the stiffest that passes; a rung is a ratio of 1.06, the one of
-every search. Each ladder begins within homing's tolerance of its start, and its walls are hit twice, without losses and
-with the same ticks lost in each. Its K_max is the highest rung that passes (`any`) below every failure.
+**A series** is one case (rig, scheme, damping, held or not), one encoder offset and one seed: its limit K_max is the
+highest stiffness that passes (criterion *any*, by the recorded signals) below every failure, on a ladder of rungs of
+ratio 1.06, from eight rungs below the case's K_max to eight above. A ladder has the same rungs with and without losses.
 
-What is written here was written before the first result.
+**Changed** is a series whose limit lies more than one rung (6 %) away from its limit without losses, up or down. Near
+the limit a hit is sensitive to anything, so what counts is the excess over the **control**: the same series with
+another seed, which puts the start elsewhere within the tolerance of homing (and gives a hand another tremor), as anyone
+gets who hits the same wall twice.
 
-* **A ladder changes** when its K_max moves by more than one rung. One rung is what a search resolves.
-* **A hit changes** when its kind is another one, `gaps` and `late` aside, and it is *hidden* when it then reads as
-  stable though it was not. These are told; near the limit either may come of one count more or less.
-* **The control** loses nothing: the K_max of each ladder beside that of the next ladder, begun elsewhere. What happens
-  there is how far a limit is defined at all.
-* **A cell** (rate, part of the hit, loss) pools the rigs of a rate. It is *harmless* when the share of changed ladders is
-  at most 5 %, or at most that of the control; *harmful* when the lower end of its one-sided 95 % Clopper-Pearson
-  interval is above both; else it is undecided.
-* **A limit** is the greatest loss in a part up to which no cell is harmful at any rate: the longest gap from single gaps, the
-  share from scattered losses. Of ticks and milliseconds that variable is the key under which the rates agree better (the
-  ratio of their longest harmless gaps is nearer to 1). Where a part has no harmful cell up to the device's
-  command lifetime, it has no limit: a longer gap lets the watchdog act, and a device that overrules the law makes a hit
-  invalid whatever was lost. Parts with the same limit share a key.
-* A late tick is one whose command misses the tick that it is for: the device holds the last one for one tick more.
+**Harmless** is a pattern of losses when the share of changed series exceeds that of the control by less than 5
+percentage points, at 95 % confidence (one-sided, normal approximation of the difference of two shares), over all cases
+together; and when in no case of at least 40 series the difference itself is above 15 points, lest one rig pays for the
+others.
 
-The law over a gap: no fresh STATE, no step and no command; the device holds its last command, which lives for five
-ticks, at least 3 ms; the next step is told how many ticks have passed, and a recording has no row for a lost sample.
+**Hidden** is a hit that passes as recorded while the whole truth, every tick of it, fails under *any* of heard and
+instability, which the same wall does not do without losses. Harmless patterns may not hide more, by 1 percentage point
+of all hits, than the control, which is a clean hit that passes as recorded though its truth fails.
+
+**Patterns**: one gap of n samples, in the approach (ending at most 50 ms before contact), at the impact (it begins less
+than n samples before first contact or up to 10 ms after it), while settling (from then to the tail) and at rest (in the
+tail); samples lost at random at a rate in each of these parts or everywhere; and the same with late samples: of a
+stretch of ten samples each one comes n ticks late, so that the command before holds and those after are n ticks old.
+A law that gets no sample computes no command, and the device holds the last one. After a command's lifetime (five
+periods, 3 ms at least) it ramps to zero, which is a device that overruled the law, and invalid already: no longer gap
+is in question. A release is not judged, so nothing is lost there.
+
+**The variable** of a limit (samples, velocity periods or time) is the one in which the shares of one rig at several
+rates, by length, differ least.
+
+**Limits**: of each part, the longest gap and the largest rate of losses or late ticks that are harmless, and all those
+tried below them; a rate is rounded down to the next of 1, 2, 5 · 10ⁿ. A part in which everything that was tried is
+harmless has no limit: what is lost there is counted and told.
 """
