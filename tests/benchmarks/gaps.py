@@ -67,7 +67,7 @@ from rig.core.sample import Phase
 from rig.experiments.searches import Search, drive, limit_of
 from sim_backend.operator import Script
 from sim_backend.plant import DiscretePlant
-from sim_backend.trial import UNSEEN, Trace, run_arguments, run_ticks
+from sim_backend.trial import Trace, run_arguments, run_ticks
 from tests.conformance.late_samples import LOST, ages
 
 Ints = NDArray[np.int64]
