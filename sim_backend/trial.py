@@ -79,8 +79,8 @@ def run_ticks(
     """Run until the law is done or the trace is full; returns the number of ticks up to the last sample it saw.
 
     `script` has what the hand wants; `ages` how many ticks old the newest sample is that has reached the law in each
-    tick (0: that of the tick; behind its end all are in time), flagged as the loop would; `external_effort` acts on the link all along; `start_units` and `tick_units` are
-    device time of the first sample and length of a tick (1/16 µs).
+    tick (0: that of the tick; behind its end all are in time), flagged as the loop would; `external_effort` acts on the
+    link all along; `start_units` and `tick_units` are device time of the first sample and length of a tick (1/16 µs).
     """
     m, state, edge_age = controller.memory[0], plant.state, plant.edge_age
     row = want(state, edge_age, script.rows, 0, script.again)

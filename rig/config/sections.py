@@ -375,9 +375,21 @@ class VerdictLimits:
     growth_ratio: Annotated[
         float, Gt(1), Quantity("", "unstable: amplitude of the tail's second half over its first above this")
     ] = 1.2
-    late_fraction: Annotated[float, Gt(0), Lt(1), Quantity("", "invalid: share of late ticks from this")] = (
-        0.01
-    )
+    late_fraction: Annotated[
+        float, Gt(0), Lt(1), Quantity("", "invalid: share of late ticks from the first contact on from this")
+    ] = 0.003
+    longest_gap_s: Annotated[
+        float,
+        Ge(0),
+        Le(0.02),
+        Quantity("s", "invalid: a gap in the samples, from the first contact on, above this"),
+    ] = 0.001
+    lost_fraction: Annotated[
+        float,
+        Ge(0),
+        Lt(1),
+        Quantity("", "invalid: share of samples lost from the first contact on above this"),
+    ] = 0.01
     saturated_fraction: Annotated[
         float,
         Gt(0),

@@ -14,9 +14,11 @@ from numpy.typing import NDArray
 
 from firmware_protocol.faults import LimitFlag
 from firmware_protocol.messages import NO_COMMAND_YET
-from rig.control.measure import OVERRULED, Meter
+from rig.control.measure import LOST_BITS, OVERRULED, Meter
 from rig.control.verdict import Bools, Floats, Measured, Thresholds, Verdict
 from rig.core.sample import Phase, RowFlag
+
+Ints = NDArray[np.int64]
 
 # Limit flags of the device that mean another effort than the commanded one; nearing a limit changes none.
 _OVERRULES = int(~(LimitFlag.SPEED | LimitFlag.POSITION))
@@ -38,7 +40,7 @@ class Signals:
     penetration: Floats
     saturated: Bools
     late: Bools
-    gap: Bools
+    lost: Ints  # samples lost just before each one; at the last one also what was lost between it and the release
     slew_bound: Bools
     overruled: Bools  # the device limited, ramped or withheld what the law commanded
 
@@ -51,7 +53,7 @@ def recorded_signals(rows: NDArray[np.void], tick_s: float, resolution: float) -
         velocity=None,
         effort=trial["effort_sent"].copy(),
         penetration=trial["penetration"].copy(),
-        **_shared(trial, tick_s, abs(resolution)),
+        **_shared(rows, tick_s, abs(resolution)),
     )
 
 
@@ -67,11 +69,17 @@ def true_signals(rows: NDArray[np.void], tick_s: float, wall_position: float, wa
         velocity=trial["handle_velocity_true"].copy(),
         effort=trial["effort_true"].copy(),
         penetration=wall_side * (trial["position_true"] - wall_position),
-        **_shared(trial, tick_s, 0.0),
+        **_shared(rows, tick_s, 0.0),
     )
 
 
-def _shared(trial: NDArray[np.void], tick_s: float, resolution: float) -> dict[str, Any]:
+def _shared(rows: NDArray[np.void], tick_s: float, resolution: float) -> dict[str, Any]:
+    (places,) = np.nonzero(rows["phase"] == Phase.TRIAL)
+    trial, lost_before = rows[places], np.maximum(rows["elapsed_ticks"].astype(np.int64) - 1, 0)
+    lost = lost_before[places]
+    if len(places) and places[-1] + 1 < len(rows):
+        lost[-1] += lost_before[places[-1] + 1]
+
     def flagged(flag: RowFlag) -> Bools:
         return np.asarray((trial["flags"] & int(flag)) != 0)
 
@@ -80,7 +88,7 @@ def _shared(trial: NDArray[np.void], tick_s: float, resolution: float) -> dict[s
         "resolution": resolution,
         "saturated": flagged(RowFlag.SATURATED),
         "late": flagged(RowFlag.LATE),
-        "gap": flagged(RowFlag.GAP),
+        "lost": lost,
         "slew_bound": flagged(RowFlag.SLEW_BOUND),
         "overruled": ((trial["limits"] & _OVERRULES) != 0) | (trial["command_age"] == NO_COMMAND_YET),
     }
@@ -120,11 +128,10 @@ def meter(thresholds: Thresholds, tick_s: float, resolution: float) -> Meter:
 
 def _flags(signals: Signals) -> NDArray[np.int64]:
     """Pack what is marked in a trial into bits, as the compiled measuring wants it."""
-    flags = np.zeros(len(signals.position), np.int64)
+    flags = signals.lost.astype(np.int64) << LOST_BITS
     for bit, marked in (
         (int(RowFlag.SATURATED), signals.saturated),
         (int(RowFlag.LATE), signals.late),
-        (int(RowFlag.GAP), signals.gap),
         (int(RowFlag.SLEW_BOUND), signals.slew_bound),
         (OVERRULED, signals.overruled),
     ):

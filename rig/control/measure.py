@@ -53,9 +53,12 @@ NUMBERS = np.dtype(
         ("saturated_fraction_in_tail", "<f8"),
         ("late_ticks", "<i8"),
         ("gaps", "<i8"),
+        ("lost_samples", "<i8"),
+        ("longest_gap_s", "<f8"),
+        ("lost_fraction", "<f8"),
+        ("late_fraction", "<f8"),
         ("ticks", "<i8"),
         # what else decides
-        ("late_fraction", "<f8"),
         ("slew_bound_ticks", "<i8"),
         ("overruled_ticks", "<i8"),
         ("inside_ticks_in_tail", "<i8"),
@@ -88,6 +91,7 @@ UNITS = {
     "settling_in_tail_s": "s",
     "heard_in_stay": "effort",
     "moved_in_stay": "position",
+    "longest_gap_s": "s",
 }
 
 SETTINGS = np.dtype(
@@ -106,13 +110,14 @@ SETTINGS = np.dtype(
 )
 
 FEWEST_TICKS = 8  # a trial with fewer has no numbers
-OVERRULED = (
-    1 << 32
-)  # among the flags of a tick, above those of RowFlag: the device did not do what the law said
+# Among the flags of a tick, above those of RowFlag: the device did not do what the law said, and from the next bit on
+# how many samples were lost just before.
+OVERRULED = 1 << 32
+LOST_BITS = 33
 
 # plain integers, which compiled code can take as constants
 _SATURATED, _SLEW_BOUND = int(RowFlag.SATURATED), int(RowFlag.SLEW_BOUND)
-_LATE, _GAP = int(RowFlag.LATE), int(RowFlag.GAP)
+_LATE = int(RowFlag.LATE)
 
 _REMEMBERED = 1e-9  # share of an old sample that the lead-in may leave in a filter
 _PAD_PERIODS = 3.0  # of the high pass
@@ -196,23 +201,35 @@ def _contact(effort: Floats, penetration: Floats, settings: Records, numbers: Re
 
 @kernel(types.void(_FLAGS, SETTINGS_TYPE, NUMBERS_TYPE), no_refcount=True)
 def _marks(flags: Ints, settings: Records, numbers: Records) -> None:
-    """How often each flag was set."""
+    """How often each flag was set, and what was lost, from the contact on too (`_contact` comes before)."""
     s, n = settings[0], numbers[0]
     ticks = flags.shape[0]
     begin = max(0, ticks - s["tail_ticks"])
+    contact = ticks if math.isnan(n["contact_s"]) else int(np.rint(n["contact_s"] / s["tick_s"]))
     saturated_before = saturated = late = gaps = slew_bound = overruled = 0
+    lost = lost_before = late_before = longest = 0
     for k in range(ticks):
         if k == begin:
             saturated_before = saturated
+        if k == contact:
+            lost_before, late_before = lost, late
         saturated += (flags[k] & _SATURATED) != 0
         late += (flags[k] & _LATE) != 0
-        gaps += (flags[k] & _GAP) != 0
+        gap = flags[k] >> LOST_BITS
+        gaps += gap > 0
+        lost += gap
+        if k >= contact:
+            longest = max(longest, gap)
         slew_bound += (flags[k] & _SLEW_BOUND) != 0
         overruled += (flags[k] & OVERRULED) != 0
     n["ticks"], n["tail_begins_s"] = ticks, begin * s["tick_s"]
     n["saturated_fraction"] = saturated / ticks
     n["saturated_fraction_in_tail"] = (saturated - saturated_before) / (ticks - begin)
-    n["late_ticks"], n["late_fraction"], n["gaps"] = late, late / ticks, gaps
+    n["late_ticks"], n["gaps"], n["lost_samples"] = late, gaps, lost
+    n["longest_gap_s"], n["lost_fraction"], n["late_fraction"] = longest * s["tick_s"], 0.0, 0.0
+    if contact < ticks:
+        n["late_fraction"] = (late - late_before) / (ticks - contact)
+        n["lost_fraction"] = (lost - lost_before) / (ticks - contact + lost - lost_before)
     n["slew_bound_ticks"], n["overruled_ticks"] = slew_bound, overruled
 
 
@@ -419,9 +436,10 @@ def _write_nothing(numbers: Records, ticks: int) -> None:
     n = numbers[0]
     n["felt"] = n["contact_s"] = n["impact_velocity"] = n["settling_s"] = math.nan
     n["felt_floor"] = n["heard"] = n["moved"] = n["growth"] = 0.0
-    n["exits_in_tail"] = n["exits"] = n["late_ticks"] = n["gaps"] = 0
+    n["exits_in_tail"] = n["exits"] = n["late_ticks"] = n["gaps"] = n["lost_samples"] = 0
     n["peak_penetration"] = n["resting_penetration"] = n["peak_effort"] = 0.0
-    n["saturated_fraction"] = n["saturated_fraction_in_tail"] = n["late_fraction"] = 0.0
+    n["saturated_fraction"] = n["saturated_fraction_in_tail"] = 0.0
+    n["late_fraction"] = n["lost_fraction"] = n["longest_gap_s"] = 0.0
     n["ticks"] = ticks
     n["slew_bound_ticks"] = n["overruled_ticks"] = n["inside_ticks_in_tail"] = n["stay_ticks"] = 0
     n["heard_in_stay"] = n["moved_in_stay"] = 0.0
@@ -450,7 +468,7 @@ def measure(
     position, velocity, effort, penetration
         One value for each tick (units of the rig); `velocity` may be empty and is then derived from `position`.
     flags
-        Bits of `rig.core.sample.RowFlag`, and `OVERRULED`.
+        Bits of `rig.core.sample.RowFlag`, `OVERRULED`, and samples lost just before << `LOST_BITS`.
     settings, sections, scratch
         One record of `SETTINGS`, `Filters.sections`, and at least `tail_ticks` + `pad_ticks` values to overwrite.
     numbers
@@ -503,7 +521,7 @@ class Meter:
     Notes
     -----
     Not to be shared between threads. Signals are float64 arrays of equal length, of any stride: columns of a bigger
-    array need no copy. `flags` are int64, bits of `rig.core.sample.RowFlag` and `OVERRULED`.
+    array need no copy. `flags` are int64, as `measure` takes them.
     """
 
     def __init__(

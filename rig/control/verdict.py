@@ -8,8 +8,9 @@
 
 A rig records the side of its encoder; of the truth, felt and moved are those of the handle, which a hand holds.
 
-*Invalid* is a trial without a verdict: no contact, contact in the baseline, a gap, too many late ticks, a binding slew
-limit, a device that overruled the law, or saturation without motion. *Unstable*: the wall was left in the tail, or the
+*Invalid* is a trial without a verdict: no contact, contact in the baseline, a gap too long or too many samples lost or
+late ticks from the first contact on, a binding slew limit, a device that overruled the law, or saturation without
+motion. What is lost before the contact is counted and told. *Unstable*: the wall was left in the tail, or the
 ripple grows, or the motor saturates while a threshold is exceeded. *Limit cycle*: not unstable, but felt, heard or
 moved is above its threshold. *Stable*: none of them.
 
@@ -43,6 +44,7 @@ Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Numbers = NDArray[np.void] | np.void
 
+_ROUNDING = 1.0 + 1e-9  # a gap of whole ticks is as long as its limit
 _WORDS = ("kind", "reasons")
 _MAY_BE_NONE = ("felt", "contact_s", "impact_velocity", "settling_s")
 
@@ -67,8 +69,10 @@ class Thresholds:
     heard_effort: float  # rms (N·m or N)
     moved: float  # peak-to-peak (rad or m)
     growth: float  # rms of the second half of the tail over the first
-    late_fraction: float
+    late_fraction: float  # from the first contact on, as the next two
     saturated_fraction: float
+    longest_gap_s: float
+    lost_fraction: float
     baseline_s: float = 0.0  # at the start of the trial, in which the wall must not be touched
     may_leave: bool = False  # a person hits, whose hand may leave the wall by itself
 
@@ -106,6 +110,10 @@ class Verdict:
     ]
     late_ticks: Annotated[int, Quantity("1", "ticks whose command came late")]
     gaps: Annotated[int, Quantity("1", "gaps in the samples")]
+    lost_samples: Annotated[int, Quantity("1", "samples lost in them")]
+    longest_gap_s: Annotated[float, Quantity("s", "longest gap from the first contact on")]
+    lost_fraction: Annotated[float, Quantity("1", "share of samples lost from the first contact on")]
+    late_fraction: Annotated[float, Quantity("1", "share of late ticks from the first contact on")]
     ticks: Annotated[int, Quantity("1", "ticks of the trial")]
 
 
@@ -132,6 +140,7 @@ class Objection(IntFlag):
     LEFT = 131072  # a person's hand left the calm wall in the tail, and stayed away
 
 
+MACHINE = Objection.GAPS | Objection.LATE  # faults of computer and link, not of the rig or the person
 EXCEEDED = Objection.FELT | Objection.HEARD | Objection.MOVED
 UNSTABLE = Objection.EXITS | Objection.GROWS | Objection.SATURATES
 INVALID = (
@@ -162,7 +171,11 @@ def objections(numbers: Numbers, thresholds: Thresholds) -> Any:
         (Objection.NEVER_TOUCHED, touched ^ True),
         (Objection.GONE, touched & (stayed ^ True)),
         (Objection.TOUCHED_LATE, stayed & (n["contact_s"] > n["tail_begins_s"])),
-        (Objection.GAPS, n["gaps"] > 0),
+        (
+            Objection.GAPS,
+            (n["longest_gap_s"] > thresholds.longest_gap_s * _ROUNDING)
+            | (n["lost_fraction"] > thresholds.lost_fraction),
+        ),
         (Objection.LATE, n["late_fraction"] >= thresholds.late_fraction),
         (Objection.SLEW_BOUND, n["slew_bound_ticks"] > 0),
         (Objection.OVERRULED, n["overruled_ticks"] > 0),
@@ -284,11 +297,14 @@ _TEXTS: dict[Objection, Callable[[np.void, Thresholds], str]] = {
     Objection.NEVER_TOUCHED: lambda _, __: "the wall was never touched",
     Objection.GONE: lambda _, __: "the wall was not touched in the tail",
     Objection.TOUCHED_LATE: lambda _, __: "the first contact lies in the tail",
-    Objection.GAPS: lambda n, _: (
-        f"{_times(n['gaps'], 'gap')} in the samples: the link or this computer was late"
+    Objection.GAPS: lambda n, thresholds: (
+        f"from contact on, {100 * n['lost_fraction']:.2g} % of the samples lost "
+        f"(limit {100 * thresholds.lost_fraction:.2g} %), longest gap {1e3 * n['longest_gap_s']:.3g} ms "
+        f"(limit {1e3 * thresholds.longest_gap_s:.3g} ms): the link or this computer was late"
     ),
-    Objection.LATE: lambda n, _: (
-        f"{100 * n['late_ticks'] / n['ticks']:.2g} % late ticks: close other programs, or lower the rate"
+    Objection.LATE: lambda n, thresholds: (
+        f"from contact on, {100 * n['late_fraction']:.2g} % late ticks (limit {100 * thresholds.late_fraction:.2g} %): "
+        "close other programs, or lower the rate"
     ),
     Objection.SLEW_BOUND: lambda n, _: f"the slew limit bound in {_times(n['slew_bound_ticks'], 'tick')}",
     Objection.OVERRULED: lambda n, _: (

@@ -88,7 +88,12 @@ class Judgement:
             ripple("heard (effort ripple, rms)", "heard", effort, thresholds.heard_effort),
             ripple("moved (position ripple, p-p)", "moved", position, thresholds.moved),
             Row("saturated", f"{100 * verdict.saturated_fraction:.2g} % of ticks"),
-            Row("late, gaps", f"{verdict.late_ticks} late ticks, {verdict.gaps} gaps in {verdict.ticks}"),
+            Row(
+                "late, lost",
+                f"{verdict.late_ticks} late ticks, {verdict.lost_samples} samples lost in {verdict.gaps} gaps",
+                note=f"from contact on {100 * verdict.late_fraction:.2g} % and {100 * verdict.lost_fraction:.2g} %, "
+                f"longest gap {1e3 * verdict.longest_gap_s:.3g} ms",
+            ),
         ]
 
     def _felt(self, unit: str, true: str, threshold: float) -> Row:

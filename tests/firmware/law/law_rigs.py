@@ -69,7 +69,7 @@ class Run:
             penetration=wall.side * (position - wall.position),
             saturated=(flags & RowFlag.SATURATED) != 0,
             late=none,
-            gap=none,
+            lost=np.zeros(len(none), np.int64),
             slew_bound=(flags & RowFlag.SLEW_BOUND) != 0,
             overruled=none,
         )

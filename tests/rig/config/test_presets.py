@@ -95,7 +95,7 @@ VERDICT = {
     "heard_force": 1.0,
     "moved": 1.25e-4,
     "growth_ratio": 1.2,
-    "late_fraction": 0.01,
+    "late_fraction": 0.003,
     "saturated_fraction": 0.01,
 }
 

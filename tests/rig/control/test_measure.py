@@ -17,7 +17,7 @@ from rig import config
 from rig.config import controller, presets
 from rig.control import measure
 from rig.control.judging import meter
-from rig.control.measure import FEWEST_TICKS, NUMBERS, OVERRULED, filters, toggling_floor
+from rig.control.measure import FEWEST_TICKS, LOST_BITS, NUMBERS, OVERRULED, filters, toggling_floor
 from rig.control.median import median
 from rig.control.verdict import Thresholds, Verdict
 from rig.core.sample import Phase, RowFlag
@@ -35,6 +35,8 @@ LIMITS = Thresholds(
     moved=1.25e-3,
     growth=1.2,
     late_fraction=0.01,
+    longest_gap_s=0.001,
+    lost_fraction=0.003,
     saturated_fraction=0.01,
 )
 TIME = np.arange(RATE) / RATE
@@ -415,15 +417,35 @@ def test_flags_are_counted_in_the_trial_and_in_its_tail() -> None:
     flags = np.zeros(RATE, np.int64)
     flags[[0, 5, -1]] |= int(RowFlag.SATURATED | RowFlag.INSIDE)
     flags[3:303] |= int(RowFlag.LATE)
-    flags[7:9] |= int(RowFlag.GAP)
     flags[-4:] |= int(RowFlag.SLEW_BOUND)
     flags[-5:] |= OVERRULED
     numbers = meter(LIMITS, 1.0 / RATE, DELTA).recorded(QUIET, QUIET, QUIET, flags)
     assert numbers["saturated_fraction"] == 3 / RATE
     assert numbers["saturated_fraction_in_tail"] == 1 / 8_000
-    assert (numbers["late_ticks"], numbers["late_fraction"], numbers["gaps"]) == (300, 0.015, 2)
+    assert (numbers["late_ticks"], numbers["late_fraction"]) == (300, 0.0), "the wall was not touched"
     assert (numbers["slew_bound_ticks"], numbers["overruled_ticks"]) == (4, 5)
     assert not any(OVERRULED & flag for flag in RowFlag)
+
+
+@given(
+    contact=st.integers(0, 120),
+    lost=st.lists(st.integers(0, 3), min_size=100, max_size=100),
+    late=st.lists(st.booleans(), min_size=100, max_size=100),
+)
+def test_what_was_lost_is_counted_in_all_and_from_the_first_contact_on(
+    contact: int, lost: Any, late: Any
+) -> None:
+    lost, late = np.array(lost), np.array(late)
+    flags = (lost << LOST_BITS) | int(RowFlag.LATE) * late | OVERRULED
+    penetration = np.where(np.arange(100) >= contact, 1.0, -1.0)
+    zeros = np.zeros(100)
+    n = meter(LIMITS, 1.0 / RATE, DELTA).recorded(zeros, zeros, penetration, flags)
+    assert (n["gaps"], n["lost_samples"], n["late_ticks"]) == ((lost > 0).sum(), lost.sum(), late.sum())
+    assert n["overruled_ticks"] == 100
+    after, late_after = lost[contact:], late[contact:]
+    assert n["longest_gap_s"] == pytest.approx(after.max(initial=0) / RATE)
+    assert n["lost_fraction"] == pytest.approx(after.sum() / max(1, len(after) + after.sum()))
+    assert n["late_fraction"] == pytest.approx(late_after.sum() / max(1, len(after)))
 
 
 def test_every_number_of_a_verdict_is_measured() -> None:

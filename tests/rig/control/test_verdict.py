@@ -16,7 +16,18 @@ from hypothesis import strategies as st
 
 from rig.control.judging import Signals, judge, meter, recorded_signals, true_signals
 from rig.control.measure import NUMBERS
-from rig.control.verdict import CRITERIA, KINDS, Kind, Measured, Thresholds, decide, kinds
+from rig.control.verdict import (
+    CRITERIA,
+    INVALID,
+    KINDS,
+    MACHINE,
+    Kind,
+    Measured,
+    Objection,
+    Thresholds,
+    decide,
+    kinds,
+)
 from rig.core.present import plain
 from rig.core.sample import ROW, TRUTH_COLUMNS, Phase, RowFlag
 
@@ -32,6 +43,8 @@ LIMITS = Thresholds(
     moved=1.25e-3,
     growth=1.2,
     late_fraction=0.01,
+    longest_gap_s=0.001,
+    lost_fraction=0.003,
     saturated_fraction=0.01,
 )
 TIME = np.arange(RATE) * T
@@ -50,7 +63,8 @@ def signals(
     """A trial of 1 s against a wall at zero; without anything else said a calm one."""
     position = np.asarray(position, dtype=float)
     nothing = np.zeros(len(position), bool)
-    quiet = dict.fromkeys(("saturated", "late", "gap", "slew_bound", "overruled"), nothing)
+    quiet = dict.fromkeys(("saturated", "late", "slew_bound", "overruled"), nothing)
+    quiet["lost"] = np.zeros(len(position), np.int64)
     return Signals(
         tick_s=T,
         resolution=resolution,
@@ -195,11 +209,43 @@ def test_a_handle_that_was_thrown_out_and_stays_out_is_not_called_stable() -> No
     assert verdict.reasons == ("the wall was not touched in the tail",)
 
 
-def test_one_gap_spoils_a_trial() -> None:
-    assert judge(signals(REST, gap=first(1)), LIMITS).kind is Kind.INVALID
-    verdict = judge(signals(REST, gap=first(3)), LIMITS)
-    assert verdict.gaps == 3
-    assert verdict.reasons == ("3 gaps in the samples: the link or this computer was late",)
+def lost(gaps: dict[int, int]) -> np.ndarray:
+    """Samples lost before each, by place."""
+    made = np.zeros(RATE, np.int64)
+    made[list(gaps)] = list(gaps.values())
+    return made
+
+
+HIT = np.where(TIME < 0.2, -1e-3, 1e-3)  # touches at sample 4000
+
+
+@pytest.mark.parametrize("place", [4000, 6000, -1], ids=["contact", "settling", "last"])
+def test_a_gap_from_the_contact_on_spoils_a_trial_when_it_is_too_long(place: int) -> None:
+    assert judge(signals(HIT, lost=lost({place: 20})), LIMITS).kind is Kind.STABLE
+    verdict = judge(signals(HIT, lost=lost({place: 21})), LIMITS)
+    assert verdict.kind is Kind.INVALID
+    assert (verdict.gaps, verdict.lost_samples) == (1, 21)
+    (reason,) = verdict.reasons
+    assert "from contact on" in reason
+    assert "longest gap 1.05 ms (limit 1 ms)" in reason
+
+
+def test_a_trial_is_spoiled_by_too_many_short_gaps_after_the_contact() -> None:
+    few, many = (lost(dict.fromkeys(range(4000, 4000 + 2 * n, 2), 1)) for n in (48, 49))
+    assert judge(signals(HIT, lost=few), LIMITS).kind is Kind.STABLE
+    assert judge(signals(HIT, lost=many), LIMITS).kind is Kind.INVALID
+
+
+def test_what_is_lost_in_free_space_is_counted_and_told() -> None:
+    verdict = judge(signals(HIT, lost=lost({10: 500, 3999: 30}), late=TIME < 0.19), LIMITS)
+    assert verdict.kind is Kind.STABLE
+    assert (verdict.gaps, verdict.lost_samples, verdict.late_ticks) == (2, 530, 3800)
+    assert verdict.longest_gap_s == verdict.lost_fraction == verdict.late_fraction == 0.0
+
+
+def test_machine_faults_are_those_of_computer_and_link() -> None:
+    assert MACHINE == Objection.GAPS | Objection.LATE
+    assert MACHINE & INVALID == MACHINE
 
 
 @pytest.mark.parametrize(("late", "kind"), [(199, Kind.STABLE), (200, Kind.INVALID)])
@@ -243,7 +289,7 @@ def test_saturation_in_the_tail_is_unstable_with_ripple_and_invalid_without(
 
 
 def test_what_spoils_a_trial_outweighs_what_it_shows() -> None:
-    verdict = judge(signals(5e-3 + ripple(4e-3), gap=first(1)), LIMITS)
+    verdict = judge(signals(5e-3 + ripple(4e-3), lost=lost({-1: 30})), LIMITS)
     assert verdict.kind is Kind.INVALID
 
 
@@ -468,6 +514,7 @@ def rows(truth: bool = False) -> np.ndarray:
     made["phase"] = [Phase.SETTLE, Phase.TRIAL, Phase.TRIAL, Phase.TRIAL, Phase.RELEASE]
     made["position"] = made["penetration"] = [9, 1, 2, 3, 9]
     made["effort_sent"] = [9, 4, 5, 6, 9]
+    made["elapsed_ticks"] = [1, 1, 1, 3, 4]
     made["flags"] = [
         0,
         RowFlag.SATURATED | RowFlag.INSIDE,
@@ -486,7 +533,8 @@ def test_only_the_trial_itself_is_judged_and_from_what_a_rig_records() -> None:
     assert s.effort.tolist() == [4, 5, 6]
     assert s.saturated.tolist() == [True, False, False]
     assert s.late.tolist() == [False, True, False]
-    assert s.gap.tolist() == s.slew_bound.tolist() == [False, False, True]
+    assert s.slew_bound.tolist() == [False, False, True]
+    assert s.lost.tolist() == [0, 0, 2 + 3], "with those lost between the trial and its release"
 
 
 def test_the_truth_is_that_of_the_handle_and_its_penetration_that_of_the_side_that_the_law_sees() -> None:
@@ -501,7 +549,7 @@ def test_the_truth_is_that_of_the_handle_and_its_penetration_that_of_the_side_th
     assert s.penetration == pytest.approx([0.15, 0.05, -0.05])
     assert s.velocity.tolist() == [1, 2, 3]
     assert s.effort.tolist() == [7, 8, 9]
-    assert s.gap.tolist() == [False, False, True]
+    assert s.lost.tolist() == [0, 0, 5]
 
 
 def test_a_verdict_is_plain_data() -> None:
@@ -535,7 +583,8 @@ def numbers_of_trials(draw: Any) -> np.ndarray:
         "settling_in_tail_s": (0.0, 0.1),
         "saturated_fraction_in_tail": (0.0, 0.01, 0.011),
         "late_fraction": (0.0, 0.0099, 0.01),
-        "gaps": (0, 1),
+        "longest_gap_s": (0.0, LIMITS.longest_gap_s, 2.0 * LIMITS.longest_gap_s),
+        "lost_fraction": (0.0, LIMITS.lost_fraction, 1.1 * LIMITS.lost_fraction),
         "slew_bound_ticks": (0, 2),
         "overruled_ticks": (0, 2),
     }
@@ -559,7 +608,8 @@ def kind_in_words(n: np.void) -> Kind:
     exceeded = n["felt"] > 0.05 or n["heard"] > 0.10 or n["moved"] > 1.25e-3
     if n["ticks"] < 8 or math.isnan(n["contact_s"]) or n["inside_ticks_in_tail"] == 0:
         return Kind.INVALID
-    if n["contact_s"] > n["tail_begins_s"] or n["gaps"] or n["late_fraction"] >= 0.01:
+    lost = n["longest_gap_s"] > LIMITS.longest_gap_s or n["lost_fraction"] > LIMITS.lost_fraction
+    if n["contact_s"] > n["tail_begins_s"] or lost or n["late_fraction"] >= 0.01:
         return Kind.INVALID
     if n["slew_bound_ticks"] or n["overruled_ticks"] or (saturates and not exceeded):
         return Kind.INVALID
@@ -595,7 +645,8 @@ def test_a_wall_fails_that_is_unstable_or_exceeds_the_criterion_and_a_spoilt_tri
             not record["contact_s"] >= 0.0
             or (record["inside_ticks_in_tail"] > 0 and record["contact_s"] > record["tail_begins_s"])
             or math.isnan(record["tail_begins_s"])
-            or record["gaps"] > 0
+            or record["longest_gap_s"] > LIMITS.longest_gap_s
+            or record["lost_fraction"] > LIMITS.lost_fraction
             or record["late_fraction"] >= LIMITS.late_fraction
             or record["slew_bound_ticks"] > 0
             or record["overruled_ticks"] > 0
