@@ -95,6 +95,7 @@ class Case:
     scheme: str
     damping: float
     held: bool = False
+    delay: int = 0  # ticks by which every command comes later, as over a port
 
     @property
     def text(self) -> str:
@@ -210,6 +211,7 @@ class SeriesRig:
             "wall.damping": case.damping,
             "rig.encoder.offset": offset,
             "trial.seed": seed,
+            "rig.simulation.computation_delay_ticks": case.delay,
             "verdict.lowpass_hz": min(400.0, 0.4 * case.rate),
         }
         if case.held:
@@ -407,17 +409,19 @@ def main(arguments: Sequence[str]) -> None:
     """Run the study and print its tables."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--series", type=int, default=SERIES, help="series of each case")
-    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--delay", type=int, default=0, help="ticks by which every command comes later")
+    parser.add_argument("--rate", type=int, help="only cases of this position rate (Hz)")
     given = parser.parse_args(arguments)
+    cases = [replace(case, delay=given.delay) for case in CASES if given.rate in (None, case.rate)]
     began, found = time.monotonic(), defaultdict[tuple[Case, Pattern], list[Changes]](list)
-    with ProcessPoolExecutor(given.workers) as pool:
-        middles = list(pool.map(middle, CASES))
-        for case, stiffness in zip(CASES, middles, strict=True):
+    with ProcessPoolExecutor(2) as pool:
+        middles = list(pool.map(middle, cases))
+        for case, stiffness in zip(cases, middles, strict=True):
             print(f"K_max {stiffness:9.4g}  {case.text}", file=sys.stderr)
         runs = [
             pool.submit(series, case, number, stiffness)
             for number in range(given.series)
-            for case, stiffness in zip(CASES, middles, strict=True)
+            for case, stiffness in zip(cases, middles, strict=True)
         ]
         for done, run in enumerate(as_completed(runs), 1):
             for one in run.result():
@@ -425,7 +429,7 @@ def main(arguments: Sequence[str]) -> None:
             print(f"\r{done} of {len(runs)}, {time.monotonic() - began:.0f} s", end="", file=sys.stderr)
     print(file=sys.stderr)
     table(found, "all", lambda _: True)
-    for rate in sorted({case.rate for case in CASES}):
+    for rate in sorted({case.rate for case in cases}):
         table(found, f"{rate} Hz", lambda case, rate=rate: case.rate == rate)
     table(found, "held by a hand", lambda case: case.held)
 
