@@ -46,7 +46,7 @@ import math
 import sys
 import time
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
@@ -61,6 +61,7 @@ from rig.config import controller, presets
 from rig.config.controller import command_lifetime_s
 from rig.config.schemes import Scheme
 from rig.control import judging
+from rig.control.measure import LOST_BITS
 from rig.control.step import DONE, THROWN_OUT, TRIAL
 from rig.control.verdict import Measured
 from rig.core.sample import Phase
@@ -82,9 +83,16 @@ STRETCH, LATE_BY = 10, 2
 PLACES = ("approach", "impact", "settling", "rest")
 PARTS = ("approach", "contact", "rest", "everywhere")
 APPROACH_S, IMPACT_S = 0.050, 0.010
-FEWEST, WORSE, WORST, SURE = 20, 0.05, 0.25, 1.645  # shares of series; one-sided 95 %
+FEWEST, WORSE, WORST, HIDDEN, SURE = (
+    20,
+    0.05,
+    0.25,
+    0.01,
+    1.645,
+)  # shares of series and of hits; one-sided 95 %
 CRITERION = "any"
 LADDERS = {"koul": (10.0, 6000.0), "chawda": (1000.0, 3e6)}  # where the K_max of a case is looked for
+NO_DELAYS = np.zeros(0, np.int64)
 
 
 @dataclass(frozen=True)
@@ -200,9 +208,6 @@ class Span:
         return delays
 
 
-NO_DELAYS = np.zeros(0, np.int64)
-
-
 class SeriesRig:
     """One rig at one encoder offset with one seed: hit with and without losses, measured as recorded and as true."""
 
@@ -225,6 +230,7 @@ class SeriesRig:
         model = config.rig_model(experiment)
         quantum = experiment.rig.amplifier.current_quantum_a
         self.wall, self.limits = experiment.wall, config.verdict_thresholds(experiment)
+        self.unlimited = replace(self.limits, longest_gap=1 << 62, lost_fraction=1.0, late_fraction=2.0)
         self.template = controller.for_experiment(experiment, current_quantum_a=quantum)
         self.plant = _plant(model, self.tick_s)
         self.meter = judging.meter(self.limits, self.tick_s, experiment.rig.encoder.resolution)
@@ -234,8 +240,8 @@ class SeriesRig:
         longest_s = homing.settle_s + 0.5 + trial.baseline_s + trial.duration_s
         self.trace = Trace.empty(round(longest_s / self.tick_s) + 2, self.plant)
 
-    def hit(self, stiffness: float, delays: Ints) -> tuple[Measured, Measured]:
-        """Hit a wall; gaps and late ticks do not count against it here."""
+    def hit(self, stiffness: float, delays: Ints, *, judged: bool = False) -> tuple[Measured, Measured]:
+        """Hit a wall: what is recorded, and the whole truth; gaps and late ticks spoil neither unless judged."""
         wall = asdict(replace(self.wall, stiffness=stiffness))
         law, plant, trace = self.template.fresh(wall), self.plant, self.trace
         late = ages(delays) if len(delays) else NO_DELAYS
@@ -248,11 +254,12 @@ class SeriesRig:
             seen = seen[:0]
         whole = slice(seen[0], seen[-1] + 1) if len(seen) else slice(0, 0)
         position = c["resolution"] * (trace.counts[seen] - c["reference_count"])
+        lost = np.diff(seen, prepend=seen[:1] - 1) - 1
         recorded = self.meter.recorded(
             position,
             trace.currents[seen] * c["effort_quantum"],
             c["wall_side"] * (position - c["wall_position"]),
-            trace.flags[seen],
+            trace.flags[seen] | lost << LOST_BITS,
         )
         states = trace.states[whole]
         true = self.meter.true(
@@ -263,9 +270,8 @@ class SeriesRig:
             trace.flags[whole],
         )
         thrown_out = bool(trace.flags[ticks - 1] & THROWN_OUT) and not (phases == Phase.RELEASE).any()
-        for numbers in (recorded, true):
-            numbers["gaps"], numbers["late_fraction"] = 0, 0.0
-        return Measured(recorded, self.limits, thrown_out), Measured(true, self.limits, thrown_out)
+        limits = self.limits if judged else self.unlimited
+        return Measured(recorded, limits, thrown_out), Measured(true, limits, thrown_out)
 
     def span(self, stiffness: float) -> Span | None:
         """Where the parts of a hit begin; None when the wall is never reached, or the run ends early."""
@@ -296,7 +302,9 @@ class Changes:
 
 
 def series(case: Case, number: int, middle: float) -> list[Changes]:
-    """One series under every pattern."""
+    """One series under every pattern; nothing for a case without a stable wall."""
+    if middle == 0.0:
+        return []
     offset = (number % OFFSETS + 0.5) / OFFSETS
     rig = SeriesRig(case, offset, number)
     rungs = [middle * RUNG**step for step in range(-BELOW, ABOVE + 1)]
@@ -359,6 +367,8 @@ def changed(found: Sequence[Changes]) -> tuple[int, int]:
 def excess(found: Group, pattern: Pattern) -> tuple[float, float, float, str, int]:
     """Share above that of the control over the same cases, its upper bound, the worst case's, which, and series."""
     cases = [case for case, one in found if one == pattern]
+    if not cases:
+        return math.nan, math.nan, math.nan, "", 0
     struck = [changed(found[case, pattern]) for case in cases]
     control = [changed(found[case, CONTROL]) for case in cases]
     (x, n), (c, m) = np.sum(struck, axis=0), np.sum(control, axis=0)
@@ -384,24 +394,39 @@ def hides(found: Group, pattern: Pattern) -> float:
     return share(pattern) - share(CONTROL)
 
 
-def table(found: Group, title: str, keep: Any) -> None:
-    """Print a row for each pattern over the cases that are kept."""
-    kept = {key: value for key, value in found.items() if keep(key[0])}
-    if not kept:
-        return
-    x, n = np.sum([changed(v) for (_, pattern), v in kept.items() if pattern == CONTROL], axis=0)
-    print(f"\n## {title}: control changed {x} of {n} series\n")
-    print(
-        "| pattern | part | amount | changed above control | 95 % below | worst case | hidden | harmless | |"
+def table(found: Group) -> None:
+    """Print a row for each pattern: what it changes beyond the control, at each rate and over all cases."""
+    rates = sorted({case.rate for case, _ in found})
+
+    def of(keep: Callable[[Case], bool]) -> Group:
+        return {key: value for key, value in found.items() if keep(key[0])}
+
+    groups = [of(lambda case, rate=rate: case.rate == rate) for rate in rates]  # type: ignore[misc]
+    named = [*(f"{rate:g} Hz" for rate in rates), "held"]
+    groups.append(of(lambda case: case.held))
+    print("| | | |", " | ".join(named), "| all | at most | worst case | hidden | harmless |")
+    print("|---|---|--:" + "|--:" * (len(named) + 4) + "|---|")
+    shares = (
+        sum((np.array(changed(v)) for (_, one), v in group.items() if one == CONTROL), start=np.zeros(2))
+        for group in (*groups, found)
     )
-    print("|---|---|--:|--:|--:|--:|--:|---|---|")
-    for pattern in sorted({one for _, one in kept} - {CONTROL}):
-        more, upper, worst, where, n = excess(kept, pattern)
-        hidden = hides(kept, pattern)
-        harmless = upper < WORSE and not worst > WORST and hidden < 0.01
+    print("| control | | |", " | ".join(f"{x:g} of {n:g}" for x, n in shares), "| | | | |")
+    for pattern in sorted({one for _, one in found} - {CONTROL}):
+        more, upper, worst, _, series_of_all = excess(found, pattern)
+        if not series_of_all:
+            continue
+        cells = []
+        for group in groups:
+            here = excess(group, pattern)
+            cells.append(f"{100 * here[0]:+.0f} %" if here[4] else "")
+        hidden = hides(found, pattern)
+        harmless = upper < WORSE and not worst > WORST and hidden < HIDDEN
+        amount = f"{pattern.amount:g}" if pattern.amount >= 1.0 else f"{100 * pattern.amount:g} %"
         print(
-            f"| {pattern.kind} | {pattern.part} | {pattern.amount:g} | {100 * more:+.1f} % | {100 * upper:.1f} % | "
-            f"{100 * worst:+.0f} % | {100 * hidden:+.2f} % | {'yes' if harmless else 'no'} | {where} ({n}) |"
+            f"| {pattern.kind} | {pattern.part} | {amount} |",
+            " | ".join(cells),
+            f"| {100 * more:+.1f} % | {100 * upper:.1f} % | {100 * worst:+.0f} % | {100 * hidden:+.2f} % "
+            f"| {'yes' if harmless else '**no**'} |",
         )
 
 
@@ -428,10 +453,7 @@ def main(arguments: Sequence[str]) -> None:
                 found[one.case, one.pattern].append(one)
             print(f"\r{done} of {len(runs)}, {time.monotonic() - began:.0f} s", end="", file=sys.stderr)
     print(file=sys.stderr)
-    table(found, "all", lambda _: True)
-    for rate in sorted({case.rate for case in cases}):
-        table(found, f"{rate} Hz", lambda case, rate=rate: case.rate == rate)
-    table(found, "held by a hand", lambda case: case.held)
+    table(found)
 
 
 if __name__ == "__main__":
