@@ -126,7 +126,7 @@ def verdict_thresholds(experiment: Experiment) -> Thresholds:
         growth=given.growth_ratio,
         late_fraction=given.late_fraction,
         saturated_fraction=given.saturated_fraction,
-        longest_gap_s=given.longest_gap_s,
+        longest_gap=given.longest_gap,
         lost_fraction=given.lost_fraction,
         baseline_s=experiment.trial.baseline_s,
         may_leave=experiment.trial.kind == "human",

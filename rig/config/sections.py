@@ -378,12 +378,12 @@ class VerdictLimits:
     late_fraction: Annotated[
         float, Gt(0), Lt(1), Quantity("", "invalid: share of late ticks from the first contact on from this")
     ] = 0.003
-    longest_gap_s: Annotated[
-        float,
+    longest_gap: Annotated[
+        int,
         Ge(0),
-        Le(0.02),
-        Quantity("s", "invalid: a gap in the samples, from the first contact on, above this"),
-    ] = 0.001
+        Le(1000),
+        Quantity("sample", "invalid: more samples lost in a row, from the first contact on"),
+    ] = 2
     lost_fraction: Annotated[
         float,
         Ge(0),

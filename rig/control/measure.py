@@ -54,7 +54,7 @@ NUMBERS = np.dtype(
         ("late_ticks", "<i8"),
         ("gaps", "<i8"),
         ("lost_samples", "<i8"),
-        ("longest_gap_s", "<f8"),
+        ("longest_gap", "<i8"),
         ("lost_fraction", "<f8"),
         ("late_fraction", "<f8"),
         ("ticks", "<i8"),
@@ -91,7 +91,6 @@ UNITS = {
     "settling_in_tail_s": "s",
     "heard_in_stay": "effort",
     "moved_in_stay": "position",
-    "longest_gap_s": "s",
 }
 
 SETTINGS = np.dtype(
@@ -226,7 +225,7 @@ def _marks(flags: Ints, settings: Records, numbers: Records) -> None:
     n["saturated_fraction"] = saturated / ticks
     n["saturated_fraction_in_tail"] = (saturated - saturated_before) / (ticks - begin)
     n["late_ticks"], n["gaps"], n["lost_samples"] = late, gaps, lost
-    n["longest_gap_s"], n["lost_fraction"], n["late_fraction"] = longest * s["tick_s"], 0.0, 0.0
+    n["longest_gap"], n["lost_fraction"], n["late_fraction"] = longest, 0.0, 0.0
     if contact < ticks:
         n["late_fraction"] = (late - late_before) / (ticks - contact)
         n["lost_fraction"] = (lost - lost_before) / (ticks - contact + lost - lost_before)
@@ -436,10 +435,10 @@ def _write_nothing(numbers: Records, ticks: int) -> None:
     n = numbers[0]
     n["felt"] = n["contact_s"] = n["impact_velocity"] = n["settling_s"] = math.nan
     n["felt_floor"] = n["heard"] = n["moved"] = n["growth"] = 0.0
-    n["exits_in_tail"] = n["exits"] = n["late_ticks"] = n["gaps"] = n["lost_samples"] = 0
+    n["exits_in_tail"] = n["exits"] = n["late_ticks"] = n["gaps"] = n["lost_samples"] = n["longest_gap"] = 0
     n["peak_penetration"] = n["resting_penetration"] = n["peak_effort"] = 0.0
     n["saturated_fraction"] = n["saturated_fraction_in_tail"] = 0.0
-    n["late_fraction"] = n["lost_fraction"] = n["longest_gap_s"] = 0.0
+    n["late_fraction"] = n["lost_fraction"] = 0.0
     n["ticks"] = ticks
     n["slew_bound_ticks"] = n["overruled_ticks"] = n["inside_ticks_in_tail"] = n["stay_ticks"] = 0
     n["heard_in_stay"] = n["moved_in_stay"] = 0.0

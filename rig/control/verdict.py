@@ -44,7 +44,6 @@ Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Numbers = NDArray[np.void] | np.void
 
-_ROUNDING = 1.0 + 1e-9  # a gap of whole ticks is as long as its limit
 _WORDS = ("kind", "reasons")
 _MAY_BE_NONE = ("felt", "contact_s", "impact_velocity", "settling_s")
 
@@ -71,7 +70,7 @@ class Thresholds:
     growth: float  # rms of the second half of the tail over the first
     late_fraction: float  # from the first contact on, as the next two
     saturated_fraction: float
-    longest_gap_s: float
+    longest_gap: int  # samples lost in a row
     lost_fraction: float
     baseline_s: float = 0.0  # at the start of the trial, in which the wall must not be touched
     may_leave: bool = False  # a person hits, whose hand may leave the wall by itself
@@ -111,7 +110,7 @@ class Verdict:
     late_ticks: Annotated[int, Quantity("1", "ticks whose command came late")]
     gaps: Annotated[int, Quantity("1", "gaps in the samples")]
     lost_samples: Annotated[int, Quantity("1", "samples lost in them")]
-    longest_gap_s: Annotated[float, Quantity("s", "longest gap from the first contact on")]
+    longest_gap: Annotated[int, Quantity("1", "most samples lost in a row from the first contact on")]
     lost_fraction: Annotated[float, Quantity("1", "share of samples lost from the first contact on")]
     late_fraction: Annotated[float, Quantity("1", "share of late ticks from the first contact on")]
     ticks: Annotated[int, Quantity("1", "ticks of the trial")]
@@ -146,7 +145,6 @@ UNSTABLE = Objection.EXITS | Objection.GROWS | Objection.SATURATES
 INVALID = (
     Objection(Objection.EXITS - 1) | Objection.TOUCHED_EARLY | Objection.LEFT
 )  # all before, and the last two
-MACHINE = Objection.GAPS | Objection.LATE  # faults of the computer or the link, not of the wall or the hand
 KINDS = (Kind.STABLE, Kind.LIMIT_CYCLE, Kind.UNSTABLE, Kind.INVALID)  # by the codes of `kinds`
 CRITERIA = ("felt", "heard", "any")  # what may end a Z-width, besides instability
 _EXCEEDED_BY = dict(zip(CRITERIA, (Objection.FELT, Objection.HEARD, EXCEEDED), strict=True))
@@ -174,8 +172,7 @@ def objections(numbers: Numbers, thresholds: Thresholds) -> Any:
         (Objection.TOUCHED_LATE, stayed & (n["contact_s"] > n["tail_begins_s"])),
         (
             Objection.GAPS,
-            (n["longest_gap_s"] > thresholds.longest_gap_s * _ROUNDING)
-            | (n["lost_fraction"] > thresholds.lost_fraction),
+            (n["longest_gap"] > thresholds.longest_gap) | (n["lost_fraction"] > thresholds.lost_fraction),
         ),
         (Objection.LATE, n["late_fraction"] >= thresholds.late_fraction),
         (Objection.SLEW_BOUND, n["slew_bound_ticks"] > 0),
@@ -310,8 +307,8 @@ _TEXTS: dict[Objection, Callable[[np.void, Thresholds], str]] = {
     Objection.TOUCHED_LATE: lambda _, __: "the first contact lies in the tail",
     Objection.GAPS: lambda n, thresholds: (
         f"from contact on, {100 * n['lost_fraction']:.2g} % of the samples lost "
-        f"(limit {100 * thresholds.lost_fraction:.2g} %), longest gap {1e3 * n['longest_gap_s']:.3g} ms "
-        f"(limit {1e3 * thresholds.longest_gap_s:.3g} ms): the link or this computer was late"
+        f"(limit {100 * thresholds.lost_fraction:.2g} %), {n['longest_gap']} in a row "
+        f"(limit {thresholds.longest_gap}): the link or this computer was late"
     ),
     Objection.LATE: lambda n, thresholds: (
         f"from contact on, {100 * n['late_fraction']:.2g} % late ticks (limit {100 * thresholds.late_fraction:.2g} %): "

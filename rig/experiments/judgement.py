@@ -92,7 +92,7 @@ class Judgement:
                 "late, lost",
                 f"{verdict.late_ticks} late ticks, {verdict.lost_samples} samples lost in {verdict.gaps} gaps",
                 note=f"from contact on {100 * verdict.late_fraction:.2g} % and {100 * verdict.lost_fraction:.2g} %, "
-                f"longest gap {1e3 * verdict.longest_gap_s:.3g} ms",
+                f"{verdict.longest_gap} in a row at most",
             ),
         ]
 

@@ -28,7 +28,7 @@ LIMITS = Thresholds(
     moved=1.25e-3,
     growth=1.2,
     late_fraction=0.01,
-    longest_gap_s=0.001,
+    longest_gap=2,
     lost_fraction=0.003,
     saturated_fraction=0.01,
 )

@@ -12,50 +12,68 @@ if numba.config.DISABLE_JIT:
     pytest.skip("plug points are function types of compiled code", allow_module_level=True)
 
 from rig.control.verdict import MACHINE, Kind
-from tests.benchmarks.gap_ladders import BESIDE, RUNG, World, highest, spans
+from tests.benchmarks.gaps import NO_DELAYS, RUNG, Case, SeriesRig, middle
 from tests.conformance.late_samples import LOST
 
-STRIDE = 150  # ticks between samples lost: 0.7 %
+STRIDE = 150  # samples between those lost: 0.7 %
+RUNGS = range(-4, 5)
+CASES = (
+    Case("koul-rigid", "uniform:1k", 0.1, delay=1),
+    Case("koul-compliant", "uniform:1k", 0.2, held=True, delay=1),
+    Case("chawda-linear", "uniform:1k", 60.0),
+    Case("koul-rigid", "dual:5k/1k", 0.2),
+)
 
 
-def struck(world: World, begin: int, length: int, ticks: Any = ()) -> Any:
-    delays = np.zeros(world.ticks, np.int64)
-    delays[begin : begin + length] = LOST
-    delays[list(ticks)] = LOST
-    return delays
+def delays(end: int, begin: int, length: int, scattered: Any = ()) -> Any:
+    made = np.zeros(end, np.int64)
+    made[begin : begin + length] = LOST
+    made[list(scattered)] = LOST
+    return made
 
 
-@pytest.mark.parametrize("name", ["1 kHz rigid", "1 kHz compliant, held", "1 kHz linear"])
-def test_losses_within_the_limits_leave_the_limit_of_a_ladder_and_those_beyond_are_invalid(name: str) -> None:
-    world = World(name)
-    middle = world.stiffest()
-    rungs = [middle * RUNG**rung for rung in range(-BESIDE, BESIDE + 1)]
-    before = [world.hit(stiffness) for stiffness in rungs]
-    at = spans(before[0], world.tick_s, world.limits.tail_s)
-    contact, end = at["contact"]
-    longest = int(world.limits.longest_gap_s / world.tick_s + 1e-9)
-    assert longest >= 1
+def highest(hits: Any) -> int:
+    """Rungs that pass below the first failure."""
+    passes = [recorded.passes("any") for recorded, _ in hits]
+    return passes.index(False) if False in passes else len(passes)
 
-    within = struck(world, contact, longest, range(contact + STRIDE, end, STRIDE))
-    after = [world.hit(stiffness, within, judged=True) for stiffness in rungs]
-    assert not any(hit.recorded.found & MACHINE for hit in after)
-    assert abs(highest(after) - highest(before)) <= 1
-    for hit, clean in zip(after[:2], before[:2], strict=True):  # more than a rung below
-        assert hit.recorded.kind is clean.recorded.kind is Kind.STABLE
 
-    many = range(contact + 2, end, 50)
-    for beyond in (struck(world, at["tail"][0] + 5, longest + 1), struck(world, contact, 0, many)):
-        for stiffness in rungs:
-            hit = world.hit(stiffness, beyond, judged=True)
-            assert hit.recorded.found & MACHINE
-            assert hit.recorded.kind in (Kind.INVALID, Kind.UNSTABLE)
-            assert hit.recorded.kind is Kind.INVALID or hit.recorded.thrown_out
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.text)
+def test_losses_within_the_limits_leave_the_limit_of_a_ladder_and_those_beyond_are_invalid(
+    case: Case,
+) -> None:
+    rig, center = SeriesRig(case, 0.3, 1), middle(case)
+    walls = [center * RUNG**rung for rung in RUNGS]
+    clean = [rig.hit(stiffness, NO_DELAYS, judged=True) for stiffness in walls]
+    span = rig.span(walls[0])
+    assert span is not None
+    longest = rig.limits.longest_gap
+    within = delays(span.end, span.contact, longest, range(span.contact + STRIDE, span.end, STRIDE))
+    struck = [rig.hit(stiffness, within, judged=True) for stiffness in walls]
+    assert all(recorded.numbers["gaps"] > 3 for recorded, _ in struck)
+    assert not any(recorded.found & MACHINE for recorded, _ in struck)
+    assert 0 < highest(clean) < len(walls)
+    assert abs(highest(struck) - highest(clean)) <= 1
+    for (recorded, _), (without, _) in zip(struck[:2], clean[:2], strict=True):  # more than a rung below
+        assert recorded.kind is without.kind is Kind.STABLE
+
+    often = range(span.contact + 2, span.end, 50)
+    for beyond in (
+        delays(span.end, span.tail + 5, longest + 1),
+        delays(span.end, span.contact, 0, often),
+    ):
+        for stiffness in walls:
+            recorded, _ = rig.hit(stiffness, beyond, judged=True)
+            assert recorded.found & MACHINE
+            assert recorded.kind is Kind.INVALID or recorded.thrown_out
 
 
 def test_what_is_lost_in_free_space_changes_no_verdict() -> None:
-    world = World("1 kHz compliant, held")
-    stiffness = world.stiffest() / RUNG**2
-    first, contact = spans(world.hit(stiffness), world.tick_s, world.limits.tail_s)["approach"]
-    hit = world.hit(stiffness, struck(world, (first + contact) // 2, 4), judged=True)
-    assert hit.recorded.numbers["lost_samples"] == 4
-    assert hit.recorded.kind is Kind.STABLE
+    case = CASES[1]
+    rig, stiffness = SeriesRig(case, 0.3, 1), middle(case) / RUNG**2
+    span = rig.span(stiffness)
+    assert span is not None
+    before_contact = delays(span.end, (span.begin + span.contact) // 2, 4)
+    recorded, _ = rig.hit(stiffness, before_contact, judged=True)
+    assert recorded.numbers["lost_samples"] == 4
+    assert recorded.kind is Kind.STABLE

@@ -43,7 +43,7 @@ LIMITS = Thresholds(
     moved=1.25e-3,
     growth=1.2,
     late_fraction=0.01,
-    longest_gap_s=0.001,
+    longest_gap=2,
     lost_fraction=0.003,
     saturated_fraction=0.01,
 )
@@ -221,13 +221,13 @@ HIT = np.where(TIME < 0.2, -1e-3, 1e-3)  # touches at sample 4000
 
 @pytest.mark.parametrize("place", [4000, 6000, -1], ids=["contact", "settling", "last"])
 def test_a_gap_from_the_contact_on_spoils_a_trial_when_it_is_too_long(place: int) -> None:
-    assert judge(signals(HIT, lost=lost({place: 20})), LIMITS).kind is Kind.STABLE
-    verdict = judge(signals(HIT, lost=lost({place: 21})), LIMITS)
+    assert judge(signals(HIT, lost=lost({place: 2})), LIMITS).kind is Kind.STABLE
+    verdict = judge(signals(HIT, lost=lost({place: 3})), LIMITS)
     assert verdict.kind is Kind.INVALID
-    assert (verdict.gaps, verdict.lost_samples) == (1, 21)
+    assert (verdict.gaps, verdict.lost_samples) == (1, 3)
     (reason,) = verdict.reasons
     assert "from contact on" in reason
-    assert "longest gap 1.05 ms (limit 1 ms)" in reason
+    assert "3 in a row (limit 2)" in reason
 
 
 def test_a_trial_is_spoiled_by_too_many_short_gaps_after_the_contact() -> None:
@@ -240,7 +240,7 @@ def test_what_is_lost_in_free_space_is_counted_and_told() -> None:
     verdict = judge(signals(HIT, lost=lost({10: 500, 3999: 30}), late=TIME < 0.19), LIMITS)
     assert verdict.kind is Kind.STABLE
     assert (verdict.gaps, verdict.lost_samples, verdict.late_ticks) == (2, 530, 3800)
-    assert verdict.longest_gap_s == verdict.lost_fraction == verdict.late_fraction == 0.0
+    assert verdict.longest_gap == verdict.lost_fraction == verdict.late_fraction == 0.0
 
 
 def test_machine_faults_are_those_of_computer_and_link() -> None:
@@ -583,7 +583,7 @@ def numbers_of_trials(draw: Any) -> np.ndarray:
         "settling_in_tail_s": (0.0, 0.1),
         "saturated_fraction_in_tail": (0.0, 0.01, 0.011),
         "late_fraction": (0.0, 0.0099, 0.01),
-        "longest_gap_s": (0.0, LIMITS.longest_gap_s, 2.0 * LIMITS.longest_gap_s),
+        "longest_gap": (0, LIMITS.longest_gap, LIMITS.longest_gap + 1),
         "lost_fraction": (0.0, LIMITS.lost_fraction, 1.1 * LIMITS.lost_fraction),
         "slew_bound_ticks": (0, 2),
         "overruled_ticks": (0, 2),
@@ -608,7 +608,7 @@ def kind_in_words(n: np.void) -> Kind:
     exceeded = n["felt"] > 0.05 or n["heard"] > 0.10 or n["moved"] > 1.25e-3
     if n["ticks"] < 8 or math.isnan(n["contact_s"]) or n["inside_ticks_in_tail"] == 0:
         return Kind.INVALID
-    lost = n["longest_gap_s"] > LIMITS.longest_gap_s or n["lost_fraction"] > LIMITS.lost_fraction
+    lost = n["longest_gap"] > LIMITS.longest_gap or n["lost_fraction"] > LIMITS.lost_fraction
     if n["contact_s"] > n["tail_begins_s"] or lost or n["late_fraction"] >= 0.01:
         return Kind.INVALID
     if n["slew_bound_ticks"] or n["overruled_ticks"] or (saturates and not exceeded):
@@ -645,7 +645,7 @@ def test_a_wall_fails_that_is_unstable_or_exceeds_the_criterion_and_a_spoilt_tri
             not record["contact_s"] >= 0.0
             or (record["inside_ticks_in_tail"] > 0 and record["contact_s"] > record["tail_begins_s"])
             or math.isnan(record["tail_begins_s"])
-            or record["longest_gap_s"] > LIMITS.longest_gap_s
+            or record["longest_gap"] > LIMITS.longest_gap
             or record["lost_fraction"] > LIMITS.lost_fraction
             or record["late_fraction"] >= LIMITS.late_fraction
             or record["slew_bound_ticks"] > 0
@@ -706,7 +706,7 @@ def test_a_push_that_a_guard_ended_is_unstable_after_contact_and_says_nothing_wi
 def test_only_gaps_and_late_ticks_by_themselves_are_the_machines_fault() -> None:
     calm, gone = measured(REST).numbers, measured(np.where(TIME < 0.2, 1e-3, -1e-3)).numbers
     lost, late, both, elsewhere = (numbers.copy() for numbers in (calm, calm, gone, calm))
-    lost["gaps"], late["late_fraction"], both["gaps"], elsewhere["slew_bound_ticks"] = 1, 0.02, 1, 1
+    lost["longest_gap"], late["late_fraction"], both["longest_gap"], elsewhere["slew_bound_ticks"] = 3, 0.02, 3, 1
     found = [Measured(numbers, LIMITS) for numbers in (lost, late, both, elsewhere, calm)]
     assert [one.by_machine for one in found] == [True, True, False, False, False]
     assert not Measured(lost, LIMITS, thrown_out=True).by_machine
