@@ -113,10 +113,11 @@ class Hardware:
 
     def _let_move(self) -> None:
         self._moving = self._plant.arguments(self._state)
+        prepare(self._moving.held)  # a board does not compile between two ticks
         self._handle = 0
 
     def prepare(self) -> None:
-        """Compile or load what `advance` needs: a board does not compile between two ticks."""
+        """Compile or load what `advance` needs."""
         prepare(_advance, current_quanta)
         self._memory = np.zeros(-(-group_bytes(PlantArguments) // 8), np.int64)
         self._handle = int(self._memory.ctypes.data)

@@ -8,6 +8,8 @@ from __future__ import annotations
 import ctypes
 import errno
 import itertools
+import subprocess
+import sys
 import threading
 from collections.abc import Callable
 from typing import Any
@@ -232,3 +234,33 @@ def test_it_stops_when_it_is_told_and_passes_on_what_has_happened() -> None:
     BoardTime(device, port.loop_port(), stop).run(None)
     assert port.clock.now_ns() <= told[0] + 12 * TICK_NS
     assert device.elapsed_ns >= told[0] - TICK_NS
+
+
+ANNOUNCED = """
+import sys
+from rig import config
+from rig.config import presets
+from rig.realtime.kernel import Kernel
+from sim_backend.pty import serve
+
+announced, late, prepare = [], [], Kernel.prepare
+
+def noted(kernel):
+    if announced and not kernel.prepared:
+        late.append(kernel.__name__)
+    prepare(kernel)
+
+Kernel.prepare = noted
+experiment = config.override(presets.load("koul-compliant"), {"trial.kind": "human", "operator.grip": "normal"} if sys.argv[1] == "held" else {}, "test")
+serve(config.rig_model(experiment), announce=announced.append, duration_s=0.1)
+print(len(announced), late)
+"""
+
+
+@pytest.mark.parametrize("hand", ["free", "held"])
+def test_nothing_compiles_once_a_host_can_open_the_port(hand: str) -> None:
+    """In a process of its own: a host that is not answered for a second takes the device for dead."""
+    done = subprocess.run(
+        [sys.executable, "-c", ANNOUNCED, hand], capture_output=True, text=True, timeout=100, check=False
+    )
+    assert (done.stdout, done.stderr) == ("1 []\n", "")

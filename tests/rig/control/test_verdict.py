@@ -706,7 +706,12 @@ def test_a_push_that_a_guard_ended_is_unstable_after_contact_and_says_nothing_wi
 def test_only_gaps_and_late_ticks_by_themselves_are_the_machines_fault() -> None:
     calm, gone = measured(REST).numbers, measured(np.where(TIME < 0.2, 1e-3, -1e-3)).numbers
     lost, late, both, elsewhere = (numbers.copy() for numbers in (calm, calm, gone, calm))
-    lost["longest_gap"], late["late_fraction"], both["longest_gap"], elsewhere["slew_bound_ticks"] = 3, 0.02, 3, 1
+    lost["longest_gap"], late["late_fraction"], both["longest_gap"], elsewhere["slew_bound_ticks"] = (
+        3,
+        0.02,
+        3,
+        1,
+    )
     found = [Measured(numbers, LIMITS) for numbers in (lost, late, both, elsewhere, calm)]
     assert [one.by_machine for one in found] == [True, True, False, False, False]
     assert not Measured(lost, LIMITS, thrown_out=True).by_machine
