@@ -251,7 +251,8 @@ def noted(kernel):
     prepare(kernel)
 
 Kernel.prepare = noted
-experiment = config.override(presets.load("koul-compliant"), {"trial.kind": "human", "operator.grip": "normal"} if sys.argv[1] == "held" else {}, "test")
+changes = {"trial.kind": "human", "operator.grip": "normal"} if sys.argv[1] == "held" else {}
+experiment = config.override(presets.load("koul-compliant"), changes, "test")
 serve(config.rig_model(experiment), announce=announced.append, duration_s=0.1)
 print(len(announced), late)
 """
