@@ -7,6 +7,7 @@ reader itself. So a simulated device that is started for a run (`rig.devices.loc
 
 from __future__ import annotations
 
+import fcntl
 import os
 import socket
 from contextlib import suppress
@@ -28,17 +29,38 @@ def open_link(url: DeviceUrl, model: RigModel | None = None) -> SocketLink:
         raise ConfigError(f"{url.text}: cpu = {cpu!r} is not a processor", remedy="give its number, from 0")
     if not url.place:
         raise ConfigError(f"{url.text}: no path", remedy="name a socket, like unix:///run/rig")
+    lock = _locked(url.place)
     end = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     end.setblocking(False)
     try:
         end.connect(url.place)
     except OSError as error:
         end.close()
+        os.close(lock)
         raise DeviceNotFoundError(
             f"no program answers at {url.place}: {error.strerror or error}",
             remedy="start it, or name the path of its socket",
         ) from None
-    return SocketLink(url, end.detach(), cpu=None if cpu is None else int(cpu))
+    return SocketLink(url, end.detach(), lock, cpu=None if cpu is None else int(cpu))
+
+
+def _locked(place: str) -> int:
+    """Lock a file beside the socket, as pyserial locks a port: a second host would wait for its turn unheard."""
+    try:
+        lock = os.open(f"{place}.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    except OSError as error:
+        raise DeviceNotFoundError(
+            f"no program answers at {place}: {error.strerror or error}",
+            remedy="start it, or name the path of its socket",
+        ) from None
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(lock)
+        raise DeviceNotFoundError(
+            f"{place} is in use by another program", remedy=f"close it (fuser {place}.lock names it)"
+        ) from None
+    return lock
 
 
 class SocketLink(DescriptorLink):
@@ -47,8 +69,9 @@ class SocketLink(DescriptorLink):
     bytes_per_second: float | None = None
     messages: tuple[str, ...] = ()
 
-    def __init__(self, url: DeviceUrl, descriptor: int, *, cpu: int | None = None) -> None:
+    def __init__(self, url: DeviceUrl, descriptor: int, lock: int, *, cpu: int | None = None) -> None:
         super().__init__(url, descriptor)
+        self._lock = lock
         self.cpu = cpu
 
     def close(self) -> None:
@@ -56,4 +79,5 @@ class SocketLink(DescriptorLink):
         if self._descriptor != CLOSED:
             with suppress(OSError):
                 os.close(self._descriptor)
+            os.close(self._lock)
             self._descriptor = CLOSED
