@@ -31,6 +31,7 @@ from rig.core.sample import Phase
 from sim_backend.firmware import FirmwareDevice
 from sim_backend.hardware import Hardware
 from sim_backend.inner import COULOMB, COULOMB_LINK
+from sim_backend.plant import PlantArguments
 from tests.firmware.supervised import Supervisor
 
 RATE = 20_000
@@ -211,6 +212,13 @@ def test_an_encoder_that_failed_must_be_homed_again(library: ctypes.CDLL) -> Non
     assert far.arm().status == Status.NOT_HOMED
 
 
+def jammed(plant: PlantArguments) -> PlantArguments:
+    """The same plant under so much friction that it stands."""
+    parameters = plant.parameters.copy()
+    parameters[[COULOMB, COULOMB_LINK]] = 5.0
+    return PlantArguments(**plant._asdict() | {"parameters": parameters})
+
+
 def test_a_mechanism_that_jams_under_a_large_effort_is_a_runaway(library: ctypes.CDLL) -> None:
     far = Far(library, current_limit=1_000)
     far.run(RATE // 20)
@@ -218,7 +226,8 @@ def test_a_mechanism_that_jams_under_a_large_effort_is_a_runaway(library: ctypes
         far.command()
         far.tick()
         assert far.device.sample_index < RATE
-    far.device.hardware._plant.parameters[[COULOMB, COULOMB_LINK]] = 5.0
+    hardware = far.device.hardware
+    hardware._moving, hardware._handle = jammed(hardware._moving), 0
     far.ticks_to_fault(RATE)
     far.check_at_rest(Fault.RUNAWAY)
 

@@ -4,8 +4,10 @@ import json
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
+from queue import Queue
 from typing import Any
 
 import numpy as np
@@ -13,9 +15,9 @@ import pytest
 
 from rig import config
 from rig.config import presets
-from rig.devices.local import serve_locally
 from rig.experiments.judgement import experiment_of, judge
 from rig.recording.reader import open_recording
+from sim_backend import pty
 from tests.conformance.started import started
 
 QUICK = ["--duration", "0.25", "--set", "verdict.tail_s=0.1", "--set", "trial.release_s=0.02"]
@@ -161,7 +163,14 @@ def test_devices_lists_backends_and_asks_a_simulated_one_who_it_is(run: Any) -> 
 
 
 def test_devices_asks_the_port_as_well_as_the_device_behind_it(run: Any) -> None:
-    with serve_locally("sim://", config.rig_model(presets.load("koul-compliant"))) as url:
+    announced, stop = Queue(), threading.Event()
+    model = config.rig_model(presets.load("koul-compliant"))
+    thread = threading.Thread(
+        target=lambda: pty.serve(model, announce=announced.put, stop_event=stop), daemon=True
+    )
+    thread.start()
+    url = f"serial://{announced.get(timeout=60.0)}"
+    try:
         code, out, _ = run("devices", url, "--json")
         assert code == 0
         told = json.loads(out)
@@ -172,6 +181,9 @@ def test_devices_asks_the_port_as_well_as_the_device_behind_it(run: Any) -> None
         code, out, _ = run("devices", url)
         assert code == 0
         assert "port device" in out
+    finally:
+        stop.set()
+        thread.join(60.0)
 
 
 WRONG = {

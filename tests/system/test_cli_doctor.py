@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 import sim_backend.device
+import sim_backend.firmware
 from rig import config
 from rig.bench.doctor import examine as examining
 from rig.bench.doctor import gate, ports, round_trip
@@ -57,9 +58,10 @@ def port() -> Iterator[Any]:
 def real(monkeypatch: pytest.MonkeyPatch) -> None:
     """Simulated devices that claim to be real ones."""
     original = sim_backend.device.describe
-    monkeypatch.setattr(
-        sim_backend.device, "describe", lambda *args: dataclasses.replace(original(*args), simulated=False)
-    )
+    for module in (sim_backend.device, sim_backend.firmware):
+        monkeypatch.setattr(
+            module, "describe", lambda *args: dataclasses.replace(original(*args), simulated=False)
+        )
 
 
 @pytest.fixture

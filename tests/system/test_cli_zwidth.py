@@ -267,5 +267,5 @@ def test_in_real_time_a_simulated_device_is_a_process(run: Any, tmp_path: Path) 
         tolerated(next(line for line in err.splitlines() if line.startswith("rig: ")))
     recording = open_recording(next(tmp_path.glob("maps/*/hits/*.parquet")))
     assert recording.header["clocks"]["kind"] == "monotonic"
-    assert recording.header["identity"]["url"].startswith("serial://")
+    assert recording.header["identity"]["url"].startswith("unix://")
     assert recording.header["identity"]["simulated"]
