@@ -106,7 +106,7 @@ class SimulatedRig:
             model, encoder=replace(model.encoder, offset=0.0)
         )  # all that a script depends on
         self._thresholds = thresholds
-        self._plant = _plant(model, tick_s)
+        self._plant = DiscretePlant.build(model, tick_s)
         self._meter = judging.meter(thresholds, tick_s, model.encoder.resolution)
         self._trace = Trace.empty(most_ticks, self._plant)
         self._signals = np.zeros((SIGNALS, most_ticks))
@@ -140,5 +140,4 @@ class SimulatedRig:
 
 # The rigs of a map differ in little: what they share is made once, and nobody writes into it. (The exponential of a
 # matrix also wakes the threads of a linear algebra library, which then spin for a while on cores that others want.)
-_plant = lru_cache(maxsize=64)(DiscretePlant.build)
 _script = lru_cache(maxsize=8)(Script.of)  # 2 MB each
