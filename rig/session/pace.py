@@ -46,9 +46,10 @@ def pace_checks(walls: Walls, runner: TrialRunner) -> Iterator[Check]:
     if found.hopeless:
         text = f"{found.text}: nearly every trial would be invalid"
         yield Check("samples", Outcome.REFUSED, text, f"{helps}; or accept that: --lossy-anyway")
+    elif found.lost_share > LOST_SHARE:
+        yield Check("samples", Outcome.WARNING, found.text, helps)
     else:
-        outcome = Outcome.WARNING if found.lost_share > LOST_SHARE else Outcome.OK
-        yield Check("samples", outcome, found.text or f"none is lost at {found.rate_hz} Hz", helps)
+        yield Check("samples", Outcome.OK, found.text or f"none is lost or late at {found.rate_hz} Hz")
 
 
 def remedy(found: Pace, *, simulated: bool) -> str:

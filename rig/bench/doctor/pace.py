@@ -2,7 +2,8 @@
 
 Clock stamps are exchanged at the loop's own rate, in a thread scheduled like the loop. Answers follow each other
 by a period, or by the link's own time where that is longer; one that comes later by whole periods is a loop that has
-missed the samples of these. So the same answers say what a lower rate would lose.
+missed the samples of these, or has them late where the device paused as well: which of the two is not told apart. So
+the same answers say what a lower rate would lose.
 """
 
 from __future__ import annotations
@@ -28,14 +29,14 @@ SLOWEST_HZ = 100  # nobody feels a stiff wall below
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pace:
-    """What was lost at a rate.
+    """What was lost at a rate, or late by a period or more.
 
     Attributes
     ----------
     rate_hz
         Of the loop.
     lost_share
-        Share of its samples that were lost.
+        Share of its samples that were lost or late.
     longest_gap_s
         Longest time without a sample that should have come (s).
     hopeless
@@ -56,7 +57,7 @@ class Pace:
         """What was measured, where something was lost; empty where nothing was."""
         if self.lost_share == 0.0:
             return ""
-        lost = f"{100 * self.lost_share:.2g} % of the samples at {self.rate_hz} Hz"
+        lost = f"{100 * self.lost_share:.2g} % of the samples at {self.rate_hz} Hz, or is late with them"
         return f"this computer or the link loses {lost}, up to {1e3 * self.longest_gap_s:.3g} ms at a time"
 
 
