@@ -15,7 +15,7 @@ from typing import Any
 
 from rig.config import Experiment
 from rig.config.schemes import Scheme
-from rig.core.check import refuse
+from rig.core.check import refuse, refused
 from rig.session.arming import arming_checks
 from rig.session.comparisons import (
     cap_checks,
@@ -32,6 +32,7 @@ from rig.session.disk import bytes_of_trial
 from rig.session.expected import NO_TRIALS, NOTHING, Range, Trials, expected_limits, expected_trials
 from rig.session.fitting import fit_checks
 from rig.session.hits import DeviceRunner
+from rig.session.pace import pace_checks
 from rig.session.plan import CellPlan, StudyPlan
 from rig.session.protocol import Condition, Protocol
 from rig.session.schedule import Block, levels_of, rows_of, schedule
@@ -95,8 +96,10 @@ def check(
         with closing(
             DeviceRunner(url=url, realtime=True, verified=True)
         ) as runner:  # as a session with a person has it
-            checks += fit_checks(study, runner)
-            checks += arming_checks(study, runner)
+            fits = fit_checks(study, runner)
+            checks += [*fits, *arming_checks(study, runner)]
+            if not refused(fits):
+                checks += pace_checks(study, runner)
     return StudyPlan(
         title=protocol.study.title,
         rig=base.rig.name,

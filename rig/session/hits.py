@@ -172,7 +172,9 @@ class DeviceRunner:
         if device is None:
             return None
         x = in_effect(experiment, device, changes)
-        self._pace = measured_pace(device, x.host, x.controller.position_rate, x.verdict.late_fraction)
+        run = prepared_on(device, x, verified=self.verified, reference_count=self._zero)
+        device.configure(run.parameters)  # so that it samples at this rate
+        self._pace = measured_pace(device, x.host, x.controller.position_rate, x.verdict)
         return self._pace
 
     def fits(self, experiment: Experiment, changes: Mapping[str, Any]) -> list[Check]:

@@ -1,23 +1,33 @@
 """Whether this computer and the link keep up with a session: measured before it begins, told, and kept in its log.
 
-Nearly every trial would be invalid where every quarter of the measurement loses as large a share of the samples as
-`verdict.late_fraction` allows of late ticks: such a session is refused, unless somebody says ``--lossy-anyway``. What
-is lost beside that is a warning: the trials that it spoils are repeated.
+Nearly every trial would be invalid where a hit in any quarter of the measurement would have been, by the limits of
+`[verdict]` on lost samples: such a session is refused, unless somebody says ``--lossy-anyway``. What is lost beside
+that is a warning: the trials that it spoils are repeated.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
+from rig.bench.doctor.gate import LOST_SHARE
 from rig.bench.doctor.pace import Pace
-from rig.core.errors import PlanError
+from rig.core.check import Check, Outcome, refuse
 from rig.session.conditions import Walls, own_rates
 from rig.session.runner import TrialRunner
 from rig.session.schedule import levels_of
 
 
 def refuse_lossy(walls: Walls, runner: TrialRunner) -> None:
-    """Measure at the fastest rate of the session; raise `PlanError` where nearly every trial would be invalid.
+    """Measure at the fastest rate of a session; raise `PlanError` where nearly every trial would be invalid."""
+    found = list(pace_checks(walls, runner))
+    if not runner.lossy_anyway:
+        refuse(found)
 
-    A law on the device loses no sample to the host, and nothing is measured.
+
+def pace_checks(walls: Walls, runner: TrialRunner) -> Iterator[Check]:
+    """Say what is lost at the fastest rate of a session; nothing moves.
+
+    Nothing is measured in virtual time, nor of a law on the device, which loses no sample to the host.
     """
     if runner.virtual:
         return
@@ -30,11 +40,16 @@ def refuse_lossy(walls: Walls, runner: TrialRunner) -> None:
         return
     x, condition = max(by_host, key=lambda one: one[0].controller.position_rate)
     found = runner.pace(x, own_rates(condition, x))
-    if found is not None and found.refused and not runner.lossy_anyway:
-        raise PlanError(
-            f"{found.text}: nearly every trial would be invalid",
-            remedy=f"{remedy(found, simulated=runner.simulated)}; or accept that: --lossy-anyway",
-        )
+    if found is None:
+        return
+    helps = remedy(found, simulated=runner.simulated)
+    if found.hopeless:
+        text = f"{found.text}: nearly every trial would be invalid"
+        yield Check("samples", Outcome.REFUSED, text, f"{helps}; or accept that: --lossy-anyway")
+    elif found.lost_share > LOST_SHARE:
+        yield Check("samples", Outcome.WARNING, found.text, helps)
+    else:
+        yield Check("samples", Outcome.OK, found.text or f"none is lost or late at {found.rate_hz} Hz")
 
 
 def remedy(found: Pace, *, simulated: bool) -> str:

@@ -56,7 +56,7 @@ def resume_command(directory: Path, events: Sequence[Event]) -> str:
         words.append("--verified")
     if last_opened(events).get("armed_anyway"):
         words.append("--arm-anyway")
-    if (last_opened(events).get("pace") or {}).get("refused"):
+    if (last_opened(events).get("pace") or {}).get("hopeless"):
         words.append("--lossy-anyway")
     return shlex.join(words)
 

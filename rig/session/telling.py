@@ -52,7 +52,7 @@ def lost_samples(opened: Mapping[str, Any]) -> list[str]:
     pace = opened.get("pace") or {}
     if not pace.get("said"):
         return []
-    anyway = "; nearly every trial will be invalid, as the operator knows" if pace["refused"] else ""
+    anyway = "; nearly every trial will be invalid, as the operator knows" if pace["hopeless"] else ""
     return [pace["said"] + anyway]
 
 

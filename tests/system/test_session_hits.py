@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -42,3 +43,28 @@ def test_a_number_that_is_none_is_null_in_the_log(tmp_path: Path, monkeypatch: p
     with SessionLog(tmp_path / "log") as log:
         log.append("trial", **vars(done.hit))
     assert read(tmp_path / "log")[0].content == plain(vars(done.hit))
+
+
+def test_a_trial_leaves_no_memory_to_the_collector(tmp_path: Path) -> None:
+    """A session has hundreds of them, and Python looks for cycles when it pleases: no array may wait for that."""
+    x = preset("koul-rigid")
+    x = replace(x, trial=replace(x.trial, kind="human", duration_s=1.0))
+    (tmp_path / "trials").mkdir()
+    runner = DeviceRunner()
+    runner.hit(x, {}, tmp_path / "trials", "t0001", lambda _: None, 0.0)  # what is made once
+    gc.collect()
+    gc.disable()
+    try:
+        runner.hit(x, {}, tmp_path / "trials", "t0002", lambda _: None, 0.0)
+        gc.set_debug(gc.DEBUG_SAVEALL)
+        gc.collect()
+        ours = {
+            type(one).__name__
+            for one in gc.garbage
+            if type(one).__module__.startswith(("rig.", "sim_backend."))
+        }
+    finally:
+        gc.set_debug(0)
+        gc.garbage.clear()
+        gc.enable()
+    assert not ours

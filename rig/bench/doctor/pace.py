@@ -1,8 +1,9 @@
 """What a link and this computer make of a loop's rate: how many of its samples are lost, and which rate keeps them.
 
-Clock stamps are exchanged at the loop's own rate, in a thread that is scheduled like the loop. An answer that travels
-longer than two periods is a loop that has missed the samples of all periods but one; so the same answers say what a
-lower rate would lose.
+Clock stamps are exchanged at the loop's own rate, in a thread scheduled like the loop. Answers follow each other
+by a period, or by the link's own time where that is longer; one that comes later by whole periods is a loop that has
+missed the samples of these, or has them late where the device paused as well: which of the two is not told apart. So
+the same answers say what a lower rate would lose.
 """
 
 from __future__ import annotations
@@ -10,71 +11,69 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rig.bench.doctor.gate import LOST_SHARE
 from rig.bench.doctor.ping import EXCHANGE
-from rig.bench.doctor.round_trip import LinkMeasurement, measure_link
-from rig.core.present import reported
+from rig.bench.doctor.round_trip import TIMEOUT_S, LinkMeasurement, measure_link
+from rig.config import VerdictLimits
+from rig.config.sections import Host
 from rig.devices.framed import FramedDevice
-from rig.realtime.scheduling import Request, obtained
+from rig.devices.local import host_beside
+from rig.realtime.scheduling import obtained
 
 SECONDS = 2.0
-QUARTERS = 4  # a bad moment is not a bad machine: what counts is lost in each quarter of the measurement
+QUARTERS = 4  # a bad moment is not a bad machine: what counts is what each quarter of the measurement loses
 SLOWEST_HZ = 100  # nobody feels a stiff wall below
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pace:
-    """What was lost at a rate.
+    """What was lost at a rate, or late by a period or more.
 
     Attributes
     ----------
     rate_hz
         Of the loop.
     lost_share
-        Share of its samples that were lost.
-    least_share
-        The same in the best quarter of the measurement.
+        Share of its samples that were lost or late.
+    longest_gap_s
+        Longest time without a sample that should have come (s).
+    hopeless
+        Whether nearly every trial would be invalid: a hit as long as any quarter of the measurement would have been.
     kept_hz
         Highest of the halves of the rate that loses no more than `LOST_SHARE`, by the same answers; None where none
         above `SLOWEST_HZ` does.
-    limit
-        Share of lost samples that leaves nearly no trial valid, when every quarter reaches it.
     """
 
     rate_hz: int
     lost_share: float
-    least_share: float
+    longest_gap_s: float
+    hopeless: bool
     kept_hz: int | None
-    limit: float
-
-    @reported
-    def refused(self) -> bool:
-        """Whether nearly every trial would be invalid: every quarter of the measurement lost the limit or more."""
-        return self.least_share >= self.limit
 
     @property
     def text(self) -> str:
         """What was measured, where something was lost; empty where nothing was."""
         if self.lost_share == 0.0:
             return ""
-        share = f"{100 * self.lost_share:.2g} %"
-        return f"this computer or the link loses {share} of the samples at {self.rate_hz} Hz"
+        lost = f"{100 * self.lost_share:.2g} % of the samples at {self.rate_hz} Hz, or is late with them"
+        return f"this computer or the link loses {lost}, up to {1e3 * self.longest_gap_s:.3g} ms at a time"
 
 
-def measured_pace(device: FramedDevice, request: Request, rate_hz: int, limit: float) -> Pace | None:
+def measured_pace(device: FramedDevice, host: Host, rate_hz: int, limits: VerdictLimits) -> Pace | None:
     """Measure an open device for `SECONDS`; None in virtual time, where nothing is late.
 
     Parameters
     ----------
     device
         Open, and not in a run. Nothing moves.
-    request
+    host
         Scheduling of the loop.
     rate_hz
         Of the loop.
-    limit
-        As in `Pace`.
+    limits
+        Of lost samples, beyond which a trial is invalid.
 
     Raises
     ------
@@ -85,29 +84,37 @@ def measured_pace(device: FramedDevice, request: Request, rate_hz: int, limit: f
     """
     if device.link.clock.virtual:
         return None
-    with obtained(request) as realtime:
-        return pace_of(measure_link(device, SECONDS, rate_hz, realtime=realtime), rate_hz, limit)
+    with obtained(host_beside(host, device.link)) as realtime:
+        return pace_of(measure_link(device, SECONDS, rate_hz, realtime=realtime), rate_hz, limits)
 
 
-def pace_of(measurement: LinkMeasurement, rate_hz: int, limit: float) -> Pace:
+def pace_of(measurement: LinkMeasurement, rate_hz: int, limits: VerdictLimits) -> Pace:
     """What a measurement says of a rate."""
-    exchanges = measurement.exchanges
-    sent, received = exchanges[:, EXCHANGE.host_sent], exchanges[:, EXCHANGE.host_received]
-    kept = exchanges[:, EXCHANGE.device_sent] - exchanges[:, EXCHANGE.device_received]
-    travel_s = 1e-9 * np.maximum(received - sent - (kept if measurement.stamps_trusted else 0), 0)
-    quarter = np.minimum(QUARTERS * (sent - sent[0]) // max(1, sent[-1] - sent[0]), QUARTERS - 1)
+    received_ns = measurement.exchanges[:, EXCHANGE.host_received]
+    apart_ns = np.diff(received_ns)
+    late_ns = np.maximum(apart_ns - int(np.median(apart_ns)), 0)
+    # An answer that never came was waited for, which a loop does not do: it loses one sample.
+    never = np.flatnonzero(late_ns >= 1e9 * TIMEOUT_S)[: max(0, measurement.lost - measurement.late)]
 
-    def lost(rate: float) -> float:
-        missed = np.maximum(np.floor(travel_s * rate) - 1.0, 0.0).sum() + measurement.lost
-        return min(1.0, float(missed) / (rate * measurement.duration_s))
+    def missed(rate: int) -> NDArray[np.int64]:
+        samples: NDArray[np.int64] = late_ns * rate // 1_000_000_000
+        samples[never] = 1
+        return samples
 
-    of_quarter = rate_hz * measurement.duration_s / QUARTERS
-    missed = np.bincount(quarter, np.maximum(np.floor(travel_s * rate_hz) - 1.0, 0.0), QUARTERS)
-    slower = (rate_hz >> halves for halves in range(1, rate_hz.bit_length()))
+    def lost_share(rate: int) -> float:
+        return min(1.0, float(missed(rate).sum()) / (rate * measurement.duration_s))
+
+    samples, halves = missed(rate_hz), range(1, rate_hz.bit_length())
+    quarter = np.minimum(QUARTERS * (received_ns[1:] - received_ns[0]) // apart_ns.sum(), QUARTERS - 1)
+    lost = np.array([samples[quarter == number].sum() for number in range(QUARTERS)])
+    longest = np.array([samples[quarter == number].max(initial=0) for number in range(QUARTERS)])
+    most = limits.lost_fraction * rate_hz * measurement.duration_s / QUARTERS
+    spoiled = (lost > most) | (longest > limits.longest_gap)
+    slower = (rate_hz >> half for half in halves)
     return Pace(
         rate_hz=rate_hz,
-        lost_share=lost(rate_hz),
-        least_share=min(1.0, float(missed.min()) / of_quarter),
-        kept_hz=next((rate for rate in slower if rate >= SLOWEST_HZ and lost(rate) <= LOST_SHARE), None),
-        limit=limit,
+        lost_share=lost_share(rate_hz),
+        longest_gap_s=float(samples.max()) / rate_hz,
+        hopeless=bool(spoiled.all()),
+        kept_hz=next((r for r in slower if r >= SLOWEST_HZ and lost_share(r) <= LOST_SHARE), None),
     )

@@ -397,15 +397,27 @@ def test_ctrl_c_at_any_moment_never_harms_the_journal(tmp_path: Path) -> None:
     rounds = 0
     while True:
         rounds += 1
-        timer = threading.Timer(0.003 * rounds, lambda: signal.pthread_kill(main, signal.SIGINT))
+        ended = threading.Event()
+
+        # Once more, because a signal that is handled within a finaliser or a callback of weakref is lost.
+        def interrupt(first_s: float = 0.003 * rounds, ended: threading.Event = ended) -> None:
+            wait_s = first_s
+            while not ended.wait(wait_s):
+                signal.pthread_kill(main, signal.SIGINT)
+                wait_s = 0.02
+
+        interrupter = threading.Thread(target=interrupt)
         try:
-            timer.start()
-            results = sweep.run(MARKS, tasks, journal=journal, workers=4)
-            timer.cancel()
-            timer.join()
+            try:
+                interrupter.start()
+                results = sweep.run(MARKS, tasks, journal=journal, workers=4)
+            finally:
+                ended.set()
+                interrupter.join()
             break
         except (KeyboardInterrupt, SweepStoppedError):
-            timer.join()
+            ended.set()
+            interrupter.join()
     assert rounds > 5
     assert list(results) == [task.key for task in tasks]
     assert sorted(keys_in(journal)) == sorted(task.key for task in tasks)

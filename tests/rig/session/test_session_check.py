@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rig.bench.doctor.pace import Pace
 from rig.config import override
 from rig.core.check import Check, Outcome
 from rig.core.errors import ConfigError
@@ -24,6 +25,7 @@ from rig.session.check import check
 from rig.session.conditions import Walls, base_of
 from rig.session.disk import refuse_full_disk
 from rig.session.expected import Range, expected_trials
+from rig.session.hits import DeviceRunner
 from rig.session.load import load_protocol
 from rig.session.plan import StudyPlan
 from rig.session.protocol import Caps, Condition, Practice, Protocol, Rest, Search, Stop
@@ -178,10 +180,17 @@ def test_a_device_is_asked_for_its_rate_only_when_it_is_named(schemes: Protocol,
     assert "--rehearse" in asked.remedy
 
 
-def test_the_first_template_fits_the_simulated_rig_in_real_time(tmp_path: Path) -> None:
+@pytest.mark.parametrize("hopeless", [False, True])
+def test_the_first_template_fits_the_simulated_rig_in_real_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, hopeless: bool
+) -> None:
+    lost = Pace(rate_hz=1000, lost_share=0.02, longest_gap_s=0.003, hopeless=hopeless, kept_hz=250)
+    monkeypatch.setattr(DeviceRunner, "pace", lambda *_: lost)  # how busy this machine is, is no matter here
     found = check(template(DEFAULT, tmp_path), tmp_path, url="sim://")
-    assert found.ok
+    assert found.ok is not hopeless
     assert named(found, "device rate").outcome is Outcome.OK
+    assert named(found, "samples").outcome is (Outcome.REFUSED if hopeless else Outcome.WARNING)
+    assert "run at 250 Hz" in named(found, "samples").remedy
 
 
 def test_a_condition_that_theory_does_not_know_is_said(schemes: Protocol) -> None:
