@@ -23,6 +23,7 @@ from sim_backend.real_time import Port, RealTime
 RATE = 500  # Hz; an emulated machine keeps little more, and homing needs as much
 RATE_MAXIMUM = 4_000
 STOP_S = 20.0
+READY_S = 120.0  # an emulated processor loads or compiles what the rig needs
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +79,9 @@ def far_end(
     process.start()
     there.close()
     try:
+        if not here.poll(READY_S):
+            raise TimeoutError("the device does not start")
+        here.recv()
         yield FarEnd(process, here)
     finally:
         process.terminate()
@@ -91,6 +95,8 @@ def _run(model: RigModel, make_port: Callable[[], Port], rate: int, seed: int, p
     device = _Watched(
         model, position_rate_default=rate, position_rate_maximum=RATE_MAXIMUM, seed=seed, keep_truth=False
     )
+    device.hardware.prepare()
+    pipe.send(None)
     stop = threading.Event()
 
     def listen() -> None:
