@@ -21,7 +21,7 @@ def count_difference(newer: int, older: int) -> int:
     return ((newer - older + WRAP // 2) & (WRAP - 1)) - WRAP // 2
 
 
-@kernel(ESTIMATOR_SIGNATURE)
+@kernel(ESTIMATOR_SIGNATURE, no_refcount=True)
 def update(
     count: int, edge_age_s: float, elapsed_ticks: int, state_f: Floats, state_i: Ints, parameters: Floats
 ) -> float:

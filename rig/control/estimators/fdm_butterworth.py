@@ -28,7 +28,7 @@ DC_GAIN_TOLERANCE = 1e-6  # rounding of the coefficients must not scale velociti
 LONGEST_GAP = 1000  # after more lost periods the filter has settled whatever the memory was
 
 
-@kernel(ESTIMATOR_SIGNATURE)
+@kernel(ESTIMATOR_SIGNATURE, no_refcount=True)
 def update(
     count: int, edge_age_s: float, elapsed_ticks: int, state_f: Floats, state_i: Ints, parameters: Floats
 ) -> float:

@@ -53,7 +53,7 @@ X1, X2, Y1, Y2 = range(fdm.INTS, fdm.INTS + 4)  # state_i: inputs and outputs of
 NUMERATORS = ("unit-gain", "nearest")
 
 
-@kernel(ESTIMATOR_SIGNATURE)
+@kernel(ESTIMATOR_SIGNATURE, no_refcount=True)
 def update(
     count: int, edge_age_s: float, elapsed_ticks: int, state_f: Floats, state_i: Ints, parameters: Floats
 ) -> float:

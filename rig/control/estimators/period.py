@@ -103,7 +103,7 @@ def window(span: float, age: float, period_s: float) -> int:
     return max(int(max(span, age) / period_s + 0.5), 1)
 
 
-@kernel(ESTIMATOR_SIGNATURE)
+@kernel(ESTIMATOR_SIGNATURE, no_refcount=True)
 def update(
     count: int, edge_age_s: float, elapsed_ticks: int, state_f: Floats, state_i: Ints, parameters: Floats
 ) -> float:

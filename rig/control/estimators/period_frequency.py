@@ -50,7 +50,7 @@ BOUNDARIES = SAMPLES + SLOTS  # … and its boundary
 AGES = period.FLOATS  # state_f: and its age then (s)
 
 
-@kernel(ESTIMATOR_SIGNATURE)
+@kernel(ESTIMATOR_SIGNATURE, no_refcount=True)
 def update(
     count: int, edge_age_s: float, elapsed_ticks: int, state_f: Floats, state_i: Ints, parameters: Floats
 ) -> float:
