@@ -124,8 +124,8 @@ def test_commands_that_check_and_show_take_a_few_bare_interpreters(private: Any)
     print("\nwarm, wall seconds (goal 1; a hit 2)")
     for name, most, *arguments in (
         ("rig plan", 3.0, "plan", "mine.toml"),
-        ("rig show", 4.0, "show", recording),
-        ("rig session check", 5.0, "session", "check", "study.toml"),
+        ("rig show", 5.0, "show", recording),
+        ("rig session check", 6.0, "session", "check", "study.toml"),
         ("rig hit --no-plot", 7.0, "hit", "--no-plot"),
     ):
         subprocess.run([*run, *arguments], check=True, capture_output=True, **options)
