@@ -93,7 +93,10 @@ def phases_s(*arguments: str, **options: Any) -> list[float]:
 def private(tmp_path_factory: pytest.TempPathFactory) -> Any:
     """Where commands run, with a cache of their own, warm; and what its first hit cost."""
     place = tmp_path_factory.mktemp("private")
-    options = {"cwd": place, "env": {**os.environ, "HAPTIC_RIG_CACHE": str(place / "cache")}}
+    private = {"HAPTIC_RIG_CACHE": str(place / "cache"), "PYTHONPYCACHEPREFIX": str(place / "bytecode")}
+    env = {**os.environ, **private}
+    env.pop("PYTHONDONTWRITEBYTECODE", None)  # where it is set, each start compiles this project's sources
+    options = {"cwd": place, "env": env}
     return options, phases_s("hit", "--no-plot", **options)
 
 
