@@ -130,6 +130,26 @@ KNOWN: dict[str, str] = {
 }
 
 
+# Of a dictionary: a value that is read, and another device than it says.
+IDENTITIES: tuple[dict[str, Any], ...] = (
+    {"current_quantum_a": MODEL.amplifier.current_quantum_a * 10.0},
+    {"current_quantum_a": 1e-300},
+    {"current_quantum_a": 1e300},
+    {"time_unit_ns": 125.0},
+    {"time_unit_ns": 1e-9},
+    {"time_unit_ns": 1e300},
+    {"device": "another"},
+    {"device": ""},
+    {"device": "\x1b[2J{url} %s\n" * 50},
+    {"simulated": False},
+    {"position_rate_default": 1},
+    {"position_rate_maximum": 1},
+    {"position_rate_maximum": 10**6, "position_rate_default": 10**6},
+    {"parameters": ()},
+    {"faults": (), "statuses": ()},
+)
+
+
 class EndlessError(Exception):
     """A host that asks for ever."""
 
@@ -144,6 +164,7 @@ class Script:
     answer: type[Message] | None = None
     field: str = ""
     share: float = 1.0  # of the answers of this type
+    dictionary: dict[str, Any] | None = None  # what it says of itself, under a hash that is right
     session: int = 0  # added to that of each frame
     sequence: int = 0
 
@@ -155,6 +176,10 @@ class Liar(SimulatedDevice):
         super().__init__(MODEL, initial_position=START)
         self._script, self._chance = script, chance
         self._seen = self._told = self._answers = 0
+        if script.dictionary is not None:
+            self._dictionary = replace(self._dictionary, **script.dictionary)
+            self._start()
+            self._told = 1
 
     @property
     def lied(self) -> int:
@@ -257,6 +282,9 @@ class Liars:
             return f"STATE {chosen}", Script(
                 after=after, lie=anything, lasts=chance.choice((1, 2, 10, 1 << 30))
             )
+        if chance.random() < 0.2:
+            dictionary = chance.choice(IDENTITIES)
+            return f"dictionary {dictionary}", Script(after=1 << 30, dictionary=dictionary)
         if chance.random() < 0.1:
             session, sequence = chance.choice(((1, 0), (0, 1), (0, 32_768), (0, 65_535)))
             honest: Lie = lambda state, told, chance: state  # noqa: E731
