@@ -117,10 +117,7 @@ class FramedDevice:
             self._dictionary_hash = reply.dictionary_hash
             if reply.dictionary_hash in _dictionaries:
                 return _dictionaries[reply.dictionary_hash]
-            with self._understood():
-                reader.add(
-                    total=reply.total, fingerprint=reply.dictionary_hash, offset=reply.offset, data=reply.data
-                )
+            self._add_page(reader, reply, reply.dictionary_hash)
         with self._understood():
             if dictionaries.dictionary_hash(reader.content) != self._dictionary_hash:
                 raise RemoteProtocolError("the dictionary does not have the hash that the device announced")
@@ -234,9 +231,15 @@ class FramedDevice:
         reader = PageReader(BLOCK_LIMIT)
         while not reader.complete:
             reply = self._ask(m.GetParameters(self._next_nonce(), reader.offset), m.Parameters)
-            with self._understood():
-                reader.add(total=reply.total, fingerprint=reply.crc, offset=reply.offset, data=reply.data)
+            self._add_page(reader, reply, reply.crc)
         return reader.content
+
+    def _add_page(self, reader: PageReader, reply: m.Identity | m.Parameters, fingerprint: int) -> None:
+        """Take the page that was asked for; a device that tells another one would be asked for ever."""
+        with self._understood():
+            if reply.offset != reader.offset:
+                raise RemoteProtocolError(f"the page at {reply.offset}, wanted the one at {reader.offset}")
+            reader.add(total=reply.total, fingerprint=fingerprint, offset=reply.offset, data=reply.data)
 
     # ------------------------------------------------------------------ running
 
@@ -471,25 +474,25 @@ class FramedDevice:
 
     def _refusal(self, message: m.Message) -> DeviceRefusedError:
         if not isinstance(message, m.Ack):
-            return DeviceRefusedError(f"the device answered {type(message).__name__} instead")
-        if self._dictionary is not None:
-            info = self._dictionary.explain_status(message.status)
-            text, remedy = info.text, info.remedy
-        else:
-            text, remedy = Status(message.status).text, Status(message.status).remedy
+            return DeviceRefusedError(
+                f"the device answered {type(message).__name__} instead",
+                remedy="check that it runs the firmware of this project",
+            )
+        known = () if self._dictionary is None else self._dictionary.statuses
+        info = dictionaries.explain_status(message.status, known)
         request = (
             m.MESSAGES[message.request].__name__ if message.request in m.MESSAGES else str(message.request)
         )
         return DeviceRefusedError(
-            f"the device refused {request}: {text.replace(' (detail)', '')}{self._detail(message)}",
-            remedy=remedy,
+            f"the device refused {request}: {info.text.replace(' (detail)', '')}{self._detail(message)}",
+            remedy=info.remedy,
             status=message.status,
         )
 
     def _detail(self, ack: m.Ack) -> str:
         """What the detail of a refusal names: a parameter with its range, a state, or a fault."""
         if ack.status == Status.BAD_STATE:
-            return f" ({State(ack.detail).name})"
+            return f" ({State(ack.detail).name if ack.detail in set(State) else f'state {ack.detail}'})"
         if self._dictionary is not None and ack.status == Status.FAULT_PRESENT:
             return f" ({self._dictionary.explain_fault(ack.detail).text})"
         if self._dictionary is not None and ack.detail:

@@ -25,6 +25,7 @@ from tests.attack.frames import any_message, frame_of, mangled
 from tests.firmware_protocol.test_connection import DEVICE_MESSAGES, HOST_MESSAGES, Pair, state_message
 
 STEPS = 1500
+KEPT_BYTES = 8192
 _COUNTED_PIECES = 64  # of a block whose codecs are compared
 _LONG = 1 << 63  # what an int64 holds of a u64
 
@@ -43,9 +44,10 @@ class Talk(Pair):
         super().__init__()
         self.chance = chance
         self.bytes = 0
-        self.sent = bytearray()
+        self.sent = bytearray()  # to the device
+        self.told_host = bytearray()
 
-    def over_the_line(self, frames: bytes) -> bytes:
+    def over_the_line(self, frames: bytes, sent: bytearray) -> bytes:
         """What comes out at the other end; strangers speak between the frames."""
         chance, out = self.chance, b""
         for piece in frames.split(b"\0")[:-1]:
@@ -55,7 +57,8 @@ class Talk(Pair):
             session = chance.choice((0, self.device.session, chance.randrange(256)))
             out += mangled(chance, frame_of(any_message(chance, classes), session, chance.randrange(8)))
         self.bytes += len(out)
-        self.sent += out
+        sent += out
+        del sent[:-KEPT_BYTES]
         return out
 
     def step(self) -> None:
@@ -76,12 +79,12 @@ class Talk(Pair):
             device.fault()
         elif chance.random() < 0.001:
             device.reset()
-        self.told(self.over_the_line(answers))
+        self.told(self.over_the_line(answers, self.told_host))
 
     def heard(self, frame: bytes) -> bytes:
         """What the device answers to what comes of a frame; it may move only by what has come."""
         before = self.device.state
-        came = self.over_the_line(frame)
+        came = self.over_the_line(frame, self.sent)
         status = Status.OK if self.chance.random() < 0.9 else Status.OUT_OF_RANGE
         answers = self.answer(came, status)
         device = self.device
@@ -145,10 +148,9 @@ class Protocol:
         talk.bring_to(chance.choice(list(State)))
         for _ in range(STEPS):
             talk.step()
-            talk.sent = talk.sent[-8192:]
             armed += talk.device.state in (State.ARMED, State.RUNNING)
         talk.check_bounds()
-        pieces = bytes(talk.sent).split(b"\0")[:_COUNTED_PIECES]
+        pieces = bytes(talk.sent + talk.told_host).split(b"\0")[:_COUNTED_PIECES]
         pieces += [chance.randbytes(chance.randrange(270)).replace(b"\0", b"\1") for _ in range(4)]
         for piece in pieces:
             self._compare(piece)
