@@ -26,6 +26,7 @@ from tests.firmware_protocol.test_connection import DEVICE_MESSAGES, HOST_MESSAG
 
 STEPS = 1500
 KEPT_BYTES = 8192
+SHARE_OF_COMMANDS = 0.8
 _COUNTED_PIECES = 64  # of a block whose codecs are compared
 _LONG = 1 << 63  # what an int64 holds of a u64
 
@@ -65,9 +66,8 @@ class Talk(Pair):
         """Say one thing of the host, answer, and unasked things of the device."""
         host, device, chance = self.host, self.device, self.chance
         frame = b""
-        cls = (
-            m.Command if host.state >= State.ARMED and chance.random() < 0.6 else chance.choice(HOST_MESSAGES)
-        )
+        likely = host.state >= State.ARMED and chance.random() < SHARE_OF_COMMANDS
+        cls = m.Command if likely else chance.choice(HOST_MESSAGES)
         session = chance.randrange(1, 256) if cls is m.Arm else None
         with suppress(LocalProtocolError):  # the state forbids it
             frame = host.send(any_message(chance, [cls]), session=session)

@@ -278,7 +278,7 @@ static void disarm(struct fuzz *fuzz)
     struct packet packet;
     uint8_t *raw = begin(fuzz, &packet, HR_TYPE_DISARM, HR_BYTES_DISARM);
     raw[HR_AT_DISARM_FLAGS] = (uint8_t)below(2);
-    fuzz->may_clear = raw[HR_AT_DISARM_FLAGS] != 0;
+    fuzz->may_clear = fuzz->may_clear || raw[HR_AT_DISARM_FLAGS] != 0;
     fuzz->nonce++;
     send(fuzz, &packet, false);
 }
@@ -358,7 +358,7 @@ static void tick(struct fuzz *fuzz)
     fuzz->ticks++;
     fuzz->ticks_armed += is_lively(fuzz);
     int32_t count = host->count + (int32_t)below(5) - 2;
-    if (!below(300))
+    if (!below(1000))
         count = below(10) ? (int32_t)below(200) - 100 : (int32_t)(chance() >> 33) - (1 << 30);
     const uint8_t inputs = (uint8_t)(below(500) ? HR_INPUT_HOLD_TO_RUN : below(256));
     const int16_t measured = (int16_t)(below(300) ? host->current : (int32_t)below(65536) - 32768);
@@ -396,13 +396,22 @@ static void inject(struct fuzz *fuzz)
     host_fault(fuzz->host, faults[below(sizeof faults)]);
 }
 
+/* All that leads to a session from anywhere. */
+static void begin_session(struct fuzz *fuzz)
+{
+    identify(fuzz);
+    disarm(fuzz);
+    configure(fuzz, false);
+    arm(fuzz);
+}
+
 static void restart(struct fuzz *fuzz)
 {
     fuzz->may_clear = true;
     host_restart(fuzz->host);
 }
 
-/* Of 1000: what leads to a session is frequent outside of one, and what ends it rare inside. */
+/* Of 1000. Outside of a session much leads to one. */
 static void step(struct fuzz *fuzz)
 {
     const uint32_t which = below(1000);
@@ -419,14 +428,16 @@ static void step(struct fuzz *fuzz)
         send_any(fuzz);
     else if (which < 50)
         identify(fuzz);
-    else if (which < (lively ? 55u : 110u))
+    else if (which < 60)
         configure(fuzz, false);
-    else if (which < (lively ? 70u : 120u))
+    else if (which < 75)
         configure(fuzz, true);
-    else if (which < (lively ? 75u : 220u))
+    else if (which < 85)
         arm(fuzz);
-    else if (which < (lively ? 85u : 300u))
+    else if (which < 90)
         disarm(fuzz);
+    else if (!lively && which < 350)
+        begin_session(fuzz);
     else if (which < 600)
         command(fuzz);
     else
