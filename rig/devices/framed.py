@@ -32,6 +32,7 @@ from rig.devices.device import Link
 
 STOP_FRAMES = 5
 SUPERVISE_EVERY_S = 0.005  # a quarter of the time that a law on the device continues without a command
+MOST_NS = (1 << 63) - 1  # what a stamp holds: 292 years
 EXCHANGES = 8  # of the clock, unless told otherwise
 DRIFT_EXCHANGES, DRIFT_S = 20, 1.0  # of the clock, where its drift is wanted
 DRIFT_VIRTUAL_S = 0.1  # where time costs computing and nothing disturbs an exchange
@@ -338,9 +339,17 @@ class FramedDevice:
             self._listen_until(start_ns + round(min(1.0, place) * over_s * 1e9))
             reply = self._ask(m.GetTime(self._next_nonce(), self.link.clock.now_ns()), m.Time)
             row["host_sent"], row["host_received"] = self._said_ns, self._heard_ns
-            row["device_received"] = reply.device_received * tick_ps // 1000
-            row["device_sent"] = reply.device_sent * tick_ps // 1000
+            row["device_received"] = self._counted_ns(reply.device_received, tick_ps)
+            row["device_sent"] = self._counted_ns(reply.device_sent, tick_ps)
         return stamps
+
+    def _counted_ns(self, stamp: int, tick_ps: int) -> int:
+        """A device time in nanoseconds, as far as they can be counted."""
+        time_ns = stamp * tick_ps // 1000
+        with self._understood():
+            if time_ns > MOST_NS:
+                raise RemoteProtocolError(f"a device time of {time_ns * 1e-9:.3g} s")
+        return time_ns
 
     def clock(self, exchanges: int = EXCHANGES, *, over_s: float = 0.0) -> ClockFit:
         """Host clock against device clock, by `exchange_clock`; without `over_s` the drift stays unknown."""

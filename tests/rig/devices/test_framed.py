@@ -242,6 +242,15 @@ def test_an_answer_of_the_wrong_kind_is_a_refusal_that_names_it() -> None:
     assert refused.value.remedy
 
 
+@pytest.mark.parametrize("stamps", [(0, 2**64 - 1), (2**64 - 1, 0)])
+def test_a_device_time_that_nobody_can_count_is_an_incompatible_device(stamps: Any) -> None:
+    _, wire, device = make()
+    assert device.dictionary
+    wire.link = Answering(lambda request: frame_of(m.Time(request.nonce, 0, *stamps)))
+    with pytest.raises(IncompatibleDeviceError, match="a device time of"):
+        device.exchange_clock()
+
+
 def test_a_refusal_with_a_status_that_nobody_knows_names_its_number() -> None:
     device = FramedDevice(Answering(lambda request: frame_of(m.Ack(request.nonce, 0, 200, 0, 0, 0))))
     with pytest.raises(DeviceRefusedError, match=r"refused Identify: .*explains") as refused:
