@@ -35,9 +35,10 @@ from tests.firmware.test_core_equals_the_simulated_device import (
 STEPS = 60
 FRAMES = 30  # of a volley
 VOLLEYS = 4  # beside each step
-TICKS_IN_SILENCE = 3_000
+TICKS_IN_SILENCE = 1_500
+TICKS_ON = 60
 LIVELY = (State.ARMED, State.RUNNING)
-_REARMED = 0.8  # share of the steps without a session that begin one
+_REARMED = 0.9  # share of the steps without a session that begin one
 _ARM, _DISARM = LAYOUT_OF[m.Arm].type_id, LAYOUT_OF[m.Disarm].type_id
 
 
@@ -118,6 +119,17 @@ class Watched(Pair):
         self.last_session = 1 + self.last_session % 255
         self.begin(self.last_session, **values, position_rate=chance.choice(RATES))
 
+    def run_on(self, chance: random.Random) -> None:
+        """Begin a session unless there is one, mostly, and let the device run for some ticks."""
+        if not self.lively and chance.random() < _REARMED:
+            self.calm(chance)
+        current, lifetime_us = chance.choice((0, 5, -20, 60)), chance.choice((3_000, 20_000))
+        for _ in range(chance.randrange(TICKS_ON)):
+            if not self.lively:
+                break
+            self.command(current, lifetime_us)
+            self.tick()
+
     def volley(self, chance: random.Random) -> None:
         """Many frames in one piece: commands of the session, and all that a host can say, mangled."""
         data = b""
@@ -161,8 +173,7 @@ class Devices:
         watched = Watched(self._library, chance)
         watched.calm(chance)
         for _ in range(STEPS):
-            if not watched.lively and chance.random() < _REARMED:
-                watched.calm(chance)
+            watched.run_on(chance)
             random_step(chance).act(watched)
             for _ in range(VOLLEYS):
                 watched.volley(chance)
