@@ -93,7 +93,8 @@ def forked(work: Callable[[], int], directory: Path, environment: Mapping[str, s
             )
             os.dup2(opened, number)
             os.close(opened)
-        sys.stdin, sys.stdout, sys.stderr = os.fdopen(0), os.fdopen(1, "w"), os.fdopen(2, "w")
+        sys.stdin, sys.stdout = os.fdopen(0), os.fdopen(1, "w")
+        sys.stderr = os.fdopen(2, "w", errors="backslashreplace")  # as an interpreter has it
         code = work()
     except BaseException:
         import traceback  # noqa: PLC0415

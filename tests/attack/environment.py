@@ -16,6 +16,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -159,11 +160,25 @@ class Environment:
         """Compiled kernels that belong to nobody, so that nothing has to be compiled."""
         if os.getuid() != 0 or "--user" in isolation():
             raise Skip("needs root")
+        if not _runs_as_nobody():
+            raise Skip("nobody may not run this interpreter")
         if self._cache is None:
             self._cache = self._place / "cache"
             shutil.copytree(cache_root(), self._cache, ignore=_others)
             subprocess.run(["chown", "-R", f"{NOBODY}:{NOBODY}", str(self._cache)], check=True)
         return str(self._cache)
+
+
+@cache
+def _runs_as_nobody() -> bool:
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", "import rig"], cwd=ROOT, user=NOBODY, group=NOBODY, extra_groups=[],
+            capture_output=True, check=False,
+        )  # fmt: skip
+    except OSError:
+        return False
+    return done.returncode == 0
 
 
 def _others(place: str, names: list[str]) -> list[str]:
