@@ -101,8 +101,15 @@ def _interrupt(number: int, frame: object) -> None:
     raise KeyboardInterrupt
 
 
-def run(arguments: list[str], obj: object = None) -> int:  # noqa: PLR0911  (one exit code for each kind of end)
+def run(arguments: list[str], obj: object = None) -> int:
     """Run a command line and return its exit code; prints errors, raises nothing."""
+    try:
+        return _run(arguments, obj)
+    except OSError:  # standard error takes no more either
+        return 74
+
+
+def _run(arguments: list[str], obj: object) -> int:  # noqa: PLR0911  (one exit code for each kind of end)
     try:
         result = rig.main(args=arguments, prog_name="rig", standalone_mode=False, obj=obj)
         return result if isinstance(result, int) else 0

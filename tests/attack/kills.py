@@ -43,7 +43,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
 KINDS = ("session", "hit", "zwidth", "identify", "realtime", "hit", "zwidth", "identify")
 REALTIME = ("hit", "--realtime", "--no-plot", "--duration", "1", *SHORT)
 FITTED = ("sampled_at", "applied_at")  # by all exchanges of the clocks, of which a kill leaves fewer
-TIME_OF_DAY = re.compile(r"-\d{8}-\d{6}")  # in names of recordings
+NAMES = re.compile(r"\S+\.parquet")  # of recordings: they have a time of day
 VOLATILE = {
     "recording",
     "recordings",
@@ -201,7 +201,7 @@ def _still(value: Any) -> Any:
         return {key: _still(inner) for key, inner in value.items() if key not in VOLATILE}
     if isinstance(value, list):
         return [_still(inner) for inner in value]
-    return TIME_OF_DAY.sub("", value) if isinstance(value, str) else value
+    return NAMES.sub("", value) if isinstance(value, str) else value
 
 
 def _named(place: Path) -> dict[tuple[str, int], Path]:

@@ -423,6 +423,20 @@ def test_a_reader_that_has_gone_is_nothing_to_complain_about() -> None:
     assert (done.returncode, done.stderr) == (0, b"")
 
 
+@pytest.mark.parametrize("streams", [("stdout",), ("stderr",), ("stdout", "stderr")], ids="-".join)
+@pytest.mark.parametrize(("command", "code"), [("preset", 0), ("preset nobody", 2)])
+def test_an_output_without_room_has_an_exit_code_of_its_own(
+    command: str, code: int, streams: tuple[str, ...]
+) -> None:
+    pipes = {"stdout": PIPE, "stderr": PIPE}
+    with open("/dev/full", "wb") as full:
+        pipes |= dict.fromkeys(streams, full.fileno())
+        done = subprocess.run([sys.executable, "-m", "rig", *command.split()], **pipes, check=False)
+    used = "stderr" if code else "stdout"
+    assert done.returncode == (74 if used in streams else code)
+    assert b"Traceback" not in (done.stderr or b"")
+
+
 def test_a_pipe_that_breaks_elsewhere_is_no_reader_that_has_gone(
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
