@@ -1,7 +1,8 @@
 """kill -9 at any moment: what was begun recovers or begins again, and ends as it would have without the kill.
 
 A command in virtual time runs in a fork, under a seed, and is killed after a time that is drawn up to a little more
-than it takes; what it does at that time depends on the machine too, so a case may have to be repeated some times. Sessions are killed again and again on their way (`tests.system.test_session`).
+than it takes. What it does at that time depends on the machine too: a case may have to be repeated. Sessions are killed
+again and again on their way (`tests.system.test_session`).
 """
 
 from __future__ import annotations
