@@ -41,8 +41,17 @@ class Worker:
     """The process of an area; one that died is started again with the next case."""
 
     def __init__(self, area: str, seed: int) -> None:
+        self._place = tempfile.TemporaryDirectory(prefix=f"attack-{area}-", ignore_cleanup_errors=True)
         self._said = tempfile.TemporaryFile()  # noqa: SIM115  (as long as the process)
-        command = [*isolation(), sys.executable, "-m", "tests.attack.worker", area, str(seed)]
+        command = [
+            *isolation(),
+            sys.executable,
+            "-m",
+            "tests.attack.worker",
+            area,
+            str(seed),
+            self._place.name,
+        ]
         pipes: dict[str, Any] = {
             "stdin": subprocess.PIPE,
             "stdout": subprocess.PIPE,
@@ -79,6 +88,7 @@ class Worker:
         """End it, and all that it started."""
         self._context.__exit__(None, None, None)
         self._said.close()
+        self._place.cleanup()
 
 
 @contextmanager

@@ -1,6 +1,6 @@
 """One area in a process of its own: reads the number of a case, runs it, answers in one line of JSON.
 
-    python -m tests.attack.worker AREA SEED
+    python -m tests.attack.worker AREA SEED DIRECTORY
 
 A crash, a hang or a leak costs this process and names its case; what it started dies with it.
 """
@@ -12,7 +12,6 @@ import json
 import os
 import signal
 import sys
-import tempfile
 import traceback
 from pathlib import Path
 
@@ -55,11 +54,10 @@ def main() -> None:
     name, seed = sys.argv[1], int(sys.argv[2])
     answers = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)  # what the attacked code prints is no answer
-    with tempfile.TemporaryDirectory(prefix=f"attack-{name}-", ignore_cleanup_errors=True) as directory:
-        area = area_of(name, Path(directory))
-        print(json.dumps({"ready": True}), file=answers)
-        for line in sys.stdin:
-            print(json.dumps(answer(area, name, seed, int(line))), file=answers)
+    area = area_of(name, Path(sys.argv[3]))
+    print(json.dumps({"ready": True}), file=answers)
+    for line in sys.stdin:
+        print(json.dumps(answer(area, name, seed, int(line))), file=answers)
 
 
 if __name__ == "__main__":
