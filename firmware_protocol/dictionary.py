@@ -76,7 +76,7 @@ class Dictionary:
 
     def explain_status(self, code: int) -> CodeInfo:
         """Return text and remedy of a status, as `explain_fault`."""
-        return _explain(self.statuses, Status, code)
+        return explain_status(code, self.statuses)
 
 
 def build(
@@ -246,6 +246,11 @@ def _info(
 
 def _code_info(code: Described) -> CodeInfo:
     return CodeInfo(int(code), code.name, code.text, code.remedy)
+
+
+def explain_status(code: int, known: tuple[CodeInfo, ...]) -> CodeInfo:
+    """Explain a status by those that a device has told, as far as it has; see `Dictionary.explain_fault`."""
+    return _explain(known, Status, code)
 
 
 def _explain(known: tuple[CodeInfo, ...], ours: type[Described], code: int) -> CodeInfo:

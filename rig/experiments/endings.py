@@ -7,6 +7,7 @@ import os
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_protocol.faults import Fault
 from rig.core.errors import (
     DeviceFaultError,
     GuardError,
@@ -112,6 +113,9 @@ def error_of(end: LoopEnd, url: str, fault: FaultReport | None, rows: NDArray[np
     if end.reason == EndReason.FINISHED:
         return None
     kind, message, remedy = ENDINGS[end.reason]
+    named = (
+        fault if fault is not None and fault.code != Fault.NONE else None
+    )  # a device may say that there is none
     errno = end.counters["errno"]
     loss = failure(errno, url)
     if end.reason == EndReason.LINK_CLOSED:
@@ -121,8 +125,8 @@ def error_of(end: LoopEnd, url: str, fault: FaultReport | None, rows: NDArray[np
         "why": os.strerror(errno) if errno else "no error number",
         "cause_of_loss": loss.cause,
         "loss_remedy": loss.remedy,
-        "fault": fault.text if fault else "it did not say which",
-        "fault_remedy": fault.remedy if fault else "read its fault log",
+        "fault": named.text if named else "it did not say which",
+        "fault_remedy": named.remedy if named else "read its fault log",
         "cause": repr(end.error),
         "position": f"{rows['position'][-1]:.4g}" if len(rows) else "?",
         "velocity": f"{rows['velocity'][-1]:.4g}" if len(rows) else "?",

@@ -578,6 +578,15 @@ def test_chunks_in_any_order_fill_the_same_bytes(
     pair.send(m.SetCommit(10))
 
 
+def test_what_comes_behind_a_question_in_one_piece_is_not_in_its_answer(library: ctypes.CDLL) -> None:
+    pair = Pair(library, rig_of())
+    pair.begin()
+    question = frame_of(m.GetStatistics(pair.next_nonce()), 1, 0)
+    pair.write(question + b"noise\0" + question + frame_of(m.Command(0, 20_000, 0, 0, 9), 1, 0))
+    pair.write(frame_of(m.Command(0, 20_000, 0, 0, 9), 1, 1) * 5_000)
+    pair.ask_everything()
+
+
 @pytest.mark.parametrize("fill", [0, 1])
 def test_frames_of_every_length_are_counted_alike(library: ctypes.CDLL, fill: int) -> None:
     """Also those that no honest sender makes: shorter than a header or longer than a batch, with a good CRC."""
