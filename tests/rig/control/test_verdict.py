@@ -64,7 +64,7 @@ def signals(
     position = np.asarray(position, dtype=float)
     nothing = np.zeros(len(position), bool)
     quiet = dict.fromkeys(("saturated", "late", "slew_bound", "overruled"), nothing)
-    quiet["lost"] = np.zeros(len(position), np.int64)
+    quiet["lost"] = quiet["currents"] = np.zeros(len(position), np.int64)
     return Signals(
         tick_s=T,
         resolution=resolution,
