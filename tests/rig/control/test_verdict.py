@@ -611,11 +611,10 @@ def kind_in_words(n: np.void) -> Kind:
     if n["ticks"] < 8 or math.isnan(n["contact_s"]) or n["inside_ticks_in_tail"] == 0:
         return Kind.INVALID
     lost = n["longest_gap"] > LIMITS.longest_gap or n["lost_fraction"] > LIMITS.lost_fraction
-    if n["contact_s"] > n["tail_begins_s"] or lost or n["late_fraction"] >= 0.01:
+    disobeyed = n["current_differs"] or n["other_current_ticks"]
+    if n["contact_s"] > n["tail_begins_s"] or lost or disobeyed or n["late_fraction"] >= 0.01:
         return Kind.INVALID
     if n["slew_bound_ticks"] or n["overruled_ticks"] or (saturates and not exceeded):
-        return Kind.INVALID
-    if n["current_differs"] or n["other_current_ticks"]:
         return Kind.INVALID
     if n["settling_in_tail_s"] > 0 and (n["exits_in_tail"] or exceeded):
         return Kind.INVALID
