@@ -1,7 +1,7 @@
 """What was commanded, what was active and what was measured: three currents that have to agree in every tick.
 
-The active current is that of the COMMAND that STATE names, or of the one before it, which may have driven the tick that
-had begun when the newer one arrived; unless a limit flag says why not. The measured current is compared with the active
+The active current is that of the COMMAND that STATE names, unless a limit flag says why not. Where that one came in the
+very tick, one before it has driven the tick: a host that was late sends several within one. The measured current is compared with the active
 one by `rig.control.current`. Both are marks of the row (`rig.core.sample.RowFlag`); with the law on the device the
 first comparison is `rig.loop.device_host_agreement`'s.
 """
@@ -28,6 +28,7 @@ _FOLLOWS, _DIFFERS, _OTHER = (
 _ACTING = int(~(LimitFlag.SPEED | LimitFlag.POSITION))  # nearing a limit changes no current
 _NONE_YET = NO_COMMAND_YET
 _RUNNING = int(State.RUNNING)
+OLDER = 8
 
 
 @kernel(types.void(INTS, types.int64, types.int64), inline=True)
@@ -53,9 +54,11 @@ def compare_command(buffers: Buffers, memory: Any) -> None:
     if state[STATE.limits] & _ACTING != 0:
         return
     active, current = state[STATE.command_sequence], state[STATE.current_commanded]
-    before = state[STATE.command_age] <= 1 and _was_sent(sent, active - 1, current)
-    if not before and not _was_sent(sent, active, current):
-        memory[0]["flags"] |= _OTHER
+    older = OLDER if state[STATE.command_age] <= 1 else 0
+    for back in range(older + 1):
+        if _was_sent(sent, active - back, current):
+            return
+    memory[0]["flags"] |= _OTHER
 
 
 @kernel(types.void(BUFFERS_TYPE, MEMORY_TYPE, types.int64))
