@@ -1,9 +1,9 @@
 """What was commanded, what was active and what was measured: three currents that have to agree in every tick.
 
 The active current is that of the COMMAND that STATE names, unless a limit flag says why not. Where that one came in the
-very tick, one before it has driven the tick: a host that was late sends several within one. The measured current is compared with the active
-one by `rig.control.current`. Both are marks of the row (`rig.core.sample.RowFlag`); with the law on the device the
-first comparison is `rig.loop.device_host_agreement`'s.
+very tick, one before it has driven the tick: a host that was late sends several within one. The measured current is
+compared with the active one by `rig.control.current`. Both are marks of the row (`rig.core.sample.RowFlag`); with the
+law on the device the first comparison is `rig.loop.device_host_agreement`'s.
 """
 
 from __future__ import annotations

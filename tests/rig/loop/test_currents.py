@@ -47,7 +47,7 @@ def test_what_was_sent_is_known_and_what_was_not_is_marked(
     assert told(buffers, newest, elsewhere, age=1) == (elsewhere not in recent)
 
 
-@pytest.mark.parametrize("limit", [flag for flag in LimitFlag])
+@pytest.mark.parametrize("limit", list(LimitFlag))
 def test_a_limit_explains_another_current_and_a_warning_does_not(limit: LimitFlag) -> None:
     buffers = Buffers.allocate()
     keep_command(buffers.sent, 7, 100)
