@@ -114,13 +114,13 @@ def trial(experiment: Any, believed_lag: float, seed: int, broken: dict[str, flo
             pass
         rows = open_recording(path).rows
     seconds = None
-    if device.latched is Fault.CURRENT_MISMATCH and broken:
+    if device.fault is Fault.CURRENT_MISMATCH and broken:
         pushed = (rows["sample_index"] >= at) & (np.abs(rows["current_applied"]) > 0)
         begin = rows["sample_index"][np.argmax(pushed)] if pushed.any() else at
         seconds = (rows["sample_index"][-1] - begin) / experiment.controller.position_rate
     observed = bool((rows["flags"] & RowFlag.CURRENT_FOLLOWS).any())
     touched = bool((rows["phase"] == Phase.TRIAL).any())
-    return Found(device.latched, seconds, observed and touched)
+    return Found(device.fault, seconds, observed and touched)
 
 
 def cases() -> Iterator[Case]:

@@ -147,7 +147,7 @@ def test_one_spike_of_the_converter_is_no_over_current_and_two_are(tmp_path: Pat
             (AT_REST + spikes, hardware(leak=0)),
         )
         assert model.amplifier.current_quantum_a * 20_000 > model.amplifier.effort_limit / 0.216
-        assert device.latched is expected
+        assert device.fault is expected
 
 
 @SIDES
