@@ -147,6 +147,7 @@ class SimulatedDevice:
             rules=self._safety.rules,
             heat=self._safety.heat,
             counts=self._safety.counts,
+            currents=self._safety.currents,
             ring=self._faults.ring,
             state=flat(np.int64, len(STATE)),
         )

@@ -88,6 +88,12 @@ ENDINGS: dict[EndReason, tuple[type[RigError], str, str]] = {
         "of the one before, and rig.limits.oscillations allows fewer; the effort went to zero",
         "take a softer or more damped wall; rig.limits.oscillations = 0 switches this off",
     ),
+    EndReason.CURRENT_DIFFERS: (
+        GuardError,
+        "the measured current was not the one that was set, over 10 ms; the effort went to zero",
+        "check motor leads, amplifier, its supply and the current sensor with its sign and scale; rig.amplifier says "
+        "what is expected (current_monitor = false: nothing is measured)",
+    ),
     EndReason.HOMING_FAILED: (
         GuardError,
         "the start was not reached in time; the effort went to zero",

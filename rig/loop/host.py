@@ -23,6 +23,7 @@ from rig.control.step import CONTROLLER_TYPE, MEMORY_TYPE, ControllerArguments, 
 from rig.devices.framed import STOP_FRAMES
 from rig.devices.port import PORT_TYPE, LoopPort
 from rig.loop.commands import MODE_CURRENT, MODE_STOP, NO_SYNC, send_command, sync_of
+from rig.loop.currents import compare_command, compare_measured
 from rig.loop.ending import CLOSED, FAULT, OVERRUN, SILENT, STOPPED, ended_by_law, told_to_end
 from rig.loop.exchange import ask_time
 from rig.loop.layout import (
@@ -177,6 +178,8 @@ def run(
             return STOPPED
         computed_ns = port.now(port.clock_handle)
         flag_timing(settings, memory, buffers.progress, elapsed, words)
+        compare_command(buffers, memory)
+        compare_measured(buffers, memory, elapsed)
         mode, sync = MODE_CURRENT, sync_of(memory)
         reason = _outcome(state, settings, memory, buffers.progress)
         if reason != 0:

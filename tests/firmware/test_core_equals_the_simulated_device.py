@@ -39,7 +39,7 @@ from sim_backend.hardware import Hardware
 from sim_backend.lockstep import BYTE_COUNT, BYTES, COUNT, CUTS, DUE, EDGE_AGE, MEASURED, RECEIVED_AT
 from sim_backend.safety import UNITS_PER_SECOND
 from tests.conformance.host import RUN_PARAMETERS
-from tests.conformance.rigs import linear_rig, rotary_rig
+from tests.conformance.rigs import linear_rig, rotary_rig, unmeasured
 from tests.conformance.wire_strategies import messages_of, parameter_sets
 
 WALKS = int(os.environ.get("HAPTIC_RIG_WALKS", "30"))
@@ -659,7 +659,7 @@ def test_the_motion_is_judged_alike_at_every_threshold(library: ctypes.CDLL, see
     """Strokes with and against the effort, rest, reversals, about as long as the windows in which they are judged."""
     rng = random.Random(seed)
     sign = rng.choice([1, -1])
-    pair = Pair(library, rotary_rig(coulomb=2e-3, sign=sign))
+    pair = Pair(library, unmeasured(rotary_rig(coulomb=2e-3, sign=sign)))
     for hardware in pair.hardware:
         hardware.__class__ = Puppet
     for session in range(1, 30):
