@@ -2,8 +2,9 @@
 
 The active current passes through the amplifier's lag; under voltage drive the back-EMF is taken off before it, from the
 count's own speed. What is left between that and the measured current is added up over `WINDOW_S`, by magnitude, so that
-neither an oscillation nor noise averages it away. At the end of each window the sum is compared with the larger of
-`SIGMAS` of the sensor's noise and a tenth of the current that was expected:
+neither an oscillation nor noise averages it away; the largest of a window is left out, since it may be a spike of the
+converter. At the end of each window the sum is compared with the larger of `SIGMAS` of the sensor's noise and a tenth
+of the current that was expected:
 
 * above it the two *disagree*;
 * below it they agree, where a dead motor would have been above it; otherwise the current was *not observed*.
@@ -12,7 +13,7 @@ All of it is integers in flat memory, of 32 bits but for products, as the firmwa
 mirrors this): the simulated device and both loops of the host call this one.
 
 Source: R·i + L·i′ = V − k_e·ω, and a current loop as a first-order lag; the thresholds are ours, and
-`rig/bench/README.md` has the false alarms and the power that follow.
+`rig/DESIGN.md` says where the false alarms and the power that follow are.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ _Places = namedtuple(
     # memory: expected current (1/16384 quantum), speed (1/4096 count a tick), last count and whether there is one
     "expected speed count known "
     # of this window
-    "passed difference sum",
+    "passed difference largest sum most",
 )
 CURRENT: Any = _Places(*range(len(_Places._fields)))
 
@@ -82,9 +83,15 @@ def _share_of(lag_s: float, rate: int) -> int:
 
 
 @rule
+def _begin_window(words: Ints) -> None:
+    words[CURRENT.passed] = words[CURRENT.difference] = words[CURRENT.largest] = 0
+    words[CURRENT.sum] = words[CURRENT.most] = 0
+
+
+@rule
 def forget(words: Ints) -> None:
     """Begin a window: a new session, or samples were lost."""
-    words[CURRENT.passed] = words[CURRENT.difference] = words[CURRENT.sum] = 0
+    _begin_window(words)
     words[CURRENT.known] = words[CURRENT.speed] = 0
 
 
@@ -115,6 +122,8 @@ def compare(words: Ints, count: int, active: int, measured: int) -> int:
     int
         `AGREES`, `DISAGREES`, or 0: the window goes on, or the current was too small to be observed.
     """
+    if words[CURRENT.noise] == _UNOBSERVED:
+        return 0
     aim = active * _UNIT
     if words[CURRENT.back_emf] != 0:
         aim = min(max(aim - _back_emf(words, count), -_MOST), _MOST)
@@ -122,16 +131,20 @@ def compare(words: Ints, count: int, active: int, measured: int) -> int:
     expected = (abs(words[CURRENT.expected]) + _UNIT // 2) // _UNIT
     if words[CURRENT.expected] < 0:
         expected = -expected
-    words[CURRENT.difference] += abs(measured - expected)
+    apart = abs(measured - expected)
+    words[CURRENT.difference] += apart
+    words[CURRENT.largest] = max(words[CURRENT.largest], apart)
     words[CURRENT.sum] += abs(expected)
+    words[CURRENT.most] = max(words[CURRENT.most], abs(expected))
     words[CURRENT.passed] += 1
     if words[CURRENT.passed] < words[CURRENT.ticks]:
         return 0
-    difference, flowing, noise = words[CURRENT.difference], words[CURRENT.sum], words[CURRENT.noise]
-    words[CURRENT.passed] = words[CURRENT.difference] = words[CURRENT.sum] = 0
-    if difference > max(noise, flowing // SHARE):
-        return DISAGREES if noise < _UNOBSERVED else 0
-    return AGREES if flowing > noise else 0
+    difference = words[CURRENT.difference] - words[CURRENT.largest]
+    flowing, seen, noise = words[CURRENT.sum], words[CURRENT.sum] - words[CURRENT.most], words[CURRENT.noise]
+    _begin_window(words)
+    if difference > noise and difference * SHARE > flowing:
+        return DISAGREES
+    return AGREES if seen > noise else 0
 
 
 @rule

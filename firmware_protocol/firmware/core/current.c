@@ -1,7 +1,8 @@
 /* The active current passes through the amplifier's lag; under voltage drive the back-EMF is taken off before it, from
  * the count's own speed. What is left between that and the measured current is added up over a window, by magnitude, so
- * that neither an oscillation nor noise averages it away, and compared with the larger of the sensor's noise and a tenth
- * of the current that was expected. The host has the same rule (rig/control/current.py), bit by bit. */
+ * that neither an oscillation nor noise averages it away, all but the largest, which may be a spike of the converter. The
+ * sum is compared with the larger of the sensor's noise and a tenth of the current that was expected. The host has the
+ * same rule (rig/control/current.py), bit by bit. */
 #include "current.h"
 
 #include <math.h>
@@ -43,11 +44,17 @@ void current_configure(struct current_check *check, const struct board *board, u
     current_forget(check);
 }
 
-void current_forget(struct current_check *check)
+static void begin_window(struct current_check *check)
 {
     check->passed = 0;
     check->difference = 0;
+    check->largest = 0;
     check->sum = 0;
+}
+
+void current_forget(struct current_check *check)
+{
+    begin_window(check);
     check->known = false;
     check->speed = 0;
 }
@@ -81,8 +88,9 @@ int16_t current_zeroed(struct current_check *check, int16_t measured, bool off)
 /* A share (1/65536) of a difference, towards zero. */
 static int32_t part(int32_t difference, uint32_t share)
 {
-    const int32_t size = (int32_t)wide_shift(wide_product(size_of(difference), share), 16u);
-    return difference > 0 ? size : -size;
+    const uint32_t size = size_of(difference); /* 30 bits; in two halves, for processors without a wide product */
+    const int32_t part = (int32_t)((size >> 16) * share + ((size & 0xFFFFu) * share >> 16));
+    return difference > 0 ? part : -part;
 }
 
 /* Current that the motion takes off under voltage drive. */
@@ -103,6 +111,8 @@ static int32_t back_emf(struct current_check *check, int32_t count)
 
 bool current_disagrees(struct current_check *check, int32_t count, int16_t active, int16_t measured)
 {
+    if (check->noise == UINT32_MAX)
+        return false;
     int32_t aim = active * UNIT;
     if (check->back_emf != 0) {
         const int64_t left = (int64_t)aim - back_emf(check, count);
@@ -110,13 +120,13 @@ bool current_disagrees(struct current_check *check, int32_t count, int16_t activ
     }
     check->expected += part(aim - check->expected, check->decay);
     const int32_t expected = whole(check->expected, UNIT);
-    check->difference += size_of(measured - expected);
+    const uint32_t apart = size_of(measured - expected);
+    check->difference += apart;
+    check->largest = apart > check->largest ? apart : check->largest;
     check->sum += size_of(expected);
     if (++check->passed < check->ticks)
         return false;
-    const uint32_t difference = check->difference, share = check->sum / SHARE;
-    check->passed = 0;
-    check->difference = 0;
-    check->sum = 0;
-    return check->noise < UINT32_MAX && difference > (share > check->noise ? share : check->noise);
+    const uint32_t difference = check->difference - check->largest, sum = check->sum;
+    begin_window(check);
+    return difference > check->noise && difference * SHARE > sum;
 }

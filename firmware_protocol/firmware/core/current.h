@@ -20,7 +20,7 @@ struct current_check {
     bool known;
     /* Of this window. */
     uint16_t passed;
-    uint32_t difference, sum;
+    uint32_t difference, largest, sum;
     /* What the sensor shows without a current (1/256 quantum), and how much that may be. */
     int32_t zero, largest_zero;
 };
