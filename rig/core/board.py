@@ -10,13 +10,24 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from firmware_protocol import dictionary as dictionaries
+from firmware_protocol.dictionary import ConstantInfo
 from firmware_protocol.parameter import Value
 from rig.core.model import RigModel
+from rig.core.sample import unit_of
 
 CURRENT_QUANTA_LIMIT = 2**15 - 1  # of an i16 on the wire
 STALL_COUNTS = 2  # travel that must show an edge wherever the handle stood in its encoder cell
 # Above the amplifier's own peak: noise and ripple of the sensor are no fault, a shorted winding is.
 OVER_CURRENT_MARGIN = 1.1
+MOVED_QUANTITIES = {
+    "effort_quantum": "effort",
+    "effort_limit": "effort",
+    "friction": "effort",
+    "travel": "position",
+    "inertia": "inertia",
+    "damping": "damping",
+    "lag_s": "s",
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -112,6 +123,18 @@ def moved_mechanics(model: RigModel) -> MovedMechanics:
     )
 
 
+def constants(model: RigModel) -> tuple[ConstantInfo, ...]:
+    """Return what the monitors of a device know of its rig, as it tells its host."""
+    mechanics = moved_mechanics(model)
+    return (
+        ConstantInfo("over_current", "quantum", over_current(model)),
+        *(
+            ConstantInfo(name, unit_of(quantity, model.motion), getattr(mechanics, name))
+            for name, quantity in MOVED_QUANTITIES.items()
+        ),
+    )
+
+
 def describe(
     model: RigModel,
     *,
@@ -149,6 +172,7 @@ def describe(
         current_measured=model.amplifier.current_monitor,
         position_rate_default=rate_default,
         position_rate_maximum=rate_maximum,
+        constants=constants(model),
         ranges={
             "motion": (motion, motion),
             "encoder_sign": (model.encoder.sign, model.encoder.sign),
