@@ -62,6 +62,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "rig.cli.identify:identify",
         "Identify a rig: signs, friction, inertia, damping, delay, first mode.",
     ),
+    "check": (
+        "rig.cli.check:check",
+        "Send a rig a torque pulse: does it move as it is described, with nobody holding it?",
+    ),
     "devices": ("rig.cli.devices:devices", "List device backends and ports, or ask one device who it is."),
     "doctor": (
         "rig.cli.doctor:doctor",

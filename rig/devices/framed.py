@@ -88,6 +88,7 @@ class FramedDevice:
         self._crc: int | None = None  # of the active parameters; None: not ours, or not known
         self._known: dict[str, Value] = {}  # the last values that were seen active
         self.cleared_fault: FaultReport | None = None  # what an earlier run had left latched
+        self.moved_as_described = False  # under the last torque pulse (`rig.experiments.pulse`)
         self._session = 0  # used last
         self._said_ns = self._heard_ns = (
             0  # host time of the last request's first frame, and of the last bytes read

@@ -26,9 +26,10 @@ from rig.devices.framed import FramedDevice
 from rig.devices.local import opened
 from rig.experiments.judgement import Judgement, judge
 from rig.experiments.plan import device_checks, link_checks, plan_of
+from rig.experiments.pulse import pulse
 from rig.experiments.trial import TrialEnd, TrialRequest, prepared_on, run_trial
 from rig.recording.data import Recording
-from rig.recording.files import plain_errors
+from rig.recording.files import free_name, plain_errors
 from rig.recording.reader import open_recording
 
 
@@ -186,6 +187,7 @@ def hit(request: HitRequest, watch: Watch | None = None) -> Iterator[HitResult]:
         gate = _gate(request, device, experiment)
         with plain_errors("make", request.output):
             request.output.mkdir(parents=True, exist_ok=True)
+        _check_it_moves(request, device, run)
         stem = f"{_file_name(experiment.rig.name)}-{datetime.now():%Y%m%d-%H%M%S}"
         for repeat in range(experiment.trial.repeats):
             trial = TrialRequest(
@@ -304,6 +306,20 @@ def _file_name(name: str) -> str:
     return re.sub(r"[^A-Za-z0-9._-]+", "-", name).strip(".-") or "rig"
 
 
+def _check_it_moves(request: HitRequest, device: FramedDevice, run: Run) -> None:
+    """A real rig is not armed for a person before it has moved as it is described, with nobody holding it."""
+    experiment = run.experiment
+    if experiment.trial.kind != "human" or device.dictionary.simulated or device.moved_as_described:
+        return
+    pulse(
+        device,
+        experiment,
+        recording=free_name(request.output, f"{_file_name(experiment.rig.name)}-pulse"),
+        verified=request.verified,
+        reference_count=run.reference_count,
+    ).insist()
+
+
 def _check_verified(request: HitRequest, device: FramedDevice) -> None:
     if device.dictionary.simulated or request.verified:
         return
@@ -324,12 +340,3 @@ def _check_person(experiment: Experiment, device: FramedDevice) -> None:
             f"nominal effort {limits.nominal_effort:g}",
             remedy="set rig.limits.human = true and an effort limit within it",
         )
-
-
-def free_name(directory: Path, stem: str) -> Path:
-    """First capture name of this stem that no recording has."""
-    for number in range(1, 10_000):
-        name = stem if number == 1 else f"{stem}-{number}"
-        if not any((directory / f"{name}{suffix}").exists() for suffix in (".rigcap", ".parquet", ".png")):
-            return directory / f"{name}.rigcap"
-    raise ConfigError(f"{directory} is full of recordings named {stem}", remedy="choose another --output")

@@ -23,15 +23,14 @@ from rig.analysis.identification.quality import IdentificationError
 from rig.analysis.identification.signs import SignCheck, check_signs, stiction_warning
 from rig.analysis.identification.sliding import Sliding, fit_sliding
 from rig.analysis.impedance.signals import ExcitedRun
-from rig.config import Experiment, controller
+from rig.config import Experiment
 from rig.control.excitation import Multisine
 from rig.core.check import refuse
 from rig.core.errors import ConfigError, PlanError
 from rig.core.present import reported
 from rig.core.same_rig import check_rig
-from rig.core.sample import Phase, RowFlag, unit_of
+from rig.core.sample import RowFlag, unit_of
 from rig.devices.framed import FramedDevice
-from rig.experiments.hit import free_name
 from rig.experiments.identified_values import identified_values
 from rig.experiments.identify_motions import (
     PERIODS,
@@ -50,15 +49,12 @@ from rig.experiments.identify_motions import (
     strokes_motion,
     strokes_of,
 )
+from rig.experiments.motion_run import position_now, run_motion
 from rig.experiments.plan import link_checks
 from rig.experiments.planned import Plan
-from rig.experiments.trial import TrialRequest, prepared_on, run_trial
-from rig.recording.data import Recording
-from rig.recording.files import plain_errors
+from rig.recording.files import free_name, plain_errors
 
 Tell = Callable[[str], None]
-
-LATE_SHARE = 0.01
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -227,13 +223,7 @@ class _Session:
         self.recordings: dict[str, tuple[Path, ...]] = {}
 
     def signs(self, x: Experiment) -> SignCheck:
-        at = controller.resolution(x) * (self._device.count() - self._reference)
-        limits = x.rig.limits
-        if not limits.position_minimum < at < limits.position_maximum:
-            raise PlanError(
-                f"the handle stands at {at:.4g} {_unit(x, 'position')}, outside of its window",
-                remedy="move it inside by hand",
-            )
+        at = position_now(self._device, x, self._reference)
         rows, rate = self._run(pushes_motion(x, at), "signs")
         return check_signs(
             np.arange(len(rows)) / rate,
@@ -272,48 +262,18 @@ class _Session:
         )
 
     def _run(self, motion: Motion, name: str, number: int = 0) -> tuple[NDArray[np.void], float]:
-        """Run one trial; return the rows of the trial proper, without a gap, and their rate (Hz)."""
-        simulated = self._device.dictionary.simulated
-        x = motion.experiment
-        run = prepared_on(
+        """Run one trial; return its rows and their rate (Hz)."""
+        x, request = motion.experiment, self._request
+        rows, recording = run_motion(
             self._device,
-            x,
-            verified=self._request.verified or simulated,
+            motion,
+            free_name(request.output, f"{x.rig.name}-{self._stem}-{name}-{number + 1}"),
+            verified=request.verified,
             reference_count=self._reference,
-            law=motion.law,
+            extra={"identification": name, "number": number + 1, "seed": request.seed},
         )
-        end = run_trial(
-            self._device,
-            TrialRequest(
-                run=run,
-                recording=free_name(self._request.output, f"{x.rig.name}-{self._stem}-{name}-{number + 1}"),
-                seed=x.trial.seed,
-                extra={"identification": name, "number": number + 1, "seed": self._request.seed},
-            ),
-        )
-        self.recordings[name] = (*self.recordings.get(name, ()), end.recording)
-        assert end.sealed is not None
-        return trial_rows(end.sealed), float(x.controller.position_rate)
-
-
-def trial_rows(recording: Recording) -> NDArray[np.void]:
-    """Rows of the trial proper.
-
-    Raises `IdentificationError` when a tick is missing, too many were late, or the device overruled the law.
-    """
-    rows: NDArray[np.void] = recording.rows[recording.rows["phase"] == Phase.TRIAL]
-    if len(rows) < 2 or np.any(np.diff(rows["sample_index"]) != 1):
-        raise IdentificationError(
-            f"{recording.path}: samples are missing in the motion",
-            remedy="lower the rate, or use a better link: a fit needs every sample",
-        )
-    late = float(np.mean((rows["flags"] & RowFlag.LATE) != 0))
-    if late > LATE_SHARE:
-        raise IdentificationError(
-            f"{recording.path}: {100 * late:.1f} % of the ticks were late",
-            remedy="lower the rate, or free the computer of other work",
-        )
-    return rows
+        self.recordings[name] = (*self.recordings.get(name, ()), recording)
+        return rows, float(x.controller.position_rate)
 
 
 def excited_run_of(rows: NDArray[np.void], rate: float, multisine: Multisine) -> ExcitedRun:

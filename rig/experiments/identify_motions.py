@@ -105,8 +105,8 @@ def identification_plan(x: Experiment, *, realisations: int, period_s: float, se
     return Plan(x.rig.name, 1, settings, checks)
 
 
-def pushes_motion(x: Experiment, at: float) -> Motion:
-    """Small pushes about where the handle is; window and speed limit shrink to what they need."""
+def pushes_motion(x: Experiment, at: float, pushes: int = PUSHES) -> Motion:
+    """Small pushes about where the handle is; window, speed and energy shrink to what they need."""
     limits, way, rate = x.rig.limits, push_way(x), slow_rate(x)
     speed = min(limits.speed, PUSH_SPEED * way)
     changes = {
@@ -126,10 +126,10 @@ def pushes_motion(x: Experiment, at: float) -> Motion:
         moved=way,
         rest_s=REST_S,
         brake=inertia_of(x) / BRAKE_S,
-        pulses=PUSHES,
+        pulses=pushes,
         rate_hz=rate,
     )
-    return Motion(_moved(x, at, pushes_s(), rate, changes), law)
+    return Motion(_moved(x, at, pushes_s(pushes), rate, changes), law)
 
 
 def strokes_motion(x: Experiment) -> Motion:
@@ -240,9 +240,9 @@ def push_way(x: Experiment) -> float:
     return PUSH_COUNTS * x.rig.encoder.resolution
 
 
-def pushes_s() -> float:
+def pushes_s(pushes: int = PUSHES) -> float:
     """Length of all pushes (s)."""
-    return PUSHES * (PUSH_S + REST_S) + REST_S
+    return pushes * (PUSH_S + REST_S) + REST_S
 
 
 def slow_rate(x: Experiment) -> int:

@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
-from rig.core.errors import RecordingError
+from rig.core.errors import ConfigError, RecordingError
 
 _REMEDIES = {
     errno.ENOENT: "check the path, or make the directory first",
@@ -119,3 +119,12 @@ def whole_directory(path: Path) -> Iterator[Path]:
             shutil.rmtree(draft, ignore_errors=True)
             raise
         sync_directory(path.parent)
+
+
+def free_name(directory: Path, stem: str) -> Path:
+    """First capture name of this stem that no recording has."""
+    for number in range(1, 10_000):
+        name = stem if number == 1 else f"{stem}-{number}"
+        if not any((directory / f"{name}{suffix}").exists() for suffix in (".rigcap", ".parquet", ".png")):
+            return directory / f"{name}.rigcap"
+    raise ConfigError(f"{directory} is full of recordings named {stem}", remedy="choose another --output")

@@ -29,6 +29,7 @@ from rig.core.errors import (
     StoppedError,
 )
 from rig.core.sample import Phase, unit_of
+from rig.experiments.pulse import NO_HANDS
 from rig.session.conditions import Walls, own_rates
 from rig.session.desk import Action, Desk, Question, Reply, View
 from rig.session.directory import TRIALS, Session
@@ -64,6 +65,11 @@ _PHASES = {
 }
 ASKED_FOR = "the operator asked for it"  # why a session pauses, where the machine is not the cause
 MEND = "close other programs, and see `rig doctor`, which names what delays this computer and the link"
+AS_DESCRIBED, NOT_AS_DESCRIBED = (
+    "the rig moves as it is described",
+    "the rig does not move as it is described",
+)
+SEE_TO_IT = "see that nobody holds the handle; `rig check` says more"
 _ALWAYS: tuple[Action, ...] = ("note", "abort")
 _ASKED = (
     GuardError,
@@ -178,6 +184,10 @@ def _for_the_blinded(state: State, error: Exception) -> RigError | None:
     return shown
 
 
+def _mend(reason: str) -> str:
+    return SEE_TO_IT if reason.startswith(NOT_AS_DESCRIBED) else MEND
+
+
 def walls_in(state: State) -> Walls:
     """The walls of a session: of the protocol and the experiment in its log."""
     base = config.experiment_from_mapping(state.experiment, "the experiment in the session's log")
@@ -209,6 +219,7 @@ class _Engine:
         self._last = ""
         self._lines: list[str] = []
         self._expected = 0
+        self._pulsed: int | None = None  # block before which the rig moved as described
         desk.attend(session)
 
     @property
@@ -266,6 +277,8 @@ class _Engine:
     # One step each.
 
     def _trial(self, presented: Presented) -> None:
+        if self._pulsed != presented.block and not self._runner.simulated and not self._pulse(presented):
+            return
         self._show("ready", presented, say=self._state.protocol.trial.say)
         actions: tuple[Action, ...] = ("go", "pause", "skip")
         if self._redoable() is not None:
@@ -280,6 +293,28 @@ class _Engine:
                 self._redo()
             case "go":
                 self._hit(presented)
+
+    def _pulse(self, presented: Presented) -> bool:
+        """Before the first trial of a block, or after the rig was left: whether it moves as it is described."""
+        self._show("hands off", presented, say="Let go of the handle.")
+        self._ask(Question(kind="ready", text=NO_HANDS, actions=("go", *_ALWAYS)))
+        wall = _wall(self._walls, presented.condition, presented.damping, presented.stiffness, presented.seed)
+        found = self._runner.pulse(*wall, self._session.directory / TRIALS, f"pulse-{presented.trial:04d}")
+        told = [f"{check.name}: {check.text}" for check in found.checks]
+        said = AS_DESCRIBED if found.ok else NOT_AS_DESCRIBED
+        self.record(
+            "pulse",
+            block=presented.block,
+            ok=found.ok,
+            said=said,
+            checks=told,
+            recording=found.recording.name,
+        )
+        if found.ok:
+            self._pulsed = presented.block
+        else:
+            self._machine_pauses(f"{said}; {'; '.join(told)}")
+        return found.ok
 
     def _hit(self, presented: Presented) -> None:
         state, wall = self._state, presented
@@ -407,13 +442,13 @@ class _Engine:
         self.record("paused", reason=reason)
         raise OverrunError(
             reason,
-            remedy=f"{MEND}; then resume: {resume_command(self._session.directory, self._session.log.events)}",
+            remedy=f"{_mend(reason)}; then resume: {resume_command(self._session.directory, self._session.log.events)}",
         )
 
     def _pause(self, reason: str) -> None:
         if self._state.paused is None:
             self.record("paused", reason=reason)
-        text = "paused" if reason == ASKED_FOR else f"paused: {reason}; {MEND}, then continue"
+        text = "paused" if reason == ASKED_FOR else f"paused: {reason}; {_mend(reason)}, then continue"
         self._show("paused", say="Let go of the handle.")
         self._ask(Question(kind="paused", text=text, actions=("go", *_ALWAYS)))
         self.record("continued")

@@ -29,8 +29,10 @@ from rig.experiments.baseline import baseline
 from rig.experiments.hit import HitRequest, Recorded, hit, left_by, vetted
 from rig.experiments.judgement import THREW_OUT, THROWN_OUT
 from rig.experiments.plan import device_checks, link_checks
+from rig.experiments.pulse import Pulse, pulse
 from rig.experiments.trial import prepared_on
 from rig.recording.data import Recording
+from rig.recording.files import free_name, plain_errors
 from rig.recording.header import host_facts
 from rig.session.arming import refusals
 from rig.session.pace import sentence
@@ -194,6 +196,20 @@ class DeviceRunner:
             devices.url_for(self.url or "sim://", x.controller.loop), config.rig_model(x)
         ) as device:
             return _fits(x, device)
+
+    def pulse(self, experiment: Experiment, changes: Mapping[str, Any], directory: Path, name: str) -> Pulse:
+        """Send the rig, which nobody holds, a torque pulse; see `rig.experiments.pulse.pulse`."""
+        device = self._device(experiment, changes)
+        assert device is not None  # a real one
+        with plain_errors("make", directory):
+            directory.mkdir(parents=True, exist_ok=True)
+        return pulse(
+            device,
+            in_effect(experiment, device, changes),
+            recording=free_name(directory, name),
+            verified=self.verified,
+            reference_count=self._zero,
+        )
 
     def hit(
         self,

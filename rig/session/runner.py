@@ -10,6 +10,7 @@ from typing import Any, Protocol
 from rig.bench.doctor.pace import Pace
 from rig.config import Experiment
 from rig.core.check import Check
+from rig.experiments.pulse import Pulse
 from rig.session.trial import Hit
 
 Watch = Callable[[int, int], None]
@@ -85,6 +86,10 @@ class TrialRunner(Protocol):
 
     def fits(self, experiment: Experiment, changes: Mapping[str, Any]) -> Sequence[Check]:
         """Whether the device and its link carry an experiment; nothing moves."""
+        ...
+
+    def pulse(self, experiment: Experiment, changes: Mapping[str, Any], directory: Path, name: str) -> Pulse:
+        """Send the rig, which nobody holds, a torque pulse; see `rig.experiments.pulse.pulse`."""
         ...
 
     def hit(

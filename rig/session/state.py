@@ -45,7 +45,7 @@ from rig.session.times import cooling_s
 from rig.session.trial import REDONE, RESTARTED, Presented, Trial, trial_of
 
 # What a session without interruptions has once or not at all.
-BOOKKEEPING = ("opened", "resumed", "stopped", "streamed", "amended")
+BOOKKEEPING = ("opened", "resumed", "stopped", "streamed", "amended", "pulse")
 AMENDABLE = {"judged": ("verdict",), "trial": ("void",), "note": ("text",), "answered": ("answer",)}
 _LONGEST_PAUSE_S = 3600.0  # between two events: beyond, nobody was there
 _TRUSTED_S = 30.0  # of the time between two events, for cooling: the clock of the computer may have been set

@@ -19,6 +19,7 @@ _LINES: dict[str, str] = {
     "answered": "{item}: {answer}",
     "paused": "paused: {reason}",
     "ended": "ended: {reason}",
+    "pulse": "torque pulse: {said}",
     "amended": "event {number} corrected: {value} ({why})",
 }
 

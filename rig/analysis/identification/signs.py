@@ -31,6 +31,9 @@ class Push:
     """One push: its direction, what it took to get away, how far it went, and the inertia that it met."""
 
     direction: Literal[-1, 1]
+    moved: bool  # further than noise
+    began_s: float  # from the beginning of the push to that of the motion, as the fit has it; NaN if it cannot be told
+    seen: float  # way between the extreme positions, the brake included (rad or m, not negative)
     breakaway: float  # effort at the first motion (N·m or N, not negative); what was reached if nothing moved
     way: float  # signed (rad or m)
     inertia: float  # kg·m² or kg; NaN if it cannot be told
@@ -97,7 +100,7 @@ def check_signs(
     for first, last in _spans(effort, max(1, round(rest_s / (time_s[1] - time_s[0])))):
         before = pushes[-1].direction if pushes else 0
         pushes.append(_push(time_s[first:last], effort[first:last], position[first:last], resolution, before))
-    moved = [push for push in pushes if abs(push.way) >= LEAST_COUNTS * resolution]
+    moved = [push for push in pushes if push.moved]
     agreement = {int(np.sign(push.way)) * push.direction for push in moved}
     sign: Literal[-1, 0, 1] = 0
     if len(agreement) == 1:
@@ -113,6 +116,37 @@ def check_signs(
         pushes=tuple(pushes),
         warnings=tuple(_warnings(pushes, moved, sign, scale)),
     )
+
+
+def expected_inertia(
+    *,
+    effort_per_s: float,
+    way: float,
+    tick_s: float,
+    inertia: float,
+    friction: float,
+    damping: float,
+    resolution: float,
+) -> float:
+    """Inertia that a push shows on a described rig: with damping, and in counts, it is not quite the one described.
+
+    Parameters
+    ----------
+    effort_per_s, way, tick_s
+        How fast the push grows (N·m/s or N/s), where it ends (rad or m), period of the loop (s).
+    inertia, friction, damping
+        Of the rig: kg·m² or kg, Coulomb (N·m or N), viscous (N·m·s/rad or N·s/m).
+    resolution
+        Travel for one count (rad or m).
+    """
+    positions, speed = [0.0], 0.0
+    while positions[-1] < way:
+        drive = effort_per_s * tick_s * len(positions) - friction
+        speed += tick_s * max(drive - damping * speed, 0.0 if speed == 0.0 else -math.inf) / inertia
+        positions.append(positions[-1] + tick_s * speed)
+    time_s = tick_s * np.arange(len(positions), dtype=np.float64)
+    counted: Floats = np.floor(np.array(positions) / resolution) * resolution
+    return _fitted(time_s, effort_per_s * time_s, counted)[0]
 
 
 def stiction_warning(breakaway: float, sliding: float) -> str | None:
@@ -142,24 +176,28 @@ def _push(time_s: Floats, effort: Floats, position: Floats, resolution: float, b
     way = position[:top] - position[0]
     away = np.flatnonzero(np.abs(way) >= LEAST_COUNTS * resolution)
     first = int(away[0]) if len(away) else top - 1
+    inertia, began_s = _fitted(time_s[:top], effort[:top], way)
     return Push(
         direction=direction,
+        moved=abs(float(way[-1])) >= LEAST_COUNTS * resolution,
+        began_s=began_s - float(time_s[0]),
+        seen=float(np.ptp(position)),
         breakaway=abs(float(effort[first])),
         way=float(way[-1]),
-        inertia=_inertia(time_s[:top], effort[:top], way),
+        inertia=inertia,
         after_reversal=before == -direction,
     )
 
 
-def _inertia(time_s: Floats, effort: Floats, way: Floats) -> float:
-    """6·m·x = g·(t − t₀)³: slope of the cube root of the way, by least squares, since the handle last was near."""
+def _fitted(time_s: Floats, effort: Floats, way: Floats) -> tuple[float, float]:
+    """Inertia and t₀ of 6·m·x = g·(t − t₀)³: cube root of the way as a line, fitted since the handle last was near."""
     near = np.flatnonzero(np.abs(way) < SETTLED_SHARE * abs(way[-1]))
     since = slice(int(near[-1]) + 1 if len(near) else 0, None)
     if len(np.unique(way[since])) < 4:
-        return math.nan
+        return math.nan, math.nan
     growth = abs(float(np.polyfit(time_s, effort, 1)[0]))
-    slope = float(np.polyfit(time_s[since], np.cbrt(np.abs(way[since])), 1)[0])
-    return growth / (6.0 * slope**3) if slope > 0.0 else math.nan
+    slope, at_zero = (float(one) for one in np.polyfit(time_s[since], np.cbrt(np.abs(way[since])), 1))
+    return (growth / (6.0 * slope**3), -at_zero / slope) if slope > 0.0 else (math.nan, math.nan)
 
 
 def _warnings(pushes: list[Push], moved: list[Push], sign: int, scale: float) -> list[str]:

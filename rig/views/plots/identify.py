@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from rig.core.sample import unit_of
-from rig.experiments.identify import Identification, trial_rows
+from rig.experiments.identify import Identification
+from rig.experiments.motion_run import trial_rows
 from rig.recording.reader import open_recording
 from rig.views.plots import style
 

@@ -26,7 +26,8 @@ from rig.devices.framed import FramedDevice
 from rig.experiments import identify as identifying
 from rig.experiments import identify_motions as motions
 from rig.experiments.identified_file import file_text
-from rig.experiments.identify import IdentifyRequest, identify, trial_rows
+from rig.experiments.identify import IdentifyRequest, identify
+from rig.experiments.motion_run import trial_rows
 from rig.recording.reader import open_recording
 from sim_backend import device as simulated
 from sim_backend.device import SimulatedDevice

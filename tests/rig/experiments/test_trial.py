@@ -45,7 +45,6 @@ from rig.core.errors import (
 )
 from rig.core.sample import ROW, Phase
 from rig.devices.framed import FaultReport, FramedDevice
-from rig.experiments import hit as hits
 from rig.experiments import trial as trials
 from rig.experiments.endings import ENDINGS, error_of
 from rig.experiments.hit import HitRequest, hit
@@ -54,6 +53,7 @@ from rig.loop.layout import EndReason
 from rig.loop.run import COUNTERS, LoopEnd, LoopThread
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import LAW_SIGNATURE
+from rig.recording.files import free_name
 from rig.recording.reader import open_recording
 from sim_backend import pty
 from sim_backend.channel import DeviceFault, Direction, Faults, FrameFault, Kind
@@ -671,11 +671,11 @@ def test_a_real_device_moves_only_when_its_polarity_is_verified(tmp_path: Path, 
 
 
 def test_names_of_recordings_are_free(tmp_path: Path) -> None:
-    first = hits.free_name(tmp_path, "x")
+    first = free_name(tmp_path, "x")
     assert first == tmp_path / "x.rigcap"
     for number, ending in enumerate(("rigcap", "parquet", "png"), start=2):
         (tmp_path / f"{'x' if number == 2 else f'x-{number - 1}'}.{ending}").touch()
-        assert hits.free_name(tmp_path, "x") == tmp_path / f"x-{number}.rigcap"
+        assert free_name(tmp_path, "x") == tmp_path / f"x-{number}.rigcap"
 
 
 # ---------------------------------------------------------------------- hit in real time

@@ -9,9 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from rig.analysis.identification.signs import check_signs
 from rig.bench.doctor.pace import Pace
 from rig.config import Experiment
+from rig.core.check import Check, Outcome
 from rig.core.errors import RigError
+from rig.experiments.pulse import Pulse
 from rig.recording.files import whole_file
 from rig.session.desk import Desk, Question, Reply, View
 from rig.session.load import protocol_from_mapping
@@ -64,6 +67,8 @@ class FakeRunner:
     def __init__(self, fails: Mapping[int, tuple[Mapping[str, Any], RigError | None]] | None = None) -> None:
         self.fails = dict(fails or {})
         self.hits: list[tuple[int, float]] = []
+        self.pulses: list[str] = []
+        self.moves: list[bool] = []  # what the next pulses show; then all is well
         self.heat_of_a_hit = 0.01
 
     def facts(self, experiment: Experiment, changes: Mapping[str, Any]) -> dict[str, Any]:
@@ -77,6 +82,21 @@ class FakeRunner:
 
     def fits(self, experiment: Experiment, changes: Mapping[str, Any]) -> tuple[()]:
         return ()
+
+    def pulse(self, experiment: Experiment, changes: Mapping[str, Any], directory: Path, name: str) -> Pulse:
+        self.pulses.append(name)
+        well = self.moves.pop(0) if self.moves else True
+        found = Check("direction", Outcome.OK if well else Outcome.REFUSED, "as it is", "swap two wires")
+        return Pulse(
+            rig=experiment.rig.name,
+            motion=experiment.rig.motion,
+            device="fake",
+            recording=directory / f"{name}.parquet",
+            signs=check_signs(
+                np.arange(9.0), np.zeros(9), np.zeros(9), resolution=1.0, expected_inertia=1.0, rest_s=1.0
+            ),
+            checks=(found,),
+        )
 
     def hit(
         self,

@@ -95,6 +95,42 @@ def test_the_same_seed_gives_the_same_bytes_of_log(tmp_path: Path) -> None:
     assert logs[0] == logs[1]
 
 
+class RealRunner(FakeRunner):
+    simulated = virtual = False
+
+
+def test_a_real_rig_is_pushed_before_each_block_and_not_armed_until_it_moves_as_described(
+    tmp_path: Path,
+) -> None:
+    runner, desk = RealRunner(), ScriptedDesk()
+    runner.moves = [False, True]
+    state = run_with(started(tmp_path / "P01"), runner, desk)
+    assert state.ended == "complete"
+    assert len(runner.pulses) == 1 + len(state.blocks)
+    events = read(tmp_path / "P01" / LOG)
+    kinds = [event.kind for event in events]
+    first = kinds.index("pulse")
+    assert kinds[first : first + 4] == ["pulse", "paused", "continued", "pulse"]
+    assert kinds.index("trial") > first + 3
+    pushed = [event.content["block"] for event in events if event.kind == "pulse" and event.content["ok"]]
+    assert pushed == [block.number for block in state.blocks]
+    asked = [question.text for question in desk.questions]
+    assert sum("hands off" in text for text in asked) == len(runner.pulses)
+    assert any("does not move as it is described" in text and "`rig check`" in text for text in asked)
+
+
+def test_a_rig_that_was_left_is_pushed_again_and_a_simulated_one_never(tmp_path: Path) -> None:
+    runner, desk = RealRunner(), ScriptedDesk(first("verdict", "abort"))
+    session = started(tmp_path / "P01")
+    run_with(session, runner, desk)
+    before = len(runner.pulses)
+    run_with(resume(tmp_path / "P01", clock=Day()), runner, ScriptedDesk())
+    assert len(runner.pulses) == len(session.state.blocks) + before
+    virtual = FakeRunner()
+    run_with(started(tmp_path / "P02"), virtual, ScriptedDesk())
+    assert virtual.pulses == []
+
+
 @pytest.mark.parametrize("blind", ["both", "operator"])
 def test_a_blinded_operator_is_shown_no_condition_and_no_wall(tmp_path: Path, blind: str) -> None:
     protocol = protocol_of(

@@ -12,6 +12,7 @@ import pytest
 from rig.config import Experiment
 from rig.config.presets import load as preset
 from rig.core.errors import ConfigError, StoppedError
+from rig.experiments.pulse import NO_HANDS
 from rig.session import run as sessions
 from rig.session.analysis import read_study
 from rig.session.conduct import conduct
@@ -58,7 +59,7 @@ class Tired(ScriptedDesk):
         self.left = hits
 
     def ask(self, question: Any) -> Any:
-        if question.kind == "ready":
+        if question.kind == "ready" and question.text != NO_HANDS:
             self.left -= 1
             if self.left < 0:
                 raise StoppedError("enough")

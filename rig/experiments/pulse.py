@@ -1,0 +1,305 @@
+"""A torque pulse before a person takes the handle: the rig has to move as it is described, in both directions.
+
+    found = pulse(device, experiment, recording=Path("pulse.rigcap"), verified=True, reference_count=0)
+    found.ok, found.checks
+
+Four small pushes, two each way, each growing until the handle has moved a few counts (`rig.control.motions.nudges`).
+They need no sensor of the current, no known sign, and no more energy than `energy_of`. A motor that is dead or
+reversed, an encoder that is dead or swapped, one dead channel of it, and a scale that is wrong by a factor show in
+whether, where to, how much and when the handle moves. What they cannot tell from a dead motor is friction beyond what a
+push may use: then nothing was observed, and the rig is not armed for a person either.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rig import config, devices
+from rig.analysis.identification.quality import IdentificationError
+from rig.analysis.identification.signs import SignCheck, check_signs, expected_inertia
+from rig.config import Experiment
+from rig.core.check import Check, Outcome, refuse, refused
+from rig.core.errors import ConfigError
+from rig.core.present import reported
+from rig.core.same_rig import check_rig
+from rig.core.sample import unit_of
+from rig.devices.framed import FramedDevice
+from rig.experiments.identify_motions import (
+    PUSH_S,
+    REST_S,
+    coulomb_of,
+    inertia_of,
+    most_push,
+    push_way,
+    pushes_motion,
+    slow_rate,
+    still,
+)
+from rig.experiments.motion_run import position_now, run_motion
+from rig.experiments.plan import link_checks
+from rig.recording.files import free_name, plain_errors
+
+PUSHES = 4
+# The rules, written before their results (`tests/benchmarks/pulses.py`).
+SAME_SCALE = 1.6  # inertia within this factor of the described one is as described
+SAME_FRICTION, LATEST_S = (
+    2.0,
+    0.05,
+)  # the motion begins within this factor of the described friction's time, and this
+OBSERVABLE = (
+    2.0  # most effort of a push over the described friction: below it a dead motor and friction look alike
+)
+
+NO_HANDS = "hands off the handle: the motor moves it a little, both ways"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pulse:
+    """What the pushes showed.
+
+    Attributes
+    ----------
+    rig, motion, device
+        Names of the rig and of the device; the kind of motion, which decides the units.
+    recording
+        The file of the pushes.
+    signs
+        What was measured.
+    checks
+        What that says: motion, direction, size, delay.
+    """
+
+    rig: str
+    motion: str
+    device: str
+    recording: Path
+    signs: SignCheck = field(repr=False)
+    checks: tuple[Check, ...]
+
+    @reported
+    def ok(self) -> bool:
+        """Whether the rig may be armed for a person."""
+        return not refused(self.checks)
+
+    def insist(self) -> None:
+        """Raise `IdentificationError` with everything that these checks refuse, and what to do."""
+        if found := refused(self.checks):
+            raise IdentificationError(
+                "the rig does not move as it is described: "
+                + "; ".join(f"{one.name}: {one.text}" for one in found),
+                remedy="; ".join(one.remedy for one in found),
+            )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PulseRequest:
+    """Which rig to check, and where.
+
+    Attributes
+    ----------
+    experiment
+        Its rig is compared with; the wall and the trial in it are not used.
+    url
+        Of the device; None simulates the experiment's rig in this process, in virtual time.
+    changes
+        Keys that the user set by hand, dotted.
+    verified
+        As in `rig.experiments.hit.HitRequest`: a real device does not arm without.
+    output
+        Directory of the recording.
+    """
+
+    experiment: Experiment
+    url: str | None = None
+    changes: Mapping[str, Any] = field(default_factory=dict)
+    verified: bool = False
+    output: Path = Path("recordings")
+
+
+def check_rig_moves(request: PulseRequest) -> Pulse:
+    """Open a device, and send it a pulse. Errors as `pulse`, and those of opening it."""
+    x = config.override(request.experiment, request.changes)
+    with devices.open_device(request.url or "sim://", config.rig_model(still(x))) as device:
+        reference = 0 if device.dictionary.simulated else device.count()
+        with plain_errors("make", request.output):
+            request.output.mkdir(parents=True, exist_ok=True)
+        return pulse(
+            device,
+            x,
+            recording=free_name(request.output, f"{x.rig.name}-pulse"),
+            verified=request.verified,
+            reference_count=reference,
+        )
+
+
+def pulse(
+    device: FramedDevice, experiment: Experiment, *, recording: Path, verified: bool, reference_count: int
+) -> Pulse:
+    """Push a rig that nobody holds, and compare its motion with the described one.
+
+    Parameters
+    ----------
+    device
+        Open, at rest. Where all is well it is marked as one that moved as described.
+    experiment
+        The rig is compared with, its limits are kept.
+    recording
+        The capture to write.
+    verified, reference_count
+        As in `rig.experiments.hit.HitRequest`.
+
+    Raises
+    ------
+    PlanError
+        Another rig, or one that must not move: nothing has moved.
+    ConfigError
+        A real rig whose polarity is not verified.
+    RigError
+        Whatever ended the pushes early; the effort is zero.
+    """
+    device.moved_as_described = False
+    simulated = device.dictionary.simulated
+    if not simulated and not verified:
+        raise ConfigError(
+            f"the polarity of motor and encoder of {device.dictionary.device} is not verified, so it does not arm",
+            remedy="put the handle at position zero and say --verified: the pushes end after a few counts whatever the "
+            "signs are",
+        )
+    refuse([check_rig(config.rig_model(still(experiment)), device.dictionary)])
+    changes = {"controller.loop": "host", **_at_own_rate(experiment, device)}
+    if experiment.trial.kind == "human":  # an end mass belongs to automated trials
+        changes["rig.mechanics.end_mass"] = 0.0
+    x = config.override(experiment, changes, "the torque pulse")
+    refuse(link_checks(still(x), device.dictionary.position_rate_maximum, device.link.bytes_per_second))
+    motion = pushes_motion(x, position_now(device, x, reference_count), PUSHES)
+    rows, path = run_motion(
+        device,
+        motion,
+        recording,
+        verified=verified,
+        reference_count=reference_count,
+        extra={"pulse": {"pushes": PUSHES, "most_effort": most_push(x), "way": push_way(x)}},
+    )
+    signs = check_signs(
+        np.arange(len(rows)) / motion.experiment.controller.position_rate,
+        rows["effort_sent"],
+        rows["position"],
+        resolution=x.rig.encoder.resolution,
+        expected_inertia=expected_inertia(
+            effort_per_s=most_push(x) / PUSH_S,
+            way=push_way(x),
+            tick_s=1.0 / motion.experiment.controller.position_rate,
+            inertia=inertia_of(x),
+            friction=coulomb_of(x),
+            damping=config.rig_model(x).damping,
+            resolution=x.rig.encoder.resolution,
+        ),
+        rest_s=0.25 * REST_S,
+    )
+    found = Pulse(
+        rig=x.rig.name,
+        motion=x.rig.motion,
+        device=device.dictionary.device,
+        recording=path,
+        signs=signs,
+        checks=judged(x, signs),
+    )
+    device.moved_as_described = found.ok
+    return found
+
+
+def _at_own_rate(x: Experiment, device: FramedDevice) -> dict[str, Any]:
+    """In real time the loop runs at the device's own rate: pushes need no more."""
+    if device.link.clock.virtual:
+        return {}
+    rate = min(device.dictionary.position_rate_default, slow_rate(x))
+    return dict.fromkeys(("controller.position_rate", "controller.velocity_rate"), rate)
+
+
+def energy_of(x: Experiment) -> float:
+    """Most that the motor gives to the handle in one push (J): its most effort over its way."""
+    return most_push(x) * push_way(x)
+
+
+def judged(x: Experiment, signs: SignCheck) -> tuple[Check, ...]:
+    """Judge the pushes of a rig: whether it moved, where to, how much, and when."""
+    most, coulomb = most_push(x), coulomb_of(x)
+    effort = unit_of("effort", x.rig.motion)
+    moved = [push for push in signs.pushes if push.moved]
+    if not moved:
+        return (_not_moved(x, signs, most, coulomb, effort),)
+    sizes = [push.inertia for push in moved if math.isfinite(push.inertia)]
+    begins = float(np.median([push.began_s for push in moved]))
+    expected = coulomb / most * PUSH_S
+    latest = SAME_FRICTION * expected + LATEST_S
+    return (
+        _check(
+            "motion",
+            len(moved) == len(signs.pushes),
+            f"{len(moved)} of {len(signs.pushes)} pushes of at most {most:.3g} {effort} moved the handle",
+            "see that nothing touches the handle, then check again; a contact of motor or encoder may be loose",
+        ),
+        _check(
+            "direction",
+            signs.sign == 1,
+            "a positive effort raises the position"
+            if signs.sign == 1
+            else "a positive effort lowers the position"
+            if signs.sign == -1
+            else "some pushes moved the handle along, some against",
+            "motor or encoder are connected the other way round: swap two wires, or turn rig.encoder.sign"
+            if signs.sign == -1
+            else "see that nobody holds the handle, then check again",
+        ),
+        _check(
+            "size",
+            len(sizes) > 0 and 1.0 / SAME_SCALE <= signs.scale <= SAME_SCALE,
+            f"the handle answers like {signs.scale:.2g} times the inertia described; up to {SAME_SCALE:g} is borne",
+            "check the torque constant, the ratio and the decoding of the encoder (a half or a quarter: it counts two "
+            "or four for one; twice: half of the effort), and that nobody holds the handle",
+        ),
+        Check(
+            "delay",
+            Outcome.OK if begins <= latest else Outcome.WARNING,
+            f"the handle begins to move {begins:.3g} s into a push, {begins / PUSH_S * most:.3g} {effort}; described "
+            f"friction {coulomb:.3g} {effort}: {expected:.3g} s, at the latest {latest:.3g} s",
+            "friction is larger than described, or the effort comes late: `rig identify` measures both",
+        ),
+    )
+
+
+def _not_moved(x: Experiment, signs: SignCheck, most: float, coulomb: float, effort: str) -> Check:
+    seen = max((push.seen for push in signs.pushes), default=0.0)
+    text = f"nothing moved, up to {most:.3g} {effort}"
+    if most < OBSERVABLE * coulomb:
+        return _check(
+            "motion",
+            False,
+            f"not observed: {text}, and the described friction is {coulomb:.3g} {effort}",
+            "raise rig.limits.effort and rig.limits.nominal_effort as far as the motor bears it, or free the mechanism",
+        )
+    if seen > 0.5 * x.rig.encoder.resolution:
+        return _check(
+            "motion",
+            False,
+            f"the count goes to and fro by one, up to {most:.3g} {effort}: a channel of the encoder is dead",
+            "check both channels of the encoder and their wires",
+        )
+    times = f", {most / coulomb:.2g} times the described friction" if coulomb > 0.0 else ""
+    return _check(
+        "motion",
+        False,
+        f"{text}{times}: the motor is dead, the encoder is dead, or the handle is blocked",
+        "move the handle by hand: if the position follows (`rig devices URL`), check the motor's leads and the "
+        "amplifier's supply; if not, the encoder's",
+    )
+
+
+def _check(name: str, holds: bool, text: str, remedy: str) -> Check:
+    return Check(name, Outcome.OK if holds else Outcome.REFUSED, text, "" if holds else remedy)

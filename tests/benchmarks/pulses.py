@@ -1,0 +1,153 @@
+"""Power and false alarms of the torque pulse (`rig.experiments.pulse`): each fault of a rig, over the presets.
+
+    python -m tests.benchmarks.pulses             # the table; a minute or two
+    python -m tests.benchmarks.pulses --trials 3  # fewer places of the handle in each case
+
+Each trial is four pushes in virtual time over the byte link, from a place of its own in the window and in an encoder
+cell, of a rig whose current nobody measures. The rule was written before the results: no sound rig is refused; a dead
+or reversed motor, a reversed, frozen or half-dead encoder and a scale (motor or encoder) that is off by two or more is
+refused in every trial, with the right check named; friction twice as large is no refusal.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+
+from rig import config
+from rig.config import Experiment, presets
+from rig.core.check import Outcome
+from rig.core.errors import RigError
+from rig.core.model import RigModel
+from rig.devices.framed import FramedDevice
+from rig.experiments.identify_motions import still
+from rig.experiments.pulse import Pulse, pulse
+from sim_backend import device as simulated
+from sim_backend.device import SimulatedDevice
+from sim_backend.hardware import Hardware
+from sim_backend.link import MemoryLink
+
+Change = Callable[[RigModel], RigModel]
+
+
+class Counting(Hardware):
+    """An encoder whose count is what `counts` makes of the true one."""
+
+    counts: Callable[[int], int] = staticmethod(lambda true: true)
+
+    def advance(self, current: int) -> None:
+        super().advance(current)
+        self.count = self.counts(self.count)
+
+
+@dataclass(frozen=True)
+class Fault:
+    """What is wrong with a rig, and the check that must say so; None: it is sound."""
+
+    named: str | None
+    model: Change = lambda model: model
+    hardware: tuple[tuple[str, Any], ...] = ()
+
+
+def _mechanics(**factors: float) -> Change:
+    def change(model: RigModel) -> RigModel:
+        mechanics = model.mechanics
+        values = {name: factor * getattr(mechanics, name) for name, factor in factors.items()}
+        return replace(model, mechanics=replace(mechanics, **values))
+
+    return change
+
+
+def _encoder(*, sign: int = 1, finer: float = 1.0) -> Change:
+    def change(model: RigModel) -> RigModel:
+        encoder = model.encoder
+        scale = (
+            {"ratio": finer * encoder.ratio}
+            if encoder.quantum is None
+            else {"quantum": encoder.quantum / finer}
+        )
+        return replace(model, encoder=replace(encoder, sign=sign * encoder.sign, **scale))
+
+    return change
+
+
+FAULTS = {
+    "sound": Fault(None),
+    "friction twice": Fault(None, _mechanics(motor_coulomb=2.0, link_coulomb=2.0)),
+    "inertia × 1.25": Fault(None, _mechanics(motor_inertia=1.25, link_inertia=1.25, end_mass=1.25)),
+    "motor lead off": Fault("motion", hardware=(("drive", 0.0),)),
+    "motor reversed": Fault("direction", hardware=(("drive", -1.0),)),
+    "motor × ½": Fault("size", hardware=(("drive", 0.5),)),
+    "motor × 2": Fault("size", hardware=(("drive", 2.0),)),
+    "encoder frozen": Fault("motion", hardware=(("counts", lambda true: 0),)),
+    "encoder channel dead": Fault("motion", hardware=(("counts", lambda true: (true + 1) // 2 % 2),)),
+    "encoder reversed": Fault("direction", _encoder(sign=-1)),
+    "encoder × ½": Fault("size", _encoder(finer=0.5)),
+    "encoder × 2": Fault("size", _encoder(finer=2.0)),
+    "encoder × 4": Fault("size", _encoder(finer=4.0)),
+}
+
+
+def pulsed(experiment: Experiment, fault: Fault, at: float, recording: Path) -> Pulse:
+    """Send a pulse to the rig of an experiment with a fault that its device knows nothing of."""
+    sound = config.rig_model(still(experiment))
+    told = simulated.describe(sound, sound.name, 1_000, 50_000)
+    with patch.object(simulated, "describe", lambda *_: told):
+        device = SimulatedDevice(fault.model(sound), initial_position=at)
+    device.hardware.__class__ = Counting
+    for name, value in fault.hardware:
+        setattr(device.hardware, name, value)
+    device.hardware.count = device.hardware.counts(device.hardware.count)
+    with FramedDevice(MemoryLink(device)) as framed:
+        return pulse(framed, experiment, recording=recording, verified=True, reference_count=0)
+
+
+def says(experiment: Experiment, fault: Fault, at: float, recording: Path) -> tuple[str, float]:
+    """What a pulse says of a fault: the names of the checks that refuse, and the scale."""
+    try:
+        found = pulsed(experiment, fault, at, recording)
+    except RigError as error:
+        return f"error: {error}", np.nan
+    return ", ".join(c.name for c in found.checks if c.outcome is Outcome.REFUSED) or "ok", found.signs.scale
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--trials", type=int, default=10)
+    trials = parser.parse_args().trials
+    missed = 0
+    with TemporaryDirectory() as directory:
+        for name, (what, fault) in itertools.product(presets.names(), FAULTS.items()):
+            experiment = config.override(presets.load(name), {"rig.amplifier.current_monitor": False})
+            limits, random = experiment.rig.limits, np.random.default_rng(7)
+            half = 0.1 * (limits.position_maximum - limits.position_minimum)
+            middle = 0.5 * (limits.position_maximum + limits.position_minimum)
+            places = middle + half * random.uniform(-1.0, 1.0, trials)
+            files = [Path(directory) / f"{name}-{what}-{n}.rigcap" for n in range(trials)]
+            found = [says(experiment, fault, at, file) for at, file in zip(places, files, strict=True)]
+            right = sum(
+                said == "ok" if fault.named is None else fault.named in said.split(", ") for said, _ in found
+            )
+            missed += trials - right
+            scales = [scale for _, scale in found]
+            said = "; ".join(
+                f"{count} × {text}" for text, count in Counter(text for text, _ in found).items()
+            )
+            sizes = f"{np.nanmin(scales):.2f}–{np.nanmax(scales):.2f}"
+            print(f"| {name} | {what} | {right}/{trials} | {said} | {sizes} |", flush=True)
+    print(f"{missed} trials against the rule")
+
+
+if __name__ == "__main__":
+    main()

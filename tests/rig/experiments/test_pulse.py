@@ -1,0 +1,178 @@
+"""The torque pulse: a rig that moves as it is described may be armed for a person, any other is refused, with why.
+
+The cases are those of `tests/benchmarks/pulses.py`, which tries them over the presets and many places of the handle.
+"""
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import sim_backend.configuration
+from firmware_protocol.connection import State
+from rig import config
+from rig.analysis.identification.quality import IdentificationError
+from rig.analysis.identification.signs import expected_inertia
+from rig.cli import run
+from rig.config import presets
+from rig.core.check import Outcome
+from rig.core.errors import ConfigError, DeviceFaultError, PlanError
+from rig.devices.framed import FramedDevice
+from rig.experiments.hit import HitRequest, hit
+from rig.experiments.identify_motions import PUSH_S, coulomb_of, inertia_of, most_push, push_way
+from rig.experiments.pulse import Pulse, PulseRequest, check_rig_moves, energy_of, judged, pulse
+from rig.recording.reader import open_recording
+from sim_backend.device import SimulatedDevice
+from sim_backend.link import MemoryLink
+from tests.benchmarks.pulses import FAULTS, pulsed
+
+RIGID = config.override(presets.load("koul-rigid"), {"rig.amplifier.current_monitor": False})
+PERSON = config.override(
+    RIGID,
+    {
+        "trial.kind": "human",
+        "rig.limits.human": True,
+        "rig.limits.effort": 0.28,
+        "operator.press": 2.0,
+        "homing.tolerance_counts": 200.0,
+    },
+)
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> Pulse:
+    return pulsed(RIGID, FAULTS["sound"], 0.0, tmp_path_factory.mktemp("pulse") / "sound.rigcap")
+
+
+def test_a_sound_rig_moves_as_it_is_described(sound: Pulse) -> None:
+    assert sound.ok
+    assert [(check.name, check.outcome) for check in sound.checks] == [
+        (name, Outcome.OK) for name in ("motion", "direction", "size", "delay")
+    ]
+    assert len(sound.signs.pushes) == 4
+    assert {push.direction for push in sound.signs.pushes} == {-1, 1}
+    sound.insist()
+
+
+def test_a_pulse_is_small_and_recorded(sound: Pulse) -> None:
+    rows = open_recording(sound.recording).rows
+    assert abs(rows["effort_sent"]).max() <= most_push(RIGID) + RIGID.rig.amplifier.effort_quantum
+    energy = sum(push.way * push.direction * most_push(RIGID) for push in sound.signs.pushes)
+    assert 0.0 < energy <= 4 * energy_of(RIGID) * 1.2  # a tick's way further than where it ends
+    assert rows["effort_sent"][-1] == 0.0
+
+
+@pytest.mark.parametrize("name", [name for name, fault in FAULTS.items() if fault.named and "½" not in name])
+def test_a_fault_is_refused_by_the_check_that_is_about_it(name: str, tmp_path: Path) -> None:
+    found = pulsed(RIGID, FAULTS[name], 0.0, tmp_path / "pulse.rigcap")
+    refused = [check for check in found.checks if check.outcome is Outcome.REFUSED]
+    assert FAULTS[name].named in [check.name for check in refused]
+    assert all(check.remedy for check in refused)
+    with pytest.raises(IdentificationError, match="does not move as it is described"):
+        found.insist()
+
+
+def test_friction_beyond_a_push_is_not_called_a_dead_motor(sound: Pulse) -> None:
+    """Nothing moved, and the described friction alone would explain it."""
+    still = dataclasses.replace(
+        sound.signs,
+        pushes=tuple(dataclasses.replace(push, moved=False, seen=0.0) for push in sound.signs.pushes),
+    )
+    stiff = config.override(RIGID, {"rig.mechanics.motor_coulomb": 0.9 * most_push(RIGID)})
+    (check,) = judged(stiff, still)
+    assert check.outcome is Outcome.REFUSED
+    assert check.text.startswith("not observed")
+    (dead,) = judged(RIGID, still)
+    assert "dead" in dead.text
+
+
+def test_a_push_of_a_frictionless_mass_shows_its_inertia() -> None:
+    """6·m·x = g·t³: in fine counts and short ticks the fit gives m, whatever the friction."""
+    values = {
+        "effort_per_s": 0.1,
+        "way": 0.05,
+        "tick_s": 1e-5,
+        "inertia": 2e-4,
+        "damping": 0.0,
+        "resolution": 1e-7,
+    }
+    for friction in (0.0, 0.01):
+        assert expected_inertia(**values, friction=friction) == pytest.approx(2e-4, rel=2e-3)
+
+
+def test_the_most_effort_moves_the_described_rig() -> None:
+    for name in presets.names():
+        x = presets.load(name)
+        reached = coulomb_of(x) + (6.0 * inertia_of(x) * push_way(x) * (most_push(x) / PUSH_S) ** 2) ** (
+            1 / 3
+        )
+        assert reached < most_push(x)
+
+
+# ---------------------------------------------------------------------- who is armed
+
+
+@pytest.fixture
+def real(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Simulated devices that claim to be real ones."""
+    original = sim_backend.configuration.describe
+    monkeypatch.setattr(
+        sim_backend.device, "describe", lambda *each: dataclasses.replace(original(*each), simulated=False)
+    )
+
+
+def framed(**hardware: float) -> FramedDevice:
+    """A rig, held by nobody, of the person's experiment."""
+    device = SimulatedDevice(config.rig_model(config.override(PERSON, BARE)))
+    for name, value in hardware.items():
+        setattr(device.hardware, name, value)
+    return FramedDevice(MemoryLink(device))
+
+
+BARE = {"trial.kind": "constant-effort", "rig.mechanics.end_mass": 0.0}
+
+
+def test_a_real_rig_is_pushed_before_a_person_is_armed_and_once(real: None, tmp_path: Path) -> None:
+    with framed() as device:
+        for _ in range(2):
+            tuple(hit(HitRequest(experiment=PERSON, device=device, verified=True, output=tmp_path)))
+    assert len(list(tmp_path.glob("*pulse*.parquet"))) == 1
+    assert len(list(tmp_path.glob("*.parquet"))) == 3
+
+
+def test_a_real_rig_whose_motor_is_dead_is_not_armed_for_a_person(real: None, tmp_path: Path) -> None:
+    with framed(drive=0.0) as device:
+        # The device's own check of a large effort without an edge may come first.
+        with pytest.raises((IdentificationError, DeviceFaultError), match=r"motor is dead|no encoder edge"):
+            tuple(hit(HitRequest(experiment=PERSON, device=device, verified=True, output=tmp_path)))
+        assert not device.moved_as_described
+        assert device.connection.state != State.RUNNING
+    (only,) = tmp_path.glob("*.parquet")
+    assert "pulse" in only.name
+
+
+def test_an_automated_trial_needs_no_pulse(real: None, tmp_path: Path) -> None:
+    short = config.override(PERSON, BARE)
+    with framed() as device:
+        tuple(hit(HitRequest(experiment=short, device=device, verified=True, output=tmp_path)))
+    assert not list(tmp_path.glob("*pulse*"))
+
+
+def test_a_real_rig_of_unverified_polarity_gets_no_pulse(real: None, tmp_path: Path) -> None:
+    with framed() as device, pytest.raises(ConfigError, match="not verified"):
+        pulse(device, RIGID, recording=tmp_path / "pulse.rigcap", verified=False, reference_count=0)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_device_of_another_rig_gets_no_pulse(tmp_path: Path) -> None:
+    request = PulseRequest(experiment=presets.load("chawda-linear"), url="sim://koul-rigid", output=tmp_path)
+    with pytest.raises(PlanError, match="its name is koul-rigid"):
+        check_rig_moves(request)
+
+
+def test_the_command_says_what_was_found(tmp_path: Path, capsys: Any) -> None:
+    assert run(["check", "--rig", "koul-rigid", "-o", str(tmp_path)]) == 0
+    out, err = capsys.readouterr()
+    assert "hands off the handle" in err
+    assert "a positive effort raises the position" in out
