@@ -14,8 +14,8 @@ from typing import Any, Literal
 from rig.session.directory import Session
 
 QuestionKind = Literal["ready", "verdict", "rest", "paused", "item", "trouble"]
-# ready: before a trial, or before the motor moves the handle by itself. verdict: after a trial. rest: `seconds` of it are
-# due; "go" ends it early. paused: "go" continues.
+# ready: before a trial, or before the motor moves the handle by itself. verdict: after a trial. rest: `seconds` are
+# due, and "go" ends it early. paused: "go" continues.
 # item: of the questionnaire. trouble: something went wrong (`text` says what): go tries again.
 
 Action = Literal[
