@@ -50,13 +50,14 @@ from rig.experiments import trial as trials
 from rig.experiments.endings import ENDINGS, error_of
 from rig.experiments.hit import HitRequest, hit
 from rig.experiments.judgement import experiment_of, judge
+from rig.loop.contradictions import Contradiction
 from rig.loop.layout import EndReason
 from rig.loop.run import COUNTERS, LoopEnd, LoopThread
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import LAW_SIGNATURE
 from rig.recording.reader import open_recording
 from sim_backend import pty
-from sim_backend.channel import DeviceFault, Direction, Faults, FrameFault, Kind
+from sim_backend.channel import DeviceFault, Direction, Faults, FrameFault, Happening, Kind
 from sim_backend.device import SimulatedDevice
 from sim_backend.link import MemoryLink
 from tests.conformance.trials import trial_on
@@ -570,6 +571,20 @@ def test_a_device_that_ends_a_run_and_says_no_fault_is_an_error_with_a_remedy() 
     assert error is not None
     assert error.message == "device fault: it did not say which"
     assert error.remedy
+
+
+def test_a_device_that_contradicts_itself_is_told_how() -> None:
+    end = LoopEnd(EndReason.DEVICE_CONTRADICTS, None, dict.fromkeys(COUNTERS, 0), Contradiction.CLOCK.text)
+    error = error_of(end, "sim://", None, np.zeros(0, ROW))
+    assert Contradiction.CLOCK.text in str(error)
+
+
+def test_a_device_that_restarts_in_mid_run_is_not_only_silent(tmp_path: Path) -> None:
+    faults = Faults(device=(Happening(tick=300, act=lambda device: device.reset()),))
+    with pytest.raises(DeviceFaultError, match="restarted during the run") as caught:
+        Bench(tmp_path, faults).run(LONG)
+    assert caught.value.end.reason == EndReason.DEVICE_RESTARTED
+    assert open_recording(caught.value.recording).trailer["reason"] == "device_restarted"
 
 
 def test_a_finished_run_is_no_error() -> None:
