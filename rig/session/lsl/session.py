@@ -76,7 +76,7 @@ class LslMarks:
     ) -> None:
         if find_spec("pylsl") is None:
             raise ConfigError("pylsl is not installed", remedy="pip install 'haptic-rig[lsl]'")
-        command = [sys.executable, "-m", "rig", "lsl", "--json", "--markers", "--pid", str(os.getpid())]
+        command = [sys.executable, "-P", "-m", "rig", "lsl", "--json", "--markers", "--pid", str(os.getpid())]
         command += ["--name", name, *([] if rate is None else ["--rate", repr(rate)])]
         command += ["--blind"] if blind else []
         command += [] if expected is None else ["--expect", expected[0], repr(expected[1])]
