@@ -70,7 +70,7 @@ class HitRequest:
     changes: Mapping[str, Any] = field(default_factory=dict)
     realtime: bool = False
     verified: bool = False
-    output: Path = Path("recordings")
+    output: str | Path = "recordings"
     name: str | None = None
     law: Law | Callable[[float], Law] | None = None
     device: FramedDevice | None = None
@@ -183,13 +183,14 @@ def hit(request: HitRequest, watch: Watch | None = None) -> Iterator[HitResult]:
         run = vetted(request, device, effective)
         experiment = run.experiment
         gate = _gate(request, device, experiment)
-        with plain_errors("make", request.output):
-            request.output.mkdir(parents=True, exist_ok=True)
+        output = Path(request.output)
+        with plain_errors("make", output):
+            output.mkdir(parents=True, exist_ok=True)
         stem = f"{_file_name(experiment.rig.name)}-{datetime.now():%Y%m%d-%H%M%S}"
         for repeat in range(experiment.trial.repeats):
             trial = TrialRequest(
                 run=run,
-                recording=free_name(request.output, request.name or f"{stem}-{repeat + 1}"),
+                recording=free_name(output, request.name or f"{stem}-{repeat + 1}"),
                 seed=experiment.trial.seed,
                 progress=watch(repeat, experiment) if watch else None,
                 judge=partial(judge, experiment=experiment),

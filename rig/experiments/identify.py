@@ -89,7 +89,7 @@ class IdentifyRequest:
     realisations: int = 6
     period_s: float = 0.5
     seed: int = 0
-    output: Path = Path("recordings")
+    output: str | Path = "recordings"
 
     def __post_init__(self) -> None:
         if self.realisations < 2:
@@ -171,8 +171,9 @@ def identify(request: IdentifyRequest, tell: Tell | None = None) -> Identificati
         refuse(plan_of(base, request).checks)
         refuse(link_checks(base, device.dictionary.position_rate_maximum, device.link.bytes_per_second))
         _check_verified(request, device)
-        with plain_errors("make", request.output):
-            request.output.mkdir(parents=True, exist_ok=True)
+        output = Path(request.output)
+        with plain_errors("make", output):
+            output.mkdir(parents=True, exist_ok=True)
         session = _Session(device, request)
         say(f"signs: {PUSHES} small pushes, at most {most_push(base):.3g} {_unit(base, 'effort')}")
         signs = session.signs(base)
@@ -285,7 +286,9 @@ class _Session:
             self._device,
             TrialRequest(
                 run=run,
-                recording=free_name(self._request.output, f"{x.rig.name}-{self._stem}-{name}-{number + 1}"),
+                recording=free_name(
+                    Path(self._request.output), f"{x.rig.name}-{self._stem}-{name}-{number + 1}"
+                ),
                 seed=x.trial.seed,
                 extra={"identification": name, "number": number + 1, "seed": self._request.seed},
             ),
