@@ -17,7 +17,7 @@ import click
 
 from rig.cli.compiling import EXPECTED, CompilingNotice
 from rig.cli.lazy import LazyGroup
-from rig.cli.output import error_facts, print_json
+from rig.cli.output import error_facts, for_terminal, print_json
 from rig.core.errors import ConfigError, RigError
 from rig.realtime import compiling
 
@@ -167,7 +167,7 @@ def _report(error: RigError, arguments: list[str]) -> None:
     if "--json" in arguments and not error.reported:
         print_json({"error": error_facts(error)})
     for message in error.messages:
-        click.echo(f"rig: {message}", err=True)
-    click.echo(f"rig: {error}", err=True)
+        click.echo(f"rig: {for_terminal(message)}", err=True)
+    click.echo(f"rig: {for_terminal(str(error))}", err=True)
     if error.recording is not None:
         click.echo(f"rig: what was recorded until then: {error.recording}", err=True)

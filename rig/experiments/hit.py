@@ -305,7 +305,7 @@ def check_same_rig(experiment: Experiment, device: FramedDevice) -> None:
     if device.dictionary.simulated and theirs != experiment.rig.name:
         raise ConfigError(
             f"the device simulates {theirs}, the experiment is about {experiment.rig.name}",
-            remedy=f"say --rig {theirs}, or open another device",
+            remedy=f"say `rig` {theirs}, or open another device",
         )
 
 
@@ -320,7 +320,7 @@ def _check_verified(request: HitRequest, device: FramedDevice) -> None:
     raise ConfigError(
         f"the polarity of motor and encoder of {device.dictionary.device} is not verified",
         remedy="check them with the power stage limited (push the handle: position must rise; a positive effort must "
-        "move it the same way), put the handle at position zero, and say --verified: the count there becomes zero",
+        "move it the same way), put the handle at position zero, and say `verified`: the count there becomes zero",
     )
 
 
@@ -342,4 +342,4 @@ def free_name(directory: Path, stem: str) -> Path:
         name = stem if number == 1 else f"{stem}-{number}"
         if not any((directory / f"{name}{suffix}").exists() for suffix in (".rigcap", ".parquet", ".png")):
             return directory / f"{name}.rigcap"
-    raise ConfigError(f"{directory} is full of recordings named {stem}", remedy="choose another --output")
+    raise ConfigError(f"{directory} is full of recordings named {stem}", remedy="choose another `output`")

@@ -207,7 +207,7 @@ def plan_of(free: Experiment, request: IdentifyRequest) -> Plan:
     if free.controller.loop == "device":
         raise PlanError(
             'controller.loop = "device": the motions of an identification are laws that a device does not have',
-            remedy="say --set controller.loop=host, and with --url a --rate that the link carries",
+            remedy='set controller.loop = "host", and a rate that the link carries',
         )
     return identification_plan(
         free, realisations=request.realisations, period_s=request.period_s, seed=request.seed
@@ -368,7 +368,7 @@ def _check_verified(request: IdentifyRequest, device: FramedDevice) -> None:
     raise ConfigError(
         f"the polarity of motor and encoder of {device.dictionary.device} is not verified, so it does not arm",
         remedy="see that nothing can be hurt by a push of the wrong sign, put the handle at position zero, and say "
-        "--verified: the first pushes check the signs and end after a few counts whatever they are",
+        "`verified`: the first pushes check the signs and end after a few counts whatever they are",
     )
 
 

@@ -200,7 +200,7 @@ def the_loop(pid: int | None = None) -> RunningLoop:
         return loops[0]
     if loops:
         names = ", ".join(str(loop.pid) for loop in loops)
-        raise ConfigError(f"{len(loops)} loops run: {names}", remedy="name one with --pid")
+        raise ConfigError(f"{len(loops)} loops run: {names}", remedy="name one by its `pid`")
     if pid is not None:
         raise _not_here(pid)
     raise ConfigError("no loop runs in real time on this computer", remedy="start one: rig hit --realtime")

@@ -116,7 +116,7 @@ class LslMarks:
                     f"LSL does not start: {self._complaint()}", remedy="`rig lsl` alone shows more"
                 )
             if time.monotonic() > deadline:
-                raise RigError(f"LSL has not started in {timeout_s:g} s", remedy="run without --lsl")
+                raise RigError(f"LSL has not started in {timeout_s:g} s", remedy="run without `lsl`")
             time.sleep(0.02)
 
     def push(self, mark: str, at_ns: int | None = None, **content: Any) -> None:

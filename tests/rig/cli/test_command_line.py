@@ -14,6 +14,7 @@ import click
 import pytest
 
 import rig.cli
+from rig.cli import output
 from rig.cli.lazy import LazyGroup
 from rig.core.errors import RigError
 from rig.experiments import live
@@ -86,3 +87,49 @@ def test_a_change_for_a_run_that_ends_before_it_is_active_has_its_own_exit_code(
     assert "the loop ended before" in capsys.readouterr().err
     assert rig.cli.run(["set", "stiffness=1", "--json"]) == 16
     assert json.loads(capsys.readouterr().out)["ended"]
+
+
+def texts() -> Iterator[tuple[str, str]]:
+    """File and text of every string outside the commands that is no docstring."""
+    for module, path in source_files(["rig"]).items():
+        if module.startswith("rig.cli"):
+            continue
+        tree = ast.parse(path.read_text())
+        documented = {
+            id(node.value)
+            for node in ast.walk(tree)
+            if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+        }
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in documented:
+                yield module, node.value
+
+
+def test_a_message_of_a_function_names_arguments_and_no_options() -> None:
+    """Whole commands, as one would type them, are a remedy for everybody."""
+    word, command = (
+        re.compile(r"(?<![\w-])--[a-z]"),
+        re.compile(r"\brig [a-z]+|sudo|docker|apt|systemctl|cap-add|-Wl"),
+    )
+    named = [(module, text) for module, text in texts() if word.search(text) and not command.search(text)]
+    assert [one for one in named if not re.fullmatch(r"--[\w=.*-]+", one[1])] == []
+
+
+def test_an_argument_that_a_message_names_is_an_option_of_a_command() -> None:
+    assert isinstance(rig.cli.rig, LazyGroup)
+    options = {name for _, command in commands(rig.cli.rig) for one in command.params for name in one.opts}
+    named = {
+        (module, found)
+        for module, text in texts()
+        if len(text) < 110  # longer ones are pages
+        for found in output._ARGUMENT.findall(text)
+    }
+    assert len(named) > 10
+    assert [one for one in sorted(named) if "--" + one[1].replace("_", "-") not in options] == []
+
+
+def test_a_command_shows_an_argument_as_its_option(capsys: pytest.CaptureFixture[str]) -> None:
+    text = "this wall must not be armed; or accept the risk: `arm_anyway`; see `rig doctor`"
+    assert output.for_terminal(text).endswith("the risk: --arm-anyway; see `rig doctor`")
+    assert rig.cli.run(["session", "check", "/nowhere.toml", "--threshold", "x=1"]) == 2
+    assert "`" not in capsys.readouterr().err

@@ -679,7 +679,7 @@ def real(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_real_device_moves_only_when_its_polarity_is_verified(tmp_path: Path, real: None) -> None:
     with pytest.raises(ConfigError, match="is not verified") as caught:
         list(hit(requested(tmp_path)))
-    assert "--verified" in caught.value.remedy
+    assert "`verified`" in caught.value.remedy
     assert files(tmp_path) == []
     (result,) = hit(requested(tmp_path, verified=True))
     assert open_recording(result.recording).header["identity"]["simulated"] is False
