@@ -13,7 +13,7 @@ import json
 import math
 import zlib
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, NoReturn
 
 from firmware_protocol.errors import RemoteProtocolError
@@ -279,12 +279,10 @@ def explain_status(code: int, known: tuple[CodeInfo, ...]) -> CodeInfo:
 
 
 def _explain(known: tuple[CodeInfo, ...], ours: type[Described], code: int) -> CodeInfo:
-    for info in known:
-        if info.code == code:
-            return info
-    try:
-        return _code_info(ours(code))
-    except ValueError:
-        return CodeInfo(
-            code, f"code {code}", "a code that neither side's dictionary explains", "update both sides"
-        )
+    theirs = next((info for info in known if info.code == code), None)
+    if code in set(ours):
+        return theirs or _code_info(ours(code))
+    unknown = f"{ours.__name__.lower()} {code}, which this version does not know"
+    if theirs is None:
+        return CodeInfo(code, f"code {code}", unknown, "update this package and the firmware")
+    return replace(theirs, text=f"{unknown}: {theirs.text}")

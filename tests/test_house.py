@@ -142,3 +142,14 @@ def test_imports_stand_at_the_top_of_files() -> None:
         if isinstance(node, ast.Import | ast.ImportFrom)
     }
     assert inside == {"rig.realtime.ring", "rig.__main__"}
+
+
+def test_every_child_of_this_interpreter_takes_no_module_from_the_working_directory() -> None:
+    commands = [
+        ast.unparse(node)
+        for tree in trees().values()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.List) and node.elts and ast.unparse(node.elts[0]) == "sys.executable"
+    ]
+    assert len(commands) == 3
+    assert [command for command in commands if not command.startswith("[sys.executable, '-P', ")] == []

@@ -11,13 +11,14 @@ import os
 import select
 import signal
 import sys
+from itertools import pairwise
 
 import click
 
 from rig.cli.compiling import EXPECTED, CompilingNotice
 from rig.cli.lazy import LazyGroup
-from rig.cli.output import error_facts, print_json
-from rig.core.errors import RigError
+from rig.cli.output import error_facts, for_terminal, print_json
+from rig.core.errors import ConfigError, RigError
 from rig.realtime import compiling
 
 # Command → module:attribute, and the line that `rig --help` shows without importing it.
@@ -115,6 +116,7 @@ def run(arguments: list[str], obj: object = None) -> int:
 
 def _run(arguments: list[str], obj: object) -> int:  # noqa: PLR0911  (one exit code for each kind of end)
     try:
+        _refuse_empty(arguments)
         result = rig.main(args=arguments, prog_name="rig", standalone_mode=False, obj=obj)
         return result if isinstance(result, int) else 0
     except click.ClickException as error:
@@ -142,6 +144,17 @@ def _run(arguments: list[str], obj: object) -> int:  # noqa: PLR0911  (one exit 
         return 70
 
 
+def _refuse_empty(arguments: list[str]) -> None:
+    """An empty word is a variable of a shell that is not set: no path, no URL and no name, whatever the command."""
+    for before, word in pairwise(["rig", *arguments]):
+        name, equals, value = word.partition("=")
+        if not word or (name.startswith("--") and equals and not value):
+            raise ConfigError(
+                f"nothing is given {f'for {name}' if word else f'after {before}'}",
+                remedy="give a value, or leave the option out",
+            )
+
+
 def _reader_has_gone() -> bool:
     """Whether nobody reads standard output any more."""
     output = select.poll()
@@ -158,7 +171,7 @@ def _report(error: RigError, arguments: list[str]) -> None:
     if "--json" in arguments and not error.reported:
         print_json({"error": error_facts(error)})
     for message in error.messages:
-        click.echo(f"rig: {message}", err=True)
-    click.echo(f"rig: {error}", err=True)
+        click.echo(f"rig: {for_terminal(message)}", err=True)
+    click.echo(f"rig: {for_terminal(str(error))}", err=True)
     if error.recording is not None:
         click.echo(f"rig: what was recorded until then: {error.recording}", err=True)

@@ -44,13 +44,14 @@ def _list(as_json: bool) -> None:
     usb = available_devices()
     if as_json:
         found = [{"url": device.url, **asdict(device)} for device in usb]
-        output.print_json({"backends": backends, "ports": ports, "usb": found, "simulated": rigs})
+        shown = [{**asdict(one), "broken": table.broken(one.scheme)} for one in backends]
+        output.print_json({"backends": shown, "ports": ports, "usb": found, "simulated": rigs})
         return
     nothing = [Row("none", "")]
     output.show(
         [
             "backends",
-            *(Row(f"{one.scheme}://", f"{one.target} ({one.distribution})") for one in backends),
+            *(Row(f"{one.scheme}://", _shown(one)) for one in backends),
             "serial ports",
             *([Row(port.url, port.description) for port in ports] or nothing),
             "USB devices that could be rigs",
@@ -59,3 +60,8 @@ def _list(as_json: bool) -> None:
             *(Row(f"sim://{name}", "") for name in rigs),
         ]
     )
+
+
+def _shown(backend: table.Backend) -> str:
+    broken = table.broken(backend.scheme)
+    return f"broken: {broken}" if broken else f"{backend.target} ({backend.distribution})"

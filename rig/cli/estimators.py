@@ -52,26 +52,32 @@ def list_(names: tuple[str, ...], rate: str, as_json: bool) -> None:
     case = signal_case(SIGNALS["sine"], hertz, DEFAULT_RESOLUTION)
     facts: list[dict[str, Any]] = []
     for name in names or family.names():
-        each, scored = family.get(name), score(case, Variant(name))
-        facts.append(
-            {
-                "name": name,
-                "summary": each.summary,
-                "source": each.source,
-                "delay_s": scored.delay_s,
-                "delay_at": f"{hertz} Hz, 5 Hz sine, {DEFAULT_RESOLUTION:g} m a count, default settings",
-                "refused": scored.refused,
-                "parameters": [_setting(s) for s in each.settings],
-            }
-        )
+        broken = "" if names else family.broken(name)
+        facts.append({"name": name, "broken": broken} if broken else _facts(name, case, hertz))
     if as_json:
         output.print_json(facts)
         return
     for fact in facts:
+        if "broken" in fact:
+            click.echo(f"{click.style(fact['name'], bold=True)}: broken: {fact['broken']}")
+            continue
         click.echo(f"{click.style(fact['name'], bold=True)}: {fact['summary']}")
         late = fact["refused"] or f"{1e3 * fact['delay_s']:.3f} ms at {fact['delay_at']}"
         pairs = [("delay", late), ("source", str(fact["source"]))]
         output.print_pairs([*pairs, *((p["name"], _said(p)) for p in fact["parameters"])])
+
+
+def _facts(name: str, case: Case, hertz: int) -> dict[str, Any]:
+    each, scored = family.get(name), score(case, Variant(name))
+    return {
+        "name": name,
+        "summary": each.summary,
+        "source": each.source,
+        "delay_s": scored.delay_s,
+        "delay_at": f"{hertz} Hz, 5 Hz sine, {DEFAULT_RESOLUTION:g} m a count, default settings",
+        "refused": scored.refused,
+        "parameters": [_setting(s) for s in each.settings],
+    }
 
 
 @estimators.command()

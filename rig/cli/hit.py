@@ -130,7 +130,7 @@ class Artist:
     def __enter__(self) -> Artist:
         if self._wanted:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "rig.views.plots.hit"],
+                [sys.executable, "-P", "-m", "rig.views.plots.hit"],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,

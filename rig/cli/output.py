@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from itertools import groupby
@@ -16,6 +17,7 @@ from rig.core.errors import RigError
 from rig.core.present import Item, Row, Table, plain
 
 _COLOURS = {"stable": "green", "limit cycle": "yellow", "unstable": "red", "invalid": "magenta"}
+_ARGUMENT = re.compile(r"`([a-z]+(?:_[a-z]+)*)`")
 _MARKS = {
     Outcome.OK: ("ok", "green"),
     Outcome.WARNING: ("!!", "yellow"),
@@ -27,6 +29,11 @@ _MARKS = {
 def print_json(result: Any) -> None:
     """One JSON document on standard output, by `rig.core.present.plain`."""
     click.echo(json.dumps(plain(result), ensure_ascii=False, indent=2))
+
+
+def for_terminal(text: str) -> str:
+    """A message as one reads it beside a command: an argument that it names, `arm_anyway`, is the option there."""
+    return _ARGUMENT.sub(lambda named: "--" + named[1].replace("_", "-"), text)
 
 
 def show(items: Iterable[Item]) -> None:
@@ -80,11 +87,11 @@ def print_table(table: Table) -> None:
 def print_check(check: Check) -> None:
     """Mark, name, text; why it matters and what to do unless it is ok."""
     mark, colour = _MARKS[check.outcome]
-    click.echo(f"  {click.style(mark, fg=colour)} {check.name}: {check.text}")
+    click.echo(f"  {click.style(mark, fg=colour)} {check.name}: {for_terminal(check.text)}")
     if check.outcome is not Outcome.OK:
         for line in (check.why, check.remedy):
             if line:
-                click.echo(f"       {line}")
+                click.echo(f"       {for_terminal(line)}")
 
 
 def coloured(kind: str) -> str:
@@ -109,9 +116,9 @@ def on_terminal() -> bool:
 def error_facts(error: RigError) -> dict[str, Any]:
     """Return an error for a machine."""
     return {
-        "error": error.message,
+        "error": for_terminal(error.message),
         "kind": type(error).__name__,
-        "remedy": error.remedy,
+        "remedy": for_terminal(error.remedy),
         "recording": None if error.recording is None else str(error.recording),
         "messages": list(error.messages),
         "exit_code": error.exit_code,

@@ -129,7 +129,7 @@ def _print(plan: StudyPlan, *, unblind: bool) -> None:
     for one in plan.checks:
         mark, colour = _MARKS[one.outcome]
         remedy = "" if one.outcome == "ok" or not one.remedy else f": {one.remedy}"
-        click.echo(f"  {click.style(mark, fg=colour)} {one.name}: {one.text}{remedy}")
+        click.echo(f"  {click.style(mark, fg=colour)} {one.name}: {output.for_terminal(one.text + remedy)}")
 
 
 def _print_cells(plan: StudyPlan) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import click
 
 from rig.cli import options, output
+from rig.core.errors import RunEndedError
 from rig.experiments import live
 
 
@@ -39,12 +40,16 @@ def set_(changes: tuple[str, ...], pid: int | None, patience_s: float, as_json: 
     done = live.change_wall(values, pid, patience_s=patience_s, posted=posted)
     if as_json:
         output.print_json(done)
+    if done.ended and not done.active:
+        error = RunEndedError(f"parameter set {done.number} is not active: the loop ended before")
+        error.reported = as_json
+        raise error
+    if as_json:
         return
     said = ", ".join(f"{key} = {value}" for key, value in done.changes.items())
-    if done.active:
-        end = "active"
-    elif done.ended:
-        end = "not active: the loop ended before"
-    else:
-        end = "not active yet: the handle stays inside the wall; it will be when it leaves"
+    end = (
+        "active"
+        if done.active
+        else "not active yet: the handle stays inside the wall; it will be when it leaves"
+    )
     click.echo(f"process {done.pid}, parameter set {done.number}: {said}: {end}")

@@ -40,7 +40,7 @@ def show(recording: Path, marks: bool, plot: Path | None, as_json: bool) -> None
     header, trailer = opened.header, opened.trailer or {}
     rows = [
         Row("created", header.get("created")),
-        Row("device", f"{header['identity']['device']} at {header['identity']['url']}"),
+        Row("device", f"{header['identity'].get('device', '?')} at {header['identity'].get('url', '?')}"),
         Row("law ran on", _where(header)),
         Row("ended", trailer.get("reason", "not cleanly: the writer died")),
         Row("rows", len(opened.rows), note="" if opened.complete else "incomplete"),
@@ -74,12 +74,12 @@ def _mark_pairs(happened: list[Mark]) -> list[tuple[str, str]]:
 def _where(header: dict[str, Any]) -> str:
     """Where the law ran, and what a device has made of the wall."""
     extra = header["extra"]
-    if extra["loop"] == "host":
+    if "wall" not in extra:
         return "the host"
     wall = ", ".join(
         f"{name} {value:g} {unit_of(name, header['motion'])}" for name, value in extra["wall"].items()
     )
-    return f"the device, in {ARITHMETIC_WORDS[extra['arithmetic']]}: {wall}"
+    return f"the device, in {ARITHMETIC_WORDS.get(extra.get('arithmetic'), 'its own arithmetic')}: {wall}"
 
 
 def _agreement(found: dict[str, Any]) -> str:

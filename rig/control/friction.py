@@ -84,7 +84,7 @@ class Compensation:
         if not 0.0 < self.dead_band < math.inf:
             raise ConfigError(
                 f"a dead band of {self.dead_band!r} is not a speed",
-                remedy="give a speed above the noise of the velocity estimate (`dead_band_of`)",
+                remedy="give a speed above the noise of the velocity estimate (dead_band_of)",
             )
         if not 0.0 <= self.share < 1.0:
             raise ConfigError(

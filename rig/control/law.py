@@ -40,3 +40,7 @@ class PreparedLaw:
     law: Law
     parameters: NDArray[np.float64]
     state: NDArray[np.float64]
+
+    def fits(self) -> bool:
+        """Whether memory that was read from somewhere has the size that the compiled code takes for granted."""
+        return self.parameters.ndim == 1 and self.state.shape == (max(1, self.law.floats),)

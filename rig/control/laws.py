@@ -7,12 +7,11 @@ A third party adds one by the entry-point group ``rig.laws``: a name and the ``m
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
 from importlib import import_module
-from importlib.metadata import entry_points
 from typing import Any, cast
 
 from rig.control.law import Law
+from rig.core import plugins
 from rig.core.errors import ConfigError
 
 # Name → function that makes the law, imported with the compiled code of it.
@@ -32,12 +31,7 @@ _COMPENSATED = "+friction"  # a wrapper around any of them: rig.control.friction
 
 def names() -> list[str]:
     """Names of all laws, built-in ones first."""
-    return [*BUILT_IN, *(name for name in _plugins(entry_points) if name not in BUILT_IN)]
-
-
-@cache  # it looks through every installed package, which costs milliseconds
-def _plugins(find: Callable[..., Any]) -> tuple[str, ...]:
-    return tuple(sorted(point.name for point in find(group="rig.laws")))
+    return [*BUILT_IN, *(point.name for point in plugins.found("rig.laws", BUILT_IN))]
 
 
 def get(name: str) -> Law:
@@ -47,13 +41,9 @@ def get(name: str) -> Law:
         return cast("Law", _made_by(maker)())
     if name.endswith(_COMPENSATED):
         return cast("Law", _made_by("rig.control.friction:around")(get(name.removesuffix(_COMPENSATED))))
-    for point in entry_points(group="rig.laws", name=name):
-        try:
-            return cast("Law", point.load())
-        except Exception as error:
-            raise ConfigError(
-                f"law {name!r} ({point.value}) does not load: {error!r}", remedy="fix or remove that package"
-            ) from error
+    found = plugins.load("rig.laws", "law", name, lambda part: isinstance(part, Law))
+    if found is not None:
+        return cast("Law", found)
     raise ConfigError(f"there is no law {name!r}", remedy=f"choose one of: {', '.join(names())}")
 
 

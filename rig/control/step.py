@@ -35,7 +35,7 @@ from rig.control import estimators, guard, laws, sources, watch
 from rig.control.estimators.estimator import WINDOW, Prepared
 from rig.control.estimators.fdm import count_difference
 from rig.control.law import Law, PreparedLaw
-from rig.core.errors import ConfigError
+from rig.core.errors import RecordingError
 from rig.core.sample import Phase, RowFlag
 from rig.realtime.groups import Floats, Ints, group, type_of
 from rig.realtime.kernel import kernel
@@ -231,34 +231,45 @@ class Controller:
     def from_mapping(cls, mapping: Mapping[str, Any], *, law: Law | None = None) -> Controller:
         """Inverse of `as_mapping`; `law` stands in for one that no table knows.
 
-        Raises `rig.core.errors.ConfigError` when estimator or law are not to be found here, or when the mapping
-        has other fields than `CONTROL` and `MEMORY`: a field left at zero would be another controller.
+        Raises `rig.core.errors.ConfigError` when estimator or law are not to be found here, and `RecordingError` when
+        the mapping has other fields than `CONTROL` and `MEMORY` (a field left at zero would be another controller), or
+        other sizes than they have (compiled code checks none).
         """
-        estimator, wall = mapping["estimator"], mapping["law"]
-        return cls(
-            control=_record(CONTROL, mapping["control"]),
-            memory=_record(MEMORY, mapping["memory"]),
-            estimator=Prepared(
-                estimators.get(estimator["name"]),
-                np.array(estimator["parameters"], dtype=np.float64),
-                np.array(estimator["state_f"], dtype=np.float64),
-                np.array(estimator["state_i"], dtype=np.int64),
-            ),
-            law=PreparedLaw(
-                law or laws.get(wall["name"]),
-                np.array(wall["parameters"], dtype=np.float64),
-                np.array(wall["state"], dtype=np.float64),
-            ),
-        )
+        try:
+            estimator, wall = mapping["estimator"], mapping["law"]
+            made = cls(
+                control=_record(CONTROL, mapping["control"]),
+                memory=_record(MEMORY, mapping["memory"]),
+                estimator=Prepared(
+                    estimators.get(estimator["name"]),
+                    np.array(estimator["parameters"], dtype=np.float64),
+                    np.array(estimator["state_f"], dtype=np.float64),
+                    np.array(estimator["state_i"], dtype=np.int64),
+                ),
+                law=PreparedLaw(
+                    law or laws.get(wall["name"]),
+                    np.array(wall["parameters"], dtype=np.float64),
+                    np.array(wall["state"], dtype=np.float64),
+                ),
+            )
+        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+            raise _other_version(f"{error!r}") from error
+        if not made.estimator.fits() or not made.law.fits():
+            raise _other_version("its memory has another size")
+        return made
+
+
+def _other_version(how: str) -> RecordingError:
+    return RecordingError(
+        f"a saved controller of another version: {how}",
+        remedy="replay the recording with the version that its header names",
+    )
 
 
 def _record(dtype: np.dtype[Any], values: Mapping[str, Any]) -> Record:
     differing = set(dtype.names or ()) ^ set(values)
     if differing:
-        raise ConfigError(
-            f"a saved controller of another version: {', '.join(sorted(differing))} on one side only",
-            remedy="replay the recording with the version that its header names",
-        )
+        raise _other_version(f"{', '.join(sorted(differing))} on one side only")
     record = np.zeros(1, dtype=dtype)
     for name, value in values.items():
         record[name] = value

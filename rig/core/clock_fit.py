@@ -38,7 +38,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.core.errors import RigError
+from rig.core.errors import RecordingError, RigError
 from rig.core.present import Row, duration
 
 EXCHANGE = np.dtype(
@@ -135,12 +135,16 @@ class ClockFit:
     def from_mapping(cls, mapping: Mapping[str, Any]) -> ClockFit:
         """Inverse of `rig.core.present.plain`; other keys of the mapping are ignored.
 
-        Raises `RigError` when a number is missing or is none.
+        Raises `RecordingError` when a number is missing, is none, or is no time that a clock shows.
         """
         try:
-            return cls(**{f.name: {"int": int, "float": float}[f.type](mapping[f.name]) for f in fields(cls)})  # type: ignore[index]
-        except (KeyError, TypeError, ValueError) as error:
-            raise RigError(
+            kinds = {"int": int, "float": float}
+            found = cls(**{f.name: kinds[str(f.type)](mapping[f.name]) for f in fields(cls)})
+            if not all(abs(getattr(found, f.name)) < 1 << 62 for f in fields(cls)):  # sums of two fit 64 bits
+                raise ValueError("a number is out of range")
+            return found
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
+            raise RecordingError(
                 f"the clock fit is invalid ({error!r})",
                 remedy="read it with the version that wrote it",
             ) from error

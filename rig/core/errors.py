@@ -143,6 +143,12 @@ class ToolchainError(RigError):
     exit_code = 15
 
 
+class RunEndedError(RigError):
+    """The run that was to be changed has ended: the change has no effect."""
+
+    exit_code = 16
+
+
 class StoppedError(RigError):
     """A person stopped the run; the effort is zero and the recording closed.
 

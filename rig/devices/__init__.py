@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
-from importlib.metadata import entry_points
 from typing import Any, cast
 
 from rig import config
 from rig.config import presets
+from rig.core import plugins
 from rig.core.errors import ConfigError, DeviceNotFoundError
 from rig.core.model import RigModel
 from rig.devices.device import DeviceUrl, Link
@@ -46,34 +46,41 @@ class Backend:
 def backends() -> list[Backend]:
     """Every scheme that can be opened here, built-in ones first."""
     table = [Backend(scheme, target, DISTRIBUTION) for scheme, target in BUILT_IN.items()]
-    plugins = sorted(entry_points(group="rig.devices"), key=lambda point: point.name)
     return table + [
         Backend(point.name, point.value, point.dist.name if point.dist else "?")
-        for point in plugins
-        if point.name not in BUILT_IN
+        for point in plugins.found("rig.devices", BUILT_IN)
     ]
+
+
+def broken(scheme: str) -> str:
+    """Why a third party's backend cannot be used, "" where it can."""
+    try:
+        load_backend(f"{scheme}://")
+    except ConfigError as error:
+        return str(error)
+    return ""
 
 
 def load_backend(url: str) -> Callable[[DeviceUrl, RigModel | None], Link]:
     """Import the backend of a URL and return its opener; errors as `open_link`."""
     scheme = DeviceUrl.parse(url).scheme
-    found = next((backend for backend in backends() if backend.scheme == scheme), None)
-    if found is None:
+    target = BUILT_IN.get(scheme)
+    opener = loaded(target, scheme) if target else plugins.load("rig.devices", "backend", scheme, callable)
+    if opener is None:
         schemes = ", ".join(f"{backend.scheme}://" for backend in backends())
         raise ConfigError(f"no backend for {scheme}:// (in {url!r})", remedy=f"known schemes: {schemes}")
-    opener = loaded(found.target, scheme, found.distribution)
     return cast("Callable[[DeviceUrl, RigModel | None], Link]", opener)
 
 
-def loaded(target: str, scheme: str = "sim", distribution: str = DISTRIBUTION) -> Any:
+def loaded(target: str, scheme: str = "sim") -> Any:
     """Return what ``module:attribute`` names; raises `DeviceNotFoundError` when it does not load."""
     module, _, attribute = target.partition(":")
     try:
         return getattr(import_module(module), attribute)
-    except Exception as error:  # somebody else's module may raise anything
+    except Exception as error:
         raise DeviceNotFoundError(
             f"the backend for {scheme}:// ({target}) does not load: {error}",
-            remedy=f"reinstall {distribution}",
+            remedy=f"reinstall {DISTRIBUTION}",
         ) from error
 
 

@@ -200,6 +200,11 @@ class FramedDevice:
             status=Status.NOT_HOMED,
         )
 
+    def has_restarted(self) -> bool:
+        """Whether the device has started again and met no host since. Raises as every question does."""
+        about = self._ask(m.Identify(self._next_nonce(), 0), m.Identity)
+        return bool(about.state == State.BOOT)
+
     def _has_forgotten(self, about: m.Identity) -> bool:
         """Whether the device has restarted since we met it, or another host has configured it since we did."""
         if about.state == State.BOOT:
@@ -374,10 +379,15 @@ class FramedDevice:
     def status_of(self, request: m.Message, *, session: int | None = None) -> Status:
         """Send a request of one's own making, with a fresh nonce, and return the status of its answer.
 
-        For requests that must be refused; the caller undoes one that was accepted.
+        For requests that must be refused; the caller undoes one that was accepted. Raises `DeviceRefusedError` where
+        nobody knows that status.
         """
         answer = self._transact(replace(request, nonce=self._next_nonce()), session=session)  # type: ignore[type-var]
-        return Status(answer.status) if isinstance(answer, m.Ack) else Status.OK
+        if not isinstance(answer, m.Ack):
+            return Status.OK
+        if answer.status not in set(Status):
+            raise self._refusal(answer)
+        return Status(answer.status)
 
     def _listen_until(self, deadline_ns: int) -> None:
         """Let time pass, and discard what the device sends meanwhile, so that it does not delay an answer."""

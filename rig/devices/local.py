@@ -28,6 +28,7 @@ from rig.realtime.scheduling import Realtime, obtained
 
 START_TIMEOUT_S = 60.0  # the first start compiles the plant
 STOP_TIMEOUT_S = 5.0
+SAFE_PATH = "PYTHONSAFEPATH"  # python -P, for the children of this process
 PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 
@@ -71,6 +72,19 @@ def host_beside(host: Host, link: Link) -> Host:
     """
     cpu = getattr(link, "cpu", None)
     return replace(host, cpu=cpu) if host.cpu is None and cpu is not None else host
+
+
+@contextmanager
+def _no_modules_from_here() -> Iterator[None]:
+    """Start a child by multiprocessing: ``python -c``, which else imports what lies here, a json.py for one."""
+    before = os.environ.get(SAFE_PATH)
+    os.environ[SAFE_PATH] = "1"
+    try:
+        yield
+    finally:
+        os.environ.pop(SAFE_PATH)
+        if before is not None:
+            os.environ[SAFE_PATH] = before
 
 
 def _child(model: RigModel, realtime: str, options: Mapping[str, Any], pipe: Any) -> None:
@@ -119,7 +133,8 @@ def serve_locally(url: str, model: RigModel, *, seed: int = 0, realtime: str = "
             name="rig-device",
             daemon=True,
         )
-        process.start()
+        with _no_modules_from_here():
+            process.start()
         sender.close()
         try:
             yield f"unix://{_announced(receiver, url)}?cpu={cpu}"

@@ -23,8 +23,8 @@ from rig.loop.layout import EndReason
 from rig.loop.run import LoopEnd
 
 # Reason → error, what happened, what to do. In braces: url, why (errno), cause_of_loss and loss_remedy
-# (`rig.devices.failures`), fault, fault_remedy, cause (an exception), position and velocity of the last row, and what
-# `rig.loop.run.LoopEnd` says was watched.
+# (`rig.devices.failures`), fault, fault_remedy, contradiction, cause (an exception), position and velocity of the last
+# row, and what `rig.loop.run.LoopEnd` says was watched.
 ENDINGS: dict[EndReason, tuple[type[RigError], str, str]] = {
     EndReason.RUNNING: (StoppedError, "stopped before the loop had begun; the effort is zero", ""),
     EndReason.STOPPED: (StoppedError, "stopped; the effort is zero", ""),
@@ -44,6 +44,16 @@ ENDINGS: dict[EndReason, tuple[type[RigError], str, str]] = {
         "check cable, power and the load of this computer, or lower the rate",
     ),
     EndReason.DEVICE_FAULT: (DeviceFaultError, "device fault: {fault}", "{fault_remedy}"),
+    EndReason.DEVICE_CONTRADICTS: (
+        DeviceFaultError,
+        "the device at {url} contradicts itself: {contradiction}; the effort went to zero",
+        "restart the device; if it happens again, check its power supply and update its firmware",
+    ),
+    EndReason.DEVICE_RESTARTED: (
+        DeviceFaultError,
+        "the device at {url} restarted during the run: position zero is not where it was; the effort is zero",
+        "check its power supply and cables, put the handle at position zero, and start again",
+    ),
     EndReason.NONFINITE: (
         LawError,
         "the law gave a value that is not finite; the effort went to zero",
@@ -133,6 +143,7 @@ def error_of(end: LoopEnd, url: str, fault: FaultReport | None, rows: NDArray[np
         "loss_remedy": loss.remedy,
         "fault": named.text if named else "it did not say which",
         "fault_remedy": named.remedy if named else "read its fault log",
+        "contradiction": end.contradiction,
         "cause": repr(end.error),
         "position": f"{rows['position'][-1]:.4g}" if len(rows) else "?",
         "velocity": f"{rows['velocity'][-1]:.4g}" if len(rows) else "?",

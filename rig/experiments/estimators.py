@@ -90,8 +90,10 @@ class Comparison:
 
 
 def default_variants(names: Iterable[str] | None = None) -> tuple[Variant, ...]:
-    """Return the named estimators (all, if None) with their default settings."""
-    return tuple(Variant(name) for name in (estimators.names() if names is None else names))
+    """Return the named estimators (if None, all that are not broken) with their default settings."""
+    if names is None:
+        names = (name for name in estimators.names() if not estimators.broken(name))
+    return tuple(Variant(name) for name in names)
 
 
 def compare(cases: Sequence[Case], variants: Sequence[Variant], *, timed: bool = False) -> Comparison:

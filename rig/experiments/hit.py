@@ -72,7 +72,7 @@ class HitRequest:
     changes: Mapping[str, Any] = field(default_factory=dict)
     realtime: bool = False
     verified: bool = False
-    output: Path = Path("recordings")
+    output: str | Path = "recordings"
     name: str | None = None
     law: Law | Callable[[float], Law] | None = None
     device: FramedDevice | None = None
@@ -185,14 +185,15 @@ def hit(request: HitRequest, watch: Watch | None = None) -> Iterator[HitResult]:
         run = vetted(request, device, effective)
         experiment = run.experiment
         gate = _gate(request, device, experiment)
-        with plain_errors("make", request.output):
-            request.output.mkdir(parents=True, exist_ok=True)
+        output = Path(request.output)
+        with plain_errors("make", output):
+            output.mkdir(parents=True, exist_ok=True)
         _check_it_moves(request, device, run)
         stem = f"{_file_name(experiment.rig.name)}-{datetime.now():%Y%m%d-%H%M%S}"
         for repeat in range(experiment.trial.repeats):
             trial = TrialRequest(
                 run=run,
-                recording=free_name(request.output, request.name or f"{stem}-{repeat + 1}"),
+                recording=free_name(output, request.name or f"{stem}-{repeat + 1}"),
                 seed=experiment.trial.seed,
                 progress=watch(repeat, experiment) if watch else None,
                 judge=partial(judge, experiment=experiment),
@@ -314,7 +315,7 @@ def _check_it_moves(request: HitRequest, device: FramedDevice, run: Run) -> None
     pulse(
         device,
         experiment,
-        recording=free_name(request.output, f"{_file_name(experiment.rig.name)}-pulse"),
+        recording=free_name(Path(request.output), f"{_file_name(experiment.rig.name)}-pulse"),
         verified=request.verified,
         reference_count=run.reference_count,
     ).insist()
@@ -326,7 +327,7 @@ def _check_verified(request: HitRequest, device: FramedDevice) -> None:
     raise ConfigError(
         f"the polarity of motor and encoder of {device.dictionary.device} is not verified",
         remedy="check them with the power stage limited (push the handle: position must rise; a positive effort must "
-        "move it the same way), put the handle at position zero, and say --verified: the count there becomes zero",
+        "move it the same way), put the handle at position zero, and say `verified`: the count there becomes zero",
     )
 
 

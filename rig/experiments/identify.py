@@ -86,7 +86,7 @@ class IdentifyRequest:
     realisations: int = 6
     period_s: float = 0.5
     seed: int = 0
-    output: Path = Path("recordings")
+    output: str | Path = "recordings"
 
     def __post_init__(self) -> None:
         if self.realisations < 2:
@@ -168,8 +168,9 @@ def identify(request: IdentifyRequest, tell: Tell | None = None) -> Identificati
         refuse(plan_of(base, request).checks)
         refuse(link_checks(base, device.dictionary.position_rate_maximum, device.link.bytes_per_second))
         _check_verified(request, device)
-        with plain_errors("make", request.output):
-            request.output.mkdir(parents=True, exist_ok=True)
+        output = Path(request.output)
+        with plain_errors("make", output):
+            output.mkdir(parents=True, exist_ok=True)
         session = _Session(device, request)
         say(f"signs: {PUSHES} small pushes, at most {most_push(base):.3g} {_unit(base, 'effort')}")
         signs = session.signs(base)
@@ -203,7 +204,7 @@ def plan_of(free: Experiment, request: IdentifyRequest) -> Plan:
     if free.controller.loop == "device":
         raise PlanError(
             'controller.loop = "device": the motions of an identification are laws that a device does not have',
-            remedy="say --set controller.loop=host, and with --url a --rate that the link carries",
+            remedy='set controller.loop = "host", and a rate that the link carries',
         )
     return identification_plan(
         free, realisations=request.realisations, period_s=request.period_s, seed=request.seed
@@ -267,7 +268,7 @@ class _Session:
         rows, recording = run_motion(
             self._device,
             motion,
-            free_name(request.output, f"{x.rig.name}-{self._stem}-{name}-{number + 1}"),
+            free_name(Path(request.output), f"{x.rig.name}-{self._stem}-{name}-{number + 1}"),
             verified=request.verified,
             reference_count=self._reference,
             extra={"identification": name, "number": number + 1, "seed": request.seed},
@@ -326,7 +327,7 @@ def _check_verified(request: IdentifyRequest, device: FramedDevice) -> None:
     raise ConfigError(
         f"the polarity of motor and encoder of {device.dictionary.device} is not verified, so it does not arm",
         remedy="see that nothing can be hurt by a push of the wrong sign, put the handle at position zero, and say "
-        "--verified: the first pushes check the signs and end after a few counts whatever they are",
+        "`verified`: the first pushes check the signs and end after a few counts whatever they are",
     )
 
 

@@ -254,7 +254,7 @@ def measure_on_device(
     if any(one.excitation.channel != "motor" for one in asked):
         raise PlanError(
             "a device has no second actuator that this program could drive",
-            remedy='say --channel motor (excitation.channel = "motor")',
+            remedy='set excitation.channel = "motor"',
         )
     refuse_excitations(asked)
     total, done = sum(one.excitation.realisations for one in asked), 0

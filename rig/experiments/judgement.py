@@ -9,6 +9,7 @@ from firmware_protocol.faults import Fault
 from rig.config import Experiment, experiment_from_mapping, verdict_thresholds
 from rig.control import judging, verdict
 from rig.control.verdict import Kind, Measured, Objection, Verdict
+from rig.core.errors import ConfigError, RecordingError
 from rig.core.present import Row, written
 from rig.core.sample import Phase, unit_of
 from rig.recording.data import Recording
@@ -23,8 +24,11 @@ THROWN_OUT = {Fault.POSITION_WINDOW.name, Fault.OVER_SPEED.name, Fault.RUNAWAY.n
 
 
 def experiment_of(recording: Recording) -> Experiment:
-    """Return the experiment in effect; `ConfigError` when this version cannot read it."""
-    return experiment_from_mapping(recording.experiment, "the recording's header")
+    """Return the experiment in effect; `RecordingError` when this version cannot read it."""
+    try:
+        return experiment_from_mapping(recording.experiment, "the recording's header")
+    except ConfigError as error:
+        raise RecordingError(error.message, remedy="read it with the version that wrote it") from error
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

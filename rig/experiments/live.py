@@ -19,7 +19,7 @@ from rig.bench.doctor.gate import check_change
 from rig.config import Experiment, controller, device_law
 from rig.config.device_law.walls import BILATERAL
 from rig.core.check import refuse
-from rig.core.errors import ConfigError, PlanError, RigError
+from rig.core.errors import ConfigError, PlanError, RigError, RunEndedError
 from rig.experiments.plan import plan_of
 from rig.realtime import running
 from rig.realtime.ring import LOOP_DONE, PARAMETER_SET, Ring
@@ -87,8 +87,10 @@ def change_wall(
     PlanError
         A wall that a plan would refuse, or the gate before arming (`rig.bench.doctor.gate`), or a law on the device; or
         a bilateral wall.
+    RunEndedError
+        The loop ended before.
     RigError
-        The loop ended, another version started it, or it says too little about itself.
+        Another version started the loop, or it says too little about itself.
     """
     meant = {_key(name): value for name, value in changes.items()}
     if not meant:
@@ -159,7 +161,7 @@ def _post(ring: Ring, changes: Mapping[str, Any]) -> tuple[int, Experiment]:
             armed = controller.for_experiment(running_now, **device)
             device_law.live_parameters(armed, device_law.arithmetic_of(experiment.controller), values)
         if ring.get(LOOP_DONE):
-            raise RigError("the loop has ended", remedy="start another one")
+            raise RunEndedError("the loop has ended", remedy="start another one")
         number = ring.replace(values, partial(_info_with, info, experiment, changes), word)
         if number:
             return number, experiment

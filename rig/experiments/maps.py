@@ -75,7 +75,7 @@ class Plan(Protocol[M_co]):
 def zwidth(
     plan: Plan[M],
     *,
-    journal: Path | None = None,
+    journal: str | Path | None = None,
     scheduler: str | None = None,
     workers: int | None = None,
     watch: Callable[[sweep.Progress], None] | None = None,
@@ -104,7 +104,7 @@ def zwidth(
     results = sweep.run(
         plan.work,
         plan.tasks(),
-        journal=journal,
+        journal=None if journal is None else Path(journal),
         scheduler=scheduler,
         workers=workers,
         unit=plan.unit,

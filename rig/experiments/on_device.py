@@ -34,7 +34,7 @@ class OnDevice:
     """
 
     url: str
-    recordings: Path = Path("recordings")
+    recordings: str | Path = "recordings"
     realtime: bool = False
     verified: bool = False
     arm_anyway: bool = False

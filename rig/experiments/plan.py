@@ -48,7 +48,7 @@ def link_checks(experiment: Experiment, rate_maximum: int, bytes_per_second: flo
             "device rate",
             rate <= rate_maximum,
             f"the law asks for {rate} Hz, and the device runs at most at {rate_maximum} Hz",
-            f"choose --rate {rate_maximum} or less",
+            f"choose `rate` {rate_maximum} or less",
         )
     ]
     if bytes_per_second is not None and experiment.controller.loop == "device":
@@ -61,7 +61,7 @@ def link_checks(experiment: Experiment, rate_maximum: int, bytes_per_second: flo
                 "link capacity",
                 needed <= usable,
                 f"samples at {rate} Hz need {needed / 1e3:.1f} kB/s, and the link carries {usable / 1e3:.1f} kB/s",
-                f"choose --rate {possible} or less, or a faster link",
+                f"choose `rate` {possible} or less, or a faster link",
             )
         )
     return checks
@@ -70,11 +70,11 @@ def link_checks(experiment: Experiment, rate_maximum: int, bytes_per_second: flo
 def _batch_check(x: Experiment, usable: float) -> Check:
     """Whether the link carries every tick of a law on the device."""
     needed = device_law.bytes_per_second(x)
-    remedy = "choose a lower --rate, or a faster link"
+    remedy = "choose a lower `rate`, or a faster link"
     if x.controller.measured_current:
         short = replace(x, controller=replace(x.controller, measured_current=False))
         if device_law.bytes_per_second(short) <= usable:
-            remedy = f"leave the measured current out (--set controller.measured_current=false), {remedy}"
+            remedy = f"leave the measured current out (controller.measured_current = false), {remedy}"
     return limited(
         "link capacity",
         needed <= usable,

@@ -119,7 +119,7 @@ class PulseRequest:
     url: str | None = None
     changes: Mapping[str, Any] = field(default_factory=dict)
     verified: bool = False
-    output: Path = Path("recordings")
+    output: str | Path = "recordings"
 
 
 def check_rig_moves(request: PulseRequest) -> Pulse:
@@ -127,12 +127,13 @@ def check_rig_moves(request: PulseRequest) -> Pulse:
     x = config.override(request.experiment, request.changes)
     with devices.open_device(request.url or "sim://", config.rig_model(still(x))) as device:
         reference = 0 if device.dictionary.simulated else device.count()
-        with plain_errors("make", request.output):
-            request.output.mkdir(parents=True, exist_ok=True)
+        output = Path(request.output)
+        with plain_errors("make", output):
+            output.mkdir(parents=True, exist_ok=True)
         return pulse(
             device,
             x,
-            recording=free_name(request.output, f"{x.rig.name}-pulse"),
+            recording=free_name(output, f"{x.rig.name}-pulse"),
             verified=request.verified,
             reference_count=reference,
         )
@@ -168,7 +169,7 @@ def pulse(
     if not simulated and not verified:
         raise ConfigError(
             f"the polarity of motor and encoder of {device.dictionary.device} is not verified, so it does not arm",
-            remedy="put the handle at position zero and say --verified: the pushes end after a few counts whatever the "
+            remedy="put the handle at position zero and say `verified`: the pushes end after a few counts whatever the "
             "signs are",
         )
     refuse([check_rig(config.rig_model(still(experiment)), device.dictionary)])

@@ -138,11 +138,14 @@ def _controller(recording: Recording, changes: Mapping[str, Any] | None, law: La
     if not changes:
         return Controller.from_mapping(initial, law=law)
     experiment = config.override(experiment_of(recording), changes, "replay")
+    quantum = recording.header["identity"].get("current_quantum_a")
+    reference = initial.get("control", {}).get("reference_count")
+    if quantum is None or reference is None:
+        raise RecordingError(
+            "the recording's header lacks the current quantum or the reference count", remedy="record again"
+        )
     return controller.for_experiment(
-        experiment,
-        current_quantum_a=recording.header["identity"]["current_quantum_a"],
-        reference_count=initial["control"]["reference_count"],
-        law=law,
+        experiment, current_quantum_a=quantum, reference_count=reference, law=law
     )
 
 

@@ -40,19 +40,19 @@ def check_values(
 ) -> None:
     """Refuse the values of an axis of a map: none, one of them twice, or numbers not within 0 ≤ value < below."""
     if not values:
-        raise PlanError(f"no {name} ({option}): nothing to map", remedy="give at least one")
+        raise PlanError(f"no {name} (`{option}`): nothing to map", remedy="give at least one")
     twice = next((value for value, times in Counter(values).items() if times > 1), None)
     if twice is not None:
-        raise PlanError(f"{name} ({option}): {twice} is given twice", remedy="give each once")
+        raise PlanError(f"{name} (`{option}`): {twice} is given twice", remedy="give each once")
     wrong = [value for value in values if isinstance(value, int | float) and not 0.0 <= value < below]
     if wrong:
         raise PlanError(
-            f"{name} ({option}): {wrong[0]:g} is out of range",
+            f"{name} (`{option}`): {wrong[0]:g} is out of range",
             remedy="choose finite numbers of at least 0"
             + ("" if below == math.inf else f" and less than {below:g}"),
         )
     if rising and list(values) != sorted(values):
-        raise PlanError(f"{name} ({option}) are not in rising order", remedy="give the lowest first")
+        raise PlanError(f"{name} (`{option}`) are not in rising order", remedy="give the lowest first")
 
 
 def drive(search: Generator[Wall, Answer, Found], test: Callable[[Wall], Answer]) -> Found:

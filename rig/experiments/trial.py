@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_protocol.faults import Fault
 from firmware_protocol.messages import MAJOR, MINOR
 from firmware_protocol.parameter import Value
 from rig.config import Experiment, as_mapping, device_law, rig_model
@@ -158,7 +159,7 @@ def run_trial(device: FramedDevice, request: TrialRequest) -> TrialEnd:
             finally:
                 _bring_to_rest(device, loop)
             end = loop.end()
-            error = _conclude(device, loop, end, recorder, realtime, exchanges, watch.stopped)
+            end, error = _conclude(device, loop, end, recorder, realtime, exchanges, watch.stopped)
         sealed, judgement = _seal(request, device.link.truth(), error)
     if error is None and (signals.seen or watch.stopped):
         error = StoppedError("stopped after the trial had finished; the effort is zero")
@@ -320,8 +321,8 @@ def _conclude(
     realtime: Realtime,
     exchanges: list[NDArray[np.void]],
     stopped: Exception | None,
-) -> Exception | None:
-    """Hear the device's side, disarm it, close the recording; return the error that the ending means, if any.
+) -> tuple[LoopEnd, Exception | None]:
+    """Hear the device's side, disarm it, close the recording; return the ending, and the error that it means, if any.
 
     `stopped` is why the caller's progress ended the run, if it did.
     """
@@ -333,7 +334,10 @@ def _conclude(
     ):  # the far end may be gone, or the simulation broken: what ended the run is known
         if end.reason == EndReason.DEVICE_FAULT:
             fault = device.explain_fault(loop.fault)  # what STATE says, in case nobody answers now
-            fault = device.fault_report()
+            report = device.fault_report()
+            fault = report if report.code != Fault.NONE else fault
+        if end.reason == EndReason.LINK_SILENT and device.has_restarted():
+            end = replace(end, reason=EndReason.DEVICE_RESTARTED)
         device.disarm(clear_fault=True)
         # At rest nothing delays an answer: with those before the run these hold the line that the run's scatter about.
         exchanges.append(device.exchange_clock())
@@ -341,7 +345,7 @@ def _conclude(
     if stopped is not None and end.reason == EndReason.STOPPED:
         error = stopped
     recorder.finish(_trailer(loop, end, fault, error, realtime, np.concatenate(exchanges)))
-    return error
+    return end, error
 
 
 def _header(

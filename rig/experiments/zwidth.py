@@ -89,11 +89,11 @@ class MapPlan:
 
     def __post_init__(self) -> None:
         """Raise `PlanError` for a map without series, or with the same one twice."""
-        check_values("schemes", [scheme.text for scheme in self.schemes], "--scheme")
-        check_values("dampings", self.dampings, "--damping")
-        check_values("offsets", self.offsets, "--offsets", below=1.0)
+        check_values("schemes", [scheme.text for scheme in self.schemes], "scheme")
+        check_values("dampings", self.dampings, "damping")
+        check_values("offsets", self.offsets, "offsets", below=1.0)
         if self.repeats < 1:
-            raise PlanError(f"{self.repeats} repeats (--repeats)", remedy="give 1 or more")
+            raise PlanError(f"{self.repeats} repeats (`repeats`)", remedy="give 1 or more")
 
     def series(self) -> list[Series]:
         """Every series, in the order of schemes, dampings, offsets, repeats."""

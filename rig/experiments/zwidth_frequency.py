@@ -79,9 +79,9 @@ class FrequencyPlan:
 
     def __post_init__(self) -> None:
         """Raise `PlanError` for a map without walls, with the same scheme twice, or with values in no rising order."""
-        check_values("schemes", [scheme.text for scheme in self.schemes], "--scheme")
-        check_values("stiffnesses", self.stiffnesses, "--stiffness", rising=True)
-        check_values("dampings", self.dampings, "--damping", rising=True)
+        check_values("schemes", [scheme.text for scheme in self.schemes], "scheme")
+        check_values("stiffnesses", self.stiffnesses, "stiffness", rising=True)
+        check_values("dampings", self.dampings, "damping", rising=True)
 
     @property
     def realisations(self) -> int:

@@ -136,7 +136,7 @@ def _stopped(stop: BaseException, where: Next, journal: Path | None) -> StoppedE
 
 def _check(plan: MapPlan) -> None:
     if plan.judged != "recorded":
-        raise PlanError("a device records what it records, not the truth", remedy="say --judge recorded")
+        raise PlanError("a device records what it records, not the truth", remedy="say `judge` recorded")
     if len(plan.offsets) != 1:
         raise PlanError(
             f"{len(plan.offsets)} encoder offsets: on a device zero lies where it lies",

@@ -12,11 +12,12 @@ from numba import types
 
 from firmware_protocol.messages import BATCH_LAYOUTS
 from rig.core.sample import Phase
+from rig.loop.contradictions import ahead, clock_error, of_clock, take_news
 from rig.loop.exchange import take_time
 from rig.loop.frames import NO_FRAME, next_frame
 from rig.loop.layout import BUFFERS_TYPE, SETTINGS_TYPE, Buffers
 from rig.loop.parameter_update import take_answer
-from rig.loop.receive import WRAP, add, forget_noise
+from rig.loop.receive import add, forget_noise
 from rig.loop.rows import behind_grid
 from rig.loop.supervision import (
     CONTIGUOUS,
@@ -44,12 +45,6 @@ assert (
 )  # SAMPLES_A_READING
 
 
-@kernel(types.int64(types.int64, types.int64), inline=True)
-def ahead(new: int, old: int) -> int:
-    """How far a 32-bit number is ahead of another, which may have more bits; negative when behind."""
-    return (new - old + WRAP // 2) % WRAP - WRAP // 2
-
-
 @kernel(types.boolean(SUPERVISION_TYPE))
 def has_room(supervision: Any) -> bool:
     """Whether all that one reading can bring fits into the queue."""
@@ -67,7 +62,13 @@ def _take_batch(
     first, time = batch[BATCH.first_index], batch[BATCH.device_time]
     known = 0  # samples of it that came before
     if v["started"] != 0:
-        first = v["index"] + ahead(first, v["index"])
+        passed = ahead(first, v["index"])
+        error = clock_error(settings, v["clock_error"], passed, time - v["time"])
+        found = of_clock(settings, passed + count, error)
+        if found != 0:
+            progress[0]["contradiction"] = found
+            return 0
+        first = v["index"] + passed
         time = v["time"] + ahead(time, v["time"])
         known = min(max(v["index"] - first + 1, 0), count)
         if known > 0:
@@ -75,6 +76,7 @@ def _take_batch(
             add(words, ring.DUPLICATED if twice else ring.REORDERED, known)
         if known == count:
             return 0
+        v["clock_error"] = error
     else:
         v["started"] = 1
         v["index"] = first - 1
@@ -99,18 +101,20 @@ def _take_batch(
     return count - known
 
 
-@kernel(types.void(BUFFERS_TYPE, SUPERVISION_BUFFERS_TYPE, types.uintp))
-def _take_state(buffers: Buffers, supervised: SupervisionBuffers, words: int) -> None:
-    """Keep a STATE if it is newer than the last one: as the newest, and until its sample comes."""
+@kernel(types.void(SETTINGS_TYPE, BUFFERS_TYPE, SUPERVISION_BUFFERS_TYPE, types.uintp))
+def _take_state(settings: Any, buffers: Buffers, supervised: SupervisionBuffers, words: int) -> None:
+    """Keep a STATE if it is newer than the last one, and believed: as the newest, and until its sample comes."""
     v, p = supervised.supervision[0], buffers.progress[0]
     header, candidate = buffers.header, buffers.candidate
     states, newest = supervised.states, supervised.newest
+    newer, believed = take_news(settings, buffers.progress, candidate, newest, v["heard"] == 0)
+    if believed == 0:
+        return
+    if newer <= 0:
+        add(words, ring.DUPLICATED if newer == 0 else ring.REORDERED, 1)
+        return
     contiguous = 1
     if v["heard"] != 0:
-        newer = ahead(candidate[STATE.sample_index], newest[STATE.sample_index])
-        if newer <= 0:
-            add(words, ring.DUPLICATED if newer == 0 else ring.REORDERED, 1)
-            return
         contiguous = 1 if header[HEAD.sequence] == (p["answers"] + 1) % 65536 else 0
     v["heard"] = 1
     p["answers"] = header[HEAD.sequence]
@@ -155,7 +159,7 @@ def take_frames(settings: Any, buffers: Buffers, supervised: SupervisionBuffers,
         if count > 0 and ours:
             fresh += _take_batch(settings, buffers, supervised, count, words)
         elif ours and codec.decode_state(raw, length, header, buffers.candidate) == 0:
-            _take_state(buffers, supervised, words)
+            _take_state(settings, buffers, supervised, words)
         elif codec.decode_ack(raw, length, header, ack) == 0 and take_answer(buffers, supervised) == 1:
             pass
         elif take_time(settings, buffers, length, words) == 0:

@@ -6,6 +6,8 @@ from typing import Any
 
 from numba import types
 
+from firmware_protocol.connection import State
+from firmware_protocol.faults import Input
 from rig.control.step import DONE, MEMORY_TYPE
 from rig.control.step import ENERGY as FLAG_ENERGY
 from rig.control.step import HOMING_FAILED as FLAG_HOMING
@@ -14,9 +16,11 @@ from rig.control.step import OUT_OF_WINDOW as FLAG_WINDOW
 from rig.control.step import VIOLENT as FLAG_VIOLENT
 from rig.core.sample import RowFlag
 from rig.devices.port import PORT_TYPE, LoopPort
-from rig.loop.layout import SETTINGS_TYPE, WORD, EndReason
+from rig.loop.contradictions import Contradiction
+from rig.loop.layout import INTS, PROGRESS_TYPE, SETTINGS_TYPE, WORD, EndReason
 from rig.realtime import ring
 from rig.realtime.atomics import load_word, store_word
+from rig.realtime.codec import STATE
 from rig.realtime.kernel import kernel
 from rig.realtime.system import woken_by_signal
 
@@ -25,8 +29,32 @@ FINISHED, STOPPED, HEARTBEAT = (int(EndReason[n]) for n in ("FINISHED", "STOPPED
 CLOSED, SILENT, FAULT = (int(EndReason[n]) for n in ("LINK_CLOSED", "LINK_SILENT", "DEVICE_FAULT"))
 OVERRUN, DEVICE_ENDED = int(EndReason.OVERRUN), int(EndReason.DEVICE_ENDED)
 _NONFINITE, _WINDOW, _HOMING = (int(EndReason[n]) for n in ("NONFINITE", "OUT_OF_WINDOW", "HOMING_FAILED"))
+CONTRADICTS, RESTARTED = int(EndReason.DEVICE_CONTRADICTS), int(EndReason.DEVICE_RESTARTED)
 _ENERGY, _VIOLENT = int(EndReason.ENERGY), int(EndReason.VIOLENT)
+_ARMED, _RUNNING, _EMERGENCY = int(State.ARMED), int(State.RUNNING), int(Input.EMERGENCY_STOP)
+_ANEW = int(Contradiction.RESTARTED)
 _CURRENT, _FLAG_CURRENT = int(EndReason.CURRENT_DIFFERS), int(RowFlag.CURRENT_DIFFERS)
+
+
+@kernel(types.int64(PROGRESS_TYPE))
+def contradicted(progress: Any) -> int:
+    """Reason to end that a contradiction of the device gives, or 0."""
+    found = progress[0]["contradiction"]
+    if found == 0:
+        return 0
+    return RESTARTED if found == _ANEW else CONTRADICTS
+
+
+@kernel(types.int64(INTS, PROGRESS_TYPE))
+def ended_by_device(state: Any, progress: Any) -> int:
+    """Reason to end that a STATE or a contradiction of the device gives, or 0.
+
+    A device that left the session may not say why, and one that reports a pressed emergency stop must not drive on.
+    """
+    armed = state[STATE.state] == _ARMED or state[STATE.state] == _RUNNING
+    if state[STATE.fault] != 0 or not armed or state[STATE.inputs] & _EMERGENCY != 0:
+        return FAULT
+    return int(contradicted(progress))
 
 
 @kernel(types.int64(PORT_TYPE, SETTINGS_TYPE, types.uintp))

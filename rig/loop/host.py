@@ -18,13 +18,21 @@ from typing import Any
 
 from numba import types
 
-from firmware_protocol.connection import State
 from rig.control.step import CONTROLLER_TYPE, MEMORY_TYPE, ControllerArguments, step
 from rig.devices.framed import STOP_FRAMES
 from rig.devices.port import PORT_TYPE, LoopPort
 from rig.loop.commands import MODE_CURRENT, MODE_STOP, NO_SYNC, send_command, sync_of
 from rig.loop.currents import compare_command, compare_measured
-from rig.loop.ending import CLOSED, FAULT, OVERRUN, SILENT, STOPPED, ended_by_law, told_to_end
+from rig.loop.ending import (
+    CLOSED,
+    OVERRUN,
+    SILENT,
+    STOPPED,
+    contradicted,
+    ended_by_device,
+    ended_by_law,
+    told_to_end,
+)
 from rig.loop.exchange import ask_time
 from rig.loop.layout import (
     BUFFERS_TYPE,
@@ -44,7 +52,6 @@ from rig.realtime.atomics import load_word, store_word
 from rig.realtime.codec import STATE
 from rig.realtime.kernel import kernel
 
-_ARMED, _RUNNING = int(State.ARMED), int(State.RUNNING)
 SHORTEST_WAIT_NS = 200_000
 LONGEST_WAIT_NS = 10_000_000
 
@@ -62,11 +69,10 @@ def _overran(settings: Any, memory: Any, progress: Any) -> bool:
 
 @kernel(types.int64(INTS, SETTINGS_TYPE, MEMORY_TYPE, PROGRESS_TYPE))
 def _outcome(state: Any, settings: Any, memory: Any, progress: Any) -> int:
-    """End reason that follows from this tick, 0 to continue. A device that left the session may not say why."""
-    armed = state[STATE.state] == _ARMED or state[STATE.state] == _RUNNING
-    if state[STATE.fault] != 0 or not armed:
-        return FAULT
-    reason = ended_by_law(memory)
+    """End reason that follows from this tick, 0 to continue."""
+    reason = ended_by_device(state, progress)
+    if reason == 0:
+        reason = ended_by_law(memory)
     if reason == 0 and settings[0]["stop_when_late"] != 0 and _overran(settings, memory, progress):
         reason = OVERRUN
     return int(reason)
@@ -118,6 +124,8 @@ def _receive(port: LoopPort, settings: Any, buffers: Buffers, words: int) -> int
         if s["host_paced"] == 0:
             p["late"] = lateness(settings, buffers.progress, p["read_at"])
         return int(passed)
+    if p["contradiction"] != 0:
+        return _ENDS * contradicted(buffers.progress)
     if ready < 0:
         store_word(words + WORD * ring.END_ERRNO, -ready)
         return _ENDS * CLOSED

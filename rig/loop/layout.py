@@ -38,6 +38,8 @@ class EndReason(IntEnum):
     ENERGY = 14  # the motor gave more energy to the handle than it may
     VIOLENT = 15  # the effort oscillated between zero and its limit
     CURRENT_DIFFERS = 16  # the measured current did not follow the active one
+    DEVICE_CONTRADICTS = 17  # what the device says cannot be (rig.loop.contradictions)
+    DEVICE_RESTARTED = 18  # the device counts its samples anew
 
 
 SETTINGS = np.dtype(
@@ -88,6 +90,8 @@ PROGRESS = np.dtype(
         ("sets", "<i8"),  # parameter sets that became active during the run
         ("sync_told", "<i8"),  # time of the newest edge of the sync input in a STATE (32 bits)
         ("sync_time", "<i8"),  # the same extended to 64 bits (device ticks); 0 for none
+        ("clock_error", "<i8"),  # device's clock ahead of its sample index (device ticks)
+        ("contradiction", "<i8"),  # of the device (rig.loop.contradictions), 0 for none
     ],
     align=True,
 )

@@ -8,6 +8,7 @@ import numpy as np
 from numba import types
 
 from rig.devices.port import PORT_TYPE, LoopPort
+from rig.loop.contradictions import ahead, take_news, time_of
 from rig.loop.exchange import take_time
 from rig.loop.frames import NO_FRAME, keep_rest, next_frame
 from rig.loop.layout import BUFFERS_TYPE, RECEIVE_BYTES, SETTINGS_TYPE, WORD, Buffers
@@ -15,8 +16,6 @@ from rig.realtime import codec, ring
 from rig.realtime.atomics import load_word, store_word
 from rig.realtime.codec import HEAD, STATE
 from rig.realtime.kernel import kernel
-
-WRAP = 1 << 32
 
 
 @kernel(types.void(types.uintp, types.int64, types.int64))
@@ -46,13 +45,13 @@ def forget_noise(buffers: Buffers, start: int, end: int, words: int) -> None:
     buffers.progress[0]["filled"] = max(rest, 0)
 
 
-@kernel(types.int64(BUFFERS_TYPE, types.uintp))
-def _take(buffers: Buffers, words: int) -> int:
-    """Keep a STATE of this session in `buffers.state` if it is newer; return by how many samples."""
+@kernel(types.int64(SETTINGS_TYPE, BUFFERS_TYPE, types.uintp))
+def _take(settings: Any, buffers: Buffers, words: int) -> int:
+    """Keep a STATE of this session in `buffers.state` if it is newer, and believed; return by how many samples."""
     p, candidate, state = buffers.progress[0], buffers.candidate, buffers.state
-    newer = 1
-    if p["started"] != 0:
-        newer = (candidate[STATE.sample_index] - p["sample_index"] + WRAP // 2) % WRAP - WRAP // 2
+    newer, believed = take_news(settings, buffers.progress, candidate, state, p["started"] == 0)
+    if believed == 0:
+        return 0
     if newer <= 0:
         add(words, ring.DUPLICATED if newer == 0 else ring.REORDERED, 1)
         return 0
@@ -62,7 +61,8 @@ def _take(buffers: Buffers, words: int) -> int:
         p["started"] = 1
     else:
         p["sample_index"] += newer
-        p["device_time"] += (candidate[STATE.device_time] - p["device_time"]) % WRAP
+        expected = time_of(settings, newer)  # a jump back is one, not a wrap
+        p["device_time"] += expected + ahead(candidate[STATE.device_time] - p["device_time"], expected)
     p["answers"] = buffers.header[HEAD.sequence]
     p["fresh"] += 1
     for i in range(len(state)):
@@ -93,7 +93,7 @@ def newest_state(settings: Any, buffers: Buffers, words: int) -> int:
         add(words, ring.FRAMES, 1)
         kind = codec.decode_state(buffers.raw, length, header, buffers.candidate)
         if header[HEAD.session] == settings[0]["session"] and kind == 0:
-            passed += _take(buffers, words)
+            passed += _take(settings, buffers, words)
         elif take_time(settings, buffers, length, words) == 0:
             add(words, ring.OTHER_FRAMES, 1)
     forget_noise(buffers, start, end, words)

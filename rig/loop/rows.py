@@ -8,6 +8,7 @@ from numba import types
 
 from rig.control.step import CONTROLLER_TYPE, MEMORY_TYPE, ControllerArguments
 from rig.core.sample import RowFlag
+from rig.loop.contradictions import WRAP
 from rig.loop.exchange import device_ns
 from rig.loop.layout import (
     BUFFERS_TYPE,
@@ -20,7 +21,7 @@ from rig.loop.layout import (
     Buffers,
     Shared,
 )
-from rig.loop.receive import WRAP, add
+from rig.loop.receive import add
 from rig.realtime import ring
 from rig.realtime.atomics import load_word, store_word
 from rig.realtime.codec import STATE

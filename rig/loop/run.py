@@ -18,11 +18,13 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_protocol.faults import Fault, Input
 from rig.control import current
 from rig.control.step import Controller
 from rig.core.board import CurrentSensor
 from rig.devices.device import Link
 from rig.loop import host
+from rig.loop.contradictions import Contradiction
 from rig.loop.layout import EXCHANGES_KEPT, SETTINGS, Buffers, EndReason, Shared
 from rig.realtime import ring as words
 from rig.realtime.codec import STATE
@@ -67,6 +69,7 @@ class LoopSettings:
 class LoopEnd:
     """How a loop ended: the reason, an exception of a law or of the simulation, the link's counters.
 
+    `contradiction` is what the device said that cannot be, "" for nothing.
     `watched` has the quantities of `rig.control.watch` and their limits: energy given in the trial and its limit (J),
     oscillations in a row at the end, and the time within which they are in a row (s).
     """
@@ -74,6 +77,7 @@ class LoopEnd:
     reason: EndReason
     error: BaseException | None
     counters: dict[str, int]
+    contradiction: str = ""
     watched: dict[str, float] = field(
         default_factory=lambda: dict.fromkeys(
             ("energy", "energy_limit", "oscillations", "oscillation_s"), 0.0
@@ -100,6 +104,12 @@ COUNTERS = {
     "parameter_set": words.PARAMETER_SET,
     "errno": words.END_ERRNO,
 }
+
+
+def fault_of(state: NDArray[np.int64]) -> int:
+    """Fault that a STATE tells, 0 for none; a pressed emergency stop is one, whether the device latched it or not."""
+    pressed = int(state[STATE.inputs]) & Input.EMERGENCY_STOP
+    return int(state[STATE.fault]) or (Fault.EMERGENCY_STOP if pressed else Fault.NONE)
 
 
 class LoopThread:
@@ -220,12 +230,13 @@ class LoopThread:
             "oscillations": float(m["oscillations"]),
             "oscillation_s": float(c["oscillation_ticks"] * c["tick_s"]),
         }
-        return LoopEnd(reason, failure, counters, watched)
+        found = Contradiction(int(self._buffers.progress[0]["contradiction"]))
+        return LoopEnd(reason, failure, counters, found.text, watched)
 
     @property
     def fault(self) -> int:
         """Fault in the newest STATE, 0 for none."""
-        return int(self._buffers.state[STATE.fault])
+        return fault_of(self._buffers.state)
 
     def messages(self) -> list[str]:
         """Warnings about the run for the user, besides how it ended."""

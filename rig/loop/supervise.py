@@ -17,13 +17,13 @@ from typing import Any
 
 from numba import types
 
-from firmware_protocol.connection import State
 from rig.control.step import CONTROL_TYPE, CONTROLLER_TYPE, MEMORY_TYPE, ControllerArguments, step
 from rig.core.sample import Phase
 from rig.devices.framed import STOP_FRAMES
 from rig.devices.port import PORT_TYPE, LoopPort
-from rig.loop.batches import ahead, has_room, take_frames
+from rig.loop.batches import has_room, take_frames
 from rig.loop.commands import MODE_STOP, MODE_SUPERVISE, NO_SYNC, send_command
+from rig.loop.contradictions import WRAP, ahead
 from rig.loop.currents import compare_measured
 from rig.loop.device_host_agreement import compare, settle
 from rig.loop.ending import (
@@ -34,6 +34,8 @@ from rig.loop.ending import (
     HEARTBEAT,
     SILENT,
     STOPPED,
+    contradicted,
+    ended_by_device,
     ended_by_law,
     told_to_end,
 )
@@ -52,7 +54,7 @@ from rig.loop.layout import (
 )
 from rig.loop.parameter_update import COMMITTED, GRANTED, IDLE, say_update
 from rig.loop.parameters import begin_set
-from rig.loop.receive import WRAP, add, drain
+from rig.loop.receive import add, drain
 from rig.loop.rows import FLAG_GAP, leave_row
 from rig.loop.supervision import (
     COUNT,
@@ -73,7 +75,7 @@ from rig.realtime.atomics import load_word, store_word
 from rig.realtime.codec import STATE
 from rig.realtime.kernel import kernel
 
-_FAULT_STATE, _RELEASE = int(State.FAULT), int(Phase.RELEASE)
+_RELEASE = int(Phase.RELEASE)
 READINGS_A_TURN = 16  # of a full receive buffer, before anything else is looked at again
 ROWS_A_TURN = 1024
 REST_NS = 20_000_000  # after the stop: how long to take what is still on the way
@@ -217,8 +219,8 @@ def _run_law(
             m["flags"] |= FLAG_GAP
             add(words, ring.LOST, elapsed - 1)
         compare_measured(buffers, controller.memory, elapsed)
-        reason = FAULT
-        if state[STATE.fault] == 0 and state[STATE.state] != _FAULT_STATE:
+        reason = ended_by_device(state, buffers.progress)
+        if reason == 0:
             reason = ended_by_law(controller.memory)
         if reason != 0:
             m["effort_sent"] = 0.0
@@ -233,13 +235,16 @@ def _run_law(
 
 
 @kernel(types.int64(INTS, SUPERVISION_TYPE, SETTINGS_TYPE, MEMORY_TYPE, PROGRESS_TYPE, types.int64))
-def _ended_by_device(
+def _ended_without_a_row(
     newest: Any, supervision: Any, settings: Any, memory: Any, progress: Any, ready: int
 ) -> int:
     """Reason to end that lies with the device or the link, or 0."""
     v, s, p = supervision[0], settings[0], progress[0]
-    if v["heard"] != 0 and (newest[STATE.fault] != 0 or newest[STATE.state] == _FAULT_STATE):
-        return FAULT
+    reason = contradicted(progress)
+    if reason == 0 and v["heard"] != 0:
+        reason = ended_by_device(newest, progress)
+    if reason != 0:
+        return int(reason)
     if ready < 0:
         return CLOSED
     if p["read_at"] - p["last_fresh"] > s["lost_after_ns"]:
@@ -256,7 +261,7 @@ def _queue_fault(states: Any, samples: Any, supervision: Any, progress: Any) -> 
     v = supervision[0]
     for i in range(v["states_tail"], v["states_head"]):
         told = states[i % STATES_KEPT]
-        if told[STATE.fault] == 0 and told[STATE.state] != _FAULT_STATE:
+        if ended_by_device(told, progress) != FAULT:
             continue
         index, time = told[STATE.sample_index], told[STATE.device_time]
         if v["started"] != 0:
@@ -328,7 +333,7 @@ def run(
         reason = _run_law(controller, shared, settings, buffers, supervised, False)
         last_row = reason != _GO_ON
         if not last_row:
-            reason = _ended_by_device(
+            reason = _ended_without_a_row(
                 newest, supervision, settings, controller.memory, buffers.progress, ready
             )
         if reason == CLOSED:

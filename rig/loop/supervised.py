@@ -18,7 +18,7 @@ from rig.core.errors import RigError
 from rig.core.present import plain
 from rig.loop import supervise
 from rig.loop.parameter_update import update_of
-from rig.loop.run import LoopThread
+from rig.loop.run import LoopThread, fault_of
 from rig.loop.supervision import SupervisionBuffers
 from rig.realtime import mailbox as mailboxes
 from rig.realtime import ring as words
@@ -97,7 +97,7 @@ class SupervisedThread(LoopThread):
     @property
     def fault(self) -> int:
         """Fault that the newest STATE told, 0 for none."""
-        return int(self._supervision.newest[STATE.fault])
+        return fault_of(self._supervision.newest)
 
     def agreement(self) -> DeviceHostAgreement:
         """How the device's current followed the host's law so far."""

@@ -21,6 +21,7 @@ SUPERVISION = np.dtype(
         ("started", "<i8"),  # 1 once a sample has come
         ("index", "<i8"),  # newest sample in the queue, extended to 64 bits
         ("time", "<i8"),  # its device time (device ticks), extended likewise
+        ("clock_error", "<i8"),  # of the samples: device's clock ahead of their index (device ticks)
         ("count", "<i8"),
         ("batch_sequence", "<i8"),  # of the newest BATCH
         ("missed_first", "<i8"),  # samples before the first one that came, as far as the frames tell

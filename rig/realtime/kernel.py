@@ -1,28 +1,13 @@
-"""The one decorator of every compiled function of this project, and the key of its disk cache.
-
-numba decides whether a cached function is fresh by the time stamp of *its own* file: a helper edited in
-another file leaves the caller's old machine code in use, which for a control law is silently wrong. So
-the cache directory carries a hash of the files that compiled code depends on (`rig.realtime.source_files`), of
-numba's and numpy's version and of the CPU; an edit there opens a new, empty directory, and directories unused for
-a month are removed. An edit of a command or an experiment does not recompile.
-"""
+"""The one decorator of every compiled function of this project; its machine code is kept by `rig.realtime.cache`."""
 
 from __future__ import annotations
 
 import contextlib
 import gc
-import hashlib
-import os
-import platform
-import shutil
-import tempfile
-import time
-from collections.abc import Callable, Iterable, Iterator
-from pathlib import Path
+from collections.abc import Callable, Iterator
 from typing import Any, TypeVar, cast
 
 import numba
-import numpy
 from numba.core import event, sigutils, typeinfer
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher
@@ -30,72 +15,13 @@ from numba.core.typing.templates import make_concrete_template
 from numba.extending import register_jitable
 
 from rig.realtime import compiling
+from rig.realtime.cache import open_cache
 from rig.realtime.parts import Compiler, load_implementations
-from rig.realtime.source_files import compiled_files
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-UNUSED_DAYS = 30.0
 
-
-def cache_key(files: Iterable[Path]) -> str:
-    """Sixteen hex digits over file names and contents, numba, numpy and the CPU."""
-    digest = hashlib.sha256()
-    cpu = getattr(numba.config, "CPU_NAME", None) or platform.processor() or platform.machine()
-    for fact in (
-        numba.__version__,
-        numpy.__version__,
-        platform.python_version(),
-        platform.machine(),
-        str(cpu),
-    ):
-        digest.update(fact.encode() + b"\0")
-    for path in files:
-        digest.update(path.name.encode() + b"\0" + hashlib.sha256(path.read_bytes()).digest())
-    return digest.hexdigest()[:16]
-
-
-def cache_root() -> Path:
-    """Directory of all caches: ``$HAPTIC_RIG_CACHE``, the user's cache directory, or a temporary one."""
-    named = os.environ.get("HAPTIC_RIG_CACHE")
-    base = (
-        Path(named)
-        if named
-        else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "haptic-rig"
-    )
-    for place in (base, Path(tempfile.gettempdir()) / f"haptic-rig-cache-{os.getuid()}"):
-        with contextlib.suppress(OSError, RuntimeError):
-            place.mkdir(parents=True, exist_ok=True, mode=0o700)
-            if place.stat().st_uid == os.getuid() and os.access(place, os.W_OK):
-                return place
-    return Path(tempfile.mkdtemp(prefix="haptic-rig-cache-"))
-
-
-def _forget_unused(root: Path, current: Path) -> None:
-    limit = time.time() - UNUSED_DAYS * 86400.0
-    for path in root.glob("kernels-*"):
-        try:
-            if path != current and path.stat().st_mtime < limit:
-                shutil.rmtree(path, ignore_errors=True)
-        except OSError:
-            continue
-
-
-def _open_cache() -> Path:
-    root = cache_root()
-    directory = root / f"kernels-{cache_key(compiled_files())}"
-    try:
-        fresh = not directory.exists()
-        directory.mkdir(exist_ok=True)
-        os.utime(directory)
-        if fresh:
-            _forget_unused(root, directory)
-    except OSError:
-        directory = Path(tempfile.mkdtemp(prefix="haptic-rig-cache-"))
-    return directory
-
-
-CACHE_DIRECTORY = _open_cache()
+CACHE_DIRECTORY = open_cache()
 numba.config.CACHE_DIR = str(CACHE_DIRECTORY)
 
 

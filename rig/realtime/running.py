@@ -16,7 +16,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from rig.core.errors import ConfigError, RigError
+from rig.core.errors import ConfigError, RigError, RunEndedError
 from rig.core.sample import Phase
 from rig.realtime import memories
 from rig.realtime.memories import LAYOUT_VERSION, LOOP_DONE, STOP, VERSION
@@ -200,7 +200,7 @@ def the_loop(pid: int | None = None) -> RunningLoop:
         return loops[0]
     if loops:
         names = ", ".join(str(loop.pid) for loop in loops)
-        raise ConfigError(f"{len(loops)} loops run: {names}", remedy="name one with --pid")
+        raise ConfigError(f"{len(loops)} loops run: {names}", remedy="name one by its `pid`")
     if pid is not None:
         raise _not_here(pid)
     raise ConfigError("no loop runs in real time on this computer", remedy="start one: rig hit --realtime")
@@ -212,8 +212,10 @@ def opened(loop: RunningLoop) -> Iterator[Ring]:
 
     Raises
     ------
+    RunEndedError
+        It has ended meanwhile.
     RigError
-        It has ended meanwhile, or was started by another version of this package.
+        It was started by another version of this package.
     """
     if loop.version != LAYOUT_VERSION:
         raise RigError(
@@ -223,7 +225,9 @@ def opened(loop: RunningLoop) -> Iterator[Ring]:
     try:
         ring = Ring.attach(loop.path)
     except (OSError, RigError) as error:
-        raise RigError(f"the loop of process {loop.pid} has ended", remedy="start another one") from error
+        raise RunEndedError(
+            f"the loop of process {loop.pid} has ended", remedy="start another one"
+        ) from error
     with ring:
         yield ring
 

@@ -36,7 +36,6 @@ others are good.
 
 from __future__ import annotations
 
-import json
 import mmap
 import struct
 import zlib
@@ -52,6 +51,7 @@ from rig.recording.canonical import canonical_json
 from rig.recording.data import Loss, Recording
 from rig.recording.files import plain_errors
 from rig.recording.header import VERSION, check_version, dtype_of
+from rig.recording.shape import parsed
 
 SUFFIX = ".rigcap"
 MAGIC = b"\x89RIGCAP\n"
@@ -270,7 +270,7 @@ def _magics(data: mmap.mmap, place: int) -> Iterator[int]:
 
 def _json_object(text: bytes) -> dict[str, Any] | None:
     try:
-        value = json.loads(text)
-    except (ValueError, RecursionError):
+        value = parsed(text)
+    except ValueError:
         return None
     return value if isinstance(value, dict) else None

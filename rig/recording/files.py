@@ -127,4 +127,4 @@ def free_name(directory: Path, stem: str) -> Path:
         name = stem if number == 1 else f"{stem}-{number}"
         if not any((directory / f"{name}{suffix}").exists() for suffix in (".rigcap", ".parquet", ".png")):
             return directory / f"{name}.rigcap"
-    raise ConfigError(f"{directory} is full of recordings named {stem}", remedy="choose another --output")
+    raise ConfigError(f"{directory} is full of recordings named {stem}", remedy="choose another `output`")

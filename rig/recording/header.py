@@ -51,7 +51,7 @@ def dtype_of(schema: Mapping[str, Any]) -> np.dtype[np.void]:
         formats = [column["dtype"] for column in columns]
         if not columns or not all(_SIMPLE_DTYPE.fullmatch(text) for text in formats):
             raise ValueError("its columns are not plain numbers")
-        if not all({"unit", "description"} <= column.keys() for column in columns):
+        if not all(isinstance(column[text], str) for column in columns for text in ("unit", "description")):
             raise ValueError("a column has no unit or description")
         return np.dtype(
             {

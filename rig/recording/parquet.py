@@ -7,7 +7,6 @@ columns. pyarrow is loaded when a function here is called.
 
 from __future__ import annotations
 
-import json
 import zlib
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -23,6 +22,7 @@ from rig.recording.canonical import canonical_json
 from rig.recording.data import Loss, Recording
 from rig.recording.files import plain_errors
 from rig.recording.header import check_version, dtype_of
+from rig.recording.shape import parsed
 
 KEYS = (b"rig.header", b"rig.trailer", b"rig.complete", b"rig.lost")
 CHECKSUM_KEY = b"rig.crc32"
@@ -100,7 +100,7 @@ def read_parquet(path: Path) -> Recording:
                     f"{path} is not a recording", remedy="it is Parquet that another program wrote"
                 )
             return _recording(path, table, metadata)
-        except (pyarrow.ArrowException, OSError, ValueError, KeyError, TypeError) as error:
+        except (pyarrow.ArrowException, OSError, ValueError, KeyError, TypeError, AttributeError) as error:
             raise RecordingError(f"{path} is damaged", remedy=f"{error}".partition("\n")[0]) from error
 
 
@@ -121,9 +121,9 @@ def _recording(path: Path, table: Any, metadata: dict[bytes, bytes]) -> Recordin
     columns = {name: _to_numpy(table.column(name)) for name in table.column_names}
     if _checksum(metadata, columns) != metadata[CHECKSUM_KEY]:
         raise ValueError("its checksum does not match")
-    header, trailer, complete, lost = (json.loads(metadata[key]) for key in KEYS)
+    header, trailer, complete, lost = (parsed(metadata[key]) for key in KEYS)
     check_version(path, header.get("version"))
     rows = np.empty(table.num_rows, dtype_of(header["schema"]))
     for name in rows.dtype.names or ():
         rows[name] = columns[name]
-    return Recording(header, rows, trailer, complete, tuple(Loss(**loss) for loss in lost), path)
+    return Recording(header, rows, trailer, complete is True, tuple(Loss(**loss) for loss in lost), path)

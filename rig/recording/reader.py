@@ -10,6 +10,7 @@ from rig.recording.capture import read_capture
 from rig.recording.data import Recording
 from rig.recording.files import plain_errors
 from rig.recording.parquet import read_parquet
+from rig.recording.shape import HEADER, TRAILER, misfit
 
 _PARQUET_MAGIC = b"PAR1"
 
@@ -34,4 +35,9 @@ def open_recording(path: str | Path) -> Recording:
             f"{path} has no column {missing[0]!r}, which every recording has",
             remedy="record again with `rig`",
         )
+    wrong = misfit(recording.header, HEADER, "header")
+    if not wrong and recording.trailer is not None:
+        wrong = misfit(recording.trailer, TRAILER, "trailer")
+    if wrong:
+        raise RecordingError(f"{path} is invalid: {wrong}", remedy="record again with `rig`")
     return recording

@@ -21,7 +21,7 @@ from rig.session.runner import RefusedWalls, TrialRunner, Wall
 from rig.session.schedule import levels_of
 
 CONSENT = (
-    "a search for the limit asks for walls that do not hold: consent to them once, with --arm-anyway, and every hit "
+    "a search for the limit asks for walls that do not hold: consent to them once, with `arm_anyway`, and every hit "
     "is cut off as the guide says; or search softer walls, on a quicker link"
 )
 
@@ -86,13 +86,13 @@ def refuse_unarmable(walls: Walls, runner: TrialRunner) -> None:
             raise
         raise PlanError(
             "this rig cannot run every wall that the session may ask for",
-            remedy="rig session check says which, with the same --url",
+            remedy="rig session check says which, for the same device",
         ) from error
     if found and not runner.arm_anyway:
         said = f"{_number(found)}: {_listed(found, walls.base.rig.motion)}" if not blinded else _number(found)
         raise PlanError(
             f"the arming gate refuses, on this link as measured, {said}",
-            remedy=f"{CONSENT}; rig session check lists them, with the same --url",
+            remedy=f"{CONSENT}; rig session check lists them, for the same device",
         )
 
 

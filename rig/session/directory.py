@@ -144,7 +144,7 @@ def _begun(directory: Path, events: Sequence[Event]) -> ConfigError:
         f"{directory} holds a {'rehearsal with a simulated person' if rehearsal else 'session'} already "
         f"({len(events)} events)",
         remedy=f"resume it: {resume_command(directory, events)}; or give another "
-        + ("code, or a place for people: --study" if rehearsal else "code"),
+        + ("code, or a place for people: `study`" if rehearsal else "code"),
     )
 
 
@@ -256,11 +256,11 @@ def amend(
         if name == "verdict" and value not in VERDICTS:
             raise ConfigError(f"{value!r} is not a verdict", remedy=f"choose one of {', '.join(VERDICTS)}")
         if not why.strip():
-            raise ConfigError("a correction needs a reason", remedy="say why: --why TEXT")
+            raise ConfigError("a correction needs a reason", remedy="say `why`")
         if name == "void" and value not in OF_TRIAL:
             raise ConfigError(
                 f"event {number} is a trial, of which {value!r} cannot be said",
-                remedy=f"choose one of {', '.join(OF_TRIAL)}; --trial N corrects its verdict",
+                remedy=f"choose one of {', '.join(OF_TRIAL)}; `trial` N corrects its verdict",
             )
         kept: str | int | bool = OF_TRIAL.get(value, value) if name == "void" else value
         if kind == "answered":

@@ -48,8 +48,8 @@ def _stiffest(walls: Walls) -> Iterator[tuple[Experiment, Mapping[str, Any]]]:
 
 
 def _remedy(one: Check, runner: TrialRunner) -> str:
-    """In words of a protocol: a session has no --rate."""
+    """In words of a protocol: a session has no rate of its own."""
     if one.name not in ("device rate", "link capacity"):
         return one.remedy
     slower = "give the conditions slower schemes, as template first-steps has them"
-    return f"{slower}; or rehearse in virtual time: --rehearse" if runner.simulated else slower
+    return f"{slower}; or rehearse in virtual time" if runner.simulated else slower

@@ -1,7 +1,7 @@
 """Whether this computer and the link keep up with a session: measured before it begins, told, and kept in its log.
 
 Nearly every trial would be invalid where a hit in each quarter of the measurement would have been, by the limits of
-`[verdict]` on lost samples: such a session is refused, unless somebody says ``--lossy-anyway``. What is lost beside
+`[verdict]` on lost samples: such a session is refused, unless somebody accepts that. What is lost beside
 that is a warning: the trials that it spoils are repeated.
 """
 
@@ -45,7 +45,7 @@ def pace_checks(walls: Walls, runner: TrialRunner) -> Iterator[Check]:
     helps = remedy(found, simulated=runner.simulated)
     if found.hopeless:
         text = f"{found.text}: nearly every trial would be invalid"
-        yield Check("samples", Outcome.REFUSED, text, f"{helps}; or accept that: --lossy-anyway")
+        yield Check("samples", Outcome.REFUSED, text, f"{helps}; or accept that: `lossy_anyway`")
     elif found.lost_share > LOST_SHARE:
         yield Check("samples", Outcome.WARNING, found.text, helps)
     else:
@@ -55,7 +55,7 @@ def pace_checks(walls: Walls, runner: TrialRunner) -> Iterator[Check]:
 def remedy(found: Pace, *, simulated: bool) -> str:
     """What helps against losses."""
     slower = "" if found.kept_hz is None else f"run at {found.kept_hz} Hz"
-    ways = [slower, "rehearse (--rehearse)" if simulated else "", "close other programs and see `rig doctor`"]
+    ways = [slower, "rehearse" if simulated else "", "close other programs and see `rig doctor`"]
     return ", or ".join(filter(None, ways))
 
 

@@ -18,7 +18,6 @@ from rig.experiments.sweep.executors import code_version
 from rig.recording.header import checkout, versions
 from rig.session.log import Event
 
-OTHER_DEVICE = "--other-device"
 # What of an ``opened`` event distinguishes devices; what one of two events does not know distinguishes nothing.
 _TELLING = {"simulated": "", "device": "device", "serial_number": "serial number"}
 

@@ -74,14 +74,14 @@ def refuse_nobody(person: Person, protocol: Protocol) -> None:
         if name not in names:
             listed = f"choose one of: {', '.join(map(repr, names))}"
             raise ConfigError(
-                f"--threshold {name}={stiffness:g}: the protocol has no condition {name!r}",
+                f"`threshold` {name}={stiffness:g}: the protocol has no condition {name!r}",
                 remedy=did_you_mean(name, names, listed),
             )
-    stiffnesses = {f"--threshold {name}=": value for name, value in person.thresholds.items()}
-    for option, value in {**stiffnesses, "--spread ": person.spread}.items():
+    stiffnesses = {f"`threshold` {name}=": value for name, value in person.thresholds.items()}
+    for option, value in {**stiffnesses, "`spread` ": person.spread}.items():
         if not 0.0 < value < math.inf:
             raise ConfigError(f"{option}{value:g} is not a stiffness", remedy="give a number above 0")
-    for option, share in (("--lapse-rate", person.lapse_rate), ("unsure", person.unsure)):
+    for option, share in (("`lapse_rate`", person.lapse_rate), ("unsure", person.unsure)):
         if not 0.0 <= share <= 1.0:
             raise ConfigError(f"{option} {share:g} is not a share", remedy="give a number from 0 to 1")
 

@@ -29,7 +29,6 @@ from rig.session.log import Event, read
 from rig.session.lsl.session import LslMarks
 from rig.session.pace import refuse_lossy
 from rig.session.place import (
-    OTHER_DEVICE,
     Place,
     device_words,
     differences,
@@ -210,8 +209,8 @@ def _refuse_another_device(state: State, events: list[Event], runner: TrialRunne
         url = (before.get("place") or {}).get("url")
         raise ConfigError(
             f"the session of {state.code} took place on {device_words(before)}; this is {device_words(now)}",
-            remedy=f"give that rig's URL{f', --url {url}' if url else ' (none simulates)'}; to continue here say "
-            f"{OTHER_DEVICE}, and the analysis reports it",
+            remedy=f"give that rig's URL{f', `url` {url}' if url else ' (none simulates)'}; to continue here say "
+            "`other_device`, and the analysis reports it",
         )
 
 
@@ -301,12 +300,12 @@ def row_of(code: str) -> int:
     if not numbers:
         raise ConfigError(
             f"code {code!r} has no number, so nobody knows the participant's row of the order",
-            remedy="give it: --row N",
+            remedy="give it: `row` N",
         )
     if int(numbers[-1]) == 0:
         raise ConfigError(
             f"code {code!r} has the number 0, and participants are counted from 1",
-            remedy="give another code, or the row: --row N",
+            remedy="give another code, or the row: `row` N",
         )
     return int(numbers[-1]) - 1
 
@@ -318,7 +317,7 @@ def _checked_row(row: int, protocol: Protocol) -> int:
         raise ConfigError(
             f"row {row} of the order: {protocol.study.participants} participants are planned, and rows are counted "
             "from 0",
-            remedy=f"give --row 0 to {rows - 1}, or plan more: study.participants",
+            remedy=f"give row 0 to {rows - 1}, or plan more: study.participants",
         )
     return row
 
@@ -328,7 +327,7 @@ def _refuse_a_real_rig(person: Person | None, runner: TrialRunner) -> None:
     if person is not None and not runner.simulated:
         raise ConfigError(
             "a rehearsal with a real rig: its simulated person would continue after a STOP",
-            remedy="leave --url out, or leave --rehearse out and sit there yourself",
+            remedy="leave `url` out, or leave `rehearse` out and sit there yourself",
         )
 
 

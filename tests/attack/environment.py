@@ -20,7 +20,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from rig.realtime.kernel import CACHE_DIRECTORY, cache_root
+from rig.realtime.cache import cache_root
+from rig.realtime.kernel import CACHE_DIRECTORY
 from tests.attack.area import Outcome, isolation, mounted, require
 from tests.attack.commands import ROOT, UNDOCUMENTED, documented
 from tests.conformance.started import die_with_parent

@@ -114,26 +114,14 @@ CONTRADICTIONS: dict[str, Callable[[], Lie]] = {
     "missed ticks: many": _changed("missed_ticks", lambda true, told: U16),
 }
 _BUILDING = "being built: the comparison of commanded, active and measured current"
-_CLOCK = "being built: a jump of the device's clock against its sample index"
 _ENCODER = "being built: an encoder that stands still under an effort"
-_OPEN = "open: the host does not look at it"
 KNOWN: dict[str, str] = {
     **{
         name: _BUILDING
         for name in CONTRADICTIONS
         if name.partition(":")[0] in ("measured current", "active current")
     },
-    **{name: _CLOCK for name in CONTRADICTIONS if name.startswith("device time")},
     "count: frozen": _ENCODER,
-    **dict.fromkeys(
-        (
-            "edge time: ahead of the sample",
-            "inputs: emergency stop, but it runs",
-            "command: another sequence",
-            "missed ticks: many",
-        ),
-        _OPEN,
-    ),
 }
 
 

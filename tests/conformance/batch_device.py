@@ -69,6 +69,8 @@ class BatchDevice:
         self.fault = 0
         self.limits = 0
         self.phase = 3
+        self.time_error = 0  # of the device's clock (device ticks)
+        self.inputs = 2
         self.faults_at: dict[int, int] = {}  # played tick → fault
         self.at: dict[int, Callable[[], None]] = {}  # played tick → what happens then
         self.command_sequence = 0
@@ -93,7 +95,7 @@ class BatchDevice:
     # ------------------------------------------------------------------ the device
 
     def _time(self) -> int:
-        return self._next_ns * 16 // 1000
+        return self._next_ns * 16 // 1000 + self.time_error
 
     def _tick(self) -> None:
         self.index += 1
@@ -143,9 +145,9 @@ class BatchDevice:
     def _send_state(self) -> None:
         state = m.State(
             command_sequence=self.command_sequence, command_age=1, sample_index=self.index % U32,
-            device_time=self._time() % U32, count=self._count, edge_time=0, current_measured=0,
+            device_time=self._time() % U32, count=self._count, edge_time=self._time() % U32, current_measured=0,
             current_commanded=self._current, limits=self.limits, fault=self.fault, execution_time=160,
-            missed_ticks=0, state=int(self.state), inputs=2, phase=self.phase, sync_time=0,
+            missed_ticks=0, state=int(self.state), inputs=self.inputs, phase=self.phase, sync_time=0,
         )  # fmt: skip
         self._arrive(encode_frame(pack(state, session=self.session, sequence=self._states % 65536)))
         self._states += 1

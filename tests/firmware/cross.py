@@ -19,7 +19,8 @@ from rig.bench.firmware.build import BuildRequest, BuildResult, build, sources_h
 from rig.bench.firmware.toolchain import COMPILER, find_compiler
 from rig.config import presets
 from rig.core.present import plain
-from rig.realtime.kernel import CACHE_DIRECTORY, cache_key
+from rig.realtime.cache import cache_key
+from rig.realtime.kernel import CACHE_DIRECTORY
 from rig.realtime.source_files import source_files
 from tests.firmware.build import FIRMWARE
 

@@ -54,3 +54,17 @@ def test_every_public_name_of_rig_is_there() -> None:
 def test_files_that_the_readme_links_to_exist() -> None:
     for target in re.findall(r"\]\(([^)#:]+)\)", README.read_text(encoding="utf-8")):
         assert (README.parent / target).exists(), target
+
+
+def test_the_public_face_takes_paths_as_text(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    experiment = rig.override(
+        rig.load_preset("koul-compliant"), {"trial.duration_s": 0.25, "verdict.tail_s": 0.1}
+    )
+    for output in ("here", Path("there")):
+        (result,) = rig.hit(rig.HitRequest(experiment=experiment, output=output))
+        assert result.recording.parent == Path(output)
+    assert rig.open_recording(str(result.recording)).complete
+    assert rig.export(str(result.recording), "hit.csv").exists()
+    Path("mine.toml").write_text('preset = "koul-rigid"\n')
+    assert rig.load_experiment("mine.toml") == rig.load_experiment(Path("mine.toml"))

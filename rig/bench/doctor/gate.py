@@ -274,7 +274,7 @@ def _stability(
     if not hands:
         return ok(f"{what} is stable {where} in every hand ({limit})")
     less = (
-        f"choose --stiffness below {_rounded_down(largest)}" if largest > 0.0 else "choose another --damping"
+        f"choose `stiffness` below {_rounded_down(largest)}" if largest > 0.0 else "choose another `damping`"
     )
     return refused(
         f"{what} is unstable {where} ({', '.join(map(hand_text, hands))}; {limit})",
@@ -381,5 +381,5 @@ def check_armable(
         return found
     raise PlanError(
         f"this wall must not be armed: {found.text}",
-        remedy=f"{found.remedy}; or accept the risk: --arm-anyway",
+        remedy=f"{found.remedy}; or accept the risk: `arm_anyway`",
     )

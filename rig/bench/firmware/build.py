@@ -287,7 +287,7 @@ def _make_directory(directory: Path) -> None:
 def _not_written(directory: Path, error: OSError) -> RecordingError:
     return RecordingError(
         f"the image cannot be written to {directory}: {error.strerror or error}",
-        remedy="name another directory with --output",
+        remedy="name another `output`",
     )
 
 

@@ -153,7 +153,7 @@ def _only(drives: list[Drive]) -> Drive:
     if drives:
         listed = ", ".join(str(drive.path) for drive in drives)
         raise DeviceNotFoundError(
-            f"several boards show their drives: {listed}", remedy="name one of them with --drive"
+            f"several boards show their drives: {listed}", remedy="name one of them with `drive`"
         )
     unmounted = _unmounted()
     if unmounted:

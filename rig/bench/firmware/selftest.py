@@ -171,7 +171,7 @@ def _rig(device: FramedDevice, request: SelfTestRequest) -> Check:
     dictionary = device.dictionary
     model = request.model
     if model is None:
-        return skipped(f"its name is {dictionary.device}; --rig compares it with yours")
+        return skipped(f"its name is {dictionary.device}; `rig` compares it with yours")
     found = check_rig(model, dictionary)
     if found.outcome is Outcome.REFUSED:
         return refused(
@@ -304,7 +304,7 @@ def _inputs(device: FramedDevice, _request: SelfTestRequest) -> Check:
 def _encoder(device: FramedDevice, request: SelfTestRequest) -> Check:
     first = device.count()
     if not request.move:
-        return skipped(f"it reads {first}; --move looks for the counts of a hand")
+        return skipped(f"it reads {first}; `move` looks for the counts of a hand")
     counts = [first]
     while max(counts) - min(counts) < MOVE_COUNTS and len(counts) < MOVE_LOOKS:
         counts += [state.count for state in device.states(MOVE_LOOK_S)] or [counts[-1]]
@@ -350,7 +350,7 @@ def _stream(device: FramedDevice, request: SelfTestRequest) -> Check:
     if law is None or law.maximum == 0:
         return skipped("it has no law of its own")
     if not request.stream or request.experiment is None:
-        return skipped("--stream with --rig runs its law with a current limit of zero")
+        return skipped("`stream` with `rig` runs its law with a current limit of zero")
     experiment = config.override(request.experiment, {"controller.loop": "device"})
     before = device.active_parameters()
     wanted = prepared(

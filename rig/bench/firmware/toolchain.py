@@ -79,5 +79,5 @@ def _remedy(complaint: str) -> str:
     if "overflowed" in complaint or "will not fit" in complaint:
         return "it is too large for the board: reduce the sizes in its board.toml, or use a larger board"
     if "#error" in complaint:
-        return "change the setting that it names (--set)"
+        return "change the setting that it names"
     return "report it, with this output and the compiler's version"

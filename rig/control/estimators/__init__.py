@@ -10,12 +10,12 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from rig.control.estimators.family import BUILT_IN, get, names
+from rig.control.estimators.family import BUILT_IN, broken, get, names
 
 if TYPE_CHECKING:
     from rig.control.estimators.arrays import estimate, estimate_with_window, quantise
 
-__all__ = ["BUILT_IN", "estimate", "estimate_with_window", "get", "names", "quantise"]
+__all__ = ["BUILT_IN", "broken", "estimate", "estimate_with_window", "get", "names", "quantise"]
 
 _ON_ARRAYS = ("estimate", "estimate_with_window", "quantise")  # of `arrays`, imported on first use
 

@@ -135,3 +135,9 @@ class Prepared:
     parameters: Floats
     state_f: Floats
     state_i: Ints
+
+    def fits(self) -> bool:
+        """Whether memory that was read from somewhere has the sizes that the compiled code takes for granted."""
+        sizes = (max(1, self.estimator.floats),), (max(OWN_INTS, self.estimator.ints),)
+        enough = self.parameters.ndim == 1 and len(self.parameters) >= COMMON
+        return enough and (self.state_f.shape, self.state_i.shape) == sizes

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import cache
 from importlib import import_module
-from importlib.metadata import entry_points
-from typing import Any, cast
+from typing import cast
 
 from rig.control.estimators.estimator import Estimator
+from rig.core import plugins
 from rig.core.errors import ConfigError
 
 BUILT_IN = {
@@ -28,24 +26,23 @@ BUILT_IN = {
 
 def names() -> list[str]:
     """Names of all estimators, built-in ones first."""
-    return [*BUILT_IN, *(name for name in _plugins(entry_points) if name not in BUILT_IN)]
+    return [*BUILT_IN, *(point.name for point in plugins.found("rig.estimators", BUILT_IN))]
 
 
-@cache  # it looks through every installed package, which costs milliseconds, for each scheme and each check
-def _plugins(find: Callable[..., Any]) -> tuple[str, ...]:
-    return tuple(sorted(point.name for point in find(group="rig.estimators")))
+def broken(name: str) -> str:
+    """Why a third party's estimator cannot be used, "" where it can."""
+    try:
+        get(name)
+    except ConfigError as error:
+        return str(error)
+    return ""
 
 
 def get(name: str) -> Estimator:
     """Return the estimator of that name; `ConfigError` for an unknown one or a broken plug-in."""
     if name in BUILT_IN:
         return cast("Estimator", import_module(BUILT_IN[name]).ESTIMATOR)
-    for point in entry_points(group="rig.estimators", name=name):
-        try:
-            return cast("Estimator", point.load())
-        except Exception as error:
-            raise ConfigError(
-                f"estimator {name!r} ({point.value}) does not load: {error!r}",
-                remedy="fix or remove that package",
-            ) from error
+    found = plugins.load("rig.estimators", "estimator", name, lambda part: isinstance(part, Estimator))
+    if found is not None:
+        return cast("Estimator", found)
     raise ConfigError(f"there is no estimator {name!r}", remedy=f"choose one of: {', '.join(names())}")

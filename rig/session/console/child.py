@@ -88,7 +88,7 @@ class Child:
             owned(ours, self._from)
             os.set_blocking(self._to, False)
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "rig.session.console", str(theirs_in), str(theirs_out)],
+                [sys.executable, "-P", "-m", "rig.session.console", str(theirs_in), str(theirs_out)],
                 stdin=None if self._place < 0 else self._place,
                 stdout=None if self._place < 0 else self._place,
                 stderr=self._complaints,

@@ -32,7 +32,7 @@ POLL_S = 0.1
 SHORTEST_S = 1e-3  # of a rest that is as good as over
 TERMINAL = Path("/dev/tty")
 PRESS_N = 4.0  # of a hand whose experiment does not say: that of a normal grip (`rig.core.operators`)
-REMEDY = "continue with `rig session resume`; with --plain it needs next to nothing of the terminal"
+REMEDY = "continue with `rig session resume`; with `plain` it needs next to nothing of the terminal"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -262,8 +262,8 @@ def at_console(
         moved: MovedHand | None = None
         if hand is not None and not runner.simulated:
             raise ConfigError(
-                f"--hand {hand} moves a simulated rig, and this one is real",
-                remedy="leave it out, or --url",
+                f"`hand` {hand} moves a simulated rig, and this one is real",
+                remedy="leave it out, or `url`",
             )
         with ExitStack() as made:
             if hand is not None:

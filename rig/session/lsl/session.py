@@ -76,7 +76,7 @@ class LslMarks:
     ) -> None:
         if find_spec("pylsl") is None:
             raise ConfigError("pylsl is not installed", remedy="pip install 'haptic-rig[lsl]'")
-        command = [sys.executable, "-m", "rig", "lsl", "--json", "--markers", "--pid", str(os.getpid())]
+        command = [sys.executable, "-P", "-m", "rig", "lsl", "--json", "--markers", "--pid", str(os.getpid())]
         command += ["--name", name, *([] if rate is None else ["--rate", repr(rate)])]
         command += ["--blind"] if blind else []
         command += [] if expected is None else ["--expect", expected[0], repr(expected[1])]
@@ -116,7 +116,7 @@ class LslMarks:
                     f"LSL does not start: {self._complaint()}", remedy="`rig lsl` alone shows more"
                 )
             if time.monotonic() > deadline:
-                raise RigError(f"LSL has not started in {timeout_s:g} s", remedy="run without --lsl")
+                raise RigError(f"LSL has not started in {timeout_s:g} s", remedy="run without `lsl`")
             time.sleep(0.02)
 
     def push(self, mark: str, at_ns: int | None = None, **content: Any) -> None:

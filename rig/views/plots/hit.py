@@ -163,7 +163,7 @@ def _title(figure: Any, recording: Recording) -> None:
     stiffness, damping = (f"{wall[q]:g} {unit_of(q, motion)}" for q in ("stiffness", "damping"))
     law = f"K = {stiffness}, B = {damping}" if wall["law"] == "spring-damper" else f"law {wall['law']}"
     rate = f"{scheme} {rates['position_rate'] / 1e3:g}/{rates['velocity_rate'] / 1e3:g} kHz"
-    kind, because = verdict["kind"], "".join(f": {reason}" for reason in verdict["reasons"][:1])
+    kind, because = verdict.get("kind", ""), "".join(f": {why}" for why in verdict.get("reasons", ())[:1])
     text = f"{recording.header['rig']}: {kind}{because}\n{law}; {rate}, {rates['estimator']}"
     figure.suptitle(text, fontsize=11, color=style.KINDS.get(kind, "#333333"))
 

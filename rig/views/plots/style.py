@@ -61,6 +61,10 @@ def save(figure: Any, path: Path) -> Path:
             f"{path} is not a name for a picture: recordings end like that",
             remedy="give one that ends in .png",
         )
+    for text in figure.findobj(lambda artist: hasattr(artist, "set_text")):
+        text.set_text(
+            text.get_text().encode("utf-8", "backslashreplace").decode()
+        )  # a file's name need not be text
     try:
         if path.suffix == ".svg":
             with matplotlib.rc_context({"svg.hashsalt": "haptic-rig", "svg.fonttype": "none"}):

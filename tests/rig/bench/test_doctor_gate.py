@@ -223,7 +223,7 @@ def test_a_real_device_is_refused_with_every_reason_and_every_remedy(measures: A
         check_armable(device(), CALM)
     for text in ("lifetime", "were lost", "unstable", "must not be armed"):
         assert text in caught.value.message
-    for text in ("rig doctor", "cable", "--stiffness below", "--arm-anyway"):
+    for text in ("rig doctor", "cable", "`stiffness` below", "`arm_anyway`"):
         assert text in caught.value.remedy
     assert caught.value.exit_code == 2
 

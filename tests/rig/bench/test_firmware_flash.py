@@ -74,7 +74,7 @@ def test_without_a_drive_it_says_which_button_to_hold(
 
 def test_of_two_boards_one_must_be_named(image: Any, drive: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(flashing, "_mounted", lambda: [drive, drive])
-    with pytest.raises(DeviceNotFoundError, match="--drive"):
+    with pytest.raises(DeviceNotFoundError, match="`drive`"):
         flash(image)
     assert flash(image, drive, starting(drive)).drive == drive
 

@@ -16,9 +16,9 @@ from hypothesis import strategies as st
 from scipy import signal
 
 from rig.control import estimators
-from rig.control.estimators import family
 from rig.control.estimators.estimator import Prepared, Setting
 from rig.control.estimators.fdm import count_difference
+from rig.core import plugins
 from rig.core.errors import ConfigError
 from tests.conformance.estimator import KNOWN_LIMITS, check_estimator, velocities
 
@@ -78,15 +78,15 @@ def test_an_unknown_name_lists_the_known_ones() -> None:
 
 def test_a_broken_plug_in_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     class Broken:
-        name = value = "theirs:ESTIMATOR"
+        name, value, dist = "theirs", "theirs:ESTIMATOR", None
 
         def load(self) -> None:
             raise ImportError("no module named theirs")
 
-    monkeypatch.setattr(family, "entry_points", lambda **_: [Broken()])
+    monkeypatch.setattr(plugins, "entry_points", lambda **_: [Broken()])
     with pytest.raises(ConfigError, match=r"theirs:ESTIMATOR.*does not load.*no module named theirs"):
         estimators.get("theirs")
-    assert estimators.names()[-1] == "theirs:ESTIMATOR"
+    assert estimators.names()[-1] == "theirs"
 
 
 # --- preparing --------------------------------------------------------------------------------------------

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from rig.control import estimators, laws
 from rig.control.law import Law
 from rig.control.step import CONTROL, MEMORY, Controller, new_memory, step
-from rig.core.errors import ConfigError
+from rig.core.errors import ConfigError, RecordingError
 from rig.core.sample import Phase, RowFlag
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import ESTIMATOR_SIGNATURE, LAW_SIGNATURE
@@ -631,10 +631,18 @@ def test_a_saved_controller_of_another_version_is_refused_not_filled_up_with_zer
     saved = Tick(**DUAL).controller.as_mapping()
     removed = next(iter(saved[part]))
     lacking = {**saved, part: {k: v for k, v in saved[part].items() if k != removed}}
-    with pytest.raises(ConfigError, match=removed):
+    with pytest.raises(RecordingError, match=removed):
         Controller.from_mapping(lacking)
-    with pytest.raises(ConfigError, match="friction_compensation"):
+    with pytest.raises(RecordingError, match="friction_compensation"):
         Controller.from_mapping({**saved, part: {**saved[part], "friction_compensation": 1.0}})
+
+
+def test_a_saved_controller_with_a_memory_of_another_size_is_refused() -> None:
+    """Compiled code checks no size."""
+    for part, name in (("estimator", "state_f"), ("estimator", "state_i"), ("law", "state")):
+        saved = Tick(**DUAL).controller.as_mapping()
+        with pytest.raises(RecordingError, match="another size"):
+            Controller.from_mapping({**saved, part: {**saved[part], name: [0.0] * 1000}})
 
 
 def test_a_saved_controller_whose_law_is_not_known_here_needs_it_given() -> None:

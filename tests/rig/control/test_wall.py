@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from rig.control import laws
 from rig.control.law import PreparedLaw
+from rig.core import plugins
 from rig.core.errors import ConfigError
 from rig.realtime.plugs import LAW_CLAMPED
 
@@ -97,11 +98,11 @@ def test_an_unknown_law_lists_the_known_ones() -> None:
 
 def test_a_broken_plug_in_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     class Broken:
-        name, value = "theirs", "theirs:LAW"
+        name, value, dist = "theirs", "theirs:LAW", None
 
         def load(self) -> None:
             raise AttributeError("LAW")
 
-    monkeypatch.setattr(laws, "entry_points", lambda **_: [Broken()])
+    monkeypatch.setattr(plugins, "entry_points", lambda **_: [Broken()])
     with pytest.raises(ConfigError, match=r"theirs:LAW.*does not load.*fix or remove"):
         laws.get("theirs")

@@ -7,6 +7,7 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -16,6 +17,7 @@ import pytest
 import rig.devices
 from rig import config, devices
 from rig.config import presets
+from rig.core import plugins as core_plugins
 from rig.core.errors import ConfigError, DeviceNotFoundError
 from rig.devices import local
 from rig.devices.device import DeviceUrl
@@ -32,13 +34,18 @@ class Point:
         self.name, self.value = name, value
         self.dist = type("Distribution", (), {"name": distribution}) if distribution else None
 
+    def load(self) -> Any:
+        return EntryPoint(self.name, self.value, "rig.devices").load()
+
 
 @pytest.fixture
 def plugins(monkeypatch: pytest.MonkeyPatch) -> Any:
     """Install entry points of the group ``rig.devices``."""
 
     def install(*points: Any) -> None:
-        monkeypatch.setattr(devices, "entry_points", lambda group: points if group == "rig.devices" else ())
+        monkeypatch.setattr(
+            core_plugins, "entry_points", lambda group: points if group == "rig.devices" else ()
+        )
 
     return install
 
@@ -118,10 +125,12 @@ def test_a_backend_that_does_not_load_is_named_with_its_distribution(
     (tmp_path / "broken_rig.py").write_text("raise RuntimeError('built for another version')")
     monkeypatch.syspath_prepend(str(tmp_path))
     plugins(Point("can", target))
-    with pytest.raises(DeviceNotFoundError, match="does not load") as caught:
+    with pytest.raises(ConfigError, match="does not load") as caught:
         devices.open_link("can://0")
     assert target in str(caught.value)
     assert "third-party" in caught.value.remedy
+    assert devices.broken("can") == str(caught.value)
+    assert devices.broken("sim") == ""
 
 
 def test_listing_loads_no_backend(plugins: Any) -> None:
@@ -170,6 +179,17 @@ def test_options_of_virtual_time_are_refused_where_they_would_do_nothing() -> No
         local.serve_locally("sim://?offset=0.25", rotary_rig()),
     ):
         pass
+
+
+def test_a_device_process_takes_no_module_from_the_working_directory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("json", "pickle", "socket", "signal"):
+        (tmp_path / f"{name}.py").write_text("raise SystemExit(77)")
+    with local.serve_locally("sim://", config.rig_model(presets.load("koul-compliant"))) as url:
+        assert url.startswith("unix://")
+    assert local.SAFE_PATH not in os.environ
 
 
 def test_a_device_process_answers_by_name_and_ends_with_its_context() -> None:

@@ -253,9 +253,15 @@ def test_a_device_time_that_nobody_can_count_is_an_incompatible_device(stamps: A
 
 def test_a_refusal_with_a_status_that_nobody_knows_names_its_number() -> None:
     device = FramedDevice(Answering(lambda request: frame_of(m.Ack(request.nonce, 0, 200, 0, 0, 0))))
-    with pytest.raises(DeviceRefusedError, match=r"refused Identify: .*explains") as refused:
+    with pytest.raises(DeviceRefusedError, match=r"refused Identify: status 200, which this") as refused:
         device.identify()
     assert refused.value.status == 200
+
+
+def test_a_status_that_nobody_knows_is_a_refusal_for_who_asks_for_it_too() -> None:
+    device = FramedDevice(Answering(lambda request: frame_of(m.Ack(request.nonce, 0, 200, 0, 0, 0))))
+    with pytest.raises(DeviceRefusedError, match="status 200"):
+        device.status_of(m.Identify(0, 0))
 
 
 def test_a_refusal_for_a_state_that_nobody_knows_names_its_number() -> None:

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 import rig.cli
 from rig.config import as_mapping, controller, override
 from rig.config.presets import load
-from rig.core.errors import ConfigError, PlanError, RigError
+from rig.core.errors import ConfigError, PlanError, RigError, RunEndedError
 from rig.experiments import live
 from rig.realtime import ring as words
 from rig.realtime import running
@@ -187,7 +187,7 @@ def test_a_loop_that_cannot_be_changed_from_outside_is_left_alone(info: dict[str
 def test_a_loop_that_has_ended_is_not_changed() -> None:
     ring = Ring.allocate(1, info=info_of())
     ring.put(words.LOOP_DONE, 1)
-    with pytest.raises(RigError, match="has ended"):
+    with pytest.raises(RunEndedError, match="has ended"):
         live._post(ring, {"wall.stiffness": 400.0})
 
 

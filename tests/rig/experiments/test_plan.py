@@ -243,7 +243,7 @@ def test_a_rate_above_the_devices_is_refused_with_the_rate_to_choose() -> None:
     assert ok.outcome == Outcome.OK
     (refused,) = link_checks(changed({"controller.position_rate": 6000}), 4000, None)
     assert refused.outcome == Outcome.REFUSED
-    assert "--rate 4000" in refused.remedy
+    assert "`rate` 4000" in refused.remedy
 
 
 def test_no_frame_is_longer_than_the_plan_counts_with() -> None:
@@ -277,5 +277,5 @@ def test_a_uart_carries_what_its_rate_allows(baud: int, rate: int, outcome: Any)
     assert link.outcome == outcome
     possible = int(LINK_SHARE * capacity / STATE_BYTES)
     assert (rate <= possible) is (outcome == Outcome.OK)
-    assert f"--rate {possible} or less" in link.remedy
+    assert f"`rate` {possible} or less" in link.remedy
     assert f"{rate * STATE_BYTES / 1e3:.1f} kB/s" in link.text

@@ -47,11 +47,11 @@ def test_bounds_that_are_given_are_kept() -> None:
 @pytest.mark.parametrize(
     ("bounds", "text"),
     [
-        ({"highest": 1e9}, r"1e\+09 \(--stiffness\): in walls above 477.* 2 counts deep.*at most 477"),
-        ({"lowest": 0.0}, r"from 0 to .*--stiffness"),
-        ({"highest": 0.0}, r"to 0 is not a range.*--stiffness"),
+        ({"highest": 1e9}, r"1e\+09 \(`stiffness`\): in walls above 477.* 2 counts deep.*at most 477"),
+        ({"lowest": 0.0}, r"from 0 to .*`stiffness`"),
+        ({"highest": 0.0}, r"to 0 is not a range.*`stiffness`"),
         ({"lowest": 50.0, "highest": 20.0}, r"from 50 to 20 is not a range"),
-        ({"ratio": 1.0}, r"ratio of 1 .*1\.0001 to 1e6.*--ratio"),
+        ({"ratio": 1.0}, r"ratio of 1 .*1\.0001 to 1e6.*`ratio`"),
     ],
 )
 def test_bounds_without_sense_are_refused_with_their_numbers(bounds: dict[str, float], text: str) -> None:

@@ -49,6 +49,7 @@ from rig.experiments import trial as trials
 from rig.experiments.endings import ENDINGS, error_of
 from rig.experiments.hit import HitRequest, hit
 from rig.experiments.judgement import experiment_of, judge
+from rig.loop.contradictions import Contradiction
 from rig.loop.layout import EndReason
 from rig.loop.run import COUNTERS, LoopEnd, LoopThread
 from rig.realtime.kernel import kernel
@@ -56,7 +57,7 @@ from rig.realtime.plugs import LAW_SIGNATURE
 from rig.recording.files import free_name
 from rig.recording.reader import open_recording
 from sim_backend import pty
-from sim_backend.channel import DeviceFault, Direction, Faults, FrameFault, Kind
+from sim_backend.channel import DeviceFault, Direction, Faults, FrameFault, Happening, Kind
 from sim_backend.device import SimulatedDevice
 from sim_backend.link import MemoryLink
 from tests.conformance.trials import trial_on
@@ -572,6 +573,20 @@ def test_a_device_that_ends_a_run_and_says_no_fault_is_an_error_with_a_remedy() 
     assert error.remedy
 
 
+def test_a_device_that_contradicts_itself_is_told_how() -> None:
+    end = LoopEnd(EndReason.DEVICE_CONTRADICTS, None, dict.fromkeys(COUNTERS, 0), Contradiction.CLOCK.text)
+    error = error_of(end, "sim://", None, np.zeros(0, ROW))
+    assert Contradiction.CLOCK.text in str(error)
+
+
+def test_a_device_that_restarts_in_mid_run_is_not_only_silent(tmp_path: Path) -> None:
+    faults = Faults(device=(Happening(tick=300, act=lambda device: device.reset()),))
+    with pytest.raises(DeviceFaultError, match="restarted during the run") as caught:
+        Bench(tmp_path, faults).run(LONG)
+    assert caught.value.end.reason == EndReason.DEVICE_RESTARTED
+    assert open_recording(caught.value.recording).trailer["reason"] == "device_restarted"
+
+
 def test_a_finished_run_is_no_error() -> None:
     end = LoopEnd(EndReason.FINISHED, None, dict.fromkeys(COUNTERS, 0))
     assert error_of(end, "sim://", None, np.zeros(0, ROW)) is None
@@ -664,7 +679,7 @@ def real(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_real_device_moves_only_when_its_polarity_is_verified(tmp_path: Path, real: None) -> None:
     with pytest.raises(ConfigError, match="is not verified") as caught:
         list(hit(requested(tmp_path)))
-    assert "--verified" in caught.value.remedy
+    assert "`verified`" in caught.value.remedy
     assert files(tmp_path) == []
     (result,) = hit(requested(tmp_path, verified=True))
     assert open_recording(result.recording).header["identity"]["simulated"] is False

@@ -248,11 +248,11 @@ def test_a_real_device_of_unverified_polarity_is_not_moved(tmp_path: Path, real_
 @pytest.mark.parametrize(
     ("plan", "text"),
     [
-        ({"judged": "true"}, "--judge recorded"),
+        ({"judged": "true"}, "`judge` recorded"),
         ({"offsets": (0.1, 0.6)}, "2 encoder offsets"),
         (
             {"schemes": (Scheme.parse("dual:5k/1k"), Scheme.parse("uniform:20k"))},
-            r"scheme uniform:20k.*asks for 20000 Hz, and the device runs at most at 8000 Hz.*--rate 8000",
+            r"scheme uniform:20k.*asks for 20000 Hz, and the device runs at most at 8000 Hz.*`rate` 8000",
         ),
         (
             {"search": Search(lowest=0.1, highest=10.0, ratio=2.0)},

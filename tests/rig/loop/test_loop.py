@@ -35,9 +35,9 @@ from rig.core.sample import Phase, RowFlag
 from rig.devices.framed import STOP_FRAMES
 from rig.devices.port import LoopPort
 from rig.loop import receive
+from rig.loop.contradictions import WRAP
 from rig.loop.host import run
 from rig.loop.layout import PROGRESS, RECEIVE_BYTES, SETTINGS, Buffers, EndReason
-from rig.loop.receive import WRAP
 from rig.loop.rows import DRIFT_PPM
 from rig.loop.rows import lateness as row_lateness
 from rig.loop.run import LoopSettings, LoopThread
@@ -63,7 +63,7 @@ def state_frame(index: int, *, session: int = SESSION, sequence: int | None = No
     time_units = index * 16_000
     values = {
         "command_sequence": 0,
-        "command_age": 1,
+        "command_age": m.NO_COMMAND_YET,
         "sample_index": index % WRAP,
         "device_time": time_units % WRAP,
         "count": 0,

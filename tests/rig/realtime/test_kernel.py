@@ -22,10 +22,11 @@ import numpy as np
 import pytest
 from numba import types
 
-from rig.realtime import compiling, parts
+from rig.realtime import cache, compiling, parts
 from rig.realtime import kernel as module
 from rig.realtime import source_files as sources
-from rig.realtime.kernel import cache_key, kernel
+from rig.realtime.cache import cache_key, writable_by_others
+from rig.realtime.kernel import kernel
 from rig.realtime.source_files import compiled_files, source_files
 
 compiled = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="without the compiler nothing is cached")
@@ -99,7 +100,7 @@ def project(tmp_path: Path) -> Project:
     (root / "rig" / "realtime").mkdir(parents=True)
     for package in ("rig", "rig/realtime"):
         (root / package / "__init__.py").touch()
-    for copied in (module, sources, compiling, parts):
+    for copied in (module, cache, sources, compiling, parts):
         shutil.copy(copied.__file__, root / "rig" / "realtime")
     (root / "rig" / "helper.py").write_text(HELPER)
     (root / "rig" / "law.py").write_text(LAW)
@@ -150,6 +151,47 @@ def test_a_cache_that_cannot_be_written_costs_time_but_never_the_run(
     report = project.run(after="import shutil; shutil.rmtree(kernel.CACHE_DIRECTORY)")
     assert report["value"] == 3.0
     assert not report["cache"].startswith(project.cache)
+
+
+def test_a_cache_that_others_can_write_is_not_used_and_that_is_said_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Machine code from there would run a law on a hand."""
+    named, spare = tmp_path / "cache", tmp_path / "tmp"
+    spare.mkdir()
+    spare.chmod(0o1777)  # as /tmp
+    monkeypatch.setenv("HAPTIC_RIG_CACHE", str(named))
+    monkeypatch.setattr(cache.tempfile, "gettempdir", lambda: str(spare))
+    assert cache.cache_root() == named
+    assert not caplog.messages
+    inside = cache.open_cache()
+    assert (inside.parent, inside.stat().st_mode & 0o077) == (named, 0)
+    for mode in (0o770, 0o702):
+        caplog.clear()
+        named.chmod(mode)
+        assert cache.cache_root() == spare / f"haptic-rig-cache-{os.getuid()}"
+        assert [str(named) in message for message in caplog.messages] == [True]
+    named.chmod(0o755)
+    inside.chmod(0o775)
+    assert cache.open_cache().parent != named, "the directory of these kernels"
+    inside.chmod(0o700)
+    tmp_path.chmod(0o777)
+    assert "can replace" in writable_by_others(named)
+    tmp_path.chmod(0o1777)
+    assert writable_by_others(named) == ""
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="only root can give a file away")
+def test_a_cache_of_another_user_or_behind_a_link_of_one_is_not_used(tmp_path: Path) -> None:
+    ours, theirs, link = tmp_path / "ours", tmp_path / "theirs", tmp_path / "link"
+    ours.mkdir()
+    theirs.mkdir()
+    link.symlink_to(ours)
+    assert writable_by_others(link) == ""
+    os.chown(theirs, 1, 1)
+    os.lchown(link, 1, 1)
+    assert "another user" in writable_by_others(theirs)
+    assert "another user" in writable_by_others(link)
 
 
 @compiled

@@ -25,8 +25,8 @@ from rig.core.present import plain
 from rig.core.sample import Phase, RowFlag
 from rig.devices.device import DeviceUrl
 from rig.devices.framed import FramedDevice
+from rig.loop.contradictions import WRAP
 from rig.loop.layout import Buffers
-from rig.loop.receive import WRAP
 from rig.loop.rows import sync_time
 from rig.realtime.codec import STATE
 from rig.recording.data import Recording

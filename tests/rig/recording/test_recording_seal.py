@@ -281,11 +281,11 @@ def test_without_pyarrow_the_capture_serves(tmp_path: Path, recording: Recording
 
         truth = example_truth(np.arange(100, 200))
         for name in sys.argv[1:3]:
-            sealed = seal(open_recording(name), truth, judge=lambda _: {"verdict": "stable"})
+            sealed = seal(open_recording(name), truth, judge=lambda _: {"verdict": {"kind": "stable"}})
             assert str(sealed.path) == name
         found = open_recording(sys.argv[1])
         assert found.column("position_true").tolist() == found.column("sample_index").tolist()
-        assert found.trailer["verdict"] == "stable" and found.complete
+        assert found.trailer["verdict"]["kind"] == "stable" and found.complete
         export(found, sys.argv[1] + ".csv")
         try:
             export(found, sys.argv[1] + ".parquet")

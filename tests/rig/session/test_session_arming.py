@@ -92,7 +92,7 @@ def test_a_study_whose_walls_are_refused_does_not_begin(tmp_path: Path) -> None:
     runner, desk = RealRunner(), ScriptedDesk()
     with pytest.raises(PlanError) as refused:
         run_session(written(tmp_path, "none"), "P01", at(desk), runner=runner, study=tmp_path / "study")
-    assert "--arm-anyway" in str(refused.value)
+    assert "`arm_anyway`" in str(refused.value)
     assert "hidden-dual, B = 0.211: 4 of 6 walls, from K = 60 to 120" in str(refused.value)
     assert "it oscillates" in str(refused.value)
     assert (runner.hits, desk.questions) == ([], [])
@@ -158,7 +158,7 @@ def test_the_plan_of_a_study_lists_what_needs_consent() -> None:
     (found,) = arming_checks(Walls(protocol_of(), KOUL), RealRunner())
     assert found.outcome is Outcome.WARNING
     assert "dual-hidden, B = 0.37: 19 of 21 walls, from K = 150 to 600 N·m/rad" in found.text
-    assert "--arm-anyway" in found.remedy
+    assert "`arm_anyway`" in found.remedy
 
 
 # ------------------------------------------------------------------- a device, and a link as it was measured

@@ -177,7 +177,7 @@ def test_a_device_is_asked_for_its_rate_only_when_it_is_named(schemes: Protocol,
     asked = named(check(schemes, Path(), url="sim://koul-compliant"), "device rate")
     assert asked.outcome is Outcome.REFUSED  # in real time, as a session with a person runs it
     assert "20000 Hz" in asked.text
-    assert "--rehearse" in asked.remedy
+    assert "rehearse" in asked.remedy
 
 
 @pytest.mark.parametrize("hopeless", [False, True])

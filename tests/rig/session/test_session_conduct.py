@@ -567,7 +567,7 @@ def test_the_number_in_a_code_is_the_row(code: str, row: int) -> None:
 
 
 def test_a_code_without_a_number_needs_a_row() -> None:
-    with pytest.raises(ConfigError, match="--row"):
+    with pytest.raises(ConfigError, match="`row`"):
         row_of("PX")
 
 

@@ -73,7 +73,7 @@ def test_the_rate_that_is_proposed_is_the_highest_that_these_answers_keep() -> N
     assert pace_of(measured(often), 500, LIMITS).lost_share == 0.0
     assert sentence(found, simulated=True) == (
         "this computer or the link loses 2 % of the samples at 1000 Hz, or is late with them, up to 1 ms at a time; "
-        "run at 500 Hz, or rehearse (--rehearse), or close other programs and see `rig doctor`"
+        "run at 500 Hz, or rehearse, or close other programs and see `rig doctor`"
     )
     assert pace_of(measured({1: 0.1, 900: 0.1}), 1000, LIMITS).kept_hz is None
 
@@ -107,7 +107,7 @@ def test_a_hopeless_session_is_refused_unless_somebody_accepts_that() -> None:
     walls = Walls(protocol_of(), preset("koul-rigid"))
     with pytest.raises(PlanError, match="nearly every trial would be invalid") as refused:
         refuse_lossy(walls, SlowRunner(bad))
-    assert "--lossy-anyway" in refused.value.remedy
+    assert "`lossy_anyway`" in refused.value.remedy
     runner = SlowRunner(bad, lossy_anyway=True)
     refuse_lossy(walls, runner)
     assert runner.rates == [20_000]  # the fastest of the session, once

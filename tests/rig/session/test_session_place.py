@@ -121,8 +121,8 @@ def test_another_device_is_refused_and_nothing_written(
     before = (directory / LOG).read_bytes()
     with pytest.raises(ConfigError, match=words) as refused:
         gone_on(directory, **facts)
-    assert "--other-device" in refused.value.remedy
-    assert "--url serial:///dev/ttyACM0" in refused.value.remedy
+    assert "`other_device`" in refused.value.remedy
+    assert "`url` serial:///dev/ttyACM0" in refused.value.remedy
     assert (directory / LOG).read_bytes() == before
     gone_on(directory, told=True, **facts)
     assert len(sessions.session_state(directory)[0].trials) > 2

@@ -54,6 +54,11 @@ def test_the_same_ledger_gives_the_same_bytes(tmp_path: Path) -> None:
     assert drawn(rows_of(5_000, seed=2), FIT, tmp_path / "c.png", title="a run") != first
 
 
+def test_a_name_that_is_no_text_can_be_drawn(tmp_path: Path) -> None:
+    for name in ("\udcff.png", "\udcff.svg"):
+        assert drawn(rows_of(10), FIT, tmp_path / name, title="\udcff")
+
+
 @pytest.mark.parametrize("count", [0, 1, 2_001])
 @pytest.mark.parametrize("fit", [FIT, None], ids=["clock", "no-clock"])
 @pytest.mark.parametrize("spread", [0.0, 1.0, -3.0])

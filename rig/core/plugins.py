@@ -1,0 +1,39 @@
+"""Parts that third parties add by entry points: estimators, laws, backends. A broken one breaks nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Container
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
+
+from rig.core.errors import ConfigError
+
+
+def found(group: str, built_in: Container[str]) -> list[EntryPoint]:
+    """The plug-ins of a group by name, without those that have the name of a built-in part."""
+    return [point for point in _found(entry_points, group) if point.name not in built_in]
+
+
+@cache  # it looks through every installed package, which costs milliseconds, for each scheme and each check
+def _found(find: Callable[..., Any], group: str) -> tuple[EntryPoint, ...]:
+    return tuple(sorted(find(group=group), key=lambda point: str(point.name)))
+
+
+def load(group: str, kind: str, name: str, fits: Callable[[Any], bool]) -> Any:
+    """Return the part (an estimator, a law: `kind`) that a plug-in of that name gives, None where there is none.
+
+    Raises `ConfigError` when it does not load, or gives something that does not fit.
+    """
+    point = next((point for point in _found(entry_points, group) if point.name == name), None)
+    if point is None:
+        return None
+    where = f"{kind} {name!r} ({point.value})"
+    remedy = f"fix or remove {point.dist.name if point.dist else 'that package'}"
+    try:
+        part = point.load()
+    except (Exception, SystemExit) as error:  # somebody else's module may raise anything
+        raise ConfigError(f"{where} does not load: {error!r}", remedy=remedy) from error
+    if not fits(part):
+        raise ConfigError(f"{where} is no {kind} but {type(part).__name__}", remedy=remedy)
+    return part

@@ -1,0 +1,116 @@
+"""What a device says of a sample against what it said before and what it was sent: a contradiction ends the run.
+
+Its clock counts as its samples do, an edge is not younger than its sample, a tick that it missed has no sample, and
+its active command is one that left not long before. A number of samples that goes back further than frames can
+overtake each other is a device that restarted.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import Any
+
+from numba import types
+
+from firmware_protocol.messages import NO_COMMAND_YET, OLDEST_EDGE
+from rig.loop.layout import INTS, PROGRESS_TYPE, SETTINGS_TYPE
+from rig.realtime.codec import STATE
+from rig.realtime.kernel import kernel
+
+WRAP = 1 << 32
+
+
+class Contradiction(IntEnum):
+    """What cannot be, and the words for it."""
+
+    NONE = 0, ""
+    RESTARTED = 1, "it counts its samples anew"
+    CLOCK = 2, "its clock and its sample index went different ways"
+    EDGE = 3, "it dates an edge of the encoder after the sample that has it"
+    MISSED = 4, "it counts more missed ticks than samples are missing"
+    COMMAND = 5, "it names an active command that was not sent, or was sent long before"
+
+    text: str
+
+    def __new__(cls, code: int, text: str = "") -> Contradiction:
+        """Make a member of which `code` is the value."""
+        member = int.__new__(cls, code)
+        member._value_ = code
+        member.text = text
+        return member
+
+
+_NONE, _RESTARTED, _CLOCK, _EDGE, _MISSED, _COMMAND = (int(member) for member in Contradiction)
+# A timer that cannot keep the exact rate may leave the index by this share; a late tick comes before the next one.
+_DRIFT_PER_CENT, _PERIODS = 1, 2
+_NO_COMMAND_YET, _OLDEST_EDGE = int(NO_COMMAND_YET), int(OLDEST_EDGE)
+
+
+@kernel(types.int64(types.int64, types.int64), inline=True)
+def ahead(new: int, old: int) -> int:
+    """How far a 32-bit number is ahead of another, which may have more bits; negative when behind."""
+    return (new - old + WRAP // 2) % WRAP - WRAP // 2
+
+
+@kernel(types.int64(SETTINGS_TYPE, types.int64), inline=True)
+def time_of(settings: Any, samples: int) -> int:
+    """Device time that so many samples take (device ticks)."""
+    return int(samples * settings[0]["period_ns"] * 1000 // settings[0]["device_tick_ps"])
+
+
+@kernel(types.int64(SETTINGS_TYPE, types.int64, types.int64, types.int64))
+def clock_error(settings: Any, error: int, samples: int, time: int) -> int:
+    """How far the device's clock is ahead of its sample index, after `samples` that took `time` (device ticks).
+
+    `error` is what this was before; of it `_DRIFT_PER_CENT` of the time that passed are forgotten.
+    """
+    expected = time_of(settings, samples)
+    error += ahead(time, expected)
+    forgotten = 1 + abs(expected) * _DRIFT_PER_CENT // 100
+    return int(max(error - forgotten, min(error + forgotten, 0)))
+
+
+@kernel(types.int64(SETTINGS_TYPE, types.int64, types.int64))
+def of_clock(settings: Any, samples: int, error: int) -> int:
+    """Contradiction in a sample that comes `samples` after the last one and has this `clock_error`."""
+    if samples < -settings[0]["lost_after_ns"] // settings[0]["period_ns"]:
+        return _RESTARTED
+    return _CLOCK if abs(error) > time_of(settings, _PERIODS) else _NONE
+
+
+@kernel(types.int64(SETTINGS_TYPE, PROGRESS_TYPE, INTS))
+def _of_itself(settings: Any, progress: Any, told: Any) -> int:
+    """Contradiction between a STATE and itself, or the COMMANDs that were sent."""
+    s, age = settings[0], told[STATE.command_age]
+    if (told[STATE.device_time] - told[STATE.edge_time]) % WRAP > _OLDEST_EDGE:
+        return _EDGE
+    # Each command answers a sample of its own: since the active one came there were `age`, and some on the way.
+    latest = age + 2 * s["lost_after_ns"] // s["period_ns"]
+    since = (progress[0]["sequence"] - 1 - told[STATE.command_sequence]) % 65536
+    return _COMMAND if age != _NO_COMMAND_YET and since > latest else _NONE
+
+
+@kernel(types.UniTuple(types.int64, 2)(SETTINGS_TYPE, PROGRESS_TYPE, INTS, INTS, types.boolean))
+def take_news(settings: Any, progress: Any, told: Any, before: Any, first: bool) -> tuple[int, int]:
+    """Look at a STATE beside the newest one so far: by how many samples it is newer, and 1 if it is believed.
+
+    A contradiction goes to `progress`. A STATE that tells a fault is believed: it ends the run anyway.
+    """
+    p = progress[0]
+    newer, error, found = 1, 0, _NONE
+    if not first:
+        newer = ahead(told[STATE.sample_index], before[STATE.sample_index])
+        time = told[STATE.device_time] - before[STATE.device_time]
+        error = clock_error(settings, p["clock_error"], newer, time)
+        found = of_clock(settings, newer, error)
+    if found == _NONE and newer > 0:
+        found = _of_itself(settings, progress, told)
+        missed = told[STATE.missed_ticks] - before[STATE.missed_ticks]
+        if found == _NONE and not first and not 0 <= missed < newer:
+            found = _MISSED
+    if found != _NONE and told[STATE.fault] == 0:
+        p["contradiction"] = found
+        return newer, 0
+    if newer > 0:
+        p["clock_error"] = error
+    return newer, 1

@@ -1,0 +1,84 @@
+"""What header and trailer of a recording must look like, for those who take numbers and names out of them.
+
+A checksum says that nobody changed a file by accident, not that this program wrote it. Only what is read again is
+listed; the experiment is checked by `rig.config`, the state of the controller where a replay begins from it.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from typing import Any
+
+DEPTH = 32  # of a JSON: ours has half of it; the interpreter's own stack allows some hundreds
+_GREATEST = 1 << 62
+_NUMBER = object()  # one that numpy can hold
+HEADER: dict[str, Any] = {
+    "rig": str,
+    "motion": ("rotary", "linear"),
+    "experiment": {"controller?": {"position_rate?": range(1, 10**7)}},
+    "identity": {"device?": str, "url?": str, "current_quantum_a?": _NUMBER},
+    "clocks": {"kind?": str},
+    "extra": {"loop?": str, "arithmetic?": str, "wall?": {"*": _NUMBER}},
+    "initial_state": {"control?": {"reference_count?": _NUMBER}},
+    "schema": dict,
+}
+TRAILER: dict[str, Any] = {
+    "reason?": str,
+    "error?": str,
+    "fault?": {"name": str},
+    "counters?": {"*": _NUMBER},
+    "parameter_sets?": [{"tick": _NUMBER, "wall_position": _NUMBER, "parameters": [_NUMBER]}],
+    "device_host_agreement?": {"*": _NUMBER},
+    "verdict?": {"kind?": str, "reasons?": [str]},
+}
+
+
+def parsed(text: bytes) -> Any:
+    """Read a JSON; `ValueError` for text that is none, or nested deeper than `DEPTH`."""
+    try:
+        value = json.loads(text)
+    except RecursionError:
+        raise ValueError("nested too deeply") from None
+    level, depth = [value], 0
+    while level:
+        level = [below for one in level if isinstance(one, dict | list) for below in _parts(one)]
+        depth += 1
+        if depth > DEPTH:
+            raise ValueError("nested too deeply")
+    return value
+
+
+def _parts(value: Any) -> Any:
+    return value.values() if isinstance(value, dict) else value
+
+
+def misfit(value: Any, shape: Any, name: str) -> str:
+    """What does not fit, in words, "" where all does.
+
+    A key that ends in "?" may be missing or null, "*" stands for all keys, a tuple or a range for one of
+    its values.
+    """
+    inside: list[tuple[Any, Any, str]] = []
+    if isinstance(shape, list):
+        fits = isinstance(value, list)
+        inside = [(one, shape[0], f"{name}[{i}]") for i, one in enumerate(value)] if fits else []
+    elif isinstance(shape, dict):
+        fits = isinstance(value, dict)
+        inside = list(_members(value, shape, name)) if fits else []
+    elif isinstance(shape, tuple | range):
+        fits = value in shape
+    elif shape is _NUMBER:
+        fits = isinstance(value, int | float) and abs(value) < _GREATEST
+    else:
+        fits = isinstance(value, shape)
+    if not fits:
+        return f"{name} has a value that no recording has there"
+    return next(filter(None, (misfit(*one) for one in inside)), "")
+
+
+def _members(value: dict[str, Any], shape: dict[str, Any], name: str) -> Iterator[tuple[Any, Any, str]]:
+    for key, inner in dict.fromkeys(value, shape["*"]).items() if "*" in shape else shape.items():
+        known = key if "*" in shape else key.removesuffix("?")
+        if known == key or value.get(known) is not None:
+            yield value.get(known), inner, f"{name}.{known}"

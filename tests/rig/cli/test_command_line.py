@@ -1,0 +1,135 @@
+"""The command line as a whole: words that mean nothing, and its exit codes."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import inspect
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import click
+import pytest
+
+import rig.cli
+from rig.cli import output
+from rig.cli.lazy import LazyGroup
+from rig.core.errors import RigError
+from rig.experiments import live
+from rig.realtime.source_files import source_files
+
+README = Path(__file__).parents[3] / "README.md"
+
+
+def commands(
+    group: click.Group, path: tuple[str, ...] = ()
+) -> Iterator[tuple[tuple[str, ...], click.Command]]:
+    context = click.Context(group)
+    for name in group.list_commands(context):
+        command = group.get_command(context, name)
+        assert command is not None
+        if isinstance(command, click.Group):
+            yield from commands(command, (*path, name))
+        else:
+            yield (*path, name), command
+
+
+def test_an_empty_value_is_an_error_that_names_it_in_all_commands(capsys: pytest.CaptureFixture[str]) -> None:
+    assert isinstance(rig.cli.rig, LazyGroup)
+    tried = 0
+    for path, command in commands(rig.cli.rig):
+        for parameter in command.params:
+            if getattr(parameter, "is_flag", False):
+                continue
+            if isinstance(parameter, click.Argument):
+                cases = [([*path, ""], path[-1])]
+            else:
+                long = max(parameter.opts, key=len)
+                cases = [([*path, name, ""], name) for name in parameter.opts]
+                cases += [([*path, f"{long}="], long)] if long.startswith("--") else []
+            for words, named in cases:
+                tried += 1
+                assert rig.cli.run(words) == 2, words
+                assert f" {named};" in capsys.readouterr().err, words
+    assert tried > 400
+    assert rig.cli.run(["plan", "--json", "--set", ""]) == 2
+    assert json.loads(capsys.readouterr().out)["error"]["kind"] == "ConfigError"
+
+
+def codes_of(kind: type[RigError]) -> set[int]:
+    return {kind.exit_code}.union(*(codes_of(below) for below in kind.__subclasses__()))
+
+
+def test_every_exit_code_is_in_the_readme_and_no_other() -> None:
+    for module, path in source_files(["rig"]).items():
+        if "RigError)" in path.read_text() or "Error):" in path.read_text():
+            importlib.import_module(module)
+    returned = {
+        node.value.value
+        for function in (rig.cli.run, rig.cli._run, rig.cli._incomplete)
+        for node in ast.walk(ast.parse(inspect.getsource(function)))
+        if isinstance(node, ast.Return) and isinstance(node.value, ast.Constant)
+    }
+    paragraph = re.search(r"^Exit codes: (.*?)\n\n", README.read_text(), re.DOTALL | re.MULTILINE)
+    assert paragraph
+    written = [int(entry.split()[0]) for entry in paragraph[1].split(";")]
+    assert written == sorted(codes_of(RigError) | returned | {click.UsageError.exit_code})
+
+
+def test_a_change_for_a_run_that_ends_before_it_is_active_has_its_own_exit_code(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    done = live.LiveChange(7, 3, {"wall.stiffness": 1.0}, {}, active=False, ended=True)
+    monkeypatch.setattr(live, "change_wall", lambda *_, **__: done)
+    assert rig.cli.run(["set", "stiffness=1"]) == 16
+    assert "the loop ended before" in capsys.readouterr().err
+    assert rig.cli.run(["set", "stiffness=1", "--json"]) == 16
+    assert json.loads(capsys.readouterr().out)["ended"]
+
+
+def texts() -> Iterator[tuple[str, str]]:
+    """File and text of every string outside the commands that is no docstring."""
+    for module, path in source_files(["rig"]).items():
+        if module.startswith("rig.cli"):
+            continue
+        tree = ast.parse(path.read_text())
+        documented = {
+            id(node.value)
+            for node in ast.walk(tree)
+            if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+        }
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in documented:
+                yield module, node.value
+
+
+def test_a_message_of_a_function_names_arguments_and_no_options() -> None:
+    """Whole commands, as one would type them, are a remedy for everybody."""
+    word, command = (
+        re.compile(r"(?<![\w-])--[a-z]"),
+        re.compile(r"\brig [a-z]+|sudo|docker|apt|systemctl|cap-add|-Wl"),
+    )
+    named = [(module, text) for module, text in texts() if word.search(text) and not command.search(text)]
+    assert [one for one in named if not re.fullmatch(r"--[\w=.*-]+", one[1])] == []
+
+
+def test_an_argument_that_a_message_names_is_an_option_of_a_command() -> None:
+    assert isinstance(rig.cli.rig, LazyGroup)
+    options = {name for _, command in commands(rig.cli.rig) for one in command.params for name in one.opts}
+    named = {
+        (module, found)
+        for module, text in texts()
+        if len(text) < 110  # longer ones are pages
+        for found in output._ARGUMENT.findall(text)
+    }
+    assert len(named) > 10
+    assert [one for one in sorted(named) if "--" + one[1].replace("_", "-") not in options] == []
+
+
+def test_a_command_shows_an_argument_as_its_option(capsys: pytest.CaptureFixture[str]) -> None:
+    text = "this wall must not be armed; or accept the risk: `arm_anyway`; see `rig doctor`"
+    assert output.for_terminal(text).endswith("the risk: --arm-anyway; see `rig doctor`")
+    assert rig.cli.run(["session", "check", "/nowhere.toml", "--threshold", "x=1"]) == 2
+    assert "`" not in capsys.readouterr().err

@@ -1,0 +1,57 @@
+"""Parts of third parties: one that is broken is named, listed with the reason, and takes no other with it."""
+
+from __future__ import annotations
+
+import json
+import sys
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import pytest
+
+import rig.cli
+from rig.control import estimators, laws
+from rig.core import plugins
+from rig.core.errors import ConfigError
+
+SOURCES = {
+    "raises": "raise RuntimeError('built for another version')",
+    "leaves": "raise SystemExit(3)",
+    "empty": "",
+    "wrong": "PART = 3",
+}
+
+
+@pytest.fixture(params=SOURCES)
+def broken(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Name of a plug-in of every group that gives nothing of use."""
+    name = f"theirs_{request.param}"
+    (tmp_path / f"{name}.py").write_text(SOURCES[request.param])
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.delitem(sys.modules, name, raising=False)
+    monkeypatch.setattr(plugins, "entry_points", lambda group: [EntryPoint("theirs", f"{name}:PART", group)])
+    return name
+
+
+@pytest.mark.parametrize("get", [estimators.get, laws.get])
+def test_asking_for_it_is_an_error_that_names_it(get: object, broken: str) -> None:
+    assert callable(get)
+    with pytest.raises(ConfigError, match=f"{broken}:PART") as caught:
+        get("theirs")
+    assert caught.value.remedy
+
+
+def test_the_lists_show_it_with_the_reason_beside_what_works(
+    broken: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert rig.cli.run(["estimators", "list", "--json"]) == 0
+    shown = json.loads(capsys.readouterr().out)
+    assert [fact["name"] for fact in shown] == [*estimators.BUILT_IN, "theirs"]
+    assert [f"{broken}:PART" in fact.get("broken", "") for fact in shown] == [False] * (len(shown) - 1) + [
+        True
+    ]
+    assert rig.cli.run(["estimators", "list", "theirs"]) == 2
+    assert rig.cli.run(["devices", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)["backends"]
+    assert [one["scheme"] for one in told if one["broken"]] == ["theirs"]
+    assert rig.cli.run(["devices", "theirs://x"]) == 2

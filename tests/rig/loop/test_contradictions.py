@@ -1,0 +1,136 @@
+"""What a device says that cannot be, with the law on the host and on the device: the run ends and says so."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from firmware_protocol.connection import State
+from firmware_protocol.faults import Fault, Input
+from rig.loop.contradictions import WRAP, Contradiction, ahead, clock_error, of_clock
+from rig.loop.layout import EndReason
+from tests.conformance.batch_device import BatchDevice
+from tests.rig.loop import test_loop, test_supervise
+from tests.rig.loop.test_loop import PERIOD_NS, Receiver, Script, settings, state_frame
+
+UNITS = 16_000  # of the device's clock in a period
+FROM = 10
+
+
+def lied(index: int, lie: dict[str, Any]) -> bytes:
+    return state_frame(index, **{name: value(index) for name, value in lie.items()})
+
+
+LIES: dict[str, tuple[dict[str, Any], Contradiction]] = {
+    "time, a second ahead": ({"device_time": lambda k: (k + 1_000) * UNITS}, Contradiction.CLOCK),
+    "time, a second back": ({"device_time": lambda k: (k - 1_000) * UNITS % WRAP}, Contradiction.CLOCK),
+    "time, three periods ahead": ({"device_time": lambda k: (k + 3) * UNITS}, Contradiction.CLOCK),
+    "time, frozen": (
+        {"device_time": lambda k: FROM * UNITS, "edge_time": lambda k: FROM * UNITS},
+        Contradiction.CLOCK,
+    ),
+    "time, twice as fast": ({"device_time": lambda k: (2 * k - FROM) * UNITS}, Contradiction.CLOCK),
+    "index, frozen": ({"sample_index": lambda k: FROM}, Contradiction.CLOCK),
+    "index, ahead": ({"sample_index": lambda k: k + 1_000}, Contradiction.CLOCK),
+    "index and time, anew": (
+        {
+            "sample_index": lambda k: (k - 500) % WRAP,
+            "device_time": lambda k: (k - 500) * UNITS % WRAP,
+            "edge_time": lambda k: (k - 500) * UNITS % WRAP,
+        },
+        Contradiction.RESTARTED,
+    ),
+    "edge, after the sample": ({"edge_time": lambda k: (k + 1) * UNITS}, Contradiction.EDGE),
+    "missed ticks, no sample missing": ({"missed_ticks": lambda k: 1}, Contradiction.MISSED),
+    "command, one that was not sent": (
+        {"command_sequence": lambda k: k + 5, "command_age": lambda k: 1},
+        Contradiction.COMMAND,
+    ),
+    "command, one of long ago": (
+        {"command_sequence": lambda k: (k - 200) % 65536, "command_age": lambda k: 1},
+        Contradiction.COMMAND,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", LIES)
+def test_with_the_law_here_a_contradiction_ends_the_run_and_says_which(name: str) -> None:
+    lie, expected = LIES[name]
+    told = [(PERIOD_NS * k, lied(k, lie if k > FROM else {})) for k in range(1, 60)]
+    link = Script(*told)
+    thread, end = test_loop.ran(link)
+    restarted = expected is Contradiction.RESTARTED
+    assert end.reason == (EndReason.DEVICE_RESTARTED if restarted else EndReason.DEVICE_CONTRADICTS)
+    assert end.contradiction == expected.text
+    assert FROM <= end.counters["ticks"] <= FROM + 3, "within a few samples"
+    assert np.diff(thread.ring.rows[: end.counters["ticks"]]["device_time"]).max() <= 2 * PERIOD_NS
+    test_loop.assert_ends_with_stops(link)
+
+
+def test_a_pressed_emergency_stop_ends_the_run_whether_the_device_latches_it_or_not() -> None:
+    pressed = int(Input.EMERGENCY_STOP)
+    link = Script(*test_loop.ticks(1, 10), *test_loop.ticks(10, 30, inputs=pressed))
+    thread, end = test_loop.ran(link)
+    assert (end.reason, end.counters["ticks"]) == (EndReason.DEVICE_FAULT, 10)
+    assert thread.fault == Fault.EMERGENCY_STOP
+
+
+@pytest.mark.parametrize("name", ["time", "index and time", "inputs", "state"])
+def test_with_the_law_on_the_device_it_ends_too(name: str) -> None:
+    device = BatchDevice(test_supervise.taps(400), [0] * 400)
+
+    def lie() -> None:
+        if name == "time":
+            device.time_error = 1_000 * UNITS
+        elif name == "index and time":
+            device.index -= 200
+            device.time_error = -200 * UNITS
+        elif name == "inputs":
+            device.inputs = int(Input.EMERGENCY_STOP)
+        else:
+            device.state = State.CONFIGURED
+
+    device.at[100] = lie
+    thread, end = test_supervise.ran(device)
+    expected = {
+        "time": EndReason.DEVICE_CONTRADICTS,
+        "index and time": EndReason.DEVICE_RESTARTED,
+    }.get(name, EndReason.DEVICE_FAULT)
+    assert end.reason == expected
+    rows = test_supervise.rows_of(thread)
+    assert 90 <= len(rows) <= 110
+    assert np.diff(rows["device_time"]).max() <= 2 * PERIOD_NS
+    test_supervise.assert_ends_with_stops(device)
+
+
+def test_a_jump_back_of_the_clock_that_is_believed_is_no_wrap() -> None:
+    """A fault is believed whatever the clock says."""
+    receiver = Receiver()
+    receiver.feed(state_frame(1_000))
+    before = int(receiver.buffers.progress[0]["device_time"])
+    assert receiver.feed(state_frame(1_001, device_time=0, fault=int(Fault.ENCODER))) == 1
+    assert int(receiver.buffers.progress[0]["device_time"]) == before - 1_000 * UNITS
+
+
+@given(
+    st.lists(st.tuples(st.integers(1, 40), st.floats(-0.9, 0.9)), min_size=1, max_size=60),
+    st.floats(-0.009, 0.009),
+)
+def test_a_late_tick_and_an_inexact_timer_are_no_contradiction(steps: Any, drift: float) -> None:
+    """Each sample up to 0.9 of a period off its place, on a grid that is up to 0.9 % off."""
+    values, index, before, error = settings().as_array(), 0, 0, 0
+    for samples, off in steps:
+        index += samples
+        time = round((index * (1.0 + drift) + off) * UNITS)
+        error = int(clock_error(values, error, samples, time - before))
+        before = time
+        assert of_clock(values, samples, error) == Contradiction.NONE
+
+
+@given(st.integers(0, 1 << 40), st.integers(-(WRAP // 2), WRAP // 2 - 1))
+def test_ahead_counts_modulo_32_bits(old: int, by: int) -> None:
+    assert ahead((old + by) % WRAP, old) == by
