@@ -73,7 +73,7 @@ class Host:
         raise AssertionError(f"no answer within {ANSWER_S} s")
 
     def identify(self) -> dictionary.Dictionary:
-        """Ask who is there, and read the dictionary unless this process has read it before: `hash` names its content."""
+        """Ask who is there; read the dictionary unless this process has read the one with its `hash` before."""
         page = self.ask(m.Identify(self.nonce(), 0))
         self.hash = page.dictionary_hash
         if self.hash not in _dictionaries:
