@@ -45,7 +45,7 @@ def describe(
 
 
 @lru_cache(maxsize=16)
-def _packed(dictionary: dictionaries.Dictionary) -> bytes:
+def packed(dictionary: dictionaries.Dictionary) -> bytes:
     """Bytes of a dictionary; a device that starts again, or for every trial, has the same ones."""
     return dictionaries.encode(dictionary)
 
@@ -76,7 +76,7 @@ class Configuration:
         self, dictionary: dictionaries.Dictionary, apply: Callable[[Mapping[str, Value]], None]
     ) -> None:
         self._dictionary = dictionary
-        self._packed = _packed(dictionary)
+        self._packed = packed(dictionary)
         self.hash = dictionaries.dictionary_hash(self._packed)
         self._apply = apply
         self._assembler = Assembler()

@@ -28,7 +28,7 @@ from rig.core.errors import ConfigError
 from rig.core.model import RigModel
 from rig.realtime.kernel import prepare
 from sim_backend import firmware_library
-from sim_backend.configuration import describe
+from sim_backend.configuration import describe, packed
 from sim_backend.firmware_library import CurrentSensor, Mechanics, Setup, Status
 from sim_backend.hardware import Hardware, World
 from sim_backend.lockstep import (
@@ -68,7 +68,7 @@ class Core:
         self.address = ctypes.addressof(self._memory)
         self._output = ctypes.create_string_buffer(OUTPUT_BYTES)
         self.dictionary = describe(model, name or model.name, rate, maximum, law_maximum)
-        self._packed = dictionaries.encode(self.dictionary)
+        self._packed = packed(self.dictionary)
         self.hash = dictionaries.dictionary_hash(self._packed)
         setup = Setup(
             self._packed,

@@ -147,13 +147,16 @@ def repeatable(header: Mapping[str, Any]) -> dict[str, Any]:
 
 def versions(protocol: str) -> dict[str, str]:
     """Versions of what computed the rows."""
-    found = {"python": platform.python_version(), "protocol": protocol}
-    for name in ("haptic-rig", "numpy", "numba"):
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            found[name] = "not installed"
-    return found
+    installed = {name: _installed(name) for name in ("haptic-rig", "numpy", "numba")}
+    return {"python": platform.python_version(), "protocol": protocol, **installed}
+
+
+@cache  # packages are looked for on the disk, and a process keeps what it has loaded
+def _installed(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "not installed"
 
 
 def host_facts() -> dict[str, Any]:

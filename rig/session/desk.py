@@ -9,9 +9,10 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-from rig.session.directory import Session
+if TYPE_CHECKING:  # the console knows desks, and need not know of sessions
+    from rig.session.directory import Session
 
 QuestionKind = Literal["ready", "verdict", "rest", "paused", "item", "trouble"]
 # ready: before a trial, or before the motor moves the handle by itself. verdict: after a trial. rest: `seconds` are

@@ -310,7 +310,7 @@ def processes() -> Any:
     """Context of child processes that start at once: they are forked from one that has imported everything."""
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(
-        ["tests.conformance.far_end", "rig.experiments.trial", "rig.devices.serial"]
+        ["tests.conformance.forked_from", "rig.experiments.trial", "rig.devices.serial"]
     )
     return context
 

@@ -14,6 +14,7 @@ from firmware_protocol.parameters import encode_block
 from rig.devices.device import Link
 
 ANSWER_S = 2.0  # far beyond any honest answer
+_dictionaries: dict[int, dictionary.Dictionary] = {}  # by their hashes
 RUN_PARAMETERS: dict[str, Value] = {
     "reference_count": 0,
     "verified": 1,
@@ -72,14 +73,22 @@ class Host:
         raise AssertionError(f"no answer within {ANSWER_S} s")
 
     def identify(self) -> dictionary.Dictionary:
-        """Read the whole dictionary; its hash is in `hash` afterwards."""
+        """Ask who is there; read the dictionary unless this process has read the one with its `hash` before."""
+        page = self.ask(m.Identify(self.nonce(), 0))
+        self.hash = page.dictionary_hash
+        if self.hash not in _dictionaries:
+            self.read_dictionary()
+        return _dictionaries[self.hash]
+
+    def read_dictionary(self) -> dictionary.Dictionary:
+        """Read the whole dictionary, page by page; its hash is in `hash` afterwards."""
         reader = transfer.PageReader(dictionary.COMPRESSED_LIMIT)
         while not reader.complete:
             page = self.ask(m.Identify(self.nonce(), reader.offset))
             reader.add(total=page.total, fingerprint=page.dictionary_hash, offset=page.offset, data=page.data)
         self.hash = page.dictionary_hash
         assert dictionary.dictionary_hash(reader.content) == self.hash
-        return dictionary.decode(reader.content)
+        return _dictionaries.setdefault(self.hash, dictionary.decode(reader.content))
 
     def parameters(self) -> bytes:
         """Read the active parameter block."""

@@ -58,6 +58,7 @@ def check_link(make_link: MakeLink, make_silent_link: MakeLink, *, slack_s: floa
 def _carries_a_conversation(link: Link) -> None:
     host = Host(link)
     before_ns = link.clock.now_ns()
+    host.read_dictionary()
     for _ in range(3):
         host.identify()
     assert link.clock.now_ns() >= before_ns

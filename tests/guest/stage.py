@@ -1,7 +1,7 @@
 """The stage of CI that needs a kernel of its own: boot a guest and run the tests of this directory in it.
 
-``python -m tests.guest.stage [pytest arguments]``. The kernels of the loop are compiled here, for the plainest CPU:
-an emulated one takes minutes.
+``python -m tests.guest.stage [pytest arguments]``. The kernels of the loop are compiled here, for the plainest CPU,
+and so are all Python files: an emulated one takes minutes.
 """
 
 from __future__ import annotations
@@ -47,6 +47,7 @@ ON_BOARD = (
     ),
     *("--duration", "0.5", "--realtime", "--no-plot"),
 )
+PYTEST = ("-o", "addopts=", "--import-mode=importlib", "-p", "no:cacheprovider", "-p", "no:xdist")
 TEST_TIMEOUT_S = 150
 
 
@@ -91,9 +92,12 @@ def _run(cache: Path, kernels: Path, arguments: list[str]) -> GuestEnd:
 def _prepare(kernels: Path) -> None:
     """Compile here what a hit needs, and read it all once, so that the guest finds it in the host's memory."""
     environment = {**os.environ, **ONE_CPU_FOR_ALL, "HAPTIC_RIG_CACHE": str(kernels)}
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)
     environment["PYTHONPATH"] = os.pathsep.join(filter(None, (str(HERE), os.environ.get("PYTHONPATH"))))
     with tempfile.TemporaryDirectory() as place:
         for command in (
+            ["-m", "compileall", "-q", "firmware_protocol", "rig", "sim_backend"],
+            ["-m", "pytest", *PYTEST, "--collect-only", "tests/guest"],  # assertions as pytest rewrites them
             ["-c", f"import {', '.join(LOADED)}"],
             ["-m", "rig", "hit", "--realtime", "--no-plot", "--duration", "0.5", "-o", place],
             ["-m", "rig", "hit", *ON_BOARD, "-o", place],
@@ -119,11 +123,10 @@ def _script(kernels: Path, arguments: list[str], no_pico: str) -> str:
         "PATH": "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin",
     }
     exports = "\n".join(f"export {name}={shlex.quote(value)}" for name, value in environment.items())
-    options = (
-        "-o addopts= -v --import-mode=importlib --strict-markers -rs --durations=0 --durations-min=1 "
-        f"-o timeout={TEST_TIMEOUT_S} -p no:cacheprovider -p no:xdist"
-    )
-    pytest = [sys.executable, "-m", "pytest", *options.split(), *(arguments or ["tests/guest"])]
+    options = f"-v --strict-markers -rs --durations=0 --durations-min=1 -o timeout={TEST_TIMEOUT_S}"
+    pytest = [
+        sys.executable, "-m", "pytest", *PYTEST, *options.split(), *(arguments or ["tests/guest"]),
+    ]  # fmt: skip
     return f"""
 {exports}
 mount -t configfs none /sys/kernel/config

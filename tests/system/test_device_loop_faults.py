@@ -91,8 +91,9 @@ class Bench:
         """Zero effort within lifetime and ramp, and a recording, if one was begun, that reads and replays."""
         self.link.elapse(0.05)
         assert self.device.current == 0
-        self.link.elapse(0.6)  # a session in which nobody ever moved anything
-        assert self.device.current == 0
+        if State(self.device.core.status.state) in (State.ARMED, State.RUNNING):  # nobody ever moved anything
+            self.link.elapse(0.6)
+            assert self.device.current == 0
         assert State(self.device.core.status.state) not in (State.ARMED, State.RUNNING)
         if self.path.exists():
             recording = open_recording(self.path)

@@ -63,9 +63,10 @@ SHORT = config.override(
 
 
 @pytest.fixture(autouse=True)
-def _nobody_asks_git(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Thousands of recordings, each of which would start a program."""
+def _neither_git_nor_the_disk_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A thousand recordings, each of which would start a program and sync a file and a directory."""
     monkeypatch.setattr("rig.recording.header.git_revision", lambda directory: None)
+    monkeypatch.setattr("os.fsync", lambda descriptor: None)
 
 
 class Bench:
@@ -105,8 +106,9 @@ class Bench:
         """Zero effort within lifetime and ramp, and a recording, if one was begun, that reads."""
         self.link.elapse(LIFETIME_S + RAMP_S + 0.002)
         assert self.device.current == 0
-        self.link.elapse(IDLE_LIFETIME_S)  # a session in which nobody ever moved anything
-        assert self.device.current == 0
+        if self.device.connection.state in (State.ARMED, State.RUNNING):  # nobody ever moved anything
+            self.link.elapse(IDLE_LIFETIME_S)
+            assert self.device.current == 0
         assert self.device.connection.state not in (State.ARMED, State.RUNNING)
         if self.path.exists():
             recording = self.recording()

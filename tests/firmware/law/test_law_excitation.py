@@ -59,16 +59,17 @@ def test_the_table_is_pythons_to_the_bit_in_whatever_pieces(law: Any, excitation
 
 
 @pytest.mark.parametrize(
-    "excitation",
+    ("excitation", "most_bits"),
     [
-        ExcitationTable(249, 1, 1, 20_000, 10 << 16, phases="schroeder").with_most_bits(),
-        ExcitationTable(4096, 3, 7, 65_536, 3 << 16, phases="hashed", seed=5).with_most_bits(),
-        ExcitationTable(4096, 1, 1, 8193, 64 << 16, phases="schroeder"),  # which saturates
-        ExcitationTable(1, 32_767, 1, 65_536, 32_767 << 16),
+        (ExcitationTable(249, 1, 1, 20_000, 10 << 16, phases="schroeder"), True),
+        (ExcitationTable(4096, 3, 7, 65_536, 3 << 16, phases="hashed", seed=5), True),
+        (ExcitationTable(4096, 1, 1, 8193, 64 << 16, phases="schroeder"), False),  # which saturates
+        (ExcitationTable(1, 32_767, 1, 65_536, 32_767 << 16), False),
     ],
     ids=["usual", "longest", "most", "fastest"],
 )
-def test_large_tables_are_pythons_too(law: Any, excitation: Any) -> None:
+def test_large_tables_are_pythons_too(law: Any, excitation: Any, most_bits: bool) -> None:
+    excitation = excitation.with_most_bits() if most_bits else excitation
     assert (law.excitation(excited(FIXED, excitation)) == excitation.table).all()
 
 

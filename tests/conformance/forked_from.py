@@ -1,0 +1,15 @@
+"""What the process has that far ends and hosts are forked from: every import, and the kernels of a device.
+
+Each of them would load the same machine code again: a third of a second, where it then lives for a tenth.
+"""
+
+import threading
+
+from sim_backend.device import SimulatedDevice
+from sim_backend.line import Terminal
+from sim_backend.real_time import RealTime
+from tests.conformance import far_end  # noqa: F401
+from tests.conformance.rigs import rotary_rig
+
+with Terminal() as port:
+    RealTime(SimulatedDevice(rotary_rig()), port, threading.Event()).run(0.0)
