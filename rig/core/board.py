@@ -35,7 +35,7 @@ class MovedMechanics:
     inertia
         All that moves (kg·m² or kg).
     damping
-        Viscous, with back-EMF (N·m·s/rad or N·s/m).
+        Of a steady motion, with back-EMF under voltage drive (N·m·s/rad or N·s/m).
     lag_s
         Of the amplifier (s).
     """
@@ -71,7 +71,7 @@ def moved_mechanics(model: RigModel) -> MovedMechanics:
         friction=mechanics.motor_coulomb + mechanics.link_coulomb + abs(mechanics.gravity_effort),
         travel=STALL_COUNTS * model.encoder.resolution,
         inertia=mechanics.motor_inertia + mechanics.loaded_link_inertia,
-        damping=mechanics.motor_damping + mechanics.link_damping + amplifier.back_emf_damping,
+        damping=model.damping,
         lag_s=amplifier.lag_s,
     )
 

@@ -5,7 +5,8 @@ With b the viscous damping of the rig, T1 and T2 the periods, β a property of t
 * *Multi-rate passivity*, b ≥ K·T1/2 + β·B. The wall is two samplers in parallel, a spring at T1 and a damper at T2;
   lifted over T2 the spring asks for K·T1/2 of every motion alike, so what both ask for adds. Without lag and delay it
   is exact on a rigid rig; on two masses sufficient, with b as the motor side meets it (`Subject.port_damping`). Own
-  derivation by lifting; for T1 = T2 it is Colgate and Schenkel's theorem.
+  derivation by lifting; for T1 = T2 it is Colgate and Schenkel's theorem. Back-EMF (voltage drive) is part of b for
+  slow motion only, as its current is behind the electrical lag; the exact condition below counts it so.
 * *Passivity, lag and delay counted*: a late effort turns the damper's part with frequency, and the spring's worst
   frequency is no longer the damper's. `rig.analysis.theory.dissipation` has the exact condition for a rigid rig; on two
   masses it is sufficient. At B = 0, b ≥ K·(T1/2 + lag + delay) is necessary (slow motion) and within 1 % of exact for
@@ -32,7 +33,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from rig.analysis.theory.dissipation import needed_per_damping, passive_stiffness
+from rig.analysis.theory.dissipation import Damping, needed_per_damping, passive_stiffness
 from rig.analysis.theory.lifted import Lifted
 from rig.analysis.theory.limits import as_lifted
 from rig.analysis.theory.loop import LinearLoop, RigLike, SchemeLike, Subject
@@ -111,20 +112,31 @@ def passivity_bound(
     """
     loop = as_lifted(rig, scheme, operator).loop
     share = beta(loop, negative=damping < 0.0)
-    worst = needed_per_damping(loop)
-    port = loop.subject.port_damping
     return PassivityBound(
         damping=damping,
         beta=share,
-        rig_damping=port,
-        largest_damping=port / worst if worst > 0.0 else math.inf,
+        rig_damping=loop.subject.port_damping,
+        largest_damping=_largest_damping(loop),
         bounds=tuple(_bounds(loop, damping, share)),
     )
 
 
 def passive_curve(lifted: Lifted, dampings: Sequence[float]) -> list[float]:
     """Largest K of a passive wall at each damping, as `PassivityBound.stiffness`."""
-    return passive_stiffness(lifted.loop, dampings, lifted.loop.subject.port_damping)
+    return passive_stiffness(lifted.loop, dampings, _port(lifted.loop))
+
+
+def _port(loop: LinearLoop) -> Damping:
+    back_emf = loop.subject.model.amplifier.back_emf
+    return Damping(loop.subject.port_damping - back_emf, back_emf)
+
+
+def _largest_damping(loop: LinearLoop) -> float:
+    port = _port(loop)
+    if not port.passive(loop):
+        return 0.0
+    worst = needed_per_damping(loop, port)
+    return 1.0 / worst if worst > 0.0 else math.inf
 
 
 def beta(loop: LinearLoop, *, negative: bool = False) -> float:
@@ -136,7 +148,7 @@ def beta(loop: LinearLoop, *, negative: bool = False) -> float:
 
     Lag and delay are left out; `negative` asks for a wall of negative damping.
     """
-    return needed_per_damping(loop, late=False, negative=negative)
+    return needed_per_damping(loop, Damping(1.0), late=False, negative=negative)
 
 
 def diolaiti(rig: RigLike | Lifted, scheme: SchemeLike | None, stiffness: float) -> Diolaiti:
@@ -186,7 +198,7 @@ def _bounds(loop: LinearLoop, damping: float, share: float) -> list[Bound]:
             "passivity, lag and delay counted",
             "no motion gets work out of rig and wall",
             "own derivation, by lifting",
-            passive_stiffness(loop, [damping], port)[0],
+            passive_stiffness(loop, [damping], _port(loop))[0],
             proven,
         ),
         Bound(
