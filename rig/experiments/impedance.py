@@ -355,12 +355,11 @@ def concluded(
 
 
 def known_device(experiment: Experiment) -> Device:
-    """Mass and damping of the rig, as its file says."""
+    """Mass and damping of the rig, as its file says; back-EMF as slow motion meets it."""
     mechanics, amplifier = experiment.rig.mechanics, experiment.rig.amplifier
-    drive = amplifier.back_emf_damping if amplifier.drive == "voltage" else 0.0
     return Device(
         mechanics.motor_inertia + mechanics.loaded_link_inertia,
-        mechanics.motor_damping + mechanics.link_damping + drive,
+        mechanics.motor_damping + mechanics.link_damping + amplifier.back_emf,
     )
 
 
