@@ -60,6 +60,7 @@ class Dictionary:
     simulated: bool
     time_unit_ns: float = TIME_UNIT_NS
     current_quantum_a: float
+    current_measured: bool = True
     position_rate_default: int
     position_rate_maximum: int
     parameters: tuple[ParameterInfo, ...]
@@ -76,7 +77,7 @@ class Dictionary:
 
     def explain_status(self, code: int) -> CodeInfo:
         """Return text and remedy of a status, as `explain_fault`."""
-        return _explain(self.statuses, Status, code)
+        return explain_status(code, self.statuses)
 
 
 def build(
@@ -85,6 +86,7 @@ def build(
     firmware: str,
     simulated: bool,
     current_quantum_a: float,
+    current_measured: bool = True,
     position_rate_default: int = 1_000,
     position_rate_maximum: int = 50_000,
     ranges: Mapping[str, tuple[Value, Value]] | None = None,
@@ -99,6 +101,8 @@ def build(
         Whether there is no real motor behind it.
     current_quantum_a
         One step of every current on the wire (A).
+    current_measured
+        Whether the measured current is one: else it only repeats what was set.
     position_rate_default, position_rate_maximum
         Ticks a second (Hz): unless configured, and at most.
     ranges
@@ -111,6 +115,7 @@ def build(
         firmware=firmware,
         simulated=simulated,
         current_quantum_a=current_quantum_a,
+        current_measured=current_measured,
         position_rate_default=position_rate_default,
         position_rate_maximum=position_rate_maximum,
         parameters=tuple(_info(parameter, narrower, defaults) for parameter in PARAMETERS),
@@ -167,6 +172,7 @@ def _dictionary(content: dict[str, Any]) -> Dictionary:
         simulated=_typed(content, "simulated", bool),
         time_unit_ns=_positive(content, "time_unit_ns"),
         current_quantum_a=_positive(content, "current_quantum_a"),
+        current_measured=_typed({"current_measured": False} | content, "current_measured", bool),
         position_rate_default=_whole(content, "position_rate_default", 1, 10**6),
         position_rate_maximum=_whole(content, "position_rate_maximum", 1, 10**6),
         parameters=tuple(_parameter(item) for item in _typed(content, "parameters", list)),
@@ -246,6 +252,11 @@ def _info(
 
 def _code_info(code: Described) -> CodeInfo:
     return CodeInfo(int(code), code.name, code.text, code.remedy)
+
+
+def explain_status(code: int, known: tuple[CodeInfo, ...]) -> CodeInfo:
+    """Explain a status by those that a device has told, as far as it has; see `Dictionary.explain_fault`."""
+    return _explain(known, Status, code)
 
 
 def _explain(known: tuple[CodeInfo, ...], ours: type[Described], code: int) -> CodeInfo:

@@ -69,7 +69,7 @@ class Fault(Described):
     )
     ENCODER = (
         5,
-        "illegal quadrature transition: the count can no longer be trusted",
+        "illegal quadrature transition or a broken line: the count can no longer be trusted",
         "check encoder cable and supply, home again; then clear the fault",
     )
     TICK_OVERRUN = (
@@ -105,6 +105,11 @@ class Fault(Described):
         "a count difference did not fit its batch layout",
         "choose a wider layout or a higher rate; then clear the fault",
     )
+    CURRENT_MISMATCH = (
+        14,
+        "the measured current is not the one that was set",
+        "check motor leads, amplifier, its supply and the current sensor with its sign and scale; then clear the fault",
+    )
 
 
 class LimitFlag(DescribedFlag):
@@ -121,6 +126,11 @@ class LimitFlag(DescribedFlag):
         "LINK_LOST follows unless the host returns",
     )
     HOLD_TO_RUN_RELEASED = 64, "hold-to-run is required and not held: effort zero", "hold the switch"
+    NOT_CONFIRMED = (
+        128,
+        "position not confirmed: no encoder edge for longer than confirm_ms under effort, which fades out",
+        "leave the wall; if it does not come back, check the encoder and its cable",
+    )
 
 
 class Status(Described):

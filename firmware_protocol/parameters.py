@@ -149,6 +149,17 @@ PARAMETERS: tuple[Parameter, ...] = (
         "-1: counts fall while the position rises; a device has one of them, and takes no other",
         excluded=(0,),
     ),
+    Parameter(
+        17,
+        "confirm_ms",
+        "u32",
+        "ms",
+        0,
+        4_000_000,
+        0,
+        "effort without an encoder edge for longer fades out, until none is wanted: the position is not confirmed; "
+        "0: never",
+    ),
     *LAW_PARAMETERS,
 )
 

@@ -147,6 +147,7 @@ class SimulatedDevice:
             rules=self._safety.rules,
             heat=self._safety.heat,
             counts=self._safety.counts,
+            currents=self._safety.currents,
             ring=self._faults.ring,
             state=flat(np.int64, len(STATE)),
         )
@@ -270,15 +271,22 @@ class SimulatedDevice:
         `received_at` is when they came (device time), for the stamps of TIME; unless given, the last sample's.
         """
         self._received_at = self.time if received_at is None else received_at
+        *whole, rest = data.split(b"\0")
+        answers = b"".join([self._hear_frame(frame + b"\0") for frame in whole])
+        self.connection.receive_data(rest)
+        self._note_protocol()
+        return answers
+
+    def _hear_frame(self, frame: bytes) -> bytes:
+        """Take one frame and answer it before the next is looked at, as a board does: its counters are then right."""
         connection = self.connection
-        connection.receive_data(data)
+        connection.receive_data(frame)
         answers = b""
         while (event := connection.next_event()) is not None:
             if isinstance(event, Received) and isinstance(event.message, m.Command):
                 self._command(event.message, event.sequence)
             else:
                 answers += connection.send(self._answer(event))
-        self._note_protocol()
         return answers
 
     def _command(self, command: m.Command, sequence: int) -> None:

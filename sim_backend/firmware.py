@@ -29,7 +29,7 @@ from rig.core.model import RigModel
 from rig.realtime.kernel import prepare
 from sim_backend import firmware_library
 from sim_backend.configuration import describe
-from sim_backend.firmware_library import Mechanics, Setup, Status
+from sim_backend.firmware_library import CurrentSensor, Mechanics, Setup, Status
 from sim_backend.hardware import Hardware, World
 from sim_backend.lockstep import (
     DUE,
@@ -78,6 +78,7 @@ class Core:
             model.encoder.sign,
             board.over_current(model),
             Mechanics(**asdict(board.moved_mechanics(model))),
+            CurrentSensor(**asdict(board.current_sensor(model))),
         )
         library.host_setup(self.address, ctypes.byref(setup))
         for narrow in (  # by their numbers: the first that does not fit is the one that a refusal names

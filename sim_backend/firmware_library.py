@@ -41,6 +41,12 @@ class Mechanics(ctypes.Structure):
     ]
 
 
+class CurrentSensor(ctypes.Structure):
+    """Struct current_sensor of board.h."""
+
+    _fields_ = [(name, ctypes.c_double) for name in ("noise", "lag_s", "back_emf")]
+
+
 class Setup(ctypes.Structure):
     """Struct host_setup of host.h."""
 
@@ -52,6 +58,7 @@ class Setup(ctypes.Structure):
         ("encoder_sign", ctypes.c_int32),
         ("over_current", ctypes.c_uint32),
         ("mechanics", Mechanics),
+        ("current_sensor", CurrentSensor),
     ]
 
 

@@ -81,6 +81,9 @@ class Hardware:
         Counts that the encoder has gained or lost against the truth, from the next sample on.
     leak
         Current that the sensor shows beside the motor's (quanta): a short circuit, a drifted sensor.
+    drive, gain
+        What the amplifier makes of a command, and the sensor of the motor's current, as a share: 0 for a lead that came
+        off or a sensor that is dead, negative for one that is reversed. With both at −1 the motor's leads are swapped.
     """
 
     def __init__(self, model: RigModel, rate: int, *, seed: int, initial_position: float | None) -> None:
@@ -101,6 +104,7 @@ class Hardware:
         self._hand_driven = False
         self.external_effort = 0.0
         self.slip = self.leak = 0
+        self.drive = self.gain = 1.0
         self.count = self._plant.count(self._state)
         self.measured = 0
 
@@ -152,12 +156,14 @@ class Hardware:
         if len(script.rows):
             state[self._plant.intentions] = script.rows[self._row]
             self._row = self._row + 1 if self._row + 1 < len(script.rows) else script.again
-        effort = current * self._effort_quantum
+        effort = current * self._effort_quantum * self.drive
         if self._handle == 0:
             self.prepare()
         count = _advance(self._handle, effort, self.external_effort)
         self.count = count + self.slip
-        measured_a = state.item(self._plant.effort) * self._ampere_per_effort + self._noise.next()
+        measured_a = (
+            state.item(self._plant.effort) * (self._ampere_per_effort * self.gain) + self._noise.next()
+        )
         self.measured = current_quanta(measured_a, self._quantum_a)
         if self.leak:
             self.measured = max(-_PEAK, min(_PEAK, self.measured + self.leak))
@@ -189,8 +195,8 @@ class Hardware:
         places = np.zeros(PLACES, np.int64)
         places[ROW], places[NOISE_LEFT], places[TRUTH_ROWS] = self._row, noise.left, rows
         wires = Wires(
-            effort_quantum=self._effort_quantum,
-            ampere_per_effort=self._ampere_per_effort,
+            effort_quantum=self._effort_quantum * self.drive,
+            ampere_per_effort=self._ampere_per_effort * self.gain,
             quantum_a=self._quantum_a,
             external_effort=self.external_effort,
             slip=self.slip,

@@ -15,11 +15,10 @@ from __future__ import annotations
 
 import math
 from collections import namedtuple
-from collections.abc import Callable, Mapping
-from typing import Any, TypeVar, cast
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
-from numba.extending import register_jitable
 
 from firmware_protocol import messages as m
 from firmware_protocol.faults import Fault, LimitFlag
@@ -27,11 +26,12 @@ from firmware_protocol.messages import TIME_UNIT_NS
 from firmware_protocol.packing import FAULT_ENTRY_BYTES, data_limit, pack_fault_entries
 from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import BY_NAME
-from rig.core.board import STALL_COUNTS, over_current
+from rig.control import current as currents
+from rig.control.current import CURRENT, DISAGREES, compare
+from rig.core.board import STALL_COUNTS, current_sensor, over_current
 from rig.core.model import RigModel
 from rig.realtime.groups import Floats, Ints
-
-F = TypeVar("F", bound=Callable[..., Any])
+from rig.realtime.kernel import rule
 
 UNITS_PER_SECOND = round(1e9 / TIME_UNIT_NS)  # of device time
 UNITS_PER_US = UNITS_PER_SECOND // 1_000_000
@@ -47,6 +47,8 @@ SPEED_WINDOW_S = 5e-3
 NEAR_SPEED = 0.9  # share of speed_limit from which STATE warns
 NEAR_EDGE = 0.05  # share of the position window at each end in which STATE warns
 
+FADES_A_SECOND = 2  # of an effort whose position nothing confirms
+
 # A motor that follows its own sign error accelerates under most of its current. Below a fifth of the limit an
 # automated rig may rest in friction, and a handle may be thrown along the effort by a person.
 RUNAWAY_SHARE = 0.2
@@ -59,6 +61,7 @@ THERMAL_CUT = 1.25
 GRAVITY = (
     Fault.EMERGENCY_STOP,
     Fault.OVER_CURRENT,
+    Fault.CURRENT_MISMATCH,
     Fault.RUNAWAY,
     Fault.OVER_SPEED,
     Fault.POSITION_WINDOW,
@@ -73,9 +76,10 @@ _Places = namedtuple(
     # of the command and of how it fades
     "wanted expires ramp ramp_from applied ramping lost "
     # of the limits: active current (quanta), `LimitFlag` bits that acted since they were last cleared
-    "current flags limit continuous slew "
+    "current flags limit continuous slew confirm fade unmoved "
     # of the monitors
-    "sign peak large stall_ticks driven still pushed ticks slot fastest near_fastest first last near_first near_last "
+    "sign peak peaks zero large stall_ticks driven still pushed ticks slot fastest near_fastest first last near_first "
+    "near_last "
     # of the fault that is latched, and the ticks before it
     "fault remembered",
 )
@@ -83,21 +87,30 @@ AT: Any = _Places(*range(len(_Places._fields)))  # in `Safety.rules`
 HEAT, BUDGET, DECAY = range(3)
 
 _ENTRY = 5
+_PEAK = 32_767  # of a current on the wire
 _LONGEST_WINDOW = round(BY_NAME["position_rate"].maximum * SPEED_WINDOW_S)
 _NEVER = 1 << 62
 _IDLE_LIFETIME = round(IDLE_LIFETIME_S * UNITS_PER_SECOND)
 _PAGE_ENTRIES = data_limit(m.FaultLog) // FAULT_ENTRY_BYTES
 _CURRENT, _SLEW, _THERMAL = (int(flag) for flag in (LimitFlag.CURRENT, LimitFlag.SLEW, LimitFlag.THERMAL))
 _SPEED, _POSITION = int(LimitFlag.SPEED), int(LimitFlag.POSITION)
-_RUNAWAY, _OVER_SPEED, _OVER_CURRENT, _WINDOW, _TOO_HOT = (
+_NOT_CONFIRMED = int(LimitFlag.NOT_CONFIRMED)
+_RUNAWAY, _OVER_SPEED, _OVER_CURRENT, _MISMATCH, _WINDOW, _TOO_HOT = (
     1 << fault
-    for fault in (Fault.RUNAWAY, Fault.OVER_SPEED, Fault.OVER_CURRENT, Fault.POSITION_WINDOW, Fault.THERMAL)
+    for fault in (
+        Fault.RUNAWAY,
+        Fault.OVER_SPEED,
+        Fault.OVER_CURRENT,
+        Fault.CURRENT_MISMATCH,
+        Fault.POSITION_WINDOW,
+        Fault.THERMAL,
+    )
 )
-
-
-def rule(function: F) -> F:
-    """Let a kernel call a plain function too: Python itself runs it on memory views, whose numbers are its own."""
-    return cast("F", register_jitable(function))
+# What the current sensor shows while the amplifier is off is its zero: a mean over so many ticks, as long as it is
+# small. A larger one is a fault of the sensor, and shows as a mismatch once the device is armed.
+ZERO_TICKS = 64
+ZERO_SHARE = 16  # of the current that is a fault: one in so many
+_ZERO_UNIT = 256
 
 
 def flat(kind: type, size: int) -> Any:
@@ -172,10 +185,31 @@ def configure_heat(heat: Floats, continuous_current: float, time_constant_s: flo
 
 
 @rule
+def _confirmed(rules: Ints, wanted: int) -> int:
+    """Fade an effort that has lasted for longer than any trial holds a handle, without an encoder edge.
+
+    On two channels a dead encoder and a hand that holds still look alike. The effort comes back when none was wanted.
+    """
+    if wanted == 0 or rules[AT.confirm] == 0:
+        rules[AT.unmoved] = 0
+    faded = rules[AT.unmoved] - rules[AT.confirm]
+    if faded <= 0:
+        return wanted
+    rules[AT.flags] |= _NOT_CONFIRMED
+    left = rules[AT.fade] - faded
+    if left <= 0:
+        return 0
+    return int(wanted * left // rules[AT.fade] if wanted > 0 else -(-wanted * left // rules[AT.fade]))
+
+
+@rule
 def limited(rules: Ints, heat: Floats, wanted: int) -> int:
-    """Put into force what is allowed of a current, and return it: current limit, thermal model, slew limit."""
+    """Put into force what is allowed of a current, and return it.
+
+    A position that nothing confirms, current limit, thermal model, slew limit, in this order.
+    """
     limit, continuous, slew = rules[AT.limit], rules[AT.continuous], rules[AT.slew]
-    current = wanted
+    current = _confirmed(rules, wanted)
     if not -limit <= current <= limit:
         current = limit if current > 0 else -limit
         rules[AT.flags] |= _CURRENT
@@ -194,12 +228,28 @@ def limited(rules: Ints, heat: Floats, wanted: int) -> int:
 
 
 @rule
-def check(rules: Ints, heat: Floats, counts: Ints, count: int, current: int, measured: int) -> int:
+def zeroed(rules: Ints, measured: int, off: bool) -> int:
+    """Take the sensor's zero off a measured current (quanta); while the amplifier is off, the zero follows it."""
+    if off:
+        step = measured * _ZERO_UNIT - rules[AT.zero]
+        step = step // ZERO_TICKS if step > 0 else -(-step // ZERO_TICKS)
+        most = rules[AT.peak] * _ZERO_UNIT // ZERO_SHARE
+        rules[AT.zero] = min(max(rules[AT.zero] + step, -most), most)
+    size = (abs(rules[AT.zero]) + _ZERO_UNIT // 2) // _ZERO_UNIT
+    current = measured - (size if rules[AT.zero] > 0 else -size)
+    return int(min(max(current, -_PEAK), _PEAK))
+
+
+@rule
+def check(
+    rules: Ints, heat: Floats, counts: Ints, currents: Ints, count: int, current: int, measured: int
+) -> int:
     """Judge one tick: the count at its end, active current and measured. Return the faults as bits 1 << code."""
     slot, ticks = rules[AT.slot], rules[AT.ticks]
     moved = count - counts[slot]
     stood = count == counts[slot - 1 if slot > 0 else ticks - 1]
     counts[slot] = count
+    rules[AT.unmoved] = 0 if not stood and rules[AT.unmoved] <= rules[AT.confirm] else rules[AT.unmoved] + 1
     rules[AT.slot] = slot + 1 if slot + 1 < ticks else 0
     faults = _runaway(rules, current, moved, stood)
     if abs(moved) > rules[AT.near_fastest]:
@@ -212,8 +262,14 @@ def check(rules: Ints, heat: Floats, counts: Ints, count: int, current: int, mea
         rules[AT.flags] |= _POSITION
         if not in_window(rules, count):
             faults |= _WINDOW
-    if abs(measured) > rules[AT.peak]:
+    high = 1 if abs(measured) > rules[AT.peak] else 0
+    if (
+        high + (rules[AT.peaks] & 1) + (rules[AT.peaks] >> 1) >= 2
+    ):  # of three: one alone is a spike of the converter
         faults |= _OVER_CURRENT
+    rules[AT.peaks] = (rules[AT.peaks] << 1 | high) & 3
+    if compare(currents, count, current, measured) == DISAGREES:
+        faults |= _MISMATCH
     if overheated(heat):
         faults |= _TOO_HOT
     return faults
@@ -254,11 +310,14 @@ class Safety:
         By `HEAT`, `BUDGET`, `DECAY` (quanta², a share of it for a tick).
     counts
         Those of the speed window, as a ring.
+    currents
+        Of `rig.control.current`.
     """
 
     def __init__(self, model: RigModel) -> None:
         self.rules, self.heat = flat(np.int64, len(AT)), flat(np.float64, 3)
         self.counts = flat(np.int64, _LONGEST_WINDOW)
+        self.currents = flat(np.int64, len(CURRENT))
         self._model = model
         self.rules[AT.sign], self.rules[AT.peak] = model.encoder.sign, over_current(model)
         self.rules[AT.ticks] = 1
@@ -271,6 +330,8 @@ class Safety:
         rules[AT.continuous] = int(values["continuous_current"])
         slew = int(values["slew_limit"])
         rules[AT.slew] = _NEVER if slew == NO_SLEW_LIMIT else slew
+        rules[AT.confirm] = int(values["confirm_ms"]) * rate // 1000
+        rules[AT.fade] = rate // FADES_A_SECOND
         ticks = rules[AT.ticks] = max(1, round(rate * SPEED_WINDOW_S))
         travel = values["speed_limit"] * ticks / rate
         rules[AT.fastest] = math.floor(travel + 1.0)  # the ends of the window may lie anywhere in their cells
@@ -286,11 +347,14 @@ class Safety:
         for slot in range(ticks):
             self.counts[slot] = count
         rules[AT.slot] = 0
+        currents.configure(self.currents, current_sensor(self._model), rate, self._model.encoder.sign)
         self.forget()
 
     def forget(self) -> None:
-        """Restart the runaway check: another session."""
-        self.rules[AT.driven] = self.rules[AT.still] = self.rules[AT.pushed] = 0
+        """Restart the checks of motion and currents: another session."""
+        rules = self.rules
+        rules[AT.driven] = rules[AT.still] = rules[AT.pushed] = rules[AT.peaks] = rules[AT.unmoved] = 0
+        currents.forget(self.currents)
 
 
 # ---------------------------------------------------------------------- what went wrong first, and before it?

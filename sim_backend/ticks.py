@@ -17,6 +17,7 @@ from firmware_protocol.faults import Fault, Input, LimitFlag
 from firmware_protocol.messages import Mode, Sync
 from rig.realtime.codec import STATE
 from rig.realtime.groups import Floats, Ints, group
+from rig.realtime.kernel import rule
 from sim_backend.lockstep import (
     COUNT,
     CUTS,
@@ -38,9 +39,9 @@ from sim_backend.safety import (
     idle,
     limited,
     remember,
-    rule,
     wanted,
     warm,
+    zeroed,
 )
 
 UNARMED_STATES_HZ = 100  # STATE frames a second while the device is not armed: enough to home by hand
@@ -82,7 +83,7 @@ class Board(NamedTuple):
     ----------
     words
         Those of `lockstep`, and behind them `OWN`.
-    rules, heat, counts
+    rules, heat, counts, currents
         Of `sim_backend.safety.Safety`.
     ring
         Of `sim_backend.safety.FaultMemory`.
@@ -94,6 +95,7 @@ class Board(NamedTuple):
     rules: Ints
     heat: Floats
     counts: Ints
+    currents: Ints
     ring: Ints
     state: Ints
 
@@ -129,13 +131,15 @@ def drive(board: Board) -> int:
 def sample(board: Board) -> None:
     """End a tick: its sample is in the words; the monitors look at it."""
     words, rules = board.words, board.rules
-    count, current, measured = words[COUNT], words[OWN.driven], words[MEASURED]
+    count, current = words[COUNT], words[OWN.driven]
+    armed = words[OWN.protocol_state] == _ARMED or words[OWN.protocol_state] == _RUNNING
+    measured = words[MEASURED] = zeroed(rules, words[MEASURED], not armed)
     words[CUTS] = 0
     words[SAMPLE_INDEX] += 1
     words[TIME] = words[DUE]
     words[DUE] = time_of(words, words[SAMPLE_INDEX] + 1)
     warm(board.heat, measured)
-    faults = check(rules, board.heat, board.counts, count, current, measured)
+    faults = check(rules, board.heat, board.counts, board.currents, count, current, measured)
     words[OWN.found] = faults if words[SESSION] else 0
     flags = rules[AT.flags]
     rules[AT.flags] = 0

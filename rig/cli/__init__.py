@@ -6,7 +6,9 @@ see where an unexpected one comes from.
 
 from __future__ import annotations
 
+import io
 import os
+import select
 import signal
 import sys
 
@@ -88,6 +90,8 @@ def main(obj: object = None) -> None:
     # Matrices here are small: threads of a linear algebra library cost more than they give, and a loop its quiet.
     for library in ("OPENBLAS", "MKL"):
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # a file's name need not be text; \udcff is JSON
     signal.signal(signal.SIGTERM, _interrupt)
     compiling.listen(CompilingNotice(EXPECTED.get("".join(sys.argv[1:2]), 0)))
     sys.exit(run(sys.argv[1:], obj))
@@ -97,8 +101,15 @@ def _interrupt(number: int, frame: object) -> None:
     raise KeyboardInterrupt
 
 
-def run(arguments: list[str], obj: object = None) -> int:  # noqa: PLR0911  (one exit code for each kind of end)
+def run(arguments: list[str], obj: object = None) -> int:
     """Run a command line and return its exit code; prints errors, raises nothing."""
+    try:
+        return _run(arguments, obj)
+    except OSError:  # standard error takes no more either
+        return 74
+
+
+def _run(arguments: list[str], obj: object) -> int:  # noqa: PLR0911  (one exit code for each kind of end)
     try:
         result = rig.main(args=arguments, prog_name="rig", standalone_mode=False, obj=obj)
         return result if isinstance(result, int) else 0
@@ -111,12 +122,12 @@ def run(arguments: list[str], obj: object = None) -> int:  # noqa: PLR0911  (one
     except RigError as error:
         _report(error, arguments)
         return error.exit_code
-    except BrokenPipeError:
-        sys.stderr.close()  # whoever read us has gone: nothing to complain about
-        return 0
+    except SystemExit:  # click's answer to a broken pipe
+        if _reader_has_gone():
+            return 0  # nothing to complain about
+        return _incomplete("a pipe broke")
     except OSError as error:
-        click.echo(f"rig: {error.strerror or error}: what was printed may be incomplete", err=True)
-        return 74
+        return _incomplete(str(error.strerror or error))
     except Exception as error:
         if os.environ.get("RIG_DEBUG"):
             raise
@@ -125,6 +136,18 @@ def run(arguments: list[str], obj: object = None) -> int:  # noqa: PLR0911  (one
             err=True,
         )
         return 70
+
+
+def _reader_has_gone() -> bool:
+    """Whether nobody reads standard output any more."""
+    output = select.poll()
+    output.register(1, 0)
+    return any(event & select.POLLERR for _, event in output.poll(0))
+
+
+def _incomplete(why: str) -> int:
+    click.echo(f"rig: {why}: what was printed may be incomplete", err=True)
+    return 74
 
 
 def _report(error: RigError, arguments: list[str]) -> None:

@@ -26,6 +26,9 @@ from rig.core.errors import PlanError
 from rig.core.oscillation import OSCILLATIONS
 
 LIFETIME_PERIODS = 5
+CONFIRM_S = (
+    1.0  # beyond the duration of a trial: for so long a person may hold the handle without an encoder edge
+)
 SHORTEST_LIFETIME_S, LONGEST_LIFETIME_S = 0.003, 0.02
 SUPERVISE_LIFETIME_S = 0.02  # of a command to a law on the device; the host repeats it every 5 ms
 FEWEST_PERIODS = 2  # a loop that needs more than the longest lifetime for these is too slow, and refused
@@ -267,7 +270,7 @@ def device_parameters(
         law that the device does not have.
     """
     reference_count = int(controller.control[0]["reference_count"])
-    rig, rates = experiment.rig, experiment.controller
+    rig, rates, human = experiment.rig, experiment.controller, experiment.trial.kind == "human"
     limits, delta = rig.limits, abs(rig.encoder.resolution)
     quantum = effort_quantum(experiment, current_quantum_a)
     edges = sorted(
@@ -289,7 +292,9 @@ def device_parameters(
         "continuous_current": max(1, math.floor(limits.nominal_effort / quantum)),
         "thermal_time_constant": limits.thermal_time_constant_s,
         # A person can hold the handle still against any effort: with this the device does not take that for a stall.
-        "hold_to_run": 1 if experiment.trial.kind == "human" else 0,
+        # For longer than a trial nobody has to: then the encoder may be dead.
+        "hold_to_run": 1 if human else 0,
+        "confirm_ms": round(1e3 * (experiment.trial.duration_s + CONFIRM_S)) if human else 0,
         "law": 0,
     }
     if rates.loop == "device":

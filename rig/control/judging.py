@@ -21,6 +21,7 @@ from rig.core.sample import Phase, RowFlag
 Ints = NDArray[np.int64]
 
 # Limit flags of the device that mean another effort than the commanded one; nearing a limit changes none.
+_CURRENTS = int(RowFlag.CURRENT_FOLLOWS | RowFlag.CURRENT_DIFFERS | RowFlag.OTHER_CURRENT)
 _OVERRULES = int(~(LimitFlag.SPEED | LimitFlag.POSITION))
 
 
@@ -42,6 +43,7 @@ class Signals:
     late: Bools
     lost: Ints  # samples lost just before each one; at the last one also what was lost between it and the release
     slew_bound: Bools
+    currents: Ints  # marks of `rig.loop.currents`: bits of RowFlag
     overruled: Bools  # the device limited, ramped or withheld what the law commanded
 
 
@@ -90,6 +92,7 @@ def _shared(rows: NDArray[np.void], tick_s: float, resolution: float) -> dict[st
         "late": flagged(RowFlag.LATE),
         "lost": lost,
         "slew_bound": flagged(RowFlag.SLEW_BOUND),
+        "currents": trial["flags"] & _CURRENTS,
         "overruled": ((trial["limits"] & _OVERRULES) != 0) | (trial["command_age"] == NO_COMMAND_YET),
     }
 
@@ -128,7 +131,7 @@ def meter(thresholds: Thresholds, tick_s: float, resolution: float) -> Meter:
 
 def _flags(signals: Signals) -> NDArray[np.int64]:
     """Pack what is marked in a trial into bits, as the compiled measuring wants it."""
-    flags = signals.lost.astype(np.int64) << LOST_BITS
+    flags = signals.lost.astype(np.int64) << LOST_BITS | signals.currents
     for bit, marked in (
         (int(RowFlag.SATURATED), signals.saturated),
         (int(RowFlag.LATE), signals.late),

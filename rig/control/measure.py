@@ -57,8 +57,11 @@ NUMBERS = np.dtype(
         ("longest_gap", "<i8"),
         ("lost_fraction", "<f8"),
         ("late_fraction", "<f8"),
+        ("current_observed", "<i8"),
         ("ticks", "<i8"),
         # what else decides
+        ("current_differs", "<i8"),
+        ("other_current_ticks", "<i8"),
         ("slew_bound_ticks", "<i8"),
         ("overruled_ticks", "<i8"),
         ("inside_ticks_in_tail", "<i8"),
@@ -117,6 +120,11 @@ LOST_BITS = 33
 # plain integers, which compiled code can take as constants
 _SATURATED, _SLEW_BOUND = int(RowFlag.SATURATED), int(RowFlag.SLEW_BOUND)
 _LATE = int(RowFlag.LATE)
+_FOLLOWS, _DIFFERS, _OTHER = (
+    int(RowFlag.CURRENT_FOLLOWS),
+    int(RowFlag.CURRENT_DIFFERS),
+    int(RowFlag.OTHER_CURRENT),
+)
 
 _REMEMBERED = 1e-9  # share of an old sample that the lead-in may leave in a filter
 _PAD_PERIODS = 3.0  # of the high pass
@@ -206,7 +214,7 @@ def _marks(flags: Ints, settings: Records, numbers: Records) -> None:
     begin = max(0, ticks - s["tail_ticks"])
     contact = ticks if math.isnan(n["contact_s"]) else int(np.rint(n["contact_s"] / s["tick_s"]))
     saturated_before = saturated = late = gaps = slew_bound = overruled = 0
-    lost = lost_before = late_before = longest = 0
+    lost = lost_before = late_before = longest = follows = differs = other = 0
     for k in range(ticks):
         if k == begin:
             saturated_before = saturated
@@ -221,6 +229,9 @@ def _marks(flags: Ints, settings: Records, numbers: Records) -> None:
             longest = max(longest, gap)
         slew_bound += (flags[k] & _SLEW_BOUND) != 0
         overruled += (flags[k] & OVERRULED) != 0
+        follows += (flags[k] & _FOLLOWS) != 0
+        differs += (flags[k] & _DIFFERS) != 0
+        other += (flags[k] & _OTHER) != 0
     n["ticks"], n["tail_begins_s"] = ticks, begin * s["tick_s"]
     n["saturated_fraction"] = saturated / ticks
     n["saturated_fraction_in_tail"] = (saturated - saturated_before) / (ticks - begin)
@@ -230,6 +241,7 @@ def _marks(flags: Ints, settings: Records, numbers: Records) -> None:
         n["late_fraction"] = (late - late_before) / (ticks - contact)
         n["lost_fraction"] = (lost - lost_before) / (ticks - contact + lost - lost_before)
     n["slew_bound_ticks"], n["overruled_ticks"] = slew_bound, overruled
+    n["current_observed"], n["current_differs"], n["other_current_ticks"] = follows, differs, other
 
 
 @kernel(types.float64(_SIGNAL, SETTINGS_TYPE), no_refcount=True)

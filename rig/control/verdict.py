@@ -9,10 +9,10 @@
 A rig records the side of its encoder; of the truth, felt and moved are those of the handle, which a hand holds.
 
 *Invalid* is a trial without a verdict: no contact, contact in the baseline, a gap too long or too many samples lost or
-late ticks from the first contact on, a binding slew limit, a device that overruled the law, or saturation without
-motion. What is lost before the contact is counted and told. *Unstable*: the wall was left in the tail, or the
-ripple grows, or the motor saturates while a threshold is exceeded. *Limit cycle*: not unstable, but felt, heard or
-moved is above its threshold. *Stable*: none of them.
+late ticks from the first contact on, a binding slew limit, a device that overruled the law, a current that was not the
+one that was set, or saturation without motion. What is lost before the contact is counted and told. *Unstable*: the
+wall was left in the tail, or the ripple grows, or the motor saturates while a threshold is exceeded. *Limit cycle*: not
+unstable, but felt, heard or moved is above its threshold. *Stable*: none of them.
 
 A person may leave the wall too early. That differs from a wall that ejects the handle by what comes before and after:
 an unstable wall oscillates first, and a hand that pushes comes back. So where a person hits, a tail in which the wall
@@ -113,6 +113,9 @@ class Verdict:
     longest_gap: Annotated[int, Quantity("1", "most samples lost in a row from the first contact on")]
     lost_fraction: Annotated[float, Quantity("1", "share of samples lost from the first contact on")]
     late_fraction: Annotated[float, Quantity("1", "share of late ticks from the first contact on")]
+    current_observed: Annotated[
+        int, Quantity("1", "windows of 10 ms in which the measured current was seen to follow the active one")
+    ]
     ticks: Annotated[int, Quantity("1", "ticks of the trial")]
 
 
@@ -136,6 +139,7 @@ class Objection(IntFlag):
     HEARD = 16384
     MOVED = 32768
     TOUCHED_EARLY = 65536  # in the baseline
+    CURRENT = 262144  # the measured current did not follow the active one, or that not the commanded one
     LEFT = 131072  # a person's hand left the calm wall in the tail, and stayed away
 
 
@@ -143,8 +147,8 @@ MACHINE = Objection.GAPS | Objection.LATE  # faults of computer and link, not of
 EXCEEDED = Objection.FELT | Objection.HEARD | Objection.MOVED
 UNSTABLE = Objection.EXITS | Objection.GROWS | Objection.SATURATES
 INVALID = (
-    Objection(Objection.EXITS - 1) | Objection.TOUCHED_EARLY | Objection.LEFT
-)  # all before, and the last two
+    Objection(Objection.EXITS - 1) | Objection.TOUCHED_EARLY | Objection.LEFT | Objection.CURRENT
+)  # all before, and the last three
 KINDS = (Kind.STABLE, Kind.LIMIT_CYCLE, Kind.UNSTABLE, Kind.INVALID)  # by the codes of `kinds`
 CRITERIA = ("felt", "heard", "any")  # what may end a Z-width, besides instability
 _EXCEEDED_BY = dict(zip(CRITERIA, (Objection.FELT, Objection.HEARD, EXCEEDED), strict=True))
@@ -186,6 +190,7 @@ def objections(numbers: Numbers, thresholds: Thresholds) -> Any:
         (Objection.HEARD, heard),
         (Objection.MOVED, moved),
         (Objection.TOUCHED_EARLY, touched & (n["contact_s"] < thresholds.baseline_s)),
+        (Objection.CURRENT, (n["current_differs"] > 0) | (n["other_current_ticks"] > 0)),
         (Objection.LEFT, (n["stay_ticks"] > 0) & calm & thresholds.may_leave),
     )
     bits = sum(objection.value * condition for objection, condition in found)
@@ -234,7 +239,7 @@ class Measured:
     @property
     def kind(self) -> Kind:
         """How the hit ended."""
-        if self.thrown_out:
+        if self.thrown_out and not self.found & Objection.CURRENT:
             return Kind.UNSTABLE if self.numbers["contact_s"] >= 0.0 else Kind.INVALID
         return KINDS[int(_codes(int(self.found)))]
 
@@ -277,7 +282,7 @@ class Measured:
         motor at rest. Where *felt* is not measurable it exceeds nothing: a Z-width under ``felt`` is one of truths, or
         of a fine encoder.
         """
-        if self.thrown_out:
+        if self.thrown_out and not self.found & Objection.CURRENT:
             return False if self.numbers["contact_s"] >= 0.0 else None
         if self.found & INVALID & ~(Objection.GONE | Objection.STILL_SETTLING | Objection.LEFT):
             return None
@@ -330,6 +335,10 @@ _TEXTS: dict[Objection, Callable[[np.void, Thresholds], str]] = {
     Objection.FELT: lambda n, thresholds: f"felt {n['felt']:.3g} above {thresholds.felt_velocity:.3g}",
     Objection.HEARD: lambda n, thresholds: f"heard {n['heard']:.3g} above {thresholds.heard_effort:.3g}",
     Objection.MOVED: lambda n, thresholds: f"moved {n['moved']:.3g} above {thresholds.moved:.3g}",
+    Objection.CURRENT: lambda n, _: (
+        f"the measured current was not the one that was set in {_times(n['current_differs'], 'window')} of 10 ms, and "
+        f"that not the commanded one in {_times(n['other_current_ticks'], 'tick')}: motor leads, amplifier, sensor"
+    ),
     Objection.LEFT: lambda _, __: (
         "the hand left the calm wall before the end and did not come back: ask to stay in it"
     ),

@@ -5,6 +5,7 @@ All in the device's own units: current quanta and counts. Only the mechanics sta
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -47,6 +48,41 @@ class MovedMechanics:
     inertia: float
     damping: float
     lag_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CurrentSensor:
+    """What the measured current must be (`rig.control.current`). `struct current_sensor` of the firmware.
+
+    Attributes
+    ----------
+    noise
+        Of a measurement and its quantisation (quanta, rms); negative: the current is not measured.
+    lag_s
+        Between the current that is set and the one that flows (s).
+    back_emf
+        Current that the back-EMF takes off at a count a second (quanta·s); 0 for a current amplifier.
+    """
+
+    noise: float
+    lag_s: float
+    back_emf: float
+
+
+def current_sensor(model: RigModel) -> CurrentSensor:
+    """Return how the measured current of a rig follows from the one that is set.
+
+    A simulated delay of the far end lies between the two and is not modelled: nothing is compared then.
+    """
+    amplifier = model.amplifier
+    noise = math.hypot(amplifier.current_noise_a / amplifier.current_quantum_a, math.sqrt(2.0 / 12.0))
+    comparable = amplifier.current_monitor and model.simulation.computation_delay_ticks == 0
+    damping = amplifier.back_emf_damping if amplifier.drive == "voltage" else 0.0
+    return CurrentSensor(
+        noise=noise if comparable else -1.0,
+        lag_s=amplifier.lag_s,
+        back_emf=damping * model.encoder.resolution / amplifier.effort_quantum,
+    )
 
 
 def peak_current(model: RigModel) -> int:
@@ -110,6 +146,7 @@ def describe(
         firmware=firmware,
         simulated=simulated,
         current_quantum_a=model.amplifier.current_quantum_a,
+        current_measured=model.amplifier.current_monitor,
         position_rate_default=rate_default,
         position_rate_maximum=rate_maximum,
         ranges={

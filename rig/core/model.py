@@ -111,8 +111,11 @@ class Amplifier:
         Ge(0),
         Quantity("damping", "k_t²/R at the link: braking of a steady motion under voltage drive"),
     ] = 0.0
+    current_monitor: Annotated[
+        bool, Quantity("", "whether the device measures the motor's current; it is compared with the one set")
+    ] = True
     current_noise_a: Annotated[
-        float, Ge(0), Quantity("A", "rms noise of the current sensor (simulation)")
+        float, Ge(0), Quantity("A", "rms noise of the current sensor, its quantum apart")
     ] = 0.0
 
     __pydantic_config__: ClassVar[dict[str, Any]] = STRICT

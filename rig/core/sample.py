@@ -75,6 +75,9 @@ class RowFlag(IntFlag):
     HOMING_FAILED = 512  # the start was not reached in time: effort zero, run ended
     ENERGY = 1024  # the motor gave more energy than allowed: effort zero, run ended
     VIOLENT = 2048  # the effort oscillated between zero and its limit: effort zero, run ended
+    CURRENT_FOLLOWS = 4096  # a window ended in which the measured current followed the active one
+    CURRENT_DIFFERS = 8192  # a window ended in which it did not: effort zero, run ended
+    OTHER_CURRENT = 16384  # the active current was not the commanded one, though no limit acted
 
 
 COLUMNS: tuple[Column, ...] = (

@@ -32,6 +32,7 @@ from rig.devices.device import Link
 
 STOP_FRAMES = 5
 SUPERVISE_EVERY_S = 0.005  # a quarter of the time that a law on the device continues without a command
+MOST_NS = (1 << 63) - 1  # what a stamp holds: 292 years
 EXCHANGES = 8  # of the clock, unless told otherwise
 DRIFT_EXCHANGES, DRIFT_S = 20, 1.0  # of the clock, where its drift is wanted
 DRIFT_VIRTUAL_S = 0.1  # where time costs computing and nothing disturbs an exchange
@@ -117,10 +118,7 @@ class FramedDevice:
             self._dictionary_hash = reply.dictionary_hash
             if reply.dictionary_hash in _dictionaries:
                 return _dictionaries[reply.dictionary_hash]
-            with self._understood():
-                reader.add(
-                    total=reply.total, fingerprint=reply.dictionary_hash, offset=reply.offset, data=reply.data
-                )
+            self._add_page(reader, reply, reply.dictionary_hash)
         with self._understood():
             if dictionaries.dictionary_hash(reader.content) != self._dictionary_hash:
                 raise RemoteProtocolError("the dictionary does not have the hash that the device announced")
@@ -234,9 +232,15 @@ class FramedDevice:
         reader = PageReader(BLOCK_LIMIT)
         while not reader.complete:
             reply = self._ask(m.GetParameters(self._next_nonce(), reader.offset), m.Parameters)
-            with self._understood():
-                reader.add(total=reply.total, fingerprint=reply.crc, offset=reply.offset, data=reply.data)
+            self._add_page(reader, reply, reply.crc)
         return reader.content
+
+    def _add_page(self, reader: PageReader, reply: m.Identity | m.Parameters, fingerprint: int) -> None:
+        """Take the page that was asked for; a device that tells another one would be asked for ever."""
+        with self._understood():
+            if reply.offset != reader.offset:
+                raise RemoteProtocolError(f"the page at {reply.offset}, wanted the one at {reader.offset}")
+            reader.add(total=reply.total, fingerprint=fingerprint, offset=reply.offset, data=reply.data)
 
     # ------------------------------------------------------------------ running
 
@@ -335,9 +339,17 @@ class FramedDevice:
             self._listen_until(start_ns + round(min(1.0, place) * over_s * 1e9))
             reply = self._ask(m.GetTime(self._next_nonce(), self.link.clock.now_ns()), m.Time)
             row["host_sent"], row["host_received"] = self._said_ns, self._heard_ns
-            row["device_received"] = reply.device_received * tick_ps // 1000
-            row["device_sent"] = reply.device_sent * tick_ps // 1000
+            row["device_received"] = self._counted_ns(reply.device_received, tick_ps)
+            row["device_sent"] = self._counted_ns(reply.device_sent, tick_ps)
         return stamps
+
+    def _counted_ns(self, stamp: int, tick_ps: int) -> int:
+        """A device time in nanoseconds, as far as they can be counted."""
+        time_ns = stamp * tick_ps // 1000
+        with self._understood():
+            if time_ns > MOST_NS:
+                raise RemoteProtocolError(f"a device time of {time_ns * 1e-9:.3g} s")
+        return time_ns
 
     def clock(self, exchanges: int = EXCHANGES, *, over_s: float = 0.0) -> ClockFit:
         """Host clock against device clock, by `exchange_clock`; without `over_s` the drift stays unknown."""
@@ -471,25 +483,25 @@ class FramedDevice:
 
     def _refusal(self, message: m.Message) -> DeviceRefusedError:
         if not isinstance(message, m.Ack):
-            return DeviceRefusedError(f"the device answered {type(message).__name__} instead")
-        if self._dictionary is not None:
-            info = self._dictionary.explain_status(message.status)
-            text, remedy = info.text, info.remedy
-        else:
-            text, remedy = Status(message.status).text, Status(message.status).remedy
+            return DeviceRefusedError(
+                f"the device answered {type(message).__name__} instead",
+                remedy="check that it runs the firmware of this project",
+            )
+        known = () if self._dictionary is None else self._dictionary.statuses
+        info = dictionaries.explain_status(message.status, known)
         request = (
             m.MESSAGES[message.request].__name__ if message.request in m.MESSAGES else str(message.request)
         )
         return DeviceRefusedError(
-            f"the device refused {request}: {text.replace(' (detail)', '')}{self._detail(message)}",
-            remedy=remedy,
+            f"the device refused {request}: {info.text.replace(' (detail)', '')}{self._detail(message)}",
+            remedy=info.remedy,
             status=message.status,
         )
 
     def _detail(self, ack: m.Ack) -> str:
         """What the detail of a refusal names: a parameter with its range, a state, or a fault."""
         if ack.status == Status.BAD_STATE:
-            return f" ({State(ack.detail).name})"
+            return f" ({State(ack.detail).name if ack.detail in set(State) else f'state {ack.detail}'})"
         if self._dictionary is not None and ack.status == Status.FAULT_PRESENT:
             return f" ({self._dictionary.explain_fault(ack.detail).text})"
         if self._dictionary is not None and ack.detail:

@@ -7,6 +7,7 @@ import os
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_protocol.faults import Fault
 from rig.core.errors import (
     DeviceFaultError,
     GuardError,
@@ -87,6 +88,12 @@ ENDINGS: dict[EndReason, tuple[type[RigError], str, str]] = {
         "of the one before, and rig.limits.oscillations allows fewer; the effort went to zero",
         "take a softer or more damped wall; rig.limits.oscillations = 0 switches this off",
     ),
+    EndReason.CURRENT_DIFFERS: (
+        GuardError,
+        "the measured current was not the one that was set, over 10 ms; the effort went to zero",
+        "check motor leads, amplifier, its supply and the current sensor with its sign and scale; rig.amplifier says "
+        "what is expected (current_monitor = false: nothing is measured)",
+    ),
     EndReason.HOMING_FAILED: (
         GuardError,
         "the start was not reached in time; the effort went to zero",
@@ -112,6 +119,9 @@ def error_of(end: LoopEnd, url: str, fault: FaultReport | None, rows: NDArray[np
     if end.reason == EndReason.FINISHED:
         return None
     kind, message, remedy = ENDINGS[end.reason]
+    named = (
+        fault if fault is not None and fault.code != Fault.NONE else None
+    )  # a device may say that there is none
     errno = end.counters["errno"]
     loss = failure(errno, url)
     if end.reason == EndReason.LINK_CLOSED:
@@ -121,8 +131,8 @@ def error_of(end: LoopEnd, url: str, fault: FaultReport | None, rows: NDArray[np
         "why": os.strerror(errno) if errno else "no error number",
         "cause_of_loss": loss.cause,
         "loss_remedy": loss.remedy,
-        "fault": fault.text if fault else "it did not say which",
-        "fault_remedy": fault.remedy if fault else "read its fault log",
+        "fault": named.text if named else "it did not say which",
+        "fault_remedy": named.remedy if named else "read its fault log",
         "cause": repr(end.error),
         "position": f"{rows['position'][-1]:.4g}" if len(rows) else "?",
         "velocity": f"{rows['velocity'][-1]:.4g}" if len(rows) else "?",

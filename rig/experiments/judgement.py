@@ -8,7 +8,7 @@ from typing import Any
 from firmware_protocol.faults import Fault
 from rig.config import Experiment, experiment_from_mapping, verdict_thresholds
 from rig.control import judging, verdict
-from rig.control.verdict import Kind, Measured, Verdict
+from rig.control.verdict import Kind, Measured, Objection, Verdict
 from rig.core.present import Row, written
 from rig.core.sample import Phase, unit_of
 from rig.recording.data import Recording
@@ -87,6 +87,7 @@ class Judgement:
             self._felt(velocity, beside("", "felt", thresholds.felt_velocity), thresholds.felt_velocity),
             ripple("heard (effort ripple, rms)", "heard", effort, thresholds.heard_effort),
             ripple("moved (position ripple, p-p)", "moved", position, thresholds.moved),
+            Row("motor current", _observed(verdict.current_observed)),
             Row("saturated", f"{100 * verdict.saturated_fraction:.2g} % of ticks"),
             Row(
                 "late, lost",
@@ -104,6 +105,13 @@ class Judgement:
             return Row(label, "no count changed in the tail", note=true)
         value = "not measurable" if felt is None else _nothing(felt, threshold)
         return Row(label, value, unit if felt is not None else "", ", ".join(filter(None, notes)), digits=3)
+
+
+def _observed(windows: int) -> str:
+    """What is known of the motor's current: a dead motor shows only where there was a current to be missed."""
+    if windows == 0:
+        return "not observed: not measured, or too small beside the sensor's noise"
+    return f"followed the command, seen in {windows} × 10 ms"
 
 
 def _nothing(value: Any, threshold: float) -> Any:
@@ -136,6 +144,8 @@ def judge(recording: Recording, experiment: Experiment) -> Judgement:
 
 
 def _overruled(measured: Measured, overruling: tuple[Kind, str] | None) -> Verdict:
+    if measured.found & Objection.CURRENT:  # whatever the handle did then, it says nothing of the wall
+        return measured.verdict
     return measured.verdict if overruling is None else verdict.overruled(measured.verdict, *overruling)
 
 

@@ -19,11 +19,12 @@ from numpy.typing import NDArray
 
 from firmware_protocol.messages import MAJOR, MINOR
 from firmware_protocol.parameter import Value
-from rig.config import Experiment, as_mapping, device_law
+from rig.config import Experiment, as_mapping, device_law, rig_model
 from rig.config import controller as controllers
 from rig.config.controller import Run
 from rig.control.law import Law
 from rig.control.step import Controller
+from rig.core.board import current_sensor
 from rig.core.clock_fit import ClockFit, as_exchanges, fit_if_possible
 from rig.core.errors import RigError, StoppedError
 from rig.core.sample import Phase
@@ -219,7 +220,7 @@ def _arm(
     signals: Signals,
 ) -> LoopThread:
     """Arm the device, and make the loop that goes with where the law runs."""
-    experiment, virtual = run.experiment, device.link.clock.virtual
+    experiment, virtual, model = run.experiment, device.link.clock.virtual, rig_model(run.experiment)
     period_s = 1.0 / experiment.controller.position_rate
     # Before arming, because an armed device waits for half a second only: what must be compiled, and memory.
     thread = _loop_of(run, device.link)
@@ -248,6 +249,8 @@ def _arm(
         realtime=realtime,
         heartbeat_s=experiment.host.heartbeat_s,
         nonce=device.nonce,
+        sensor=current_sensor(model) if device.dictionary.current_measured else None,
+        encoder_sign=model.encoder.sign,
     )
 
 

@@ -11,6 +11,7 @@ from firmware_protocol.messages import Mode, Sync
 from rig.control.step import MEMORY_TYPE
 from rig.core.sample import Phase, RowFlag
 from rig.devices.port import PORT_TYPE, LoopPort
+from rig.loop.currents import keep_command
 from rig.loop.layout import BUFFERS_TYPE, SETTINGS_TYPE, Buffers
 from rig.realtime import codec
 from rig.realtime.codec import COMMAND
@@ -44,6 +45,7 @@ def send_command(port: LoopPort, settings: Any, buffers: Buffers, mode: int, cur
     command[COMMAND.mode] = mode
     command[COMMAND.flags] = sync
     command[COMMAND.current] = current
+    keep_command(buffers.sent, p["sequence"], current)
     size = codec.encode_command(settings[0]["session"], p["sequence"], command, transmit)
     p["sequence"] = (p["sequence"] + 1) % 65536
     if size < 0:  # a value that no field of the wire holds: nothing leaves

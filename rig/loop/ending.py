@@ -12,6 +12,7 @@ from rig.control.step import HOMING_FAILED as FLAG_HOMING
 from rig.control.step import NONFINITE as FLAG_NONFINITE
 from rig.control.step import OUT_OF_WINDOW as FLAG_WINDOW
 from rig.control.step import VIOLENT as FLAG_VIOLENT
+from rig.core.sample import RowFlag
 from rig.devices.port import PORT_TYPE, LoopPort
 from rig.loop.layout import SETTINGS_TYPE, WORD, EndReason
 from rig.realtime import ring
@@ -25,6 +26,7 @@ CLOSED, SILENT, FAULT = (int(EndReason[n]) for n in ("LINK_CLOSED", "LINK_SILENT
 OVERRUN, DEVICE_ENDED = int(EndReason.OVERRUN), int(EndReason.DEVICE_ENDED)
 _NONFINITE, _WINDOW, _HOMING = (int(EndReason[n]) for n in ("NONFINITE", "OUT_OF_WINDOW", "HOMING_FAILED"))
 _ENERGY, _VIOLENT = int(EndReason.ENERGY), int(EndReason.VIOLENT)
+_CURRENT, _FLAG_CURRENT = int(EndReason.CURRENT_DIFFERS), int(RowFlag.CURRENT_DIFFERS)
 
 
 @kernel(types.int64(PORT_TYPE, SETTINGS_TYPE, types.uintp))
@@ -42,7 +44,7 @@ def told_to_end(port: LoopPort, settings: Any, words: int) -> int:
 
 @kernel(types.int64(MEMORY_TYPE))
 def ended_by_law(memory: Any) -> int:
-    """Reason to end that `rig.control.step` left in its memory, or 0.
+    """Reason to end that `rig.control.step` or a comparison of the currents left in the tick's flags, or 0.
 
     With the law on the device this is the host's own step on the samples of a BATCH, and the device does not watch
     energy or violence: it drives until our STOP arrives. That takes the rest of the batch (at most 5 ms, see
@@ -58,6 +60,8 @@ def ended_by_law(memory: Any) -> int:
         reason = _ENERGY
     elif flags & FLAG_VIOLENT:
         reason = _VIOLENT
+    elif flags & _FLAG_CURRENT:
+        reason = _CURRENT
     elif flags & FLAG_HOMING:
         reason = _HOMING
     elif memory[0]["phase"] == DONE:

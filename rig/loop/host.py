@@ -23,6 +23,7 @@ from rig.control.step import CONTROLLER_TYPE, MEMORY_TYPE, ControllerArguments, 
 from rig.devices.framed import STOP_FRAMES
 from rig.devices.port import PORT_TYPE, LoopPort
 from rig.loop.commands import MODE_CURRENT, MODE_STOP, NO_SYNC, send_command, sync_of
+from rig.loop.currents import compare_command, compare_measured
 from rig.loop.ending import CLOSED, FAULT, OVERRUN, SILENT, STOPPED, ended_by_law, told_to_end
 from rig.loop.exchange import ask_time
 from rig.loop.layout import (
@@ -43,7 +44,7 @@ from rig.realtime.atomics import load_word, store_word
 from rig.realtime.codec import STATE
 from rig.realtime.kernel import kernel
 
-_FAULT_STATE = int(State.FAULT)
+_ARMED, _RUNNING = int(State.ARMED), int(State.RUNNING)
 SHORTEST_WAIT_NS = 200_000
 LONGEST_WAIT_NS = 10_000_000
 
@@ -61,8 +62,9 @@ def _overran(settings: Any, memory: Any, progress: Any) -> bool:
 
 @kernel(types.int64(INTS, SETTINGS_TYPE, MEMORY_TYPE, PROGRESS_TYPE))
 def _outcome(state: Any, settings: Any, memory: Any, progress: Any) -> int:
-    """End reason that follows from this tick, 0 to continue."""
-    if state[STATE.fault] != 0 or state[STATE.state] == _FAULT_STATE:
+    """End reason that follows from this tick, 0 to continue. A device that left the session may not say why."""
+    armed = state[STATE.state] == _ARMED or state[STATE.state] == _RUNNING
+    if state[STATE.fault] != 0 or not armed:
         return FAULT
     reason = ended_by_law(memory)
     if reason == 0 and settings[0]["stop_when_late"] != 0 and _overran(settings, memory, progress):
@@ -176,6 +178,8 @@ def run(
             return STOPPED
         computed_ns = port.now(port.clock_handle)
         flag_timing(settings, memory, buffers.progress, elapsed, words)
+        compare_command(buffers, memory)
+        compare_measured(buffers, memory, elapsed)
         mode, sync = MODE_CURRENT, sync_of(memory)
         reason = _outcome(state, settings, memory, buffers.progress)
         if reason != 0:

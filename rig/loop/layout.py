@@ -10,6 +10,7 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
+from rig.control.current import CURRENT
 from rig.core.sample import ROW
 from rig.realtime import codec
 from rig.realtime.codec import COMMAND, GET_TIME, HEAD, STATE, TIME
@@ -36,6 +37,7 @@ class EndReason(IntEnum):
     DEVICE_ENDED = 13  # the law on the device ended the run, that of the host, in other arithmetic, did not
     ENERGY = 14  # the motor gave more energy to the handle than it may
     VIOLENT = 15  # the effort oscillated between zero and its limit
+    CURRENT_DIFFERS = 16  # the measured current did not follow the active one
 
 
 SETTINGS = np.dtype(
@@ -93,6 +95,7 @@ PROGRESS = np.dtype(
 RECEIVE_BYTES = 4096
 EXCHANGES_KEPT = 8192  # twelve minutes; a longer run keeps the newest
 SETS_KEPT = 256  # parameter sets in one run; more are not taken, because a replay would lack them
+COMMANDS_KEPT = 256
 WORD = 8
 
 FLOATS, INTS, INT_ROWS = types.float64[::1], types.int64[::1], types.int64[:, ::1]
@@ -126,6 +129,10 @@ class Buffers(NamedTuple):
         Parameter set that waits to become active, its bytes and their numbers: wall position, the law's parameters.
     sets
         Each set that became active: its number, the tick, its values.
+    sent
+        Sequence and current of the newest `COMMANDS_KEPT` COMMANDs.
+    currents
+        Settings and memory of `rig.control.current`; zeros: nothing is compared.
     progress
         `PROGRESS`.
     """
@@ -143,6 +150,8 @@ class Buffers(NamedTuple):
     mail: Bytes
     waiting: Floats
     sets: FloatRows
+    sent: Ints
+    currents: Ints
     progress: Annotated[NDArray[np.void], PROGRESS_TYPE]
 
     @classmethod
@@ -164,6 +173,8 @@ class Buffers(NamedTuple):
             mail=mail,
             waiting=mail.view(np.float64),
             sets=np.zeros((SETS_KEPT, 2 + SET_FLOATS), np.float64),
+            sent=np.full(2 * COMMANDS_KEPT, -1, np.int64),
+            currents=np.zeros(len(CURRENT), np.int64),
             progress=progress,
         )
 

@@ -14,7 +14,9 @@ from rig.loop.parameters import activate
 from rig.loop.rows import show_law
 from rig.realtime.kernel import kernel
 
-_TIMING = int(RowFlag.LATE | RowFlag.GAP)  # noticed by the loop, not by the law
+_LOOPS = int(  # noticed by the loop, not by the law
+    RowFlag.LATE | RowFlag.GAP | RowFlag.CURRENT_FOLLOWS | RowFlag.CURRENT_DIFFERS | RowFlag.OTHER_CURRENT
+)
 
 NO_SETS = np.zeros((0, 1))  # of a run without parameter updates
 
@@ -33,4 +35,4 @@ def replay_rows(controller: ControllerArguments, recorded: Any, replayed: Any, s
             due += 1
         step(controller, source["count"], source["edge_age"] * 1e-9, source["elapsed_ticks"])
         show_law(replayed, i, controller.memory)
-        replayed[i]["flags"] |= source["flags"] & _TIMING
+        replayed[i]["flags"] |= source["flags"] & _LOOPS

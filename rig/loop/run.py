@@ -18,7 +18,9 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.control import current
 from rig.control.step import Controller
+from rig.core.board import CurrentSensor
 from rig.devices.device import Link
 from rig.loop import host
 from rig.loop.layout import EXCHANGES_KEPT, SETTINGS, Buffers, EndReason, Shared
@@ -113,6 +115,8 @@ class LoopThread:
         The loop ends when `wait` was not called for this long; 0: never, as in virtual time.
     nonce
         Nonce of the last transaction with the device.
+    sensor, encoder_sign
+        What the measured current must be, and the direction of counting; None: the two are not compared.
     """
 
     compiled: ClassVar[tuple[Any, ...]] = (host.run,)  # what thread and supervisor call
@@ -132,6 +136,8 @@ class LoopThread:
         realtime: Realtime | None = None,
         heartbeat_s: float = 0.0,
         nonce: int = 0,
+        sensor: CurrentSensor | None = None,
+        encoder_sign: int = 1,
     ) -> None:
         self.prepare(link, controller)
         self.ring = ring
@@ -146,6 +152,9 @@ class LoopThread:
         )  # lives as long as the thread runs, whoever closes it
         self._buffers = Buffers.allocate()
         self._buffers.progress["nonce"] = nonce
+        if sensor is not None:
+            rate = round(1e9 / settings.period_ns)
+            current.configure(self._buffers.currents, sensor, rate, encoder_sign)
         if realtime is not None:
             for array in (ring.buffer, *self._arrays()):
                 realtime.prefault(array)

@@ -24,6 +24,7 @@ from rig.devices.framed import STOP_FRAMES
 from rig.devices.port import PORT_TYPE, LoopPort
 from rig.loop.batches import ahead, has_room, take_frames
 from rig.loop.commands import MODE_STOP, MODE_SUPERVISE, NO_SYNC, send_command
+from rig.loop.currents import compare_measured
 from rig.loop.device_host_agreement import compare, settle
 from rig.loop.ending import (
     CLOSED,
@@ -215,6 +216,7 @@ def _run_law(
         if elapsed > 1:
             m["flags"] |= FLAG_GAP
             add(words, ring.LOST, elapsed - 1)
+        compare_measured(buffers, controller.memory, elapsed)
         reason = FAULT
         if state[STATE.fault] == 0 and state[STATE.state] != _FAULT_STATE:
             reason = ended_by_law(controller.memory)

@@ -27,6 +27,7 @@ from numba.core import event, sigutils, typeinfer
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher
 from numba.core.typing.templates import make_concrete_template
+from numba.extending import register_jitable
 
 from rig.realtime import compiling
 from rig.realtime.parts import Compiler, load_implementations
@@ -196,6 +197,11 @@ def prepare(*functions: Any) -> None:
     for function in functions:
         if isinstance(function, Kernel) and not function.prepared:
             function.prepare()
+
+
+def rule(function: F) -> F:
+    """Let kernels call a plain function too: Python itself runs it on memory views, whose numbers are its own."""
+    return cast("F", register_jitable(function))
 
 
 def kernel(

@@ -1,6 +1,6 @@
 """Whether this computer and the link keep up with a session: measured before it begins, told, and kept in its log.
 
-Nearly every trial would be invalid where a hit in any quarter of the measurement would have been, by the limits of
+Nearly every trial would be invalid where a hit in each quarter of the measurement would have been, by the limits of
 `[verdict]` on lost samples: such a session is refused, unless somebody says ``--lossy-anyway``. What is lost beside
 that is a warning: the trials that it spoils are repeated.
 """

@@ -93,8 +93,8 @@ def phases_s(*arguments: str, **options: Any) -> list[float]:
 def private(tmp_path_factory: pytest.TempPathFactory) -> Any:
     """Where commands run, with a cache of their own, warm; and what its first hit cost."""
     place = tmp_path_factory.mktemp("private")
-    private = {"HAPTIC_RIG_CACHE": str(place / "cache"), "PYTHONPYCACHEPREFIX": str(place / "bytecode")}
-    env = {**os.environ, **private}
+    kept = {"HAPTIC_RIG_CACHE": str(place / "cache"), "PYTHONPYCACHEPREFIX": str(place / "bytecode")}
+    env = {**os.environ, **kept}
     env.pop("PYTHONDONTWRITEBYTECODE", None)  # where it is set, each start compiles this project's sources
     options = {"cwd": place, "env": env}
     return options, phases_s("hit", "--no-plot", **options)
@@ -127,8 +127,8 @@ def test_commands_that_check_and_show_take_a_few_bare_interpreters(private: Any)
     print("\nwarm, wall seconds (goal 1; a hit 2)")
     for name, most, *arguments in (
         ("rig plan", 3.0, "plan", "mine.toml"),
-        ("rig show", 5.0, "show", recording),
-        ("rig session check", 6.0, "session", "check", "study.toml"),
+        ("rig show", 4.0, "show", recording),
+        ("rig session check", 5.0, "session", "check", "study.toml"),
         ("rig hit --no-plot", 7.0, "hit", "--no-plot"),
     ):
         subprocess.run([*run, *arguments], check=True, capture_output=True, **options)

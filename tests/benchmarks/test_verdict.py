@@ -78,7 +78,8 @@ def test_a_verdict_costs_a_fraction_of_what_scipy_needs_for_its_filters_alone() 
     assert numbers["heard"] == pytest.approx(expected[1], rel=1e-6)
     signals = Signals(
         tick_s=1.0 / RATE, resolution=DELTA, position=counts, velocity=None, effort=effort, penetration=counts,
-        saturated=nothing, late=nothing, lost=np.zeros(RATE, np.int64), slew_bound=nothing, overruled=nothing,
+        saturated=nothing, late=nothing, lost=np.zeros(RATE, np.int64),
+        currents=np.zeros(RATE, np.int64), slew_bound=nothing, overruled=nothing,
     )  # fmt: skip
     recorded = median_us(lambda: measuring.recorded(counts, effort, counts, flags))
     true = median_us(lambda: measuring.true(states[:, 2], states[:, 3], states[:, 5], states[:, 2], flags))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 from rig.core.model import Amplifier, Encoder, Mechanics, RigModel, Simulation
@@ -30,6 +31,11 @@ def rotary_rig(
         encoder=Encoder(**encoder),
         simulation=Simulation(**simulation),
     )
+
+
+def unmeasured(model: RigModel) -> RigModel:
+    """The rig without a current sensor: what a world of a test shows in its place need not follow the currents."""
+    return replace(model, amplifier=replace(model.amplifier, current_monitor=False))
 
 
 def linear_rig() -> RigModel:

@@ -61,7 +61,7 @@ class CortexLibrary:
             given.encoder_sign,
             given.over_current,
         )
-        self._write(SETUP, head + bytes(given.mechanics))
+        self._write(SETUP, head + bytes(given.mechanics) + bytes(given.current_sensor))
         self.simulator.call("host_setup", HOST, SETUP)
 
     def host_narrow(self, address: int, parameter: int, minimum: int, maximum: int) -> None:

@@ -2,7 +2,8 @@
  *
  * Frames with a good CRC and any content, frames with flipped bits, noise; laws of any kind that the device runs; ticks
  * with any count and measurement in between. What must hold whatever comes: no current unless armed, never above
- * current_limit, none behind a latched fault; and whatever leaves is a whole frame. */
+ * current_limit, none behind a latched fault, none after a silence; armed only by a valid ARM; a fault leaves only when
+ * it is cleared; and whatever leaves is a whole frame. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -52,14 +53,30 @@ struct fuzz {
     uint32_t phases[6]; /* of the law */
     uint32_t batches[3]; /* frames of each layout */
     uint32_t lives;     /* walls that changed while the device was armed */
+    uint64_t bytes;     /* into the device */
+    uint32_t ticks, ticks_armed, silences;
+    bool may_arm, may_clear; /* in this step */
+    uint8_t state, latched;  /* after the last */
 };
+
+static bool is_lively(const struct fuzz *fuzz)
+{
+    const uint8_t state = fuzz->host->device.connection.state;
+    return state == HR_STATE_ARMED || state == HR_STATE_RUNNING;
+}
+
+static void receive(struct fuzz *fuzz, const uint8_t *bytes, size_t count)
+{
+    fuzz->bytes += count;
+    host_receive(fuzz->host, bytes, count);
+}
 
 static void send(struct fuzz *fuzz, struct packet *packet, bool damage)
 {
     size_t count = frame_finish(packet);
     if (damage)
         packet->bytes[below((uint32_t)count)] ^= (uint8_t)(1u << below(8));
-    host_receive(fuzz->host, packet->bytes, count);
+    receive(fuzz, packet->bytes, count);
 }
 
 static uint8_t *begin(const struct fuzz *fuzz, struct packet *packet, uint8_t type, size_t count)
@@ -90,6 +107,7 @@ static void send_any(struct fuzz *fuzz)
     if (!below(4))
         raw[HR_AT_HEADER_SESSION] = (uint8_t)below(3);
     packet.count = fits ? message->bytes : any;
+    fuzz->may_clear = type == HR_TYPE_DISARM && (raw[HR_AT_DISARM_FLAGS] & 1u);
     send(fuzz, &packet, !below(6));
 }
 
@@ -224,7 +242,7 @@ static void configure(struct fuzz *fuzz, bool live_alone)
     uint8_t block[HR_FULL_BLOCK_BYTES];
     const size_t count = make_block(block, live_alone);
     const uint32_t crc = fuzz->host->device.configuration.crc;
-    const uint8_t state = fuzz->host->device.connection.state;
+    const bool lively = is_lively(fuzz);
     fuzz->nonce++;
     uint8_t *raw = begin(fuzz, &packet, HR_TYPE_SET_BEGIN, HR_BYTES_SET_BEGIN);
     put(raw + HR_AT_SET_BEGIN_LENGTH, 2, count);
@@ -239,7 +257,7 @@ static void configure(struct fuzz *fuzz, bool live_alone)
     }
     begin(fuzz, &packet, HR_TYPE_SET_COMMIT, HR_BYTES_SET_COMMIT);
     send(fuzz, &packet, false);
-    if ((state == HR_STATE_ARMED || state == HR_STATE_RUNNING) && crc != fuzz->host->device.configuration.crc)
+    if (lively && crc != fuzz->host->device.configuration.crc)
         fuzz->lives++;
 }
 
@@ -251,6 +269,7 @@ static void arm(struct fuzz *fuzz)
     put(raw + HR_AT_ARM_PARAMETERS_CRC, 4, fuzz->host->device.configuration.crc);
     raw[HR_AT_HEADER_SESSION] = (uint8_t)below(256);
     fuzz->sequence = 0;
+    fuzz->may_arm = true;
     send(fuzz, &packet, false);
 }
 
@@ -259,6 +278,7 @@ static void disarm(struct fuzz *fuzz)
     struct packet packet;
     uint8_t *raw = begin(fuzz, &packet, HR_TYPE_DISARM, HR_BYTES_DISARM);
     raw[HR_AT_DISARM_FLAGS] = (uint8_t)below(2);
+    fuzz->may_clear = fuzz->may_clear || raw[HR_AT_DISARM_FLAGS] != 0;
     fuzz->nonce++;
     send(fuzz, &packet, false);
 }
@@ -283,7 +303,7 @@ static void noise(struct fuzz *fuzz)
     const size_t count = below(sizeof bytes);
     for (size_t i = 0; i < count; i++)
         bytes[i] = (uint8_t)below(256);
-    host_receive(fuzz->host, bytes, count);
+    receive(fuzz, bytes, count);
 }
 
 /* What the device has sent: whole frames, and of a BATCH whole samples. */
@@ -319,6 +339,11 @@ static void check(struct fuzz *fuzz)
         CHECK(!fuzz->host->enabled);
     }
     CHECK((state == HR_STATE_FAULT) == (device->faults.latched != HR_FAULT_NONE));
+    CHECK(!is_lively(fuzz) || fuzz->may_arm || fuzz->state == HR_STATE_ARMED || fuzz->state == HR_STATE_RUNNING);
+    CHECK(fuzz->latched == HR_FAULT_NONE || device->faults.latched == fuzz->latched || fuzz->may_clear);
+    fuzz->state = state;
+    fuzz->latched = device->faults.latched;
+    fuzz->may_arm = fuzz->may_clear = false;
     if (device->tick.supervised) {
         fuzz->laws[device->configuration.values[HR_PARAMETER_LAW]]++;
         fuzz->phases[device->renderer.phase]++;
@@ -330,8 +355,10 @@ static void check(struct fuzz *fuzz)
 static void tick(struct fuzz *fuzz)
 {
     struct host *host = fuzz->host;
+    fuzz->ticks++;
+    fuzz->ticks_armed += is_lively(fuzz);
     int32_t count = host->count + (int32_t)below(5) - 2;
-    if (!below(300))
+    if (!below(1000))
         count = below(10) ? (int32_t)below(200) - 100 : (int32_t)(chance() >> 33) - (1 << 30);
     const uint8_t inputs = (uint8_t)(below(500) ? HR_INPUT_HOLD_TO_RUN : below(256));
     const int16_t measured = (int16_t)(below(300) ? host->current : (int32_t)below(65536) - 32768);
@@ -347,6 +374,21 @@ static void tick(struct fuzz *fuzz)
     host_set_room(host, below(50) ? HR_HOST_OUTPUT_BYTES : below(300));
 }
 
+/* Longer than any lifetime with its ramp, and than an armed device waits for its first command. */
+static void fall_silent(struct fuzz *fuzz)
+{
+    const uint32_t *values = fuzz->host->device.configuration.values;
+    const uint64_t lifetime = values[HR_PARAMETER_COMMAND_LIFETIME_US] > values[HR_PARAMETER_SUPERVISE_LIFETIME_US]
+                                  ? values[HR_PARAMETER_COMMAND_LIFETIME_US]
+                                  : values[HR_PARAMETER_SUPERVISE_LIFETIME_US];
+    const uint64_t silence_us = 500000u + lifetime + values[HR_PARAMETER_RAMP_US];
+    const uint64_t end = fuzz->host->device.time + silence_us * HR_TIME_UNITS_PER_US;
+    while (fuzz->host->device.time <= end)
+        tick(fuzz);
+    fuzz->silences++;
+    CHECK(!is_lively(fuzz) && fuzz->host->current == 0);
+}
+
 /* Those that nothing in a simulated world can cause. */
 static void inject(struct fuzz *fuzz)
 {
@@ -354,27 +396,48 @@ static void inject(struct fuzz *fuzz)
     host_fault(fuzz->host, faults[below(sizeof faults)]);
 }
 
+/* All that leads to a session from anywhere. */
+static void begin_session(struct fuzz *fuzz)
+{
+    identify(fuzz);
+    disarm(fuzz);
+    configure(fuzz, false);
+    arm(fuzz);
+}
+
+static void restart(struct fuzz *fuzz)
+{
+    fuzz->may_clear = true;
+    host_restart(fuzz->host);
+}
+
+/* Of 1000. Outside of a session much leads to one. */
 static void step(struct fuzz *fuzz)
 {
     const uint32_t which = below(1000);
-    if (which < 2)
+    const bool lively = is_lively(fuzz);
+    if (!below(50000))
+        fall_silent(fuzz);
+    else if (which < 2)
         noise(fuzz);
     else if (which < 3)
         inject(fuzz);
-    else if (which < 7)
-        host_restart(fuzz->host);
+    else if (which < 5)
+        restart(fuzz);
     else if (which < 40)
         send_any(fuzz);
     else if (which < 50)
         identify(fuzz);
-    else if (which < 70)
+    else if (which < 60)
         configure(fuzz, false);
-    else if (which < 80)
+    else if (which < 75)
         configure(fuzz, true);
-    else if (which < 100)
+    else if (which < 85)
         arm(fuzz);
-    else if (which < 140)
+    else if (which < 90)
         disarm(fuzz);
+    else if (!lively && which < 350)
+        begin_session(fuzz);
     else if (which < 600)
         command(fuzz);
     else
@@ -392,6 +455,7 @@ int main(int count, char **arguments)
         .encoder_sign = 1,
         .over_current = 5500,
         .mechanics = {1e-4, 1.0, 2e-3, 6e-4, 1e-3, 0.0, 0.0},
+        .current_sensor = {.noise = -1.0}, /* what is measured is left to chance */
     };
     struct fuzz fuzz = {.host = calloc(1, host_bytes())};
     CHECK(count == 3 && fuzz.host != NULL);
@@ -416,6 +480,10 @@ int main(int count, char **arguments)
     for (size_t i = 0; i < 3; i++)
         printf("layout %zu %u\n", i, fuzz.batches[i]);
     printf("live 0 %u\n", fuzz.lives);
+    printf("sum bytes %llu\n", (unsigned long long)fuzz.bytes);
+    printf("sum ticks %u\n", fuzz.ticks);
+    printf("sum ticks_armed %u\n", fuzz.ticks_armed);
+    printf("sum silences %u\n", fuzz.silences);
     free(fuzz.host);
     return 0;
 }

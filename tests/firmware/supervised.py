@@ -19,7 +19,7 @@ from firmware_protocol.wire import FORMATS
 from rig.core.model import RigModel
 from sim_backend.firmware import Core, FirmwareDevice
 from tests.conformance.host import RUN_PARAMETERS
-from tests.conformance.rigs import rotary_rig
+from tests.conformance.rigs import rotary_rig, unmeasured
 
 RATE = 2_000
 SUPERVISED_HZ = 200
@@ -164,7 +164,9 @@ class Board(Supervisor):
     ) -> None:
         super().__init__()
         self.library = library
-        self.core = Core(library, model or rotary_rig(effort_limit=10.0), law_maximum=law_maximum, **options)
+        self.core = Core(
+            library, unmeasured(model or rotary_rig(effort_limit=10.0)), law_maximum=law_maximum, **options
+        )
         self.count, self.measured, self.inputs, self.late = 0, 0, 0, 0
         self.fed: list[Sample] = []  # what the board saw and had active at each tick
         self.core.start()

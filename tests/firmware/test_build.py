@@ -1,6 +1,7 @@
 """Images: what is in them, that the same inputs give the same bytes, and how a build refuses."""
 
 import json
+import math
 import os
 import re
 import subprocess
@@ -10,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from firmware_protocol.dictionary import decode
 from firmware_protocol.parameters import PARAMETERS
 from rig import config
 from rig.bench.firmware import boards
@@ -20,7 +22,14 @@ from rig.bench.firmware.info import info
 from rig.bench.firmware.toolchain import COMPILER_VARIABLE, find_compiler
 from rig.bench.firmware.uf2 import read_uf2
 from rig.config import presets
-from rig.core.board import MovedMechanics, moved_mechanics, over_current, peak_current
+from rig.core.board import (
+    CurrentSensor,
+    MovedMechanics,
+    current_sensor,
+    moved_mechanics,
+    over_current,
+    peak_current,
+)
 from rig.core.errors import ConfigError, RecordingError, ToolchainError
 from rig.core.present import plain
 from tests.firmware import cross
@@ -41,6 +50,7 @@ int main(void)
            b->encoder_sign, b->over_current);
     printf("%a %a %a %a %a %a %a\n", m->effort_quantum, m->effort_limit, m->friction, m->travel, m->inertia, m->damping,
            m->lag_s);
+    printf("%a %a %a\n", b->current_sensor.noise, b->current_sensor.lag_s, b->current_sensor.back_emf);
     for (size_t i = 0; i < b->narrower_count; i++)
         printf("%u %u %u\n", b->narrower[i].parameter, b->narrower[i].minimum, b->narrower[i].maximum);
     for (size_t i = 0; i < b->dictionary_bytes; i++)
@@ -73,7 +83,8 @@ def test_the_constant_in_c_is_the_rig(model: Any, tmp_path: Path) -> None:
     assert (int(size), int(hash_, 16)) == (len(made.record.packed), made.record.dictionary_hash)
     assert (int(rate), int(sign), int(over)) == (1000, model.encoder.sign, over_current(model))
     assert [float.fromhex(text) for text in said[1].split()] == list(astuple(moved_mechanics(model)))
-    narrower = {PARAMETERS[int(i)].name: (int(low), int(high)) for i, low, high in map(str.split, said[2:-1])}
+    assert [float.fromhex(text) for text in said[2].split()] == list(astuple(current_sensor(model)))
+    narrower = {PARAMETERS[int(i)].name: (int(low), int(high)) for i, low, high in map(str.split, said[3:-1])}
     peak = peak_current(model)
     assert narrower["motion"] == (1, 1)
     assert narrower["encoder_sign"] == (model.encoder.sign % 2**32,) * 2
@@ -85,10 +96,24 @@ def test_the_constant_in_c_is_the_rig(model: Any, tmp_path: Path) -> None:
 
 def test_the_generated_constants_follow_the_structs_of_the_core() -> None:
     text = (FIRMWARE / "core" / "board.h").read_text()
-    members = re.search(r"struct mechanics \{(.*?)\};", text, re.DOTALL)
-    assert members is not None
-    names = re.findall(r"double (\w+);", members[1])
-    assert names == [field.name for field in fields(MovedMechanics)]
+    for name, ours in (("mechanics", MovedMechanics), ("current_sensor", CurrentSensor)):
+        members = re.search(rf"struct {name} \{{(.*?)\}};", text, re.DOTALL)
+        assert members is not None
+        assert re.findall(r"double (\w+);", members[1]) == [field.name for field in fields(ours)]
+
+
+@pytest.mark.parametrize(("monitor", "measured"), [("none", False), ("adc", True)])
+def test_a_board_without_a_current_monitor_says_so(monitor: str, measured: bool, model: Any) -> None:
+    """One with a converter of 12 bits has its steps for noise, even if the rig says nothing of it."""
+    board = boards.load("rp2040")
+    settings = boards.settings_of(board, {"current_monitor": monitor})
+    made = configure(board, model, settings, package="1", sources="abc")
+    assert decode(made.record.packed).current_measured is measured
+    told = re.search(r"\.noise = (\S+),", made.source)
+    assert told is not None
+    step = 3.3 / 4096 / float(settings["monitor_scale"]) / model.amplifier.current_quantum_a
+    expected = math.hypot(step / math.sqrt(12.0), math.sqrt(1.0 / 6.0)) if measured else -1.0
+    assert float(told[1]) == pytest.approx(expected)
 
 
 def test_an_image_says_what_it_is(built: Any) -> None:

@@ -22,7 +22,7 @@ from rig.core.model import RigModel
 from sim_backend.firmware import Core
 from sim_backend.safety import BUDGET, HEAT, configure_heat, flat, warm
 from tests.conformance.host import RUN_PARAMETERS
-from tests.conformance.rigs import rotary_rig
+from tests.conformance.rigs import rotary_rig, unmeasured
 
 RATE = 2_000
 PERIOD = 16_000_000 // RATE
@@ -33,7 +33,7 @@ class Board:
     """A core on its timer, and a host that speaks to it."""
 
     def __init__(self, library: ctypes.CDLL, model: RigModel | None = None, **options: int) -> None:
-        self.core = Core(library, model or rotary_rig(), **options)
+        self.core = Core(library, unmeasured(model or rotary_rig()), **options)
         self.library = library
         self.host = Connection(Role.HOST)
         self.count, self.measured, self.edge_time, self.inputs, self.late = 0, 0, 0, 0, 0

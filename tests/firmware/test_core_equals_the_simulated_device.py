@@ -39,7 +39,7 @@ from sim_backend.hardware import Hardware
 from sim_backend.lockstep import BYTE_COUNT, BYTES, COUNT, CUTS, DUE, EDGE_AGE, MEASURED, RECEIVED_AT
 from sim_backend.safety import UNITS_PER_SECOND
 from tests.conformance.host import RUN_PARAMETERS
-from tests.conformance.rigs import linear_rig, rotary_rig
+from tests.conformance.rigs import linear_rig, rotary_rig, unmeasured
 from tests.conformance.wire_strategies import messages_of, parameter_sets
 
 WALKS = int(os.environ.get("HAPTIC_RIG_WALKS", "30"))
@@ -578,6 +578,15 @@ def test_chunks_in_any_order_fill_the_same_bytes(
     pair.send(m.SetCommit(10))
 
 
+def test_what_comes_behind_a_question_in_one_piece_is_not_in_its_answer(library: ctypes.CDLL) -> None:
+    pair = Pair(library, rig_of())
+    pair.begin()
+    question = frame_of(m.GetStatistics(pair.next_nonce()), 1, 0)
+    pair.write(question + b"noise\0" + question + frame_of(m.Command(0, 20_000, 0, 0, 9), 1, 0))
+    pair.write(frame_of(m.Command(0, 20_000, 0, 0, 9), 1, 1) * 5_000)
+    pair.ask_everything()
+
+
 @pytest.mark.parametrize("fill", [0, 1])
 def test_frames_of_every_length_are_counted_alike(library: ctypes.CDLL, fill: int) -> None:
     """Also those that no honest sender makes: shorter than a header or longer than a batch, with a good CRC."""
@@ -650,7 +659,7 @@ def test_the_motion_is_judged_alike_at_every_threshold(library: ctypes.CDLL, see
     """Strokes with and against the effort, rest, reversals, about as long as the windows in which they are judged."""
     rng = random.Random(seed)
     sign = rng.choice([1, -1])
-    pair = Pair(library, rotary_rig(coulomb=2e-3, sign=sign))
+    pair = Pair(library, unmeasured(rotary_rig(coulomb=2e-3, sign=sign)))
     for hardware in pair.hardware:
         hardware.__class__ = Puppet
     for session in range(1, 30):

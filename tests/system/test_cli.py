@@ -1,6 +1,8 @@
 """The commands as a person meets them: what they print, what they leave on disk, and how they refuse."""
 
+import errno
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -8,11 +10,13 @@ import threading
 import time
 from pathlib import Path
 from queue import Queue
+from subprocess import PIPE
 from typing import Any
 
 import numpy as np
 import pytest
 
+import rig.cli
 from rig import config
 from rig.config import presets
 from rig.experiments.judgement import experiment_of, judge
@@ -366,6 +370,7 @@ class Hidden:
             raise ModuleNotFoundError(name)
 sys.meta_path.insert(0, Hidden())
 import rig.cli
+import rig.cli
 from rig import config
 from rig.config import presets
 from rig.devices.local import serve_locally
@@ -401,3 +406,53 @@ def test_a_grip_brings_its_numbers_and_nothing_is_said_to_come_from_real_time(ru
     code, out, _ = run("hit", "--operator", "firm", "--no-plot")
     assert code == 0
     assert "for real time" not in out
+
+
+# ---------------------------------------------------------------------- what becomes of the output
+
+
+def test_a_reader_that_has_gone_is_nothing_to_complain_about() -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    try:
+        done = subprocess.run(
+            [sys.executable, "-m", "rig", "preset"], stdout=writer, stderr=PIPE, check=False
+        )
+    finally:
+        os.close(writer)
+    assert (done.returncode, done.stderr) == (0, b"")
+
+
+@pytest.mark.parametrize("streams", [("stdout",), ("stderr",), ("stdout", "stderr")], ids="-".join)
+@pytest.mark.parametrize(("command", "code"), [("preset", 0), ("preset nobody", 2)])
+def test_an_output_without_room_has_an_exit_code_of_its_own(
+    command: str, code: int, streams: tuple[str, ...]
+) -> None:
+    pipes = {"stdout": PIPE, "stderr": PIPE}
+    with open("/dev/full", "wb") as full:
+        pipes |= dict.fromkeys(streams, full.fileno())
+        done = subprocess.run([sys.executable, "-m", "rig", *command.split()], **pipes, check=False)
+    used = "stderr" if code else "stdout"
+    assert done.returncode == (74 if used in streams else code)
+    assert b"Traceback" not in (done.stderr or b"")
+
+
+def test_a_pipe_that_breaks_elsewhere_is_no_reader_that_has_gone(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def breaks(**_: Any) -> None:
+        raise BrokenPipeError(errno.EPIPE, "Broken pipe")
+
+    monkeypatch.setattr(rig.cli.rig, "invoke", lambda context: breaks())
+    assert rig.cli.run(["preset"]) == 74
+    assert "may be incomplete" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("option", [[], ["--json"]])
+def test_a_name_that_is_no_text_is_shown_in_any_locale(option: list[str]) -> None:
+    environment = {**os.environ, "PYTHONUTF8": "1", "PYTHONIOENCODING": "utf-8:strict"}
+    command = [sys.executable, "-m", "rig", "firmware", "info", *option, b"\xff.toml"]
+    done = subprocess.run(command, capture_output=True, env=environment, check=False)
+    assert done.returncode == 2
+    assert b"\\udcff.toml" in done.stderr
+    assert not option or json.loads(done.stdout)["error"]["error"].startswith("\udcff.toml")

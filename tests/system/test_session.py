@@ -68,7 +68,17 @@ def test_ten_kills_change_nothing(calm: tuple[Path, Path], tmp_path: Path) -> No
     """SIGKILL at random moments of a session, and of its resumptions."""
     protocol, directory = calm
     done = subprocess.run(
-        [sys.executable, "-W", "error", "-m", "tests.system.test_session", str(protocol), str(tmp_path)],
+        [
+            sys.executable,
+            "-W",
+            "error",
+            "-m",
+            "tests.system.test_session",
+            protocol,
+            tmp_path,
+            str(KILLS),
+            "4",
+        ],
         capture_output=True,
         text=True,
         timeout=100,
@@ -80,16 +90,7 @@ def test_ten_kills_change_nothing(calm: tuple[Path, Path], tmp_path: Path) -> No
     events = read(tmp_path / "P01" / LOG)
     assert comparable(events) == comparable(read(directory / LOG))
     assert results(tmp_path / "P01") == results(directory)
-    state = State.of(events)
-    aside = {
-        one["file"]: one["sha256"]
-        for event in events
-        if event.kind == "resumed"
-        for one in event.content["abandoned"]
-    }
-    named = {trial.recording: trial.sha256 for trial in state.trials}
-    there = (path for path in (tmp_path / "P01" / "trials").rglob("*") if path.is_file())
-    assert {str(path.relative_to(tmp_path / "P01")): sha256_of(path) for path in there} == named | aside
+    check_files(tmp_path / "P01")
 
 
 def test_what_was_known_of_the_person_is_found_by_the_analysis(calm: tuple[Path, Path]) -> None:
@@ -102,6 +103,20 @@ def test_what_was_known_of_the_person_is_found_by_the_analysis(calm: tuple[Path,
         assert one.high - one.low < 90.0
 
 
+def check_files(directory: Path) -> None:
+    """Every file of a trial is named in the log, with its hash, and there is no other."""
+    events = read(directory / LOG)
+    aside = {
+        one["file"]: one["sha256"]
+        for event in events
+        if event.kind == "resumed"
+        for one in event.content["abandoned"]
+    }
+    named = {trial.recording: trial.sha256 for trial in State.of(events).trials}
+    there = (path for path in (directory / "trials").rglob("*") if path.is_file())
+    assert {str(path.relative_to(directory)): sha256_of(path) for path in there} == named | aside
+
+
 def results(directory: Path) -> dict[str, list[list[str]]]:
     """All tables of an analysis. Time is virtual: what was killed and went on has the same times of day too."""
     found = analyse([directory])
@@ -111,16 +126,16 @@ def results(directory: Path) -> dict[str, list[list[str]]]:
     }
 
 
-def _killed_again_and_again(protocol: Path, study: Path) -> None:
+def _killed_again_and_again(protocol: Path, study: Path, most: int, seed: int) -> None:
     """Run in a process without threads: each attempt is a fork, so that nothing is imported twice."""
-    drawn, kills = random.Random(4), 0
+    drawn, kills = random.Random(seed), 0
     # What the session needs is loaded and compiled before the first fork.
     rehearse(protocol, study / "warm")
     while True:
         child = os.fork()
         if child == 0:
             _child(protocol, study)
-        if kills < KILLS:
+        if kills < most:
             kills += _kill(child, study / "P01" / LOG, drawn.randrange(1, 5), drawn.uniform(0.0, 0.03))
         _, status = os.waitpid(child, 0)
         if os.WIFEXITED(status):
@@ -161,4 +176,4 @@ def _lines(log: Path) -> int:
 
 
 if __name__ == "__main__":
-    _killed_again_and_again(Path(sys.argv[1]), Path(sys.argv[2]))
+    _killed_again_and_again(Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3]), int(sys.argv[4]))

@@ -23,6 +23,13 @@ struct mechanics {
     double lag_s; /* of the amplifier */
 };
 
+/* What the measured current must be. */
+struct current_sensor {
+    double noise;    /* of a measurement and its quantisation (quanta, rms); negative: the current is not measured */
+    double lag_s;    /* between the current that is set and the one that flows */
+    double back_emf; /* current that it takes off at a count a second (quanta·s); 0 for a current amplifier */
+};
+
 struct board {
     const uint8_t *dictionary; /* compressed, as IDENTIFY pages it */
     uint16_t dictionary_bytes;
@@ -33,6 +40,7 @@ struct board {
     int8_t encoder_sign;   /* -1 when counts fall while the position rises */
     uint16_t over_current; /* a measured current above this is a fault (quanta) */
     struct mechanics mechanics;
+    struct current_sensor current_sensor;
     int16_t *excitation;         /* memory for one period of an excitation; NULL: the device has none */
     uint32_t excitation_length;  /* its numbers */
 };

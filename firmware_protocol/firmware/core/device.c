@@ -66,7 +66,9 @@ void device_begin_session(struct device *device)
 {
     watchdog_idle(&device->watchdog, device->time);
     limits_cut(&device->limits);
+    device->limits.unmoved = 0;
     monitor_forget(&device->monitor);
+    current_forget(&device->current);
     device->limits.flags = 0;
     device->monitor.flags = 0;
     device->limits_acted = 0;
@@ -118,9 +120,16 @@ bool device_apply(struct device *device, const struct candidate *candidate)
         return false;
     apply_rate(device, rate);
     thermal_configure(&device->thermal, continuous, value_as_float(values[HR_PARAMETER_THERMAL_TIME_CONSTANT]), rate);
-    limits_configure(&device->limits, (uint16_t)values[HR_PARAMETER_CURRENT_LIMIT], continuous,
-                     (uint16_t)values[HR_PARAMETER_SLEW_LIMIT]);
+    const struct limits_settings limits = {
+        .rate = rate,
+        .largest = (uint16_t)values[HR_PARAMETER_CURRENT_LIMIT],
+        .continuous = continuous,
+        .slew = (uint16_t)values[HR_PARAMETER_SLEW_LIMIT],
+        .confirm_ms = values[HR_PARAMETER_CONFIRM_MS],
+    };
+    limits_configure(&device->limits, &limits);
     apply_to_monitor(device, values);
+    current_configure(&device->current, device->board, rate);
     device->needs_hold = values[HR_PARAMETER_HOLD_TO_RUN] != 0;
     device->command_lifetime_us = values[HR_PARAMETER_COMMAND_LIFETIME_US];
     device->supervise_lifetime_us = values[HR_PARAMETER_SUPERVISE_LIFETIME_US];
@@ -263,6 +272,8 @@ static void step_index(struct device *device)
 static uint32_t faults_of(struct device *device, const struct fault_entry *tick)
 {
     uint32_t bits = monitor_check(&device->monitor, tick->count, tick->current_commanded, tick->current_measured);
+    if (current_disagrees(&device->current, tick->count, tick->current_commanded, tick->current_measured))
+        bits |= FAULT(CURRENT_MISMATCH);
     if (thermal_is_overheated(&device->thermal))
         bits |= FAULT(THERMAL);
     if (device->connection.session == 0)
@@ -279,7 +290,9 @@ void device_sample(struct device *device)
     const struct hal *hal = device->hal;
     struct told_tick *tick = &device->tick;
     device->time = hal->time(hal->context);
+    const int32_t before = device->count;
     device->count = hal->encoder_count(hal->context);
+    limits_pass(&device->limits, device->count != before);
     step_index(device);
     tick->logged = device->faults.latched == HR_FAULT_NONE;
     tick->supervised = device_is_armed(device) && device_runs_law(device);
@@ -287,7 +300,8 @@ void device_sample(struct device *device)
     tick->entry.sample_index = device->sample_index;
     tick->entry.count = device->count;
     tick->entry.current_commanded = device->driven;
-    tick->entry.current_measured = hal->measured_current(hal->context);
+    tick->entry.current_measured =
+        current_zeroed(&device->current, hal->measured_current(hal->context), !device_is_armed(device));
     thermal_update(&device->thermal, tick->entry.current_measured);
     uint32_t bits = faults_of(device, &tick->entry);
     tick->entry.limits = device->limits.flags | device->monitor.flags;

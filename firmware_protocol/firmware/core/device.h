@@ -14,6 +14,7 @@
 #include "board.h"
 #include "configuration.h"
 #include "connection.h"
+#include "current.h"
 #include "faults.h"
 #include "hal.h"
 #include "limits.h"
@@ -75,6 +76,7 @@ struct device {
     struct watchdog watchdog;
     struct thermal thermal;
     struct monitor monitor;
+    struct current_check current;
     struct renderer renderer;
     struct batch batch;
     struct builder state_builder; /* of a STATE that waits to be sent */

@@ -6,7 +6,7 @@
 
 /* Faults found in one tick, gravest first; then those with the lowest code. */
 static const uint8_t GRAVITY[] = {
-    HR_FAULT_EMERGENCY_STOP, HR_FAULT_OVER_CURRENT,    HR_FAULT_RUNAWAY,
+    HR_FAULT_EMERGENCY_STOP, HR_FAULT_OVER_CURRENT,    HR_FAULT_CURRENT_MISMATCH, HR_FAULT_RUNAWAY,
     HR_FAULT_OVER_SPEED,     HR_FAULT_POSITION_WINDOW, HR_FAULT_THERMAL,
 };
 

@@ -2,11 +2,39 @@
 
 #include "protocol.h"
 
-void limits_configure(struct limits *limits, uint16_t largest, uint16_t continuous, uint16_t slew)
+#define FADES_A_SECOND 2u
+
+void limits_configure(struct limits *limits, const struct limits_settings *settings)
 {
-    limits->largest = largest;
-    limits->continuous = continuous;
-    limits->slew = slew; /* 65535, which means none, is further than a current of 16 bits can change */
+    limits->largest = settings->largest;
+    limits->continuous = settings->continuous;
+    limits->slew = settings->slew; /* 65535, which means none, is further than a current of 16 bits can change */
+    limits->confirm = (uint32_t)((uint64_t)settings->confirm_ms * settings->rate / 1000u);
+    limits->fade = settings->rate / FADES_A_SECOND;
+    limits->unmoved = 0;
+}
+
+void limits_pass(struct limits *limits, bool moved)
+{
+    if (moved && limits->unmoved <= limits->confirm)
+        limits->unmoved = 0;
+    else if (limits->unmoved < UINT32_MAX)
+        limits->unmoved++;
+}
+
+/* On two channels a dead encoder and a hand that holds still look alike. So an effort that has lasted for longer than any
+ * trial holds a handle, without an edge, fades out; it comes back when the hand has left the wall. */
+static int16_t confirmed(struct limits *limits, int16_t wanted)
+{
+    if (wanted == 0 || limits->confirm == 0)
+        limits->unmoved = 0;
+    if (limits->unmoved <= limits->confirm)
+        return wanted;
+    limits->flags |= HR_LIMIT_NOT_CONFIRMED;
+    const uint32_t faded = limits->unmoved - limits->confirm;
+    if (faded >= limits->fade)
+        return 0;
+    return (int16_t)(wanted * (int32_t)(limits->fade - faded) / (int32_t)limits->fade);
 }
 
 /* Clip to ± limit, and set a flag if that changed something. */
@@ -20,7 +48,7 @@ static int32_t clip(struct limits *limits, int32_t value, int32_t limit, uint16_
 
 int16_t limits_apply(struct limits *limits, const struct thermal *thermal, int16_t wanted)
 {
-    int32_t current = clip(limits, wanted, limits->largest, HR_LIMIT_CURRENT);
+    int32_t current = clip(limits, confirmed(limits, wanted), limits->largest, HR_LIMIT_CURRENT);
     if (thermal_is_spent(thermal))
         current = clip(limits, current, limits->continuous, HR_LIMIT_THERMAL);
     current = limits->current + clip(limits, current - limits->current, limits->slew, HR_LIMIT_SLEW);

@@ -1,7 +1,9 @@
-/* How much of a wanted current may flow: current limit, thermal model, slew limit, in this order. */
+/* How much of a wanted current may flow: a position that nothing confirms, current limit, thermal model, slew limit, in
+ * this order. */
 #ifndef HR_LIMITS_H
 #define HR_LIMITS_H
 
+#include <stdbool.h>
 #include <stdint.h>
 
 #include "thermal.h"
@@ -12,9 +14,21 @@ struct limits {
     int32_t largest;
     int32_t continuous;
     int32_t slew; /* quanta a tick */
+    uint32_t confirm; /* ticks under effort without an edge of the encoder, after which it fades; 0: never */
+    uint32_t fade;    /* ticks that this takes */
+    uint32_t unmoved; /* ticks under effort since an edge; beyond `confirm` since the effort began to fade, too */
 };
 
-void limits_configure(struct limits *limits, uint16_t largest, uint16_t continuous, uint16_t slew);
+struct limits_settings {
+    uint32_t rate; /* Hz */
+    uint16_t largest, continuous, slew;
+    uint32_t confirm_ms;
+};
+
+void limits_configure(struct limits *limits, const struct limits_settings *settings);
+
+/* A tick has passed; did the count change in it? */
+void limits_pass(struct limits *limits, bool moved);
 
 /* Put into force what is allowed of a current, and return it. */
 int16_t limits_apply(struct limits *limits, const struct thermal *thermal, int16_t wanted);

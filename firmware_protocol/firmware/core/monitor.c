@@ -88,6 +88,7 @@ void monitor_forget(struct monitor *monitor)
     monitor->driven = 0;
     monitor->still = 0;
     monitor->pushed = 0;
+    monitor->peaks = 0;
 }
 
 bool monitor_in_window(const struct monitor *monitor, int32_t count)
@@ -130,6 +131,15 @@ static uint32_t window(struct monitor *monitor, int32_t count)
     return monitor_in_window(monitor, count) ? 0u : FAULT(POSITION_WINDOW);
 }
 
+/* Two of three: one alone is a spike of the converter. */
+static uint32_t over_current(struct monitor *monitor, int16_t measured)
+{
+    const uint32_t high = measured > monitor->over_current || measured < -monitor->over_current ? 1u : 0u;
+    const uint32_t before = monitor->peaks;
+    monitor->peaks = (uint8_t)((before << 1 | high) & 3u);
+    return high + (before & 1u) + (before >> 1) >= 2u ? FAULT(OVER_CURRENT) : 0u;
+}
+
 uint32_t monitor_check(struct monitor *monitor, int32_t count, int16_t current, int16_t measured)
 {
     const uint32_t slot = monitor->slot, next = slot + 1u < monitor->ticks ? slot + 1u : 0u;
@@ -144,7 +154,5 @@ uint32_t monitor_check(struct monitor *monitor, int32_t count, int16_t current, 
     uint32_t faults = runaway(monitor, current, direction, stood);
     faults |= speed(monitor, distance);
     faults |= window(monitor, count);
-    if (measured > monitor->over_current || measured < -monitor->over_current)
-        faults |= FAULT(OVER_CURRENT);
-    return faults;
+    return faults | over_current(monitor, measured);
 }

@@ -16,6 +16,7 @@ struct monitor {
     int8_t encoder_sign;
     int8_t pushed; /* direction of the last large effort */
     int16_t over_current;
+    uint8_t peaks; /* of the last two ticks: was the measured current above it? */
     int32_t large; /* five times an effort above which motion is watched (quanta) */
     uint32_t driven, still; /* ticks of large effort: along the motion, without any */
     uint32_t stall_ticks;

@@ -147,6 +147,7 @@ void host_setup(struct host *host, const struct host_setup *setup)
     host->board.encoder_sign = (int8_t)setup->encoder_sign;
     host->board.over_current = (uint16_t)setup->over_current;
     host->board.mechanics = setup->mechanics;
+    host->board.current_sensor = setup->current_sensor;
     host->board.narrower = host->narrower;
     host->board.excitation = host->excitation;
     host->board.excitation_length = HR_HOST_EXCITATION;

@@ -55,6 +55,7 @@ struct host_setup {
     int32_t encoder_sign;
     uint32_t over_current;
     struct mechanics mechanics;
+    struct current_sensor current_sensor;
 };
 
 struct host_status {

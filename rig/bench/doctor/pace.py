@@ -40,7 +40,7 @@ class Pace:
     longest_gap_s
         Longest time without a sample that should have come (s).
     hopeless
-        Whether nearly every trial would be invalid: a hit as long as any quarter of the measurement would have been.
+        Whether nearly every trial would be invalid: in each quarter of the measurement a hit would have been.
     kept_hz
         Highest of the halves of the rate that loses no more than `LOST_SHARE`, by the same answers; None where none
         above `SLOWEST_HZ` does.
@@ -101,20 +101,20 @@ def pace_of(measurement: LinkMeasurement, rate_hz: int, limits: VerdictLimits) -
         samples[never] = 1
         return samples
 
-    def lost_share(rate: int) -> float:
-        return min(1.0, float(missed(rate).sum()) / (rate * measurement.duration_s))
+    def share(samples: NDArray[np.int64], rate: int) -> float:
+        return min(1.0, float(samples.sum()) / (rate * measurement.duration_s))
 
-    samples, halves = missed(rate_hz), range(1, rate_hz.bit_length())
+    samples = missed(rate_hz)
     quarter = np.minimum(QUARTERS * (received_ns[1:] - received_ns[0]) // apart_ns.sum(), QUARTERS - 1)
     lost = np.array([samples[quarter == number].sum() for number in range(QUARTERS)])
     longest = np.array([samples[quarter == number].max(initial=0) for number in range(QUARTERS)])
     most = limits.lost_fraction * rate_hz * measurement.duration_s / QUARTERS
     spoiled = (lost > most) | (longest > limits.longest_gap)
-    slower = (rate_hz >> half for half in halves)
+    slower = (rate_hz >> halvings for halvings in range(1, rate_hz.bit_length()))
     return Pace(
         rate_hz=rate_hz,
-        lost_share=lost_share(rate_hz),
+        lost_share=share(samples, rate_hz),
         longest_gap_s=float(samples.max()) / rate_hz,
         hopeless=bool(spoiled.all()),
-        kept_hz=next((r for r in slower if r >= SLOWEST_HZ and lost_share(r) <= LOST_SHARE), None),
+        kept_hz=next((r for r in slower if r >= SLOWEST_HZ and share(missed(r), r) <= LOST_SHARE), None),
     )

@@ -8,17 +8,18 @@ from __future__ import annotations
 
 import math
 import struct
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 from firmware_protocol import dictionary as dictionaries
 from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import PARAMETERS
 from rig.bench.firmware.boards import Board, SettingValue
 from rig.bench.firmware.record import ImageFacts, Record, pack
-from rig.core.board import describe, moved_mechanics, over_current
+from rig.core.board import current_sensor, describe, moved_mechanics, over_current
 from rig.core.model import RigModel
 
 RATE_INITIAL = 1_000  # Hz, until configured
+CONVERTER_V, CONVERTER_STEPS = 3.3, 4096  # of the converter behind a current monitor
 _BYTES_A_LINE = 16
 
 
@@ -45,6 +46,7 @@ def configure(
     package, sources
         Version of this package, and fingerprint of the C sources.
     """
+    model = _measured(model, settings)
     facts = ImageFacts(
         package=package, sources=sources, board=board.name, rig=model.name, settings=dict(settings)
     )
@@ -64,6 +66,18 @@ def configure(
     return BoardConfig(
         header=_header(board, model, settings), source=_source(board, model, record), record=record
     )
+
+
+def _measured(model: RigModel, settings: dict[str, SettingValue]) -> RigModel:
+    """Return the rig with the current sensor that the board has: none, or one that a converter reads in steps."""
+    amplifier, monitor = model.amplifier, settings.get("current_monitor")
+    if monitor == "none":
+        amplifier = replace(amplifier, current_monitor=False)
+    elif monitor == "adc":
+        step_a = CONVERTER_V / CONVERTER_STEPS / float(settings["monitor_scale"])
+        noise_a = math.hypot(amplifier.current_noise_a, step_a / math.sqrt(12.0))
+        amplifier = replace(amplifier, current_noise_a=noise_a)
+    return replace(model, amplifier=amplifier)
 
 
 def _header(board: Board, model: RigModel, settings: dict[str, SettingValue]) -> str:
@@ -109,8 +123,9 @@ def _source(board: Board, model: RigModel, record: Record) -> str:
     content = pack(record)
     at = len(content) - len(record.packed)
     narrower = _narrower(record.dictionary)
-    mechanics = ",\n".join(
-        f"        .{name} = {value!r}" for name, value in asdict(moved_mechanics(model)).items()
+    mechanics, sensor = (
+        ",\n".join(f"        .{name} = {value!r}" for name, value in asdict(part).items())
+        for part in (moved_mechanics(model), current_sensor(model))
     )
     lines = [
         f"/* {board.name} for the rig {_one_line(model.name)}. Made by `rig firmware build`: an edit is lost. */",
@@ -138,6 +153,9 @@ def _source(board: Board, model: RigModel, record: Record) -> str:
         f"    .over_current = {over_current(model)},",
         "    .mechanics = {",
         f"{mechanics},",
+        "    },",
+        "    .current_sensor = {",
+        f"{sensor},",
         "    },",
         *_where_excitation(board),
         "};",

@@ -70,6 +70,7 @@ class Run:
             saturated=(flags & RowFlag.SATURATED) != 0,
             late=none,
             lost=np.zeros(len(none), np.int64),
+            currents=np.zeros(len(none), np.int64),
             slew_bound=(flags & RowFlag.SLEW_BOUND) != 0,
             overruled=none,
         )

@@ -38,6 +38,7 @@ FULL_SCALE_A = 10.0
 MONITOR_V_PER_A = 0.165
 PINS = {
     "encoder": 2,
+    "encoder_complement": 14,
     "pwm": 8,
     "enable": 10,
     "hold_to_run": 11,

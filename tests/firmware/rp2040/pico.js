@@ -43,6 +43,8 @@ class Pico {
     this.phase = 0; // of the encoder, quarters of a line
     this.truth = 0; // counts
     this.elapsed = 0; // ns, over all resets
+    this.unplugged = false; // the encoder: the pull-ups hold all lines high
+    this.broken = [false, false]; // lines A and B, which the pull-ups hold high then
     this.edges = []; // { at, way }: to come, rising
     this.onReset = () => {};
     this.onSteps = null; // called before each instruction, with the time (ns)
@@ -119,8 +121,11 @@ class Pico {
   showEncoder() {
     const a = this.phase === 1 || this.phase === 2;
     const b = this.phase === 2 || this.phase === 3;
-    this.setPin(this.pins.encoder, a);
-    this.setPin(this.pins.encoder + 1, b);
+    const lines = [a, b].map((level, i) => (this.unplugged ? [true, true] : [level || this.broken[i], !level]));
+    lines.forEach(([line, complement], i) => {
+      this.setPin(this.pins.encoder + i, line);
+      this.setPin(this.pins.encoder_complement + i, complement);
+    });
     this.wake();
   }
 

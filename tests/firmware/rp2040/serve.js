@@ -43,6 +43,12 @@ const commands = {
     pico.edges.push({ at: movesUntil() + 1000, way: 2 });
     return {};
   },
+  /* Break wires of the encoder, or pull its plug. */
+  wires({ unplugged = false, broken = [false, false] }) {
+    Object.assign(pico, { unplugged, broken });
+    pico.showEncoder();
+    return {};
+  },
   set(switches) {
     Object.assign(pico.switches, switches);
     pico.showSwitches();

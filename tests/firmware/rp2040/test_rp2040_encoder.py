@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
 
 from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault
+from rig.bench.firmware.build import BuildResult
+from rig.config.derive import rig_model
+from rig.config.presets import load
+from tests.firmware.rp2040 import emulator
+from tests.firmware.rp2040.conftest import PRESET
 from tests.firmware.rp2040.session import Session
 
 Powered = Callable[..., Session]
@@ -91,6 +97,30 @@ def test_both_channels_at_once_are_a_fault_of_the_encoder(powered: Powered) -> N
     assert state.fault == Fault.ENCODER
     assert state.state == State.FAULT
     assert not session.pico.look()["enabled"]
+
+
+@pytest.fixture(scope="module")
+def complementary(tmp_path_factory: pytest.TempPathFactory) -> BuildResult:
+    place = tmp_path_factory.mktemp("complementary")
+    return emulator.image(rig_model(load(PRESET)), place, encoder_lines="complementary")
+
+
+@pytest.mark.parametrize("wires", [{"unplugged": True}, {"broken": [True, False]}, {"broken": [False, True]}])
+def test_a_broken_line_of_two_pairs_is_a_fault_within_five_milliseconds(
+    complementary: BuildResult, wires: Any
+) -> None:
+    with emulator.Pico(rig_model(load(PRESET)), complementary.bin) as pico:
+        session = Session(pico, complementary)
+        streaming(session)
+        pico.move(*[(1, 50_000.0)] * 200)
+        session.listen(0.005)
+        assert session.host.states[-1].fault == Fault.NONE
+        session.listen(0.010)
+        pico.ask("wires", **wires)
+        session.host.command(0)
+        session.listen(0.005)
+        assert session.host.states[-1].fault == Fault.ENCODER
+        assert not pico.look()["enabled"]
 
 
 def test_an_edge_is_dated_within_a_quarter_of_a_microsecond(powered: Powered) -> None:

@@ -64,7 +64,7 @@ def signals(
     position = np.asarray(position, dtype=float)
     nothing = np.zeros(len(position), bool)
     quiet = dict.fromkeys(("saturated", "late", "slew_bound", "overruled"), nothing)
-    quiet["lost"] = np.zeros(len(position), np.int64)
+    quiet["lost"] = quiet["currents"] = np.zeros(len(position), np.int64)
     return Signals(
         tick_s=T,
         resolution=resolution,
@@ -587,6 +587,8 @@ def numbers_of_trials(draw: Any) -> np.ndarray:
         "lost_fraction": (0.0, LIMITS.lost_fraction, 1.1 * LIMITS.lost_fraction),
         "slew_bound_ticks": (0, 2),
         "overruled_ticks": (0, 2),
+        "current_differs": (0, 1),
+        "other_current_ticks": (0, 3),
     }
     for record in records:
         record["ticks"] = RATE
@@ -609,7 +611,8 @@ def kind_in_words(n: np.void) -> Kind:
     if n["ticks"] < 8 or math.isnan(n["contact_s"]) or n["inside_ticks_in_tail"] == 0:
         return Kind.INVALID
     lost = n["longest_gap"] > LIMITS.longest_gap or n["lost_fraction"] > LIMITS.lost_fraction
-    if n["contact_s"] > n["tail_begins_s"] or lost or n["late_fraction"] >= 0.01:
+    disobeyed = n["current_differs"] or n["other_current_ticks"]
+    if n["contact_s"] > n["tail_begins_s"] or lost or disobeyed or n["late_fraction"] >= 0.01:
         return Kind.INVALID
     if n["slew_bound_ticks"] or n["overruled_ticks"] or (saturates and not exceeded):
         return Kind.INVALID
@@ -650,6 +653,8 @@ def test_a_wall_fails_that_is_unstable_or_exceeds_the_criterion_and_a_spoilt_tri
             or record["late_fraction"] >= LIMITS.late_fraction
             or record["slew_bound_ticks"] > 0
             or record["overruled_ticks"] > 0
+            or record["current_differs"] > 0
+            or record["other_current_ticks"] > 0
             or (
                 record["saturated_fraction_in_tail"] > LIMITS.saturated_fraction
                 and not (votes["any"] or record["moved"] > LIMITS.moved)
@@ -701,6 +706,9 @@ def test_a_push_that_a_guard_ended_is_unstable_after_contact_and_says_nothing_wi
     thrown, lost = (replace(measured(position), thrown_out=True) for position in (REST, REST - 2e-3))
     assert (thrown.kind, lost.kind) == (Kind.UNSTABLE, Kind.INVALID)
     assert [side.passes("any") for side in (thrown, lost)] == [False, None]
+    thrown.numbers["current_differs"] = 1
+    broken = Measured(thrown.numbers, LIMITS, thrown_out=True)  # whatever a motor did that does not obey
+    assert (broken.kind, broken.passes("any")) == (Kind.INVALID, None)
 
 
 def test_only_gaps_and_late_ticks_by_themselves_are_the_machines_fault() -> None:

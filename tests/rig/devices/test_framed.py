@@ -237,8 +237,44 @@ def test_the_command_line_says_so_in_one_line(
 
 def test_an_answer_of_the_wrong_kind_is_a_refusal_that_names_it() -> None:
     device = FramedDevice(Answering(lambda request: frame_of(m.Time(request.nonce, 0, 0, 0))))
-    with pytest.raises(DeviceRefusedError, match="answered Time instead"):
+    with pytest.raises(DeviceRefusedError, match="answered Time instead") as refused:
         device.identify()
+    assert refused.value.remedy
+
+
+@pytest.mark.parametrize("stamps", [(0, 2**64 - 1), (2**64 - 1, 0)])
+def test_a_device_time_that_nobody_can_count_is_an_incompatible_device(stamps: Any) -> None:
+    _, wire, device = make()
+    assert device.dictionary
+    wire.link = Answering(lambda request: frame_of(m.Time(request.nonce, 0, *stamps)))
+    with pytest.raises(IncompatibleDeviceError, match="a device time of"):
+        device.exchange_clock()
+
+
+def test_a_refusal_with_a_status_that_nobody_knows_names_its_number() -> None:
+    device = FramedDevice(Answering(lambda request: frame_of(m.Ack(request.nonce, 0, 200, 0, 0, 0))))
+    with pytest.raises(DeviceRefusedError, match=r"refused Identify: .*explains") as refused:
+        device.identify()
+    assert refused.value.status == 200
+
+
+def test_a_refusal_for_a_state_that_nobody_knows_names_its_number() -> None:
+    bad_state = Status.BAD_STATE
+    device = FramedDevice(Answering(lambda request: frame_of(m.Ack(request.nonce, 0, bad_state, 99, 0, 0))))
+    with pytest.raises(DeviceRefusedError, match=r"refused Identify: .*\(state 99\)"):
+        device.identify()
+
+
+def test_a_device_that_tells_the_same_page_for_ever_is_an_incompatible_one() -> None:
+    asked = []
+
+    def answer(request: Any) -> bytes:
+        asked.append(request)
+        assert len(asked) < 100
+        return frame_of(m.Identity(request.nonce, 0, State.BOOT, 7, 1000, 0, b"the first page"))
+
+    with pytest.raises(IncompatibleDeviceError, match="sends invalid data"):
+        FramedDevice(Answering(answer)).identify()
 
 
 def test_a_fault_log_or_a_parameter_block_that_makes_no_sense_is_an_incompatible_device() -> None:

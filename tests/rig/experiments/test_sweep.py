@@ -388,6 +388,14 @@ def test_a_second_ctrl_c_does_not_wait_for_what_is_running() -> None:
     sweep_work.GATES["slow may end"].set()
 
 
+def keep_interrupting(thread: Any, first_s: float, ended: threading.Event) -> None:
+    """Press Ctrl-C, and again until it is heard: Python drops one that falls into a finaliser."""
+    wait_s = first_s
+    while not ended.wait(wait_s):
+        signal.pthread_kill(thread, signal.SIGINT)
+        wait_s = 0.02
+
+
 # Between the return of open() and the entry of its "with" nothing can catch a signal: the collector closes that file.
 @pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.signals
@@ -398,20 +406,12 @@ def test_ctrl_c_at_any_moment_never_harms_the_journal(tmp_path: Path) -> None:
     while True:
         rounds += 1
         ended = threading.Event()
-
-        # Once more, because a signal that is handled within a finaliser or a callback of weakref is lost.
-        def interrupt(first_s: float = 0.003 * rounds, ended: threading.Event = ended) -> None:
-            wait_s = first_s
-            while not ended.wait(wait_s):
-                signal.pthread_kill(main, signal.SIGINT)
-                wait_s = 0.02
-
-        interrupter = threading.Thread(target=interrupt)
+        interrupter = threading.Thread(target=keep_interrupting, args=(main, 0.003 * rounds, ended))
         try:
             try:
                 interrupter.start()
                 results = sweep.run(MARKS, tasks, journal=journal, workers=4)
-            finally:
+            finally:  # which a last Ctrl-C may strike
                 ended.set()
                 interrupter.join()
             break

@@ -564,6 +564,14 @@ def test_every_ending_is_an_error_with_words_and_a_remedy(reason: Any) -> None:
         assert words in text
 
 
+def test_a_device_that_ends_a_run_and_says_no_fault_is_an_error_with_a_remedy() -> None:
+    end = LoopEnd(EndReason.DEVICE_FAULT, None, dict.fromkeys(COUNTERS, 0))
+    error = error_of(end, "sim://", FaultReport(0, "NONE", "no fault", "", 0, 0, []), np.zeros(0, ROW))
+    assert error is not None
+    assert error.message == "device fault: it did not say which"
+    assert error.remedy
+
+
 def test_a_finished_run_is_no_error() -> None:
     end = LoopEnd(EndReason.FINISHED, None, dict.fromkeys(COUNTERS, 0))
     assert error_of(end, "sim://", None, np.zeros(0, ROW)) is None

@@ -533,7 +533,16 @@ def test_a_supervisor_that_falls_silent_ends_the_run() -> None:
     assert_ends_with_stops(link)
 
 
-@pytest.mark.parametrize("fields", [{"fault": int(Fault.ENCODER)}, {"state": int(State.FAULT)}])
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"fault": int(Fault.ENCODER)},
+        {"state": int(State.FAULT)},
+        {"state": int(State.CONFIGURED)},  # it says that it is not armed, in a frame of the session
+        {"state": int(State.BOOT)},
+        {"state": 200},
+    ],
+)
 def test_a_fault_of_the_device_ends_the_run_in_the_tick_that_tells_it(fields: Any) -> None:
     link = Script(*ticks(1, 10), *ticks(10, 20, **fields))
     thread, end = ran(link)

@@ -11,6 +11,7 @@
 
 #include "board_config.h"
 #include "clocks.h"
+#include "protocol.h"
 #include "registers.h"
 #include "timekeeping.h"
 
@@ -160,11 +161,33 @@ int32_t encoder_count(void)
     return count <= INT32_MAX ? (int32_t)count : -1 - (int32_t)~count;
 }
 
+#if defined(BOARD_ENCODER_LINES_COMPLEMENTARY)
+#define BROKEN_AFTER (2000u * HR_TIME_UNITS_PER_US)
+
+/* A line and its complement that are equal: in the middle of an edge for some nanoseconds, longer with a broken wire. The
+ * pull-ups make a pulled plug equal too. So they must have been equal at every look for a while. */
+static bool wire_is_broken(void)
+{
+    static uint64_t whole_at;
+    const uint64_t now = time_now();
+    const uint32_t levels = SIO_IN;
+    const uint32_t differ = (levels >> BOARD_ENCODER_PIN ^ levels >> BOARD_ENCODER_COMPLEMENT_PIN) & 3u;
+    if (differ == 3u)
+        whole_at = now;
+    return now - whole_at > BROKEN_AFTER;
+}
+#else
+static bool wire_is_broken(void)
+{
+    return false;
+}
+#endif
+
 bool encoder_failed(void)
 {
     const uint32_t raised = PIO_FLAGS & FLAG_ILLEGAL;
     PIO_FLAGS = raised;
-    return raised != 0;
+    return raised != 0 || wire_is_broken();
 }
 
 /* A stamp means what it says for an hour; so it is turned into device time when it is new. */

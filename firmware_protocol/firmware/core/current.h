@@ -1,0 +1,40 @@
+/* Whether the measured current is the one that was set: a lead that came off, a dead amplifier, a wrong sign or scale.
+ * And the sensor's zero. */
+#ifndef HR_CURRENT_H
+#define HR_CURRENT_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "board.h"
+
+struct current_check {
+    /* Settings: shares of a lag in a tick (1/65536), quanta of back-EMF for a count in a tick (1/256), which way it
+     * acts; ticks of a window, and the sum in it that is noise. */
+    uint32_t decay, speed_decay, back_emf;
+    int8_t encoder_sign;
+    uint16_t ticks;
+    uint32_t noise;
+    /* Memory: expected current (1/16384 quantum), speed (1/4096 count a tick), last count and whether there is one. */
+    int32_t expected, speed, count;
+    bool known;
+    /* Of this window. */
+    uint16_t passed;
+    uint32_t difference, sum;
+    /* What the sensor shows without a current (1/256 quantum), and how much that may be. */
+    int32_t zero, largest_zero;
+};
+
+void current_configure(struct current_check *check, const struct board *board, uint32_t rate);
+
+/* Begin a window: another session. */
+void current_forget(struct current_check *check);
+
+/* Take the zero off a measured current (quanta); while the amplifier is off, the zero follows it. */
+int16_t current_zeroed(struct current_check *check, int16_t measured, bool off);
+
+/* Take one tick: the count at its end, the current that was set, the one that was measured at the end (quanta). True at
+ * the end of a window in which the two disagree. */
+bool current_disagrees(struct current_check *check, int32_t count, int16_t active, int16_t measured);
+
+#endif

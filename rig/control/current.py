@@ -1,0 +1,154 @@
+"""Whether the measured current is the one that was set: a lead that came off, a dead amplifier, a wrong sign or scale.
+
+The active current passes through the amplifier's lag; under voltage drive the back-EMF is taken off before it, from the
+count's own speed. What is left between that and the measured current is added up over `WINDOW_S`, by magnitude, so that
+neither an oscillation nor noise averages it away. At the end of each window the sum is compared with the larger of
+`SIGMAS` of the sensor's noise and a tenth of the current that was expected:
+
+* above it the two *disagree*;
+* below it they agree, where a dead motor would have been above it; otherwise the current was *not observed*.
+
+All of it is integers in flat memory, of 32 bits but for products, as the firmware has it (`core/current.c`, which
+mirrors this): the simulated device and both loops of the host call this one.
+
+Source: R·i + L·i′ = V − k_e·ω, and a current loop as a first-order lag; the thresholds are ours, and
+`rig/bench/README.md` has the false alarms and the power that follow.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import namedtuple
+from typing import Any
+
+from rig.core.board import CurrentSensor
+from rig.realtime.groups import Ints
+from rig.realtime.kernel import rule
+
+WINDOW_S = 10e-3
+FEWEST_TICKS = 4
+SIGMAS = 4.0
+SHARE = 10  # of the expected current: one in so many
+SPEED_LAG_S = 2.5e-3  # of the count's speed, for the back-EMF
+
+AGREES, DISAGREES = 1, 2
+
+_Places = namedtuple(
+    "_Places",
+    # settings: shares of a lag in a tick (1/65536), quanta of back-EMF for a count in a tick (1/256), which way it
+    # acts; ticks of a window, and the sum in it that is noise
+    "decay speed_decay back_emf sign ticks noise "
+    # memory: expected current (1/16384 quantum), speed (1/4096 count a tick), last count and whether there is one
+    "expected speed count known "
+    # of this window
+    "passed difference sum",
+)
+CURRENT: Any = _Places(*range(len(_Places._fields)))
+
+_UNIT = 1 << 14
+_MOST = 32767 * _UNIT
+_MOST_COUNTS = 32767
+_UNOBSERVED = 2**32 - 1
+
+
+def configure(words: Ints, sensor: CurrentSensor, rate: int, encoder_sign: int) -> None:
+    """Set the rule up for a rate (Hz), and forget what was measured.
+
+    Parameters
+    ----------
+    words
+        Memory of `CURRENT`.
+    sensor
+        Of the rig.
+    rate
+        Ticks a second (Hz).
+    encoder_sign
+        −1 where counts fall while the position rises.
+    """
+    words[CURRENT.decay] = _share_of(sensor.lag_s, rate)
+    words[CURRENT.speed_decay] = _share_of(SPEED_LAG_S, rate)
+    words[CURRENT.back_emf] = min(math.floor(sensor.back_emf * rate * 256.0 + 0.5), 2**31 - 1)
+    words[CURRENT.sign] = encoder_sign
+    ticks = words[CURRENT.ticks] = max(FEWEST_TICKS, math.floor(rate * WINDOW_S))
+    noise = math.ceil(SIGMAS * sensor.noise * ticks) if sensor.noise >= 0.0 else _UNOBSERVED
+    words[CURRENT.noise] = min(noise, _UNOBSERVED)
+    words[CURRENT.expected] = 0
+    forget(words)
+
+
+def _share_of(lag_s: float, rate: int) -> int:
+    """Share of the way that a first-order lag goes in a tick, in 1/65536."""
+    return 65536 if lag_s <= 0.0 else math.floor(-math.expm1(-1.0 / (rate * lag_s)) * 65536.0 + 0.5)
+
+
+@rule
+def forget(words: Ints) -> None:
+    """Begin a window: a new session, or samples were lost."""
+    words[CURRENT.passed] = words[CURRENT.difference] = words[CURRENT.sum] = 0
+    words[CURRENT.known] = words[CURRENT.speed] = 0
+
+
+@rule
+def resume(words: Ints, measured: int) -> None:
+    """Begin a window from a measured current: what flowed before it is not known."""
+    forget(words)
+    words[CURRENT.expected] = measured * _UNIT
+
+
+@rule
+def compare(words: Ints, count: int, active: int, measured: int) -> int:
+    """Take one tick, and at the end of a window say whether the currents agree.
+
+    Parameters
+    ----------
+    words
+        Memory of `CURRENT`.
+    count
+        At the end of the tick.
+    active
+        Current that was set during the tick (quanta).
+    measured
+        Current at the end of the tick (quanta).
+
+    Returns
+    -------
+    int
+        `AGREES`, `DISAGREES`, or 0: the window goes on, or the current was too small to be observed.
+    """
+    aim = active * _UNIT
+    if words[CURRENT.back_emf] != 0:
+        aim = min(max(aim - _back_emf(words, count), -_MOST), _MOST)
+    words[CURRENT.expected] += _part(aim - words[CURRENT.expected], words[CURRENT.decay])
+    expected = (abs(words[CURRENT.expected]) + _UNIT // 2) // _UNIT
+    if words[CURRENT.expected] < 0:
+        expected = -expected
+    words[CURRENT.difference] += abs(measured - expected)
+    words[CURRENT.sum] += abs(expected)
+    words[CURRENT.passed] += 1
+    if words[CURRENT.passed] < words[CURRENT.ticks]:
+        return 0
+    difference, flowing, noise = words[CURRENT.difference], words[CURRENT.sum], words[CURRENT.noise]
+    words[CURRENT.passed] = words[CURRENT.difference] = words[CURRENT.sum] = 0
+    if difference > max(noise, flowing // SHARE):
+        return DISAGREES if noise < _UNOBSERVED else 0
+    return AGREES if flowing > noise else 0
+
+
+@rule
+def _back_emf(words: Ints, count: int) -> int:
+    """Current that the motion takes off under voltage drive (1/16384 quantum)."""
+    step = 0
+    if words[CURRENT.known]:
+        step = min(max(count - words[CURRENT.count], -_MOST_COUNTS), _MOST_COUNTS) * 4096
+    words[CURRENT.count], words[CURRENT.known] = count, 1
+    words[CURRENT.speed] += _part(step - words[CURRENT.speed], words[CURRENT.speed_decay])
+    size = abs(words[CURRENT.speed]) * words[CURRENT.back_emf] // 64
+    size = min(size, 2 * _MOST)
+    return int(size if (words[CURRENT.speed] > 0) == (words[CURRENT.sign] > 0) else -size)
+
+
+@rule
+def _part(difference: int, share: int) -> int:
+    """A share (1/65536) of a difference, towards zero."""
+    part = abs(difference) * share // 65536
+    return part if difference > 0 else -part

@@ -1,0 +1,160 @@
+"""Attack everything that a stranger can reach, from a seed, for minutes or hours.
+
+    python -m tests.attack                                   a minute of each area
+    python -m tests.attack --minutes 480 --seed 7            a night
+    python -m tests.attack --bytes 1e9 --only devices --only core
+    python -m tests.attack --only liars --seed 7 --case 31   one failure again
+
+An area runs in processes and mounts of its own, where this user may have them. The exit code is 1 when something
+failed that has no name among the known findings. Ctrl-C ends it with the report.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import random
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from select import select
+from typing import Any
+
+from tests.attack.area import isolation
+from tests.attack.report import AreaReport
+from tests.attack.worker import AREAS
+from tests.conformance.started import started
+
+CASE_S = 300.0  # a case that takes longer hangs
+READY_S = 600.0  # kernels and the core may have to be compiled
+FAILURES_MOST = 50  # of an area
+PROGRESS_S = 10.0
+MINUTE_S = 60.0
+ROOT = Path(__file__).parents[2]
+
+
+class Worker:
+    """The process of an area; one that died is started again with the next case."""
+
+    def __init__(self, area: str, seed: int) -> None:
+        self._place = tempfile.TemporaryDirectory(prefix=f"attack-{area}-", ignore_cleanup_errors=True)
+        self._said = tempfile.TemporaryFile()  # noqa: SIM115  (as long as the process)
+        command = [
+            *isolation(),
+            sys.executable,
+            "-m",
+            "tests.attack.worker",
+            area,
+            str(seed),
+            self._place.name,
+        ]
+        pipes: dict[str, Any] = {
+            "stdin": subprocess.PIPE,
+            "stdout": subprocess.PIPE,
+            "stderr": self._said,
+            "cwd": ROOT,
+        }
+        self._context = started(*command, text=True, bufsize=1, **pipes)
+        self._process = self._context.__enter__()
+        self._read(READY_S)
+
+    def run(self, case: int) -> dict[str, Any]:
+        """Run a case; a process that dies or hangs is a failure of it."""
+        try:
+            print(case, file=self._process.stdin, flush=True)
+            return self._read(CASE_S)
+        except (OSError, EOFError, TimeoutError) as error:
+            return {"case": case, "failure": f"{error}; {self._last_words()}", "gone": True}
+
+    def _read(self, patience_s: float) -> dict[str, Any]:
+        if not select([self._process.stdout], [], [], patience_s)[0]:
+            raise TimeoutError(f"no answer within {patience_s:g} s")
+        line = self._process.stdout.readline()  # type: ignore[union-attr]
+        if not line:
+            raise EOFError(f"the process ended: {self._process.wait()}")
+        answer: dict[str, Any] = json.loads(line)
+        return answer
+
+    def _last_words(self) -> str:
+        self._said.seek(0, 2)
+        self._said.seek(max(0, self._said.tell() - 2000))
+        return self._said.read().decode("utf-8", "replace")
+
+    def close(self) -> None:
+        """End it, and all that it started."""
+        self._context.__exit__(None, None, None)
+        self._said.close()
+        self._place.cleanup()
+
+
+@contextmanager
+def worker_of(area: str, seed: int) -> Iterator[list[Worker]]:
+    """Start a worker, in a list in which a new one may replace it."""
+    workers = [Worker(area, seed)]
+    try:
+        yield workers
+    finally:
+        workers[0].close()
+
+
+def attack(area: str, seed: int, report: AreaReport, cases: range, seconds: float, most_bytes: float) -> None:
+    """Run cases of an area until the time is over, enough bytes have gone in, or there are no more."""
+    with worker_of(area, seed) as workers:
+        begun = said = time.monotonic()
+        for case in cases:
+            answer = workers[0].run(case)
+            report.add(answer)
+            report.seconds = time.monotonic() - begun
+            if answer.get("gone"):
+                workers[0].close()
+                workers[0] = Worker(area, seed)
+            if time.monotonic() - said > PROGRESS_S:
+                said = time.monotonic()
+                print(f"{area}: {report.tries} tries, {len(report.failures)} failures", file=sys.stderr)
+            full = report.figures["bytes"] >= most_bytes
+            if report.seconds >= seconds or full or len(report.failures) >= FAILURES_MOST:
+                break
+
+
+def main() -> int:
+    """Read the command line, attack, report."""
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.attack", description=(__doc__ or "").partition("\n")[0]
+    )
+    parser.add_argument("--minutes", type=float, help="in total; areas share them alike [one for each area]")
+    parser.add_argument("--bytes", type=float, default=float("inf"), help="into the devices, and then end")
+    parser.add_argument("--seed", type=int, help="[drawn, and printed]")
+    parser.add_argument("--only", action="append", choices=list(AREAS), metavar="AREA", help=", ".join(AREAS))
+    parser.add_argument("--case", type=int, help="this one alone")
+    parser.add_argument("--json", action="store_true", help="the report as one JSON document")
+    chosen = parser.parse_args()
+    seed = random.SystemRandom().getrandbits(32) if chosen.seed is None else chosen.seed
+    names = chosen.only or list(AREAS)
+    endless = chosen.minutes is None and chosen.bytes < float("inf")
+    minutes = len(names) if chosen.minutes is None else chosen.minutes
+    seconds = float("inf") if endless else minutes * MINUTE_S / len(names)
+    cases = range(1 << 62) if chosen.case is None else range(chosen.case, chosen.case + 1)
+    reports = {name: AreaReport() for name in names}
+    print(f"seed {seed}; isolated by {' '.join(isolation()) or 'nothing'}", file=sys.stderr)
+    try:
+        for name in names:
+            attack(name, seed, reports[name], cases, seconds, chosen.bytes)
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+    if chosen.json:
+        print(
+            json.dumps(
+                {"seed": seed, "areas": {name: one.as_mapping() for name, one in reports.items()}}, indent=1
+            )
+        )
+    else:
+        print("\n".join(line for name, one in reports.items() for line in one.lines(name, seed)))
+    return int(any(one.failures for one in reports.values()))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,142 @@
+"""Command lines in forks of one process that has imported everything: in a directory, under limits, until an end.
+
+A fork costs milliseconds where a new interpreter costs seconds. The forked process is the leader of a group, which dies
+with it.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from tests.attack.area import require
+from tests.conformance.started import die_with_parent
+
+ROOT = Path(__file__).parents[2]
+GRACE_S = 20.0  # from Ctrl-C to the end
+LOOK_S = 0.002
+UNDOCUMENTED = {74: "exit code 74 (output lost) is not in the README"}
+_CODES = re.compile(r"Exit codes: (.*?)\n\n", re.DOTALL)
+
+
+def documented() -> frozenset[int]:
+    """Exit codes that the README explains."""
+    found = _CODES.search((ROOT / "README.md").read_text())
+    assert found is not None
+    return frozenset(int(code) for code in re.findall(r"(?:^|;\s+)(\d+)\s", found[1]))
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a command ended: its exit code, or minus the signal that killed it."""
+
+    code: int
+    out: str
+    err: str
+    interrupted: bool  # it took so long that it got Ctrl-C
+    seconds: float
+
+    def check(self, allowed: frozenset[int]) -> None:
+        """An end that a person can do something with."""
+        require(self.code in allowed, "exit code", self.code, self.err[-1500:])
+        for word in ("Traceback (most recent", "internal error", "Exception ignored in"):
+            require(word not in self.err and word not in self.out, word, (self.out + self.err)[-1500:])
+
+
+def main_of(arguments: Sequence[str]) -> int:
+    """Run a command line as `rig` does; its exit code."""
+    from rig.__main__ import main  # noqa: PLC0415  (after the fork of whoever has imported it)
+
+    sys.argv = ["rig", *arguments]
+    try:
+        main()
+    except SystemExit as end:
+        return end.code if isinstance(end.code, int) else int(end.code is not None)
+    return 0
+
+
+def preload() -> None:
+    """Import what commands need, so that a fork has it."""
+    import rig.cli  # noqa: F401, PLC0415
+    from rig.cli import COMMANDS  # noqa: PLC0415
+    from rig.cli.session import COMMANDS as OF_SESSION  # noqa: PLC0415
+
+    for module, _ in (*COMMANDS.values(), *OF_SESSION.values()):
+        __import__(module.partition(":")[0])
+
+
+def forked(work: Callable[[], int], directory: Path, environment: Mapping[str, str] | None = None) -> int:
+    """Start `work` in a process of its own group, in a directory; its number."""
+    child = os.fork()
+    if child:
+        with suppress(OSError):
+            os.setpgid(child, child)
+        return child
+    code = 70
+    try:
+        os.setpgid(0, 0)
+        die_with_parent()
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        os.chdir(directory)
+        os.environ.update(environment or {})
+        for name, number in (("in", 0), ("out", 1), ("err", 2)):
+            flags = os.O_RDONLY if number == 0 else os.O_WRONLY | os.O_CREAT | os.O_TRUNC
+            opened = os.open(
+                os.devnull if number == 0 else directory.parent / f"{directory.name}.{name}", flags, 0o644
+            )
+            os.dup2(opened, number)
+            os.close(opened)
+        sys.stdin, sys.stdout = os.fdopen(0), os.fdopen(1, "w")
+        sys.stderr = os.fdopen(2, "w", errors="backslashreplace")  # as an interpreter has it
+        code = work()
+    except BaseException:
+        import traceback  # noqa: PLC0415
+
+        traceback.print_exc()
+    finally:
+        with suppress(Exception):
+            sys.stdout.flush()
+            sys.stderr.flush()
+        os._exit(code & 0xFF)
+
+
+def waited(child: int, directory: Path, patience_s: float) -> Ended:
+    """Wait for the end of what `forked` started; Ctrl-C when it takes too long, and a kill when that does not help."""
+    begun = time.monotonic()
+    interrupted = 0.0
+    while True:
+        ended, status = os.waitpid(child, os.WNOHANG)
+        now = time.monotonic()
+        if ended:
+            break
+        if not interrupted and now - begun > patience_s:
+            interrupted = now
+            os.kill(child, signal.SIGINT)
+        if interrupted and now - interrupted > GRACE_S:
+            os.killpg(child, signal.SIGKILL)
+            os.waitpid(child, 0)
+            require(False, "does not end, and does not hear Ctrl-C", said(directory, "err")[-1500:])
+        time.sleep(LOOK_S)
+    with suppress(ProcessLookupError, PermissionError):
+        os.killpg(child, signal.SIGKILL)
+    code = os.waitstatus_to_exitcode(status)
+    return Ended(code, said(directory, "out"), said(directory, "err"), bool(interrupted), now - begun)
+
+
+def said(directory: Path, name: str) -> str:
+    """What a command has written to its output."""
+    path = directory.parent / f"{directory.name}.{name}"
+    return path.read_text(encoding="utf-8", errors="replace") if path.exists() else ""
+
+
+def run(arguments: Sequence[str], directory: Path, patience_s: float = 60.0, **environment: str) -> Ended:
+    """Run a command line to its end."""
+    child = forked(lambda: main_of(arguments), directory, environment)
+    return waited(child, directory, patience_s)

@@ -1,0 +1,40 @@
+"""The firmware's core in C under the sanitizers, as a process of its own: `tests/firmware/fuzz.c` from many seeds."""
+
+from __future__ import annotations
+
+import random
+import shutil
+import subprocess
+from collections import Counter
+from pathlib import Path
+
+from tests.attack.area import Outcome, require
+from tests.firmware import build
+
+STEPS = 400_000
+CASE_S = 120.0
+
+
+class Core:
+    """One run of the fuzzer is one case; its seed is drawn."""
+
+    def __init__(self, place: Path) -> None:
+        self._program: Path | None = None
+        if shutil.which("gcc") is not None:
+            flags = [*build.ADDRESS, f"-I{build.FIRMWARE / 'host'}"]
+            source = Path(build.__file__).with_name("fuzz.c")
+            self._program = build.compile_c(place / "fuzz", [source, *build.SOURCES], flags)
+
+    def attack(self, case: int, chance: random.Random) -> Outcome:
+        """Run it for `STEPS` steps."""
+        if self._program is None:
+            return Outcome(skipped=Counter({"core: no gcc": 1}))
+        seed = chance.getrandbits(32)
+        command = [str(self._program), str(seed), str(STEPS)]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=CASE_S, check=False)
+        require(done.returncode == 0, "fuzz", seed, STEPS, "ends with", done.returncode, done.stderr[-2000:])
+        figures: Counter[str] = Counter(steps=STEPS)
+        for what, which, times in (line.split() for line in done.stdout.splitlines()):
+            if what == "sum":
+                figures[which] += int(times)
+        return Outcome(figures)

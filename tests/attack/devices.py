@@ -1,0 +1,184 @@
+"""The device three times (readable, compiled, and the firmware in C) under the same bytes, most of the time armed.
+
+All three say the same, byte for byte, and none gives a current that it must not give.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import random
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from firmware_protocol import messages as m
+from firmware_protocol.connection import State
+from firmware_protocol.faults import Fault
+from firmware_protocol.framing import ENCODED_LIMIT
+from firmware_protocol.messages import DisarmFlag
+from firmware_protocol.packing import LAYOUT_OF, LAYOUTS
+from sim_backend import firmware_library
+from sim_backend.safety import IDLE_LIFETIME_S
+from tests.attack.area import Outcome, require
+from tests.attack.frames import any_message, frame_of, mangled
+from tests.attack.protocol import raw_frames
+from tests.firmware.test_core_equals_the_simulated_device import (
+    CHOICES,
+    HOST_MESSAGES,
+    RATES,
+    Pair,
+    random_step,
+    rig_of,
+)
+
+STEPS = 60
+FRAMES = 30  # of a volley
+VOLLEYS = 4  # beside each step
+TICKS_IN_SILENCE = 1_500
+TICKS_ON = 60
+LIVELY = (State.ARMED, State.RUNNING)
+_REARMED = 0.9  # share of the steps without a session that begin one
+_ARM, _DISARM = LAYOUT_OF[m.Arm].type_id, LAYOUT_OF[m.Disarm].type_id
+
+
+class Watched(Pair):
+    """Three devices whose every step is watched."""
+
+    def __init__(self, library: ctypes.CDLL, chance: random.Random) -> None:
+        self.figures: Counter[str] = Counter()
+        self.last_session = 0
+        self.heard = self.unfinished = b""  # in this step, and the frame that it leaves in part
+        self.lively = False
+        self.latched = Fault.NONE
+        self.told_session = 0
+        super().__init__(library, rig_of(chance.choice((1, -1))), seed=chance.randrange(100))
+
+    def write(self, data: bytes) -> None:
+        self.figures["bytes"] += len(data)
+        self.heard = self.unfinished + data
+        super().write(data)
+        self.unfinished = self.heard.rpartition(b"\0")[2][-ENCODED_LIMIT:]
+        self.heard = b""
+
+    def both(self, call: Callable[[Any], bytes | None]) -> None:
+        super().both(call)
+        self.figures["bytes_said"] += len(self.said)
+        self._look()
+
+    def tick(self, ticks: int = 1) -> None:
+        for _ in range(ticks):
+            self.figures["ticks"] += 1
+            self.figures["ticks_armed"] += self.lively
+            super().tick()
+
+    def _look(self) -> None:
+        """What must hold after any step, by the state that all three agree on."""
+        status = self.c.core.status
+        state, fault = self.c.state, self.c.fault
+        currents = (self.python.current, self.compiled.current, status.current)
+        lively = state in LIVELY
+        if lively:
+            limit = self.python._configuration.values["current_limit"]
+            require(all(abs(current) <= limit for current in currents), currents, "above", limit)
+        else:
+            require(currents == (0, 0, 0) and not status.enabled, "currents", currents, "in", state.name)
+        if lively and (not self.lively or self.c.session != self.told_session):
+            require(self._armed_by_right(), "armed by", self.heard.hex())
+        if self.latched and not fault and state is not State.BOOT:
+            require(self._cleared(), "a fault that left by", self.heard.hex())
+        require(bool(fault) == (state is State.FAULT), fault, "in", state.name)
+        self.lively, self.latched, self.told_session = lively, fault, self.c.session
+
+    def _armed_by_right(self) -> bool:
+        """Whether there was an ARM with this session, and both sums of the device."""
+        right = self.python._configuration
+        for raw in raw_frames(self.heard):
+            if raw[1] == _ARM and raw[3] == self.c.session != 0:
+                arm = LAYOUTS[_ARM].unpack(raw)
+                assert isinstance(arm, m.Arm)
+                if (arm.dictionary_hash, arm.parameters_crc) == (right.hash, right.crc):
+                    return True
+        return False
+
+    def _cleared(self) -> bool:
+        flag = int(DisarmFlag.CLEAR_FAULT)
+        return any(raw[1] == _DISARM and raw[8] & flag for raw in raw_frames(self.heard))
+
+    def calm(self, chance: random.Random) -> None:
+        """Do what a person does before a new run, and begin one."""
+        for hardware in self.hardware:
+            hardware.external_effort = hardware.jump = hardware.spike = 0
+        self.both(lambda device: device.press_emergency_stop(False))
+        self.both(lambda device: device.hold_to_run(True))
+        self.write(b"\0")
+        self.send(m.Identify(self.next_nonce(), 0))
+        self.send(m.Disarm(self.next_nonce(), DisarmFlag.CLEAR_FAULT))
+        values = {name: chance.choice(some) for name, some in CHOICES.items() if chance.random() < 0.2}
+        values |= {"verified": 1, "window_minimum": -(2**31), "window_maximum": 2**31 - 1}
+        self.last_session = 1 + self.last_session % 255
+        self.begin(self.last_session, **values, position_rate=chance.choice(RATES))
+
+    def run_on(self, chance: random.Random) -> None:
+        """Begin a session unless there is one, mostly, and let the device run for some ticks."""
+        if not self.lively and chance.random() < _REARMED:
+            self.calm(chance)
+        current, lifetime_us = chance.choice((0, 5, -20, 60)), chance.choice((3_000, 20_000))
+        for _ in range(chance.randrange(TICKS_ON)):
+            if not self.lively:
+                break
+            self.command(current, lifetime_us)
+            self.tick()
+
+    def volley(self, chance: random.Random) -> None:
+        """Many frames in one piece: commands of the session, and all that a host can say, mangled."""
+        data = b""
+        session = self.python.connection.session
+        for _ in range(chance.randrange(1, FRAMES)):
+            if self.lively and chance.random() < 0.5:
+                current = chance.choice((0, 60, -300, 501, 32_767, -32_768))
+                mode = chance.choice((0, 0, 0, 0, 1, 2, 9))
+                frame = frame_of(
+                    m.Command(0, chance.choice((1_000, 20_000)), mode, 0, current), session, self.sequence
+                )
+                self.sequence = (self.sequence + 1) & 0xFFFF
+            else:
+                kinds = [cls for cls in HOST_MESSAGES if cls is not m.Disarm or chance.random() < 0.1]
+                frame = frame_of(any_message(chance, kinds), session, chance.randrange(4))
+            data += mangled(chance, frame)
+        self.write(data)
+
+    def fall_silent(self) -> None:
+        """Say nothing for longer than any lifetime and ramp; then nothing moves and nothing is armed."""
+        values = self.python._configuration.values
+        longest_s = 1e-6 * (
+            max(values["command_lifetime_us"], values["supervise_lifetime_us"]) + values["ramp_us"]
+        )
+        ticks = round((longest_s + IDLE_LIFETIME_S) * self.python.rate) + 3
+        if ticks > TICKS_IN_SILENCE:
+            return
+        self.tick(ticks)
+        self.figures["silences"] += 1
+        require(self.c.state not in LIVELY, "still", self.c.state.name, "after", ticks, "ticks of silence")
+
+
+class Devices:
+    """Walks of three devices."""
+
+    def __init__(self, place: Path) -> None:
+        self._library = firmware_library.library()
+
+    def attack(self, case: int, chance: random.Random) -> Outcome:
+        """One walk of `STEPS` steps of host, person and accident, with volleys of frames between them."""
+        watched = Watched(self._library, chance)
+        watched.calm(chance)
+        for _ in range(STEPS):
+            watched.run_on(chance)
+            random_step(chance).act(watched)
+            for _ in range(VOLLEYS):
+                watched.volley(chance)
+        watched.write(b"\0")
+        watched.ask_everything()
+        watched.fall_silent()
+        watched.ask_everything()
+        return Outcome(watched.figures)

@@ -1,0 +1,325 @@
+"""A device that lies: of currents, clock, index, count, limits, faults, identity, and of anything in any answer.
+
+It obeys like an honest one and says something else, in frames with a right CRC. Whatever it says, the run ends with no
+effort and, unless it went well, a reason; and what contradicts itself is never called a stable wall. `KNOWN` has the
+lies that today's host does not see, each with its reason: they are counted apart.
+"""
+
+from __future__ import annotations
+
+import random
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+from firmware_protocol import dictionary as dictionaries
+from firmware_protocol import messages as m
+from firmware_protocol.connection import State
+from firmware_protocol.faults import Fault, Input, LimitFlag
+from firmware_protocol.framing import encode_frame
+from firmware_protocol.messages import Message
+from firmware_protocol.packing import HEADER, LAYOUTS
+from firmware_protocol.wire import wire_fields
+from rig import config
+from rig.config import presets
+from rig.control.verdict import Kind
+from rig.core.errors import RigError
+from rig.devices import framed
+from rig.devices.framed import FramedDevice
+from rig.experiments.hit import HitRequest, hit
+from sim_backend.channel import Faults
+from sim_backend.device import SimulatedDevice
+from sim_backend.link import MemoryLink
+from sim_backend.safety import IDLE_LIFETIME_S
+from tests.attack.area import Outcome, require
+from tests.attack.frames import any_value
+from tests.attack.protocol import raw_frames
+
+EXPERIMENT = config.override(
+    config.with_realtime(presets.load("koul-compliant")),
+    {"trial.duration_s": 0.6, "trial.release_s": 0.02, "homing.settle_s": 0.02, "verdict.tail_s": 0.2},
+)
+MODEL = config.rig_model(EXPERIMENT)
+START = -0.015
+REST_S = 0.05  # lifetime and ramp, and some
+TICKS = 700  # about what a run takes
+ANSWERS_MOST = 20_000  # of one run: a host that asks for ever is a finding
+U16, U32, I16 = 0xFFFF, 0xFFFFFFFF, 0x7FFF
+
+Lie = Callable[[m.State, int, random.Random], m.State]  # STATE, how many it has told lies in, chance
+
+
+def _wrapped(value: int, bits: int) -> int:
+    return (value + (1 << bits - 1)) % (1 << bits) - (1 << bits - 1)
+
+
+def _frozen(name: str) -> Lie:
+    kept: dict[int, int] = {}
+
+    def lie(state: m.State, told: int, chance: random.Random) -> m.State:
+        if told == 0:
+            kept[0] = getattr(state, name)
+        return replace(state, **{name: kept[0]})
+
+    return lie
+
+
+def _changed(name: str, change: Callable[[int, int], int]) -> Callable[[], Lie]:
+    """Lie by a function of the true value and of how many lies there were."""
+    return lambda: lambda state, told, chance: replace(state, **{name: change(getattr(state, name), told)})
+
+
+# Name → what makes a lie. Each contradicts something else that the host is told, or that it has sent.
+CONTRADICTIONS: dict[str, Callable[[], Lie]] = {
+    "measured current: none": _changed("current_measured", lambda true, told: 0),
+    "measured current: opposite": _changed("current_measured", lambda true, told: max(-I16, -true)),
+    "measured current: threefold": _changed(
+        "current_measured", lambda true, told: max(-I16, min(I16, 3 * true))
+    ),
+    "measured current: frozen": lambda: _frozen("current_measured"),
+    "active current: none": _changed("current_commanded", lambda true, told: 0),
+    "active current: opposite": _changed("current_commanded", lambda true, told: max(-I16, -true)),
+    "active current: half": _changed("current_commanded", lambda true, told: true // 2),
+    "device time: a second ahead": _changed("device_time", lambda true, told: (true + 16_000_000) & U32),
+    "device time: a second back": _changed("device_time", lambda true, told: (true - 16_000_000) & U32),
+    "device time: frozen": lambda: _frozen("device_time"),
+    "device time: twice as fast": _changed("device_time", lambda true, told: (true + told * 16_000) & U32),
+    "sample index: a thousand ahead": _changed("sample_index", lambda true, told: (true + 1_000) & U32),
+    "sample index: two billion ahead": _changed(
+        "sample_index", lambda true, told: (true + 2_000_000_000) & U32
+    ),
+    "sample index: a thousand back": _changed("sample_index", lambda true, told: (true - 1_000) & U32),
+    "sample index: frozen": lambda: _frozen("sample_index"),
+    "sample index: every second": _changed("sample_index", lambda true, told: (2 * true) & U32),
+    "count: jumps far": _changed("count", lambda true, told: _wrapped(true + 1_000_000, 32)),
+    "count: jumps to the end": _changed("count", lambda true, told: -(1 << 31)),
+    "count: shakes": _changed("count", lambda true, told: _wrapped(true + (40 if told % 2 else -40), 32)),
+    "count: frozen": lambda: _frozen("count"),
+    "edge time: ahead of the sample": _changed("edge_time", lambda true, told: (true + 160_000_000) & U32),
+    "limits: all": _changed("limits", lambda true, told: U16),
+    "limits: ramping": _changed("limits", lambda true, told: int(LimitFlag.RAMPING)),
+    "fault: one that nobody knows": _changed("fault", lambda true, told: 37),
+    "fault: over-speed, but it runs": _changed("fault", lambda true, told: 2),
+    "state: fault without a fault": _changed("state", lambda true, told: int(State.FAULT)),
+    "state: not armed": _changed("state", lambda true, told: int(State.CONFIGURED)),
+    "state: boot": _changed("state", lambda true, told: int(State.BOOT)),
+    "state: one that does not exist": _changed("state", lambda true, told: 200),
+    "inputs: emergency stop, but it runs": _changed(
+        "inputs", lambda true, told: true | int(Input.EMERGENCY_STOP)
+    ),
+    "command: none yet": _changed("command_age", lambda true, told: U16),
+    "command: another sequence": _changed("command_sequence", lambda true, told: (true + 30_000) & U16),
+    "missed ticks: many": _changed("missed_ticks", lambda true, told: U16),
+}
+_BUILDING = "being built: the comparison of commanded, active and measured current"
+_CLOCK = "being built: a jump of the device's clock against its sample index"
+_ENCODER = "being built: an encoder that stands still under an effort"
+_OPEN = "open: the host does not look at it"
+KNOWN: dict[str, str] = {
+    **{
+        name: _BUILDING
+        for name in CONTRADICTIONS
+        if name.partition(":")[0] in ("measured current", "active current")
+    },
+    **{name: _CLOCK for name in CONTRADICTIONS if name.startswith("device time")},
+    "count: frozen": _ENCODER,
+    **dict.fromkeys(
+        (
+            "edge time: ahead of the sample",
+            "inputs: emergency stop, but it runs",
+            "command: another sequence",
+            "missed ticks: many",
+        ),
+        _OPEN,
+    ),
+}
+
+
+# Of a dictionary: a value that is read, and another device than it says.
+IDENTITIES: tuple[dict[str, Any], ...] = (
+    {"current_quantum_a": MODEL.amplifier.current_quantum_a * 10.0},
+    {"current_quantum_a": 1e-300},
+    {"current_quantum_a": 1e300},
+    {"time_unit_ns": 125.0},
+    {"time_unit_ns": 1e-9},
+    {"time_unit_ns": 1e300},
+    {"device": "another"},
+    {"device": ""},
+    {"device": "\x1b[2J{url} %s\n" * 50},
+    {"simulated": False},
+    {"position_rate_default": 1},
+    {"position_rate_maximum": 1},
+    {"position_rate_maximum": 10**6, "position_rate_default": 10**6},
+    {"parameters": ()},
+    {"faults": (), "statuses": ()},
+)
+
+
+class EndlessError(Exception):
+    """A host that asks for ever."""
+
+
+@dataclass
+class Script:
+    """What a liar does: lies in its STATEs from one on, or one field of some answers."""
+
+    after: int  # STATEs of the session, before it begins
+    lie: Lie | None = None
+    lasts: int = 1 << 30  # STATEs
+    answer: type[Message] | None = None
+    field: str = ""
+    share: float = 1.0  # of the answers of this type
+    dictionary: dict[str, Any] | None = None  # what it says of itself, under a hash that is right
+    session: int = 0  # added to that of each frame
+    sequence: int = 0
+
+
+class Liar(SimulatedDevice):
+    """An honest device but for what it says."""
+
+    def __init__(self, script: Script, chance: random.Random) -> None:
+        super().__init__(MODEL, initial_position=START)
+        self._script, self._chance = script, chance
+        self._seen = self._told = self._answers = 0
+        if script.dictionary is not None:
+            packed = dictionaries.encode(replace(self._dictionary, **script.dictionary))
+            self._configuration._packed = packed
+            self._configuration.hash = dictionaries.dictionary_hash(packed)
+            self._told = 1
+
+    @property
+    def lied(self) -> int:
+        """Lies so far."""
+        return self._told
+
+    def tick(self) -> bytes:
+        said = super().tick()
+        if not said or not self.connection.session:
+            return said
+        self._seen += 1
+        script = self._script
+        if self._seen <= script.after or self._told >= script.lasts:
+            return said
+        return self._frames(said, self._lied)
+
+    def receive(self, data: bytes, *, received_at: int | None = None) -> bytes:
+        said = super().receive(data, received_at=received_at)
+        self._answers += bool(said)
+        if self._answers > ANSWERS_MOST:
+            raise EndlessError
+        return self._frames(said, self._answered) if said and self._script.answer else said
+
+    def _frames(self, said: bytes, change: Callable[[Message], Message]) -> bytes:
+        return b"".join(self._frame(raw, change) for raw in raw_frames(said))
+
+    def _frame(self, raw: bytes, change: Callable[[Message], Message]) -> bytes:
+        major, type_id, flags, session, sequence = HEADER.unpack_from(raw)
+        layout, script = LAYOUTS[type_id], self._script
+        message = change(layout.unpack(raw))
+        session, sequence = (session + script.session) & 0xFF, (sequence + script.sequence) & U16
+        return encode_frame(HEADER.pack(major, type_id, flags, session, sequence) + layout.pack(message))
+
+    def _lied(self, message: Message) -> Message:
+        if not isinstance(message, m.State) or self._script.lie is None:
+            return message
+        changed = self._script.lie(message, self._told, self._chance)
+        self._told += 1
+        return changed
+
+    def _answered(self, message: Message) -> Message:
+        script = self._script
+        if type(message) is not script.answer or self._chance.random() > script.share:
+            return message
+        self._told += 1
+        return replace(message, **{script.field: _other(message, script.field, self._chance)})  # type: ignore[type-var]
+
+
+def _other(message: Message, name: str, chance: random.Random) -> Any:
+    ctype = wire_fields(type(message))[name].ctype
+    if ctype != "bytes":
+        return any_value(chance, ctype)
+    data = bytearray(getattr(message, name))
+    if data and chance.random() < 0.7:
+        data[chance.randrange(len(data))] ^= 1 << chance.randrange(8)
+        return bytes(data)
+    return bytes(data[: chance.randrange(len(data) + 1)])
+
+
+ANSWERS = [
+    (cls, field.name)
+    for cls in (m.Identity, m.Ack, m.Parameters, m.Time, m.FaultLog, m.Statistics)
+    for field in fields(cls)  # type: ignore[arg-type]
+]
+
+
+class Liars:
+    """A case is one hit on one liar: the contradictions one after the other, and lies that are drawn."""
+
+    def __init__(self, place: Path) -> None:
+        self._place = place
+        self._numbers = 0
+        kind, reasons, _ = self._hit(Script(after=1 << 30), random.Random(0))
+        require(kind == Kind.STABLE, "an honest device: ", kind, reasons)
+
+    def attack(self, case: int, chance: random.Random) -> Outcome:
+        """One lie."""
+        name, script = self._drawn(case, chance)
+        kind, reasons, lied = self._hit(script, chance)
+        figures = Counter({"runs": 1, "lies": lied, f"ended: {kind}": 1})
+        require(kind == Kind.STABLE or reasons, name, "ended without a reason:", kind)
+        if name in CONTRADICTIONS and kind == Kind.STABLE and lied > 0:
+            if name in KNOWN:
+                return Outcome(figures, Counter({f"{name}: {KNOWN[name]}": 1}))
+            require(False, name, f"after {script.after} STATEs: a stable wall")
+        return Outcome(figures)
+
+    def _drawn(self, case: int, chance: random.Random) -> tuple[str, Script]:
+        after = chance.randrange(TICKS)
+        if case % 2 == 0:
+            name = list(CONTRADICTIONS)[case // 2 % len(CONTRADICTIONS)]
+            return name, Script(after=chance.randrange(50, TICKS // 2), lie=CONTRADICTIONS[name]())
+        if chance.random() < 0.3:
+            state_fields = [field.name for field in fields(m.State)]
+            chosen = chance.sample(state_fields, chance.randrange(1, 4))
+
+            def anything(state: m.State, told: int, chance: random.Random) -> m.State:
+                return replace(state, **{name: _other(state, name, chance) for name in chosen})
+
+            return f"STATE {chosen}", Script(
+                after=after, lie=anything, lasts=chance.choice((1, 2, 10, 1 << 30))
+            )
+        if chance.random() < 0.2:
+            dictionary = chance.choice(IDENTITIES)
+            return f"dictionary {dictionary}", Script(after=1 << 30, dictionary=dictionary)
+        if chance.random() < 0.1:
+            session, sequence = chance.choice(((1, 0), (0, 1), (0, 32_768), (0, 65_535)))
+            honest: Lie = lambda state, told, chance: state  # noqa: E731
+            return "header", Script(after=after, lie=honest, session=session, sequence=sequence)
+        cls, field = chance.choice(ANSWERS)
+        return f"{cls.__name__}.{field}", Script(
+            after, answer=cls, field=field, share=chance.choice((1.0, 0.3, 0.05))
+        )
+
+    def _hit(self, script: Script, chance: random.Random) -> tuple[str, tuple[str, ...], int]:
+        """How a hit ends on a liar: verdict or error, reasons, lies; always without effort."""
+        self._numbers += 1
+        framed._dictionaries.clear()
+        liar = Liar(script, chance)
+        link = MemoryLink(liar, Faults())
+        output = self._place / str(self._numbers)
+        if chance.random() < 0.3:
+            liar.inject_fault(chance.choice((Fault.OVER_SPEED, Fault.ENCODER)))
+        try:
+            with FramedDevice(link) as device:
+                (result,) = hit(HitRequest(experiment=EXPERIMENT, device=device, output=output))
+            kind, reasons = str(result.verdict.kind), result.verdict.reasons
+        except RigError as error:
+            kind, reasons = type(error).__name__, (str(error),)
+            require(error.message and error.remedy, "an error without remedy:", repr(error))
+        link.elapse(REST_S)
+        require(liar.current == 0, "still", liar.current, "quanta after", kind, reasons)
+        link.elapse(IDLE_LIFETIME_S)
+        require(liar.connection.state not in (State.ARMED, State.RUNNING), "still armed after", kind, reasons)
+        return kind, reasons, liar.lied

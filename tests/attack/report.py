@@ -1,0 +1,63 @@
+"""What an attack found, area by area, for people and for machines."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+SHOWN = 2000  # characters of a failure
+
+
+@dataclass
+class AreaReport:
+    """Sums of one area, and each failure with what repeats it."""
+
+    tries: int = 0
+    seconds: float = 0.0
+    figures: Counter[str] = field(default_factory=Counter)
+    known: Counter[str] = field(default_factory=Counter)
+    skipped: Counter[str] = field(default_factory=Counter)
+    failures: dict[int, str] = field(default_factory=dict)  # case → what
+
+    def add(self, answer: dict[str, Any]) -> None:
+        """Take the answer to a case."""
+        self.tries += 1
+        for kind in ("figures", "known", "skipped"):
+            getattr(self, kind).update(answer.get(kind, {}))
+        if "failure" in answer:
+            self.failures[answer["case"]] = answer["failure"]
+
+    def shares(self) -> dict[str, float]:
+        """What is worth a quotient."""
+        found = {}
+        for unit in ("ticks", "steps"):
+            if self.figures[unit] and f"{unit}_armed" in self.figures:
+                found[f"share of {unit} armed"] = self.figures[f"{unit}_armed"] / self.figures[unit]
+        if self.figures["bytes"] and self.seconds:
+            found["bytes/s"] = self.figures["bytes"] / self.seconds
+        return found
+
+    def as_mapping(self) -> dict[str, Any]:
+        """As plain data."""
+        return {**asdict(self), "shares": self.shares()}
+
+    def lines(self, name: str, seed: int) -> list[str]:
+        """For a person."""
+        sums = ", ".join(
+            f"{value:,} {what.replace('_', ' ')}" for what, value in sorted(self.figures.items())
+        )
+        said = [
+            f"{name}: {self.tries} tries in {self.seconds:.0f} s, {len(self.failures)} failures"
+            + (f"; {sums}" if sums else "")
+        ]
+        said += [f"  {what} {value:,.3g}" for what, value in self.shares().items()]
+        said += [f"  known: {what} ({times} times)" for what, times in sorted(self.known.items())]
+        said += [f"  skipped: {what} ({times} times)" for what, times in sorted(self.skipped.items())]
+        for case, what in self.failures.items():
+            said += [f"  FAILED: --only {name} --seed {seed} --case {case}", *_indented(what[:SHOWN])]
+        return said
+
+
+def _indented(text: str) -> list[str]:
+    return [f"    {line}" for line in text.splitlines()]

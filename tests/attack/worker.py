@@ -1,0 +1,64 @@
+"""One area in a process of its own: reads the number of a case, runs it, answers in one line of JSON.
+
+    python -m tests.attack.worker AREA SEED DIRECTORY
+
+A crash, a hang or a leak costs this process and names its case; what it started dies with it.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import signal
+import sys
+import traceback
+from pathlib import Path
+
+from tests.attack.area import Area, chance_of
+from tests.conformance.started import die_with_parent
+
+# Area → its class. An area alone imports what it needs.
+AREAS = {
+    "protocol": "tests.attack.protocol:Protocol",
+    "devices": "tests.attack.devices:Devices",
+    "core": "tests.attack.core:Core",
+    "options": "tests.attack.options:Options",
+    "environment": "tests.attack.environment:Environment",
+    "kills": "tests.attack.kills:Kills",
+    "liars": "tests.attack.liars:Liars",
+}
+
+
+def area_of(name: str, place: Path) -> Area:
+    """Make an area in a directory."""
+    module, _, attribute = AREAS[name].partition(":")
+    made: Area = getattr(importlib.import_module(module), attribute)(place)
+    return made
+
+
+def answer(area: Area, name: str, seed: int, case: int) -> dict[str, object]:
+    """Run a case; what it found, as plain data."""
+    try:
+        outcome = area.attack(case, chance_of(seed, name, case))
+    except Exception as error:
+        shown = traceback.format_exc() if os.environ.get("ATTACK_DEBUG") else ""
+        return {"case": case, "failure": f"{type(error).__name__}: {error}\n{shown}".strip()}
+    return {"case": case, **{kind: dict(getattr(outcome, kind)) for kind in ("figures", "known", "skipped")}}
+
+
+def main() -> None:
+    """Serve cases: their numbers come on standard input."""
+    die_with_parent()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's Ctrl-C is for the one that reports
+    name, seed = sys.argv[1], int(sys.argv[2])
+    answers = os.fdopen(os.dup(1), "w", buffering=1)
+    os.dup2(2, 1)  # what the attacked code prints is no answer
+    area = area_of(name, Path(sys.argv[3]))
+    print(json.dumps({"ready": True}), file=answers)
+    for line in sys.stdin:
+        print(json.dumps(answer(area, name, seed, int(line))), file=answers)
+
+
+if __name__ == "__main__":
+    main()

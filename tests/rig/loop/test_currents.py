@@ -1,0 +1,66 @@
+"""The active current against the commanded ones, over every order in which commands reach a device."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from firmware_protocol.connection import State
+from firmware_protocol.faults import LimitFlag
+from firmware_protocol.messages import NO_COMMAND_YET
+from rig.control.step import new_memory
+from rig.core.sample import RowFlag
+from rig.loop.currents import OLDER, compare_command, keep_command
+from rig.loop.layout import COMMANDS_KEPT, Buffers
+from rig.realtime.codec import STATE
+
+
+def told(buffers: Any, sequence: int, current: int, age: int = 2, limits: int = 0) -> bool:
+    """Whether a STATE is marked."""
+    memory = new_memory()
+    buffers.state[STATE.state] = State.RUNNING
+    buffers.state[STATE.command_sequence], buffers.state[STATE.command_age] = sequence % 65536, age
+    buffers.state[STATE.current_commanded], buffers.state[STATE.limits] = current, limits
+    compare_command(buffers, memory)
+    return bool(memory[0]["flags"] & RowFlag.OTHER_CURRENT)
+
+
+@given(
+    st.integers(0, 65_535),
+    st.lists(st.integers(-32_767, 32_767), min_size=OLDER + 2, max_size=40),
+    st.integers(0, OLDER),
+    st.integers(-3, 3),
+)
+def test_what_was_sent_is_known_and_what_was_not_is_marked(
+    first: int, currents: list[int], back: int, wrong: int
+) -> None:
+    buffers = Buffers.allocate()
+    for number, current in enumerate(currents):
+        keep_command(buffers.sent, (first + number) % 65536, current)
+    newest = first + len(currents) - 1
+    assert told(buffers, newest, currents[-1] + wrong) == (wrong != 0)
+    assert not told(buffers, newest, currents[-1 - back], age=1), "it drove the tick in which the newest came"
+    elsewhere = currents[-1 - back] + wrong
+    recent = currents[-1 - OLDER :]
+    assert told(buffers, newest, elsewhere, age=1) == (elsewhere not in recent)
+
+
+@pytest.mark.parametrize("limit", list(LimitFlag))
+def test_a_limit_explains_another_current_and_a_warning_does_not(limit: LimitFlag) -> None:
+    buffers = Buffers.allocate()
+    keep_command(buffers.sent, 7, 100)
+    warns = limit in (LimitFlag.SPEED, LimitFlag.POSITION)
+    assert told(buffers, 7, 50, limits=int(limit)) == warns
+
+
+def test_a_command_that_is_forgotten_or_did_not_come_proves_nothing() -> None:
+    buffers = Buffers.allocate()
+    for number in range(COMMANDS_KEPT + 1):
+        keep_command(buffers.sent, number, 100)
+    assert not told(buffers, 0, 3)
+    assert told(buffers, 1, 3)
+    assert not told(Buffers.allocate(), 5, 3)
+    assert not told(buffers, 1, 3, age=NO_COMMAND_YET)
+    assert np.all(buffers.sent >= 0)

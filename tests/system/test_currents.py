@@ -1,0 +1,199 @@
+"""A motor lead that comes off, a dead or reversed amplifier, a sensor of another scale: never a stable wall.
+
+In virtual time over the real frames, with the law on the host and on the device; what the device does not notice, the
+host does.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from firmware_protocol.connection import State
+from firmware_protocol.faults import Fault
+from rig import config
+from rig.config import presets
+from rig.control.current import CURRENT
+from rig.control.verdict import Kind
+from rig.core.errors import DeviceFaultError, GuardError, RigError
+from rig.core.sample import RowFlag
+from rig.devices.framed import FramedDevice
+from rig.experiments.judgement import judge
+from rig.recording.reader import open_recording
+from sim_backend.channel import Faults, Happening
+from sim_backend.device import SimulatedDevice
+from sim_backend.firmware import FirmwareDevice
+from sim_backend.link import MemoryLink
+from tests.conformance.trials import trial_on
+
+START = -0.015
+BASE = config.override(presets.load("koul-compliant"), {"trial.duration_s": 0.2, "verdict.tail_s": 0.08})
+PERSON = {"trial.kind": "human", "homing.settle_s": 0.05}
+AT_REST = 5_000  # tick: in the wall, where a steady push holds it
+
+
+def hardware(**values: float) -> Callable[[Any], None]:
+    def act(device: Any) -> None:
+        for name, value in values.items():
+            setattr(device.hardware, name, value)
+
+    return act
+
+
+def trial(
+    directory: Path, make: Any, loop: str, *happenings: tuple[int, Callable[[Any], None]], **changes: Any
+) -> tuple[Any, Any, RigError | None]:
+    """The device, the recording, and what ended it."""
+    directory.mkdir(exist_ok=True)
+    experiment = config.override(BASE, {"controller.loop": loop, **changes})
+    device = make(config.rig_model(experiment), initial_position=START)
+    link = MemoryLink(device, Faults(device=tuple(Happening(*one) for one in happenings)))
+    path = directory / "trial.rigcap"
+    request = partial(trial_on, experiment=experiment, recording=path, verified=True, seed=0, sealed=False)
+    error = None
+    try:
+        with FramedDevice(link) as framed:
+            request(framed)
+    except RigError as raised:
+        error = raised
+    link.elapse(0.1)
+    return device, open_recording(path), error
+
+
+SIDES = pytest.mark.parametrize(
+    ("make", "loop"), [(SimulatedDevice, "host"), (FirmwareDevice, "host"), (FirmwareDevice, "device")]
+)
+BROKEN = {
+    "a lead that came off": {"drive": 0.0},
+    "a dead amplifier": {"drive": 0.0, "gain": 0.0},
+    "a dead sensor": {"gain": 0.0},
+    "a reversed sensor": {"gain": -1.0},
+    "a sensor of half the scale": {"gain": 0.5},
+    "an amplifier of 1.25 times the scale": {"drive": 1.25},
+}
+
+
+@SIDES
+def test_a_sound_motor_is_seen_to_follow(make: Any, loop: str, tmp_path: Path) -> None:
+    _, recording, error = trial(tmp_path, make, loop)
+    assert error is None
+    flags = recording.rows["flags"]
+    assert not (flags & (RowFlag.CURRENT_DIFFERS | RowFlag.OTHER_CURRENT)).any()
+    judged = judge(recording, config.override(BASE, {"controller.loop": loop})).verdict
+    assert judged.current_observed >= 10  # of 20 windows
+    assert judged.kind is not Kind.INVALID, judged.reasons
+
+
+@SIDES
+@pytest.mark.parametrize("name", BROKEN)
+def test_a_current_that_is_not_the_one_that_was_set_ends_the_trial(
+    name: str, make: Any, loop: str, tmp_path: Path
+) -> None:
+    device, recording, error = trial(tmp_path, make, loop, (AT_REST, hardware(**BROKEN[name])))
+    assert isinstance(error, DeviceFaultError), error
+    assert Fault.CURRENT_MISMATCH.text in error.message
+    assert error.remedy
+    assert device.current == 0
+    rows = recording.rows
+    seconds = (rows["sample_index"][-1] - rows["sample_index"][0]) / BASE.controller.position_rate
+    assert seconds < AT_REST / BASE.controller.position_rate + 0.02 + 0.01  # two windows; when homing began
+    judged = judge(recording, config.override(BASE, {"controller.loop": loop})).verdict
+    assert judged.kind is Kind.INVALID
+
+
+def silent(device: Any) -> None:
+    """A device that does not compare."""
+    device._safety.currents[CURRENT.noise] = 2**32 - 1
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_the_host_notices_what_the_device_does_not(name: str, tmp_path: Path) -> None:
+    device, recording, error = trial(
+        tmp_path, SimulatedDevice, "host", (AT_REST, silent), (AT_REST, hardware(**BROKEN[name]))
+    )
+    assert isinstance(error, GuardError), error
+    assert "measured current" in error.message
+    assert device.current == 0
+    assert recording.rows["current_sent"][-1] == 0
+    judged = judge(recording, BASE).verdict
+    assert judged.kind is Kind.INVALID
+    assert "measured current" in judged.reasons[0]
+
+
+def test_a_current_too_small_beside_the_noise_is_not_observed_and_no_agreement(tmp_path: Path) -> None:
+    noisy = {"rig.amplifier.current_noise_a": 1.0}
+    _, recording, error = trial(tmp_path, SimulatedDevice, "host", (10, hardware(gain=0.0)), **noisy)
+    assert error is None
+    experiment = config.override(BASE, noisy)
+    judgement = judge(recording, experiment)
+    assert judgement.verdict.current_observed == 0
+    assert any(
+        row.label == "motor current" and "not observed" in str(row.value)
+        for row in judgement.rows(experiment)
+    )
+
+
+def test_one_spike_of_the_converter_is_no_over_current_and_two_are(tmp_path: Path) -> None:
+    model = config.rig_model(BASE)
+    for spikes, expected in ((1, Fault.NONE), (2, Fault.OVER_CURRENT)):
+        device, _, _ = trial(
+            tmp_path / str(spikes),
+            SimulatedDevice,
+            "host",
+            (AT_REST, hardware(leak=20_000)),
+            (AT_REST + spikes, hardware(leak=0)),
+        )
+        assert model.amplifier.current_quantum_a * 20_000 > model.amplifier.effort_limit / 0.216
+        assert device.fault is expected
+
+
+@SIDES
+def test_the_zero_of_the_sensor_is_taken_off_while_the_amplifier_is_off(
+    make: Any, loop: str, tmp_path: Path
+) -> None:
+    """A drifted zero of 60 quanta would be a mismatch in every window at rest."""
+    experiment = config.override(BASE, {"controller.loop": loop})
+    device = make(config.rig_model(experiment), initial_position=START)
+    link = MemoryLink(device, Faults())
+    device.hardware.leak = 60
+    link.elapse(1.0)
+    with FramedDevice(link) as framed:
+        trial_on(
+            framed,
+            experiment=experiment,
+            recording=tmp_path / "trial.rigcap",
+            verified=True,
+            seed=0,
+            sealed=False,
+        )
+    rows = open_recording(tmp_path / "trial.rigcap").rows
+    quantum = experiment.rig.amplifier.current_quantum_a
+    still = rows["current_applied"] == 0
+    still[1:] &= still[:-1]
+    still[:40] = False
+    assert not (rows["flags"] & RowFlag.CURRENT_DIFFERS).any()
+    assert np.abs(rows["current_measured"][still]).max(initial=0.0) <= 2 * quantum
+
+
+def test_a_device_that_applies_another_current_than_the_commanded_one_is_noticed(tmp_path: Path) -> None:
+    """Its limits say nothing; both currents agree with each other."""
+
+    class Liar(SimulatedDevice):
+        lies = False
+
+        def tick(self) -> bytes:
+            if self.lies and self.connection.state is State.RUNNING:
+                self.board.rules[0] += 7  # of what the command wants
+            return super().tick()
+
+    def lie(device: Any) -> None:
+        device.lies = True
+
+    _, recording, _ = trial(tmp_path, Liar, "host", (AT_REST, lie))
+    assert (recording.rows["flags"] & RowFlag.OTHER_CURRENT).sum() > 100
+    judged = judge(recording, BASE).verdict
+    assert judged.kind is Kind.INVALID
+    assert "not the commanded one" in judged.reasons[0]
