@@ -1,9 +1,9 @@
 """Signs and scale from small pushes: does a positive effort raise the position, and by about as much as it should.
 
 A push grows evenly, effort = g·t, until the handle has moved a little. Friction holds it first, up to the breakaway
-effort; from then on m·x″ = g·(t − t₀), so x = g·(t − t₀)³/(6m) and the cube root of the way is a straight line in time
-whose slope gives m. That is good to some ten per cent, enough to see a wrong torque constant, a wrong ratio or a
-missing factor of four in the decoding.
+effort; from then on m·x″ = g·(t − t₀) − b·x′, so m·x + b·∫x dt = g·(t − t₀)³/6 and its cube root
+is a straight line in time whose slope tells m; b is the described damping, which back-EMF may make large. That is good
+to some ten per cent, enough to see a wrong torque constant, a wrong ratio or a missing factor of four in the decoding.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.core.deferred import optimize
 from rig.core.present import reported
 
 Floats = NDArray[np.float64]
@@ -79,6 +80,7 @@ def check_signs(
     resolution: float,
     expected_inertia: float,
     rest_s: float,
+    damping: float = 0.0,
 ) -> SignCheck:
     """Judge pushes that grow evenly from zero, with rests in between.
 
@@ -92,11 +94,14 @@ def check_signs(
         Of the description (kg·m² or kg).
     rest_s
         Zero effort for this long separates two pushes.
+    damping
+        Of the description, back-EMF included (N·m·s/rad or N·s/m).
     """
     pushes: list[Push] = []
     for first, last in _spans(effort, max(1, round(rest_s / (time_s[1] - time_s[0])))):
         before = pushes[-1].direction if pushes else 0
-        pushes.append(_push(time_s[first:last], effort[first:last], position[first:last], resolution, before))
+        push = slice(first, last)
+        pushes.append(_push(time_s[push], effort[push], position[push], resolution, damping, before))
     moved = [push for push in pushes if abs(push.way) >= LEAST_COUNTS * resolution]
     agreement = {int(np.sign(push.way)) * push.direction for push in moved}
     sign: Literal[-1, 0, 1] = 0
@@ -136,7 +141,9 @@ def _spans(effort: Floats, rest: int) -> list[tuple[int, int]]:
     return list(zip(firsts, lasts, strict=True))
 
 
-def _push(time_s: Floats, effort: Floats, position: Floats, resolution: float, before: int) -> Push:
+def _push(
+    time_s: Floats, effort: Floats, position: Floats, resolution: float, damping: float, before: int
+) -> Push:
     direction: Literal[-1, 1] = 1 if effort[0] > 0.0 else -1
     top = int(np.argmax(direction * effort)) + 1  # the brake that follows never gives more
     way = position[:top] - position[0]
@@ -146,20 +153,29 @@ def _push(time_s: Floats, effort: Floats, position: Floats, resolution: float, b
         direction=direction,
         breakaway=abs(float(effort[first])),
         way=float(way[-1]),
-        inertia=_inertia(time_s[:top], effort[:top], way),
+        inertia=_inertia(time_s[:top], effort[:top], way, damping),
         after_reversal=before == -direction,
     )
 
 
-def _inertia(time_s: Floats, effort: Floats, way: Floats) -> float:
-    """6·m·x = g·(t − t₀)³: slope of the cube root of the way, by least squares, since the handle last was near."""
+def _inertia(time_s: Floats, effort: Floats, way: Floats, damping: float) -> float:
+    """Slope of the cube root of m·x + b·∫x dt, by least squares, since the handle last was near, to be that of g/6."""
     near = np.flatnonzero(np.abs(way) < SETTLED_SHARE * abs(way[-1]))
     since = slice(int(near[-1]) + 1 if len(near) else 0, None)
     if len(np.unique(way[since])) < 4:
         return math.nan
-    growth = abs(float(np.polyfit(time_s, effort, 1)[0]))
-    slope = float(np.polyfit(time_s[since], np.cbrt(np.abs(way[since])), 1)[0])
-    return growth / (6.0 * slope**3) if slope > 0.0 else math.nan
+    cube = abs(float(np.polyfit(time_s, effort, 1)[0])) / 6.0
+    far = np.abs(way[since])
+    braked = damping * np.cumsum(np.abs(way))[since] * (time_s[1] - time_s[0])
+
+    def excess(inertia: float) -> float:
+        slope = float(np.polyfit(time_s[since], np.cbrt(inertia * far + braked), 1)[0])
+        return slope**3 - cube
+
+    most = cube / float(np.polyfit(time_s[since], np.cbrt(far), 1)[0]) ** 3
+    if not (most > 0.0 and excess(0.0) < 0.0):
+        return math.nan
+    return float(optimize.brentq(excess, 0.0, 2.0 * most, xtol=1e-6 * most))
 
 
 def _warnings(pushes: list[Push], moved: list[Push], sign: int, scale: float) -> list[str]:
