@@ -40,6 +40,15 @@ class ParameterInfo:
 
 
 @dataclass(frozen=True, slots=True)
+class ConstantInfo:
+    """A number that the device was built with and nobody can set: of the rig that its monitors take it to move."""
+
+    name: str
+    unit: str
+    value: float
+
+
+@dataclass(frozen=True, slots=True)
 class CodeInfo:
     """A fault or status code as the device explains it."""
 
@@ -63,6 +72,7 @@ class Dictionary:
     current_measured: bool = True
     position_rate_default: int
     position_rate_maximum: int
+    constants: tuple[ConstantInfo, ...] = ()
     parameters: tuple[ParameterInfo, ...]
     faults: tuple[CodeInfo, ...]
     statuses: tuple[CodeInfo, ...]
@@ -90,6 +100,7 @@ def build(
     position_rate_default: int = 1_000,
     position_rate_maximum: int = 50_000,
     ranges: Mapping[str, tuple[Value, Value]] | None = None,
+    constants: tuple[ConstantInfo, ...] = (),
 ) -> Dictionary:
     """Dictionary of a device that has all parameters and codes of this package.
 
@@ -107,6 +118,8 @@ def build(
         Ticks a second (Hz): unless configured, and at most.
     ranges
         Parameter name → (minimum, maximum) where the device is narrower than the table.
+    constants
+        What its monitors know of the rig.
     """
     narrower = {"position_rate": (PARAMETERS[1].minimum, position_rate_maximum), **(ranges or {})}
     defaults = {"position_rate": position_rate_default}
@@ -118,6 +131,7 @@ def build(
         current_measured=current_measured,
         position_rate_default=position_rate_default,
         position_rate_maximum=position_rate_maximum,
+        constants=constants,
         parameters=tuple(_info(parameter, narrower, defaults) for parameter in PARAMETERS),
         faults=tuple(_code_info(fault) for fault in Fault),
         statuses=tuple(_code_info(status) for status in Status),
@@ -175,6 +189,7 @@ def _dictionary(content: dict[str, Any]) -> Dictionary:
         current_measured=_typed({"current_measured": False} | content, "current_measured", bool),
         position_rate_default=_whole(content, "position_rate_default", 1, 10**6),
         position_rate_maximum=_whole(content, "position_rate_maximum", 1, 10**6),
+        constants=tuple(_constant(item) for item in _typed({"constants": []} | content, "constants", list)),
         parameters=tuple(_parameter(item) for item in _typed(content, "parameters", list)),
         faults=tuple(_code(item) for item in _typed(content, "faults", list)),
         statuses=tuple(_code(item) for item in _typed(content, "statuses", list)),
@@ -194,6 +209,10 @@ def _parameter(item: Any) -> ParameterInfo:
         maximum,
         default,
     )
+
+
+def _constant(item: Any) -> ConstantInfo:
+    return ConstantInfo(_text(item, "name"), _text(item, "unit"), float(_number(item, "value")))
 
 
 def _code(item: Any) -> CodeInfo:

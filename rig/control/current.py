@@ -1,21 +1,23 @@
 """Whether the measured current is the one that was set: a lead that came off, a dead amplifier, a wrong sign or scale.
 
 The active current passes through the amplifier's lag. What is left between that and the measured current is added up
-over `WINDOW_S`, by magnitude, so that neither an oscillation nor noise averages it away. At the end of each window the
-sum is compared with the larger of `SIGMAS` of the sensor's noise and a tenth of the current that was expected:
+over `WINDOW_S`, by magnitude, so that neither an oscillation nor noise averages it away; the largest of a window is
+left out, since it may be a spike of the converter. At the end of each window the sum is compared with the larger of
+`SIGMAS` of the sensor's noise and a tenth of the current that was expected:
 
 * above it the two *disagree*;
 * below it they agree, where a dead motor would have been above it; otherwise the current was *not observed*.
 
 Under voltage drive the back-EMF flows too, behind the same lag. It follows from the count's own speed, smoothed over
 `SPEED_LAG_S`, or single counts would be large currents; what is left between the others is smoothed alike before the
-back-EMF is taken off, so that motion of any speed is compared with what itself did.
+back-EMF is taken off, so that motion of any speed is compared with what itself did. What is smooth has no spikes: left
+out is as much as the largest before that, of this window and the one before, can have added.
 
 All of it is integers in flat memory, of 32 bits but for products, as the firmware has it (`core/current.c`, which
 mirrors this): the simulated device and both loops of the host call this one.
 
 Source: R·i + L·i′ = V − k_e·ω, and a current loop as a first-order lag; the thresholds are ours, and
-`rig/bench/README.md` has the false alarms and the power that follow.
+`rig/DESIGN.md` says where the false alarms and the power that follow are.
 """
 
 from __future__ import annotations
@@ -46,8 +48,8 @@ _Places = namedtuple(
     # with back-EMF: speed, and behind the lag (1/16384 count a tick); what is left, smoothed and not; expected current,
     # smoothed
     "speed moved left before smooth "
-    # of this window
-    "passed difference sum",
+    # of this window; the largest and most of the one before, where they still act
+    "passed difference largest sum most last_largest last_most",
 )
 CURRENT: Any = _Places(*range(len(_Places._fields)))
 
@@ -99,9 +101,19 @@ def _late_part(lag_s: float, rate: int) -> int:
 
 
 @rule
+def _begin_window(words: Ints) -> None:
+    smoothed = words[CURRENT.back_emf] != 0
+    words[CURRENT.last_largest] = words[CURRENT.largest] if smoothed else 0
+    words[CURRENT.last_most] = words[CURRENT.most] if smoothed else 0
+    words[CURRENT.passed] = words[CURRENT.difference] = words[CURRENT.largest] = 0
+    words[CURRENT.sum] = words[CURRENT.most] = 0
+
+
+@rule
 def forget(words: Ints) -> None:
     """Begin a window: a new session, or samples were lost."""
-    words[CURRENT.passed] = words[CURRENT.difference] = words[CURRENT.sum] = 0
+    _begin_window(words)
+    words[CURRENT.last_largest] = words[CURRENT.last_most] = 0
     words[CURRENT.known] = words[CURRENT.speed] = words[CURRENT.moved] = 0
     words[CURRENT.left] = words[CURRENT.before] = words[CURRENT.smooth] = 0
 
@@ -133,6 +145,8 @@ def compare(words: Ints, count: int, active: int, measured: int) -> int:
     int
         `AGREES`, `DISAGREES`, or 0: the window goes on, or the current was too small to be observed.
     """
+    if words[CURRENT.noise] == _UNOBSERVED:
+        return 0
     if words[CURRENT.back_emf] != 0 and not words[CURRENT.known]:
         # These fit together at any speed: what is left follows back-EMF from here on.
         words[CURRENT.count], words[CURRENT.known], words[CURRENT.expected] = count, 1, measured * _UNIT
@@ -140,6 +154,8 @@ def compare(words: Ints, count: int, active: int, measured: int) -> int:
     words[CURRENT.expected] += _part(active * _UNIT - words[CURRENT.expected], words[CURRENT.decay])
     expected = _whole(words[CURRENT.expected])
     left = measured - expected
+    words[CURRENT.largest] = max(words[CURRENT.largest], abs(left))
+    words[CURRENT.most] = max(words[CURRENT.most], abs(expected))
     if words[CURRENT.back_emf] != 0:
         back_emf = _back_emf(words, count)
         _smooth(words, measured)
@@ -150,11 +166,13 @@ def compare(words: Ints, count: int, active: int, measured: int) -> int:
     words[CURRENT.passed] += 1
     if words[CURRENT.passed] < words[CURRENT.ticks]:
         return 0
-    difference, total, noise = words[CURRENT.difference], words[CURRENT.sum], words[CURRENT.noise]
-    words[CURRENT.passed] = words[CURRENT.difference] = words[CURRENT.sum] = 0
-    if difference > max(noise, total // SHARE):
-        return DISAGREES if noise < _UNOBSERVED else 0
-    return AGREES if total > noise else 0
+    flowing, noise = words[CURRENT.sum], words[CURRENT.noise]
+    difference = words[CURRENT.difference] - max(words[CURRENT.largest], words[CURRENT.last_largest])
+    seen = flowing - max(words[CURRENT.most], words[CURRENT.last_most])
+    _begin_window(words)
+    if difference > noise and difference * SHARE > flowing:
+        return DISAGREES
+    return AGREES if seen > noise else 0
 
 
 @rule

@@ -10,8 +10,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from firmware_protocol import dictionary as dictionaries
+from firmware_protocol.dictionary import ConstantInfo
 from firmware_protocol.parameter import Value
 from rig.core.model import RigModel
+from rig.core.sample import unit_of
 
 CURRENT_QUANTA_LIMIT = 2**15 - 1  # of an i16 on the wire
 STALL_COUNTS = 2  # travel that must show an edge wherever the handle stood in its encoder cell
@@ -19,6 +21,15 @@ STALL_COUNTS = 2  # travel that must show an edge wherever the handle stood in i
 OVER_CURRENT_MARGIN = 1.1
 SPEED_LAG_S = 2.5e-3  # over which the comparison of currents smooths the count's speed, for the back-EMF
 ROUNDED = math.sqrt(2.0 / 12.0)  # rms of the difference of two rounded values, in quanta
+MOVED_QUANTITIES = {
+    "effort_quantum": "effort",
+    "effort_limit": "effort",
+    "friction": "effort",
+    "travel": "position",
+    "inertia": "inertia",
+    "damping": "damping",
+    "lag_s": "s",
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -115,6 +126,18 @@ def moved_mechanics(model: RigModel) -> MovedMechanics:
     )
 
 
+def constants(model: RigModel) -> tuple[ConstantInfo, ...]:
+    """Return what the monitors of a device know of its rig, as it tells its host."""
+    mechanics = moved_mechanics(model)
+    return (
+        ConstantInfo("over_current", "quantum", over_current(model)),
+        *(
+            ConstantInfo(name, unit_of(quantity, model.motion), getattr(mechanics, name))
+            for name, quantity in MOVED_QUANTITIES.items()
+        ),
+    )
+
+
 def describe(
     model: RigModel,
     *,
@@ -152,6 +175,7 @@ def describe(
         current_measured=model.amplifier.current_monitor,
         position_rate_default=rate_default,
         position_rate_maximum=rate_maximum,
+        constants=constants(model),
         ranges={
             "motion": (motion, motion),
             "encoder_sign": (model.encoder.sign, model.encoder.sign),

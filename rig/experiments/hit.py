@@ -21,6 +21,7 @@ from rig.control.verdict import Verdict
 from rig.core.check import refuse
 from rig.core.errors import ConfigError, PlanError
 from rig.core.present import plain
+from rig.core.same_rig import check_rig
 from rig.devices.framed import FramedDevice
 from rig.devices.local import opened
 from rig.experiments.judgement import Judgement, judge
@@ -217,11 +218,12 @@ def vetted(request: HitRequest, device: FramedDevice, experiment: Experiment) ->
     Raises
     ------
     PlanError
-        Something that must not run.
+        Something that must not run, or a device that was built for another rig.
     ConfigError
-        Another rig than the one in the experiment, or a real one whose polarity is not verified.
+        A real rig whose polarity is not verified.
     """
     config.check_plugins(experiment, experiment.rig.name)
+    refuse([check_rig(config.rig_model(experiment), device.dictionary)])
     law = request.law
     if law is not None and not isinstance(law, Law):
         law = law(device.dictionary.current_quantum_a)
@@ -235,7 +237,6 @@ def vetted(request: HitRequest, device: FramedDevice, experiment: Experiment) ->
     refuse(plan_of(run).checks)
     refuse(device_checks(run, device.dictionary))
     refuse(link_checks(experiment, device.dictionary.position_rate_maximum, device.link.bytes_per_second))
-    check_same_rig(experiment, device)
     _check_verified(request, device)
     _check_person(experiment, device)
     return run
@@ -296,16 +297,6 @@ def _reference_count(request: HitRequest, device: FramedDevice) -> int:
     if device.dictionary.simulated or not request.verified:  # then nothing moves
         return 0
     return device.count() if request.reference_count is None else request.reference_count
-
-
-def check_same_rig(experiment: Experiment, device: FramedDevice) -> None:
-    """A simulated rig knows its name: a recording must not carry another one."""
-    theirs = device.dictionary.device
-    if device.dictionary.simulated and theirs != experiment.rig.name:
-        raise ConfigError(
-            f"the device simulates {theirs}, the experiment is about {experiment.rig.name}",
-            remedy=f"say --rig {theirs}, or open another device",
-        )
 
 
 def _file_name(name: str) -> str:

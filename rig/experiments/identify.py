@@ -28,9 +28,10 @@ from rig.control.excitation import Multisine
 from rig.core.check import refuse
 from rig.core.errors import ConfigError, PlanError
 from rig.core.present import reported
+from rig.core.same_rig import check_rig
 from rig.core.sample import Phase, RowFlag, unit_of
 from rig.devices.framed import FramedDevice
-from rig.experiments.hit import check_same_rig, free_name
+from rig.experiments.hit import free_name
 from rig.experiments.identified_values import identified_values
 from rig.experiments.identify_motions import (
     PERIODS,
@@ -352,7 +353,7 @@ def _check_undisturbed(rows: NDArray[np.void]) -> None:
 
 def _for_device(free: Experiment, request: IdentifyRequest, device: FramedDevice) -> Experiment:
     """In real time the loop runs at the device's own rate, unless the user set one."""
-    check_same_rig(free, device)
+    refuse([check_rig(config.rig_model(still(free)), device.dictionary)])
     if device.link.clock.virtual:
         return free
     rates = ("controller.position_rate", "controller.velocity_rate")

@@ -19,6 +19,7 @@ from rig.config import Experiment
 from rig.control.verdict import CRITERIA, Kind, Measured, decide
 from rig.core.check import refuse, refused
 from rig.core.errors import PlanError, RigError, StoppedError
+from rig.core.same_rig import check_rig
 from rig.core.sample import Phase
 from rig.devices.framed import FramedDevice
 from rig.experiments import sweep
@@ -146,6 +147,7 @@ def _check(plan: MapPlan) -> None:
 def _check_hits(plan: MapPlan, device: FramedDevice) -> None:
     """Refuse what could not be hit, before anybody waits hours for it: the ends of the search under every scheme."""
     rungs = plan.search.rungs
+    refuse([check_rig(config.rig_model(plan.experiment), device.dictionary)])
     for number, scheme in enumerate(plan.schemes):
         under = plan.experiment_of(next(one for one in plan.series() if one.scheme == number))
         checks = link_checks(under, device.dictionary.position_rate_maximum, device.link.bytes_per_second)

@@ -21,6 +21,7 @@ from rig.core.check import Check
 from rig.core.errors import DeviceFaultError, LinkLostError
 from rig.core.model import RigModel
 from rig.core.present import plain
+from rig.core.same_rig import check_rig
 from rig.devices.device import Link
 from rig.devices.framed import FramedDevice
 from rig.devices.local import opened
@@ -288,6 +289,7 @@ def _serial_number(link: Link) -> str | None:
 def _fits(x: Experiment, device: FramedDevice) -> list[Check]:
     dictionary = device.dictionary
     return [
+        check_rig(config.rig_model(x), dictionary),
         *link_checks(x, dictionary.position_rate_maximum, device.link.bytes_per_second),
         *device_checks(prepared_on(device, x), dictionary),
     ]

@@ -170,7 +170,7 @@ CASES = {
     ),
     "an illegal transition": Case(lambda far: far.device.fail_encoder(), (Fault.ENCODER,), 1),
     "a short circuit": Case(
-        shorted, (Fault.OVER_CURRENT,), 1, lambda far: setattr(far.device.hardware, "leak", 0)
+        shorted, (Fault.OVER_CURRENT,), 2, lambda far: setattr(far.device.hardware, "leak", 0)
     ),
     "a blow": Case(pushed(5.0), (Fault.OVER_SPEED, Fault.POSITION_WINDOW), RATE // 10),
     "a shove out of the window": Case(

@@ -11,7 +11,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.dictionary import PLAIN_LIMIT, Dictionary, build, decode, dictionary_hash, encode
+from firmware_protocol.dictionary import (
+    PLAIN_LIMIT,
+    ConstantInfo,
+    Dictionary,
+    build,
+    decode,
+    dictionary_hash,
+    encode,
+)
 from firmware_protocol.errors import RemoteProtocolError
 from firmware_protocol.faults import Fault, Status
 
@@ -23,6 +31,7 @@ DICTIONARY = build(
     position_rate_default=1000,
     position_rate_maximum=20_000,
     ranges={"current_limit": (0, 1240)},
+    constants=(ConstantInfo("inertia", "kg·m²", 2e-4),),
 )
 PACKED = encode(DICTIONARY)
 

@@ -129,6 +129,9 @@ def test_a_setting_that_the_board_cannot_have_is_refused_by_name(run: Any) -> No
     code, _, err = run("firmware", "build", "--set", "enable_pin=2")
     assert code == 2
     assert "encoder_pin and enable_pin of board rp2040 both use pin 2" in err
+    code, _, err = run("firmware", "build", "--set", "encoder_lines=complementary", "--set", "enable_pin=15")
+    assert code == 2
+    assert "encoder_complement_pin and enable_pin of board rp2040 both use pin 15" in err
     code, _, err = run("firmware", "build", "--set", "pwm_pin=13")
     assert code == 15
     assert "change the setting that it names" in err

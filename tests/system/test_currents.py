@@ -18,6 +18,7 @@ from rig import config
 from rig.config import presets
 from rig.control.current import CURRENT
 from rig.control.verdict import Kind
+from rig.core.board import over_current
 from rig.core.errors import DeviceFaultError, GuardError, RigError
 from rig.core.sample import RowFlag
 from rig.devices.framed import FramedDevice
@@ -32,6 +33,7 @@ from tests.conformance.trials import trial_on
 START = -0.015
 BASE = config.override(presets.load("koul-compliant"), {"trial.duration_s": 0.2, "verdict.tail_s": 0.08})
 PERSON = {"trial.kind": "human", "homing.settle_s": 0.05}
+QUANTUM_A = BASE.rig.amplifier.current_quantum_a
 AT_REST = 5_000  # tick: in the wall, where a steady push holds it
 PUSHED = 2_800  # tick: on its way there; a voltage-driven motor soon rests in the wall without a current
 
@@ -162,18 +164,22 @@ def test_a_current_too_small_beside_the_noise_is_not_observed_and_no_agreement(t
     )
 
 
-def test_one_spike_of_the_converter_is_no_over_current_and_two_are(tmp_path: Path) -> None:
-    model = config.rig_model(BASE)
-    for spikes, ends in ((1, False), (2, True)):
-        _, _, error = trial(
-            tmp_path / str(spikes),
-            SimulatedDevice,
-            "host",
-            (AT_REST, hardware(leak=20_000)),
-            (AT_REST + spikes, hardware(leak=0)),
-        )
-        assert model.amplifier.current_quantum_a * 20_000 > model.amplifier.effort_limit / 0.216
-        assert (error is not None and Fault.OVER_CURRENT.text in error.message) == ends
+@pytest.mark.parametrize("spikes", [1, 2])
+def test_one_spike_of_the_converter_is_no_over_current_and_two_are(spikes: int, tmp_path: Path) -> None:
+    over = over_current(config.rig_model(BASE)) + 1
+    _, recording, error = trial(
+        tmp_path,
+        SimulatedDevice,
+        "host",
+        (AT_REST, hardware(leak=2 * over)),  # whatever the motor's own current adds to it
+        (AT_REST + spikes, hardware(leak=0)),
+    )
+    assert (np.abs(recording.rows["current_measured"]) >= over * QUANTUM_A).sum() == spikes
+    if spikes == 1:
+        assert error is None
+    else:
+        assert isinstance(error, DeviceFaultError)
+        assert Fault.OVER_CURRENT.text in error.message
 
 
 @SIDES

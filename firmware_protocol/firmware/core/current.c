@@ -1,8 +1,9 @@
 /* The active current passes through the amplifier's lag. What is left between that and the measured current is added up
- * over a window, by magnitude, so that neither an oscillation nor noise averages it away, and compared with the larger of
- * the sensor's noise and a tenth of the current that was expected. Under voltage drive the back-EMF flows too, behind the
- * same lag: it follows from the count's own speed, smoothed, and what is left between the others is smoothed alike. The
- * host has the same rule (rig/control/current.py), bit by bit. */
+ * over a window, by magnitude, so that neither an oscillation nor noise averages it away, all but the largest, which may
+ * be a spike of the converter. The sum is compared with the larger of the sensor's noise and a tenth of the current that
+ * was expected. Under voltage drive the back-EMF flows too, behind the same lag: it follows from the count's own speed,
+ * smoothed, and what is left between the others is smoothed alike, so that a spike lasts into the next window. The host
+ * has the same rule (rig/control/current.py), bit by bit. */
 #include "current.h"
 
 #include <math.h>
@@ -54,11 +55,19 @@ void current_configure(struct current_check *check, const struct board *board, u
     current_forget(check);
 }
 
-void current_forget(struct current_check *check)
+static void begin_window(struct current_check *check)
 {
+    check->last_largest = check->back_emf != 0 ? check->largest : 0;
     check->passed = 0;
     check->difference = 0;
+    check->largest = 0;
     check->sum = 0;
+}
+
+void current_forget(struct current_check *check)
+{
+    begin_window(check);
+    check->last_largest = 0;
     check->known = 0;
     check->speed = check->moved = check->left = check->before = check->smooth = 0;
 }
@@ -92,8 +101,9 @@ int16_t current_zeroed(struct current_check *check, int16_t measured, bool off)
 /* A share (1/65536) of a difference, towards zero. */
 static int32_t part(int32_t difference, uint32_t share)
 {
-    const int32_t size = (int32_t)wide_shift(wide_product(size_of(difference), share), 16u);
-    return difference > 0 ? size : -size;
+    const uint32_t size = size_of(difference); /* 31 bits; in two halves, for processors without a wide product */
+    const int32_t part = (int32_t)((size >> 16) * share + ((size & 0xFFFFu) * share >> 16));
+    return difference > 0 ? part : -part;
 }
 
 /* Current that the motion takes off under voltage drive. */
@@ -124,6 +134,8 @@ static void smooth(struct current_check *check, int16_t measured)
 
 bool current_disagrees(struct current_check *check, int32_t count, int16_t active, int16_t measured)
 {
+    if (check->noise == UINT32_MAX)
+        return false;
     if (check->back_emf != 0 && check->known == 0) {
         /* These fit together at any speed: what is left follows back-EMF from here on. */
         check->count = count;
@@ -133,6 +145,8 @@ bool current_disagrees(struct current_check *check, int32_t count, int16_t activ
     }
     check->expected += part(active * UNIT - check->expected, check->decay);
     int32_t expected = whole(check->expected, UNIT), left = measured - expected;
+    const uint32_t apart = size_of(left);
+    check->largest = apart > check->largest ? apart : check->largest;
     if (check->back_emf != 0) {
         const int32_t moving = back_emf(check, count);
         smooth(check, measured);
@@ -143,9 +157,8 @@ bool current_disagrees(struct current_check *check, int32_t count, int16_t activ
     check->sum += size_of(expected);
     if (++check->passed < check->ticks)
         return false;
-    const uint32_t difference = check->difference, share = check->sum / SHARE;
-    check->passed = 0;
-    check->difference = 0;
-    check->sum = 0;
-    return check->noise < UINT32_MAX && difference > (share > check->noise ? share : check->noise);
+    const uint32_t spike = check->largest > check->last_largest ? check->largest : check->last_largest;
+    const uint32_t difference = check->difference > spike ? check->difference - spike : 0, sum = check->sum;
+    begin_window(check);
+    return difference > check->noise && difference * SHARE > sum;
 }

@@ -22,9 +22,9 @@ struct current_check {
     /* With back-EMF: speed, and behind the lag (1/16384 count a tick); what is left, smoothed and not; expected current,
      * smoothed (1/16384 quantum). */
     int32_t speed, moved, left, before, smooth;
-    /* Of this window. */
+    /* Of this window; the largest of the one before, where it still acts. */
     uint16_t passed;
-    uint32_t difference, sum;
+    uint32_t difference, largest, sum, last_largest;
     /* What the sensor shows without a current (1/256 quantum), and how much that may be. */
     int32_t zero, largest_zero;
 };

@@ -19,6 +19,7 @@ from rig.config import Experiment
 from rig.core.check import Check
 from rig.core.errors import RealtimeError, RigError
 from rig.core.present import Item, Row, reported
+from rig.core.same_rig import check_rig
 from rig.core.sample import unit_of
 from rig.devices.device_facts import DeviceFacts
 from rig.devices.framed import FramedDevice
@@ -153,12 +154,12 @@ def _with_device(
 ) -> Examination:
     on_progress("identifying the device", 0.0)
     facts, link_url = DeviceFacts.of(device), device.link.url
-    seen = replace(seen, device=facts, experiment=in_effect(asked.experiment, device, asked.changes))
+    experiment = in_effect(asked.experiment, device, asked.changes)
+    rig = check_rig(config.rig_model(experiment), device.dictionary)
+    seen = replace(seen, device=facts, experiment=experiment, checks=(*seen.checks, rig))
     if link_url.scheme == "serial" and all(port.url != facts.url for port in seen.ports):
         problems = serial_port(link_url.place)[1].problems()
         seen = replace(seen, checks=(*seen.checks, *problems))
-    experiment = seen.experiment
-    assert experiment is not None
     scheduling: tuple[Check, ...] = ()
 
     def shown(share: float) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from os.path import normpath
 from pathlib import Path
 from typing import Any
@@ -28,7 +28,7 @@ class Setting:
     """A pin, a scale or a choice of a board, which the C sources see as ``BOARD_NAME``.
 
     A whole default asks for a whole number, a default with a point for any number, a text for one of `choices`. With
-    `pins` it is the first of so many pins, which nothing else may use.
+    `pins` it is the first of so many pins, which nothing else may use, if the settings of `where` have these values.
     """
 
     name: str
@@ -39,6 +39,7 @@ class Setting:
     maximum: float | None = None
     choices: tuple[str, ...] = ()
     pins: int = 0
+    where: Mapping[str, SettingValue] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -193,7 +194,9 @@ def _check_pins(board: Board, values: Mapping[str, SettingValue]) -> None:
     """Refuse two uses of one pin."""
     used = dict(board.reserved_pins)
     for name, setting in board.settings.items():
-        for pin in range(int(values[name]), int(values[name]) + setting.pins) if setting.pins else ():
+        if not setting.pins or any(values[other] != value for other, value in setting.where.items()):
+            continue
+        for pin in range(int(values[name]), int(values[name]) + setting.pins):
             if pin in used:
                 raise ConfigError(
                     f"{used[pin]} and {name} of board {board.name} both use pin {pin}",

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any
 
 from firmware_protocol import messages as m
 from firmware_protocol.connection import State
@@ -23,11 +22,11 @@ from rig.bench.firmware.stream import judge_stream
 from rig.config import Experiment
 from rig.config.controller import prepared
 from rig.core import check
-from rig.core.board import describe
-from rig.core.check import Check
+from rig.core.check import Check, Outcome
 from rig.core.errors import DeviceRefusedError, RigError
 from rig.core.model import RigModel
 from rig.core.present import Item, reported
+from rig.core.same_rig import check_rig
 from rig.core.sample import unit_of
 from rig.devices.framed import FramedDevice
 
@@ -173,33 +172,12 @@ def _rig(device: FramedDevice, request: SelfTestRequest) -> Check:
     model = request.model
     if model is None:
         return skipped(f"its name is {dictionary.device}; --rig compares it with yours")
-    ours = describe(
-        model,
-        firmware=dictionary.firmware,
-        simulated=dictionary.simulated,
-        rate_default=dictionary.position_rate_default,
-        rate_maximum=dictionary.position_rate_maximum,
-    )
-    differ = [
-        f"{name} is {theirs:g} there and {wanted:g} here"
-        for name, theirs, wanted in (
-            ("current quantum (A)", dictionary.current_quantum_a, ours.current_quantum_a),
-            *(
-                (name, _most(dictionary, name), _most(ours, name))
-                for name in ("motion", "encoder_sign", "current_limit")
-            ),
+    found = check_rig(model, dictionary)
+    if found.outcome is Outcome.REFUSED:
+        return refused(
+            found.text, f"build the image for this rig: rig firmware build --rig {model.name}, and flash it"
         )
-        if theirs != wanted
-    ]
-    if differ:
-        remedy = f"build the image for this rig: rig firmware build --rig {model.name}, and flash it"
-        return refused(f"the image is for {dictionary.device}: {', '.join(differ)}", remedy)
-    return ok(f"{dictionary.device}, of the same scales and limits as {model.name}")
-
-
-def _most(dictionary: Any, name: str) -> float:
-    info = dictionary.parameter(name)
-    return float("nan") if info is None else float(info.maximum)
+    return found
 
 
 # ------------------------------------------------------------------ what it remembers

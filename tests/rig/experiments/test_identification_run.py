@@ -28,6 +28,7 @@ from rig.experiments import identify_motions as motions
 from rig.experiments.identified_file import file_text
 from rig.experiments.identify import IdentifyRequest, identify, trial_rows
 from rig.recording.reader import open_recording
+from sim_backend import device as simulated
 from sim_backend.device import SimulatedDevice
 from sim_backend.hardware import Hardware
 from sim_backend.link import MemoryLink
@@ -255,6 +256,8 @@ def test_a_rig_of_another_scale_is_refused_before_it_is_excited(
 ) -> None:
     mechanics = replace(CHAWDA.rig.mechanics, motor_inertia=5.2)
     heavy = replace(config.rig_model(CHAWDA), mechanics=mechanics)
+    untold = replace(SimulatedDevice(heavy)._dictionary, constants=())
+    monkeypatch.setattr(simulated, "describe", lambda *_: untold)
     monkeypatch.setattr(
         identifying.devices,
         "open_device",
@@ -290,7 +293,7 @@ def test_a_plan_that_is_refused_moves_nothing(tmp_path: Path) -> None:
         ({"changes": {"controller.position_rate": 50, "controller.velocity_rate": 50,
                       "controller.parameters.cutoff_hz": 5.0, "verdict.lowpass_hz": 20.0,
                       "verdict.highpass_hz": 5.0}}, "too low"),
-        ({"url": "sim://koul-rigid"}, "the device simulates koul-rigid"),
+        ({"url": "sim://koul-rigid"}, "its name is koul-rigid"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_meant_is_refused(options: Any, message: str, tmp_path: Path) -> None:

@@ -1,0 +1,74 @@
+"""Whether a device was built for the rig that an experiment is about: the same name, scales, limits and monitors."""
+
+from __future__ import annotations
+
+import math
+
+from firmware_protocol.dictionary import Dictionary
+from rig.core.board import describe
+from rig.core.check import Check, Outcome
+from rig.core.model import RigModel
+
+# What moves may have been identified anew since the firmware was built, or have an end mass now. The device's check of
+# a stalled motor has a margin of three in time: of that an inertia of four times takes two. Damping has no part in the
+# two counts that it waits for, friction acts beside a fifth of the effort limit, at least. The comparison of currents
+# was tried with half and twice the lag. All this as a share of the larger value.
+SHARES = {"inertia": 0.75, "damping": 1.0, "lag_s": 0.5}
+FRICTION_SHARE = 0.05  # of the effort limit
+ROUNDING = 1e-6
+
+
+def check_rig(model: RigModel, device: Dictionary) -> Check:
+    """Compare a device with a rig.
+
+    Parameters
+    ----------
+    model
+        The rig of the experiment.
+    device
+        What the device says of itself. Of a constant that it does not tell, nothing is known: that is said.
+
+    Returns
+    -------
+    Check
+        Refused, with both values of all that differs; or what it was found to be.
+    """
+    ours = describe(
+        model,
+        firmware=device.firmware,
+        simulated=device.simulated,
+        rate_default=device.position_rate_default,
+        rate_maximum=device.position_rate_maximum,
+    )
+    theirs, wanted = _known(device), _known(ours)
+    differ = [
+        f"{name} {theirs[name]:g} there and {value:g} here"
+        for name, value in wanted.items()
+        if name in theirs and not _agree(name.split()[0], theirs[name], value, model.amplifier.effort_limit)
+    ]
+    if device.device != ours.device:
+        differ = [f"its name is {device.device}", *differ]
+    if differ:
+        return Check(
+            "rig of the device",
+            Outcome.REFUSED,
+            f"{device.device} was built for another rig than {model.name}: {'; '.join(differ)}",
+            f"open another device, say --rig {device.device}, or build and flash the firmware of {model.name}",
+        )
+    untold = ", ".join(name for name in wanted if name not in theirs)
+    text = f"{device.device}, of the same scales and limits as {model.name}"
+    return Check("rig of the device", Outcome.OK, f"{text}; it does not tell {untold}" if untold else text)
+
+
+def _agree(name: str, theirs: float, ours: float, effort_limit: float) -> bool:
+    slack = FRICTION_SHARE * effort_limit if name == "friction" else 0.0
+    return math.isclose(theirs, ours, rel_tol=SHARES.get(name, ROUNDING), abs_tol=slack)
+
+
+def _known(dictionary: Dictionary) -> dict[str, float]:
+    """Return what a dictionary says of the rig, with the unit in the name."""
+    found = {"current quantum (A)": dictionary.current_quantum_a}
+    for name, unit in (("motion", ""), ("encoder_sign", ""), ("current_limit", " (quantum)")):
+        if (info := dictionary.parameter(name)) is not None:
+            found[name + unit] = info.maximum
+    return found | {f"{constant.name} ({constant.unit})": constant.value for constant in dictionary.constants}

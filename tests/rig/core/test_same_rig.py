@@ -1,0 +1,79 @@
+"""A device is of the experiment's rig, or both values of what differs are said."""
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from firmware_protocol.dictionary import ConstantInfo, Dictionary
+from rig import config
+from rig.config import presets
+from rig.core.board import describe
+from rig.core.check import Outcome
+from rig.core.model import RigModel
+from rig.core.same_rig import FRICTION_SHARE, check_rig
+
+MODEL = config.rig_model(presets.load("koul-compliant"))
+AMPLIFIER, ENCODER, MECHANICS = MODEL.amplifier, MODEL.encoder, MODEL.mechanics
+
+
+def built_for(model: RigModel, **changes: Any) -> Dictionary:
+    told = describe(model, firmware="1", simulated=False, rate_default=1_000, rate_maximum=50_000)
+    return replace(told, **changes)
+
+
+def with_amplifier(**changes: Any) -> RigModel:
+    return replace(MODEL, amplifier=replace(AMPLIFIER, **changes))
+
+
+def with_mechanics(**changes: Any) -> RigModel:
+    return replace(MODEL, mechanics=replace(MECHANICS, **changes))
+
+
+@pytest.mark.parametrize("name", presets.names())
+def test_a_device_of_the_rig_is_one(name: str) -> None:
+    model = config.rig_model(presets.load(name))
+    found = check_rig(model, built_for(model))
+    assert (found.outcome, "does not tell" in found.text) == (Outcome.OK, False)
+
+
+OTHERS = {
+    "name": (replace(MODEL, name="other"), "its name is other"),
+    "quantum": (with_amplifier(current_quantum_a=2e-3), "current quantum (A) 0.002 there and 0.001 here"),
+    "effort for an ampere": (with_amplifier(effort_per_ampere=0.468), "effort_quantum (N·m) 0.000468 there"),
+    "most that the amplifier gives": (
+        with_amplifier(effort_limit=2.6),
+        "effort_limit (N·m) 2.6 there and 1.3 here",
+    ),
+    "over-current": (with_amplifier(effort_limit=2.6), "over_current (quantum) 12222 there and 6111 here"),
+    "direction of counting": (replace(MODEL, encoder=replace(ENCODER, sign=-ENCODER.sign)), "encoder_sign"),
+    "resolution": (replace(MODEL, encoder=replace(ENCODER, ratio=2.0 * ENCODER.ratio)), "travel (rad)"),
+    "inertia": (with_mechanics(link_inertia=10 * MECHANICS.link_inertia), "inertia (kg·m²)"),
+    "friction": (with_mechanics(motor_coulomb=MECHANICS.motor_coulomb + 0.1), "friction (N·m)"),
+    "lag": (with_amplifier(lag_s=3e-4), "lag_s (s) 0.0003 there and 0.0001 here"),
+}
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_a_device_of_another_rig_is_refused_with_both_values(name: str) -> None:
+    model, words = OTHERS[name]
+    found = check_rig(MODEL, built_for(model))
+    assert found.outcome is Outcome.REFUSED
+    assert words in found.text
+    assert "rig" in found.remedy
+
+
+def test_what_was_identified_anew_may_differ_by_less_than_the_stall_check_forgives() -> None:
+    near = with_mechanics(
+        link_inertia=3 * MECHANICS.link_inertia,
+        motor_coulomb=MECHANICS.motor_coulomb + 0.9 * FRICTION_SHARE * AMPLIFIER.effort_limit,
+    )
+    assert check_rig(MODEL, built_for(near)).outcome is Outcome.OK
+
+
+def test_what_a_device_does_not_tell_is_said_and_not_refused() -> None:
+    found = check_rig(MODEL, built_for(MODEL, constants=()))
+    assert found.outcome is Outcome.OK
+    assert "does not tell over_current (quantum), effort_quantum (N·m)" in found.text
+    strange = check_rig(MODEL, built_for(MODEL, constants=(ConstantInfo("colour", "", 1.0),)))
+    assert strange.outcome is Outcome.OK
