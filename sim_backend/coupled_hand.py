@@ -81,6 +81,7 @@ def advance_rigid(
     resolution, offset = parameters[RESOLUTION], parameters[OFFSET]
     push_x = _pushed(phi, gamma, 0, command, external, goal_velocity, press)
     push_v = _pushed(phi, gamma, 1, command, external, goal_velocity, press)
+    push_e = _pushed(phi, gamma, 2, command, external, goal_velocity, press)
     push_h = _pushed(phi, gamma, 3, command, external, goal_velocity, press)
     push_g = _pushed(phi, gamma, 4, command, external, goal_velocity, press)
     count = cell(x, resolution, offset)
@@ -96,10 +97,11 @@ def advance_rigid(
             x_next += push_x + gamma[0, 2] * friction
         h_next = phi[3, 1] * v + phi[3, 2] * effort + phi[3, 4] * g - phi[3, 0] * grip + phi[3, 5] * want
         g_next = phi[4, 1] * v + phi[4, 2] * effort + phi[4, 4] * g - phi[4, 0] * grip + phi[4, 5] * want
+        effort = phi[2, 1] * v + phi[2, 2] * effort + phi[2, 4] * g + phi[2, 3] * grip + phi[2, 5] * wish
+        effort += push_e + gamma[2, 2] * friction
         h += h_next + push_h + gamma[3, 2] * friction
         g = g_next + push_g + gamma[4, 2] * friction
         count, age = encoded(count, age, x, x_next, step_s, resolution, offset)
-        effort = phi[2, 2] * effort + gamma[2, 0] * command
         x, v = x_next, v_next
     state[0], state[1], state[2], state[3], state[4] = x, v, effort, h, g
     state[8] = age
@@ -119,6 +121,7 @@ def advance_two_mass(
     push_v = _pushed(phi, gamma, 1, command, external, goal_velocity, press)
     push_y = _pushed(phi, gamma, 2, command, external, goal_velocity, press)
     push_w = _pushed(phi, gamma, 3, command, external, goal_velocity, press)
+    push_e = _pushed(phi, gamma, 4, command, external, goal_velocity, press)
     push_h = _pushed(phi, gamma, 5, command, external, goal_velocity, press)
     push_g = _pushed(phi, gamma, 6, command, external, goal_velocity, press)
     count = cell(x, resolution, offset)
@@ -142,10 +145,12 @@ def advance_two_mass(
         h_next = phi[5, 7] * want - phi[5, 2] * grip - phi[5, 0] * reach
         g_next = phi[6, 7] * want - phi[6, 2] * grip - phi[6, 0] * reach
         h_next += _carried(phi, 5, v, w, effort, g) + push_h + gamma[5, 2] * rub_v + gamma[5, 3] * rub_w
+        e_next = phi[4, 2] * stretch + phi[4, 5] * reach + phi[4, 7] * far
+        e_next += _carried(phi, 4, v, w, effort, g) + push_e + gamma[4, 2] * rub_v + gamma[4, 3] * rub_w
         g = g_next + _carried(phi, 6, v, w, effort, g) + push_g + gamma[6, 2] * rub_v + gamma[6, 3] * rub_w
         h += h_next
+        effort = e_next
         count, age = encoded(count, age, x, x_next, step_s, resolution, offset)
-        effort = phi[4, 4] * effort + gamma[4, 0] * command
         x, v, y, w = x_next, v_next, y_next, w_next
     state[0], state[1], state[2], state[3], state[4] = x, v, y, w, effort
     state[5], state[6], state[10] = h, g, age

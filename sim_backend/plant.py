@@ -18,7 +18,8 @@ price is a small error in a step in which a mass comes to rest or turns round: a
 in the length of a stop.
 
 **What it mirrors.** The amplifier's limit and lag stand for stall torque and L/R of the motor's data sheet,
-the delay for the ticks that a control computer spends between encoder and amplifier.
+the delay for the ticks that a control computer spends between encoder and amplifier. Under voltage drive the command is
+the voltage in units of effort; the effort state is what flows, k_t times the current, back-EMF included.
 """
 
 from __future__ import annotations
@@ -230,9 +231,11 @@ def _exact(continuous: StateSpace, step_s: float) -> tuple[Matrix, Matrix]:
     phi = np.ascontiguousarray(whole[np.ix_(states, states)])
     gamma = np.ascontiguousarray(whole[np.ix_(states, range(order, wanted))])
     without_lag = not continuous.a[continuous.effort].any()
-    if without_lag:  # the effort state shows the active command
-        phi[continuous.effort, continuous.effort] = 0.0
-        gamma[continuous.effort, 0] = 1.0
+    if without_lag:  # the effort state shows the active command, less the back-EMF of the velocity reached
+        e, motor_velocity = continuous.effort, continuous.sensed_position + 1
+        phi[e] = -continuous.back_emf * phi[motor_velocity]
+        gamma[e] = -continuous.back_emf * gamma[motor_velocity]
+        gamma[e, 0] += 1.0
     return phi, gamma
 
 
@@ -273,6 +276,7 @@ def _advance_rigid(
     resolution, offset = parameters[RESOLUTION], parameters[OFFSET]
     push_x = gamma[0, 0] * command + gamma[0, 1] * external
     push_v = gamma[1, 0] * command + gamma[1, 1] * external
+    push_e = gamma[2, 0] * command + gamma[2, 1] * external
     count = cell(x, resolution, offset)
     for _ in range(int(parameters[STEPS])):
         free = phi[1, 1] * v + phi[1, 2] * effort + push_v
@@ -281,7 +285,7 @@ def _advance_rigid(
         if v != 0.0 or v_next != 0.0:
             x_next += phi[0, 1] * v + phi[0, 2] * effort + push_x + gamma[0, 2] * friction
         count, age = encoded(count, age, x, x_next, step_s, resolution, offset)
-        effort = phi[2, 2] * effort + gamma[2, 0] * command
+        effort = phi[2, 1] * v + phi[2, 2] * effort + push_e + gamma[2, 2] * friction
         x, v = x_next, v_next
     state[0], state[1], state[2], state[3] = x, v, effort, age
     return count
@@ -300,6 +304,7 @@ def _advance_two_mass(
     push_v = gamma[1, 0] * command + gamma[1, 1] * external
     push_y = gamma[2, 0] * command + gamma[2, 1] * external
     push_w = gamma[3, 0] * command + gamma[3, 1] * external
+    push_e = gamma[4, 0] * command + gamma[4, 1] * external
     count = cell(x, resolution, offset)
     for _ in range(int(parameters[STEPS])):
         stretch = y - x
@@ -316,7 +321,8 @@ def _advance_two_mass(
             y_next += phi[2, 1] * v - phi[2, 0] * stretch + phi[2, 3] * w + phi[2, 4] * effort + push_y
             y_next += gamma[2, 2] * rub_v + gamma[2, 3] * rub_w
         count, age = encoded(count, age, x, x_next, step_s, resolution, offset)
-        effort = phi[4, 4] * effort + gamma[4, 0] * command
+        effort = phi[4, 1] * v + phi[4, 2] * stretch + phi[4, 3] * w + phi[4, 4] * effort + push_e
+        effort += gamma[4, 2] * rub_v + gamma[4, 3] * rub_w
         x, v, y, w = x_next, v_next, y_next, w_next
     state[0], state[1], state[2], state[3] = x, v, y, w
     state[4], state[5] = effort, age

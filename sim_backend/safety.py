@@ -455,6 +455,6 @@ def stall_time(model: RigModel, current: float) -> float:
         return math.inf
     travel = STALL_COUNTS * model.encoder.resolution
     inertia = mechanics.motor_inertia + mechanics.loaded_link_inertia
-    damping = mechanics.motor_damping + mechanics.link_damping + amplifier.back_emf_damping
+    damping = model.damping
     moving_s = math.sqrt(2.0 * inertia * travel / effort) + travel * damping / effort + amplifier.lag_s
     return max(STALL_MARGIN * moving_s, SPEED_WINDOW_S)

@@ -1,13 +1,17 @@
 """Whether the measured current is the one that was set: a lead that came off, a dead amplifier, a wrong sign or scale.
 
-The active current passes through the amplifier's lag; under voltage drive the back-EMF is taken off before it, from the
-count's own speed. What is left between that and the measured current is added up over `WINDOW_S`, by magnitude, so that
-neither an oscillation nor noise averages it away; the largest of a window is left out, since it may be a spike of the
-converter. At the end of each window the sum is compared with the larger of `SIGMAS` of the sensor's noise and a tenth
-of the current that was expected:
+The active current passes through the amplifier's lag. What is left between that and the measured current is added up
+over `WINDOW_S`, by magnitude, so that neither an oscillation nor noise averages it away; the largest of a window is
+left out, since it may be a spike of the converter. At the end of each window the sum is compared with the larger of
+`SIGMAS` of the sensor's noise and a tenth of the current that was expected:
 
 * above it the two *disagree*;
 * below it they agree, where a dead motor would have been above it; otherwise the current was *not observed*.
+
+Under voltage drive the back-EMF flows too, behind the same lag. It follows from the count's own speed, smoothed over
+`SPEED_LAG_S`, or single counts would be large currents; what is left between the others is smoothed alike before the
+back-EMF is taken off, so that motion of any speed is compared with what itself did. What is smooth has no spikes: left
+out is as much as the largest before that, of this window and the one before, can have added.
 
 All of it is integers in flat memory, of 32 bits but for products, as the firmware has it (`core/current.c`, which
 mirrors this): the simulated device and both loops of the host call this one.
@@ -22,7 +26,7 @@ import math
 from collections import namedtuple
 from typing import Any
 
-from rig.core.board import CurrentSensor
+from rig.core.board import SPEED_LAG_S, CurrentSensor
 from rig.realtime.groups import Ints
 from rig.realtime.kernel import rule
 
@@ -30,24 +34,29 @@ WINDOW_S = 10e-3
 FEWEST_TICKS = 4
 SIGMAS = 4.0
 SHARE = 10  # of the expected current: one in so many
-SPEED_LAG_S = 2.5e-3  # of the count's speed, for the back-EMF
 
 AGREES, DISAGREES = 1, 2
 
 _Places = namedtuple(
     "_Places",
     # settings: shares of a lag in a tick (1/65536), quanta of back-EMF for a count in a tick (1/256), which way it
-    # acts; ticks of a window, and the sum in it that is noise
-    "decay speed_decay back_emf sign ticks noise "
-    # memory: expected current (1/16384 quantum), speed (1/4096 count a tick), last count and whether there is one
-    "expected speed count known "
-    # of this window
-    "passed difference largest sum most",
+    # acts; ticks of a window, and the sum in it that is noise; of what a lag's input changes by in a tick, how much
+    # comes late (1/65536)
+    "decay speed_decay back_emf sign ticks noise late "
+    # memory: expected current, back-EMF apart (1/16384 quantum); last count, how many are known (0, 1 or more)
+    "expected count known "
+    # with back-EMF: speed, and behind the lag (1/16384 count a tick); what is left, smoothed and not; expected current,
+    # smoothed
+    "speed moved left before smooth "
+    # of this window; the largest and most of the one before, where they still act
+    "passed difference largest sum most last_largest last_most",
 )
 CURRENT: Any = _Places(*range(len(_Places._fields)))
 
+_HALF = 1 << 15  # of 65536
 _UNIT = 1 << 14
 _MOST = 32767 * _UNIT
+_COUNT = 1 << 14
 _MOST_COUNTS = 32767
 _UNOBSERVED = 2**32 - 1
 
@@ -70,6 +79,7 @@ def configure(words: Ints, sensor: CurrentSensor, rate: int, encoder_sign: int) 
     words[CURRENT.speed_decay] = _share_of(SPEED_LAG_S, rate)
     words[CURRENT.back_emf] = min(math.floor(sensor.back_emf * rate * 256.0 + 0.5), 2**31 - 1)
     words[CURRENT.sign] = encoder_sign
+    words[CURRENT.late] = _late_part(sensor.lag_s, rate)
     ticks = words[CURRENT.ticks] = max(FEWEST_TICKS, math.floor(rate * WINDOW_S))
     noise = math.ceil(SIGMAS * sensor.noise * ticks) if sensor.noise >= 0.0 else _UNOBSERVED
     words[CURRENT.noise] = min(noise, _UNOBSERVED)
@@ -82,8 +92,19 @@ def _share_of(lag_s: float, rate: int) -> int:
     return 65536 if lag_s <= 0.0 else math.floor(-math.expm1(-1.0 / (rate * lag_s)) * 65536.0 + 0.5)
 
 
+def _late_part(lag_s: float, rate: int) -> int:
+    """How much of a change within a tick, at an even pace, a first-order lag has not seen at its end, in 1/65536."""
+    if lag_s <= 0.0:
+        return 0
+    ticks = lag_s * rate
+    return math.floor((ticks + 1.0 / math.expm1(-1.0 / ticks) + 1.0) * 65536.0 + 0.5)
+
+
 @rule
 def _begin_window(words: Ints) -> None:
+    smoothed = words[CURRENT.back_emf] != 0
+    words[CURRENT.last_largest] = words[CURRENT.largest] if smoothed else 0
+    words[CURRENT.last_most] = words[CURRENT.most] if smoothed else 0
     words[CURRENT.passed] = words[CURRENT.difference] = words[CURRENT.largest] = 0
     words[CURRENT.sum] = words[CURRENT.most] = 0
 
@@ -92,7 +113,9 @@ def _begin_window(words: Ints) -> None:
 def forget(words: Ints) -> None:
     """Begin a window: a new session, or samples were lost."""
     _begin_window(words)
-    words[CURRENT.known] = words[CURRENT.speed] = 0
+    words[CURRENT.last_largest] = words[CURRENT.last_most] = 0
+    words[CURRENT.known] = words[CURRENT.speed] = words[CURRENT.moved] = 0
+    words[CURRENT.left] = words[CURRENT.before] = words[CURRENT.smooth] = 0
 
 
 @rule
@@ -124,23 +147,28 @@ def compare(words: Ints, count: int, active: int, measured: int) -> int:
     """
     if words[CURRENT.noise] == _UNOBSERVED:
         return 0
-    aim = active * _UNIT
-    if words[CURRENT.back_emf] != 0:
-        aim = min(max(aim - _back_emf(words, count), -_MOST), _MOST)
-    words[CURRENT.expected] += _part(aim - words[CURRENT.expected], words[CURRENT.decay])
-    expected = (abs(words[CURRENT.expected]) + _UNIT // 2) // _UNIT
-    if words[CURRENT.expected] < 0:
-        expected = -expected
-    apart = abs(measured - expected)
-    words[CURRENT.difference] += apart
-    words[CURRENT.largest] = max(words[CURRENT.largest], apart)
-    words[CURRENT.sum] += abs(expected)
+    if words[CURRENT.back_emf] != 0 and not words[CURRENT.known]:
+        # These fit together at any speed: what is left follows back-EMF from here on.
+        words[CURRENT.count], words[CURRENT.known], words[CURRENT.expected] = count, 1, measured * _UNIT
+        return 0
+    words[CURRENT.expected] += _part(active * _UNIT - words[CURRENT.expected], words[CURRENT.decay])
+    expected = _whole(words[CURRENT.expected])
+    left = measured - expected
+    words[CURRENT.largest] = max(words[CURRENT.largest], abs(left))
     words[CURRENT.most] = max(words[CURRENT.most], abs(expected))
+    if words[CURRENT.back_emf] != 0:
+        back_emf = _back_emf(words, count)
+        _smooth(words, measured)
+        left = _whole(words[CURRENT.left] + back_emf)
+        expected = _whole(words[CURRENT.smooth] - back_emf)
+    words[CURRENT.difference] += abs(left)
+    words[CURRENT.sum] += abs(expected)
     words[CURRENT.passed] += 1
     if words[CURRENT.passed] < words[CURRENT.ticks]:
         return 0
-    difference = words[CURRENT.difference] - words[CURRENT.largest]
-    flowing, seen, noise = words[CURRENT.sum], words[CURRENT.sum] - words[CURRENT.most], words[CURRENT.noise]
+    flowing, noise = words[CURRENT.sum], words[CURRENT.noise]
+    difference = words[CURRENT.difference] - max(words[CURRENT.largest], words[CURRENT.last_largest])
+    seen = flowing - max(words[CURRENT.most], words[CURRENT.last_most])
     _begin_window(words)
     if difference > noise and difference * SHARE > flowing:
         return DISAGREES
@@ -150,14 +178,36 @@ def compare(words: Ints, count: int, active: int, measured: int) -> int:
 @rule
 def _back_emf(words: Ints, count: int) -> int:
     """Current that the motion takes off under voltage drive (1/16384 quantum)."""
-    step = 0
-    if words[CURRENT.known]:
-        step = min(max(count - words[CURRENT.count], -_MOST_COUNTS), _MOST_COUNTS) * 4096
-    words[CURRENT.count], words[CURRENT.known] = count, 1
-    words[CURRENT.speed] += _part(step - words[CURRENT.speed], words[CURRENT.speed_decay])
-    size = abs(words[CURRENT.speed]) * words[CURRENT.back_emf] // 64
-    size = min(size, 2 * _MOST)
-    return int(size if (words[CURRENT.speed] > 0) == (words[CURRENT.sign] > 0) else -size)
+    step = min(max(count - words[CURRENT.count], -_MOST_COUNTS), _MOST_COUNTS) * _COUNT
+    words[CURRENT.count] = count
+    change = _part(step - words[CURRENT.speed], words[CURRENT.speed_decay])
+    words[CURRENT.speed] += change
+    speed = words[CURRENT.speed] - _part(change, words[CURRENT.late])
+    words[CURRENT.moved] += _part(speed - words[CURRENT.moved], words[CURRENT.decay])
+    size = abs(words[CURRENT.moved]) * words[CURRENT.back_emf] // 256
+    size = min(size, _MOST)
+    return int(size if (words[CURRENT.moved] > 0) == (words[CURRENT.sign] > 0) else -size)
+
+
+@rule
+def _smooth(words: Ints, measured: int) -> None:
+    """Let what is left, back-EMF apart, and what is expected be as smooth as the speed."""
+    left = measured * _UNIT - words[CURRENT.expected]
+    # Of a tick's speed it is the middle that follows; in the first tick all of it comes behind the lag.
+    share = words[CURRENT.late] if words[CURRENT.known] == 1 else _HALF
+    middle = left - _part(left - words[CURRENT.before], share)
+    words[CURRENT.before], words[CURRENT.known] = left, 2
+    words[CURRENT.left] += _part(middle - words[CURRENT.left], words[CURRENT.speed_decay])
+    words[CURRENT.smooth] += _part(
+        words[CURRENT.expected] - words[CURRENT.smooth], words[CURRENT.speed_decay]
+    )
+
+
+@rule
+def _whole(current: int) -> int:
+    """To the nearest quantum, halves away from zero."""
+    size = (abs(current) + _UNIT // 2) // _UNIT
+    return size if current > 0 else -size
 
 
 @rule

@@ -19,6 +19,8 @@ CURRENT_QUANTA_LIMIT = 2**15 - 1  # of an i16 on the wire
 STALL_COUNTS = 2  # travel that must show an edge wherever the handle stood in its encoder cell
 # Above the amplifier's own peak: noise and ripple of the sensor are no fault, a shorted winding is.
 OVER_CURRENT_MARGIN = 1.1
+SPEED_LAG_S = 2.5e-3  # over which the comparison of currents smooths the count's speed, for the back-EMF
+ROUNDED = math.sqrt(2.0 / 12.0)  # rms of the difference of two rounded values, in quanta
 MOVED_QUANTITIES = {
     "effort_quantum": "effort",
     "effort_limit": "effort",
@@ -47,7 +49,7 @@ class MovedMechanics:
     inertia
         All that moves (kg·m² or kg).
     damping
-        Viscous, with back-EMF (N·m·s/rad or N·s/m).
+        Of a steady motion, with back-EMF under voltage drive (N·m·s/rad or N·s/m).
     lag_s
         Of the amplifier (s).
     """
@@ -68,7 +70,8 @@ class CurrentSensor:
     Attributes
     ----------
     noise
-        Of a measurement and its quantisation (quanta, rms); negative: the current is not measured.
+        Of a measurement and its quantisation, the count's included where there is back-EMF (quanta, rms); negative: the
+        current is not measured.
     lag_s
         Between the current that is set and the one that flows (s).
     back_emf
@@ -86,13 +89,13 @@ def current_sensor(model: RigModel) -> CurrentSensor:
     A simulated delay of the far end lies between the two and is not modelled: nothing is compared then.
     """
     amplifier = model.amplifier
-    noise = math.hypot(amplifier.current_noise_a / amplifier.current_quantum_a, math.sqrt(2.0 / 12.0))
+    back_emf = amplifier.back_emf * model.encoder.resolution / amplifier.effort_quantum
+    sensor = amplifier.current_noise_a / amplifier.current_quantum_a
     comparable = amplifier.current_monitor and model.simulation.computation_delay_ticks == 0
-    damping = amplifier.back_emf_damping if amplifier.drive == "voltage" else 0.0
     return CurrentSensor(
-        noise=noise if comparable else -1.0,
+        noise=math.hypot(sensor, ROUNDED, ROUNDED * back_emf / SPEED_LAG_S) if comparable else -1.0,
         lag_s=amplifier.lag_s,
-        back_emf=damping * model.encoder.resolution / amplifier.effort_quantum,
+        back_emf=back_emf,
     )
 
 
@@ -118,7 +121,7 @@ def moved_mechanics(model: RigModel) -> MovedMechanics:
         friction=mechanics.motor_coulomb + mechanics.link_coulomb + abs(mechanics.gravity_effort),
         travel=STALL_COUNTS * model.encoder.resolution,
         inertia=mechanics.motor_inertia + mechanics.loaded_link_inertia,
-        damping=mechanics.motor_damping + mechanics.link_damping + amplifier.back_emf_damping,
+        damping=model.damping,
         lag_s=amplifier.lag_s,
     )
 

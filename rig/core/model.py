@@ -104,10 +104,12 @@ class Amplifier:
     ] = 0.001
     drive: Annotated[
         Literal["current", "voltage"],
-        Quantity("", "current loop, or open voltage (PWM) drive, which adds the back-EMF damping"),
+        Quantity("", "current loop, or open voltage (PWM) drive, whose back-EMF brakes through the lag"),
     ] = "current"
     back_emf_damping: Annotated[
-        float, Ge(0), Quantity("damping", "added to the motor side under voltage drive")
+        float,
+        Ge(0),
+        Quantity("damping", "k_t²/R at the link: braking of a steady motion under voltage drive"),
     ] = 0.0
     current_monitor: Annotated[
         bool, Quantity("", "whether the device measures the motor's current; it is compared with the one set")
@@ -122,6 +124,11 @@ class Amplifier:
     def effort_quantum(self) -> float:
         """Effort of one current quantum (N·m or N)."""
         return self.effort_per_ampere * self.current_quantum_a
+
+    @property
+    def back_emf(self) -> float:
+        """Back-EMF damping (N·m·s/rad or N·s/m) under voltage drive, behind the lag; 0 under current drive."""
+        return self.back_emf_damping if self.drive == "voltage" else 0.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -244,8 +251,11 @@ class RigModel:
 
     @property
     def damping(self) -> float:
-        """Viscous damping of a rigid motion (N·m·s/rad or N·s/m): motor, link, and back-EMF under voltage drive."""
-        return _motor_side_damping(self.mechanics, self.amplifier) + self.mechanics.link_damping
+        """Damping of a slow rigid motion (N·m·s/rad or N·s/m): motor, link, and back-EMF under voltage drive.
+
+        Above 1/(2π·lag) the back-EMF brakes less and less: its current has no time to build up.
+        """
+        return self.mechanics.motor_damping + self.mechanics.link_damping + self.amplifier.back_emf
 
     def held_by(self, operator: Operator | None, reach: Reach | None) -> RigModel:
         """Put the handle into somebody's hand; the end mass, which belongs to automated trials, is off then."""
@@ -266,6 +276,7 @@ class StateSpace:
     effort: int
     friction: tuple[float, ...]  # Coulomb level of each friction input, in input order
     friction_velocity: tuple[int, ...]  # state index of the velocity that each friction input opposes
+    back_emf: float  # what a unit of motor velocity takes off the effort, in the end
     hand_position: int | None = None  # of the operator, if there is one
 
     @property
@@ -301,9 +312,10 @@ def state_space(mechanics: Mechanics, amplifier: Amplifier, operator: Operator |
 
     Notes
     -----
-    With an electrical lag the effort obeys effort' = (command − effort) / lag_s. Without one (``lag_s = 0``)
-    no finite matrix makes it follow its command at once: the command then drives the velocity directly, and
-    the effort state stands alone, its rows and column zero (`sim_backend.plant` writes the command into it).
+    The effort state is k_t times the current that flows. With an electrical lag (L/R under voltage drive) it obeys
+    lag_s · effort' = command − back_emf · motor velocity − effort; back_emf is 0 under current drive. Without a lag
+    (``lag_s = 0``) no finite matrix makes it follow at once: the command then drives the velocity directly, the
+    back-EMF damps the motor, and the effort state stands alone, its rows and column zero (the plant writes into it).
 
     An operator adds the pads' mass to the link and two states. With k₁, b₁ of the pads and m, k₂, b₂ of the hand,
     turned to the link, y the handle and h the hand: m h″ = k₁(y − h) + b₁(y′ − h′) + k₂(intended position − h) +
@@ -325,27 +337,29 @@ def _rigid(mechanics: Mechanics, amplifier: Amplifier, link: float) -> StateSpac
     coulomb = mechanics.motor_coulomb + mechanics.link_coulomb
     a, b = np.zeros((3, 3)), np.zeros((3, 3))
     a[0, 1] = 1.0
-    a[1, 1] = -(_motor_side_damping(mechanics, amplifier) + mechanics.link_damping) / inertia
+    a[1, 1] = -(mechanics.motor_damping + mechanics.link_damping) / inertia
     b[1, 1] = b[1, 2] = 1.0 / inertia
-    _connect_effort(a, b, effort=2, inertia=inertia, lag=amplifier.lag_s)
+    _connect_effort(a, b, amplifier, effort=2, inertia=inertia)
     return StateSpace(
-        a, b, sensed_position=0, handle_position=0, effort=2, friction=(coulomb,), friction_velocity=(1,)
-    )
+        a, b, sensed_position=0, handle_position=0, effort=2, friction=(coulomb,), friction_velocity=(1,),
+        back_emf=amplifier.back_emf,
+    )  # fmt: skip
 
 
 def _two_mass(mechanics: Mechanics, amplifier: Amplifier, link: float) -> StateSpace:
     k, c, motor = mechanics.transmission_stiffness, mechanics.transmission_damping, mechanics.motor_inertia
     a, b = np.zeros((5, 5)), np.zeros((5, 4))
     a[0, 1] = a[2, 3] = 1.0
-    a[1, :4] = np.array([-k, -c - _motor_side_damping(mechanics, amplifier), k, c]) / motor
+    a[1, :4] = np.array([-k, -c - mechanics.motor_damping, k, c]) / motor
     a[3, :4] = np.array([k, c, -k, -c - mechanics.link_damping]) / link
     b[3, 1] = b[3, 3] = 1.0 / link
     b[1, 2] = 1.0 / motor
-    _connect_effort(a, b, effort=4, inertia=motor, lag=amplifier.lag_s)
+    _connect_effort(a, b, amplifier, effort=4, inertia=motor)
     coulomb = (mechanics.motor_coulomb, mechanics.link_coulomb)
     return StateSpace(
-        a, b, sensed_position=0, handle_position=2, effort=4, friction=coulomb, friction_velocity=(1, 3)
-    )
+        a, b, sensed_position=0, handle_position=2, effort=4, friction=coulomb, friction_velocity=(1, 3),
+        back_emf=amplifier.back_emf,
+    )  # fmt: skip
 
 
 def _held(free: StateSpace, operator: Operator, radius: float, handle_inertia: float) -> StateSpace:
@@ -366,16 +380,14 @@ def _held(free: StateSpace, operator: Operator, radius: float, handle_inertia: f
     return replace(free, a=a, b=b, hand_position=h)
 
 
-def _motor_side_damping(mechanics: Mechanics, amplifier: Amplifier) -> float:
-    return mechanics.motor_damping + (amplifier.back_emf_damping if amplifier.drive == "voltage" else 0.0)
-
-
-def _connect_effort(a: Matrix, b: Matrix, *, effort: int, inertia: float, lag: float) -> None:
-    """Let the effort state drive the motor side through the lag; without a lag the command drives it."""
-    motor_velocity = 1
+def _connect_effort(a: Matrix, b: Matrix, amplifier: Amplifier, *, effort: int, inertia: float) -> None:
+    """Let the effort state drive the motor side through the lag; without a lag command and back-EMF drive it."""
+    motor_velocity, lag = 1, amplifier.lag_s
     if lag > 0.0:
         a[effort, effort] = -1.0 / lag
+        a[effort, motor_velocity] = -amplifier.back_emf / lag
         b[effort, 0] = 1.0 / lag
         a[motor_velocity, effort] = 1.0 / inertia
     else:
+        a[motor_velocity, motor_velocity] -= amplifier.back_emf / inertia
         b[motor_velocity, 0] = 1.0 / inertia

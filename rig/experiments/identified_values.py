@@ -54,7 +54,10 @@ def identified_values(x: Experiment, sliding: Sliding, dynamics: Dynamics) -> Id
     else:
         _put_mode(found, m, dynamics.mode, sliding, unit("inertia"), unit("stiffness"))
     damping, coulomb = sliding.damping, sliding.coulomb
-    found.share(m, "damping", max(0.0, damping.value), damping.text(unit("damping")), "sliding")
+    viscous, back_emf = damping.text(unit("damping")), x.rig.amplifier.back_emf
+    if back_emf > 0.0:
+        viscous += f", beside {back_emf:g} of back-EMF as described"
+    found.share(m, "damping", max(0.0, damping.value), viscous, "sliding")
     levels = f"{coulomb.text(unit('effort'))}: up {sliding.up.text()}, down {sliding.down.text()}"
     found.share(m, "coulomb", max(0.0, coulomb.value), levels, "sliding")
     found.put("rig.amplifier.lag_s", max(0.0, dynamics.lag_s.value), dynamics.lag_s.text("s"), "dynamics")

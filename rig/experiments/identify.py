@@ -233,6 +233,7 @@ class _Session:
             resolution=x.rig.encoder.resolution,
             expected_inertia=inertia_of(x),
             rest_s=0.25 * REST_S,
+            damping=config.rig_model(x).damping,
         )
 
     def sliding(self, x: Experiment) -> Sliding:
@@ -243,6 +244,7 @@ class _Session:
             rows["position"],
             strokes_of(x)[1],
             resolution=x.rig.encoder.resolution,
+            back_emf=x.rig.amplifier.back_emf,
         )
 
     def dynamics(self, x: Experiment, signs: SignCheck, sliding: Sliding) -> Dynamics:
@@ -260,6 +262,7 @@ class _Session:
             inertia=inertia,
             sliding=sliding,
             damping=sliding.damping,
+            back_emf=x.rig.amplifier.back_emf,
         )
 
     def _run(self, motion: Motion, name: str, number: int = 0) -> tuple[NDArray[np.void], float]:

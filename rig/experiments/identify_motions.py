@@ -295,13 +295,13 @@ def _middle(x: Experiment) -> float:
 
 
 def _free_impedance(x: Experiment, inertia: float) -> Callable[[Floats], Any]:
-    """Z of a rigid rig on its centring spring: the described damping, and this inertia."""
-    mechanics = x.rig.mechanics
+    """Z of a rigid rig on its centring spring: the described damping and back-EMF, and this inertia."""
+    mechanics, amplifier = x.rig.mechanics, x.rig.amplifier
     damping, stiffness = mechanics.motor_damping + mechanics.link_damping, centring(inertia)
 
     def impedance(lines_hz: Floats) -> Any:
         s = 2j * np.pi * lines_hz
-        return inertia * s + damping + stiffness / s
+        return inertia * s + damping + amplifier.back_emf / (1.0 + amplifier.lag_s * s) + stiffness / s
 
     return impedance
 

@@ -74,7 +74,8 @@ class ImpedanceResult:
     impedance, judgement, fidelity
         None when the guard ended a run.
     fitted
-        Mass and damping of a bare rig (no wall), else None: K and B are in `fidelity`.
+        Mass and viscous damping of a bare rig (no wall), its described back-EMF taken away, else None: K and B are in
+        `fidelity`.
     method, signal
         How it was estimated, and from which position.
     ended, ended_s
@@ -334,6 +335,8 @@ def concluded(
         )  # fmt: skip
     impedance = (periodic if method == "periodic" else welch)(records)
     bare = (wall.stiffness, wall.damping) == (0.0, 0.0)
+    device = known_device(experiment)
+    back_emf = replace(device, inertia=0.0, damping=0.0)
     return ImpedanceResult(
         experiment=experiment,
         impedance=impedance,
@@ -343,10 +346,10 @@ def concluded(
             z_score=judging.z_score,
             residual_threshold=judging.residual_threshold,
         ),
-        fidelity=fidelity(
-            impedance, wall.stiffness, wall.damping, judging.band_hz, device=known_device(experiment)
-        ),
-        fitted=fit(impedance, ("inertia", "damping"), band=judging.band_hz) if bare else None,
+        fidelity=fidelity(impedance, wall.stiffness, wall.damping, judging.band_hz, device=device),
+        fitted=fit(impedance, ("inertia", "damping"), band=judging.band_hz, subtract=back_emf)
+        if bare
+        else None,
         method=method,
         signal=signal,
         saturated=saturated,
@@ -355,12 +358,13 @@ def concluded(
 
 
 def known_device(experiment: Experiment) -> Device:
-    """Mass and damping of the rig, as its file says."""
+    """Mass, damping and back-EMF of the rig, as its file says."""
     mechanics, amplifier = experiment.rig.mechanics, experiment.rig.amplifier
-    drive = amplifier.back_emf_damping if amplifier.drive == "voltage" else 0.0
     return Device(
-        mechanics.motor_inertia + mechanics.loaded_link_inertia,
-        mechanics.motor_damping + mechanics.link_damping + drive,
+        inertia=mechanics.motor_inertia + mechanics.loaded_link_inertia,
+        damping=mechanics.motor_damping + mechanics.link_damping,
+        back_emf=amplifier.back_emf,
+        lag_s=amplifier.lag_s,
     )
 
 

@@ -201,6 +201,7 @@ def pulse(
             damping=config.rig_model(x).damping,
             resolution=x.rig.encoder.resolution,
         ),
+        damping=config.rig_model(x).damping,
         rest_s=0.25 * REST_S,
     )
     found = Pulse(

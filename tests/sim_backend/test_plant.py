@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from rig.core.errors import ConfigError
-from rig.core.model import Amplifier, Encoder, Mechanics, RigModel, Simulation, state_space
+from rig.core.model import Amplifier, Encoder, Mechanics, Operator, RigModel, Simulation, state_space
 from rig.core.operators import GRIPS
 from sim_backend.inner import STEP_S, STEPS, rub_both
 from sim_backend.plant import DiscretePlant, advance, energy
@@ -112,6 +112,38 @@ def test_without_friction_the_motion_is_that_of_an_independent_solver(
         atol=1e-14,
     )
     assert end[: continuous.order] == pytest.approx(solved.y[:, -1], rel=1e-8, abs=1e-11)
+
+
+@pytest.mark.parametrize("rig", [LINEAR, ROTARY], ids=["rigid", "two-mass"])
+@pytest.mark.parametrize("operator", [None, GRIPS["normal"]], ids=["free", "held"])
+@pytest.mark.parametrize("lag_s", [0.0, 2e-4])
+def test_what_flows_under_voltage_drive_is_the_command_less_the_back_emf(
+    rig: RigModel, operator: Operator | None, lag_s: float
+) -> None:
+    """Against an independent solver of the same rig, its effort by hand: lag·T′ = command − b·ω − T."""
+    emf = 0.05
+    rig = with_mechanics(rig, motor_damping=0.004, **FRICTIONLESS).held_by(operator, None)
+    plant = DiscretePlant.build(with_amplifier(rig, lag_s=lag_s, drive="voltage", back_emf_damping=emf), 1e-4)
+    free = state_space(rig.mechanics, replace(rig.amplifier, lag_s=1.0, drive="current"), operator)
+    e, command, external = free.effort, 0.4, -0.3
+    inputs = np.zeros(free.b.shape[1])
+    inputs[1] = external
+
+    def slope(_: float, x: Any) -> Any:
+        flowing = command - emf * x[1] if lag_s == 0.0 else x[e]
+        at = x.copy()
+        at[e] = flowing
+        moved = free.a @ at + free.b @ inputs
+        moved[e] = 0.0 if lag_s == 0.0 else (command - emf * x[1] - x[e]) / lag_s
+        return moved
+
+    end = run(plant, 200, state=plant.at_rest(0.0), command=command, external=external)[-1]
+    solved = solve_ivp(slope, (0.0, 0.02), np.zeros(free.order), method="DOP853", rtol=1e-12, atol=1e-14)
+    wanted = solved.y[:, -1]
+    if lag_s == 0.0:
+        wanted[e] = command - emf * wanted[1]
+    assert end[: free.order] == pytest.approx(wanted, rel=1e-7, abs=1e-11)
+    assert end[e] != command
 
 
 def test_one_tick_of_twenty_steps_is_twenty_ticks_of_one_step_to_the_last_bit() -> None:

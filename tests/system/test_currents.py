@@ -35,6 +35,7 @@ BASE = config.override(presets.load("koul-compliant"), {"trial.duration_s": 0.2,
 PERSON = {"trial.kind": "human", "homing.settle_s": 0.05}
 QUANTUM_A = BASE.rig.amplifier.current_quantum_a
 AT_REST = 5_000  # tick: in the wall, where a steady push holds it
+PUSHED = 2_800  # tick: on its way there; a voltage-driven motor soon rests in the wall without a current
 
 
 def hardware(**values: float) -> Callable[[Any], None]:
@@ -78,9 +79,13 @@ BROKEN = {
 }
 
 
+DRIVES = pytest.mark.parametrize("drive", ["current", "voltage"])
+
+
 @SIDES
-def test_a_sound_motor_is_seen_to_follow(make: Any, loop: str, tmp_path: Path) -> None:
-    _, recording, error = trial(tmp_path, make, loop)
+@DRIVES
+def test_a_sound_motor_is_seen_to_follow(drive: str, make: Any, loop: str, tmp_path: Path) -> None:
+    _, recording, error = trial(tmp_path, make, loop, **{"rig.amplifier.drive": drive})
     assert error is None
     flags = recording.rows["flags"]
     assert not (flags & (RowFlag.CURRENT_DIFFERS | RowFlag.OTHER_CURRENT)).any()
@@ -90,18 +95,39 @@ def test_a_sound_motor_is_seen_to_follow(make: Any, loop: str, tmp_path: Path) -
 
 
 @SIDES
+def test_a_sound_voltage_driven_motor_is_not_accused_however_it_is_shaken(
+    make: Any, loop: str, tmp_path: Path
+) -> None:
+    """To and fro every 10 ms, into the wall and out of it; a sixth of its current is back-EMF."""
+    shakes = [(tick, hardware(external_effort=(-1.0) ** (tick // 200))) for tick in range(PUSHED, 8_000, 200)]
+    free = {"oscillations": 0, "energy": None, "position_minimum": -3.0, "position_maximum": 3.0}
+    changes = {f"rig.limits.{name}": value for name, value in free.items()}
+    _, recording, error = trial(
+        tmp_path, make, loop, *shakes, **changes, **{"rig.amplifier.drive": "voltage"}
+    )
+    assert error is None
+    rows = recording.rows
+    assert np.abs(rows["velocity"]).max() > 4.0
+    assert not (rows["flags"] & RowFlag.CURRENT_DIFFERS).any()
+    assert np.count_nonzero(rows["flags"] & RowFlag.CURRENT_FOLLOWS) > 20
+
+
+@SIDES
+@DRIVES
 @pytest.mark.parametrize("name", BROKEN)
 def test_a_current_that_is_not_the_one_that_was_set_ends_the_trial(
-    name: str, make: Any, loop: str, tmp_path: Path
+    name: str, drive: str, make: Any, loop: str, tmp_path: Path
 ) -> None:
-    device, recording, error = trial(tmp_path, make, loop, (AT_REST, hardware(**BROKEN[name])))
+    tick = PUSHED if drive == "voltage" else AT_REST
+    broken = (tick, hardware(**BROKEN[name]))
+    device, recording, error = trial(tmp_path, make, loop, broken, **{"rig.amplifier.drive": drive})
     assert isinstance(error, DeviceFaultError), error
     assert Fault.CURRENT_MISMATCH.text in error.message
     assert error.remedy
     assert device.current == 0
     rows = recording.rows
     seconds = (rows["sample_index"][-1] - rows["sample_index"][0]) / BASE.controller.position_rate
-    assert seconds < AT_REST / BASE.controller.position_rate + 0.02 + 0.01  # two windows; when homing began
+    assert seconds < tick / BASE.controller.position_rate + 0.02 + 0.01  # two windows; when homing began
     judged = judge(recording, config.override(BASE, {"controller.loop": loop})).verdict
     assert judged.kind is Kind.INVALID
 

@@ -25,7 +25,7 @@ struct mechanics {
 
 /* What the measured current must be. */
 struct current_sensor {
-    double noise;    /* of a measurement and its quantisation (quanta, rms); negative: the current is not measured */
+    double noise;    /* of a measurement and its quantisation, the count's with back-EMF (quanta, rms); negative: none */
     double lag_s;    /* between the current that is set and the one that flows */
     double back_emf; /* current that it takes off at a count a second (quanta·s); 0 for a current amplifier */
 };

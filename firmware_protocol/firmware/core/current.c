@@ -1,8 +1,9 @@
-/* The active current passes through the amplifier's lag; under voltage drive the back-EMF is taken off before it, from
- * the count's own speed. What is left between that and the measured current is added up over a window, by magnitude, so
- * that neither an oscillation nor noise averages it away, all but the largest, which may be a spike of the converter. The
- * sum is compared with the larger of the sensor's noise and a tenth of the current that was expected. The host has the
- * same rule (rig/control/current.py), bit by bit. */
+/* The active current passes through the amplifier's lag. What is left between that and the measured current is added up
+ * over a window, by magnitude, so that neither an oscillation nor noise averages it away, all but the largest, which may
+ * be a spike of the converter. The sum is compared with the larger of the sensor's noise and a tenth of the current that
+ * was expected. Under voltage drive the back-EMF flows too, behind the same lag: it follows from the count's own speed,
+ * smoothed, and what is left between the others is smoothed alike, so that a spike lasts into the next window. The host
+ * has the same rule (rig/control/current.py), bit by bit. */
 #include "current.h"
 
 #include <math.h>
@@ -14,8 +15,10 @@
 #define SIGMAS 4.0
 #define SHARE 10u
 #define SPEED_LAG_S 2.5e-3
+#define HALF 32768u /* of 65536 */
 #define UNIT 16384
 #define MOST (32767 * UNIT)
+#define COUNT 16384
 #define MOST_COUNTS 32767
 #define ZERO_TICKS 64
 #define ZERO_SHARE 16
@@ -27,6 +30,13 @@ static uint32_t share_of(double lag_s, uint32_t rate)
     return lag_s > 0.0 ? (uint32_t)floor(-expm1(-1.0 / (rate * lag_s)) * 65536.0 + 0.5) : 65536u;
 }
 
+/* How much of a change within a tick, at an even pace, a first-order lag has not seen at its end. */
+static uint32_t late_part(double lag_s, uint32_t rate)
+{
+    const double ticks = lag_s * rate;
+    return lag_s > 0.0 ? (uint32_t)floor((ticks + 1.0 / expm1(-1.0 / ticks) + 1.0) * 65536.0 + 0.5) : 0u;
+}
+
 void current_configure(struct current_check *check, const struct board *board, uint32_t rate)
 {
     const struct current_sensor *sensor = &board->current_sensor;
@@ -34,6 +44,7 @@ void current_configure(struct current_check *check, const struct board *board, u
     const double back_emf = floor(sensor->back_emf * rate * 256.0 + 0.5);
     check->decay = share_of(sensor->lag_s, rate);
     check->speed_decay = share_of(SPEED_LAG_S, rate);
+    check->late = late_part(sensor->lag_s, rate);
     check->back_emf = back_emf < 2147483647.0 ? (uint32_t)back_emf : 2147483647u;
     check->encoder_sign = board->encoder_sign;
     check->ticks = (uint16_t)(ticks > FEWEST_TICKS ? ticks : FEWEST_TICKS);
@@ -46,6 +57,7 @@ void current_configure(struct current_check *check, const struct board *board, u
 
 static void begin_window(struct current_check *check)
 {
+    check->last_largest = check->back_emf != 0 ? check->largest : 0;
     check->passed = 0;
     check->difference = 0;
     check->largest = 0;
@@ -55,8 +67,9 @@ static void begin_window(struct current_check *check)
 void current_forget(struct current_check *check)
 {
     begin_window(check);
-    check->known = false;
-    check->speed = 0;
+    check->last_largest = 0;
+    check->known = 0;
+    check->speed = check->moved = check->left = check->before = check->smooth = 0;
 }
 
 static int32_t clipped(int32_t value, int32_t most)
@@ -88,7 +101,7 @@ int16_t current_zeroed(struct current_check *check, int16_t measured, bool off)
 /* A share (1/65536) of a difference, towards zero. */
 static int32_t part(int32_t difference, uint32_t share)
 {
-    const uint32_t size = size_of(difference); /* 30 bits; in two halves, for processors without a wide product */
+    const uint32_t size = size_of(difference); /* 31 bits; in two halves, for processors without a wide product */
     const int32_t part = (int32_t)((size >> 16) * share + ((size & 0xFFFFu) * share >> 16));
     return difference > 0 ? part : -part;
 }
@@ -96,37 +109,56 @@ static int32_t part(int32_t difference, uint32_t share)
 /* Current that the motion takes off under voltage drive. */
 static int32_t back_emf(struct current_check *check, int32_t count)
 {
-    int32_t step = 0;
-    if (check->known) {
-        const int64_t counts = (int64_t)count - check->count;
-        step = (int32_t)(counts > MOST_COUNTS ? MOST_COUNTS : counts < -MOST_COUNTS ? -MOST_COUNTS : counts) * 4096;
-    }
+    const int64_t counts = (int64_t)count - check->count;
+    const int32_t step = (int32_t)(counts > MOST_COUNTS ? MOST_COUNTS : counts < -MOST_COUNTS ? -MOST_COUNTS : counts);
     check->count = count;
-    check->known = true;
-    check->speed += part(step - check->speed, check->speed_decay);
-    const uint64_t wide = wide_shift(wide_product(size_of(check->speed), check->back_emf), 6u);
-    const int32_t size = wide < 2u * (uint64_t)MOST ? (int32_t)wide : 2 * MOST;
-    return (check->speed > 0) == (check->encoder_sign > 0) ? size : -size;
+    const int32_t change = part(step * COUNT - check->speed, check->speed_decay);
+    check->speed += change;
+    check->moved += part(check->speed - part(change, check->late) - check->moved, check->decay);
+    const uint64_t wide = wide_shift(wide_product(size_of(check->moved), check->back_emf), 8u);
+    const int32_t size = wide < (uint64_t)MOST ? (int32_t)wide : MOST;
+    return (check->moved > 0) == (check->encoder_sign > 0) ? size : -size;
+}
+
+/* Let what is left, back-EMF apart, and what is expected be as smooth as the speed. */
+static void smooth(struct current_check *check, int16_t measured)
+{
+    const int32_t left = measured * UNIT - check->expected;
+    /* Of a tick's speed it is the middle that follows; in the first tick all of it comes behind the lag. */
+    const int32_t middle = left - part(left - check->before, check->known == 1u ? check->late : HALF);
+    check->before = left;
+    check->known = 2;
+    check->left += part(middle - check->left, check->speed_decay);
+    check->smooth += part(check->expected - check->smooth, check->speed_decay);
 }
 
 bool current_disagrees(struct current_check *check, int32_t count, int16_t active, int16_t measured)
 {
     if (check->noise == UINT32_MAX)
         return false;
-    int32_t aim = active * UNIT;
-    if (check->back_emf != 0) {
-        const int64_t left = (int64_t)aim - back_emf(check, count);
-        aim = (int32_t)(left > MOST ? MOST : left < -MOST ? -MOST : left);
+    if (check->back_emf != 0 && check->known == 0) {
+        /* These fit together at any speed: what is left follows back-EMF from here on. */
+        check->count = count;
+        check->known = 1;
+        check->expected = measured * UNIT;
+        return false;
     }
-    check->expected += part(aim - check->expected, check->decay);
-    const int32_t expected = whole(check->expected, UNIT);
-    const uint32_t apart = size_of(measured - expected);
-    check->difference += apart;
+    check->expected += part(active * UNIT - check->expected, check->decay);
+    int32_t expected = whole(check->expected, UNIT), left = measured - expected;
+    const uint32_t apart = size_of(left);
     check->largest = apart > check->largest ? apart : check->largest;
+    if (check->back_emf != 0) {
+        const int32_t moving = back_emf(check, count);
+        smooth(check, measured);
+        left = whole(check->left + moving, UNIT);
+        expected = whole(check->smooth - moving, UNIT);
+    }
+    check->difference += size_of(left);
     check->sum += size_of(expected);
     if (++check->passed < check->ticks)
         return false;
-    const uint32_t difference = check->difference - check->largest, sum = check->sum;
+    const uint32_t spike = check->largest > check->last_largest ? check->largest : check->last_largest;
+    const uint32_t difference = check->difference > spike ? check->difference - spike : 0, sum = check->sum;
     begin_window(check);
     return difference > check->noise && difference * SHARE > sum;
 }

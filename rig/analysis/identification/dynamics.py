@@ -13,6 +13,9 @@ a handle that stops is less than its level, and that the link behind an elastic 
 the motor does; with an effort six times the friction the first costs some 0.2 % of the inertia, the second shows in the
 damping of the modes. That bias is the same in every realisation and so is not in the intervals.
 
+Under voltage drive the effort that flows is H·F less the back-EMF b_e·s·X behind the lag L. So the rig answers like
+1/(1/P + b_e·s·L) in the place of P; b_e is given, because the motion of a rigid rig does not tell it from b.
+
 An effort that is held between samples has images around each multiple of the rate, and what they move folds back; the
 first ones are part of the model.
 """
@@ -78,7 +81,7 @@ class Dynamics:
     inertia
         Of everything that moves (kg·m² or kg).
     damping
-        Viscous damping (N·m·s/rad or N·s/m): the given one, or fitted.
+        Viscous damping, without back-EMF (N·m·s/rad or N·s/m): the given one, or fitted.
     delay_s
         From the sample to the effort that answers it, without the half tick for which an effort is held: whole ticks
         and lag (s).
@@ -122,6 +125,7 @@ def fit_dynamics(
     inertia: float,
     sliding: Sliding | None = None,
     damping: Interval | None = None,
+    back_emf: float = 0.0,
 ) -> Dynamics:
     """Fit inertia, delay, and a mode if there is one.
 
@@ -137,6 +141,8 @@ def fit_dynamics(
         Coulomb friction to remove; None for a rig without any.
     damping
         Viscous damping that is known, such as that of `sliding`; None fits it too.
+    back_emf
+        Damping by back-EMF under voltage drive, behind the lag that is fitted (N·m·s/rad or N·s/m).
 
     Raises
     ------
@@ -144,7 +150,7 @@ def fit_dynamics(
         Data without coherence, or that no model of one or two masses explains.
     """
     found = check_excited(runs, resolution)
-    problem = _Problem.of(runs, resolution, sliding)
+    problem = _Problem.of(runs, resolution, sliding, back_emf)
     start = np.array([inertia, 0.0 if damping is None else damping.value, 0.0])
     free = [M, LAG] if damping is not None else [M, B, LAG]
     rigid = problem.with_delay(start, free)
@@ -180,9 +186,12 @@ class _Problem:
     effort: Complexes
     friction: Complexes
     floor: float  # the encoder's noise in a line of the position
+    back_emf: float
 
     @classmethod
-    def of(cls, runs: Sequence[ExcitedRun], resolution: float, sliding: Sliding | None) -> _Problem:
+    def of(
+        cls, runs: Sequence[ExcitedRun], resolution: float, sliding: Sliding | None, back_emf: float
+    ) -> _Problem:
         spectra = [_spectra(run, sliding) for run in runs]
         first = runs[0]
         samples = first.period_samples * first.periods
@@ -194,21 +203,30 @@ class _Problem:
             effort=np.array([one[1] for one in spectra]),
             friction=np.array([one[2] for one in spectra]),
             floor=resolution / math.sqrt(3.0 * samples),  # Δ/√12 of each sample, in a bin of amplitude 2/n
+            back_emf=back_emf,
         )
 
     def gain(self, parameters: Floats, ticks: int) -> Complexes:
         """Position over the samples of the effort, delay, hold and images included."""
         if self.held == 0.0:
-            return _late(self.lines, parameters, ticks / self.rate) * compliance(self.lines, parameters)
+            return _late(self.lines, parameters, ticks / self.rate) * self.answer(self.lines, parameters)
         total = np.zeros(len(self.lines), np.complex128)
         for image in IMAGES:
             f = self.lines + image * self.rate
-            total += hold(f, self.held) * _late(f, parameters, ticks / self.rate) * compliance(f, parameters)
+            total += hold(f, self.held) * _late(f, parameters, ticks / self.rate) * self.answer(f, parameters)
         return total
+
+    def answer(self, frequency_hz: Floats, parameters: Floats) -> Complexes:
+        """Position over effort, the back-EMF's apart."""
+        free = compliance(frequency_hz, parameters)
+        if self.back_emf == 0.0:
+            return free
+        s = 2j * np.pi * frequency_hz
+        return np.asarray(1.0 / (1.0 / free + self.back_emf * s * _late(frequency_hz, parameters, 0.0)))
 
     def error(self, parameters: Floats, ticks: int, which: slice = slice(None)) -> Complexes:
         predicted = self.gain(parameters, ticks) * self.effort[which]
-        return self.position[which] - predicted + compliance(self.lines, parameters) * self.friction[which]
+        return self.position[which] - predicted + self.answer(self.lines, parameters) * self.friction[which]
 
     def solve(
         self, start: Floats, free: Sequence[int], ticks: int, weights: Floats, which: slice = slice(None)
@@ -349,7 +367,7 @@ def _dynamics(
             remedy="check the signs of motor and encoder, and the delay of the link",
         )
     lag = interval(lambda p: float(p[LAG]))
-    gain, path = problem.gain(best.parameters, best.ticks), compliance(problem.lines, best.parameters)
+    gain, path = problem.gain(best.parameters, best.ticks), problem.answer(problem.lines, best.parameters)
     ratio = (problem.position + path * problem.friction) / problem.effort
     return Dynamics(
         inertia=inertia,

@@ -1,9 +1,9 @@
 """Signs and scale from small pushes: does a positive effort raise the position, and by about as much as it should.
 
 A push grows evenly, effort = g·t, until the handle has moved a little. Friction holds it first, up to the breakaway
-effort; from then on m·x″ = g·(t − t₀), so x = g·(t − t₀)³/(6m) and the cube root of the way is a straight line in time
-whose slope gives m. That is good to some ten per cent, enough to see a wrong torque constant, a wrong ratio or a
-missing factor of four in the decoding.
+effort; from then on m·x″ = g·(t − t₀) − b·x′, so m·x + b·∫x dt = g·(t − t₀)³/6 and its cube root
+is a straight line in time whose slope tells m; b is the described damping, which back-EMF may make large. That is good
+to some ten per cent, enough to see a wrong torque constant, a wrong ratio or a missing factor of four in the decoding.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.core.deferred import optimize
 from rig.core.present import reported
 
 Floats = NDArray[np.float64]
@@ -82,6 +83,7 @@ def check_signs(
     resolution: float,
     expected_inertia: float,
     rest_s: float,
+    damping: float = 0.0,
 ) -> SignCheck:
     """Judge pushes that grow evenly from zero, with rests in between.
 
@@ -95,11 +97,14 @@ def check_signs(
         Of the description (kg·m² or kg).
     rest_s
         Zero effort for this long separates two pushes.
+    damping
+        Of the description, back-EMF included (N·m·s/rad or N·s/m).
     """
     pushes: list[Push] = []
     for first, last in _spans(effort, max(1, round(rest_s / (time_s[1] - time_s[0])))):
         before = pushes[-1].direction if pushes else 0
-        pushes.append(_push(time_s[first:last], effort[first:last], position[first:last], resolution, before))
+        push = slice(first, last)
+        pushes.append(_push(time_s[push], effort[push], position[push], resolution, damping, before))
     moved = [push for push in pushes if push.moved]
     agreement = {int(np.sign(push.way)) * push.direction for push in moved}
     sign: Literal[-1, 0, 1] = 0
@@ -146,7 +151,7 @@ def expected_inertia(
         positions.append(positions[-1] + tick_s * speed)
     time_s = tick_s * np.arange(len(positions), dtype=np.float64)
     counted: Floats = np.floor(np.array(positions) / resolution) * resolution
-    return _fitted(time_s, effort_per_s * time_s, counted)[0]
+    return _fitted(time_s, effort_per_s * time_s, counted, damping)[0]
 
 
 def stiction_warning(breakaway: float, sliding: float) -> str | None:
@@ -170,13 +175,15 @@ def _spans(effort: Floats, rest: int) -> list[tuple[int, int]]:
     return list(zip(firsts, lasts, strict=True))
 
 
-def _push(time_s: Floats, effort: Floats, position: Floats, resolution: float, before: int) -> Push:
+def _push(
+    time_s: Floats, effort: Floats, position: Floats, resolution: float, damping: float, before: int
+) -> Push:
     direction: Literal[-1, 1] = 1 if effort[0] > 0.0 else -1
     top = int(np.argmax(direction * effort)) + 1  # the brake that follows never gives more
     way = position[:top] - position[0]
     away = np.flatnonzero(np.abs(way) >= LEAST_COUNTS * resolution)
     first = int(away[0]) if len(away) else top - 1
-    inertia, began_s = _fitted(time_s[:top], effort[:top], way)
+    inertia, began_s = _fitted(time_s[:top], effort[:top], way, damping)
     return Push(
         direction=direction,
         moved=abs(float(way[-1])) >= LEAST_COUNTS * resolution,
@@ -189,15 +196,29 @@ def _push(time_s: Floats, effort: Floats, position: Floats, resolution: float, b
     )
 
 
-def _fitted(time_s: Floats, effort: Floats, way: Floats) -> tuple[float, float]:
-    """Inertia and t₀ of 6·m·x = g·(t − t₀)³: cube root of the way as a line, fitted since the handle last was near."""
+def _fitted(time_s: Floats, effort: Floats, way: Floats, damping: float) -> tuple[float, float]:
+    """Inertia m and t₀ of m·x + b·∫x dt = g·(t − t₀)³/6: its cube root as a line, since the handle last was near."""
     near = np.flatnonzero(np.abs(way) < SETTLED_SHARE * abs(way[-1]))
     since = slice(int(near[-1]) + 1 if len(near) else 0, None)
     if len(np.unique(way[since])) < 4:
         return math.nan, math.nan
-    growth = abs(float(np.polyfit(time_s, effort, 1)[0]))
-    slope, at_zero = (float(one) for one in np.polyfit(time_s[since], np.cbrt(np.abs(way[since])), 1))
-    return (growth / (6.0 * slope**3), -at_zero / slope) if slope > 0.0 else (math.nan, math.nan)
+    cube = abs(float(np.polyfit(time_s, effort, 1)[0])) / 6.0
+    far = np.abs(way[since])
+    braked = damping * np.cumsum(np.abs(way))[since] * (time_s[1] - time_s[0])
+
+    def line(inertia: float) -> tuple[float, float]:
+        slope, at_zero = np.polyfit(time_s[since], np.cbrt(inertia * far + braked), 1)
+        return float(slope), float(at_zero)
+
+    def excess(inertia: float) -> float:
+        return line(inertia)[0] ** 3 - cube
+
+    most = cube / float(np.polyfit(time_s[since], np.cbrt(far), 1)[0]) ** 3
+    if not (most > 0.0 and excess(0.0) < 0.0):
+        return math.nan, math.nan
+    inertia = float(optimize.brentq(excess, 0.0, 2.0 * most, xtol=1e-6 * most))
+    slope, at_zero = line(inertia)
+    return inertia, -at_zero / slope
 
 
 def _warnings(pushes: list[Push], moved: list[Push], sign: int, scale: float) -> list[str]:

@@ -1,6 +1,8 @@
 """Friction from sliding: strokes at constant speeds, both ways, tell Coulomb friction each way and viscous damping.
 
-While the speed is constant the motor's effort is friction alone: up + b·v for v > 0, −down + b·v for v < 0. A steady
+While the speed is constant the motor's effort is friction alone: up + b·v for v > 0, −down + b·v for v < 0. Under
+voltage drive that effort is the command less the back-EMF, whose damping has to be given: no motion tells the two
+apart. A steady
 effort of the world (weight, a bent cable) adds to one and takes from the other, and no sliding can tell it from
 friction that differs by direction: `coulomb` is half of up + down, `bias` half of up − down, and only the two levels
 are measured.
@@ -51,7 +53,7 @@ class Sliding:
     up, down
         Level of friction against rising and against falling position (N·m or N, positive).
     damping
-        Viscous damping (N·m·s/rad or N·s/m).
+        Viscous damping, without back-EMF (N·m·s/rad or N·s/m).
     coulomb, bias
         Half of up + down, half of up − down (N·m or N).
     velocity, effort
@@ -81,18 +83,26 @@ class Sliding:
 
 
 def fit_sliding(
-    time_s: Floats, effort: Floats, position: Floats, strokes: Sequence[Stroke], *, resolution: float
+    time_s: Floats,
+    effort: Floats,
+    position: Floats,
+    strokes: Sequence[Stroke],
+    *,
+    resolution: float,
+    back_emf: float = 0.0,
 ) -> Sliding:
     """Fit friction to strokes.
 
     Parameters
     ----------
     time_s, effort, position
-        Of the whole run, shape (n,), evenly sampled, time 0 where that of the strokes is.
+        Of the whole run, shape (n,), evenly sampled, time 0 where that of the strokes is; `effort` as commanded.
     strokes
         What was asked for.
     resolution
         Travel for one count (rad or m).
+    back_emf
+        Damping by back-EMF under voltage drive (N·m·s/rad or N·s/m).
 
     Raises
     ------
@@ -100,6 +110,7 @@ def fit_sliding(
         Too few strokes that moved, not both directions, or points too far from a line.
     """
     velocity, level = _points(time_s, effort, position, strokes, resolution)
+    level = level - back_emf * velocity
     rising = velocity > 0.0
     if rising.sum() < 2 or (~rising).sum() < 2 or len(np.unique(np.round(velocity, 12))) < 3:
         raise IdentificationError(

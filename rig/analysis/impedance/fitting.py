@@ -26,15 +26,17 @@ Term = Literal["inertia", "damping", "stiffness"]
 
 @dataclass(frozen=True, slots=True)
 class Device:
-    """Rigid rig: inertia (kg or kg·m²) and viscous damping (N·s/m or N·m·s/rad)."""
+    """Rigid rig: inertia (kg or kg·m²), viscous damping, and that of back-EMF behind a lag (N·s/m or N·m·s/rad; s)."""
 
     inertia: float
     damping: float
+    back_emf: float = 0.0
+    lag_s: float = 0.0
 
     def impedance(self, lines_hz: ArrayLike) -> Complexes:
-        """m·jω + b at these frequencies (Hz)."""
+        """m·jω + b + b_e/(1 + jω·lag) at these frequencies (Hz)."""
         s = 2j * np.pi * np.asarray(lines_hz, dtype=np.float64)
-        return np.asarray(self.inertia * s + self.damping)
+        return np.asarray(self.inertia * s + self.damping + self.back_emf / (1.0 + self.lag_s * s))
 
 
 @dataclass(frozen=True, slots=True)

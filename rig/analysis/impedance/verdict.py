@@ -220,7 +220,7 @@ def fidelity(
     band
         Lines that count (Hz); all if left out.
     device
-        The rig's own impedance, as mass and damping or at all lines of `impedance`: taken away before K and B are
+        The rig's own impedance, as a `Device` or at all lines of `impedance`: taken away before K and B are
         fitted. It stays in `rms` and `distortion`, as in the papers.
     weight
         Of `distortion`, a function of frequency (Hz); 1 if left out.

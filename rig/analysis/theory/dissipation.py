@@ -1,18 +1,24 @@
-"""The work that a wall gives back, exactly: for which K, B and damping b a rigid rig with its wall is passive.
+"""The work that a wall gives back, exactly: for which K, B and damping a rigid rig with its wall is passive.
 
-Rig and wall are passive iff no motion, whatever its course within a tick, gets work out of them. Over a tick the effort
-is u + (s − u)·e^{−t/τ}, with the command u and the lag's state s, so a motion counts only by two numbers in each tick:
-its parts along 1 and along what e^{−t/τ} has beside it. Motions that repeat in each velocity period but for a phase θ
-are N waves, w_m = e^{j(θ + 2πm)/N} per tick. In these, with d ticks of delay and ρ = e^{−T1/τ},
+Rig and wall are passive iff no motion, whatever its course within a tick, gets work out of them. Motions that repeat in
+each velocity period but for a phase θ are N waves, w_m = e^{j(θ + 2πm)/N} per tick, each with all its aliases
+ω_k = (arg w + 2πk)/T1. Of a wave with velocities V_k, d ticks of delay and an electrical lag τ,
 
-    spring, K     each wave by itself, effort a(w) on the increment p:  a = w^−d/(w − 1)·(p + (1 − w)/(w − ρ)·q)
-    damper, B     all waves read through c = p/(w − 1) at the period's start, H once, then g_i in each tick: rank one
+    the rig takes                Σ D(ω_k)·|V_k|²,  D = b + b_e/(1 + ω²τ²): viscous, and back-EMF behind the lag
+    the wall reads               x = Σ V_k/(jω_k) at the tick
+    an effort u gives work by    y = Σ V̄_k·w^−d·(1 − 1/w)/(jω_k·T1)/(1 + jω_k·τ): delay, hold and lag
 
-with p and q the parts of 1 and of e^{−t/τ}. The spring leaves C = b + K·Herm(a·pᵀ), 2 × 2 for each wave; the damper
-adds B·Herm(h·a·cᵀ), h = H·ĝ·(w − 1)/N, of rank two. Passive is: at no θ has the sum a negative eigenvalue. By
-Haynsworth's inertia formula, with U = [c̄, ha] and G = U*C⁻¹U, their number is that of C, plus the positive ones of
-G + (2/B)·[[0, 1], [1, 0]], less one: 2 × 2 again, however many waves there are. Of slow motion (θ → 0) it is
-b + B ≥ K·(T1/2 + lag + delay). The passive K and B form a convex set, for the matrix is linear in them.
+so a motion counts only by x and y: two numbers in each wave, and what D takes for them follows from their Gram matrix
+under 1/D = (1 + ω²τ²)/((b + b_e)·(1 + ω²σ²)), σ² = τ²·b/(b + b_e). Its sums over aliases are elementary. Scaled so that
+the rig takes 1, with an orthonormal basis in each wave (x along its first vector, y = a in both):
+
+    spring, K     each wave by itself: C = 1 + K·Herm(a·xᵀ), 2 × 2
+    damper, B     all waves read at the period's start, H once, then g_i in each tick: B·Herm(h·a·cᵀ), h = H·ĝ/N
+
+Passive is: at no θ has the sum a negative eigenvalue. By Haynsworth's inertia formula, with U = [c̄, ha] and
+G = U*C⁻¹U, their number is that of C, plus the positive ones of G + (2/B)·[[0, 1], [1, 0]], less one: 2 × 2 again,
+however many waves there are. Of slow motion (θ → 0) it is b + b_e + B ≥ K·(T1/2 + lag + delay). The passive K and B
+form a convex set, for the matrix is linear in them.
 
 Own derivation. For one rate it is |2b + H·S| ≥ |H|·√(Σ|L/ω|²·Σ|1/ω|²)·|1 − e^{−jωT}|/T, sums over aliases, L the lag
 and S the sum of hold·L/(jω)²; without lag that is Colgate and Schenkel's theorem. Passive means: stable with any
@@ -42,37 +48,59 @@ BISECTIONS = 40
 SINGULAR = 1e-12  # a determinant this small is that of rounding
 
 
+@dataclass(frozen=True, slots=True)
+class Damping:
+    """Damping of a rig (N·m·s/rad or N·s/m): what acts on any motion, and back-EMF behind the electrical lag."""
+
+    viscous: float
+    back_emf: float = 0.0
+
+    @property
+    def slow(self) -> float:
+        """What a slow motion meets."""
+        return self.viscous + self.back_emf
+
+    def passive(self, loop: LinearLoop) -> bool:
+        """Whether a wall can be passive at all: back-EMF behind a lag takes nothing from fast motion."""
+        return self.viscous > 0.0 or (self.slow > 0.0 and loop.subject.model.amplifier.lag_s == 0.0)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Waves:
-    """Spring and damper as the waves of some phases θ meet them: arrays over phase and wave.
+    """Spring and damper as the waves of some phases θ meet them, in units of the rig's damping; over phase and wave.
 
     Attributes
     ----------
     theta
         Phase over a velocity period (rad).
-    along, beside
-        Parts of a(w), times √T1: what a spring of 1 answers to an increment, and what the lag adds within a tick.
-    read
-        c(w), over √T1: position at the period's start.
+    read, given
+        Diagonal of the Gram matrix: |x|² and |y|² at most, of a motion from which the rig takes 1.
+    along
+        Beside the diagonal: x·y of a spring of 1.
+    aside
+        What of y no reading shows: read·given − |along|².
     heard
-        h: effort of a damper of 1 over that of a spring of 1.
+        h: effort of a damper of 1 over a position of 1.
     """
 
     theta: Vector
+    read: Vector
+    given: Vector
     along: Complex
-    beside: Complex
-    read: Complex
+    aside: Vector
     heard: Complex
 
     @classmethod
-    def of(cls, loop: LinearLoop, theta: Vector, *, late: bool = True) -> Waves:
+    def of(cls, loop: LinearLoop, theta: Vector, rig: Damping, *, late: bool = True) -> Waves:
         """Waves of these phases; not `late`: as if the effort acted at once."""
-        n, tick_s = loop.divider, loop.tick_s
+        n = loop.divider
         lag_s, delay = (loop.subject.model.amplifier.lag_s, loop.delay_ticks) if late else (0.0, 0)
-        w = np.exp(1j * (theta[:, None] + 2.0 * np.pi * np.arange(n)) / n)
-        rho, mean, rest = _of_lag(lag_s / tick_s)
-        answer = w ** -float(delay) / (w - 1.0)
-        lagging = (1.0 - w) / (w - rho)
+        lag = lag_s / loop.tick_s
+        turn = (theta[:, None] + 2.0 * np.pi * np.arange(n)) / n
+        w = np.exp(1j * turn)
+        squares, even, odd = _sums(turn, lag * math.sqrt(rig.viscous / rig.slow))
+        late_even = squares - (lag**2 * rig.viscous / rig.slow) * even
+        unit = loop.tick_s / rig.slow
         i = np.arange(n)
         shape = np.ones((len(theta), n), complex)
         if loop.extrapolate:
@@ -81,72 +109,74 @@ class Waves:
         estimate = loop.estimator.response(theta / (2.0 * np.pi * loop.period_s))
         return cls(
             theta,
-            np.asarray(tick_s * answer * (1.0 + lagging * mean), complex),
-            np.asarray(tick_s * answer * lagging * rest, complex),
-            np.asarray(1.0 / (w - 1.0), complex),
-            np.asarray(estimate[:, None] * held * (w - 1.0), complex),
+            unit * (late_even + lag**2 * even),
+            unit * late_even / squares,
+            np.asarray(unit * w ** -float(delay) * (1.0 / w - 1.0) * (late_even - 1j * lag * odd), complex),
+            (unit * lag) ** 2 * np.maximum(even * late_even - odd**2, 0.0) / squares,
+            np.asarray(estimate[:, None] * held, complex),
         )
 
     def needed(self, sign: float) -> Vector:
-        """Damping that a damper of ±1 asks for, without a spring, at each phase."""
-        reading = (np.abs(self.read) ** 2).sum(axis=1)
-        heard = (np.abs(self.heard) ** 2 * (np.abs(self.along) ** 2 + np.abs(self.beside) ** 2)).sum(axis=1)
-        both = sign * (self.read * self.heard * self.along).sum(axis=1)
+        """Share of the rig's damping that a damper of ±1 asks for, without a spring, at each phase."""
+        reading = self.read.sum(axis=1)
+        heard = (np.abs(self.heard) ** 2 * self.given).sum(axis=1)
+        both = sign * (self.heard * self.along).sum(axis=1)
         return np.asarray(0.5 * (np.sqrt(np.maximum(reading * heard - both.imag**2, 0.0)) - both.real))
 
-    def passive(self, stiffness: float, damping: float, rig: float) -> Flags:
-        """Whether a rig of this damping and the wall are passive, at each phase."""
+    def passive(self, stiffness: float, damping: float) -> Flags:
+        """Whether rig and wall are passive, at each phase."""
         k = 0.5 * stiffness
-        aside = np.abs(self.beside) ** 2
-        det = rig * (rig + 2.0 * k * self.along.real) - k**2 * aside
+        det = 1.0 + 2.0 * k * self.along.real - k**2 * self.aside
         failing = (det < 0.0).sum(axis=1)
         if damping == 0.0:
             return np.asarray(failing == 0)
-        det = np.copysign(np.maximum(np.abs(det), SINGULAR * rig**2), det)
-        reading = (rig * np.abs(self.read) ** 2 / det).sum(axis=1)
-        heard = (rig * np.abs(self.heard) ** 2 * (np.abs(self.along) ** 2 + aside) / det).sum(axis=1)
-        both = (self.read * self.heard * (rig * self.along - k * aside) / det).sum(axis=1)
+        det = np.copysign(np.maximum(np.abs(det), SINGULAR), det)
+        reading = (self.read / det).sum(axis=1)
+        heard = (np.abs(self.heard) ** 2 * self.given / det).sum(axis=1)
+        both = (self.heard * (self.along - k * self.aside) / det).sum(axis=1)
         saddle = reading * heard <= np.abs(2.0 / damping + both) ** 2  # one positive eigenvalue, one negative
         return np.asarray(np.where(saddle, failing == 0, (failing == 1) & (reading < 0.0)))
 
 
-def needed_per_damping(loop: LinearLoop, *, late: bool = True, negative: bool = False) -> float:
-    """Damping of the rig that each unit of B asks for at K = 0; not `late`: as if the effort acted at once.
+def needed_per_damping(loop: LinearLoop, rig: Damping, *, late: bool = True, negative: bool = False) -> float:
+    """Share of the rig's damping that each unit of B asks for at K = 0; not `late`: as if the effort acted at once.
 
     `negative` asks for a wall of negative damping.
     """
     sign = -1.0 if negative else 1.0
-    theta, best = _phases(), -sign  # of slow motion, whose velocity every estimator knows
+    theta, best = _phases(), -sign / rig.slow  # of slow motion, whose velocity every estimator knows
     for _ in range(REFINEMENTS):
-        values = Waves.of(loop, theta, late=late).needed(sign)
+        values = Waves.of(loop, theta, rig, late=late).needed(sign)
         worst = int(np.argmax(values))
         best = max(best, float(values[worst]))
         theta = _nearer(theta, worst)
     return best
 
 
-def passive_stiffness(loop: LinearLoop, dampings: Sequence[float], rig: float) -> list[float]:
+def passive_stiffness(loop: LinearLoop, dampings: Sequence[float], rig: Damping) -> list[float]:
     """Largest K with which a wall of each B is passive on a rigid rig of damping `rig`; 0 where B alone is not."""
-    waves = Waves.of(loop, _phases())
+    if not rig.passive(loop):
+        return [0.0] * len(dampings)
+    waves = Waves.of(loop, _phases(), rig)
     return [_largest(loop, waves, damping, rig) for damping in dampings]
 
 
-def _largest(loop: LinearLoop, waves: Waves, damping: float, rig: float) -> float:
-    highest = (rig + damping) / (0.5 * loop.tick_s + loop.late_s)  # of slow motion
-    if rig <= 0.0 or highest <= 0.0 or not waves.passive(0.0, damping, rig).all():
+def _largest(loop: LinearLoop, waves: Waves, damping: float, rig: Damping) -> float:
+    highest = (rig.slow + damping) / (0.5 * loop.tick_s + loop.late_s)  # of slow motion
+    if highest <= 0.0 or not waves.passive(0.0, damping).all():
         return 0.0
     stiffness = highest
     for _ in range(REFINEMENTS):
-        failing = ~waves.passive(stiffness, damping, rig)
+        failing = ~waves.passive(stiffness, damping)
         if not failing.any():
             break
         low, high = 0.0, stiffness
         for _ in range(BISECTIONS):
             middle = 0.5 * (low + high)
-            now = ~waves.passive(middle, damping, rig)
+            now = ~waves.passive(middle, damping)
             low, high, failing = (low, middle, now) if now.any() else (middle, high, failing)
         stiffness = low
-        waves = Waves.of(loop, _nearer(waves.theta, int(np.flatnonzero(failing)[0])))
+        waves = Waves.of(loop, _nearer(waves.theta, int(np.flatnonzero(failing)[0])), rig)
     return stiffness
 
 
@@ -159,10 +189,12 @@ def _nearer(theta: Vector, worst: int) -> Vector:
     return np.linspace(theta[max(worst - 1, 0)], theta[min(worst + 1, len(theta) - 1)], NEARER)
 
 
-def _of_lag(lag: float) -> tuple[float, float, float]:
-    """For a lag in ticks: e^{−T1/τ}, the mean of e^{−t/τ} over a tick and the rms of what is left of it."""
-    if lag == 0.0:
-        return 0.0, 0.0, 0.0
-    rho = math.exp(-1.0 / lag)
-    mean = -lag * math.expm1(-1.0 / lag)
-    return rho, mean, math.sqrt(max(-0.5 * lag * math.expm1(-2.0 / lag) - mean**2, 0.0))
+def _sums(turn: Vector, sigma: float) -> tuple[Vector, Vector, Vector]:
+    """Over the aliases z = turn + 2πk, with z² and σ in ticks: Σ 1/z², Σ 1/(1 + σ²z²) and Σ 1/(z·(1 + σ²z²))."""
+    half = 0.5 * turn
+    squares, odd = 0.25 / np.sin(half) ** 2, 0.5 / np.tan(half)
+    if sigma == 0.0:  # 1/(1 + 0) over all aliases is infinite, and counts only times a lag of 0
+        return squares, np.zeros_like(turn), odd
+    q = math.exp(-1.0 / sigma)
+    below = 1.0 + q * q - 2.0 * q * np.cos(turn)
+    return squares, 0.5 * (1.0 - q * q) / sigma / below, odd - q * np.sin(turn) / below

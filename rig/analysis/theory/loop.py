@@ -41,7 +41,7 @@ class Subject:
 
     @property
     def damping(self) -> float:
-        """Viscous damping of a rigid motion (N·m·s/rad or N·s/m): motor, link, and back-EMF under voltage drive.
+        """Damping of a slow rigid motion (N·m·s/rad or N·s/m): motor, link, and back-EMF under voltage drive.
 
         The hand is left out: conditions of passivity ask for any hand, the lightest included.
         """
@@ -49,7 +49,7 @@ class Subject:
 
     @property
     def port_damping(self) -> float:
-        """Damping that any motion of the motor side meets, whatever passive thing holds the link.
+        """Damping that the motor side meets, whatever passive thing holds the link; its back-EMF behind the lag.
 
         On a rigid rig all of it. On two masses the link's damper sits behind the capstan, and the least that the two
         show together, over all frequencies and all passive hands, is that of both in series: b_m + c·b_l/(c + b_l).

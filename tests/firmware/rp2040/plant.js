@@ -37,6 +37,7 @@ class Plant {
     const [x, v, effort] = state;
     const pushX = gamma[0][0] * command + gamma[0][1] * 0;
     const pushV = gamma[1][0] * command + gamma[1][1] * 0;
+    const pushE = gamma[2][0] * command + gamma[2][1] * 0;
     const free = phi[1][1] * v + phi[1][2] * effort + pushV;
     let friction = free * (-1.0 / gamma[1][2]);
     let vNext = 0.0;
@@ -46,7 +47,7 @@ class Plant {
     }
     let xNext = x;
     if (v !== 0.0 || vNext !== 0.0) xNext += phi[0][1] * v + phi[0][2] * effort + pushX + gamma[0][2] * friction;
-    state[EFFORT] = phi[2][2] * effort + gamma[2][0] * command;
+    state[EFFORT] = phi[2][1] * v + phi[2][2] * effort + pushE + gamma[2][2] * friction;
     state[X] = xNext;
     state[V] = vNext;
     const cell = this.cellOf(xNext);

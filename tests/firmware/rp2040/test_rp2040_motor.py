@@ -10,6 +10,7 @@ import pytest
 from firmware_protocol.connection import State
 from firmware_protocol.faults import Input
 from firmware_protocol.messages import Sync
+from rig.config import override
 from rig.config.derive import rig_model
 from rig.config.presets import load
 from sim_backend.plant import DiscretePlant, advance
@@ -78,8 +79,12 @@ def test_the_monitor_reads_back_what_flows(powered: Powered) -> None:
         assert measured == pytest.approx(quanta, abs=2.0 * adc_step + DUTY_STEP_A / QUANTUM_A)
 
 
-def test_the_plant_at_the_pins_is_the_simulation_s_own_to_the_bit() -> None:
-    model = rig_model(load("koul-rigid"))
+@pytest.mark.parametrize("drive", ["current", "voltage"])
+@pytest.mark.parametrize("lag_s", [1.09e-4, 0.0])
+def test_the_plant_at_the_pins_is_the_simulation_s_own_to_the_bit(drive: str, lag_s: float) -> None:
+    model = rig_model(
+        override(load("koul-rigid"), {"rig.amplifier.drive": drive, "rig.amplifier.lag_s": lag_s})
+    )
     plant = DiscretePlant.build(model, emulator.PLANT_STEP_S)
     random = np.random.default_rng(7)
     efforts = np.repeat(random.uniform(-2.0, 2.0, 40), 50)

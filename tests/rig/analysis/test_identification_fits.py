@@ -97,7 +97,9 @@ def test_an_interval_is_written_with_the_digits_it_deserves(interval: Any, text:
 # ---------------------------------------------------------------------- pushes
 
 
-def pushed(sign: float = 1.0, mass: Any = MASS, growth: float = 2.0, gap: bool = False) -> Any:
+def pushed(
+    sign: float = 1.0, mass: Any = MASS, growth: float = 2.0, gap: bool = False, damping: float = 0.0
+) -> Any:
     """Pushes up to 30 counts of a handle with friction, two each way; `gap`: after a reversal a tenth of the mass."""
     time_s, effort, position = [], [], []
     t, x, v, before = 0.0, 0.0, 0.0, 1.0
@@ -108,8 +110,8 @@ def pushed(sign: float = 1.0, mass: Any = MASS, growth: float = 2.0, gap: bool =
         while abs(moved) < 30 * QUANTUM:
             u += growth / RATE
             time_s.append(t), effort.append(direction * u), position.append(sign * x)
-            net = u - (UP if direction > 0 else DOWN)
-            if net > 0.0:
+            net = u - (UP if direction > 0 else DOWN) - damping * abs(v)
+            if net > 0.0 or v != 0.0:
                 v += direction * net / m / RATE
             x += v / RATE
             t += 1.0 / RATE
@@ -121,8 +123,8 @@ def pushed(sign: float = 1.0, mass: Any = MASS, growth: float = 2.0, gap: bool =
     return np.array(time_s), np.array(effort), counted(np.array(position))
 
 
-def signs_of(data: Any, expected: Any = MASS) -> Any:
-    return check_signs(*data, resolution=QUANTUM, expected_inertia=expected, rest_s=0.05)
+def signs_of(data: Any, expected: Any = MASS, damping: float = 0.0) -> Any:
+    return check_signs(*data, resolution=QUANTUM, expected_inertia=expected, rest_s=0.05, damping=damping)
 
 
 def test_pushes_tell_sign_breakaway_and_scale() -> None:
@@ -132,6 +134,13 @@ def test_pushes_tell_sign_breakaway_and_scale() -> None:
     assert found.breakaway_up == pytest.approx(UP, rel=0.2), "two counts later than the very first motion"
     assert found.breakaway_down == pytest.approx(DOWN, rel=0.2)
     assert [push.after_reversal for push in found.pushes] == [False, False, True, False, True, False]
+
+
+def test_damping_that_is_described_is_no_inertia() -> None:
+    """A push of some 30 ms, against a time constant of 5 ms, as back-EMF gives."""
+    braked = pushed(damping=200.0 * MASS)
+    assert "times the inertia described" in signs_of(braked).warnings[0]
+    assert signs_of(braked, damping=200.0 * MASS).ok
 
 
 def test_an_encoder_that_counts_the_other_way_is_found() -> None:
@@ -211,6 +220,16 @@ def test_sliding_recovers_friction_each_way_and_damping(slid: Any) -> None:
     assert found.at(np.array([0.05]))[0] == pytest.approx(UP + 0.05 * DAMPING, rel=0.03)
 
 
+def test_back_emf_that_is_given_is_no_friction(slid: Any) -> None:
+    """The command that it takes is more by b_e·v; the same effort flows."""
+    time_s, effort, position, strokes = slid
+    command = effort + 20.0 * np.gradient(position, 1.0 / RATE)
+    found = fit_sliding(time_s, command, position, strokes, resolution=QUANTUM, back_emf=20.0)
+    plain_fit = fit_sliding(*slid, resolution=QUANTUM)
+    assert found.damping.value == pytest.approx(plain_fit.damping.value, abs=0.05)
+    assert found.coulomb.value == pytest.approx(plain_fit.coulomb.value, rel=0.005)
+
+
 def test_what_did_not_slide_is_refused(slid: Any) -> None:
     time_s, effort, position, strokes = slid
     with pytest.raises(IdentificationError, match="0 pieces slid up and 0 down"):
@@ -282,6 +301,22 @@ def test_leaving_friction_in_biases_the_damping(rubbing: Any) -> None:
     """What the fit is for: without the levels, Coulomb friction reads as viscous damping."""
     naive = fit_dynamics(rubbing, resolution=QUANTUM, inertia=MASS)
     assert naive.damping.value > 1.05 * DAMPING
+
+
+def test_back_emf_brakes_through_the_lag_that_is_fitted() -> None:
+    """L/R·T′ = command − b_e·v − T, integrated; a fit that knows no back-EMF finds another mass and lag."""
+    back_emf, lag_s = 40.0, 2e-3
+
+    def derivative(y: Any, u: Any) -> Any:
+        return (y[1], (y[2] - DAMPING * y[1]) / MASS, (u - back_emf * y[1] - y[2]) / lag_s)
+
+    runs = [record(derivative, (0.0,) * 3, realisation) for realisation in range(3)]
+    damping = Interval(DAMPING, 0.0)
+    found = fit_dynamics(runs, resolution=QUANTUM, inertia=MASS, damping=damping, back_emf=back_emf)
+    assert found.inertia.value == pytest.approx(MASS, rel=0.005)
+    assert found.delay_s.value == pytest.approx(lag_s, rel=0.02)
+    slow = Interval(DAMPING + back_emf, 0.0)
+    assert fit_dynamics(runs, resolution=QUANTUM, inertia=MASS, damping=slow).inertia.value < 0.9 * MASS
 
 
 def test_a_known_damping_is_kept(rubbing: Any) -> None:

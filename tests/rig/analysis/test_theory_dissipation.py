@@ -12,7 +12,7 @@ from scipy.signal import butter, freqz
 
 from rig import config
 from rig.analysis import theory
-from rig.analysis.theory.dissipation import passive_stiffness
+from rig.analysis.theory.dissipation import Damping, passive_stiffness
 from rig.config import presets
 from rig.core.operators import GRIPS
 
@@ -46,12 +46,13 @@ def work_matrix(
     ticks: Any,
     cutoff_hz: Any,
     extrapolate: bool = False,
+    back_emf: float = 0.0,
     tick_s: float = 5e-5,
 ) -> Any:
     """Mean effort in each fine step for a unit of velocity in each, where all repeats but for a phase θ each period.
 
-    One state [position; Butterworth (2) and the position before; velocity, slope, velocity before; lag; commands on
-    their way] stepped in time with the velocities as inputs; no harmonic, no closed form.
+    One state [position; Butterworth (2) and the position before; velocity, slope, velocity before; lag, back-EMF
+    in it; commands on their way] stepped in time with the velocities as inputs; no harmonic, no closed form.
     """
     coefficients = butter(2, cutoff_hz, fs=1.0 / (n * tick_s), output="sos")[0]
     b0, b1, b2, _, a1, a2 = coefficients
@@ -79,8 +80,10 @@ def work_matrix(
         else:
             acting = command.copy()
         for j in range(FINE):
-            efforts.append(acting + (x[7] - acting) * mean)
-            x[7] = acting + (x[7] - acting) * rho
+            settled = acting.copy()
+            settled[size + i * FINE + j] += back_emf
+            efforts.append(settled + (x[7] - settled) * mean)
+            x[7] = settled + (x[7] - settled) * rho
             x[0, size + i * FINE + j] += step
     efforts = np.array(efforts)
     begin = np.linalg.solve(np.exp(1j * theta) * np.eye(size) - x[:, :size], x[:, size:])
@@ -130,6 +133,59 @@ def test_at_the_limit_the_worst_motion_gets_just_the_work_that_the_rig_eats(
 
 
 @pytest.mark.parametrize(
+    ("scheme", "n", "lag_s", "cutoff_hz"),
+    [
+        ("uniform:20k,cutoff_hz=2000", 1, 1e-4, 2000.0),
+        ("dual:20k/4k,cutoff_hz=400", 5, 1.09e-4, 400.0),
+        ("dual:20k/4k,cutoff_hz=400", 5, 1e-3, 400.0),
+    ],
+)
+@pytest.mark.parametrize("share", [0.0, 0.5])
+def test_back_emf_eats_work_only_as_fast_as_its_current_follows(
+    scheme: str, n: int, lag_s: float, cutoff_hz: float, share: float
+) -> None:
+    """The same brute force on a voltage-driven rig: what is left for viscous damping to eat is all that there is."""
+    model = voltage_driven(late_rig(lag_s=lag_s))
+    b = share * theory.passivity_bound(model, scheme).largest_damping
+    k = passive_k(model, scheme, b)
+    assert k > 0.0
+    case = {"n": n, "lag_s": lag_s, "ticks": 0, "cutoff_hz": cutoff_hz, "back_emf": 0.0253}
+    assert worst_work(k, b, **case) == pytest.approx(3e-3, rel=5e-3)
+    at_once = late_rig(damping=0.0283, lag_s=lag_s)
+    assert k < passive_k(at_once, scheme, b)
+    assert theory.passivity_bound(model, scheme).bounds[0].meaning == "exact"
+
+
+def voltage_driven(model: Any) -> Any:
+    return replace(model, amplifier=replace(model.amplifier, drive="voltage", back_emf_damping=0.0253))
+
+
+@pytest.mark.parametrize("scheme", ["uniform:20k", "dual:20k/2k"])
+def test_no_passive_hand_shakes_a_passive_wall_of_a_voltage_driven_rig(scheme: str) -> None:
+    """Masses and springs to ground; at the limit of a back-EMF straight on the rotor some of them do."""
+    for share in (0.0, 0.7):
+        rig = voltage_driven(late_rig(lag_s=1e-4))
+        b = share * theory.passivity_bound(rig, scheme).largest_damping
+        k = 0.99 * passive_k(rig, scheme, b)
+        for inertia in np.geomspace(1e-7, 1e-1, 10):
+            model = voltage_driven(
+                late_rig(lag_s=1e-4, motor_inertia=inertia, link_inertia=0.0, end_mass=0.0)
+            )
+            for spring in (0.0, 1e3, 1e5, 1e7):
+                hand = replace(
+                    GRIPS["normal"], pads_mass=0.0, pads_stiffness=spring, pads_damping=0.0, hand_mass=1e6
+                )
+                radius = theory.spectral_radius(model, scheme, k, b, operator=hand if spring else "none")
+                assert radius < 1.0 + 1e-9
+
+
+def test_back_emf_alone_makes_no_wall_passive_behind_a_lag() -> None:
+    assert passive_k(voltage_driven(late_rig(damping=0.0)), "uniform:20k", 0.0) == 0.0
+    assert theory.passivity_bound(voltage_driven(late_rig(damping=0.0)), "uniform:20k").largest_damping == 0.0
+    assert passive_k(voltage_driven(late_rig(damping=0.0, lag_s=0.0)), "uniform:20k", 0.0) > 0.0
+
+
+@pytest.mark.parametrize(
     ("lag_s", "cutoff_hz", "k", "b", "needed"),
     [(1e-4, 2000, 1.0, 1e-4, 1.10e-4), (1e-3, 2000, 1.0, 1e-3, 1.55e-4), (5e-5, 1000, 1.0, 1e-2, 4.483e-3)],
 )
@@ -165,7 +221,7 @@ def test_without_lag_and_delay_it_is_the_closed_form_for_one_rate_and_for_many(s
     loop = theory.linear_loop(late_rig(lag_s=0.0), scheme)
     for b in (0.0, 1e-3, 4e-3, 6e-3):
         closed = (3e-3 - theory.beta(loop) * b) / 0.25e-4
-        assert passive_stiffness(loop, [b], 3e-3)[0] == pytest.approx(closed, rel=1e-5)
+        assert passive_stiffness(loop, [b], Damping(3e-3))[0] == pytest.approx(closed, rel=1e-5)
         first = theory.passivity_bound(late_rig(lag_s=0.0), scheme, b).bounds[0]
         assert (first.meaning, first.stiffness) == ("exact", pytest.approx(closed, rel=1e-9))
 

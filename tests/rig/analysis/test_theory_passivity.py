@@ -19,6 +19,7 @@ from rig.core.operators import GRIPS
 
 KOUL = config.rig_model(presets.load("koul-compliant"))
 RIGID = config.rig_model(presets.load("koul-rigid"))
+VOLTAGE = replace(RIGID, amplifier=replace(RIGID.amplifier, drive="voltage"))
 IDEAL = replace(RIGID, amplifier=replace(RIGID.amplifier, lag_s=0.0))
 
 
@@ -165,9 +166,55 @@ def test_gils_rule_is_given_where_it_means_something() -> None:
 
 
 def test_back_emf_is_damping_under_voltage_drive_only() -> None:
-    voltage = replace(RIGID, amplifier=replace(RIGID.amplifier, drive="voltage"))
     assert theory.resolve(RIGID).damping == pytest.approx(3e-3)
-    assert theory.resolve(voltage).damping == pytest.approx(3e-3 + 0.0253)
+    assert theory.resolve(VOLTAGE).damping == pytest.approx(3e-3 + 0.0253)
+
+
+def test_no_closed_form_is_given_where_back_emf_is_damping_of_slow_motion_only() -> None:
+    """At B = 0 that is what is asked for, and Gil's rule is K_max; without a lag back-EMF is damping of any motion."""
+    damped = theory.passivity_bound(VOLTAGE, "uniform:20k", 0.02)
+    (exact,) = damped.bounds
+    assert exact.meaning == "exact"
+    slow = (0.0283 - damped.beta * 0.02) / (0.25e-4 + 1.09e-4)
+    assert 0.0 < exact.stiffness < 0.5 * slow, "the closed form, with the damping of slow motion"
+    undamped = {b.name: b for b in theory.passivity_bound(VOLTAGE, "uniform:20k").bounds}
+    line = undamped["Colgate and Schenkel, lag and delay"]
+    assert line.meaning == "necessary"
+    assert line.stiffness == pytest.approx(0.0283 / (0.25e-4 + 1.09e-4))
+    assert 0.97 * line.stiffness < undamped["passivity, lag and delay counted"].stiffness < line.stiffness
+    assert theory.k_max(VOLTAGE, "uniform:20k").stiffness == pytest.approx(
+        undamped["Gil"].stiffness, rel=1e-3
+    )
+    prompt = replace(VOLTAGE, amplifier=replace(VOLTAGE.amplifier, lag_s=0.0))
+    found = theory.passivity_bound(prompt, "uniform:20k", 0.02).bounds[0]
+    assert (found.name, found.meaning) == ("Colgate and Schenkel", "exact")
+    assert found.stiffness == pytest.approx((0.0283 - damped.beta * 0.02) / 0.25e-4)
+
+
+@settings(deadline=None, max_examples=25)
+@given(
+    log_inertia=st.floats(-5.0, -2.0),
+    log_damping=st.floats(-4.0, -1.5),
+    log_back_emf=st.floats(-4.0, -0.5),
+    log_lag=st.floats(-5.0, -3.0),
+    scheme=st.sampled_from(["dual:20k/2k,cutoff_hz=200", "uniform:20k"]),
+)
+def test_under_voltage_drive_no_rule_is_on_the_unsafe_side_of_what_is_exact(
+    log_inertia: float, log_damping: float, log_back_emf: float, log_lag: float, scheme: str
+) -> None:
+    mechanics = replace(
+        RIGID.mechanics,
+        motor_inertia=10**log_inertia,
+        motor_damping=10**log_damping,
+        link_damping=0.0,
+        end_mass=0.0,
+    )
+    amplifier = replace(VOLTAGE.amplifier, back_emf_damping=10**log_back_emf, lag_s=10**log_lag)
+    rig = replace(VOLTAGE, mechanics=mechanics, amplifier=amplifier)
+    assert theory.rigid_b_max(theory.linear_loop(rig, scheme)) < theory.b_max(rig, scheme).damping
+    exact, *others = theory.passivity_bound(rig, scheme).bounds
+    necessary = [b.stiffness for b in others if b.meaning == "necessary"]
+    assert exact.stiffness <= min(necessary) * (1.0 + 1e-9)
 
 
 def test_each_bound_says_formula_source_and_meaning() -> None:

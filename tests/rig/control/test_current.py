@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from rig.control import current
 from rig.control.current import AGREES, CURRENT, DISAGREES, FEWEST_TICKS
-from rig.core.board import CurrentSensor
+from rig.core.board import ROUNDED, SPEED_LAG_S, CurrentSensor
 
 RATES = (100, 1_000, 4_000, 20_000, 50_000)
 LAGS_S = (0.0, 1.0e-4, 1.09e-4, 1e-3)
@@ -147,3 +147,81 @@ def test_under_voltage_drive_the_motion_takes_its_part(rate: int, sign: int) -> 
     words = watched(rate, back_emf=back_emf, sign=-sign)
     answers(words, active[:skip], flowing[:skip], counts[:skip])
     assert set(answers(words, active[skip:], flowing[skip:], counts[skip:])) == {DISAGREES}
+
+
+def moving(rate: int, lag_s: float, back_emf: float, most: float, seed: int) -> tuple[Any, Any, Any]:
+    """Counts, active and flowing current of a motor that is moved at up to 60 Hz while it is driven.
+
+    `most` is the largest back-EMF (quanta). In steady state a wave of speed v·cos ωt takes v·Re(e^{jωt}/(1 + jωτ)).
+    """
+    random = np.random.default_rng(seed)
+    ticks = max(400, rate // 5)
+    time = np.arange(1, ticks + 1) / rate
+    counts, taken = np.zeros(ticks), np.zeros(ticks)
+    for _ in range(3):
+        omega, phase = 2 * np.pi * random.uniform(0.5, 60.0), random.uniform(0.0, 6.0)
+        speed = min(most / back_emf, 30_000.0 * rate) * random.uniform(0.0, 1 / 3)
+        counts += speed / omega * np.sin(omega * time + phase)
+        taken += back_emf * speed * (np.exp(1j * (omega * time + phase)) / (1 + 1j * omega * lag_s)).real
+    active = commands(rate, seed + 1, ticks)
+    return np.floor(counts + 0.5), active, lagged(active, rate, lag_s) - taken
+
+
+VOLTAGE = given(
+    st.sampled_from([rate for rate in RATES if rate >= 1_000]),
+    st.sampled_from(LAGS_S),
+    st.floats(1e-3, 0.1),
+    st.floats(100.0, 20_000.0),
+    st.integers(0, 2**32 - 1),
+    st.sampled_from([1, -1]),
+)
+
+
+def of_voltage(rate: int, lag_s: float, back_emf: float, sign: int) -> Any:
+    noise = float(np.hypot(ROUNDED, ROUNDED * back_emf / SPEED_LAG_S))
+    return watched(rate, noise=noise, lag_s=lag_s, back_emf=back_emf, sign=sign)
+
+
+@VOLTAGE
+def test_a_sound_motor_under_voltage_drive_never_disagrees_however_fast_it_moves(
+    rate: int, lag_s: float, back_emf: float, most: float, seed: int, sign: int
+) -> None:
+    counts, active, flowing = moving(rate, lag_s, back_emf, most, seed)
+    words = of_voltage(rate, lag_s, back_emf, sign)
+    assert DISAGREES not in answers(words, active, np.floor(flowing + 0.5), sign * counts)
+    current.resume(words, int(flowing[0]))
+    assert DISAGREES not in answers(words, active, np.floor(flowing + 0.5), sign * counts), "nor after a gap"
+
+
+@VOLTAGE
+def test_a_dead_or_reversed_motor_under_voltage_drive_disagrees_in_each_window(
+    rate: int, lag_s: float, back_emf: float, most: float, seed: int, sign: int
+) -> None:
+    """Where what should flow, as smooth as the speed, is clearly above the noise."""
+    counts, active, flowing = moving(rate, lag_s, back_emf, most, seed)
+    for gain in (0.0, -1.0):
+        words = of_voltage(rate, lag_s, back_emf, sign)
+        ticks, noise = words[CURRENT.ticks], words[CURRENT.noise]
+        windows = len(flowing) // ticks
+        smooth = np.abs(lagged(flowing, rate, SPEED_LAG_S))[: windows * ticks].reshape(-1, ticks).sum(axis=1)
+        answers(words, active[:1], gain * flowing[:1], sign * counts[:1])  # it begins with a count
+        for begin, total in zip(range(0, windows * ticks, ticks), smooth, strict=True):
+            here = slice(begin + 1, begin + ticks + 1)
+            found = answers(words, active[here], np.floor(gain * flowing[here] + 0.5), sign * counts[here])
+            if begin < 3 * ticks or begin + ticks >= len(flowing):
+                continue
+            spared = (np.abs(flowing) + np.abs(active))[begin - ticks : begin + ticks + 1].max()
+            if total > 2.0 * noise + 0.2 * smooth.max() + spared:
+                assert found == [DISAGREES]
+
+
+@pytest.mark.parametrize("rate", [1_000, 20_000])
+@pytest.mark.parametrize("at", [3, 9])
+def test_one_spike_is_forgiven_under_voltage_drive_too_where_it_lasts_into_the_next_window(
+    rate: int, at: int
+) -> None:
+    counts, active, flowing = moving(rate, 1e-4, 0.017, 500.0, 3)
+    words = of_voltage(rate, 1e-4, 0.017, 1)
+    measured = np.floor(flowing + 0.5)
+    measured[1 + words[CURRENT.ticks] * at // 10 :: 4 * words[CURRENT.ticks]] += 12_000
+    assert set(answers(words, active, np.minimum(measured, 32_767), counts)) <= {AGREES}

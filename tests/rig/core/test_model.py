@@ -101,13 +101,44 @@ def test_without_lag_the_command_drives_the_motor_and_the_effort_state_stands_al
     assert model.b[velocity, 0] == model.b[velocity, 2]  # the command acts where the motor's friction acts
 
 
-def test_voltage_drive_adds_its_back_emf_damping_and_current_drive_does_not() -> None:
-    amplifier = replace(AMPLIFIER, back_emf_damping=0.0253)
+def test_a_voltage_driven_rig_is_the_dc_motor_of_its_data_sheet() -> None:
+    """R, L and k_e of Koul's motor in volts and amperes at the rotor, ratio 10: poles, speed and current of a volt."""
+    resistance, inductance, k, ratio = 2.18, 0.238e-3, 0.0234, 10.0
+    rotor, viscous = 1.77e-3 / ratio**2, 3.7e-3 / ratio**2
+    motor = np.array(
+        [
+            [0.0, 1.0, 0.0],
+            [0.0, -viscous / rotor, k / rotor],
+            [0.0, -k / inductance, -resistance / inductance],
+        ]
+    )
+    amplifier = replace(
+        AMPLIFIER,
+        drive="voltage",
+        lag_s=inductance / resistance,
+        back_emf_damping=k**2 / resistance * ratio**2,
+    )
+    model = state_space(RIGID, amplifier)
+    wanted = np.sort_complex(np.linalg.eigvals(motor))
+    assert np.sort_complex(np.linalg.eigvals(model.a)) == pytest.approx(wanted, rel=1e-9, abs=1e-9)
+    for omega in (1.0, 1e3, 1e5):
+        resolvent = np.linalg.inv(1j * omega * np.eye(3) - motor)
+        per_volt = ratio * k / resistance  # command of a volt: its stalled current, as effort at the link
+        speed = transfer(RIGID, amplifier, state=1, source=0, omega=omega) * per_volt
+        current = transfer(RIGID, amplifier, state=2, source=0, omega=omega) * per_volt / (ratio * k)
+        assert speed == pytest.approx(resolvent[1, 2] / inductance / ratio, rel=1e-9)
+        assert current == pytest.approx(resolvent[2, 2] / inductance, rel=1e-9)
+
+
+def test_back_emf_brakes_at_once_without_a_lag_and_never_under_current_drive() -> None:
+    amplifier = replace(AMPLIFIER, back_emf_damping=0.0253, lag_s=0.0)
     for mechanics in (RIGID, COMPLIANT):
         current = state_space(mechanics, amplifier)
         voltage = state_space(mechanics, replace(amplifier, drive="voltage"))
         inertia = 1.9e-4 + (1.58e-3 if mechanics is RIGID else 0.0)
         assert voltage.a[1, 1] - current.a[1, 1] == pytest.approx(-0.0253 / inertia)
+        assert (current.back_emf, voltage.back_emf) == (0.0, 0.0253)
+    assert (state_space(RIGID, replace(amplifier, lag_s=1e-4)).a[2, :2] == 0.0).all()
 
 
 def test_the_end_mass_loads_the_link_but_leaves_the_cable_as_it_is() -> None:

@@ -84,6 +84,27 @@ def test_koul_compliant_shows_its_mode_and_how_its_inertia_splits(compliant: Any
     assert compliant.dynamics.delay_s.value == pytest.approx(1e-4, rel=0.05)
 
 
+@pytest.mark.parametrize(("experiment", "inertia"), [(COMPLIANT, 1.77e-3), (RIGID, 3.2e-4)])
+def test_under_voltage_drive_back_emf_is_told_from_friction_inertia_and_lag(
+    experiment: Any, inertia: float, tmp_path: Path
+) -> None:
+    """Its current is measured and compared all the while: no motion of a sound rig ends a run."""
+    changes = {"controller.position_rate": 6000, "rig.amplifier.drive": "voltage"}
+    found = identified(experiment, tmp_path, period_s=0.25, changes=changes)
+    mechanics = experiment.rig.mechanics
+    assert found.signs.warnings == ()
+    assert found.signs.scale == pytest.approx(1.0, rel=0.3)
+    assert found.dynamics.inertia.value == pytest.approx(inertia, rel=0.01)
+    assert found.dynamics.delay_s.value == pytest.approx(experiment.rig.amplifier.lag_s, rel=0.1)
+    damping = mechanics.motor_damping + mechanics.link_damping
+    assert found.sliding.damping.value == pytest.approx(damping, rel=0.05)
+    assert "0.0253 of back-EMF as described" in found.sources["rig.mechanics.motor_damping"]
+    assert found.experiment.rig.amplifier.back_emf_damping == 0.0253
+    if experiment is COMPLIANT:
+        after = found.experiment.rig.mechanics.transmission_damping_ratio
+        assert after == pytest.approx(mechanics.transmission_damping_ratio, rel=0.15)
+
+
 def test_koul_rigid_with_a_tick_of_delay(tmp_path: Path) -> None:
     found = identified(
         RIGID,

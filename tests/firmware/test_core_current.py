@@ -1,0 +1,100 @@
+"""The comparison of currents in C and in Python: the same settings and, tick for tick, the same memory."""
+
+from __future__ import annotations
+
+import ctypes
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rig.control import current
+from rig.control.current import CURRENT, DISAGREES
+from rig.core.board import CurrentSensor
+from tests.firmware.build import CORE, FIRMWARE, UNDEFINED, compile_c
+
+CONFIGURE = """
+#include "current.h"
+
+void configure(struct current_check *check, double noise, double lag_s, double back_emf, int sign, uint32_t rate);
+void configure(struct current_check *check, double noise, double lag_s, double back_emf, int sign, uint32_t rate)
+{
+    const struct board board = {.encoder_sign = (int8_t)sign, .current_sensor = {noise, lag_s, back_emf}};
+    current_configure(check, &board, rate);
+}
+"""
+
+
+class Check(ctypes.Structure):
+    """Struct current_check of current.h."""
+
+    _fields_ = [
+        *((name, ctypes.c_uint32) for name in ("decay", "speed_decay", "back_emf", "late")),
+        ("sign", ctypes.c_int8),
+        ("ticks", ctypes.c_uint16),
+        ("noise", ctypes.c_uint32),
+        ("expected", ctypes.c_int32),
+        ("count", ctypes.c_int32),
+        ("known", ctypes.c_uint8),
+        *((name, ctypes.c_int32) for name in ("speed", "moved", "left", "before", "smooth")),
+        ("passed", ctypes.c_uint16),
+        *((name, ctypes.c_uint32) for name in ("difference", "largest", "sum", "last_largest")),
+        *((name, ctypes.c_int32) for name in ("zero", "largest_zero")),
+    ]
+
+
+@pytest.fixture(scope="module")
+def rule(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
+    directory: Path = tmp_path_factory.mktemp("current")
+    source = directory / "configure.c"
+    source.write_text(CONFIGURE)
+    parts = [path for path in CORE if path.name in ("current.c", "wide.c")]
+    flags = ["-fPIC", "-shared", f"-I{FIRMWARE / 'core'}", f"-I{FIRMWARE}", *UNDEFINED]
+    library = ctypes.CDLL(str(compile_c(directory / "current.so", [source, *parts], flags)))
+    library.configure.argtypes = [ctypes.c_void_p, *[ctypes.c_double] * 3, ctypes.c_int, ctypes.c_uint32]
+    library.current_disagrees.argtypes = [ctypes.c_void_p, ctypes.c_int32, ctypes.c_int16, ctypes.c_int16]
+    library.current_disagrees.restype = ctypes.c_bool
+    return library
+
+
+currents = st.integers(-32_767, 32_767)
+
+
+@settings(deadline=None, max_examples=200)
+@given(
+    st.sampled_from([50, 99, 1_000, 7_777, 20_000, 50_000]),
+    st.sampled_from([-1.0, 0.0, 0.41, 30.0]),
+    st.sampled_from([0.0, 1e-5, 1.09e-4, 1e-2]),
+    st.sampled_from([0.0, 1e-4, 0.017, 3.0, 1e6]),
+    st.sampled_from([1, -1]),
+    st.lists(
+        st.tuples(st.integers(-(2**31), 2**31 - 1) | st.integers(-99, 99), currents, currents), min_size=1
+    ),
+    st.integers(1, 60),
+)
+def test_both_remember_the_same(
+    rule: Any,
+    rate: int,
+    noise: float,
+    lag_s: float,
+    back_emf: float,
+    sign: int,
+    motions: list[tuple[int, int, int]],
+    each: int,
+) -> None:
+    """A count anywhere, and currents of any size, each for some ticks."""
+    words = memoryview(np.zeros(len(CURRENT), np.int64))
+    check = Check()
+    current.configure(words, CurrentSensor(noise=noise, lag_s=lag_s, back_emf=back_emf), rate, sign)
+    rule.configure(ctypes.byref(check), noise, lag_s, back_emf, sign, rate)
+    for count, active, measured in motions:
+        for tick in range(each):
+            here = max(-(2**31), count - 3 * tick)
+            said = current.compare(words, here, active, measured)
+            assert rule.current_disagrees(ctypes.byref(check), here, active, measured) == (said == DISAGREES)
+            assert {name: getattr(check, name) for name in CURRENT._fields if not name.endswith("most")} == {
+                name: words[place] for name, place in CURRENT._asdict().items() if not name.endswith("most")
+            }
