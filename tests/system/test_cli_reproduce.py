@@ -48,7 +48,9 @@ def test_quick_reproduces_the_paper_in_one_report_and_goes_on_from_its_journal(
     assert by_key["levels-off"] == "reproduced only with the electrical lag"
     assert by_key["penetration"].startswith("reproduced only with 20 kHz, fixed point")
 
-    monkeypatch.setattr("rig.papers.reproduction.draw", lambda found: {})  # of the same results: the same pictures
+    monkeypatch.setattr(
+        "rig.papers.reproduction.draw", lambda found: {}
+    )  # of the same results: the same pictures
     assert rig.cli.run(["reproduce", "koul", "--quick", "--json", "-o", str(place)]) == 0
     again = json.loads(capfd.readouterr().out)
     assert again["kept"] > 0  # nothing was computed twice
