@@ -27,8 +27,18 @@ _MARKS = {
 
 
 def print_json(result: Any) -> None:
-    """One JSON document on standard output, by `rig.core.present.plain`."""
-    click.echo(json.dumps(plain(result), ensure_ascii=False, indent=2))
+    """One JSON document on standard output, by `rig.core.present.plain`; its remedies are those of a terminal."""
+    click.echo(json.dumps(_remedies_for_terminal(plain(result)), ensure_ascii=False, indent=2))
+
+
+def _remedies_for_terminal(value: Any) -> Any:
+    if isinstance(value, list):
+        return [_remedies_for_terminal(one) for one in value]
+    if not isinstance(value, dict):
+        return value
+    found = {key: _remedies_for_terminal(one) for key, one in value.items()}
+    remedy = found.get("remedy")
+    return {**found, "remedy": for_terminal(remedy)} if isinstance(remedy, str) else found
 
 
 def for_terminal(text: str) -> str:
@@ -118,7 +128,7 @@ def error_facts(error: RigError) -> dict[str, Any]:
     return {
         "error": for_terminal(error.message),
         "kind": type(error).__name__,
-        "remedy": for_terminal(error.remedy),
+        "remedy": error.remedy,
         "recording": None if error.recording is None else str(error.recording),
         "messages": list(error.messages),
         "exit_code": error.exit_code,

@@ -53,10 +53,10 @@ def backends() -> list[Backend]:
 
 
 def broken(scheme: str) -> str:
-    """Why a third party's backend cannot be used, "" where it can."""
+    """Why a backend cannot be used, "" where it can."""
     try:
         load_backend(f"{scheme}://")
-    except ConfigError as error:
+    except (ConfigError, DeviceNotFoundError) as error:
         return str(error)
     return ""
 
