@@ -317,7 +317,7 @@ def _checked_row(row: int, protocol: Protocol) -> int:
         raise ConfigError(
             f"row {row} of the order: {protocol.study.participants} participants are planned, and rows are counted "
             "from 0",
-            remedy=f"give row 0 to {rows - 1}, or plan more: study.participants",
+            remedy=f"give `row` 0 to {rows - 1}, or plan more: study.participants",
         )
     return row
 

@@ -7,8 +7,12 @@ from typing import Any
 
 from rig.config import Experiment
 from rig.control.law import Law
+from rig.core.sample import RowFlag
 from rig.devices.framed import FramedDevice
 from rig.experiments.trial import TrialEnd, TrialRequest, prepared_on, run_trial
+
+# Flags that a sensor of the current sets: a trial without bytes has none.
+CURRENTS = int(RowFlag.CURRENT_FOLLOWS | RowFlag.CURRENT_DIFFERS | RowFlag.OTHER_CURRENT)
 
 
 def trial_on(

@@ -202,7 +202,7 @@ def test_boards_and_settings_that_are_none_are_refused(model: Any, tmp_path: Pat
     with pytest.raises(ConfigError, match="its programs: device"):
         build(BuildRequest(model=model, board=BOARD, output=tmp_path, application="game"))
     (tmp_path / "file").write_text("")
-    with pytest.raises(RecordingError, match="--output"):
+    with pytest.raises(RecordingError, match="`output`"):
         build(BuildRequest(model=model, board=BOARD, output=tmp_path / "file"))
 
 

@@ -19,7 +19,7 @@ BOARDS = {
 CODE_LIMIT = 28 * 1024  # bytes of code and constants; an RP2040 has 264 KiB of memory
 # What a core may ask of a C library: copying, three functions when a block of parameters comes, and a root for Levant's
 # estimator.
-LIBRARY = {"memcpy", "memset", "expm1", "sqrt", "ceil", "sqrtf"}
+LIBRARY = {"memcpy", "memset", "expm1", "sqrt", "ceil", "floor", "sqrtf"}
 CHANGEABLE = set("BbCDdGgSs")  # symbol types of nm(1)
 
 

@@ -261,8 +261,8 @@ def test_recordings_without_a_ledger_are_refused_in_one_line(
     assert "no rows" in err
     broken = changed(sealed, tmp_path / "broken.rigcap", trailer={"clock": {"drift_ppm": 1.0}})
     code, _, err = command("timing", broken)
-    assert code == 1
-    assert "clock fit is invalid" in err
+    assert code == 9
+    assert "clock" in err
     assert command("timing", tmp_path / "nothere.parquet")[0] == 9
 
 

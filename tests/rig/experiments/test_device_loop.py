@@ -157,7 +157,7 @@ def test_the_link_must_carry_every_tick() -> None:
         assert (rate.outcome, capacity.outcome) == ("ok", outcome)
         assert f"every tick at {x.controller.position_rate} Hz" in capacity.text
     tight = link_checks(fast, 50_000, 3e5)[1]
-    assert "controller.measured_current=false" in tight.remedy
+    assert "controller.measured_current = false" in tight.remedy
     short = config.override(fast, {"controller.measured_current": False})
     assert link_checks(short, 50_000, 3e5)[1].outcome == "ok"
     assert link_checks(fast, 20_000, None)[0].outcome == "refused"
@@ -221,7 +221,7 @@ def test_a_change_that_the_device_does_not_take_is_refused_before_it_is_posted()
 def test_an_identification_is_the_hosts() -> None:
     with pytest.raises(PlanError, match="motions of an identification") as refused:
         plan_of(ON_DEVICE, IdentifyRequest(experiment=ON_DEVICE))
-    assert "controller.loop=host" in refused.value.remedy
+    assert 'controller.loop = "host"' in refused.value.remedy
 
 
 # ---------------------------------------------------------------------- excitation

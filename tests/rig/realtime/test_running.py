@@ -115,7 +115,7 @@ def test_the_only_loop_needs_no_name_and_of_several_one_must_be_named(
         both = mine(one.pid, two.pid)
         for loops, said in (
             ([], "no loop runs in real time"),
-            (both, rf"2 loops run: {both[0].pid}, {both[1].pid}; name one with --pid"),
+            (both, rf"2 loops run: {both[0].pid}, {both[1].pid}; name one by its `pid`"),
         ):
             monkeypatch.setattr(running, "running", lambda loops=loops: loops)
             with pytest.raises(ConfigError, match=said):
