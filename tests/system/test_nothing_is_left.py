@@ -292,7 +292,8 @@ with started("sleep", "600") as process:
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
     with started(sys.executable, "-c", program, env={**os.environ, MARK: mark}, **pipes) as test:
         number, deadline = int(test.stdout.readline()), time.monotonic() + WAIT_S
-        while number not in marked(mark):  # while it becomes another program it has no environment
+        # The leash is on once the program that puts it on has become the other.
+        while Path(f"/proc/{number}/comm").read_text() != "sleep\n" or number not in marked(mark):
             assert time.monotonic() < deadline
             time.sleep(0.01)
         test.kill()
