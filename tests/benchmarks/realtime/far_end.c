@@ -1,10 +1,10 @@
 /* The far end of the benchmarks: far_end DESCRIPTOR PRIORITY RATE
 
-   RATE 0: each good COMMAND is answered by one STATE at once. Else, from the first COMMAND on, STATE goes out RATE times
-   a second, from a thread of its own (reading from a terminal waits for a kernel thread of ordinary priority), and
-   COMMANDs are only checked. SCHED_FIFO when PRIORITY is above 0. Ends at the hang-up of the line or at SIGTERM, and
-   then prints the good and bad frames, the COMMANDs that were not STOP, the STATEs sent, the samples that passed because
-   it woke late, and the STATEs that the line did not take. */
+   RATE below 0: each good COMMAND is answered by one STATE at once, whose clock counts samples at that rate. Else, from
+   the first COMMAND on, STATE goes out RATE times a second, from a thread of its own (reading from a terminal waits for
+   a kernel thread of ordinary priority), and COMMANDs are only checked. SCHED_FIFO when PRIORITY is above 0. Ends at the
+   hang-up of the line or at SIGTERM, and then prints the good and bad frames, the COMMANDs that were not STOP, the
+   STATEs sent, the samples that passed because it woke late, and the STATEs that the line did not take. */
 #define _GNU_SOURCE
 #include <errno.h>
 #include <fcntl.h>
@@ -23,7 +23,7 @@ static void end(int number)
 }
 
 struct device {
-    int descriptor, priority, sequence;
+    int descriptor, priority, sequence, answers;
     _Atomic int session, command_sequence, current; /* of the newest COMMAND */
     uint32_t sample;
     _Atomic int64_t good;
@@ -33,10 +33,10 @@ struct device {
 static void send_state(struct device *d)
 {
     uint8_t frame[ROOM], *at = frame + 1 + HEADER;
-    uint32_t units = (uint32_t)((now_ns() - d->started) * 2 / 125);
+    uint32_t units = (uint32_t)((d->answers ? d->sample * d->period : now_ns() - d->started) * 2 / 125);
     int32_t count = (int32_t)(d->sample / 64 % 512) - 256; /* a handle that moves, outside the wall and inside */
     d->sample++;
-    at = put(put(put(put(at, d->command_sequence, 2), 0, 2), d->sample, 4), units, 4);
+    at = put(put(put(put(at, d->command_sequence, 2), NO_AGE, 2), d->sample, 4), units, 4);
     at = put(put(put(put(at, (uint32_t)count, 4), units, 4), (uint16_t)d->current, 2), (uint16_t)d->current, 2);
     at = put(put(put(put(put(put(at, 0, 2), 0, 2), 0, 2), 0, 2), STATE_RUNNING, 1), 0, 1);
     put(put(at, 0, 1), 0, 4); /* no law, no sync */
@@ -46,7 +46,7 @@ static void send_state(struct device *d)
         d->untaken++;
 }
 
-static void take(struct device *d, const uint8_t *frame, int size, int answer)
+static void take(struct device *d, const uint8_t *frame, int size)
 {
     uint8_t raw[ROOM];
     int length = unseal(frame, size, raw);
@@ -59,7 +59,7 @@ static void take(struct device *d, const uint8_t *frame, int size, int answer)
     d->session = raw[3];
     d->command_sequence = (int)get(raw + 4, 2);
     d->current = (int16_t)get(raw + HEADER + 8, 2);
-    if (answer)
+    if (d->answers)
         send_state(d);
 }
 
@@ -89,7 +89,8 @@ int main(int count, char **arguments)
         return 2;
     struct device d = {.descriptor = atoi(arguments[1]), .priority = atoi(arguments[2]), .session = 1};
     int64_t rate = atoll(arguments[3]);
-    d.period = rate ? 1000000000 / rate : 0;
+    d.answers = rate < 0;
+    d.period = 1000000000 / (rate < 0 ? -rate : rate);
     d.started = now_ns();
     pthread_t ticking;
     uint8_t buffer[4096];
@@ -101,7 +102,7 @@ int main(int count, char **arguments)
     alarm(3600);
     fcntl(d.descriptor, F_SETFL, fcntl(d.descriptor, F_GETFL) | O_NONBLOCK); /* a tick never waits for a reader */
     crc_prepare();
-    if (become_fifo(d.priority) != 0 || (rate && pthread_create(&ticking, NULL, tick, &d) != 0))
+    if (become_fifo(d.priority) != 0 || (!d.answers && pthread_create(&ticking, NULL, tick, &d) != 0))
         return 3;
     puts("ready");
     fflush(stdout);
@@ -120,7 +121,7 @@ int main(int count, char **arguments)
             for (int i = filled - (int)got; i < filled; i++)
                 if (buffer[i] == 0) {
                     if (i > start)
-                        take(&d, buffer + start, i - start, rate == 0);
+                        take(&d, buffer + start, i - start);
                     start = i + 1;
                 }
             filled -= start;
@@ -130,7 +131,7 @@ int main(int count, char **arguments)
         }
     }
     ended = 1;
-    if (rate)
+    if (!d.answers)
         pthread_join(ticking, NULL);
     printf("{\"good\": %lld, \"bad\": %lld, \"active\": %lld, \"states\": %lld, \"passed\": %lld, \"untaken\": %lld}\n",
         (long long)d.good, (long long)d.bad, (long long)d.active, (long long)(d.sample - d.passed), (long long)d.passed,

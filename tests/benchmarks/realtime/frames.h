@@ -16,6 +16,7 @@
 #define STATE_PAYLOAD 39
 #define ROOM 64
 #define MODE_STOP 2
+#define NO_AGE 0xFFFF /* of the active COMMAND: nobody keeps it here */
 
 static uint32_t crc_table[8][256];
 

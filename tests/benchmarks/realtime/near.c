@@ -25,7 +25,7 @@ int64_t near_read(int64_t handle, int64_t address, int64_t size)
     uint8_t *frame = (uint8_t *)address, *at = frame + 1 + HEADER;
     uint32_t units = (uint32_t)(near->index * near->period * 2 / 125);
     int32_t count = (int32_t)(near->index / 64 % 512) - 256;
-    at = put(put(put(put(at, 0, 2), 0, 2), (uint64_t)near->index, 4), units, 4);
+    at = put(put(put(put(at, 0, 2), NO_AGE, 2), (uint64_t)near->index, 4), units, 4);
     at = put(put(put(put(at, (uint32_t)count, 4), units, 4), 0, 2), 0, 2);
     at = put(put(put(put(put(put(at, 0, 2), 0, 2), 0, 2), 0, 2), STATE_RUNNING, 1), 0, 1);
     put(put(at, 0, 1), 0, 4); /* no law, no sync */

@@ -213,7 +213,7 @@ class Contest:
 def contest(link: str, programs: dict[str, str], priority: int) -> Iterator[Contest]:
     """Open a link with a far end behind it."""
     with LINKS[link]() as (wire, far):
-        command = [*LEASH, programs["far_end"], str(far), str(priority), "0"]
+        command = [*LEASH, programs["far_end"], str(far), str(priority), str(-RATE)]
         with subprocess.Popen(command, stdout=subprocess.PIPE, pass_fds=[far], text=True) as process:
             assert process.stdout is not None
             try:
