@@ -86,6 +86,8 @@ class Project:
             name: value for name, value in os.environ.items() if not name.startswith(("NUMBA_", "COVERAGE"))
         }
         environment |= {"PYTHONPATH": str(self.root), "HAPTIC_RIG_CACHE": self.cache}
+        # Python itself sees no edit of the same second and length.
+        environment["PYTHONDONTWRITEBYTECODE"] = "1"
         done = subprocess.run(
             [sys.executable, "-W", "error", "-c", REPORT.format(before=before, after=after)],
             cwd=self.root, env=environment, capture_output=True, text=True, timeout=60, check=False,
