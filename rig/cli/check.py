@@ -12,7 +12,8 @@ from rig.cli.output import print_json, print_pairs, show
 from rig.core.sample import unit_of
 from rig.devices import load_backend
 from rig.experiments.identify_motions import most_push, push_way
-from rig.experiments.pulse import NO_HANDS, PUSHES, PulseRequest, check_rig_moves, energy_of
+from rig.experiments.motion_run import FreeRigRequest
+from rig.experiments.pulse import NO_HANDS, PUSHES, check_rig_moves, energy_of
 
 
 @click.command()
@@ -49,7 +50,7 @@ def check(
     """
     experiment = options.chosen_experiment(file, preset or options.preset_of(url, file))
     load_backend(url or "sim://")
-    request = PulseRequest(
+    request = FreeRigRequest(
         experiment=experiment, url=url, changes=options.changes(None, sets), verified=verified, output=output
     )
     x = config.override(request.experiment, request.changes)

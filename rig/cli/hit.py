@@ -89,6 +89,7 @@ def hit(
         arm_anyway=arm_anyway,
         measuring=hit_output.measuring_link(quiet=as_json),
         judged_link=_say_gate,
+        hands_off=lambda text: click.echo(f"rig: {text}", err=True),
         output=directory,
     )
     done: list[dict[str, Any]] = []

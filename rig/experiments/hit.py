@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -26,7 +25,7 @@ from rig.devices.framed import FramedDevice
 from rig.devices.local import opened
 from rig.experiments.judgement import Judgement, judge
 from rig.experiments.plan import device_checks, link_checks, plan_of
-from rig.experiments.pulse import pulse
+from rig.experiments.pulse import NO_HANDS, pulse
 from rig.experiments.trial import TrialEnd, TrialRequest, prepared_on, run_trial
 from rig.recording.data import Recording
 from rig.recording.files import free_name, plain_errors
@@ -65,6 +64,8 @@ class HitRequest:
         Told, while the link is measured before arming, the share of that which is done.
     judged_link
         Told before arming what the measured link says for and against it.
+    hands_off
+        Told before a torque pulse what to do: a real rig is pushed before it is armed for a person.
     """
 
     experiment: Experiment
@@ -80,6 +81,7 @@ class HitRequest:
     arm_anyway: bool = False
     measuring: Callable[[float], None] | None = None
     judged_link: Callable[[Gate], None] | None = None
+    hands_off: Callable[[str], None] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,7 +191,7 @@ def hit(request: HitRequest, watch: Watch | None = None) -> Iterator[HitResult]:
         with plain_errors("make", output):
             output.mkdir(parents=True, exist_ok=True)
         _check_it_moves(request, device, run)
-        stem = f"{_file_name(experiment.rig.name)}-{datetime.now():%Y%m%d-%H%M%S}"
+        stem = f"{experiment.rig.name}-{datetime.now():%Y%m%d-%H%M%S}"
         for repeat in range(experiment.trial.repeats):
             trial = TrialRequest(
                 run=run,
@@ -302,20 +304,17 @@ def _reference_count(request: HitRequest, device: FramedDevice) -> int:
     return device.count() if request.reference_count is None else request.reference_count
 
 
-def _file_name(name: str) -> str:
-    """Keep what is harmless in a file name."""
-    return re.sub(r"[^A-Za-z0-9._-]+", "-", name).strip(".-") or "rig"
-
-
 def _check_it_moves(request: HitRequest, device: FramedDevice, run: Run) -> None:
     """A real rig is not armed for a person before it has moved as it is described, with nobody holding it."""
     experiment = run.experiment
     if experiment.trial.kind != "human" or device.dictionary.simulated or device.moved_as_described:
         return
+    if request.hands_off is not None:
+        request.hands_off(NO_HANDS)
     pulse(
         device,
         experiment,
-        recording=free_name(Path(request.output), f"{_file_name(experiment.rig.name)}-pulse"),
+        recording=free_name(Path(request.output), f"{experiment.rig.name}-pulse"),
         verified=request.verified,
         reference_count=run.reference_count,
     ).insist()

@@ -12,7 +12,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +19,7 @@ from numpy.typing import NDArray
 from rig import config, devices
 from rig.analysis.identification.dynamics import Dynamics, fit_dynamics
 from rig.analysis.identification.quality import IdentificationError
-from rig.analysis.identification.signs import SignCheck, check_signs, stiction_warning
+from rig.analysis.identification.signs import SignCheck, stiction_warning
 from rig.analysis.identification.sliding import Sliding, fit_sliding
 from rig.analysis.impedance.signals import ExcitedRun
 from rig.config import Experiment
@@ -35,7 +34,6 @@ from rig.experiments.identified_values import identified_values
 from rig.experiments.identify_motions import (
     PERIODS,
     PUSHES,
-    REST_S,
     Motion,
     excitation,
     excitation_motion,
@@ -49,7 +47,13 @@ from rig.experiments.identify_motions import (
     strokes_motion,
     strokes_of,
 )
-from rig.experiments.motion_run import position_now, run_motion
+from rig.experiments.motion_run import (
+    FreeRigRequest,
+    position_now,
+    refuse_unverified,
+    run_motion,
+    signs_of,
+)
 from rig.experiments.plan import link_checks
 from rig.experiments.planned import Plan
 from rig.recording.files import free_name, plain_errors
@@ -58,35 +62,20 @@ Tell = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class IdentifyRequest:
-    """What to identify, and how.
+class IdentifyRequest(FreeRigRequest):
+    """What to identify, and how: the experiment's rig is the first guess.
 
     Attributes
     ----------
-    experiment
-        Its rig is the first guess, its limits are kept; the wall and the trial in it are not used.
-    url
-        Of the device; None simulates the experiment's rig in this process, in virtual time.
-    changes
-        Keys that the user set by hand, dotted.
-    verified
-        As in `rig.experiments.hit.HitRequest`: a real device does not arm without.
     realisations, period_s
         Of the multisine: how many draws of phases, and the period of each (s).
     seed
         Of the phases.
-    output
-        Directory of the recordings.
     """
 
-    experiment: Experiment
-    url: str | None = None
-    changes: Mapping[str, Any] = field(default_factory=dict)
-    verified: bool = False
     realisations: int = 6
     period_s: float = 0.5
     seed: int = 0
-    output: str | Path = "recordings"
 
     def __post_init__(self) -> None:
         if self.realisations < 2:
@@ -167,7 +156,7 @@ def identify(request: IdentifyRequest, tell: Tell | None = None) -> Identificati
         base = _for_device(free, request, device)
         refuse(plan_of(base, request).checks)
         refuse(link_checks(base, device.dictionary.position_rate_maximum, device.link.bytes_per_second))
-        _check_verified(request, device)
+        refuse_unverified(device, verified=request.verified)
         output = Path(request.output)
         with plain_errors("make", output):
             output.mkdir(parents=True, exist_ok=True)
@@ -226,15 +215,7 @@ class _Session:
     def signs(self, x: Experiment) -> SignCheck:
         at = position_now(self._device, x, self._reference)
         rows, rate = self._run(pushes_motion(x, at), "signs")
-        return check_signs(
-            np.arange(len(rows)) / rate,
-            rows["effort_sent"],
-            rows["position"],
-            resolution=x.rig.encoder.resolution,
-            expected_inertia=inertia_of(x),
-            rest_s=0.25 * REST_S,
-            damping=config.rig_model(x).damping,
-        )
+        return signs_of(x, rows, rate)
 
     def sliding(self, x: Experiment) -> Sliding:
         rows, rate = self._run(strokes_motion(x), "sliding")
@@ -322,16 +303,6 @@ def _for_device(free: Experiment, request: IdentifyRequest, device: FramedDevice
         return free
     rate = device.dictionary.position_rate_default
     return config.override(still(free), dict.fromkeys(rates, rate), "real time")
-
-
-def _check_verified(request: IdentifyRequest, device: FramedDevice) -> None:
-    if device.dictionary.simulated or request.verified:
-        return
-    raise ConfigError(
-        f"the polarity of motor and encoder of {device.dictionary.device} is not verified, so it does not arm",
-        remedy="see that nothing can be hurt by a push of the wrong sign, put the handle at position zero, and say "
-        "`verified`: the first pushes check the signs and end after a few counts whatever they are",
-    )
 
 
 def _check_signs(signs: SignCheck) -> None:

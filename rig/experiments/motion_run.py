@@ -3,22 +3,61 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rig import config
 from rig.analysis.identification.quality import IdentificationError
+from rig.analysis.identification.signs import SignCheck, check_signs
 from rig.config import Experiment, controller
-from rig.core.errors import PlanError
+from rig.core.errors import ConfigError, PlanError
 from rig.core.sample import Phase, RowFlag, unit_of
 from rig.devices.framed import FramedDevice
-from rig.experiments.identify_motions import Motion
+from rig.experiments.identify_motions import REST_S, Motion, inertia_of
 from rig.experiments.trial import TrialRequest, prepared_on, run_trial
 from rig.recording.data import Recording
 
 LATE_SHARE = 0.01
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FreeRigRequest:
+    """Which rig is to move with nobody at its handle, and where.
+
+    Attributes
+    ----------
+    experiment
+        Its rig is described there, its limits are kept; the wall and the trial in it are not used.
+    url
+        Of the device; None simulates the experiment's rig in this process, in virtual time.
+    changes
+        Keys that the user set by hand, dotted.
+    verified
+        As in `rig.experiments.hit.HitRequest`: a real device does not arm without.
+    output
+        Directory of the recordings.
+    """
+
+    experiment: Experiment
+    url: str | None = None
+    changes: Mapping[str, Any] = field(default_factory=dict)
+    verified: bool = False
+    output: str | Path = "recordings"
+
+
+def refuse_unverified(device: FramedDevice, *, verified: bool) -> None:
+    """Raise `ConfigError` for a real rig of whose signs nobody has said anything."""
+    if device.dictionary.simulated or verified:
+        return
+    raise ConfigError(
+        f"the polarity of motor and encoder of {device.dictionary.device} is not verified, so it does not arm",
+        remedy="see that nothing can be hurt by a push of the wrong sign, put the handle at position zero, and say "
+        "`verified`: the first pushes check the signs and end after a few counts whatever they are",
+    )
 
 
 def position_now(device: FramedDevice, x: Experiment, reference_count: int) -> float:
@@ -95,3 +134,16 @@ def trial_rows(recording: Recording) -> NDArray[np.void]:
             remedy="lower the rate, or free the computer of other work",
         )
     return rows
+
+
+def signs_of(x: Experiment, rows: NDArray[np.void], rate: float) -> SignCheck:
+    """Compare pushes (`identify_motions.pushes_motion`), recorded at a rate (Hz), with the described rig."""
+    return check_signs(
+        np.arange(len(rows)) / rate,
+        rows["effort_sent"],
+        rows["position"],
+        resolution=x.rig.encoder.resolution,
+        expected_inertia=inertia_of(x),
+        rest_s=0.25 * REST_S,
+        damping=config.rig_model(x).damping,
+    )

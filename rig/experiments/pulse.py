@@ -13,7 +13,6 @@ push may use: then nothing was observed, and the rig is not armed for a person e
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -22,39 +21,38 @@ import numpy as np
 
 from rig import config, devices
 from rig.analysis.identification.quality import IdentificationError
-from rig.analysis.identification.signs import SignCheck, check_signs, expected_inertia
+from rig.analysis.identification.signs import SignCheck
 from rig.config import Experiment
 from rig.core.check import Check, Outcome, refuse, refused
-from rig.core.errors import ConfigError
 from rig.core.present import reported
 from rig.core.same_rig import check_rig
 from rig.core.sample import unit_of
 from rig.devices.framed import FramedDevice
 from rig.experiments.identify_motions import (
     PUSH_S,
-    REST_S,
     coulomb_of,
-    inertia_of,
     most_push,
     push_way,
     pushes_motion,
     slow_rate,
     still,
 )
-from rig.experiments.motion_run import position_now, run_motion
+from rig.experiments.motion_run import (
+    FreeRigRequest,
+    position_now,
+    refuse_unverified,
+    run_motion,
+    signs_of,
+)
 from rig.experiments.plan import link_checks
 from rig.recording.files import free_name, plain_errors
 
 PUSHES = 4
-# The rules, written before their results (`tests/benchmarks/pulses.py`).
-SAME_SCALE = 1.6  # inertia within this factor of the described one is as described
-SAME_FRICTION, LATEST_S = (
-    2.0,
-    0.05,
-)  # the motion begins within this factor of the described friction's time, and this
-OBSERVABLE = (
-    2.0  # most effort of a push over the described friction: below it a dead motor and friction look alike
-)
+# The rules, written before their results (`tests/benchmarks/pulses.py`): inertia within this factor of the described
+# one is as described; the motion begins within this factor of the described friction's time, and so long after it.
+SAME_SCALE, SAME_FRICTION, LATEST_S = 1.6, 2.0, 0.05
+# Most effort of a push over the described friction: below it a dead motor and friction look alike.
+OBSERVABLE = 2.0
 
 NO_HANDS = "hands off the handle: the motor moves it a little, both ways"
 
@@ -97,32 +95,7 @@ class Pulse:
             )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PulseRequest:
-    """Which rig to check, and where.
-
-    Attributes
-    ----------
-    experiment
-        Its rig is compared with; the wall and the trial in it are not used.
-    url
-        Of the device; None simulates the experiment's rig in this process, in virtual time.
-    changes
-        Keys that the user set by hand, dotted.
-    verified
-        As in `rig.experiments.hit.HitRequest`: a real device does not arm without.
-    output
-        Directory of the recording.
-    """
-
-    experiment: Experiment
-    url: str | None = None
-    changes: Mapping[str, Any] = field(default_factory=dict)
-    verified: bool = False
-    output: str | Path = "recordings"
-
-
-def check_rig_moves(request: PulseRequest) -> Pulse:
+def check_rig_moves(request: FreeRigRequest) -> Pulse:
     """Open a device, and send it a pulse. Errors as `pulse`, and those of opening it."""
     x = config.override(request.experiment, request.changes)
     with devices.open_device(request.url or "sim://", config.rig_model(still(x))) as device:
@@ -165,13 +138,7 @@ def pulse(
         Whatever ended the pushes early; the effort is zero.
     """
     device.moved_as_described = False
-    simulated = device.dictionary.simulated
-    if not simulated and not verified:
-        raise ConfigError(
-            f"the polarity of motor and encoder of {device.dictionary.device} is not verified, so it does not arm",
-            remedy="put the handle at position zero and say `verified`: the pushes end after a few counts whatever the "
-            "signs are",
-        )
+    refuse_unverified(device, verified=verified)
     refuse([check_rig(config.rig_model(still(experiment)), device.dictionary)])
     changes = {"controller.loop": "host", **_at_own_rate(experiment, device)}
     if experiment.trial.kind == "human":  # an end mass belongs to automated trials
@@ -187,23 +154,7 @@ def pulse(
         reference_count=reference_count,
         extra={"pulse": {"pushes": PUSHES, "most_effort": most_push(x), "way": push_way(x)}},
     )
-    signs = check_signs(
-        np.arange(len(rows)) / motion.experiment.controller.position_rate,
-        rows["effort_sent"],
-        rows["position"],
-        resolution=x.rig.encoder.resolution,
-        expected_inertia=expected_inertia(
-            effort_per_s=most_push(x) / PUSH_S,
-            way=push_way(x),
-            tick_s=1.0 / motion.experiment.controller.position_rate,
-            inertia=inertia_of(x),
-            friction=coulomb_of(x),
-            damping=config.rig_model(x).damping,
-            resolution=x.rig.encoder.resolution,
-        ),
-        damping=config.rig_model(x).damping,
-        rest_s=0.25 * REST_S,
-    )
+    signs = signs_of(x, rows, motion.experiment.controller.position_rate)
     found = Pulse(
         rig=x.rig.name,
         motion=x.rig.motion,

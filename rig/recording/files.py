@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -122,7 +123,8 @@ def whole_directory(path: Path) -> Iterator[Path]:
 
 
 def free_name(directory: Path, stem: str) -> Path:
-    """First capture name of this stem that no recording has."""
+    """First capture name of this stem that no recording has; what a file name may not have in it becomes a hyphen."""
+    stem = re.sub(r"[^A-Za-z0-9._-]+", "-", stem).strip(".-") or "rig"
     for number in range(1, 10_000):
         name = stem if number == 1 else f"{stem}-{number}"
         if not any((directory / f"{name}{suffix}").exists() for suffix in (".rigcap", ".parquet", ".png")):

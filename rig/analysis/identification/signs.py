@@ -123,37 +123,6 @@ def check_signs(
     )
 
 
-def expected_inertia(
-    *,
-    effort_per_s: float,
-    way: float,
-    tick_s: float,
-    inertia: float,
-    friction: float,
-    damping: float,
-    resolution: float,
-) -> float:
-    """Inertia that a push shows on a described rig: with damping, and in counts, it is not quite the one described.
-
-    Parameters
-    ----------
-    effort_per_s, way, tick_s
-        How fast the push grows (N·m/s or N/s), where it ends (rad or m), period of the loop (s).
-    inertia, friction, damping
-        Of the rig: kg·m² or kg, Coulomb (N·m or N), viscous (N·m·s/rad or N·s/m).
-    resolution
-        Travel for one count (rad or m).
-    """
-    positions, speed = [0.0], 0.0
-    while positions[-1] < way:
-        drive = effort_per_s * tick_s * len(positions) - friction
-        speed += tick_s * max(drive - damping * speed, 0.0 if speed == 0.0 else -math.inf) / inertia
-        positions.append(positions[-1] + tick_s * speed)
-    time_s = tick_s * np.arange(len(positions), dtype=np.float64)
-    counted: Floats = np.floor(np.array(positions) / resolution) * resolution
-    return _fitted(time_s, effort_per_s * time_s, counted, damping)[0]
-
-
 def stiction_warning(breakaway: float, sliding: float) -> str | None:
     """Say so when a handle at rest holds on much harder than it rubs while sliding."""
     if not breakaway > STICKS * sliding:

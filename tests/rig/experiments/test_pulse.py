@@ -7,13 +7,14 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import sim_backend.configuration
 from firmware_protocol.connection import State
 from rig import config
 from rig.analysis.identification.quality import IdentificationError
-from rig.analysis.identification.signs import expected_inertia
+from rig.analysis.identification.signs import check_signs
 from rig.cli import run
 from rig.config import presets
 from rig.core.check import Outcome
@@ -21,7 +22,8 @@ from rig.core.errors import ConfigError, DeviceFaultError, PlanError
 from rig.devices.framed import FramedDevice
 from rig.experiments.hit import HitRequest, hit
 from rig.experiments.identify_motions import PUSH_S, coulomb_of, inertia_of, most_push, push_way
-from rig.experiments.pulse import Pulse, PulseRequest, check_rig_moves, energy_of, judged, pulse
+from rig.experiments.motion_run import FreeRigRequest
+from rig.experiments.pulse import NO_HANDS, Pulse, check_rig_moves, energy_of, judged, pulse
 from rig.recording.reader import open_recording
 from sim_backend.device import SimulatedDevice
 from sim_backend.link import MemoryLink
@@ -87,18 +89,23 @@ def test_friction_beyond_a_push_is_not_called_a_dead_motor(sound: Pulse) -> None
     assert "dead" in dead.text
 
 
-def test_a_push_of_a_frictionless_mass_shows_its_inertia() -> None:
-    """6·m·x = g·t³: in fine counts and short ticks the fit gives m, whatever the friction."""
-    values = {
-        "effort_per_s": 0.1,
-        "way": 0.05,
-        "tick_s": 1e-5,
-        "inertia": 2e-4,
-        "damping": 0.0,
-        "resolution": 1e-7,
-    }
-    for friction in (0.0, 0.01):
-        assert expected_inertia(**values, friction=friction) == pytest.approx(2e-4, rel=2e-3)
+@pytest.mark.parametrize("friction", [0.0, 0.01])
+def test_a_push_against_friction_shows_the_inertia_and_when_it_began(friction: float) -> None:
+    """6·m·x = g·(t − t₀)³ with g·t₀ the friction: in fine counts the fit gives m and t₀."""
+    growth, inertia, time_s = 0.1, 2e-4, 1e-5 * np.arange(40_000)
+    began_s = friction / growth
+    position = growth * np.maximum(time_s - began_s, 0.0) ** 3 / (6.0 * inertia)
+    push = position < 0.05
+    (found,) = check_signs(
+        time_s[push],
+        (growth * time_s + 1e-12)[push],
+        np.floor(position[push] / 1e-7) * 1e-7,
+        resolution=1e-7,
+        expected_inertia=inertia,
+        rest_s=1.0,
+    ).pushes
+    assert found.inertia == pytest.approx(inertia, rel=2e-3)
+    assert found.began_s == pytest.approx(began_s, abs=1e-3)
 
 
 def test_the_most_effort_moves_the_described_rig() -> None:
@@ -134,9 +141,14 @@ BARE = {"trial.kind": "constant-effort", "rig.mechanics.end_mass": 0.0}
 
 
 def test_a_real_rig_is_pushed_before_a_person_is_armed_and_once(real: None, tmp_path: Path) -> None:
+    said: list[str] = []
     with framed() as device:
+        request = HitRequest(
+            experiment=PERSON, device=device, verified=True, output=tmp_path, hands_off=said.append
+        )
         for _ in range(2):
-            tuple(hit(HitRequest(experiment=PERSON, device=device, verified=True, output=tmp_path)))
+            tuple(hit(request))
+    assert said == [NO_HANDS]
     assert len(list(tmp_path.glob("*pulse*.parquet"))) == 1
     assert len(list(tmp_path.glob("*.parquet"))) == 3
 
@@ -166,7 +178,9 @@ def test_a_real_rig_of_unverified_polarity_gets_no_pulse(real: None, tmp_path: P
 
 
 def test_a_device_of_another_rig_gets_no_pulse(tmp_path: Path) -> None:
-    request = PulseRequest(experiment=presets.load("chawda-linear"), url="sim://koul-rigid", output=tmp_path)
+    request = FreeRigRequest(
+        experiment=presets.load("chawda-linear"), url="sim://koul-rigid", output=tmp_path
+    )
     with pytest.raises(PlanError, match="its name is koul-rigid"):
         check_rig_moves(request)
 
