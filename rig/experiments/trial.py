@@ -135,6 +135,7 @@ def run_trial(device: FramedDevice, request: TrialRequest) -> TrialEnd:
     """
     run = request.run
     controller, parameters = run.controller.copy(), run.parameters
+    thread = _loop_of(run, device.link)  # compiles: while nothing runs, Ctrl-C interrupts it
     echo = device.configure(parameters)
     virtual = device.link.clock.virtual
     with (
@@ -148,7 +149,7 @@ def run_trial(device: FramedDevice, request: TrialRequest) -> TrialEnd:
             try:
                 if request.progress is not None:  # a STOP that came while the link was measured
                     request.progress(0, Phase.WAIT)
-                loop = _arm(device, run, controller, ring, realtime, signals)
+                loop = _arm(device, run, thread, controller, ring, realtime, signals)
             except BaseException:
                 request.recording.unlink(missing_ok=True)  # nothing moved: no empty recording stays behind
                 raise
@@ -161,10 +162,13 @@ def run_trial(device: FramedDevice, request: TrialRequest) -> TrialEnd:
             end = loop.end()
             end, error = _conclude(device, loop, end, recorder, realtime, exchanges, watch.stopped)
         sealed, judgement = _seal(request, device.link.truth(), error)
-    if error is None and (signals.seen or watch.stopped):
+    if error is None and watch.stopped is not None and not isinstance(watch.stopped, StoppedError):
+        error = watch.stopped
+    elif error is None and (signals.seen or watch.stopped):
         error = StoppedError("stopped after the trial had finished; the effort is zero")
-        if watch.stopped is not None and not isinstance(watch.stopped, StoppedError):
-            error = watch.stopped
+    elif isinstance(error, RigError) and signals.seen and not isinstance(error, StoppedError):
+        # A caller may go on after it, with the next wall: not when somebody said stop.
+        error = StoppedError(f"stopped after the trial had ended: {error.message}", remedy=error.remedy)
     if isinstance(error, StoppedError) and signals.seen:
         error.signal = signals.seen[0]
     if isinstance(error, RigError):
@@ -215,6 +219,7 @@ def _ring(device: FramedDevice, request: TrialRequest) -> Ring:
 def _arm(
     device: FramedDevice,
     run: Run,
+    thread: Callable[..., LoopThread],
     controller: Controller,
     ring: Ring,
     realtime: Realtime,
@@ -223,9 +228,7 @@ def _arm(
     """Arm the device, and make the loop that goes with where the law runs."""
     experiment, virtual, model = run.experiment, device.link.clock.virtual, rig_model(run.experiment)
     period_s = 1.0 / experiment.controller.position_rate
-    # Before arming, because an armed device waits for half a second only: what must be compiled, and memory.
-    thread = _loop_of(run, device.link)
-    realtime.prefault(ring.buffer)
+    realtime.prefault(ring.buffer)  # before arming: an armed device waits for half a second only
     settings = LoopSettings(
         period_ns=round(period_s * 1e9),
         session=device.arm(),

@@ -9,23 +9,21 @@ from __future__ import annotations
 
 import os
 import signal
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
-from typing import Any
+from typing import NamedTuple
 
+from rig.realtime.handlers import handled
 from rig.realtime.ring import STOP, Ring
 
 STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
-@dataclass(frozen=True, slots=True)
-class Signals:
-    """Signals received so far, and the descriptor on which the loop sees them (-1: none)."""
+class Signals(NamedTuple):
+    """Descriptor on which the loop sees signals (-1: none), and those received so far."""
 
-    descriptor: int = -1
-    seen: list[int] = field(default_factory=list)
+    descriptor: int
+    seen: list[int]
 
 
 @contextmanager
@@ -33,33 +31,37 @@ def stop_on_signals(ring: Ring) -> Iterator[Signals]:
     """Let signals stop the loop instead of raising here, as often as they come.
 
     An exception in between, from the first or from a second signal, could cut short what brings the rig to rest.
-    Only the main thread gets signals: elsewhere nothing is changed. Ignored ones stay ignored. One that comes while
-    the old handlers return is given to them, when everything is as it was.
+    One that comes while the old handlers return is given to them, when everything is as it was.
     """
-    if threading.current_thread() is not threading.main_thread():
-        yield Signals()
-        return
-    reader, writer = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
-    signals = Signals(reader)
+    seen: list[int] = []
+    heard = 0
 
     def stop(number: int, frame: object) -> None:
-        signals.seen.append(number)
+        seen.append(number)
         ring.put(STOP, 1)
 
-    before: dict[int, Any] = {number: signal.getsignal(number) for number in STOPPING}
-    taken = [number for number, handler in before.items() if handler not in (None, signal.SIG_IGN)]
+    try:
+        with handled(STOPPING, stop) as here, _wake_up(here) as descriptor:
+            try:
+                yield Signals(descriptor, seen)
+            finally:
+                heard = len(seen)
+    finally:
+        for number in seen[heard:]:
+            signal.raise_signal(number)
+
+
+@contextmanager
+def _wake_up(here: bool) -> Iterator[int]:
+    """Descriptor to which the interpreter writes signals as they come; -1 in a thread that gets none."""
+    if not here:
+        yield -1
+        return
+    reader, writer = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
     woken = signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
     try:
-        for number in taken:
-            signal.signal(number, stop)
-        yield signals
+        yield reader
     finally:
-        heard = len(signals.seen)
         signal.set_wakeup_fd(woken)
         os.close(reader)
         os.close(writer)
-        # SIGINT last: its handler may raise here, and what follows would not be done.
-        for number in reversed(taken):
-            signal.signal(number, before[number])
-        for number in signals.seen[heard:]:
-            signal.raise_signal(number)

@@ -16,6 +16,7 @@ from numba.extending import register_jitable
 
 from rig.realtime import compiling
 from rig.realtime.cache import open_cache
+from rig.realtime.handlers import interrupts_later
 from rig.realtime.parts import Compiler, load_implementations
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -75,7 +76,12 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
 
     def prepare(self) -> None:
         """Compile or load the declared signatures; the second time nothing happens."""
-        with global_compiler_lock, _without_collections(), typeinfer.register_dispatcher(self):
+        with (
+            interrupts_later(),
+            global_compiler_lock,
+            _without_collections(),
+            typeinfer.register_dispatcher(self),
+        ):
             if self._can_compile:
                 load_implementations()
                 for signature in self.declared:

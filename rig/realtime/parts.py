@@ -20,6 +20,7 @@ from numba.core.compiler_lock import require_global_compiler_lock
 from numba.core.registry import cpu_target
 
 from rig.realtime import compiling
+from rig.realtime.handlers import interrupts_now
 
 
 class _Linked:
@@ -149,4 +150,5 @@ class Compiler(dispatcher._FunctionCompiler):  # type: ignore[misc,name-defined]
             pipeline_class=self.pipeline_class,
         )  # fmt: skip
         compiling.counted()
+        interrupts_now()
         return result

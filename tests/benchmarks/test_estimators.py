@@ -45,7 +45,9 @@ CASES = [
     # more for the Butterworth filter (9.3 against 7.1); where the other 0.9 go has not been found.
     ("fdm", {}, "fdm", 1.6),
     ("fdm-butterworth", {}, "fdm_butterworth", 1.6),
-    ("kalman", {"gain": "steady", "bandwidth_hz": 300.0}, "kalman", 1.3),
+    # Its three states go through memory from one sample to the next: one processor took 9.8 ns against 8.0, another
+    # 14.6 against 8.6.
+    ("kalman", {"gain": "steady", "bandwidth_hz": 300.0}, "kalman", 2.0),
     ("kalman", {"bandwidth_hz": 300.0}, "kalman", 1.3),
     ("levant", {"lipschitz": 20.0}, "levant", 1.3),
     ("levant", {"lipschitz": 20.0, "discretisation": "explicit"}, "levant", 1.3),

@@ -454,6 +454,22 @@ def test_ctrl_c_after_the_trial_is_not_forgotten(tmp_path: Path, handlers: None)
 
 
 @pytest.mark.signals
+def test_ctrl_c_after_a_trial_that_ended_early_is_not_forgotten(tmp_path: Path, handlers: None) -> None:
+    """Who goes on to the next wall after a guard, as a Z-width does, must not go on after Ctrl-C."""
+
+    def judge_slowly(recording: Any) -> Any:
+        signal.raise_signal(signal.SIGINT)
+        return judged(recording)
+
+    bench = Bench(tmp_path)
+    with pytest.raises(StoppedError, match="the trial had ended: the law") as caught:
+        bench.run(law=RAISING, judge=judge_slowly)
+    assert caught.value.signal == signal.SIGINT
+    assert vars(caught.value)["end"].reason == EndReason.LAW_RAISED
+    assert open_recording(caught.value.recording).trailer["reason"] == "law_raised"
+
+
+@pytest.mark.signals
 def test_ctrl_c_while_arming_moves_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, handlers: None
 ) -> None:

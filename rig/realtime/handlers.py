@@ -1,0 +1,66 @@
+"""Signal handlers for a while, and signals that must wait."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+
+@contextmanager
+def handled(numbers: tuple[int, ...], handler: Callable[[int, Any], None]) -> Iterator[bool]:
+    """Give these signals to `handler`, except those that are ignored; then to whom they belonged.
+
+    Only the main thread gets signals: elsewhere nothing is changed, and what it yields is false.
+    """
+    if not _in_the_main_thread():
+        yield False
+        return
+    before: dict[int, Any] = {number: signal.getsignal(number) for number in numbers}
+    taken = [number for number, old in before.items() if old not in (None, signal.SIG_IGN)]
+    try:
+        for number in taken:
+            signal.signal(number, handler)
+        yield True
+    finally:
+        # In reverse, so that of SIGINT, named first, comes last: it may raise here, and what follows would not be done.
+        for number in reversed(taken):
+            signal.signal(number, before[number])
+
+
+_waiting: list[int] = []
+_heard_by: dict[int, Any] = {}
+
+
+@contextmanager
+def interrupts_later() -> Iterator[None]:
+    """Let SIGINT and SIGTERM wait until `interrupts_now`, or until the end of this, whatever it calls.
+
+    Where C calls back into Python, and where objects are finalised, the interpreter prints an exception and forgets it:
+    a KeyboardInterrupt raised there, as inside a compiler, would be lost.
+    """
+    if _heard_by or not _in_the_main_thread():  # within another: as that one does
+        yield
+        return
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    _heard_by.update({number: signal.getsignal(number) for number in numbers})
+    try:
+        with handled(numbers, lambda number, frame: _waiting.append(number)):
+            yield
+    finally:
+        _heard_by.clear()
+        while _waiting:
+            signal.raise_signal(_waiting.pop())
+
+
+def interrupts_now() -> None:
+    """Let what waits interrupt here, where an exception is heard."""
+    while _waiting and _in_the_main_thread():
+        number = _waiting.pop()
+        _heard_by[number](number, None)
+
+
+def _in_the_main_thread() -> bool:
+    return threading.current_thread() is threading.main_thread()

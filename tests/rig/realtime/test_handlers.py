@@ -1,0 +1,121 @@
+"""Signals that come where the interpreter would forget what a handler raises."""
+
+from __future__ import annotations
+
+import ctypes
+import signal
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from rig.realtime.handlers import handled, interrupts_later, interrupts_now
+from rig.realtime.kernel import kernel
+
+pytestmark = pytest.mark.signals
+
+
+@pytest.fixture(autouse=True)
+def _as_in_a_program_of_its_own() -> Iterator[None]:
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+class _Finalised:
+    def __del__(self) -> None:
+        signal.raise_signal(signal.SIGINT)
+
+
+def _called_by_c() -> None:
+    compare = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p)
+    numbers = (ctypes.c_int * 2)(2, 1)
+    order = compare(lambda a, b: signal.raise_signal(signal.SIGINT) or 0)
+    ctypes.CDLL(None).qsort(numbers, ctypes.c_size_t(2), ctypes.c_size_t(4), order)
+
+
+@pytest.mark.parametrize("place", [_Finalised, _called_by_c])
+def test_ctrl_c_where_an_exception_would_be_forgotten_is_raised_afterwards(place: Any) -> None:
+    done = []
+
+    def whole() -> None:
+        with interrupts_later():
+            place()
+            done.append("all of it")
+
+    with pytest.raises(KeyboardInterrupt):
+        whole()
+    assert done
+
+
+def test_it_is_raised_also_after_an_error() -> None:
+    def fails() -> None:
+        with interrupts_later():
+            signal.raise_signal(signal.SIGINT)
+            raise ValueError("whatever it was")
+
+    with pytest.raises(KeyboardInterrupt) as caught:
+        fails()
+    assert isinstance(caught.value.__context__, ValueError)
+
+
+def test_it_is_raised_at_once_where_an_exception_is_heard() -> None:
+    """Between two functions of a kernel, so that Ctrl-C need not wait for all of them."""
+    done = []
+
+    def in_parts() -> None:
+        with interrupts_later():
+            with interrupts_later():
+                signal.raise_signal(signal.SIGINT)
+            done.append("the first")
+            interrupts_now()
+            done.append("the second")
+
+    with pytest.raises(KeyboardInterrupt):
+        in_parts()
+    assert done == ["the first"]
+    interrupts_now()  # it was raised once
+
+
+def test_ctrl_c_while_a_kernel_is_compiled_is_heard_and_the_kernel_can_be_compiled_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    @kernel("f8(f8)", cache=False)
+    def half(x: float) -> float:
+        return 0.5 * x
+
+    if not hasattr(half, "prepare"):
+        pytest.skip("without the compiler there is nothing to interrupt")
+    plain = type(half).compile
+
+    def interrupted(self: Any, signature: Any) -> Any:
+        _called_by_c()
+        return plain(self, signature)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(type(half), "compile", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            half.prepare()
+    assert half(3.0) == 1.5
+
+
+def test_what_is_ignored_stays_so_and_other_threads_change_nothing() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    heard: list[int] = []
+    with handled((signal.SIGINT, signal.SIGTERM), lambda number, frame: heard.append(number)) as here:
+        signal.raise_signal(signal.SIGINT)
+        assert here
+    assert not heard
+    assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+
+    def elsewhere() -> None:
+        with handled((signal.SIGTERM,), lambda number, frame: None) as here:
+            heard.append(here)
+
+    before = signal.getsignal(signal.SIGTERM)
+    thread = threading.Thread(target=elsewhere)
+    thread.start()
+    thread.join()
+    assert heard == [False]
+    assert signal.getsignal(signal.SIGTERM) is before
