@@ -128,7 +128,8 @@ class LimitFlag(DescribedFlag):
     HOLD_TO_RUN_RELEASED = 64, "hold-to-run is required and not held: effort zero", "hold the switch"
     NOT_CONFIRMED = (
         128,
-        "position not confirmed: no encoder edge for longer than confirm_ms under effort, which fades out",
+        "position not confirmed: the count stayed on two neighbours for longer than confirm_ms under effort, which "
+        "fades out",
         "leave the wall; if it does not come back, check the encoder and its cable",
     )
 

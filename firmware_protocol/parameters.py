@@ -157,8 +157,8 @@ PARAMETERS: tuple[Parameter, ...] = (
         0,
         4_000_000,
         0,
-        "effort without an encoder edge for longer fades out, until none is wanted: the position is not confirmed; "
-        "0: never",
+        "effort for longer than this while the count stays on two neighbours fades out, until none is wanted: the "
+        "position is not confirmed; 0: never",
     ),
     *LAW_PARAMETERS,
 )

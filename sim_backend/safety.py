@@ -76,7 +76,7 @@ _Places = namedtuple(
     # of the command and of how it fades
     "wanted expires ramp ramp_from applied ramping lost "
     # of the limits: active current (quanta), `LimitFlag` bits that acted since they were last cleared
-    "current flags limit continuous slew confirm fade unmoved "
+    "current flags limit continuous slew confirm fade unmoved low "
     # of the monitors
     "sign peak peaks zero large stall_ticks driven still pushed ticks slot fastest near_fastest first last near_first "
     "near_last "
@@ -186,9 +186,10 @@ def configure_heat(heat: Floats, continuous_current: float, time_constant_s: flo
 
 @rule
 def _confirmed(rules: Ints, wanted: int) -> int:
-    """Fade an effort that has lasted for longer than any trial holds a handle, without an encoder edge.
+    """Fade an effort that has lasted for longer than any trial holds a handle, with the count on two neighbours.
 
-    On two channels a dead encoder and a hand that holds still look alike. The effort comes back when none was wanted.
+    On two channels a dead encoder and a hand that holds still look alike, and where one channel is dead, the other one
+    toggles the count, whatever the handle does. The effort comes back when none was wanted.
     """
     if wanted == 0 or rules[AT.confirm] == 0:
         rules[AT.unmoved] = 0
@@ -249,7 +250,10 @@ def check(
     moved = count - counts[slot]
     stood = count == counts[slot - 1 if slot > 0 else ticks - 1]
     counts[slot] = count
-    rules[AT.unmoved] = 0 if not stood and rules[AT.unmoved] <= rules[AT.confirm] else rules[AT.unmoved] + 1
+    left = not 0 <= count - rules[AT.low] <= 1  # the two neighbours
+    if left:
+        rules[AT.low] = count if count < rules[AT.low] else count - 1
+    rules[AT.unmoved] = 0 if left and rules[AT.unmoved] <= rules[AT.confirm] else rules[AT.unmoved] + 1
     rules[AT.slot] = slot + 1 if slot + 1 < ticks else 0
     faults = _runaway(rules, current, moved, stood)
     if abs(moved) > rules[AT.near_fastest]:

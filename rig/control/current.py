@@ -2,11 +2,14 @@
 
 The active current passes through the amplifier's lag. What is left between that and the measured current is added up
 over `WINDOW_S`, by magnitude, so that neither an oscillation nor noise averages it away; the largest of a window is
-left out, since it may be a spike of the converter. At the end of each window the sum is compared with the larger of
-`SIGMAS` of the sensor's noise and a tenth of the current that was expected:
+left out, since it may be a spike of the converter, and so is what another lag would explain. At the end of each window
+the sum is compared with the larger of `SIGMAS` of the sensor's noise and a tenth of the current that was expected:
 
 * above it the two *disagree*;
 * below it they agree, where a dead motor would have been above it; otherwise the current was *not observed*.
+
+A lag is known to a factor of two, not better. So the active current passes through half of it and twice of it too, and
+the larger sum of what these differ by is what another lag explains.
 
 Under voltage drive the back-EMF flows too, behind the same lag. It follows from the count's own speed, smoothed over
 `SPEED_LAG_S`, or single counts would be large currents; what is left between the others is smoothed alike before the
@@ -41,15 +44,16 @@ _Places = namedtuple(
     "_Places",
     # settings: shares of a lag in a tick (1/65536), quanta of back-EMF for a count in a tick (1/256), which way it
     # acts; ticks of a window, and the sum in it that is noise; of what a lag's input changes by in a tick, how much
-    # comes late (1/65536)
-    "decay speed_decay back_emf sign ticks noise late "
-    # memory: expected current, back-EMF apart (1/16384 quantum); last count, how many are known (0, 1 or more)
-    "expected count known "
+    # comes late (1/65536); shares of half the lag and of twice the lag
+    "decay speed_decay back_emf sign ticks noise late quick_decay slow_decay "
+    # memory: expected current, back-EMF apart, behind the lag, half of it and twice of it (1/16384 quantum); last
+    # count, how many are known (0, 1 or more)
+    "expected quick slow count known "
     # with back-EMF: speed, and behind the lag (1/16384 count a tick); what is left, smoothed and not; expected current,
-    # smoothed
-    "speed moved left before smooth "
+    # smoothed; what half the lag and twice the lag differ by, smoothed
+    "speed moved left before smooth quick_left slow_left "
     # of this window; the largest and most of the one before, where they still act
-    "passed difference largest sum most last_largest last_most",
+    "passed difference largest sum most quicker slower last_largest last_most",
 )
 CURRENT: Any = _Places(*range(len(_Places._fields)))
 
@@ -80,10 +84,12 @@ def configure(words: Ints, sensor: CurrentSensor, rate: int, encoder_sign: int) 
     words[CURRENT.back_emf] = min(math.floor(sensor.back_emf * rate * 256.0 + 0.5), 2**31 - 1)
     words[CURRENT.sign] = encoder_sign
     words[CURRENT.late] = _late_part(sensor.lag_s, rate)
+    words[CURRENT.quick_decay] = _share_of(0.5 * sensor.lag_s, rate)
+    words[CURRENT.slow_decay] = _share_of(2.0 * sensor.lag_s, rate)
     ticks = words[CURRENT.ticks] = max(FEWEST_TICKS, math.floor(rate * WINDOW_S))
     noise = math.ceil(SIGMAS * sensor.noise * ticks) if sensor.noise >= 0.0 else _UNOBSERVED
     words[CURRENT.noise] = min(noise, _UNOBSERVED)
-    words[CURRENT.expected] = 0
+    _begin_at(words, 0)
     forget(words)
 
 
@@ -106,7 +112,13 @@ def _begin_window(words: Ints) -> None:
     words[CURRENT.last_largest] = words[CURRENT.largest] if smoothed else 0
     words[CURRENT.last_most] = words[CURRENT.most] if smoothed else 0
     words[CURRENT.passed] = words[CURRENT.difference] = words[CURRENT.largest] = 0
-    words[CURRENT.sum] = words[CURRENT.most] = 0
+    words[CURRENT.sum] = words[CURRENT.most] = words[CURRENT.quicker] = words[CURRENT.slower] = 0
+
+
+@rule
+def _begin_at(words: Ints, current: int) -> None:
+    """Begin behind each lag with a current (quanta)."""
+    words[CURRENT.expected] = words[CURRENT.quick] = words[CURRENT.slow] = current * _UNIT
 
 
 @rule
@@ -116,13 +128,14 @@ def forget(words: Ints) -> None:
     words[CURRENT.last_largest] = words[CURRENT.last_most] = 0
     words[CURRENT.known] = words[CURRENT.speed] = words[CURRENT.moved] = 0
     words[CURRENT.left] = words[CURRENT.before] = words[CURRENT.smooth] = 0
+    words[CURRENT.quick_left] = words[CURRENT.slow_left] = 0
 
 
 @rule
 def resume(words: Ints, measured: int) -> None:
     """Begin a window from a measured current: what flowed before it is not known."""
+    _begin_at(words, measured)
     forget(words)
-    words[CURRENT.expected] = measured * _UNIT
 
 
 @rule
@@ -149,9 +162,17 @@ def compare(words: Ints, count: int, active: int, measured: int) -> int:
         return 0
     if words[CURRENT.back_emf] != 0 and not words[CURRENT.known]:
         # These fit together at any speed: what is left follows back-EMF from here on.
-        words[CURRENT.count], words[CURRENT.known], words[CURRENT.expected] = count, 1, measured * _UNIT
+        words[CURRENT.count], words[CURRENT.known] = count, 1
+        _begin_at(words, measured)
         return 0
-    words[CURRENT.expected] += _part(active * _UNIT - words[CURRENT.expected], words[CURRENT.decay])
+    flowing = active * _UNIT
+    words[CURRENT.expected] += _part(flowing - words[CURRENT.expected], words[CURRENT.decay])
+    words[CURRENT.quick] += _part(flowing - words[CURRENT.quick], words[CURRENT.quick_decay])
+    words[CURRENT.slow] += _part(flowing - words[CURRENT.slow], words[CURRENT.slow_decay])
+    quick, slow = (
+        words[CURRENT.quick] - words[CURRENT.expected],
+        words[CURRENT.slow] - words[CURRENT.expected],
+    )
     expected = _whole(words[CURRENT.expected])
     left = measured - expected
     words[CURRENT.largest] = max(words[CURRENT.largest], abs(left))
@@ -161,18 +182,26 @@ def compare(words: Ints, count: int, active: int, measured: int) -> int:
         _smooth(words, measured)
         left = _whole(words[CURRENT.left] + back_emf)
         expected = _whole(words[CURRENT.smooth] - back_emf)
+        words[CURRENT.quick_left] += _part(quick - words[CURRENT.quick_left], words[CURRENT.speed_decay])
+        words[CURRENT.slow_left] += _part(slow - words[CURRENT.slow_left], words[CURRENT.speed_decay])
+        quick, slow = words[CURRENT.quick_left], words[CURRENT.slow_left]
     words[CURRENT.difference] += abs(left)
     words[CURRENT.sum] += abs(expected)
+    words[CURRENT.quicker] += abs(_whole(quick))
+    words[CURRENT.slower] += abs(_whole(slow))
     words[CURRENT.passed] += 1
     if words[CURRENT.passed] < words[CURRENT.ticks]:
         return 0
-    flowing, noise = words[CURRENT.sum], words[CURRENT.noise]
-    difference = words[CURRENT.difference] - max(words[CURRENT.largest], words[CURRENT.last_largest])
-    seen = flowing - max(words[CURRENT.most], words[CURRENT.last_most])
+    total, noise = words[CURRENT.sum], words[CURRENT.noise]
+    explained = max(words[CURRENT.quicker], words[CURRENT.slower])
+    difference = (
+        words[CURRENT.difference] - max(words[CURRENT.largest], words[CURRENT.last_largest]) - explained
+    )
+    dead = total - max(words[CURRENT.most], words[CURRENT.last_most]) - explained
     _begin_window(words)
-    if difference > noise and difference * SHARE > flowing:
+    if difference > noise and difference * SHARE > total:
         return DISAGREES
-    return AGREES if seen > noise else 0
+    return AGREES if dead > noise and dead * SHARE > total else 0
 
 
 @rule

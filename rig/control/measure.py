@@ -65,6 +65,8 @@ NUMBERS = np.dtype(
         ("slew_bound_ticks", "<i8"),
         ("overruled_ticks", "<i8"),
         ("inside_ticks_in_tail", "<i8"),
+        # without a contact, changes of the count in a row between the same two neighbours; else 0
+        ("toggles", "<i8"),
         # how long the stay in the wall was that ended in the tail, once and for good; 0 without one, or a short one
         ("stay_ticks", "<i8"),
         ("heard_in_stay", "<f8"),  # in the tail, up to a period of the high pass before the end of that stay
@@ -273,6 +275,21 @@ def _toggling_hz(position: Floats, settings: Records) -> float:
     return float(changes / (2.0 * (ticks - begin) * s["tick_s"]))
 
 
+@kernel(types.int64(_SIGNAL, types.float64), inline=True, no_refcount=True)
+def _toggles(position: Floats, resolution: float) -> int:
+    """Most changes of the count in a row that stayed on two neighbours: of a dead channel, however far it moved."""
+    most = changes = 0
+    low = position[0]
+    for k in range(1, position.shape[0]):
+        away = (position[k] - low) / resolution
+        if not -0.5 < away < 1.5:
+            changes, low = 0, position[k] if away < 0.0 else position[k] - resolution
+        elif position[k] != position[k - 1]:
+            changes += 1
+            most = max(most, changes)
+    return most
+
+
 @kernel(types.float64(types.float64, types.float64, types.float64, types.float64))
 def toggling_floor(frequency_hz: float, resolution: float, highpass_hz: float, lowpass_hz: float) -> float:
     """Velocity rms (rad/s or m/s) that one count reads when it toggles at a frequency.
@@ -453,6 +470,7 @@ def _write_nothing(numbers: Records, ticks: int) -> None:
     n["late_fraction"] = n["lost_fraction"] = 0.0
     n["ticks"] = ticks
     n["slew_bound_ticks"] = n["overruled_ticks"] = n["inside_ticks_in_tail"] = n["stay_ticks"] = 0
+    n["current_observed"] = n["current_differs"] = n["other_current_ticks"] = n["toggles"] = 0
     n["heard_in_stay"] = n["moved_in_stay"] = 0.0
     n["tail_begins_s"], n["settling_in_tail_s"] = math.nan, 0.0
 
@@ -495,8 +513,10 @@ def measure(
     _marks(flags, settings, numbers)
     _ripple_and_travel(position, effort, settings, sections, numbers)
     s = settings[0]
-    n["felt_floor"], n["felt"] = 0.0, math.nan
+    n["felt_floor"], n["felt"], n["toggles"] = 0.0, math.nan, 0
     if s["resolution"] > 0.0:
+        if math.isnan(n["contact_s"]):
+            n["toggles"] = _toggles(position, s["resolution"])
         toggling_hz = _toggling_hz(position, settings)
         n["felt_floor"] = toggling_floor(toggling_hz, s["resolution"], s["highpass_hz"], s["lowpass_hz"])
     if n["felt_floor"] <= s["felt_velocity"]:

@@ -150,6 +150,7 @@ INVALID = (
     Objection(Objection.EXITS - 1) | Objection.TOUCHED_EARLY | Objection.LEFT | Objection.CURRENT
 )  # all before, and the last three
 KINDS = (Kind.STABLE, Kind.LIMIT_CYCLE, Kind.UNSTABLE, Kind.INVALID)  # by the codes of `kinds`
+TOGGLES = 64  # changes of the count between two neighbours: a reach has hundreds, a tremor some ten a second
 CRITERIA = ("felt", "heard", "any")  # what may end a Z-width, besides instability
 _EXCEEDED_BY = dict(zip(CRITERIA, (Objection.FELT, Objection.HEARD, EXCEEDED), strict=True))
 
@@ -307,7 +308,12 @@ def _times(count: int, noun: str) -> str:
 
 _TEXTS: dict[Objection, Callable[[np.void, Thresholds], str]] = {
     Objection.TOO_SHORT: lambda n, _: f"only {n['ticks']} ticks of trial",
-    Objection.NEVER_TOUCHED: lambda _, __: "the wall was never touched",
+    Objection.NEVER_TOUCHED: lambda n, _: (
+        "the wall was never touched"
+        if n["toggles"] < TOGGLES
+        else f"the wall was never touched, and the count changed {n['toggles']} times between two neighbours: if the "
+        "handle moved, one channel of the encoder is dead"
+    ),
     Objection.GONE: lambda _, __: "the wall was not touched in the tail",
     Objection.TOUCHED_LATE: lambda _, __: "the first contact lies in the tail",
     Objection.GAPS: lambda n, thresholds: (

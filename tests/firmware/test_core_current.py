@@ -32,16 +32,24 @@ class Check(ctypes.Structure):
     """Struct current_check of current.h."""
 
     _fields_ = [
-        *((name, ctypes.c_uint32) for name in ("decay", "speed_decay", "back_emf", "late")),
+        *(
+            (name, ctypes.c_uint32)
+            for name in ("decay", "speed_decay", "back_emf", "late", "quick_decay", "slow_decay")
+        ),
         ("sign", ctypes.c_int8),
         ("ticks", ctypes.c_uint16),
         ("noise", ctypes.c_uint32),
-        ("expected", ctypes.c_int32),
-        ("count", ctypes.c_int32),
+        *((name, ctypes.c_int32) for name in ("expected", "quick", "slow", "count")),
         ("known", ctypes.c_uint8),
-        *((name, ctypes.c_int32) for name in ("speed", "moved", "left", "before", "smooth")),
+        *(
+            (name, ctypes.c_int32)
+            for name in ("speed", "moved", "left", "before", "smooth", "quick_left", "slow_left")
+        ),
         ("passed", ctypes.c_uint16),
-        *((name, ctypes.c_uint32) for name in ("difference", "largest", "sum", "last_largest")),
+        *(
+            (name, ctypes.c_uint32)
+            for name in ("difference", "largest", "sum", "quicker", "slower", "last_largest")
+        ),
         *((name, ctypes.c_int32) for name in ("zero", "largest_zero")),
     ]
 

@@ -1,4 +1,4 @@
-"""Effort without an encoder edge: a hand that holds still keeps its wall, a dead encoder does not keep it."""
+"""Effort on two neighbouring counts: a hand that holds still keeps its wall, a dead encoder does not keep it."""
 
 from typing import Any
 
@@ -61,8 +61,16 @@ def test_without_an_edge_the_effort_fades_out_and_says_why() -> None:
     assert (flowing[first + fade :] == 0).all()
 
 
-def test_an_edge_in_time_keeps_it_and_one_too_late_does_not_bring_it_back() -> None:
-    keeps = np.arange(2_000) // (CONFIRM_MS - 1)
+def test_a_dead_channel_does_not_keep_it_however_the_other_toggles() -> None:
+    """A handle that moves then has a count that goes to and fro."""
+    for first in (5, -5, 0):
+        flowing, flags = run(armed(), [4_000] * 1_000, first + np.arange(1_000) % 2)
+        assert (flags[CONFIRM_MS + 3 :] & LimitFlag.NOT_CONFIRMED).all()
+        assert not flowing[CONFIRM_MS + RATE // FADES_A_SECOND + 3 :].any()
+
+
+def test_motion_in_time_keeps_it_and_one_too_late_does_not_bring_it_back() -> None:
+    keeps = np.arange(2_000) // (CONFIRM_MS // 2 - 1)
     flowing, flags = run(armed(), [4_000] * 2_000, keeps)
     assert (flowing == 4_000).all()
     assert not flags.any()

@@ -1,9 +1,9 @@
 /* The active current passes through the amplifier's lag. What is left between that and the measured current is added up
  * over a window, by magnitude, so that neither an oscillation nor noise averages it away, all but the largest, which may
- * be a spike of the converter. The sum is compared with the larger of the sensor's noise and a tenth of the current that
- * was expected. Under voltage drive the back-EMF flows too, behind the same lag: it follows from the count's own speed,
- * smoothed, and what is left between the others is smoothed alike, so that a spike lasts into the next window. The host
- * has the same rule (rig/control/current.py), bit by bit. */
+ * be a spike of the converter, and but what half the lag or twice the lag would explain. The sum is compared with the
+ * larger of the sensor's noise and a tenth of the current that was expected. Under voltage drive the back-EMF flows too,
+ * behind the same lag: it follows from the count's own speed, smoothed, and what is left between the others is smoothed
+ * alike, so that a spike lasts into the next window. The host has the same rule (rig/control/current.py), bit by bit. */
 #include "current.h"
 
 #include <math.h>
@@ -37,46 +37,6 @@ static uint32_t late_part(double lag_s, uint32_t rate)
     return lag_s > 0.0 ? (uint32_t)floor((ticks + 1.0 / expm1(-1.0 / ticks) + 1.0) * 65536.0 + 0.5) : 0u;
 }
 
-void current_configure(struct current_check *check, const struct board *board, uint32_t rate)
-{
-    const struct current_sensor *sensor = &board->current_sensor;
-    const uint32_t ticks = rate / WINDOWS_A_SECOND;
-    const double back_emf = floor(sensor->back_emf * rate * 256.0 + 0.5);
-    check->decay = share_of(sensor->lag_s, rate);
-    check->speed_decay = share_of(SPEED_LAG_S, rate);
-    check->late = late_part(sensor->lag_s, rate);
-    check->back_emf = back_emf < 2147483647.0 ? (uint32_t)back_emf : 2147483647u;
-    check->encoder_sign = board->encoder_sign;
-    check->ticks = (uint16_t)(ticks > FEWEST_TICKS ? ticks : FEWEST_TICKS);
-    const double noise = ceil(SIGMAS * sensor->noise * check->ticks);
-    check->noise = sensor->noise >= 0.0 && noise < (double)UINT32_MAX ? (uint32_t)noise : UINT32_MAX;
-    check->largest_zero = board->over_current * ZERO_UNIT / ZERO_SHARE;
-    check->expected = 0;
-    current_forget(check);
-}
-
-static void begin_window(struct current_check *check)
-{
-    check->last_largest = check->back_emf != 0 ? check->largest : 0;
-    check->passed = 0;
-    check->difference = 0;
-    check->largest = 0;
-    check->sum = 0;
-}
-
-void current_forget(struct current_check *check)
-{
-    begin_window(check);
-    check->last_largest = 0;
-    check->known = 0;
-    check->speed = check->moved = check->left = check->before = check->smooth = 0;
-}
-
-static int32_t clipped(int32_t value, int32_t most)
-{
-    return value > most ? most : value < -most ? -most : value;
-}
-
 static uint32_t size_of(int32_t value)
 {
     return value < 0 ? (uint32_t)-value : (uint32_t)value;
@@ -87,6 +47,56 @@ static int32_t whole(int32_t value, int32_t unit)
 {
     const int32_t size = (int32_t)((size_of(value) + (uint32_t)unit / 2u) / (uint32_t)unit);
     return value < 0 ? -size : size;
+}
+
+/* Begin behind each lag with a current. */
+static void begin_at(struct current_check *check, int16_t current)
+{
+    check->expected = check->quick = check->slow = current * UNIT;
+}
+
+void current_configure(struct current_check *check, const struct board *board, uint32_t rate)
+{
+    const struct current_sensor *sensor = &board->current_sensor;
+    const uint32_t ticks = rate / WINDOWS_A_SECOND;
+    const double back_emf = floor(sensor->back_emf * rate * 256.0 + 0.5);
+    check->decay = share_of(sensor->lag_s, rate);
+    check->speed_decay = share_of(SPEED_LAG_S, rate);
+    check->late = late_part(sensor->lag_s, rate);
+    check->quick_decay = share_of(0.5 * sensor->lag_s, rate);
+    check->slow_decay = share_of(2.0 * sensor->lag_s, rate);
+    check->back_emf = back_emf < 2147483647.0 ? (uint32_t)back_emf : 2147483647u;
+    check->encoder_sign = board->encoder_sign;
+    check->ticks = (uint16_t)(ticks > FEWEST_TICKS ? ticks : FEWEST_TICKS);
+    const double noise = ceil(SIGMAS * sensor->noise * check->ticks);
+    check->noise = sensor->noise >= 0.0 && noise < (double)UINT32_MAX ? (uint32_t)noise : UINT32_MAX;
+    check->largest_zero = board->over_current * ZERO_UNIT / ZERO_SHARE;
+    begin_at(check, 0);
+    current_forget(check);
+}
+
+static void begin_window(struct current_check *check)
+{
+    check->last_largest = check->back_emf != 0 ? check->largest : 0;
+    check->passed = 0;
+    check->difference = 0;
+    check->largest = 0;
+    check->sum = 0;
+    check->quicker = check->slower = 0;
+}
+
+void current_forget(struct current_check *check)
+{
+    begin_window(check);
+    check->last_largest = 0;
+    check->known = 0;
+    check->speed = check->moved = check->left = check->before = check->smooth = 0;
+    check->quick_left = check->slow_left = 0;
+}
+
+static int32_t clipped(int32_t value, int32_t most)
+{
+    return value > most ? most : value < -most ? -most : value;
 }
 
 int16_t current_zeroed(struct current_check *check, int16_t measured, bool off)
@@ -106,6 +116,13 @@ static int32_t part(int32_t difference, uint32_t share)
     return difference > 0 ? part : -part;
 }
 
+/* Let what is behind a lag go its share of the way to what is before it. */
+static int32_t follow(int32_t *behind, int32_t before, uint32_t share)
+{
+    *behind += part(before - *behind, share);
+    return *behind;
+}
+
 /* Current that the motion takes off under voltage drive. */
 static int32_t back_emf(struct current_check *check, int32_t count)
 {
@@ -114,7 +131,7 @@ static int32_t back_emf(struct current_check *check, int32_t count)
     check->count = count;
     const int32_t change = part(step * COUNT - check->speed, check->speed_decay);
     check->speed += change;
-    check->moved += part(check->speed - part(change, check->late) - check->moved, check->decay);
+    follow(&check->moved, check->speed - part(change, check->late), check->decay);
     const uint64_t wide = wide_shift(wide_product(size_of(check->moved), check->back_emf), 8u);
     const int32_t size = wide < (uint64_t)MOST ? (int32_t)wide : MOST;
     return (check->moved > 0) == (check->encoder_sign > 0) ? size : -size;
@@ -128,8 +145,8 @@ static void smooth(struct current_check *check, int16_t measured)
     const int32_t middle = left - part(left - check->before, check->known == 1u ? check->late : HALF);
     check->before = left;
     check->known = 2;
-    check->left += part(middle - check->left, check->speed_decay);
-    check->smooth += part(check->expected - check->smooth, check->speed_decay);
+    follow(&check->left, middle, check->speed_decay);
+    follow(&check->smooth, check->expected, check->speed_decay);
 }
 
 bool current_disagrees(struct current_check *check, int32_t count, int16_t active, int16_t measured)
@@ -140,10 +157,13 @@ bool current_disagrees(struct current_check *check, int32_t count, int16_t activ
         /* These fit together at any speed: what is left follows back-EMF from here on. */
         check->count = count;
         check->known = 1;
-        check->expected = measured * UNIT;
+        begin_at(check, measured);
         return false;
     }
-    check->expected += part(active * UNIT - check->expected, check->decay);
+    follow(&check->expected, active * UNIT, check->decay);
+    follow(&check->quick, active * UNIT, check->quick_decay);
+    follow(&check->slow, active * UNIT, check->slow_decay);
+    int32_t quick = check->quick - check->expected, slow = check->slow - check->expected;
     int32_t expected = whole(check->expected, UNIT), left = measured - expected;
     const uint32_t apart = size_of(left);
     check->largest = apart > check->largest ? apart : check->largest;
@@ -152,13 +172,19 @@ bool current_disagrees(struct current_check *check, int32_t count, int16_t activ
         smooth(check, measured);
         left = whole(check->left + moving, UNIT);
         expected = whole(check->smooth - moving, UNIT);
+        quick = follow(&check->quick_left, quick, check->speed_decay);
+        slow = follow(&check->slow_left, slow, check->speed_decay);
     }
     check->difference += size_of(left);
     check->sum += size_of(expected);
+    check->quicker += (size_of(quick) + UNIT / 2u) / UNIT;
+    check->slower += (size_of(slow) + UNIT / 2u) / UNIT;
     if (++check->passed < check->ticks)
         return false;
     const uint32_t spike = check->largest > check->last_largest ? check->largest : check->last_largest;
-    const uint32_t difference = check->difference > spike ? check->difference - spike : 0, sum = check->sum;
+    const uint32_t explained = spike + (check->quicker > check->slower ? check->quicker : check->slower);
+    const uint32_t difference = check->difference > explained ? check->difference - explained : 0;
+    const uint32_t sum = check->sum;
     begin_window(check);
     return difference > check->noise && difference * SHARE > sum;
 }

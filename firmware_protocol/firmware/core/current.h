@@ -11,20 +11,21 @@
 struct current_check {
     /* Settings: shares of a lag in a tick (1/65536), quanta of back-EMF for a count in a tick (1/256), which way it
      * acts; ticks of a window, and the sum in it that is noise; of what a lag's input changes by in a tick, how much
-     * comes late (1/65536). */
-    uint32_t decay, speed_decay, back_emf, late;
+     * comes late (1/65536); shares of half the lag and of twice the lag. */
+    uint32_t decay, speed_decay, back_emf, late, quick_decay, slow_decay;
     int8_t encoder_sign;
     uint16_t ticks;
     uint32_t noise;
-    /* Memory: expected current, back-EMF apart (1/16384 quantum); last count, how many are known (0, 1 or more). */
-    int32_t expected, count;
+    /* Memory: expected current, back-EMF apart, behind the lag, half of it and twice of it (1/16384 quantum); last
+     * count, how many are known (0, 1 or more). */
+    int32_t expected, quick, slow, count;
     uint8_t known;
     /* With back-EMF: speed, and behind the lag (1/16384 count a tick); what is left, smoothed and not; expected current,
-     * smoothed (1/16384 quantum). */
-    int32_t speed, moved, left, before, smooth;
+     * smoothed (1/16384 quantum); what half the lag and twice the lag differ by, smoothed. */
+    int32_t speed, moved, left, before, smooth, quick_left, slow_left;
     /* Of this window; the largest of the one before, where it still acts. */
     uint16_t passed;
-    uint32_t difference, largest, sum, last_largest;
+    uint32_t difference, largest, sum, quicker, slower, last_largest;
     /* What the sensor shows without a current (1/256 quantum), and how much that may be. */
     int32_t zero, largest_zero;
 };

@@ -290,9 +290,8 @@ void device_sample(struct device *device)
     const struct hal *hal = device->hal;
     struct told_tick *tick = &device->tick;
     device->time = hal->time(hal->context);
-    const int32_t before = device->count;
     device->count = hal->encoder_count(hal->context);
-    limits_pass(&device->limits, device->count != before);
+    limits_pass(&device->limits, device->count);
     step_index(device);
     tick->logged = device->faults.latched == HR_FAULT_NONE;
     tick->supervised = device_is_armed(device) && device_runs_law(device);

@@ -14,16 +14,22 @@ void limits_configure(struct limits *limits, const struct limits_settings *setti
     limits->unmoved = 0;
 }
 
-void limits_pass(struct limits *limits, bool moved)
+void limits_pass(struct limits *limits, int32_t count)
 {
+    const uint32_t away = (uint32_t)count - (uint32_t)limits->low;
+    const bool moved = away > 1u;
+    if (moved)
+        limits->low = (int32_t)away < 0 ? count : (int32_t)((uint32_t)count - 1u);
     if (moved && limits->unmoved <= limits->confirm)
         limits->unmoved = 0;
     else if (limits->unmoved < UINT32_MAX)
         limits->unmoved++;
 }
 
-/* On two channels a dead encoder and a hand that holds still look alike. So an effort that has lasted for longer than any
- * trial holds a handle, without an edge, fades out; it comes back when the hand has left the wall. */
+/* On two channels a dead encoder and a hand that holds still look alike, and where one channel is dead, the other one
+ * toggles the count between two neighbours, whatever the handle does. So an effort that has lasted for longer than any
+ * trial holds a handle, without the count leaving two neighbours, fades out; it comes back when the hand has left the
+ * wall. */
 static int16_t confirmed(struct limits *limits, int16_t wanted)
 {
     if (wanted == 0 || limits->confirm == 0)

@@ -14,9 +14,10 @@ struct limits {
     int32_t largest;
     int32_t continuous;
     int32_t slew; /* quanta a tick */
-    uint32_t confirm; /* ticks under effort without an edge of the encoder, after which it fades; 0: never */
+    uint32_t confirm; /* ticks under effort with the count on two neighbours, after which it fades; 0: never */
     uint32_t fade;    /* ticks that this takes */
-    uint32_t unmoved; /* ticks under effort since an edge; beyond `confirm` since the effort began to fade, too */
+    uint32_t unmoved; /* such ticks so far; beyond `confirm` since the effort began to fade, too */
+    int32_t low;      /* the lower of those two counts */
 };
 
 struct limits_settings {
@@ -27,8 +28,8 @@ struct limits_settings {
 
 void limits_configure(struct limits *limits, const struct limits_settings *settings);
 
-/* A tick has passed; did the count change in it? */
-void limits_pass(struct limits *limits, bool moved);
+/* A tick has passed, and ended with this count. */
+void limits_pass(struct limits *limits, int32_t count);
 
 /* Put into force what is allowed of a current, and return it. */
 int16_t limits_apply(struct limits *limits, const struct thermal *thermal, int16_t wanted);

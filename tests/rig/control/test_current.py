@@ -42,6 +42,12 @@ def lagged(active: Any, rate: int, lag_s: float) -> Any:
     return np.floor(np.array(found) + 0.5)
 
 
+def another_lag(active: Any, rate: int, lag_s: float) -> Any:
+    """What half the lag and twice the lag would change, by magnitude: 2 × ticks (quanta)."""
+    flowing = lagged(active, rate, lag_s)
+    return np.abs([lagged(active, rate, share * lag_s) - flowing for share in (0.5, 2.0)]) + SLACK
+
+
 def commands(rate: int, seed: int, ticks: int = 0) -> Any:
     """Steps, ramps and oscillations of a wall, up to some amperes in quanta of a milliampere."""
     random = np.random.default_rng(seed)
@@ -64,6 +70,21 @@ def test_a_sound_amplifier_never_disagrees(rate: int, lag_s: float, seed: int, n
 @given(
     st.sampled_from(RATES),
     st.sampled_from(LAGS_S),
+    st.sampled_from([0.5, 0.75, 1.5, 2.0]),
+    st.integers(0, 2**32 - 1),
+)
+def test_a_lag_from_half_to_twice_the_models_never_disagrees(
+    rate: int, lag_s: float, share: float, seed: int
+) -> None:
+    active = commands(rate, seed)
+    measured = lagged(active, rate, share * lag_s)
+    said = answers(watched(rate, noise=float(np.sqrt(2 / 12)), lag_s=lag_s), active, measured)
+    assert DISAGREES not in said
+
+
+@given(
+    st.sampled_from(RATES),
+    st.sampled_from(LAGS_S),
     st.integers(0, 2**32 - 1),
     st.sampled_from([0.0, -1.0, 5.0, 0.5, 1.25]),
 )
@@ -76,7 +97,13 @@ def test_another_current_disagrees_in_each_window_in_which_it_could_be_seen(
     ticks, noise = words[CURRENT.ticks], words[CURRENT.noise]
     ticks_of = np.abs(flowing)[: len(active) // ticks * ticks].reshape(-1, ticks)
     windows = ticks_of.sum(axis=1)
-    counted = abs(gain - 1.0) * (windows - ticks_of.max(axis=1))  # one might be a spike
+    lag = (
+        another_lag(active, rate, lag_s)[:, : len(windows) * ticks]
+        .reshape(2, -1, ticks)
+        .sum(axis=2)
+        .max(axis=0)
+    )
+    counted = abs(gain - 1.0) * (windows - ticks_of.max(axis=1)) - lag  # one might be a spike
     seen = counted > max(1.0, 0.1 * SLACK) * noise + SLACK * ticks
     said = []
     for begin in range(0, len(windows) * ticks, ticks):
@@ -203,7 +230,10 @@ def test_a_dead_or_reversed_motor_under_voltage_drive_disagrees_in_each_window(
         words = of_voltage(rate, lag_s, back_emf, sign)
         ticks, noise = words[CURRENT.ticks], words[CURRENT.noise]
         windows = len(flowing) // ticks
-        smooth = np.abs(lagged(flowing, rate, SPEED_LAG_S))[: windows * ticks].reshape(-1, ticks).sum(axis=1)
+        smoothed = lagged(flowing, rate, SPEED_LAG_S)
+        smooth = np.abs(smoothed)[: windows * ticks].reshape(-1, ticks).sum(axis=1)
+        # a smoothed difference is at most as large as the difference was lately: twice the windows before
+        lags = another_lag(active, rate, lag_s).sum(axis=0)
         answers(words, active[:1], gain * flowing[:1], sign * counts[:1])  # it begins with a count
         for begin, total in zip(range(0, windows * ticks, ticks), smooth, strict=True):
             here = slice(begin + 1, begin + ticks + 1)
@@ -211,7 +241,8 @@ def test_a_dead_or_reversed_motor_under_voltage_drive_disagrees_in_each_window(
             if begin < 3 * ticks or begin + ticks >= len(flowing):
                 continue
             spared = (np.abs(flowing) + np.abs(active))[begin - ticks : begin + ticks + 1].max()
-            if total > 2.0 * noise + 0.2 * smooth.max() + spared:
+            lag = lags[begin - 2 * ticks : begin + ticks].sum()
+            if total > 2.0 * noise + 0.2 * smooth.max() + spared + lag:
                 assert found == [DISAGREES]
 
 

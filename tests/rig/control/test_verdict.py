@@ -202,6 +202,20 @@ def test_a_wall_that_was_never_touched_says_nothing() -> None:
     assert verdict.settling_s is None
 
 
+@pytest.mark.parametrize("first", [0.0, 1.0, -1.0])
+def test_a_reach_with_one_dead_channel_is_named(first: float) -> None:
+    """The count then only toggles; a hand that trembles on an edge does so some twenty times a second."""
+    count = np.arange(len(TIME)) // 2 % 2 + first
+    verdict = judge(signals(REST - 2e-3 + DELTA * count, resolution=DELTA), LIMITS)
+    assert verdict.kind is Kind.INVALID
+    (reason,) = verdict.reasons
+    assert f"the count changed {(len(TIME) - 1) // 2} times between two neighbours" in reason
+    assert "one channel of the encoder is dead" in reason
+    trembles = np.floor(0.7 + np.sin(2 * np.pi * 10.0 * TIME))
+    calm = judge(signals(REST - 2e-3 + DELTA * trembles, resolution=DELTA), LIMITS)
+    assert calm.reasons == ("the wall was never touched",)
+
+
 def test_a_handle_that_was_thrown_out_and_stays_out_is_not_called_stable() -> None:
     """It touched the wall once; in the tail there is no contact to judge."""
     verdict = judge(signals(np.where(TIME < 0.2, 1e-3, -1e-3)), LIMITS)
