@@ -2,14 +2,14 @@
 
 The active current passes through the amplifier's lag. What is left between that and the measured current is added up
 over `WINDOW_S`, by magnitude, so that neither an oscillation nor noise averages it away; the largest of a window is
-left out, since it may be a spike of the converter, and so is what another lag would explain. At the end of each window
-the sum is compared with the larger of `SIGMAS` of the sensor's noise and a tenth of the current that was expected:
+left out, since it may be a spike of the converter. At the end of each window the sum is compared with the larger of
+`SIGMAS` of the sensor's noise and a tenth of the current that was expected:
 
 * above it the two *disagree*;
 * below it they agree, where a dead motor would have been above it; otherwise the current was *not observed*.
 
 A lag is known to a factor of two, not better. So the active current passes through half of it and twice of it too, and
-the larger sum of what these differ by is what another lag explains.
+only what lies outside of all three is left.
 
 Under voltage drive the back-EMF flows too, behind the same lag. It follows from the count's own speed, smoothed over
 `SPEED_LAG_S`, or single counts would be large currents; what is left between the others is smoothed alike before the
@@ -50,10 +50,11 @@ _Places = namedtuple(
     # count, how many are known (0, 1 or more)
     "expected quick slow count known "
     # with back-EMF: speed, and behind the lag (1/16384 count a tick); what is left, smoothed and not; expected current,
-    # smoothed; what half the lag and twice the lag differ by, smoothed
+    # smoothed; what half the lag and twice the lag differ by from the lag, smoothed
     "speed moved left before smooth quick_left slow_left "
-    # of this window; the largest and most of the one before, where they still act
-    "passed difference largest sum most quicker slower last_largest last_most",
+    # of this window: also what a dead motor would have left; the largest and most of the one before, where they still
+    # act
+    "passed difference largest sum most dead last_largest last_most",
 )
 CURRENT: Any = _Places(*range(len(_Places._fields)))
 
@@ -112,7 +113,7 @@ def _begin_window(words: Ints) -> None:
     words[CURRENT.last_largest] = words[CURRENT.largest] if smoothed else 0
     words[CURRENT.last_most] = words[CURRENT.most] if smoothed else 0
     words[CURRENT.passed] = words[CURRENT.difference] = words[CURRENT.largest] = 0
-    words[CURRENT.sum] = words[CURRENT.most] = words[CURRENT.quicker] = words[CURRENT.slower] = 0
+    words[CURRENT.sum] = words[CURRENT.most] = words[CURRENT.dead] = 0
 
 
 @rule
@@ -173,31 +174,25 @@ def compare(words: Ints, count: int, active: int, measured: int) -> int:
         words[CURRENT.quick] - words[CURRENT.expected],
         words[CURRENT.slow] - words[CURRENT.expected],
     )
-    expected = _whole(words[CURRENT.expected])
-    left = measured - expected
-    words[CURRENT.largest] = max(words[CURRENT.largest], abs(left))
-    words[CURRENT.most] = max(words[CURRENT.most], abs(expected))
+    left, expected = measured * _UNIT - words[CURRENT.expected], words[CURRENT.expected]
+    words[CURRENT.largest] = max(words[CURRENT.largest], _size(left))
+    words[CURRENT.most] = max(words[CURRENT.most], _size(expected))
     if words[CURRENT.back_emf] != 0:
         back_emf = _back_emf(words, count)
         _smooth(words, measured)
-        left = _whole(words[CURRENT.left] + back_emf)
-        expected = _whole(words[CURRENT.smooth] - back_emf)
+        left, expected = words[CURRENT.left] + back_emf, words[CURRENT.smooth] - back_emf
         words[CURRENT.quick_left] += _part(quick - words[CURRENT.quick_left], words[CURRENT.speed_decay])
         words[CURRENT.slow_left] += _part(slow - words[CURRENT.slow_left], words[CURRENT.speed_decay])
         quick, slow = words[CURRENT.quick_left], words[CURRENT.slow_left]
-    words[CURRENT.difference] += abs(left)
-    words[CURRENT.sum] += abs(expected)
-    words[CURRENT.quicker] += abs(_whole(quick))
-    words[CURRENT.slower] += abs(_whole(slow))
+    words[CURRENT.difference] += _outside(left, quick, slow)
+    words[CURRENT.dead] += _outside(-expected, quick, slow)
+    words[CURRENT.sum] += _size(expected)
     words[CURRENT.passed] += 1
     if words[CURRENT.passed] < words[CURRENT.ticks]:
         return 0
     total, noise = words[CURRENT.sum], words[CURRENT.noise]
-    explained = max(words[CURRENT.quicker], words[CURRENT.slower])
-    difference = (
-        words[CURRENT.difference] - max(words[CURRENT.largest], words[CURRENT.last_largest]) - explained
-    )
-    dead = total - max(words[CURRENT.most], words[CURRENT.last_most]) - explained
+    difference = words[CURRENT.difference] - max(words[CURRENT.largest], words[CURRENT.last_largest])
+    dead = words[CURRENT.dead] - max(words[CURRENT.most], words[CURRENT.last_most])
     _begin_window(words)
     if difference > noise and difference * SHARE > total:
         return DISAGREES
@@ -233,10 +228,16 @@ def _smooth(words: Ints, measured: int) -> None:
 
 
 @rule
-def _whole(current: int) -> int:
-    """To the nearest quantum, halves away from zero."""
-    size = (abs(current) + _UNIT // 2) // _UNIT
-    return size if current > 0 else -size
+def _outside(left: int, quick: int, slow: int) -> int:
+    """How far what is left lies outside of what some lag would have left (quanta)."""
+    low, high = min(0, quick, slow), max(0, quick, slow)
+    return _size(left - min(max(left, low), high))
+
+
+@rule
+def _size(current: int) -> int:
+    """Of a current (1/16384 quantum), to the nearest quantum."""
+    return (abs(current) + _UNIT // 2) // _UNIT
 
 
 @rule

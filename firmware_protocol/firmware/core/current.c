@@ -1,7 +1,7 @@
 /* The active current passes through the amplifier's lag. What is left between that and the measured current is added up
  * over a window, by magnitude, so that neither an oscillation nor noise averages it away, all but the largest, which may
- * be a spike of the converter, and but what half the lag or twice the lag would explain. The sum is compared with the
- * larger of the sensor's noise and a tenth of the current that was expected. Under voltage drive the back-EMF flows too,
+ * be a spike of the converter. Half the lag and twice the lag are looked at too, and what lies between the three is no
+ * difference. The sum is compared with the larger of the sensor's noise and a tenth of the expected current. Under voltage drive the back-EMF flows too,
  * behind the same lag: it follows from the count's own speed, smoothed, and what is left between the others is smoothed
  * alike, so that a spike lasts into the next window. The host has the same rule (rig/control/current.py), bit by bit. */
 #include "current.h"
@@ -40,6 +40,22 @@ static uint32_t late_part(double lag_s, uint32_t rate)
 static uint32_t size_of(int32_t value)
 {
     return value < 0 ? (uint32_t)-value : (uint32_t)value;
+}
+
+/* How far two currents (1/16384 quantum) are apart, to the nearest quantum. */
+static uint32_t apart(int32_t a, int32_t b)
+{
+    const uint32_t size = a > b ? (uint32_t)a - (uint32_t)b : (uint32_t)b - (uint32_t)a;
+    return (size + UNIT / 2u) / UNIT;
+}
+
+/* How far what is left lies outside of what some lag would have left. */
+static uint32_t outside(int32_t left, int32_t quick, int32_t slow)
+{
+    int32_t low = quick < slow ? quick : slow, high = quick < slow ? slow : quick;
+    low = low < 0 ? low : 0;
+    high = high > 0 ? high : 0;
+    return left > high ? apart(left, high) : left < low ? apart(left, low) : 0;
 }
 
 /* To the nearest whole number, halves away from zero. */
@@ -82,7 +98,6 @@ static void begin_window(struct current_check *check)
     check->difference = 0;
     check->largest = 0;
     check->sum = 0;
-    check->quicker = check->slower = 0;
 }
 
 void current_forget(struct current_check *check)
@@ -164,27 +179,23 @@ bool current_disagrees(struct current_check *check, int32_t count, int16_t activ
     follow(&check->quick, active * UNIT, check->quick_decay);
     follow(&check->slow, active * UNIT, check->slow_decay);
     int32_t quick = check->quick - check->expected, slow = check->slow - check->expected;
-    int32_t expected = whole(check->expected, UNIT), left = measured - expected;
-    const uint32_t apart = size_of(left);
-    check->largest = apart > check->largest ? apart : check->largest;
+    int32_t expected = check->expected, left = measured * UNIT - expected;
+    const uint32_t here = apart(left, 0);
+    check->largest = here > check->largest ? here : check->largest;
     if (check->back_emf != 0) {
         const int32_t moving = back_emf(check, count);
         smooth(check, measured);
-        left = whole(check->left + moving, UNIT);
-        expected = whole(check->smooth - moving, UNIT);
+        left = check->left + moving;
+        expected = check->smooth - moving;
         quick = follow(&check->quick_left, quick, check->speed_decay);
         slow = follow(&check->slow_left, slow, check->speed_decay);
     }
-    check->difference += size_of(left);
-    check->sum += size_of(expected);
-    check->quicker += (size_of(quick) + UNIT / 2u) / UNIT;
-    check->slower += (size_of(slow) + UNIT / 2u) / UNIT;
+    check->difference += outside(left, quick, slow);
+    check->sum += apart(expected, 0);
     if (++check->passed < check->ticks)
         return false;
     const uint32_t spike = check->largest > check->last_largest ? check->largest : check->last_largest;
-    const uint32_t explained = spike + (check->quicker > check->slower ? check->quicker : check->slower);
-    const uint32_t difference = check->difference > explained ? check->difference - explained : 0;
-    const uint32_t sum = check->sum;
+    const uint32_t difference = check->difference > spike ? check->difference - spike : 0, sum = check->sum;
     begin_window(check);
     return difference > check->noise && difference * SHARE > sum;
 }

@@ -21,11 +21,11 @@ struct current_check {
     int32_t expected, quick, slow, count;
     uint8_t known;
     /* With back-EMF: speed, and behind the lag (1/16384 count a tick); what is left, smoothed and not; expected current,
-     * smoothed (1/16384 quantum); what half the lag and twice the lag differ by, smoothed. */
+     * smoothed (1/16384 quantum); what half the lag and twice the lag differ by from the lag, smoothed. */
     int32_t speed, moved, left, before, smooth, quick_left, slow_left;
     /* Of this window; the largest of the one before, where it still acts. */
     uint16_t passed;
-    uint32_t difference, largest, sum, quicker, slower, last_largest;
+    uint32_t difference, largest, sum, last_largest;
     /* What the sensor shows without a current (1/256 quantum), and how much that may be. */
     int32_t zero, largest_zero;
 };

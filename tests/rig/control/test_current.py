@@ -42,10 +42,10 @@ def lagged(active: Any, rate: int, lag_s: float) -> Any:
     return np.floor(np.array(found) + 0.5)
 
 
-def another_lag(active: Any, rate: int, lag_s: float) -> Any:
-    """What half the lag and twice the lag would change, by magnitude: 2 × ticks (quanta)."""
-    flowing = lagged(active, rate, lag_s)
-    return np.abs([lagged(active, rate, share * lag_s) - flowing for share in (0.5, 2.0)]) + SLACK
+def outside(active: Any, measured: Any, rate: int, lag_s: float) -> Any:
+    """How far a current lies outside of those behind the lag, half of it and twice of it (quanta)."""
+    flowing = [lagged(active, rate, share * lag_s) for share in (1.0, 0.5, 2.0)]
+    return np.abs(measured - np.clip(measured, np.min(flowing, axis=0), np.max(flowing, axis=0)))
 
 
 def commands(rate: int, seed: int, ticks: int = 0) -> Any:
@@ -95,15 +95,12 @@ def test_another_current_disagrees_in_each_window_in_which_it_could_be_seen(
     flowing = lagged(active, rate, lag_s)
     words = watched(rate, noise=1.0, lag_s=lag_s)
     ticks, noise = words[CURRENT.ticks], words[CURRENT.noise]
-    ticks_of = np.abs(flowing)[: len(active) // ticks * ticks].reshape(-1, ticks)
-    windows = ticks_of.sum(axis=1)
-    lag = (
-        another_lag(active, rate, lag_s)[:, : len(windows) * ticks]
-        .reshape(2, -1, ticks)
-        .sum(axis=2)
-        .max(axis=0)
-    )
-    counted = abs(gain - 1.0) * (windows - ticks_of.max(axis=1)) - lag  # one might be a spike
+    whole = len(active) // ticks * ticks
+    windows = np.abs(flowing)[:whole].reshape(-1, ticks).sum(axis=1)
+    left = outside(active, gain * flowing, rate, lag_s)[:whole].reshape(-1, ticks).sum(axis=1)
+    counted = left - np.abs((gain - 1.0) * flowing)[:whole].reshape(-1, ticks).max(
+        axis=1
+    )  # one might be a spike
     seen = counted > max(1.0, 0.1 * SLACK) * noise + SLACK * ticks
     said = []
     for begin in range(0, len(windows) * ticks, ticks):
@@ -233,7 +230,10 @@ def test_a_dead_or_reversed_motor_under_voltage_drive_disagrees_in_each_window(
         smoothed = lagged(flowing, rate, SPEED_LAG_S)
         smooth = np.abs(smoothed)[: windows * ticks].reshape(-1, ticks).sum(axis=1)
         # a smoothed difference is at most as large as the difference was lately: twice the windows before
-        lags = another_lag(active, rate, lag_s).sum(axis=0)
+        lags = (
+            sum(np.abs(lagged(active, rate, f * lag_s) - lagged(active, rate, lag_s)) for f in (0.5, 2.0))
+            + SLACK
+        )
         answers(words, active[:1], gain * flowing[:1], sign * counts[:1])  # it begins with a count
         for begin, total in zip(range(0, windows * ticks, ticks), smooth, strict=True):
             here = slice(begin + 1, begin + ticks + 1)
