@@ -113,6 +113,10 @@ def _rows() -> list[tuple[str, str, str, tuple[Value, Value], Value, str, bool]]
         ("excitation_bits", "u8", "", (0, 15), 0, "fractional bits of the table that the device keeps (quanta)", fixed),
         ("excitation_phases", "u8", "", (0, 1), 0, "0 from the seed, 1 Schroeder's", fixed),
         ("excitation_seed", "u32", "", _U32, 0, "of the phases", fixed),
+        ("free_ticks", "u32", "tick", _U32, 0, "free space before the trial; 0: none", fixed),
+        ("free_minimum", "i32", "count", _I32, 0, "outside of these in free space no trial follows", fixed),
+        ("free_maximum", "i32", "count", _I32, 0, "see free_minimum", fixed),
+        ("hold_ticks", "u32", "tick", _U32, 0, "of the trial from the first contact on; 0: trial_ticks decides", fixed),
     ]  # fmt: skip
     return rows
 

@@ -18,6 +18,7 @@ from rig.config.derive import (
     excited,
     motor_push,
     push_at_rest,
+    push_s,
     rig_model,
     verdict_thresholds,
 )
@@ -70,6 +71,7 @@ __all__ = [
     "motor_push",
     "override",
     "push_at_rest",
+    "push_s",
     "realtime_changes",
     "rig_model",
     "verdict_thresholds",

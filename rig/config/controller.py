@@ -16,7 +16,7 @@ import numpy as np
 from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import BY_NAME
 from rig.config import device_law
-from rig.config.derive import motor_push, verdict_thresholds
+from rig.config.derive import free_s, motor_push, push_s, verdict_thresholds
 from rig.config.sections import Experiment
 from rig.control import estimators, friction, laws
 from rig.control.law import Law
@@ -126,8 +126,11 @@ def for_experiment(
         "home_tolerance": homing.tolerance_counts * abs(delta),
         "settle_ticks": _ticks(homing.settle_s, tick_s),
         "home_timeout_ticks": _ticks(homing.timeout_s, tick_s),
+        "free_ticks": _ticks(free_s(experiment), tick_s),
+        **_free_space(experiment),
         "constant_effort": motor_push(experiment),
-        "trial_ticks": _ticks(trial.baseline_s + trial.duration_s, tick_s),
+        "trial_ticks": _ticks(trial.duration_s, tick_s),
+        "hold_ticks": _ticks(trial.hold_s, tick_s),
         "release_ticks": max(1, _ticks(trial.release_s, tick_s)),
         "energy_limit": energy_limit(experiment),
         "oscillation_limit": oscillation_limit(experiment),
@@ -143,6 +146,15 @@ def for_experiment(
         estimator=estimator.prepare(rates.parameters, delta, tick_s * divider),
         law=_law(experiment, law or laws.get(wall.law)).prepare(asdict(wall)),
     )
+
+
+def _free_space(experiment: Experiment) -> dict[str, float]:
+    """Where the handle may be before the cue: up to half of its way to the wall."""
+    limits, halfway = experiment.rig.limits, 0.5 * (experiment.trial.start + experiment.wall.position)
+    free = {"free_minimum": limits.position_minimum, "free_maximum": limits.position_maximum}
+    if free_s(experiment) > 0.0:
+        free["free_maximum" if experiment.wall.side > 0 else "free_minimum"] = halfway
+    return free
 
 
 def _law(experiment: Experiment, law: Law) -> Law:
@@ -294,7 +306,7 @@ def device_parameters(
         # A person can hold the handle still against any effort: with this the device does not take that for a stall.
         # For longer than a trial nobody has to: then the encoder may be dead.
         "hold_to_run": 1 if human else 0,
-        "confirm_ms": round(1e3 * (experiment.trial.duration_s + CONFIRM_S)) if human else 0,
+        "confirm_ms": round(1e3 * (push_s(experiment) + CONFIRM_S)) if human else 0,
         "law": 0,
     }
     if rates.loop == "device":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 from dataclasses import replace
 from typing import TYPE_CHECKING, TypedDict
 
@@ -40,14 +41,20 @@ def rig_model(described: Experiment | Rig) -> RigModel:
     return model.held_by(described.operator, _reach(described))
 
 
+def free_s(experiment: Experiment) -> float:
+    """Free space before the cue (s): the baseline, and a foreperiod that the trial's seed draws."""
+    trial = experiment.trial
+    return trial.baseline_s + random.Random(f"foreperiod {trial.seed}").uniform(0.0, trial.foreperiod_s)
+
+
 def _reach(x: Experiment) -> Reach:
     depth = x.operator.depth / x.rig.mechanics.handle_radius
     return Reach(
         start=x.trial.start,
         target=x.wall.position + x.wall.side * depth,
         pace=x.homing.speed,
-        wait_s=x.homing.settle_s + x.operator.begin_s + x.trial.baseline_s,
-        free_s=x.trial.baseline_s,
+        wait_s=x.homing.settle_s + free_s(x) + x.operator.begin_s,
+        free_s=free_s(x),
         seed=x.trial.seed,
     )
 
@@ -55,6 +62,11 @@ def _reach(x: Experiment) -> Reach:
 def motor_push(experiment: Experiment) -> float:
     """Constant effort of the motor in a trial (N·m or N): none when a person pushes, or an excitation drives it."""
     return experiment.trial.effort if experiment.trial.kind == "constant-effort" else 0.0
+
+
+def push_s(experiment: Experiment) -> float:
+    """How long a trial pushes at most (s)."""
+    return experiment.trial.hold_s or experiment.trial.duration_s
 
 
 def push_at_rest(experiment: Experiment) -> float:
@@ -128,7 +140,6 @@ def verdict_thresholds(experiment: Experiment) -> Thresholds:
         saturated_fraction=given.saturated_fraction,
         longest_gap=given.longest_gap,
         lost_fraction=given.lost_fraction,
-        baseline_s=experiment.trial.baseline_s,
         may_leave=experiment.trial.kind == "human",
     )
 

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from rig.config.derive import motor_push, push_at_rest
+from rig.config.derive import motor_push, push_at_rest, push_s
 from rig.config.problems import Problem
 from rig.config.sections import Experiment
 from rig.config.table import parameters, shown
@@ -174,15 +174,18 @@ def approach(x: Experiment) -> Iterator[Problem]:
         )
 
 
-def baseline(x: Experiment) -> Iterator[Problem]:
-    """Free space can only be kept by a hand: a motor pushes at once, and an excitation begins inside."""
-    if x.trial.baseline_s > 0.0 and x.trial.kind != "human":
-        yield _problem(
-            x,
-            "trial.baseline_s",
-            f'must be 0 with trial.kind = "{x.trial.kind}", where nobody keeps the handle off the wall',
-            'leave it out, or set trial.kind = "human"',
-        )
+def choreography(x: Experiment) -> Iterator[Problem]:
+    """Only a person waits for a cue, comes into contact when it pleases, and holds."""
+    if x.trial.kind == "human":
+        return
+    for name in ("baseline_s", "foreperiod_s", "hold_s"):
+        if getattr(x.trial, name) > 0.0:
+            yield _problem(
+                x,
+                f"trial.{name}",
+                f'must be 0 with trial.kind = "{x.trial.kind}", which has no cue and keeps its clock',
+                'leave it out, or set trial.kind = "human"',
+            )
 
 
 def rest(x: Experiment) -> Iterator[Problem]:
@@ -223,8 +226,19 @@ def press(x: Experiment) -> Iterator[Problem]:
 
 
 def reach(x: Experiment) -> Iterator[Problem]:
-    """A person's reach is over before the judged tail of the trial begins."""
-    end, tail = x.operator.begin_s + x.operator.reach_s, x.trial.duration_s - x.verdict.tail_s
+    """A person's reach is over before the judged tail of the trial begins; with a hold, before the wait is over."""
+    end = x.operator.begin_s + x.operator.reach_s
+    if x.trial.hold_s > 0.0:
+        if x.trial.kind == "human" and end > x.trial.duration_s:
+            yield _problem(
+                x,
+                "operator.reach_s",
+                f"must end before the wait for a contact: the reach ends {end:g} s after the cue (operator.begin_s + "
+                f"reach_s), trial.duration_s is {x.trial.duration_s:g} s",
+                "reach faster, or lengthen trial.duration_s",
+            )
+        return
+    tail = x.trial.duration_s - x.verdict.tail_s
     if x.trial.kind == "human" and end > tail > 0:
         yield _problem(
             x,
@@ -249,11 +263,12 @@ def speeds(x: Experiment) -> Iterator[Problem]:
 
 def times(x: Experiment) -> Iterator[Problem]:
     """The judged tail is a part of the push, and its band has a width."""
-    if x.trial.kind != "excitation" and x.verdict.tail_s >= x.trial.duration_s:
+    if x.trial.kind != "excitation" and x.verdict.tail_s >= push_s(x):
+        of = "hold_s" if x.trial.hold_s else "duration_s"
         yield _problem(
             x,
             "verdict.tail_s",
-            f"must be shorter than trial.duration_s, {x.trial.duration_s:g} s",
+            f"must be shorter than trial.{of}, {push_s(x):g} s",
             "shorten the tail or lengthen the trial",
         )
     if x.verdict.highpass_hz >= x.verdict.lowpass_hz:
@@ -342,7 +357,7 @@ RULES: tuple[Callable[[Experiment], Iterator[Problem]], ...] = (
     efforts,
     window,
     approach,
-    baseline,
+    choreography,
     rest,
     press,
     reach,

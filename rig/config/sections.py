@@ -238,14 +238,35 @@ class Trial:
         float,
         Gt(0),
         Le(3600),
-        Quantity("s", "time from release, or from the end of the baseline, to the end of the push"),
+        Quantity(
+            "s", "from release, or the cue, to the end of the push; with hold_s, to the first contact at most"
+        ),
     ]
+    hold_s: Annotated[
+        float,
+        Ge(0),
+        Le(3600),
+        Quantity(
+            "s",
+            "from a person's first contact to the end of the push, however often the wall is left; 0: duration_s",
+        ),
+    ] = 0.0
     release_s: Annotated[float, Gt(0), Le(60), Quantity("s", "ramp to zero effort afterwards")] = 0.1
     baseline_s: Annotated[
         float,
         Ge(0),
         Le(60),
-        Quantity("s", "free space before that, in which a person's handle must not touch the wall; 0: none"),
+        Quantity(
+            "s", "free space before the cue, in which a person must not move halfway to the wall; 0: none"
+        ),
+    ] = 0.0
+    foreperiod_s: Annotated[
+        float,
+        Ge(0),
+        Le(60),
+        Quantity(
+            "s", "most of a random time of free space after that, by trial.seed, so that nobody anticipates"
+        ),
     ] = 0.0
     repeats: Annotated[int, Ge(1), Le(100_000), Quantity("", "how often the trial runs")] = 1
     seed: Annotated[

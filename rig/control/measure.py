@@ -67,9 +67,11 @@ NUMBERS = np.dtype(
         ("inside_ticks_in_tail", "<i8"),
         # without a contact, changes of the count in a row between the same two neighbours; else 0
         ("toggles", "<i8"),
-        # how long the stay in the wall was that ended in the tail, once and for good; 0 without one, or a short one
+        # how long the stay in the wall was that ended once and for good, in the tail or before it; 0 without one, or a
+        # short one
         ("stay_ticks", "<i8"),
-        ("heard_in_stay", "<f8"),  # in the tail, up to a period of the high pass before the end of that stay
+        # in a tail that ends with that stay, up to a period of the high pass before its end
+        ("heard_in_stay", "<f8"),
         ("moved_in_stay", "<f8"),
         ("tail_begins_s", "<f8"),  # NaN for a trial too short to be measured
         (
@@ -176,14 +178,14 @@ def filters(tick_s: float, highpass_hz: float, lowpass_hz: float) -> Filters:
     return Filters(sections, math.ceil(math.log(_REMEMBERED) / math.log(slowest)))
 
 
-@kernel(types.void(_SIGNAL, _SIGNAL, SETTINGS_TYPE, NUMBERS_TYPE), no_refcount=True)
-def _contact(effort: Floats, penetration: Floats, settings: Records, numbers: Records) -> None:
-    """First contact, exits and peaks."""
+@kernel(types.int64(_SIGNAL, _SIGNAL, SETTINGS_TYPE, NUMBERS_TYPE), no_refcount=True)
+def _contact(effort: Floats, penetration: Floats, settings: Records, numbers: Records) -> int:
+    """First contact, exits and peaks; returns the tick of the last exit."""
     s, n = settings[0], numbers[0]
     ticks = penetration.shape[0]
     begin = max(0, ticks - s["tail_ticks"])
     contact, was_inside = -1, False
-    exits = exits_in_tail = inside_in_tail = entries_in_tail = entered = stay = 0
+    exits = exits_in_tail = inside_in_tail = entries_in_tail = entered = left_at = stay = 0
     deepest, strongest = penetration[0], 0.0
     for k in range(ticks):
         inside, in_tail = penetration[k] > 0.0, k >= begin
@@ -194,7 +196,7 @@ def _contact(effort: Floats, penetration: Floats, settings: Records, numbers: Re
             entered = k
             entries_in_tail += in_tail
         if left:
-            stay = k - entered
+            left_at, stay = k, k - entered
         exits += left
         exits_in_tail += left and in_tail
         inside_in_tail += inside and in_tail
@@ -202,10 +204,11 @@ def _contact(effort: Floats, penetration: Floats, settings: Records, numbers: Re
         deepest = max(deepest, penetration[k])
         strongest = max(strongest, abs(effort[k]))
     n["exits"], n["exits_in_tail"], n["inside_ticks_in_tail"] = exits, exits_in_tail, inside_in_tail
-    once = exits_in_tail == 1 and entries_in_tail == 0
+    once = entries_in_tail == 0 and exits_in_tail == (1 if inside_in_tail > 0 else 0)
     n["stay_ticks"] = stay if once and stay * s["tick_s"] * s["highpass_hz"] >= 1.0 else 0
     n["contact_s"] = contact * s["tick_s"] if contact >= 0 else math.nan
     n["peak_penetration"], n["peak_effort"] = deepest, strongest
+    return left_at
 
 
 @kernel(types.void(_FLAGS, SETTINGS_TYPE, NUMBERS_TYPE), no_refcount=True)
@@ -325,9 +328,8 @@ def _ripple_and_travel(
     first = max(0, begin - s["lead_ticks"])
     half = begin + (ticks - begin) // 2
     calm = 0  # end of what is looked at of a stay: what follows belongs to leaving
-    if n["stay_ticks"] > 0:
+    if n["inside_ticks_in_tail"] > 0 and n["stay_ticks"] > 0:
         calm = begin + n["inside_ticks_in_tail"] - int(np.rint(1.0 / (s["highpass_hz"] * s["tick_s"])))
-    n["heard_in_stay"] = n["moved_in_stay"] = 0.0
     b0, b1, b2, a1, a2 = sections[_HIGHPASS]
     e1 = e2 = p1 = p2 = 0.0  # state of the two filters
     power = power_of_half = 0.0
@@ -509,10 +511,15 @@ def measure(
     if ticks < FEWEST_TICKS:
         _write_nothing(numbers, ticks)
         return
-    _contact(effort, penetration, settings, numbers)
+    left_at = _contact(effort, penetration, settings, numbers)
     _marks(flags, settings, numbers)
-    _ripple_and_travel(position, effort, settings, sections, numbers)
     s = settings[0]
+    n["heard_in_stay"] = n["moved_in_stay"] = 0.0
+    if n["stay_ticks"] > 0 and n["inside_ticks_in_tail"] == 0:
+        n["inside_ticks_in_tail"] = min(left_at, s["tail_ticks"])
+        _ripple_and_travel(position[:left_at], effort[:left_at], settings, sections, numbers)
+        n["inside_ticks_in_tail"] = 0
+    _ripple_and_travel(position, effort, settings, sections, numbers)
     n["felt_floor"], n["felt"], n["toggles"] = 0.0, math.nan, 0
     if s["resolution"] > 0.0:
         if math.isnan(n["contact_s"]):

@@ -36,7 +36,7 @@ from rig.control.estimators.estimator import WINDOW, Prepared
 from rig.control.estimators.fdm import count_difference
 from rig.control.law import Law, PreparedLaw
 from rig.core.errors import RecordingError
-from rig.core.sample import Phase, RowFlag
+from rig.core.sample import HOLD, Phase, RowFlag
 from rig.realtime.groups import Floats, Ints, group, type_of
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import LAW_CLAMPED, EstimatorPlug, LawPlug
@@ -67,8 +67,12 @@ CONTROL = np.dtype(
         ("home_tolerance", "<f8"),
         ("settle_ticks", "<i8"),
         ("home_timeout_ticks", "<i8"),
+        ("free_ticks", "<i8"),  # of free space before the trial; 0: none
+        ("free_minimum", "<f8"),  # who leaves this meanwhile made a false start: no trial follows
+        ("free_maximum", "<f8"),
         ("constant_effort", "<f8"),
-        ("trial_ticks", "<i8"),
+        ("trial_ticks", "<i8"),  # of the trial, or of a trial without a contact
+        ("hold_ticks", "<i8"),  # from the first contact to the end; 0: contact or not, trial_ticks
         ("release_ticks", "<i8"),
         ("energy_limit", "<f8"),  # that the motor may give in a trial (J); 0: any
         ("oscillation_limit", "<i8"),  # oscillations of effort in a row that end the run; 0: any
@@ -85,6 +89,7 @@ MEMORY = np.dtype(
         ("phase", "<i8"),  # rig.core.sample.Phase
         ("phase_ticks", "<i8"),  # ticks in this phase
         ("rest_ticks", "<i8"),  # ticks within the homing tolerance
+        ("contact_ticks", "<i8"),  # ticks of the trial before the first contact; 0: none yet
         ("setpoint", "<f8"),  # of the homing servo
         (
             "velocity",
@@ -148,7 +153,7 @@ CONTROLLER_TYPE = type_of(ControllerArguments)
 
 # Plain integers: numba reads an enum member of another module as a global constant only when it is one.
 WAIT, HOMING, SETTLE = int(Phase.WAIT), int(Phase.HOMING), int(Phase.SETTLE)
-TRIAL, RELEASE, DONE = int(Phase.TRIAL), int(Phase.RELEASE), int(Phase.DONE)
+FREE, TRIAL, RELEASE, DONE = int(Phase.FREE), int(Phase.TRIAL), int(Phase.RELEASE), int(Phase.DONE)
 INSIDE, VELOCITY_UPDATED = int(RowFlag.INSIDE), int(RowFlag.VELOCITY_UPDATED)
 SATURATED, SLEW_BOUND, CLAMPED = int(RowFlag.SATURATED), int(RowFlag.SLEW_BOUND), int(RowFlag.CLAMPED)
 NONFINITE, OUT_OF_WINDOW = int(RowFlag.NONFINITE), int(RowFlag.OUT_OF_WINDOW)
@@ -282,9 +287,25 @@ def _enter(memory: Any, phase: int) -> None:
     memory[0]["phase_ticks"] = 0
 
 
+@kernel(types.int64(CONTROL_TYPE, MEMORY_TYPE), inline=True)
+def _trial_end(control: Any, memory: Any) -> int:
+    """When the trial ends, in its ticks."""
+    c, m = control[0], memory[0]
+    if c["hold_ticks"] > 0 and m["contact_ticks"] == 0 and m["penetration"] > 0.0:
+        m["contact_ticks"] = m["phase_ticks"]
+    return int(m["contact_ticks"] + c["hold_ticks"] if m["contact_ticks"] > 0 else c["trial_ticks"])
+
+
+@kernel(types.int64(MEMORY_TYPE), inline=True)
+def shown_phase(memory: Any) -> int:
+    """Phase of the tick for those who watch."""
+    m = memory[0]
+    return int(HOLD if m["phase"] == TRIAL and m["contact_ticks"] > 0 else m["phase"])
+
+
 @kernel(types.void(CONTROL_TYPE, MEMORY_TYPE, types.int64), inline=True)
 def advance_phase(control: Any, memory: Any, elapsed_ticks: int) -> None:
-    """Move through homing, settling, trial and release; on return `phase` is that of this tick."""
+    """Move through homing, settling, free space, trial and release; on return `phase` is that of this tick."""
     c, m = control[0], memory[0]
     phase = m["phase"]
     m["phase_ticks"] += elapsed_ticks
@@ -300,11 +321,16 @@ def advance_phase(control: Any, memory: Any, elapsed_ticks: int) -> None:
             m["rest_ticks"] += elapsed_ticks
             m["phase"] = SETTLE
         if m["phase"] == SETTLE and m["rest_ticks"] >= c["settle_ticks"]:
-            _enter(memory, TRIAL)
+            _enter(memory, FREE if c["free_ticks"] > 0 else TRIAL)
         elif m["phase_ticks"] > c["home_timeout_ticks"]:
             m["flags"] |= HOMING_FAILED
             _enter(memory, DONE)
-    elif phase == TRIAL and m["phase_ticks"] >= c["trial_ticks"]:
+    elif phase == FREE:
+        if not c["free_minimum"] <= m["position"] <= c["free_maximum"]:
+            _enter(memory, DONE)
+        elif m["phase_ticks"] >= c["free_ticks"]:
+            _enter(memory, TRIAL)
+    elif phase == TRIAL and m["phase_ticks"] >= _trial_end(control, memory):
         _enter(memory, RELEASE)
     elif phase == RELEASE and m["phase_ticks"] >= c["release_ticks"]:
         _enter(memory, DONE)

@@ -8,17 +8,18 @@
 
 A rig records the side of its encoder; of the truth, felt and moved are those of the handle, which a hand holds.
 
-*Invalid* is a trial without a verdict: no contact, contact in the baseline, a gap too long or too many samples lost or
+*Invalid* is a trial without a verdict: no contact, a gap too long or too many samples lost or
 late ticks from the first contact on, a binding slew limit, a device that overruled the law, a current that was not the
 one that was set, or saturation without motion. What is lost before the contact is counted and told. *Unstable*: the
 wall was left in the tail, or the ripple grows, or the motor saturates while a threshold is exceeded. *Limit cycle*: not
 unstable, but felt, heard or moved is above its threshold. *Stable*: none of them.
 
 A person may leave the wall too early. That differs from a wall that ejects the handle by what comes before and after:
-an unstable wall oscillates first, and a hand that pushes comes back. So where a person hits, a tail in which the wall
-was left once and not touched again is invalid if the stay before lasted a period of the high pass (a bounce is shorter)
-and was neither heard nor moved above the thresholds in the tail until such a period before its end. Whatever bounces,
-or buzzed before it left, stays unstable; so does a hand that comes back: stay out.
+an unstable wall oscillates first, and a hand that pushes comes back. So where a person hits, a wall that was left in
+the tail or before it, and not touched again, makes the trial invalid if the stay before lasted a period of the high
+pass (a bounce is shorter) and was neither heard nor moved above the thresholds in a tail that ends with it, until such
+a period before its end. Whatever bounces, or buzzed before it left, is unstable, also where the hand stays away: to
+repeat such a trial would throw an unstable wall away. So does a hand that comes back in the tail: stay out.
 
 A velocity from counts has a floor: one toggling count of size Δ at f Hz is a square wave whose fundamental
 reads 2√2·f·Δ rms, and each of its odd harmonics in the band as much again. It is reported for the frequency at which
@@ -72,7 +73,6 @@ class Thresholds:
     saturated_fraction: float
     longest_gap: int  # samples lost in a row
     lost_fraction: float
-    baseline_s: float = 0.0  # at the start of the trial, in which the wall must not be touched
     may_leave: bool = False  # a person hits, whose hand may leave the wall by itself
 
 
@@ -138,17 +138,15 @@ class Objection(IntFlag):
     FELT = 8192
     HEARD = 16384
     MOVED = 32768
-    TOUCHED_EARLY = 65536  # in the baseline
+    THROWN = 65536  # a person's hand left a wall that was not calm, before the tail, and stayed away
     CURRENT = 262144  # the measured current did not follow the active one, or that not the commanded one
-    LEFT = 131072  # a person's hand left the calm wall in the tail, and stayed away
+    LEFT = 131072  # a person's hand left the calm wall and stayed away
 
 
 MACHINE = Objection.GAPS | Objection.LATE  # faults of computer and link, not of the rig or the person
 EXCEEDED = Objection.FELT | Objection.HEARD | Objection.MOVED
-UNSTABLE = Objection.EXITS | Objection.GROWS | Objection.SATURATES
-INVALID = (
-    Objection(Objection.EXITS - 1) | Objection.TOUCHED_EARLY | Objection.LEFT | Objection.CURRENT
-)  # all before, and the last three
+UNSTABLE = Objection.EXITS | Objection.GROWS | Objection.SATURATES | Objection.THROWN
+INVALID = Objection(Objection.EXITS - 1) | Objection.LEFT | Objection.CURRENT  # all before, and the last two
 KINDS = (Kind.STABLE, Kind.LIMIT_CYCLE, Kind.UNSTABLE, Kind.INVALID)  # by the codes of `kinds`
 TOGGLES = 64  # changes of the count between two neighbours: a reach has hundreds, a tremor some ten a second
 CRITERIA = ("felt", "heard", "any")  # what may end a Z-width, besides instability
@@ -170,10 +168,15 @@ def objections(numbers: Numbers, thresholds: Thresholds) -> Any:
     exits = n["exits_in_tail"] > 0
     saturates = n["saturated_fraction_in_tail"] > thresholds.saturated_fraction
     measured = n["tail_begins_s"] >= 0.0
-    calm = (n["heard_in_stay"] <= thresholds.heard_effort) & (n["moved_in_stay"] <= thresholds.moved)
+    gone = touched & (stayed ^ True)
+    calm = (
+        (n["stay_ticks"] > 0)
+        & (n["heard_in_stay"] <= thresholds.heard_effort)
+        & (n["moved_in_stay"] <= thresholds.moved)
+    )
     found = (
         (Objection.NEVER_TOUCHED, touched ^ True),
-        (Objection.GONE, touched & (stayed ^ True)),
+        (Objection.GONE, gone & (thresholds.may_leave ^ True)),
         (Objection.TOUCHED_LATE, stayed & (n["contact_s"] > n["tail_begins_s"])),
         (
             Objection.GAPS,
@@ -190,9 +193,9 @@ def objections(numbers: Numbers, thresholds: Thresholds) -> Any:
         (Objection.FELT, felt),
         (Objection.HEARD, heard),
         (Objection.MOVED, moved),
-        (Objection.TOUCHED_EARLY, touched & (n["contact_s"] < thresholds.baseline_s)),
+        (Objection.THROWN, gone & (calm ^ True) & thresholds.may_leave),
         (Objection.CURRENT, (n["current_differs"] > 0) | (n["other_current_ticks"] > 0)),
-        (Objection.LEFT, (n["stay_ticks"] > 0) & calm & thresholds.may_leave),
+        (Objection.LEFT, calm & thresholds.may_leave),
     )
     bits = sum(objection.value * condition for objection, condition in found)
     return Objection.TOO_SHORT.value * (measured ^ True) + measured * bits
@@ -348,8 +351,5 @@ _TEXTS: dict[Objection, Callable[[np.void, Thresholds], str]] = {
     Objection.LEFT: lambda _, __: (
         "the hand left the calm wall before the end and did not come back: ask to stay in it"
     ),
-    Objection.TOUCHED_EARLY: lambda n, thresholds: (
-        f"the wall was touched at {n['contact_s']:.3g} s, within the {thresholds.baseline_s:.3g} s of free space "
-        "before the hit"
-    ),
+    Objection.THROWN: lambda _, __: "the wall threw the hand out, and it did not come back",
 }

@@ -50,7 +50,7 @@ class Column:
 
 
 class Phase(IntEnum):
-    """What the loop is doing in a tick."""
+    """What the loop is doing in a tick. The cue to begin comes with the first tick of TRIAL."""
 
     WAIT = 0
     HOMING = 1
@@ -58,6 +58,12 @@ class Phase(IntEnum):
     TRIAL = 3
     RELEASE = 4
     DONE = 5
+    FREE = 6  # between SETTLE and TRIAL: no effort, and nobody may begin yet
+
+
+HOLD = (
+    7  # what those who watch a loop are told in place of TRIAL, from the contact on that a hold counts from
+)
 
 
 class RowFlag(IntFlag):

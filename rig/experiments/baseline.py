@@ -18,17 +18,15 @@ class Baseline:
     Attributes
     ----------
     duration_s
-        How much of it there is (s): less than ``trial.baseline_s`` where the run ended in it.
+        How much of it there is (s).
     velocity_rms
         Of the estimated velocity (rad/s or m/s).
     effort_rms
         Of the effort of the measured current (N·m or N): noise and offset of the sensor, where none is sent.
     sent_rms
-        Of the effort that was sent (N·m or N): 0 unless the wall was touched or friction is compensated.
+        Of the effort that was sent (N·m or N): 0, but for the end of homing.
     count_range
         How many counts the encoder went through.
-    touched
-        Whether the wall was touched, which makes the trial invalid.
     """
 
     duration_s: float
@@ -36,26 +34,20 @@ class Baseline:
     effort_rms: float
     sent_rms: float
     count_range: int
-    touched: bool
 
 
 def baseline(recording: Recording, experiment: Experiment) -> Baseline | None:
-    """Measure the baseline of a recording of this experiment; None where the trial has none or never began."""
-    tick_s = 1.0 / experiment.controller.position_rate
-    ticks = round(experiment.trial.baseline_s / tick_s)
-    trial = recording.rows[recording.rows["phase"] == Phase.TRIAL]
-    if ticks == 0 or len(trial) == 0:
+    """Measure the free space in a recording of this experiment; None where there is none."""
+    rows = recording.rows[recording.rows["phase"] == Phase.FREE]
+    if len(rows) == 0:
         return None
-    place = np.cumsum(trial["elapsed_ticks"]) - trial["elapsed_ticks"][0]  # a gap's ticks passed too
-    rows = trial[place < ticks]
     amplifier = experiment.rig.amplifier
     return Baseline(
-        duration_s=float(min(ticks, place[len(rows) - 1] + 1) * tick_s),
+        duration_s=float(rows["elapsed_ticks"].sum()) / experiment.controller.position_rate,
         velocity_rms=_rms(rows["velocity"]),
         effort_rms=_rms(amplifier.effort_per_ampere * rows["current_measured"]),
         sent_rms=_rms(rows["effort_sent"]),
         count_range=int(np.ptp(rows["count"])),
-        touched=bool((rows["penetration"] > 0.0).any()),
     )
 
 

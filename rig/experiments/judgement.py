@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from firmware_protocol.faults import Fault
@@ -148,9 +148,14 @@ def judge(recording: Recording, experiment: Experiment) -> Judgement:
 
 
 def _overruled(measured: Measured, overruling: tuple[Kind, str] | None) -> Verdict:
+    if overruling == FALSE_START:  # nothing else can be said of a trial that never began
+        return verdict.overruled(replace(measured.verdict, reasons=()), *overruling)
     if measured.found & Objection.CURRENT:  # whatever the handle did then, it says nothing of the wall
         return measured.verdict
     return measured.verdict if overruling is None else verdict.overruled(measured.verdict, *overruling)
+
+
+FALSE_START = (Kind.INVALID, "a false start: the handle moved before the cue")
 
 
 def thrown_out(recording: Recording) -> str:
@@ -165,6 +170,8 @@ def ended_early(recording: Recording) -> tuple[Kind, str] | None:
     """What an early end makes of the verdict: nothing after the push, else invalid, or unstable if thrown out."""
     reason = (recording.trailer or {}).get("reason", "the recording breaks off")
     phases = recording.rows["phase"]
+    if reason == FINISHED and (phases == Phase.FREE).any() and not (phases == Phase.TRIAL).any():
+        return FALSE_START
     if reason == FINISHED or (phases == Phase.RELEASE).any():
         return None
     thrown = thrown_out(recording)

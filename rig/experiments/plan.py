@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 from firmware_protocol.dictionary import Dictionary
 from firmware_protocol.law_parameters import LAW_PARAMETERS
-from rig.config import Experiment, controller, device_law, motor_push, push_at_rest, rig_model
+from rig.config import Experiment, controller, device_law, motor_push, push_at_rest, push_s, rig_model
 from rig.core.check import Check, Outcome
 from rig.core.sample import unit_of
 from rig.devices.device import LINK_SHARE, STATE_BYTES
@@ -204,16 +204,18 @@ def _steps(x: Experiment) -> tuple[Step, ...]:
             h.timeout_s,
         ),
         *_baseline_step(x),
-        Step("push", f"{_push_text(x)} into a wall of {wall} at {w.position:g} {position}", t.duration_s),
+        Step("push", f"{_push_text(x)} into a wall of {wall} at {w.position:g} {position}", push_s(x)),
         Step("release", "ramp the effort to zero", t.release_s),
         Step("judge", f"on the last {x.verdict.tail_s:g} s of the push; disarm and seal the recording", 0.0),
     )
 
 
 def _baseline_step(x: Experiment) -> tuple[Step, ...]:
-    if x.trial.baseline_s == 0.0:
+    trial = x.trial
+    if trial.baseline_s + trial.foreperiod_s == 0.0:
         return ()
-    return (Step("wait", "off the wall, for a baseline of free space", x.trial.baseline_s),)
+    most = f", and up to {trial.foreperiod_s:g} s more" if trial.foreperiod_s else ""
+    return (Step("wait", f"in free space for the cue{most}", trial.baseline_s),)
 
 
 def _watch_checks(x: Experiment) -> list[Check]:

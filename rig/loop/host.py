@@ -18,7 +18,7 @@ from typing import Any
 
 from numba import types
 
-from rig.control.step import CONTROLLER_TYPE, MEMORY_TYPE, ControllerArguments, step
+from rig.control.step import CONTROLLER_TYPE, MEMORY_TYPE, ControllerArguments, shown_phase, step
 from rig.devices.framed import STOP_FRAMES
 from rig.devices.port import PORT_TYPE, LoopPort
 from rig.loop.commands import MODE_CURRENT, MODE_STOP, NO_SYNC, send_command, sync_of
@@ -201,7 +201,7 @@ def run(
         leave_row(controller, shared, settings, buffers, tick, elapsed, received_ns, computed_ns, sent_ns)
         tick += 1
         store_word(words + WORD * ring.TICKS, tick)
-        store_word(words + WORD * ring.PHASE, m["phase"])
+        store_word(words + WORD * ring.PHASE, shown_phase(memory))
         if taken >= 0 and reason == 0:
             taken = ask_time(port, settings, buffers)
         if taken < 0:

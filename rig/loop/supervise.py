@@ -17,7 +17,14 @@ from typing import Any
 
 from numba import types
 
-from rig.control.step import CONTROL_TYPE, CONTROLLER_TYPE, MEMORY_TYPE, ControllerArguments, step
+from rig.control.step import (
+    CONTROL_TYPE,
+    CONTROLLER_TYPE,
+    MEMORY_TYPE,
+    ControllerArguments,
+    shown_phase,
+    step,
+)
 from rig.core.sample import Phase
 from rig.devices.framed import STOP_FRAMES
 from rig.devices.port import PORT_TYPE, LoopPort
@@ -228,7 +235,7 @@ def _run_law(
         leave_row(controller, shared, settings, buffers, tick, elapsed, sample[RECEIVED], 0, 0)
         v["ticks"] = tick + 1
         store_word(words + WORD * ring.TICKS, tick + 1)
-        store_word(words + WORD * ring.PHASE, m["phase"])
+        store_word(words + WORD * ring.PHASE, shown_phase(controller.memory))
         if reason != 0:
             return int(reason)
     return _GO_ON

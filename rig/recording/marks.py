@@ -112,7 +112,8 @@ def _of_phases(rows: NDArray[np.void]) -> Iterator[_Found]:
     inside = trial & ((rows["flags"] & int(RowFlag.INSIDE)) != 0)
     places = {
         "homed": behind[behind > homing[0]][:1] if len(homing) else homing,
-        "trial": np.flatnonzero(trial)[:1],
+        "free space": np.flatnonzero(phase == Phase.FREE)[:1],
+        "trial": np.flatnonzero(trial)[:1],  # where there was free space: the cue
         "contact": _rising(inside),
         "release": np.flatnonzero(phase == Phase.RELEASE)[:1],
         "end": [len(rows) - 1],

@@ -31,6 +31,7 @@ _UNITS = {"N·m": "N.m"}  # as CMIXF-12 writes them
 _SPANS: Mapping[int, str] = {
     Phase.HOMING: "homing",
     Phase.SETTLE: "settle",
+    Phase.FREE: "baseline",
     Phase.TRIAL: "hit",
     Phase.RELEASE: "release",
 }
@@ -39,8 +40,8 @@ _EXPORTED = ("position", "velocity", "penetration", "effort_sent", "effort_appli
 EVENTS: Mapping[str, str] = {
     "homing": "the motor brings the handle to the start, slowly",
     "settle": "the handle comes to rest at the start",
-    "baseline": "free space before the hit: the wall is there, and the handle must not touch it",
-    "hit": "the handle may hit the wall",
+    "baseline": "free space before the hit: no effort, and the participant waits for the cue",
+    "hit": "from the cue on: the handle may hit the wall",
     "release": "the law stays active until the handle is released",
     "contact": "first contact of the hit with the wall, as long as it lasted without a break",
     "sync": "rising edge at the device's sync input",
@@ -182,17 +183,12 @@ def spans(recording: Recording) -> list[tuple[str, float, float]]:
     period = 1.0 / float(recording.experiment["controller"]["position_rate"])
     begins = np.concatenate(([0], np.flatnonzero(np.diff(phases)) + 1))
     ends = np.append(begins[1:], len(phases))
-    free_s = float(recording.experiment["trial"].get("baseline_s", 0.0))
     for first, end in zip(begins, ends, strict=True):
         name = _SPANS.get(int(phases[first]))
         if name is None:
             continue
         at, length = float(time[first]), float(time[end - 1] - time[first]) + period
-        free = min(free_s, length) if name == "hit" else 0.0
-        if free > 0.0:
-            found.append(("baseline", at, free))
-        if length > free:
-            found.append((name, at + free, length - free))
+        found.append((name, at, length))
     inside = (phases == Phase.TRIAL) & ((recording.column("flags") & int(RowFlag.INSIDE)) != 0)
     if inside.any():
         first = int(np.argmax(inside))

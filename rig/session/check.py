@@ -77,7 +77,7 @@ def check(
     trials = searches.count + Range(practice, practice, practice)
     stiffest = max((one for of in under for one in of), key=lambda one: one.wall.stiffness)
     asks = protocol.study.judge == "person"
-    times = trial_times(under[0][0], protocol.trial.baseline_s, asks)
+    times = trial_times(under[0][0], asks)
     heat = heat_of(stiffest, times, math.ceil(trials.most), protocol.rest.heat)
     blocks = schedule(protocol, 0)
     duration = dict(_durations(protocol, blocks, trials, times, stiffest))

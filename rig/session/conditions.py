@@ -29,6 +29,8 @@ OWNED = {  # keys of the experiment that a protocol says in its own words
     "trial.kind": "trial.kind of the protocol",
     "trial.duration_s": "trial.duration_s of the protocol",
     "trial.baseline_s": "trial.baseline_s of the protocol",
+    "trial.foreperiod_s": "trial.foreperiod_s of the protocol",
+    "trial.hold_s": "trial.hold_s of the protocol",
     "trial.repeats": "order.repeats of the protocol",
     "trial.seed": "study.seed of the protocol",
 }
@@ -168,6 +170,8 @@ def _said(protocol: Protocol) -> dict[str, Any]:
     said = {
         "trial.duration_s": trial.duration_s,
         "trial.baseline_s": trial.baseline_s or None,
+        "trial.foreperiod_s": trial.foreperiod_s or None,
+        "trial.hold_s": trial.hold_s,
         "rig.limits.effort": caps.effort,
         "rig.limits.speed": caps.speed,
         "rig.limits.energy": caps.energy,

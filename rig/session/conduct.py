@@ -28,7 +28,7 @@ from rig.core.errors import (
     RigError,
     StoppedError,
 )
-from rig.core.sample import Phase, unit_of
+from rig.core.sample import HOLD, Phase, unit_of
 from rig.experiments.pulse import NO_HANDS
 from rig.session.conditions import Walls, own_rates
 from rig.session.desk import Action, Desk, Question, Reply, View
@@ -55,11 +55,13 @@ from rig.session.telling import line_of_event, outcome
 from rig.session.trial import Presented, Trial, event_of
 
 LINES_SHOWN = 8
-_PHASES = {
+_PHASES: Mapping[int, str] = {
     Phase.WAIT: "homing",
     Phase.HOMING: "homing",
     Phase.SETTLE: "homing",
-    Phase.TRIAL: "hit",
+    Phase.FREE: "free space",
+    Phase.TRIAL: "go",
+    HOLD: "hold",
     Phase.RELEASE: "release",
     Phase.DONE: "release",
 }
@@ -69,6 +71,7 @@ AS_DESCRIBED, NOT_AS_DESCRIBED = (
     "the rig moves as it is described",
     "the rig does not move as it is described",
 )
+WAIT, STAY = "Wait for the signal; do not move yet.", "Stay there."
 SEE_TO_IT = "see that nobody holds the handle; `rig check` says more"
 _ALWAYS: tuple[Action, ...] = ("note", "abort")
 _ASKED = (
@@ -490,8 +493,9 @@ class _Engine:
             nonlocal seen
             if phase != seen:
                 seen = phase
-                say = self._state.protocol.trial.say if phase == Phase.TRIAL else ""
-                self._show(_PHASES[Phase(phase)], presented, experiment=experiment, say=say)
+                say = {Phase.FREE: WAIT, Phase.TRIAL: self._state.protocol.trial.say, HOLD: STAY}
+                shown = _PHASES[phase]
+                self._show(shown, presented, experiment=experiment, say=say.get(phase, ""))
             if beside is not None:
                 beside(ticks, phase)
 

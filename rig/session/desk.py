@@ -38,7 +38,7 @@ class View:
     Attributes
     ----------
     state
-        In a word or two: "homing", "ready", "hit", "verdict?", "rest", "paused", "done" …
+        In a word or two: "ready", "homing", "free space", "go", "hold", "verdict?", "rest", "paused", "done" …
     say
         What to say to the participant now; empty for nothing.
     code, block, blocks, run, runs, trial, trials

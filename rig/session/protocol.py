@@ -150,10 +150,27 @@ class Trial:
         Literal["human", "constant-effort"], Quantity("", "who hits: the participant, or the motor")
     ] = "human"
     baseline_s: Annotated[
-        float, Ge(0), Le(60), Quantity("s", "free space before the hit; 0 for a motor that pushes at once")
+        float, Ge(0), Le(60), Quantity("s", "free space before the cue; 0 for a motor that pushes at once")
+    ] = 0.0
+    foreperiod_s: Annotated[
+        float,
+        Ge(0),
+        Le(60),
+        Quantity("s", "most of a random time after that, so that nobody anticipates the cue"),
     ] = 0.0
     duration_s: Annotated[
-        float | None, Gt(0), Le(600), Quantity("s", "the hit itself; left out: the experiment's")
+        float | None,
+        Gt(0),
+        Le(600),
+        Quantity(
+            "s", "the hit itself, or with hold_s how long the cue is waited upon; left out: the experiment's"
+        ),
+    ] = None
+    hold_s: Annotated[
+        float | None,
+        Gt(0),
+        Le(600),
+        Quantity("s", "from first contact to the end of the hit; left out: duration_s, contact or not"),
     ] = None
     attempts: Annotated[
         int, Ge(1), Le(20), Quantity("", "at a trial that is invalid, before somebody is asked what to do")

@@ -81,15 +81,13 @@ class Heat:
         return self.pauses * self.pause_s
 
 
-def trial_times(experiment: Experiment, baseline_s: float, asks: bool) -> TrialTimes:
+def trial_times(experiment: Experiment, asks: bool) -> TrialTimes:
     """Times of one trial.
 
     Parameters
     ----------
     experiment
         Of a wall.
-    baseline_s
-        Free space before the hit (s).
     asks
         Whether somebody judges.
     """
@@ -98,8 +96,8 @@ def trial_times(experiment: Experiment, baseline_s: float, asks: bool) -> TrialT
     return TrialTimes(
         ready=READY_S,
         homing=way / homing.speed + homing.settle_s,
-        baseline=baseline_s,
-        hit=trial.duration_s,
+        baseline=trial.baseline_s + 0.5 * trial.foreperiod_s,
+        hit=_reaching_s(experiment) + trial.hold_s if trial.hold_s else trial.duration_s,
         release=trial.release_s,
         verdict=VERDICT_S if asks else 0.0,
     )
@@ -137,6 +135,11 @@ def heat_of(experiment: Experiment, times: TrialTimes, trials: int, share: float
 
 def _push_s(experiment: Experiment) -> float:
     """How long a hit pushes with all its effort (s): a person's hand has to get there first."""
-    trial, operator = experiment.trial, experiment.operator
-    reaching = operator.begin_s + 0.5 * operator.reach_s if trial.kind == "human" else 0.0
-    return max(0.0, trial.duration_s - reaching)
+    trial = experiment.trial
+    return trial.hold_s or max(0.0, trial.duration_s - _reaching_s(experiment))
+
+
+def _reaching_s(experiment: Experiment) -> float:
+    """From the cue to the contact of a person who makes no haste (s)."""
+    operator = experiment.operator
+    return operator.begin_s + 0.5 * operator.reach_s if experiment.trial.kind == "human" else 0.0

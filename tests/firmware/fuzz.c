@@ -50,7 +50,7 @@ struct fuzz {
     uint32_t states[HR_STATES];
     uint32_t faults[16];
     uint32_t laws[3];   /* ticks under supervision */
-    uint32_t phases[6]; /* of the law */
+    uint32_t phases[LAW_FREE + 1]; /* of the law */
     uint32_t batches[3]; /* frames of each layout */
     uint32_t lives;     /* walls that changed while the device was armed */
     uint64_t bytes;     /* into the device */
@@ -160,13 +160,18 @@ static uint32_t law_value(size_t index, uint32_t law)
     case HR_PARAMETER_RELEASE_TICKS:
     case HR_PARAMETER_SETTLE_TICKS:
         return 1 + below(30);
+    case HR_PARAMETER_FREE_TICKS:
+    case HR_PARAMETER_HOLD_TICKS:
+        return below(2) ? 0 : 1 + below(30);
     case HR_PARAMETER_HOME_TIMEOUT_TICKS:
         return below(8) ? UINT32_MAX : below(20);
     case HR_PARAMETER_LAW_WINDOW_MINIMUM:
     case HR_PARAMETER_HOME_MINIMUM:
+    case HR_PARAMETER_FREE_MINIMUM:
         return (uint32_t)(below(4) ? INT32_MIN : -20);
     case HR_PARAMETER_LAW_WINDOW_MAXIMUM:
     case HR_PARAMETER_HOME_MAXIMUM:
+    case HR_PARAMETER_FREE_MAXIMUM:
         return (uint32_t)INT32_MAX;
     case HR_PARAMETER_HOME_STEP:
         return below(4) ? UINT32_C(1) << 30 : below(1000);
@@ -475,7 +480,7 @@ int main(int count, char **arguments)
         printf("fault %zu %u\n", i, fuzz.faults[i]);
     for (size_t i = 1; i < 3; i++)
         printf("law %zu %u\n", i, fuzz.laws[i]);
-    for (size_t i = 0; i < 6; i++)
+    for (size_t i = 0; i <= LAW_FREE; i++)
         printf("phase %zu %u\n", i, fuzz.phases[i]);
     for (size_t i = 0; i < 3; i++)
         printf("layout %zu %u\n", i, fuzz.batches[i]);

@@ -294,7 +294,11 @@ def begin_to_press(operator: Operator, clock: str) -> None:
         if asked != "ready?":
             continue
         operator.terminal.until(
-            lambda: screen.text.split("\n")[0].endswith(" hit") or "[g] go" in screen.text, "the hit"
+            lambda: (
+                screen.text.split("\n")[0].endswith((" free space", " go", " hold"))
+                or "[g] go" in screen.text
+            ),
+            "the hit",
         )
         if clock == "virtual":
             return

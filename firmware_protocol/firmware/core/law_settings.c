@@ -127,7 +127,11 @@ static void read_phases(const uint32_t *values, law_parameters *law)
     law->home_maximum = whole(values, HR_PARAMETER_HOME_MAXIMUM);
     law->settle_ticks = values[HR_PARAMETER_SETTLE_TICKS];
     law->home_timeout_ticks = values[HR_PARAMETER_HOME_TIMEOUT_TICKS];
+    law->free_ticks = values[HR_PARAMETER_FREE_TICKS];
+    law->free_minimum = whole(values, HR_PARAMETER_FREE_MINIMUM);
+    law->free_maximum = whole(values, HR_PARAMETER_FREE_MAXIMUM);
     law->trial_ticks = values[HR_PARAMETER_TRIAL_TICKS];
+    law->hold_ticks = values[HR_PARAMETER_HOLD_TICKS];
     law->release_ticks = values[HR_PARAMETER_RELEASE_TICKS];
 }
 

@@ -133,6 +133,10 @@ const struct hr_parameter hr_parameters[HR_PARAMETERS] = {
     {121, HR_UNSIGNED, 0, 0, 0x00000000u, 0x0000000Fu, 0x00000000u, 0x00000000u}, /* excitation_bits */
     {122, HR_UNSIGNED, 0, 0, 0x00000000u, 0x00000001u, 0x00000000u, 0x00000000u}, /* excitation_phases */
     {123, HR_UNSIGNED, 0, 0, 0x00000000u, 0xFFFFFFFFu, 0x00000000u, 0x00000000u}, /* excitation_seed */
+    {124, HR_UNSIGNED, 0, 0, 0x00000000u, 0xFFFFFFFFu, 0x00000000u, 0x00000000u}, /* free_ticks */
+    {125, HR_SIGNED, 0, 0, 0x80000000u, 0x7FFFFFFFu, 0x00000000u, 0x00000000u}, /* free_minimum */
+    {126, HR_SIGNED, 0, 0, 0x80000000u, 0x7FFFFFFFu, 0x00000000u, 0x00000000u}, /* free_maximum */
+    {127, HR_UNSIGNED, 0, 0, 0x00000000u, 0xFFFFFFFFu, 0x00000000u, 0x00000000u}, /* hold_ticks */
 };
 
 const uint8_t hr_transitions[HR_STATES][HR_MESSAGES] = {

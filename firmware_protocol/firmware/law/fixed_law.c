@@ -116,7 +116,8 @@ void law_fixed_tick(law_state *s, const law_parameters *p, const law_input *in, 
     const uint32_t elapsed = law_elapsed(in), periods = law_periods_due(s, p->velocity_divider, multiple(s, p), elapsed);
     const int32_t travel = law_travel(p, in->count);
     uint32_t flags = 0, phase;
-    int32_t shift = w->shift, depth, velocity;
+    const int32_t depth = law_fixed_depth(p, travel);
+    int32_t shift = w->shift, velocity;
     int64_t effort = 0;
 
     if (periods > 0) {
@@ -124,10 +125,9 @@ void law_fixed_tick(law_state *s, const law_parameters *p, const law_input *in, 
         s->sampled = 1;
         flags = LAW_VELOCITY_UPDATED;
     }
-    flags |= law_advance(s, p, travel, elapsed);
+    flags |= law_advance(s, p, travel, depth > 0, elapsed);
     phase = s->phase;
     velocity = s->velocity_fixed;
-    depth = law_fixed_depth(p, travel);
     if (depth > 0)
         flags |= LAW_INSIDE;
     if (law_is_rendering(phase)) {

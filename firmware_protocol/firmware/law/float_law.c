@@ -146,7 +146,7 @@ void law_float_tick(law_state *s, const law_parameters *p, const law_input *in, 
 
     s->flags = depth > 0.0f ? LAW_INSIDE : 0;
     estimate(s, p, in->count, elapsed);
-    s->flags |= law_advance(s, p, travel, elapsed);
+    s->flags |= law_advance(s, p, travel, depth > 0.0f, elapsed);
     effort = wanted(s, p, depth, travel, elapsed);
     if (!isfinite(effort) || !isfinite(s->velocity))
         s->flags |= LAW_NONFINITE;

@@ -57,7 +57,8 @@ typedef enum { /* rig.core.sample.Phase */
     LAW_SETTLE = 2,
     LAW_TRIAL = 3,
     LAW_RELEASE = 4,
-    LAW_DONE = 5
+    LAW_DONE = 5,
+    LAW_FREE = 6 /* between settling and trial */
 } law_phase;
 
 enum { /* rig.core.sample.RowFlag */
@@ -175,6 +176,7 @@ typedef struct {
     int32_t sense;       /* +1: the position rises with the count */
     int32_t window_minimum, window_maximum; /* counts from the reference, along the position */
     int32_t home_minimum, home_maximum;     /* at the start: within the tolerance of the target */
+    int32_t free_minimum, free_maximum;     /* who leaves this in free space made a false start: no trial follows */
     int32_t current_limit;                  /* quanta */
     int32_t may_pull;   /* 1: the wall may pull a handle that leaves it */
     int32_t entry_only; /* 1: damping acts on the way in only */
@@ -182,7 +184,11 @@ typedef struct {
     int32_t extrapolate; /* 1: first-order prediction between velocity samples; float law only */
     uint32_t velocity_divider; /* ticks of a velocity period; 1: uniform */
     uint32_t slow_multiple;    /* velocity periods between samples of a slow handle; 1: every one */
-    uint32_t settle_ticks, home_timeout_ticks, trial_ticks, release_ticks;
+    uint32_t settle_ticks, home_timeout_ticks;
+    uint32_t free_ticks;  /* of free space before the trial; 0: none */
+    uint32_t trial_ticks; /* of the trial, or of a trial without a contact */
+    uint32_t hold_ticks;  /* from the first contact to the end; 0: contact or not, trial_ticks */
+    uint32_t release_ticks;
     law_biquad biquad;
     law_low_pass low_pass;
     law_foaw foaw;
@@ -243,6 +249,7 @@ typedef struct {
     uint32_t sampled;      /* 1 once the estimator has run */
     uint32_t phase;        /* law_phase */
     uint32_t phase_ticks, rest_ticks;
+    uint32_t contact_ticks; /* of the trial before the first contact; 0: none yet */
     uint32_t release_share, release_rest; /* of the effort, 2^-15, in the fixed law: quotient and remainder */
     uint32_t release_step, release_step_rest; /* of the share, in a tick */
     int32_t previous;      /* count of the last estimate */

@@ -1,5 +1,5 @@
-/* What both laws do between the estimate and the effort: when a velocity period is due, homing, settling, trial and
- * release, and the end of a run. */
+/* What both laws do between the estimate and the effort: when a velocity period is due, homing, settling, free space,
+ * trial and release, and the end of a run. */
 #ifndef LAW_PHASES_H
 #define LAW_PHASES_H
 
@@ -57,8 +57,16 @@ static inline void law_enter(law_state *s, law_phase phase)
     s->phase_ticks = 0;
 }
 
+/* When the trial ends, in its ticks; `inside`: the handle is in the wall. */
+static inline uint32_t law_end(law_state *s, const law_parameters *p, int inside)
+{
+    if (p->hold_ticks > 0 && s->contact_ticks == 0 && inside)
+        s->contact_ticks = s->phase_ticks;
+    return s->contact_ticks > 0 ? law_add(s->contact_ticks, p->hold_ticks) : p->trial_ticks;
+}
+
 /* Go on to the phase of this tick; the flag of a homing that failed, or 0. */
-static inline uint32_t law_advance(law_state *s, const law_parameters *p, int32_t travel, uint32_t elapsed)
+static inline uint32_t law_advance(law_state *s, const law_parameters *p, int32_t travel, int inside, uint32_t elapsed)
 {
     const uint32_t ticks = law_add(s->phase_ticks, elapsed);
 
@@ -78,14 +86,20 @@ static inline uint32_t law_advance(law_state *s, const law_parameters *p, int32_
             s->phase = LAW_SETTLE;
         }
         if (s->phase == LAW_SETTLE && s->rest_ticks >= p->settle_ticks) {
-            law_enter(s, LAW_TRIAL);
+            law_enter(s, p->free_ticks > 0 ? LAW_FREE : LAW_TRIAL);
         } else if (ticks > p->home_timeout_ticks) {
             law_enter(s, LAW_DONE);
             return LAW_HOMING_FAILED;
         }
         break;
+    case LAW_FREE:
+        if (travel < p->free_minimum || travel > p->free_maximum)
+            law_enter(s, LAW_DONE);
+        else if (ticks >= p->free_ticks)
+            law_enter(s, LAW_TRIAL);
+        break;
     case LAW_TRIAL:
-        if (ticks >= p->trial_ticks)
+        if (ticks >= law_end(s, p, inside))
             law_enter(s, LAW_RELEASE);
         break;
     case LAW_RELEASE:

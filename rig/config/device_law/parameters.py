@@ -79,7 +79,9 @@ def law_parameters(controller: Controller, arithmetic: Arithmetic) -> Values:
         "slow_multiple": c["slow_multiple"],
         "settle_ticks": min(c["settle_ticks"], MOST_TICKS),
         "home_timeout_ticks": min(c["home_timeout_ticks"], MOST_TICKS),
+        "free_ticks": min(c["free_ticks"], MOST_TICKS),
         "trial_ticks": min(c["trial_ticks"], MOST_TICKS),
+        "hold_ticks": min(c["hold_ticks"], MOST_TICKS),
         "release_ticks": max(1, c["release_ticks"]),
         "wall_side": int(c["wall_side"]),
         **_places(c),
@@ -207,9 +209,10 @@ def _places(c: Control) -> Values:
     delta, target, tolerance = abs(c["resolution"]), c["home_target"], c["home_tolerance"]
     target_bits = round(target / delta * 2**SETPOINT_BITS)
     return {
-        "law_window_minimum": _first(lambda t: delta * t >= c["window_minimum"], c["window_minimum"] / delta),
-        "law_window_maximum": _first(lambda t: delta * t > c["window_maximum"], c["window_maximum"] / delta)
-        - 1,
+        "law_window_minimum": _least(c["window_minimum"], delta),
+        "law_window_maximum": _most(c["window_maximum"], delta),
+        "free_minimum": _least(c["free_minimum"], delta),
+        "free_maximum": _most(c["free_maximum"], delta),
         "home_minimum": _first(
             lambda t: delta * t > target or abs(delta * t - target) <= tolerance, (target - tolerance) / delta
         ),
@@ -221,6 +224,16 @@ def _places(c: Control) -> Values:
         "home_target_fraction": target_bits & (2**SETPOINT_BITS - 1),
         "home_step": round(c["home_step"] / delta * 2**SETPOINT_BITS),
     }
+
+
+def _least(position: float, delta: float) -> int:
+    """First count that is at a position or above."""
+    return _first(lambda t: delta * t >= position, position / delta)
+
+
+def _most(position: float, delta: float) -> int:
+    """Last count that is at a position or below."""
+    return _first(lambda t: delta * t > position, position / delta) - 1
 
 
 def _first(passes: Callable[[int], bool], near: float) -> int:

@@ -181,7 +181,7 @@ class _Console:
             self._talk.see(message["view"])
             if self._hand is not None:
                 self._hand.scale(self._talk.view.scale)
-            if self._talk.view.state != before and self._talk.view.state == "hit":
+            if self._talk.view.state != before and self._talk.view.state == "go":
                 self._ring()
         elif kind == "ask":
             self._number = message["number"]

@@ -37,7 +37,7 @@ class ExactLaw:
             )
         )  # fmt: skip
         self.index = self.period = -1
-        self.velocity = self.phase_ticks = self.rest_ticks = self.setpoint = 0
+        self.velocity = self.phase_ticks = self.rest_ticks = self.setpoint = self.contact_ticks = 0
         self.limited = Fraction(0)  # quanta, in steps of 2^-15
         self.phase, self.flags = Phase.WAIT, RowFlag(0)
 
@@ -56,7 +56,7 @@ class ExactLaw:
             self.period += periods
             self.velocity = self.filter.velocity(count, periods)
             self.flags |= RowFlag.VELOCITY_UPDATED
-        self._advance(travel, elapsed)
+        self._advance(travel, depth, elapsed)
         wanted = self._wanted(travel, depth, elapsed)
         out = not p.window_minimum <= travel <= p.window_maximum or abs(self.velocity) > w.speed_limit
         if out:
@@ -79,7 +79,7 @@ class ExactLaw:
     def _enter(self, phase: Phase) -> None:
         self.phase, self.phase_ticks = phase, 0
 
-    def _advance(self, travel: int, elapsed: int) -> None:
+    def _advance(self, travel: int, depth: int, elapsed: int) -> None:
         p = self.p
         self.phase_ticks += elapsed
         if self.phase is Phase.WAIT:
@@ -90,12 +90,21 @@ class ExactLaw:
             self.rest_ticks = self.rest_ticks + elapsed if there else 0
             self.phase = Phase.SETTLE if there else Phase.HOMING
             if there and self.rest_ticks >= p.settle_ticks:
-                self._enter(Phase.TRIAL)
+                self._enter(Phase.FREE if p.free_ticks else Phase.TRIAL)
             elif self.phase_ticks > p.home_timeout_ticks:
                 self.flags |= RowFlag.HOMING_FAILED
                 self._enter(Phase.DONE)
-        elif self.phase is Phase.TRIAL and self.phase_ticks >= p.trial_ticks:
-            self._enter(Phase.RELEASE)
+        elif self.phase is Phase.FREE:
+            if not p.free_minimum <= travel <= p.free_maximum:
+                self._enter(Phase.DONE)
+            elif self.phase_ticks >= p.free_ticks:
+                self._enter(Phase.TRIAL)
+        elif self.phase is Phase.TRIAL:
+            if p.hold_ticks and not self.contact_ticks and depth > 0:
+                self.contact_ticks = self.phase_ticks
+            end = self.contact_ticks + p.hold_ticks if self.contact_ticks else p.trial_ticks
+            if self.phase_ticks >= end:
+                self._enter(Phase.RELEASE)
         elif self.phase is Phase.RELEASE and self.phase_ticks >= p.release_ticks:
             self._enter(Phase.DONE)
 

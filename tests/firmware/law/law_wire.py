@@ -15,7 +15,8 @@ _LOW32 = 2**32 - 1
 _FRACTION = 2**24
 _SAME = (
     "estimator", "extrapolate", "bilateral", "slow_multiple", "settle_ticks", "home_timeout_ticks", "trial_ticks",
-    "release_ticks", "home_minimum", "home_maximum", "velocity_divider", "current_limit",
+    "release_ticks", "home_minimum", "home_maximum", "velocity_divider", "current_limit", "free_ticks", "free_minimum",
+    "free_maximum", "hold_ticks",
 )  # fmt: skip
 _PARTS = {
     "biquad": ("b0", "b1", "b2", "a1", "a2", "coefficient_bits", "state_bits", "word_bits", "rounding"),

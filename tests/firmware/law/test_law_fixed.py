@@ -42,6 +42,8 @@ def test_a_whole_run_is_exact(law: Any, data: st.DataObject) -> None:
     p.home_minimum, p.home_maximum = middle - draw(st.integers(0, 50)), middle + draw(st.integers(0, 50))
     p.settle_ticks, p.home_timeout_ticks = draw(st.integers(0, 6)), draw(st.integers(5, 300))
     p.trial_ticks, p.release_ticks = draw(st.integers(1, 40)), draw(st.integers(1, 20))
+    p.free_ticks, p.hold_ticks = draw(st.integers(0, 20)), draw(st.integers(0, 20))
+    p.free_minimum, p.free_maximum = -draw(st.integers(10, 300)), draw(st.integers(10, 300))
     p.window_minimum, p.window_maximum = -draw(st.integers(60, 300)), draw(st.integers(60, 300))
     p.bilateral = draw(st.integers(0, 1))
     w.home_shift = draw(st.integers(1, 30))

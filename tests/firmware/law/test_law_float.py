@@ -109,7 +109,11 @@ def drawn_controller(random: Any) -> Any:
         "settle_ticks": int(random.integers(0, 6)),
         "home_timeout_ticks": int(random.integers(20, 300)),
         "constant_effort": random.uniform(-500, 500) * quantum,
+        "free_ticks": int(random.choice([0, 0, random.integers(1, 20)])),
+        "free_minimum": -random.uniform(10, 300) * count,
+        "free_maximum": random.uniform(10, 300) * count,
         "trial_ticks": int(random.integers(5, 60)),
+        "hold_ticks": int(random.choice([0, random.integers(1, 30)])),
         "release_ticks": int(random.integers(1, 30)),
     }
     for name, value in values.items():
@@ -168,11 +172,14 @@ def test_what_is_compared_with_a_count_is_decided_as_on_the_host(data: st.DataOb
 
     c["window_minimum"], c["window_maximum"] = place(-900, -200), place(200, 900)
     c["home_target"], c["home_tolerance"] = place(-90, 90), place(0, 9)
+    c["free_minimum"], c["free_maximum"] = place(-900, -200), place(200, 900)
     p = parameters_of(host)
     for travel in range(-1000, 1000):
         position = c["resolution"] * (p.sense * travel)
         in_window = c["window_minimum"] <= position <= c["window_maximum"]
         assert (p.window_minimum <= travel <= p.window_maximum) == in_window
+        free = c["free_minimum"] <= position <= c["free_maximum"]
+        assert (p.free_minimum <= travel <= p.free_maximum) == free
         at_home = not abs(position - c["home_target"]) > c["home_tolerance"]
         assert (p.home_minimum <= travel <= p.home_maximum) == at_home
 

@@ -405,6 +405,43 @@ def test_a_run_goes_through_its_phases_tick_by_tick() -> None:
     assert phases(tick, 14) == [*expected, Phase.DONE, Phase.DONE]
 
 
+FREE = {"skip_homing": False, "settle_ticks": 1, "free_ticks": 4, "release_ticks": 2, "trial_ticks": 6}
+STAY = {"free_minimum": -1.0, "free_maximum": 100 * DELTA, "wall_position": 200 * DELTA}
+
+
+def test_in_free_space_nothing_pushes_and_the_trial_begins_after_it() -> None:
+    tick = Tick(**FREE, **STAY, constant_effort=20.0)
+    assert phases(tick, 6) == [Phase.HOMING, *[Phase.FREE] * 4, Phase.TRIAL]
+    tick = Tick(**FREE, **STAY, constant_effort=20.0, wall={"stiffness": 1e3})
+    sent = []
+    for _ in range(6):
+        tick(50)
+        sent.append(tick.effort_sent)
+    assert sent == [*[0.0] * 5, 20.0]
+
+
+def test_who_moves_before_the_cue_has_no_trial() -> None:
+    tick = Tick(**FREE, **STAY)
+    phases(tick, 3)
+    assert [tick(100) for _ in range(1)] == [0]
+    assert tick.phase == Phase.FREE
+    assert phases(tick, 3, count=101) == [Phase.DONE] * 3
+
+
+def test_the_hold_counts_from_the_first_contact_and_leaving_does_not_restart_it() -> None:
+    tick = Tick(**FREE, **STAY, hold_ticks=5)
+    phases(tick, 6)  # the first tick of the trial is behind
+    assert phases(tick, 3) == [Phase.TRIAL] * 3
+    assert phases(tick, 1, count=201) == [Phase.TRIAL]
+    assert phases(tick, 2) == [Phase.TRIAL] * 2
+    assert phases(tick, 3, count=201) == [Phase.TRIAL, Phase.TRIAL, Phase.RELEASE]
+
+
+def test_without_a_contact_the_trial_ends_in_its_time() -> None:
+    tick = Tick(**FREE, **STAY, hold_ticks=100)
+    assert phases(tick, 12)[5:] == [*[Phase.TRIAL] * 6, Phase.RELEASE]
+
+
 def test_lost_ticks_count_as_time_in_every_phase() -> None:
     tick = Tick(skip_homing=False, settle_ticks=3, trial_ticks=50, release_ticks=4)
     phases(tick, 4)

@@ -186,6 +186,31 @@ def test_a_wall_that_buzzed_until_a_person_left_stays_unstable() -> None:
     assert judge(signals(position, effort=effort), PERSON).kind is Kind.UNSTABLE
 
 
+@pytest.mark.parametrize("at", [0.25, 0.45, 0.57])
+def test_a_person_who_left_a_calm_wall_before_the_tail_says_nothing_of_it(at: float) -> None:
+    position = withdrawn(at)
+    s = signals(position, effort=-200.0 * np.maximum(position, 0.0), resolution=DELTA)
+    assert judge(s, PERSON).kind is Kind.INVALID
+    assert "left the calm wall" in " ".join(judge(s, PERSON).reasons)
+    assert judge(s, LIMITS).reasons == ("the wall was not touched in the tail",)
+
+
+@pytest.mark.parametrize(
+    "position",
+    [
+        np.where(TIME < 0.02, 1e-3, -0.02),  # a bounce
+        withdrawn(0.5) + np.where(TIME < 0.5, ripple(0.9e-3, 60.0), 0.0),  # it shook
+        np.where(TIME < 0.5, 1e-3 + ripple(2e-3, 12.0), -0.02),  # in and out, and away
+    ],
+)
+def test_a_hand_that_was_thrown_out_and_stays_away_was_at_an_unstable_wall(position: Any) -> None:
+    """To repeat such trials would throw the unstable walls away."""
+    verdict = judge(signals(position), PERSON)
+    assert verdict.kind is Kind.UNSTABLE
+    assert "threw the hand out" in " ".join(verdict.reasons)
+    assert judge(signals(position), LIMITS).kind is Kind.INVALID
+
+
 def test_bouncing_before_the_tail_is_only_counted() -> None:
     bouncing = np.where(TIME < 0.5, 1e-3 + 2e-3 * np.sin(2 * np.pi * 5 * TIME), 1e-3)
     verdict = judge(signals(bouncing), LIMITS)

@@ -208,13 +208,13 @@ def test_events_are_in_order_and_lie_in_the_recording(dataset: Any, hit: Any) ->
 def test_spans_are_those_of_the_rows(hit: Any) -> None:
     recording = open_recording(hit)
     rows = recording.rows[:12].copy()
-    rows["phase"] = [Phase.HOMING] * 3 + [Phase.SETTLE] * 2 + [Phase.TRIAL] * 6 + [Phase.RELEASE]
+    rows["phase"] = (
+        [Phase.HOMING] * 3 + [Phase.SETTLE] * 2 + [Phase.FREE] * 2 + [Phase.TRIAL] * 4 + [Phase.RELEASE]
+    )
     rows["flags"] = [0] * 7 + [int(RowFlag.INSIDE)] * 2 + [0, int(RowFlag.INSIDE), 0]
     rows["device_time"] = 500_000 * np.arange(12) + 7
     rows["inputs"], rows["sync_time"] = 0, [0] * 4 + [500_000 * 3 + 107] * 8
-    header = json.loads(json.dumps(recording.header))
-    header["experiment"]["trial"]["baseline_s"] = 0.001
-    found = spans(replace(recording, rows=rows, header=header))
+    found = spans(replace(recording, rows=rows))
     assert [(kind, round(1e3 * onset, 6), round(1e3 * duration, 6)) for kind, onset, duration in found] == [
         ("homing", 0.0, 1.5),
         ("settle", 1.5, 1.0),

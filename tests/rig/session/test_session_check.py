@@ -228,7 +228,7 @@ def test_a_ladder_costs_more_the_higher_the_limit_lies() -> None:
 def heat(schemes: Protocol, trials: int, share: float, press: float = 1.5) -> Any:
     base = base_of(schemes, Path())
     x = override(Walls(schemes, base).at(schemes.condition[0], 0.1, 200.0), {"operator.press": press})
-    times = trial_times(x, 0.5, asks=True)
+    times = trial_times(x, asks=True)
     return heat_of(x, times, trials, share), times, x
 
 

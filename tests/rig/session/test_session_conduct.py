@@ -165,7 +165,7 @@ def test_who_is_not_blinded_sees_the_wall(tmp_path: Path) -> None:
     desk = ScriptedDesk()
     runner = FakeRunner()
     run_with(started(tmp_path / "P01", protocol), runner, desk)
-    assert {view.stiffness for view in desk.views if view.state == "hit"} == {k for _, k in runner.hits}
+    assert {view.stiffness for view in desk.views if view.state == "go"} == {k for _, k in runner.hits}
     assert {"dual-hidden", "uniform-hidden"} <= {view.condition for view in desk.views}
 
 

@@ -119,8 +119,8 @@ def test_a_session_on_the_screen(terminal: Terminal) -> None:
         terminal.until(lambda: len(terminal.screen.text.split("\n")[0]) > 90, "the new width")
         terminal.type("g")
         assert answered(reply) == ("go", "")
-        desk.show(View(state="hit"))
-        terminal.wait("hit")
+        desk.show(View(state="go"))
+        terminal.wait("go")
         reply = asking(desk, asker, VERDICT)
         terminal.wait("[1] stable")
         terminal.type("2")
@@ -147,8 +147,8 @@ def test_a_pedal_and_no_bell(terminal: Terminal) -> None:
 
 def test_space_stops_the_hit_that_runs_and_not_the_next_one(terminal: Terminal) -> None:
     with console(terminal) as (desk, asker):
-        desk.show(View(state="hit"))
-        terminal.wait("hit")
+        desk.show(View(state="hold"))
+        terminal.wait("hold")
         terminal.type(" ")
         assert "stopped at the console" in str(watched(desk))
         reply = asking(desk, asker, READY_QUESTION)
@@ -164,8 +164,8 @@ def test_space_stops_the_hit_that_runs_and_not_the_next_one(terminal: Terminal) 
 
 def test_escape_then_space_stops_a_hit(terminal: Terminal) -> None:
     with console(terminal) as (desk, _):
-        desk.show(View(state="hit"))
-        terminal.wait("hit")
+        desk.show(View(state="hold"))
+        terminal.wait("hold")
         terminal.type("\x1b ")
         assert "stopped at the console" in str(watched(desk))
 
@@ -173,8 +173,8 @@ def test_escape_then_space_stops_a_hit(terminal: Terminal) -> None:
 @pytest.mark.parametrize("space", [" ", "\u3000"])
 def test_space_before_the_next_console_is_there_is_stop(space: str, terminal: Terminal) -> None:
     with console(terminal, silence_s=20.0) as (desk, _):
-        desk.show(View(state="hit"))
-        terminal.wait("hit")
+        desk.show(View(state="hold"))
+        terminal.wait("hold")
         os.kill(desk.pid, signal.SIGKILL)
         terminal.type("1\x1b" + space)
         assert "stopped at the console" in str(watched(desk))
@@ -184,18 +184,18 @@ def test_an_escape_does_not_wait_for_the_session_to_be_silent(terminal: Terminal
     """Each message wakes the console; the escape is as old as it is all the same."""
     pause, deadline = threading.Event(), time.monotonic() + 5.0
     with console(terminal) as (desk, _):
-        desk.show(View(state="hit"))
-        terminal.wait("hit")
+        desk.show(View(state="hold"))
+        terminal.wait("hold")
         terminal.type("\x1b")
         while "escape: no such key" not in terminal.screen.text:
             assert time.monotonic() < deadline
-            desk.show(View(state="hit"))
+            desk.show(View(state="hold"))
             pause.wait(0.01)
 
 
 def test_a_stopped_console_ends_the_hit_and_is_replaced(terminal: Terminal) -> None:
     with console(terminal, silence_s=0.5, hung_s=0.5) as (desk, asker):
-        desk.show(View(state="hit", code="P07"))
+        desk.show(View(state="hold", code="P07"))
         terminal.wait("P07")
         stopped = desk.pid
         os.kill(stopped, signal.SIGSTOP)
@@ -203,7 +203,7 @@ def test_a_stopped_console_ends_the_hit_and_is_replaced(terminal: Terminal) -> N
         assert "was silent for 0.5 s" in error.message
         assert "resume" in error.remedy
         for number in range(200):  # a pipe that nobody reads must not hold the session up
-            desk.show(View(state="hit", code="P07", lines=tuple(f"line {number}" * 20 for _ in range(8))))
+            desk.show(View(state="hold", code="P07", lines=tuple(f"line {number}" * 20 for _ in range(8))))
         reply = asking(desk, asker, VERDICT)
         drawn_by(terminal, 2)
         terminal.wait("the verdict?", "P07")
@@ -284,8 +284,8 @@ def test_the_hand_follows(kind: Any, terminal: Terminal, tmp_path: Path) -> None
         SharedHand.create(path) as hand,
         console(terminal, hand=MovedHand(kind=kind, path=path, press=4.0)) as (desk, _),
     ):
-        desk.show(View(state="hit", scale={"start": 0.1, "wall": 0.5}))
-        terminal.wait("hit")
+        desk.show(View(state="hold", scale={"start": 0.1, "wall": 0.5}))
+        terminal.wait("hold")
         if kind == "mouse":
             terminal.until(lambda: terminal.screen.modes >= {1003, 1006}, "reports of the mouse")
             assert 1016 in terminal.screen.asked

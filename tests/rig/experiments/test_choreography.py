@@ -1,0 +1,137 @@
+"""A person's trial: free space, a cue after a random time, a contact in time, a hold that counts from it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rig import config
+from rig.config import presets
+from rig.config.derive import free_s
+from rig.control.verdict import Kind
+from rig.core.errors import ConfigError
+from rig.core.sample import HOLD, Phase
+from rig.devices.framed import FramedDevice
+from rig.experiments.baseline import baseline
+from rig.experiments.judgement import judge
+from rig.recording.data import Recording
+from rig.recording.marks import marks
+from rig.recording.reader import open_recording
+from sim_backend.device import SimulatedDevice
+from sim_backend.link import MemoryLink
+from tests.conformance.trials import trial_on
+
+HELD = config.override(
+    presets.load("koul-compliant"),
+    {
+        "trial.kind": "human",
+        "rig.limits.human": True,
+        "rig.limits.effort": 0.2,
+        "rig.limits.override_stall": True,
+        "operator.press": 1.0,
+        "trial.baseline_s": 0.2,
+        "trial.foreperiod_s": 0.3,
+        "trial.duration_s": 1.2,
+        "trial.hold_s": 0.6,
+        "wall.stiffness": 60.0,
+        "wall.damping": 0.1,
+        "controller.position_rate": 2_000,
+        "controller.velocity_rate": 2_000,
+        "verdict.tail_s": 0.3,
+        "verdict.lowpass_hz": 400.0,
+    },
+)
+RATE = HELD.controller.position_rate
+
+
+def trial(directory: Path, experiment: Any = HELD, begins_s: float = 0.0, progress: Any = None) -> Recording:
+    """The person reaches that much later than the experiment thinks, or earlier."""
+    model = config.rig_model(experiment)
+    assert model.reach is not None
+    hurried = replace(model, reach=replace(model.reach, wait_s=model.reach.wait_s + begins_s))
+    path = directory / f"{begins_s:g}.rigcap"
+    with FramedDevice(
+        MemoryLink(SimulatedDevice(hurried, initial_position=experiment.trial.start))
+    ) as device:
+        trial_on(device, experiment, path, progress=progress)
+    return open_recording(path.with_suffix(".parquet"))
+
+
+def phases(recording: Recording) -> list[Phase]:
+    found = recording.rows["phase"]
+    return [Phase(n) for n in found[np.flatnonzero(np.diff(found, prepend=-1))]]
+
+
+def test_who_obeys_the_cue_holds_from_the_contact_on(tmp_path: Path) -> None:
+    recording = trial(tmp_path)
+    assert phases(recording)[-4:] == [Phase.FREE, Phase.TRIAL, Phase.RELEASE, Phase.DONE]
+    rows = recording.rows
+    waited = int((rows["phase"] == Phase.FREE).sum())
+    assert waited == round(free_s(HELD) * RATE)
+    assert 0.2 * RATE <= waited <= 0.5 * RATE
+    led = rows[rows["phase"] == Phase.TRIAL]
+    contact = int(np.argmax(led["penetration"] > 0.0))
+    assert len(led) - contact == round(HELD.trial.hold_s * RATE)
+    verdict = judge(recording, HELD).verdict
+    assert verdict.kind is Kind.STABLE, verdict.reasons
+    assert verdict.contact_s == pytest.approx(contact / RATE)
+    free = baseline(recording, HELD)
+    assert free is not None
+    assert free.duration_s == pytest.approx(waited / RATE)
+    assert free.sent_rms == 0.0
+
+
+def test_who_anticipates_it_has_made_a_false_start_and_meets_no_wall(tmp_path: Path) -> None:
+    recording = trial(tmp_path, begins_s=-0.3)
+    assert phases(recording)[-2:] == [Phase.FREE, Phase.DONE]
+    verdict = judge(recording, HELD).verdict
+    assert (verdict.kind, verdict.reasons) == (
+        Kind.INVALID,
+        ("a false start: the handle moved before the cue",),
+    )
+    assert recording.rows["effort_sent"][-1] == 0.0
+
+
+def test_who_is_slow_holds_as_long_and_who_never_comes_is_told_so(tmp_path: Path) -> None:
+    slow = trial(tmp_path, begins_s=0.7)
+    assert judge(slow, HELD).verdict.kind is Kind.STABLE
+    led = slow.rows[slow.rows["phase"] == Phase.TRIAL]
+    assert (led["penetration"] > 0.0).sum() >= 0.9 * HELD.trial.hold_s * RATE
+    absent = trial(tmp_path, begins_s=5.0)
+    verdict = judge(absent, HELD).verdict
+    assert (verdict.kind, verdict.reasons) == (Kind.INVALID, ("the wall was never touched",))
+    assert (absent.rows["phase"] == Phase.TRIAL).sum() == round(HELD.trial.duration_s * RATE)
+
+
+def test_those_who_watch_are_told_of_cue_and_contact(tmp_path: Path) -> None:
+    seen: list[int] = []
+    trial(tmp_path, progress=lambda ticks, phase: seen.append(phase))
+    assert set(seen) <= {*Phase, HOLD}
+
+
+def test_the_sync_output_gives_the_cue_to_the_tick(tmp_path: Path) -> None:
+    """It rises with the tick after the first of the trial: the first that the command of that one acts in."""
+    recording = trial(tmp_path)
+    at = {mark.name: mark.tick for mark in marks(recording)}
+    first = int(np.argmax(recording.rows["phase"] == Phase.TRIAL))
+    assert at["trial"] == first
+    assert at["trial_out"] == first + 1
+    assert at["free space"] == int(np.argmax(recording.rows["phase"] == Phase.FREE))
+
+
+def test_the_foreperiod_is_the_seeds_and_spreads_over_its_range() -> None:
+    waits = [free_s(config.override(HELD, {"trial.seed": seed})) for seed in range(200)]
+    assert waits[7] == free_s(config.override(HELD, {"trial.seed": 7}))
+    assert 0.2 <= min(waits) < 0.22
+    assert 0.48 < max(waits) <= 0.5
+    assert np.mean(waits) == pytest.approx(0.35, abs=4.0 * 0.3 / np.sqrt(12 * 200))
+
+
+@pytest.mark.parametrize("key", ["trial.baseline_s", "trial.foreperiod_s", "trial.hold_s"])
+def test_a_motor_keeps_its_clock(key: str) -> None:
+    with pytest.raises(ConfigError, match="keeps its clock"):
+        config.override(presets.load("koul-compliant"), {key: 0.5})
