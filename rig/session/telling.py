@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from rig.control.verdict import Kind
 from rig.session.log import Event
+from rig.session.reasons import told
 from rig.session.trial import Trial
 
 _LINES: dict[str, str] = {
@@ -27,16 +28,20 @@ _LINES: dict[str, str] = {
 def line_of_event(event: Event) -> str:
     """An event as a line that anybody may read: nothing of conditions and walls in it."""
     if event.kind == "trial":
-        return f"trial {event.content['trial']}" + (
-            ", invalid" if event.content["automatic"] == Kind.INVALID else ""
+        content = event.content
+        invalid = content["automatic"] == Kind.INVALID
+        return (
+            _invalid(content["trial"], content["reasons"], blind=True)
+            if invalid
+            else f"trial {content['trial']}"
         )
     if event.kind == "opened":
-        told = ["opened"]
+        opened = ["opened"]
         if walls := sum(len(one["stiffness"]) for one in event.content.get("armed_anyway", ())):
-            told.append(
+            opened.append(
                 f"the arming gate refuses {walls} walls, and they are armed with the operator's consent"
             )
-        return "; ".join([*told, *lost_samples(event.content)])
+        return "; ".join([*opened, *lost_samples(event.content)])
     if event.kind == "amended" and "trial" in event.content:
         value = event.content["value"]
         said = {True: "does not count", False: "counts after all"}.get(value, f"corrected: {value}")
@@ -70,10 +75,16 @@ def lost(event: Event) -> list[str]:
     return losses
 
 
-def outcome(trial: Trial) -> str:
+def outcome(trial: Trial, *, blind: bool) -> str:
     """The result of a trial, without its wall, and without anything that could influence a verdict."""
     if trial.invalid:
-        return f"trial {trial.trial}: invalid, it is repeated"
+        return _invalid(trial.trial, trial.reasons, blind=blind)
     if not trial.verdict:
         return f"trial {trial.trial}: over"
     return f"trial {trial.trial}: done" + (", cut off for safety" if trial.aborted else "")
+
+
+def _invalid(trial: int, reasons: Sequence[str], *, blind: bool) -> str:
+    return ": ".join(
+        [f"trial {trial}", "invalid, it is repeated", *filter(None, [told(reasons, blind=blind)])]
+    )

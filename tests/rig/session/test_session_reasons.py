@@ -1,0 +1,149 @@
+"""Why a trial is invalid, on the screen, in lines and in JSON: at once, whole, and for the blinded without the wall."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rig.config import presets, verdict_thresholds
+from rig.control import verdict
+from rig.control.measure import NUMBERS
+from rig.control.verdict import INVALID as MAKES_INVALID
+from rig.control.verdict import TOGGLES, Objection
+from rig.core.errors import GuardError
+from rig.core.present import plain
+from rig.session.conduct import conduct
+from rig.session.desk import View
+from rig.session.reasons import HIDDEN, RIG_LIMIT, told
+from rig.session.run import summary
+from tests.rig.session.session_fakes import INVALID, SPOILED, FakeRunner, ScriptedDesk, protocol_of, study
+from tests.rig.session.test_session_conduct import started
+
+THRESHOLDS = verdict_thresholds(presets.load("koul-rigid"))
+OF_THE_RIG = Objection.SLEW_BOUND | Objection.IDLE_SATURATION
+TELLING = {  # numbers by which somebody could tell one wall or condition from another
+    "ticks": 41791,
+    "slew_bound_ticks": 41792,
+    "overruled_ticks": 41793,
+    "settling_in_tail_s": 4179.4,
+    "current_differs": 41795,
+    "other_current_ticks": 41796,
+}
+
+
+@pytest.fixture(autouse=True)
+def _quick_disk(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "fsync", lambda descriptor: None)
+
+
+def reason(objection: Objection, **changes: Any) -> str:
+    """What the log keeps of it."""
+    numbers = np.zeros((), NUMBERS)
+    for name, value in {**TELLING, **changes}.items():
+        numbers[name] = value
+    return verdict._TEXTS[objection](numbers[()], THRESHOLDS)
+
+
+@pytest.mark.parametrize("objection", list(MAKES_INVALID), ids=lambda one: one.name)
+def test_every_reason_is_told_and_effort_only_as_a_rig_limit(objection: Objection) -> None:
+    """A new reason, or a new wording, is not told before somebody has decided how."""
+    text = reason(objection)
+    said = told([text], blind=True)
+    assert said != HIDDEN
+    assert (said == RIG_LIMIT) == bool(objection & OF_THE_RIG)
+    assert not re.search(r"4179|calm|saturat|slew|settl|ripple", said)
+    assert told([text], blind=False) == text
+
+
+@pytest.mark.parametrize(
+    "text", ["a false start: the handle moved before the cue", "the run ended early: stopped"]
+)
+def test_what_judges_without_the_signals_is_told(text: str) -> None:
+    assert told([text], blind=True) == text
+
+
+def test_what_nobody_has_decided_about_is_hidden() -> None:
+    assert told(["K = 412 is too much"], blind=True) == HIDDEN
+    several = [reason(Objection.SLEW_BOUND), reason(Objection.IDLE_SATURATION), reason(Objection.TOO_SHORT)]
+    assert told(several, blind=True) == f"{RIG_LIMIT}; the trial was too short"
+    assert told([], blind=True) == ""
+
+
+def test_a_dead_channel_of_the_encoder_is_told() -> None:
+    text = reason(Objection.NEVER_TOUCHED, toggles=TOGGLES)
+    assert told([text], blind=True) == text
+    assert "one channel of the encoder is dead" in text
+
+
+def invalid(*objections: Objection, **more: Any) -> dict[str, Any]:
+    return {**INVALID, "reasons": [reason(one) for one in objections], **more}
+
+
+def views_after(desk: ScriptedDesk, trial: int) -> list[View]:
+    return [view for view in desk.views if view.last.startswith(f"trial {trial}:")]
+
+
+@pytest.mark.parametrize("blind", ["both", "participant"])
+def test_the_reason_is_there_before_anybody_is_asked_anything(tmp_path: Path, blind: str) -> None:
+    desk = ScriptedDesk()
+    protocol = protocol_of(study=study(blind=blind), stop={"trials": 3})
+    runner = FakeRunner({1: (invalid(Objection.LEFT, Objection.SLEW_BOUND), None)})
+    with started(tmp_path / "P01", protocol) as session:
+        conduct(session, runner, desk)
+        result = summary(session.directory, session.state)
+    first = views_after(desk, 1)[0]
+    if blind == "both":
+        assert first.last == (
+            "trial 1: invalid, it is repeated: the hand left the wall before the end and did not come back: ask to "
+            "stay in it; rig limit"
+        )
+        assert first.last in first.lines
+    else:
+        assert "left the calm wall" in first.last
+        assert "the slew limit bound in 41792 ticks" in first.last
+    assert (first.state, first.trial, first.attempt) == ("ready", 2, 2)
+    assert first.say == f"Again. {protocol.trial.say}"
+    assert "gain" not in protocol.trial.say
+    assert {view.say for view in desk.views if view.state == "ready" and view.attempt == 1} == {
+        protocol.trial.say
+    }
+    (line,) = result.invalid_trials
+    assert line.startswith("trial 1: invalid, it is repeated: the hand left the wall")
+    assert plain(result)["invalid_trials"] == [line]
+
+
+def test_no_question_and_no_pause_tells_a_blinded_operator_of_the_wall(tmp_path: Path) -> None:
+    """After as many attempts as are allowed, after an early end, and after trials that the machine spoiled."""
+    spoiled = {**SPOILED, "reasons": [reason(Objection.GAPS), reason(Objection.OVERRULED)]}
+    guarded = GuardError("the motor gave the handle 4179 J: the effort oscillated")
+    ended = [
+        "the run ended early: current differs",
+        reason(Objection.CURRENT),
+        reason(Objection.IDLE_SATURATION),
+    ]
+    fails: dict[int, Any] = {
+        **dict.fromkeys((1, 2, 3), (invalid(Objection.IDLE_SATURATION, Objection.STILL_SETTLING), None)),
+        4: ({**INVALID, "reasons": ended}, guarded),
+        **dict.fromkeys(range(6, 12), (spoiled, None)),
+    }
+    desk = ScriptedDesk()
+    with started(tmp_path / "P01", protocol_of(stop={"trials": 20})) as session:
+        conduct(session, FakeRunner(fails), desk)
+        result = summary(session.directory, session.state)
+    asked = [question.text for question in desk.questions]
+    assert any(
+        re.search(r"3 trials in a row were invalid: rig limit; the trial was too short", text)
+        for text in asked
+    )
+    assert any("ended early: current differs; the motor's current" in text for text in asked)
+    assert any(
+        "spoiled 5 trials in a row: from contact on, 0 % of the samples lost" in text for text in asked
+    )
+    seen = json.dumps([asked, [plain(view) for view in desk.views], plain(result)])
+    assert not re.search(r"4179|calm|saturat|slew|oscillat", seen)
