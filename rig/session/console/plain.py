@@ -24,7 +24,7 @@ class PlainLines:
         found.append(self._new("last", f"last: {view.last}" if view.last else ""))
         fresh = view.lines[_common(self._log, view.lines) :]
         self._log = view.lines
-        found += [f"log: {line}" for line in fresh]
+        found += [f"log: {line}" for line in fresh if line != view.last]
         found.append(self._new("help", self._help(talk)))
         found.append(self._new(f"question {talk.asked}", self._question(talk)))
         found.append(self._new("notice", talk.notice))

@@ -66,7 +66,6 @@ def facts(view: View) -> list[tuple[str, str]]:
         ("counts", "no, practice" if view.practice else "yes"),
         ("attempt", str(view.attempt)),
         ("motor heat", f"{100 * view.heat:.0f} % of budget"),
-        ("last", view.last or "-"),
     ]
 
 

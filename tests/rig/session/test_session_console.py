@@ -412,6 +412,56 @@ def test_a_picture_fits_its_terminal(kind: str, width: int, height: int) -> None
         assert any("[SPACE] STOP" in line for line in lines)
 
 
+LONG = (
+    "trial 7: invalid, it is repeated: from contact on, 2.1 % of the samples lost (limit 1 %), 7 in a row (limit 2): "
+    "the link or this computer was late; the hand left the wall before the end and did not come back: ask to stay in it"
+)
+
+
+def words_of(text: str) -> list[str]:
+    """All words, without what frames them: a text that continues in the next line is whole."""
+    return re.sub("[│╭╮╰╯─ \n]+", " ", text).split()
+
+
+def contains(text: str, part: str) -> bool:
+    return f" {' '.join(words_of(part))} " in f" {' '.join(words_of(text))} "
+
+
+@pytest.mark.parametrize(("width", "height"), [(80, 24), (120, 30), (60, 24), (50, 20), (40, 24), (30, 24)])
+def test_a_long_reason_is_whole_at_once_and_nothing_is_cut_off(width: int, height: int) -> None:
+    view = View(
+        state="ready", say="Again. Push.", code="P03", block=2, blocks=5, run=3, runs=8, trial=34, trials=120,
+        attempt=2, scale=SCALE, last=LONG, lines=(*(f"trial {n}: stable" for n in range(7)), LONG),
+    )  # fmt: skip
+    text = drawn(told(asked(), view), SNAPSHOT, width, height)
+    assert "…" not in text
+    for part in (LONG, words.place(view), "Again. Push.", "ready", "[a] abort", "[SPACE] STOP"):
+        assert contains(text, part), part
+    if height >= 24 and width >= 60:
+        assert "trial 6: stable" in text
+    assert text.count("invalid") == 1  # the log does not repeat it
+
+
+def test_what_is_wide_wraps_beside_the_live_numbers() -> None:
+    name, saturated = "a-condition-with-a-name-of-its-own", replace(SNAPSHOT, effort=-1.234, saturated=True)
+    view = View(state="hit", scale=SCALE, blinded=False, condition=name, stiffness=1234.5, damping=0.125)
+    text = drawn(told(view=view), replace(saturated, skipped=12345), 80, 24)
+    assert "…" not in text
+    cells = "".join(re.findall(r"│ (.{30}) ││", text)).replace(" ", "")
+    assert name in cells
+    assert "K=1234.5,B=0.125" in cells
+    for part in ("saturated", "(12345", "skipped)", "0 % of budget", "[SPACE] STOP"):
+        assert part in text
+
+
+def test_plain_lines_say_a_reason_once_and_whole() -> None:
+    talk, printer = told(view=View(state="ready", last=LONG, lines=("trial 6: stable", LONG))), PlainLines()
+    said = printer.lines(talk, None, 0.0)
+    assert f"last: {LONG}" in said
+    assert [line for line in said if LONG in line] == [f"last: {LONG}"]
+    assert "log: trial 6: stable" in said
+
+
 def test_lines_say_each_thing_once() -> None:
     conversation, printer = told(asked("verdict", ("judge", "redo"))), PlainLines()
     first = printer.lines(conversation, None, 0.0)

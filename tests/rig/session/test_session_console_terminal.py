@@ -28,6 +28,7 @@ from rig.session.desk import Action, Question, Reply, View
 from rig.session.protocol import Keys
 from tests.conformance.terminal import PATIENCE_S, Program, Terminal
 from tests.rig.session.session_fakes import FakeRunner, protocol_of
+from tests.rig.session.test_session_console import LONG, contains
 
 ROOT = Path(__file__).parents[3]
 READY: tuple[Action, ...] = ("go", "pause", "skip", "redo", "note", "abort")
@@ -274,6 +275,25 @@ def test_lines_for_a_screen_reader(terminal: Terminal) -> None:
         assert "\nok\n" in terminal.wait_printed("\nok\n")
     assert terminal.screen.modes == set()
     assert terminal.attributes_are_back()
+
+
+@pytest.mark.parametrize("columns", [80, 60, 40])
+def test_a_reason_stands_whole_on_the_screen(columns: int, terminal: Terminal) -> None:
+    with console(terminal) as (desk, asker):
+        terminal.resize(24, columns)
+        desk.show(View(state="ready", say="Again. Push.", last=LONG, lines=("trial 6: stable", LONG)))
+        reply = asking(desk, asker, READY_QUESTION)
+        terminal.until(lambda: contains(terminal.screen.text, LONG), LONG)
+        assert "…" not in terminal.wait("Again. Push.", "[SPACE] STOP")
+        terminal.type("g")
+        assert answered(reply) == ("go", "")
+
+
+def test_a_reason_is_a_plain_line(terminal: Terminal) -> None:
+    with console(terminal, plain=True) as (desk, _):
+        desk.show(View(state="ready", last=LONG, lines=("trial 6: stable", LONG)))
+        printed = terminal.wait_printed(f"last: {LONG}\n", "log: trial 6: stable\n")
+    assert printed.count(LONG) == 1
 
 
 @pytest.mark.parametrize("kind", ["keyboard", "mouse"])
