@@ -1,4 +1,4 @@
-"""Sentences about a session that anybody may read: without conditions and walls."""
+"""Sentences about a session: such as anybody may read, without conditions and walls, and such as tell all."""
 
 from __future__ import annotations
 
@@ -6,13 +6,18 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from rig.control.verdict import Kind
+from rig.core.sample import Motion, unit_of
+from rig.experiments.judgement import FINISHED
 from rig.session.log import Event
+from rig.session.place import device_words
 from rig.session.reasons import told
-from rig.session.trial import Trial
+from rig.session.trial import Trial, trial_of
 
 _LINES: dict[str, str] = {
     "judged": "trial {trial}: {verdict}",
     "redone": "trial {trial} does not count",
+    "skipped": "run {run} is left without a limit",
+    "retried": "run {run} continues after invalid trials",
     "block": "block {block} begins",
     "restarted": "block {block} starts over",
     "note": "note: {text}",
@@ -51,6 +56,43 @@ def line_of_event(event: Event) -> str:
     if event.kind == "resumed":
         return "; ".join(["resumed", *lost(event)])
     return _LINES.get(event.kind, event.kind).format(**event.content)
+
+
+def whole_line(event: Event, motion: Motion) -> str:
+    """An event as a line for those who are not blinded: with condition and wall, and reasons in full."""
+    content, said = event.content, [line_of_event(event)]
+    if event.kind == "trial":
+        return _whole(trial_of(content), motion)
+    if event.kind == "began":
+        said.append(f"{content['protocol']['study']['title']}, row {content['row']} of the order")
+    elif event.kind == "opened":
+        said.append(device_words(content))
+        said += [
+            f"armed anyway: {one['condition']}, B = {one['damping']:g}, "
+            f"K = {', '.join(f'{stiffness:g}' for stiffness in one['stiffness'])}"
+            for one in content.get("armed_anyway", ())
+        ]
+    elif event.kind == "pulse":
+        said += content["checks"]
+    elif event.kind == "stopped" and "detail" in content:
+        said.append(" ".join(content["detail"].split()))
+    return "; ".join(said)
+
+
+def _whole(trial: Trial, motion: Motion) -> str:
+    wall = ", ".join(
+        f"{symbol} = {value:g} {unit_of(quantity, motion)}"
+        for symbol, value, quantity in (("K", trial.stiffness, "stiffness"), ("B", trial.damping, "damping"))
+    )
+    kind = [name for name in ("practice", "catch") if getattr(trial, name)]
+    attempt = [f"attempt {trial.attempt}"] if trial.attempt > 1 else []
+    ended = trial.aborted or trial.ended.replace(FINISHED, "")
+    said = [
+        ", ".join([f"trial {trial.trial}", *kind, trial.condition, wall, *attempt]),
+        ": ".join(["the program says " + trial.automatic, *filter(None, ["; ".join(trial.reasons)])]),
+        *([f"ended early: {ended.replace('_', ' ')}"] if ended else []),
+    ]
+    return "; ".join(said)
 
 
 def lost_samples(opened: Mapping[str, Any]) -> list[str]:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rig.cli import run as rig
 from rig.config import presets, verdict_thresholds
 from rig.control import verdict
 from rig.control.measure import NUMBERS
@@ -20,8 +21,10 @@ from rig.core.errors import GuardError
 from rig.core.present import plain
 from rig.session.conduct import conduct
 from rig.session.desk import View
+from rig.session.log import Event
 from rig.session.reasons import HIDDEN, RIG_LIMIT, told
 from rig.session.run import summary
+from rig.session.telling import line_of_event, whole_line
 from tests.rig.session.session_fakes import INVALID, SPOILED, FakeRunner, ScriptedDesk, protocol_of, study
 from tests.rig.session.test_session_conduct import started
 
@@ -116,6 +119,65 @@ def test_the_reason_is_there_before_anybody_is_asked_anything(tmp_path: Path, bl
     (line,) = result.invalid_trials
     assert line.startswith("trial 1: invalid, it is repeated: the hand left the wall")
     assert plain(result)["invalid_trials"] == [line]
+
+
+def test_a_log_is_told_in_sentences_and_in_json_with_walls_only_unblinded(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    thrown = {"automatic": "unstable", "reasons": ["left the wall 3 times in the tail"]}
+    fails: dict[int, Any] = {
+        1: (invalid(Objection.TOUCHED_LATE, Objection.SLEW_BOUND), None),
+        3: ({**thrown, "ended": "energy", "aborted": "energy"}, None),
+    }
+    with started(tmp_path / "P01", protocol_of(stop={"trials": 3})) as session:
+        conduct(session, FakeRunner(fails), ScriptedDesk())
+
+    def show(*options: str) -> str:
+        assert rig(["session", "show", str(tmp_path / "P01"), *options]) == 0
+        return capsys.readouterr().out
+
+    blind = "trial 1: invalid, it is repeated: the wall was touched too late; rig limit"
+    reported = json.loads(show("--json"))
+    assert reported["invalid_trials"] == [blind]
+    assert blind in [event["text"] for event in reported["events"]]
+    assert blind in show("--log")
+    assert not re.search(r"4179|slew|hidden|0\.37", show("--log") + json.dumps(reported))
+    told_all = show("--log", "--unblind")
+    assert not re.search(r'[{}"\[\]]', told_all)
+    wall = r"[a-z]+-hidden, K = \d+ N·m/rad, B = 0\.37 N·m·s/rad"
+    assert re.search(
+        rf"trial 1, {wall}; the program says invalid: the first contact lies in the tail; the slew limit bound",
+        told_all,
+    )
+    assert re.search(rf"trial 2, {wall}, attempt 2; the program says", told_all)
+    assert re.search(r"says unstable: left the wall 3 times in the tail; ended early: energy\n", told_all)
+    assert "began; fakes, row 0 of the order" in told_all
+    assert "opened; koul-rigid (simulated)" in told_all
+    assert '"stiffness"' in show("--json", "--unblind")
+
+
+@pytest.mark.parametrize(
+    ("kind", "content", "whole"),
+    [
+        (
+            "opened",
+            {
+                "device": "koul", "simulated": False, "serial_number": "7",
+                "armed_anyway": [{"condition": "dual", "damping": 0.37, "stiffness": [400.0, 412.5]}],
+            },
+            "; koul (real, serial number 7); armed anyway: dual, B = 0.37, K = 400, 412.5",
+        ),
+        ("pulse", {"said": "it moves", "checks": ["direction: K as it is", "inertia: fine"]},
+         "; direction: K as it is; inertia: fine"),
+        ("stopped", {"reason": "an error", "detail": "K = 412 is too much\n  choose less"},
+         "; K = 412 is too much choose less"),
+        ("note", {"text": "a note"}, ""),
+    ],
+)  # fmt: skip
+def test_what_is_told_besides_to_those_who_are_not_blinded(kind: str, content: Any, whole: str) -> None:
+    event = Event(5, 0.0, kind, content)
+    assert whole_line(event, "rotary") == line_of_event(event) + whole
+    assert not whole or not re.search(r"K =|K as|0\.37|41", line_of_event(event))
 
 
 def test_no_question_and_no_pause_tells_a_blinded_operator_of_the_wall(tmp_path: Path) -> None:
