@@ -52,7 +52,9 @@ def _device_options(command: Any) -> Any:
                 type=click.Choice(["simulated", "mouse", "keyboard"]),
                 default="simulated",
                 show_default=True,
-                help="Who moves the handle of a simulated rig.",
+                help="Who moves the handle of a simulated rig: its script; the mouse (to the right: towards and into "
+                "the wall; a button held: full press); or keys (left, right: a step; down, up: five; home: back; end: "
+                "into the wall).",
             ),
             click.option("--plain", is_flag=True, help="One line for each change, instead of a full screen."),
             click.option(

@@ -147,7 +147,7 @@ class Operator:
     def hits(self) -> None:
         """Say go until a hit is there to be judged."""
         for _ in range(HITS):
-            asked = self.sees("[1] stable", "ended early:", "said nothing:", "ready?")
+            asked = self.sees("[1] stable", "ended early:", "were invalid:", "ready?")
             if asked == "[1] stable":
                 return
             assert asked, self.end()
@@ -288,7 +288,7 @@ def begin_to_press(operator: Operator, clock: str) -> None:
     """Say go until a hand presses against the wall; in real time the keys move it."""
     engine, screen = operator.program.pid, operator.terminal.screen
     for _ in range(HITS):
-        asked = operator.sees("ended early:", "said nothing:", "ready?")
+        asked = operator.sees("ended early:", "were invalid:", "ready?")
         assert asked, operator.end()
         operator.types("g", until_gone=asked)
         if asked != "ready?":

@@ -89,7 +89,8 @@ class _Console:
         self._lines = Lines()
         setup, self._early = self._setup()
         self._session_pid = int(setup["pid"])
-        self._talk = Conversation(KeyMap.from_mapping(setup["keys"]))
+        hand = setup.get("hand")
+        self._talk = Conversation(KeyMap.from_mapping(setup["keys"]), hand["kind"] if hand else None)
         self._attributes = setup["attributes"]
         self._bell = self._talk.keymap.bell
         self._live = Live(self._session_pid)
@@ -102,7 +103,6 @@ class _Console:
         self._number = 0  # of the question
         self._over = False
         self._drawn_s = 0.0
-        hand = setup.get("hand")
         self._hand = None if hand is None else _MovedHand(hand)
         self._face: _Face = _Lines() if setup["plain"] or not self._is_terminal else _Screen(self._hand)
 
@@ -230,7 +230,7 @@ class _Console:
 
     def _event(self, event: Event) -> None:
         if isinstance(event, Key):
-            if self._hand is not None and self._hand.key(event.name) and self._talk.entry is None:
+            if self._hand is not None and self._talk.entry is None and self._hand.key(event.name):
                 return
             self._face.typed(self._talk, event.name)
             self._do(self._talk.press(event.name))

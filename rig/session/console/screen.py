@@ -173,7 +173,7 @@ def _keys(talk: Conversation) -> Text:
 
 def _help(talk: Conversation, width: int, height: int) -> Panel:
     """All keys, each in a line of its own where the terminal is high enough."""
-    pairs = words.help_pairs(talk.keymap)
+    pairs = words.help_pairs(talk)
     names = max(NAMES, *(len(key) for key, _ in pairs))
     if _column_rows([meaning for _, meaning in pairs], width - FRAME - names - 2) + 2 <= height:
         return Panel(_pairs(pairs), title="keys")

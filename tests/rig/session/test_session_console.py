@@ -25,7 +25,7 @@ from rig.session.console.keyboard import Key, Keyboard, Mode, Mouse
 from rig.session.console.live import Live, Snapshot, snapshot_of
 from rig.session.console.messages import Lines, line_of
 from rig.session.console.plain import PlainLines
-from rig.session.console.pointer import Pointer
+from rig.session.console.pointer import HandKind, Pointer
 from rig.session.console.screen import picture
 from rig.session.desk import Action, Question, View
 from rig.session.keymap import KeyMap
@@ -287,6 +287,50 @@ def test_what_shows_the_keys_hides_no_stop_and_no_question() -> None:
     assert conversation.help
     conversation.ask(plain(asked("trouble", ("go", "abort"))), 0.0)
     assert not conversation.help
+
+
+@pytest.mark.parametrize(
+    ("key", "outcome"), [("1", [Answer("judge", "stable")]), ("r", [Answer("redo")]), ("space", [Stop()])]
+)
+def test_a_key_on_the_page_of_the_keys_does_what_the_page_says(key: str, outcome: list[Any]) -> None:
+    conversation = told(asked("verdict", ("judge", "redo", "note", "abort")))
+    conversation.press("?")
+    assert conversation.press(key) == outcome
+    assert not conversation.help
+
+
+@pytest.mark.parametrize("key", ["?", "enter", "escape"])
+def test_what_leaves_the_page_of_the_keys_begins_nothing(key: str) -> None:
+    conversation = told(asked())
+    conversation.press("?")
+    assert conversation.press(key) == []
+    assert (conversation.help, conversation.question is None, conversation.notice) == (False, False, "")
+    assert conversation.press("enter") == [Answer("go")]
+
+
+def test_an_unknown_key_on_the_page_of_the_keys_is_named() -> None:
+    conversation = told(asked())
+    conversation.press("?")
+    assert conversation.press("x") == []
+    assert "x: no such key" in conversation.notice
+
+
+@given(st.text(st.sampled_from("1234grpnsa?y "), max_size=20), st.booleans())
+def test_typed_text_is_never_a_command(text: str, note: bool) -> None:
+    item = {"kind": "text"}
+    conversation = told(
+        asked("item", ("answer", "redo", "note", "abort"), item=item) if not note else asked()
+    )
+    if note:
+        conversation.press("n")
+    for character in text:
+        assert conversation.press("space" if character == " " else character) == []
+    assert (conversation.help, conversation.twice, conversation.later, conversation.notice) == (
+        False, None, None, "",
+    )  # fmt: skip
+    kind: Action = "note" if note else "answer"
+    found = conversation.press("enter")
+    assert found == ([Answer(kind, text.strip())] if text.strip() or not note else [])
 
 
 def test_a_rest_ends_itself_but_not_under_a_note() -> None:
@@ -560,6 +604,36 @@ def test_the_pointer_reaches_from_behind_the_start_into_the_wall(scale: dict[str
     position, press = pointer.intention
     assert abs(position - wall) < 0.75 * abs(wall - start)
     assert 0.0 < press < 4.0
+
+
+@pytest.mark.parametrize(
+    ("hand", "says"),
+    [
+        ("keyboard", ["[left] [right] a step", "[end] into the wall"]),
+        ("mouse", ["mouse to the right", "full press"]),
+    ],
+)
+def test_what_moves_the_hand_stands_on_the_screen_among_the_keys_and_in_lines(
+    hand: HandKind, says: list[str]
+) -> None:
+    conversation = Conversation(KEYMAP, hand)
+    for width, height in ((80, 24), (60, 24), (40, 24)):
+        text = drawn(conversation, None, width, height)
+        assert all(contains(text, part) for part in says)
+    printer = PlainLines()
+    assert words.hand(conversation) in printer.lines(conversation, None, 0.0)
+    assert words.hand(conversation) not in printer.lines(conversation, SNAPSHOT, 1.0)
+    conversation.press("?")
+    for width, height in ((80, 24), (60, 24)):
+        page = drawn(conversation, None, width, height)
+        assert "…" not in page
+        assert all(
+            contains(page.replace(";", ""), meaning.replace(";", ""))
+            for _, meaning in words.help_pairs(conversation)
+        )
+        assert "press" in page
+    nobody = drawn(Conversation(KEYMAP), None)
+    assert "hand:" not in nobody
 
 
 # Messages

@@ -110,9 +110,11 @@ def test_a_session_on_the_screen(terminal: Terminal) -> None:
         terminal.wait("x: no such key")
         terminal.type("?")
         terminal.wait("verdict: unsure")
-        terminal.type("a")  # back to the question, and nothing else
+        terminal.type("?")  # back to the question, and nothing else
         terminal.wait("ready now?")
-        terminal.type("a")
+        terminal.type("?")
+        terminal.wait("verdict: unsure")
+        terminal.type("a")  # acts there as it would without the page
         terminal.wait("leave the session")
         terminal.type("g")
         terminal.wait("abort: no")
@@ -324,8 +326,41 @@ def test_the_hand_follows(kind: Any, terminal: Terminal, tmp_path: Path) -> None
         again = wish(keys[1], lambda one: one.position < 0.1)
         assert (again.position, again.press) == (pytest.approx(0.0), 0.0)
         wish("", lambda one: one.sequence > again.sequence + 2)  # said again and again: else it would rest
+        assert "hand:" in terminal.screen.text
     assert terminal.screen.modes & {1003, 1006, 1016} == set()
     assert not path.exists()
+
+
+def test_keys_in_a_note_do_not_move_the_hand(terminal: Terminal, tmp_path: Path) -> None:
+    path = tmp_path / "of" / "hand"
+    path.parent.mkdir()
+    moved = MovedHand(kind="keyboard", path=path, press=4.0)
+    with SharedHand.create(path) as hand, console(terminal, hand=moved) as (desk, asker):
+        desk.show(View(state="ready", scale={"start": 0.1, "wall": 0.5}))
+        reply = asking(desk, asker, READY_QUESTION)
+        terminal.wait("ready?")
+        terminal.type("n")
+        terminal.wait("note>")
+        terminal.type(
+            "ab\x1b[F\x1b[Dc"
+        )  # end, left: of the line that is typed, as far as somebody thinks of it
+        terminal.wait("note> abc_")
+        found = hand.read()
+        assert found is not None
+        assert (found.position, found.press) == (pytest.approx(0.1), 0.0)
+        terminal.type("\r")
+        assert answered(reply) == ("note", "abc")
+
+
+def test_a_hand_that_this_console_cannot_move_is_refused(terminal: Terminal, tmp_path: Path) -> None:
+    keyboard, mouse = (
+        MovedHand(kind=kind, path=tmp_path / "hand", press=4.0) for kind in ("keyboard", "mouse")
+    )
+    with pytest.raises(ConfigError, match=r"go = 'right': that key moves the hand"):
+        ConsoleDesk(Keys(go="right"), hand=keyboard, place=Path(terminal.path))
+    with pytest.raises(ConfigError, match="prints lines"):
+        ConsoleDesk(hand=mouse, plain=True, place=Path(terminal.path))
+    assert terminal.attributes_are_back()
 
 
 # A session's program of its own: the kernel's signals, a script at standard input, an end without a word.
