@@ -23,11 +23,13 @@ import pytest
 
 from rig.core.errors import ConfigError, RigError, StoppedError
 from rig.devices.hand import SharedHand, Wish
+from rig.session.conduct import conduct
 from rig.session.console.desk import ConsoleDesk, MovedHand, at_console
 from rig.session.desk import Action, Question, Reply, View
 from rig.session.protocol import Keys
 from tests.conformance.terminal import PATIENCE_S, Program, Terminal
-from tests.rig.session.session_fakes import FakeRunner, protocol_of
+from tests.rig.session.session_fakes import INVALID, LOST, FakeRunner, protocol_of
+from tests.rig.session.test_session_conduct import started
 from tests.rig.session.test_session_console import LONG, contains
 
 ROOT = Path(__file__).parents[3]
@@ -296,6 +298,44 @@ def test_a_reason_is_a_plain_line(terminal: Terminal) -> None:
         desk.show(View(state="ready", last=LONG, lines=("trial 6: stable", LONG)))
         printed = terminal.wait_printed(f"last: {LONG}\n", "log: trial 6: stable\n")
     assert printed.count(LONG) == 1
+
+
+@pytest.mark.parametrize("plain", [False, True])
+def test_a_blinded_console_says_at_once_why_a_trial_is_invalid_and_names_no_wall(
+    plain: bool, terminal: Terminal, tmp_path: Path
+) -> None:
+    slew = ["the slew limit bound in 41792 ticks", "saturated in the tail without ripple or motion"]
+    runner = FakeRunner({1: ({**INVALID, "reasons": [LOST]}, None), 2: ({**INVALID, "reasons": slew}, None)})
+    said = 0  # what was printed before the last key
+
+    def reads(text: str) -> None:
+        seen = terminal.screen
+        terminal.until(lambda: contains(seen.printed[said:] if plain else seen.text, text), text)
+
+    def types(key: str) -> None:
+        nonlocal said
+        said = len(terminal.screen.printed)
+        terminal.type(key)
+
+    with (
+        started(tmp_path / "P01", protocol_of(stop={"trials": 3})) as session,
+        console(terminal, plain=plain) as (desk, asker),
+    ):
+        state = asker.submit(conduct, session, runner, desk)
+        reads("ready? [g] go")
+        for trial, why in ((1, LOST), (2, "rig limit")):
+            types("g")
+            reads(f"trial {trial}: invalid, it is repeated: {why}")
+            reads(f"Again. {session.state.protocol.trial.say}")
+            reads("ready? [g] go")
+        types("g")
+        reads("the verdict?")
+        types("1")
+        reads("end the session?")
+        types("g")
+        assert state.result(PATIENCE_S).ended == "3 trials"
+    for secret in ("4179", "slew", "saturated", "0.37", "-hidden", *(f"{hit[1]:g}" for hit in runner.hits)):
+        assert secret not in terminal.screen.printed, secret
 
 
 @pytest.mark.parametrize("kind", ["keyboard", "mouse"])
