@@ -29,7 +29,7 @@ from rig.session.console.keyboard import Event, Key, Keyboard, Mode, Mouse
 from rig.session.console.live import Live, Snapshot
 from rig.session.console.messages import Lines, line_of
 from rig.session.console.plain import PlainLines
-from rig.session.console.pointer import Hand, Pointer
+from rig.session.console.pointer import START_SHARE, Hand, Pointer
 from rig.session.console.screen import picture
 from rig.session.keymap import STOP, KeyMap
 
@@ -188,6 +188,8 @@ class _Console:
             answered = self._talk.ask(message["question"], time.monotonic())
             if message["question"]["kind"] == "ready":
                 self._ring()
+                if self._hand is not None:
+                    self._hand.begin()
             self._do(answered)
         elif kind == "end":
             self._over = True
@@ -356,6 +358,11 @@ class _MovedHand:
     def key(self, name: str) -> bool:
         """Whether the key moved the hand."""
         return self.kind == "keyboard" and self._pointer.key(name)
+
+    def begin(self) -> None:
+        """Be back at the start: keys that led into the last wall would touch the next one in free space."""
+        if self.kind == "keyboard":
+            self._pointer.point(START_SHARE, held=False)
 
     def mouse(self, event: Event) -> None:
         """Take a motion of the mouse, or the terminal's word that it can tell pixels."""

@@ -371,14 +371,22 @@ def test_the_hand_follows(kind: Any, terminal: Terminal, tmp_path: Path) -> None
     assert not path.exists()
 
 
-def test_keys_in_a_note_do_not_move_the_hand(terminal: Terminal, tmp_path: Path) -> None:
+def test_the_hand_of_the_keys_is_back_before_a_trial_and_keys_in_a_note_do_not_move_it(
+    terminal: Terminal, tmp_path: Path
+) -> None:
     path = tmp_path / "of" / "hand"
     path.parent.mkdir()
     moved = MovedHand(kind="keyboard", path=path, press=4.0)
     with SharedHand.create(path) as hand, console(terminal, hand=moved) as (desk, asker):
-        desk.show(View(state="ready", scale={"start": 0.1, "wall": 0.5}))
+        desk.show(View(state="hit", scale={"start": 0.1, "wall": 0.5}))
+        terminal.wait("hit")
+        terminal.type("\x1b[F")
+        terminal.until(lambda: (found := hand.read()) is not None and found.press == 4.0, "a full press")
         reply = asking(desk, asker, READY_QUESTION)
         terminal.wait("ready?")
+        terminal.until(
+            lambda: (found := hand.read()) is not None and found.press == 0.0, "a hand that is back"
+        )
         terminal.type("n")
         terminal.wait("note>")
         terminal.type(
