@@ -4,9 +4,10 @@ While the rig homes, the hand goes along as the scripted one does (`sim_backend.
 that pulls elsewhere would keep the handle from its start. From the beginning of the trial on it follows the wishes.
 
 A mouse moves in jerks and an arrow key in steps, a hand does not: it follows as a critically damped system of
-`FOLLOW_HZ`, without overshoot, and stays within what a person can reach and press. Press and tremor are those of the
-script: the press swells and ebbs, and tremor arrives with the effort. Without a new
-wish for `SILENT_S` the hand stays where it is, and presses no more.
+`FOLLOW_HZ`, without overshoot, and stays within what a person can reach and press. What it follows moves at
+`REACH_M_S` at most, and so the hand is never faster either. Press and tremor are those of the script: the press swells
+and ebbs, and tremor arrives with the effort. Without a new wish for `SILENT_S` the hand stays where it is, and presses
+no more.
 
 Intentions are made in short blocks of ticks, so that the compiled run of many ticks plays them as it plays a script.
 """
@@ -27,6 +28,7 @@ from sim_backend.operator import PRESS_HZ, REPEAT_S, Rows, Script, tremor
 FOLLOW_HZ = 3.0  # chosen: a step of 10 mm then goes at 7 cm/s at most, about as fast as the scripted reach
 BLOCK_S = 0.002  # a wish acts after this time at most
 SILENT_S = 1.0
+REACH_M_S = 0.1  # at the handle, chosen: what a step of 14 mm reaches by itself; a longer one goes no faster
 BACK_M = 0.05  # at the handle: how far behind its start a hand goes
 AHEAD_M, AHEAD_N = 0.05, 10.0  # and beyond where the scripted one goes: so far, or so hard on its own spring
 PRESS_N = 10.0  # more than a firm grip's press
@@ -70,6 +72,7 @@ class DrivenHand:
         # A wish from before the session may be years old: only a new one shows that a person is there.
         self._said = self._wish() or Wish(0, reach.start, 0.0)
         self._silent_s, self._alone, self._goal = SILENT_S, True, reach.start
+        self._led = reach.start  # on its way to the goal: what the hand follows
         self._times: Rows = np.arange(1.0, 1.5 + round(BLOCK_S / tick_s), dtype=np.float64) * tick_s
         around: Rows = (np.arange(round(REPEAT_S / tick_s), dtype=np.float64) + 0.5) * tick_s
         generator = np.random.default_rng([reach.seed, session])
@@ -85,7 +88,9 @@ class DrivenHand:
         times = self._times
         places = (self._tick + np.arange(len(times))) % self._tremor.shape[1]
         self._tick += len(times)
-        goal, press = self._wanted(hand)
+        wanted, press = self._wanted(hand)
+        most = REACH_M_S / self._radius * float(times[-1])
+        goal = self._led = self._led + min(max(wanted - self._led, -most), most)
         at, rate = follow(self._at - goal, self._rate, times)
         pressed, press_rate = follow(self._press - press, self._press_rate, times)
         at, pressed = at + goal, pressed + press

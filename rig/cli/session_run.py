@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from datetime import datetime
 from pathlib import Path
@@ -28,7 +27,7 @@ from rig.session.rehearsal import Person
 from rig.session.run import DeskFor, SessionResult, rehearsal_desk, session_state, summary
 from rig.session.runner import TrialRunner
 from rig.session.state import State
-from rig.session.telling import line_of_event, lost_samples
+from rig.session.telling import line_of_event, lost_samples, whole_line
 
 _VIRTUAL_S = 1e8  # since 1970: no participant sat then
 
@@ -53,7 +52,9 @@ def _device_options(command: Any) -> Any:
                 type=click.Choice(["simulated", "mouse", "keyboard"]),
                 default="simulated",
                 show_default=True,
-                help="Who moves the handle of a simulated rig.",
+                help="Who moves the handle of a simulated rig: its script; the mouse (to the right: towards and into "
+                "the wall; a button held: full press); or keys (left, right: a step; down, up: five; home: back; end: "
+                "into the wall).",
             ),
             click.option("--plain", is_flag=True, help="One line for each change, instead of a full screen."),
             click.option(
@@ -209,7 +210,9 @@ def resume(
 @click.command()
 @click.argument("directory", type=click.Path(path_type=Path))
 @click.option("--log", "with_log", is_flag=True, help="List the events, numbered.")
-@click.option("--unblind", is_flag=True, help="Show conditions and walls too.")
+@click.option(
+    "--unblind", is_flag=True, help="Show conditions and walls too; the records themselves with --json."
+)
 @options.json_option
 def show(directory: Path, with_log: bool, unblind: bool, as_json: bool) -> None:
     """Say where the session in DIRECTORY stands; also while it runs."""
@@ -236,13 +239,13 @@ def show(directory: Path, with_log: bool, unblind: bool, as_json: bool) -> None:
     else:
         _print(result, as_json=False)
     if with_log and not as_json:
-        date = ""
+        date, motion = "", state.experiment["rig"]["motion"]
         for event in events:
             day, when = _when(event.at)
             if day != date:
                 date = day
                 click.echo(f"  {day}")
-            text = json.dumps(dict(event.content), ensure_ascii=False) if unblind else line_of_event(event)
+            text = whole_line(event, motion) if unblind else line_of_event(event)
             click.echo(f"  {event.number:>5}  {when}  {event.kind:<9} {text}")
     if damage is not None:
         raise damage

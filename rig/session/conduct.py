@@ -38,6 +38,7 @@ from rig.session.items import asked, parse_answer
 from rig.session.log import Event
 from rig.session.place import resume_command
 from rig.session.protocol import BLINDED, VERDICTS
+from rig.session.reasons import told
 from rig.session.runner import Done, TrialRunner
 from rig.session.schedule import Block, Run
 from rig.session.state import (
@@ -229,6 +230,10 @@ class _Engine:
     def _state(self) -> State:
         return self._session.state
 
+    @property
+    def _blind(self) -> bool:
+        return self._state.protocol.study.blind in BLINDED
+
     def record(self, kind: str, **content: Any) -> None:
         """Write down an event, and pass it to those who listen."""
         event = self._session.record(kind, **content)
@@ -282,7 +287,10 @@ class _Engine:
     def _trial(self, presented: Presented) -> None:
         if self._pulsed != presented.block and not self._runner.simulated and not self._pulse(presented):
             return
-        self._show("ready", presented, say=self._state.protocol.trial.say)
+        again = (
+            "Again. " if presented.attempt > 1 else ""
+        )  # why it comes again is not the participant's matter
+        self._show("ready", presented, say=again + self._state.protocol.trial.say)
         actions: tuple[Action, ...] = ("go", "pause", "skip")
         if self._redoable() is not None:
             actions = (*actions, "redo")
@@ -338,7 +346,7 @@ class _Engine:
             return
         self._session.clock.took(done.duration_s)
         self.record("trial", **event_of(presented, done.hit))
-        self._last = outcome(state.trials[-1])
+        self._last = outcome(state.trials[-1], blind=self._blind)
         if done.error is not None:
             self._after_early_end(done, presented)
 
@@ -357,6 +365,8 @@ class _Engine:
             raise error  # whether the handle is still where it was counted from, somebody must look
         if self._state.trials[-1].invalid:
             why = error.message if isinstance(error, RigError) else done.hit.ended
+            if self._blind and isinstance(error, GuardError):  # an energy, a velocity, an oscillating effort
+                why = told(done.hit.reasons, blind=True).removeprefix("the run ended early: ")
             self._trouble(f"the hit ended early: {why}", presented)
 
     def _trouble(self, text: str, presented: Presented) -> None:
@@ -394,7 +404,7 @@ class _Engine:
         self.record(
             "judged", trial=trial.trial, verdict=verdict, judged_by=judged_by, response_time_s=seconds
         )
-        self._last = outcome(trial)
+        self._last = outcome(trial, blind=self._blind)
 
     def _rest(self, seconds: float, reason: str) -> None:
         words = "The motor cools." if reason == "heat" else "Let go of the handle and rest."
@@ -418,9 +428,8 @@ class _Engine:
             self.record("answered", item=item.name, answer=answer, block=step.block)
 
     def _decide(self, run: Run, last: Trial) -> None:
-        text = (
-            f"{self._state.protocol.trial.attempts} trials in a row were invalid: {'; '.join(last.reasons)}"
-        )
+        why = told(last.reasons, blind=self._blind)
+        text = f"{self._state.protocol.trial.attempts} trials in a row were invalid: {why}"
         self._show("trouble", last)
         reply = self._ask(
             Question(kind="trouble", text=text, actions=("go", "skip", *_ALWAYS), trial=last.trial)

@@ -55,7 +55,7 @@ class View:
     heat
         Share of the winding's budget.
     last
-        What the last trial came to, in a few words.
+        What the last trial came to, in a few words, and why it is invalid.
     lines
         The newest lines of the log, oldest first.
     """

@@ -42,7 +42,7 @@ from rig.session.rehearsal import Day, Person, RealDay, RehearsalDesk, refuse_no
 from rig.session.runner import TrialRunner
 from rig.session.schedule import rows_of, schedule
 from rig.session.state import State
-from rig.session.telling import lost
+from rig.session.telling import lost, outcome
 
 SESSIONS, REHEARSALS = Path("sessions"), Path("rehearsals")
 
@@ -67,6 +67,8 @@ class SessionResult:
     trials, counted, invalid, by_machine, aborted
         Recorded hits; those that count and were judged; invalid ones, and how many of these the computer or the link
         spoiled; those cut off for safety.
+    invalid_trials
+        A sentence each with the reasons, oldest first, as a blinded operator may read them.
     blocks, blocks_done
         Of the order, practice aside, and how many of them are finished.
     resume
@@ -89,6 +91,7 @@ class SessionResult:
     blocks_done: int
     resume: str = ""
     messages: tuple[str, ...] = ()
+    invalid_trials: tuple[str, ...] = ()
 
 
 def run_session(
@@ -282,6 +285,7 @@ def summary(
         blocks_done=sum(all(state.asks(run) is None for run in block.runs) for block in blocks),
         resume="" if state.ended is not None else resume_command(directory, events),
         messages=messages,
+        invalid_trials=tuple(outcome(trial, blind=True) for trial in state.trials if trial.invalid),
     )
 
 

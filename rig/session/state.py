@@ -39,6 +39,7 @@ from rig.core.errors import RecordingError
 from rig.session.load import protocol_from_mapping
 from rig.session.log import Event
 from rig.session.protocol import Item, Protocol, Search
+from rig.session.reasons import told
 from rig.session.schedule import Block, Run, asking_of, rule_of, schedule
 from rig.session.search import Answer, Probe, Rule
 from rig.session.times import cooling_s
@@ -418,7 +419,7 @@ class State:
             return DoBlock(block)
         spoiled = _in_a_row(trial.by_machine for trial in self.trials[self._continued :])
         if spoiled >= self.protocol.stop.machine:
-            why = "; ".join(self.trials[-1].reasons)
+            why = told(self.trials[-1].reasons, blind=True)  # the log's sentences are for anybody
             return DoPause(f"this computer or the link spoiled {spoiled} trials in a row: {why}")
         last = next((t for t in reversed(self.trials) if t.block == block.number and not t.void), None)
         if last is not None and last.invalid and last.run in [run.number for run in waiting]:

@@ -1,17 +1,23 @@
-"""Sentences about a session that anybody may read: without conditions and walls."""
+"""Sentences about a session: such as anybody may read, without conditions and walls, and such as tell all."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from rig.control.verdict import Kind
+from rig.core.sample import Motion, unit_of
+from rig.experiments.judgement import FINISHED
 from rig.session.log import Event
-from rig.session.trial import Trial
+from rig.session.place import device_words
+from rig.session.reasons import told
+from rig.session.trial import Trial, trial_of
 
 _LINES: dict[str, str] = {
     "judged": "trial {trial}: {verdict}",
     "redone": "trial {trial} does not count",
+    "skipped": "run {run} is left without a limit",
+    "retried": "run {run} continues after invalid trials",
     "block": "block {block} begins",
     "restarted": "block {block} starts over",
     "note": "note: {text}",
@@ -27,16 +33,20 @@ _LINES: dict[str, str] = {
 def line_of_event(event: Event) -> str:
     """An event as a line that anybody may read: nothing of conditions and walls in it."""
     if event.kind == "trial":
-        return f"trial {event.content['trial']}" + (
-            ", invalid" if event.content["automatic"] == Kind.INVALID else ""
+        content = event.content
+        invalid = content["automatic"] == Kind.INVALID
+        return (
+            _invalid(content["trial"], content["reasons"], blind=True)
+            if invalid
+            else f"trial {content['trial']}"
         )
     if event.kind == "opened":
-        told = ["opened"]
+        opened = ["opened"]
         if walls := sum(len(one["stiffness"]) for one in event.content.get("armed_anyway", ())):
-            told.append(
+            opened.append(
                 f"the arming gate refuses {walls} walls, and they are armed with the operator's consent"
             )
-        return "; ".join([*told, *lost_samples(event.content)])
+        return "; ".join([*opened, *lost_samples(event.content)])
     if event.kind == "amended" and "trial" in event.content:
         value = event.content["value"]
         said = {True: "does not count", False: "counts after all"}.get(value, f"corrected: {value}")
@@ -46,6 +56,43 @@ def line_of_event(event: Event) -> str:
     if event.kind == "resumed":
         return "; ".join(["resumed", *lost(event)])
     return _LINES.get(event.kind, event.kind).format(**event.content)
+
+
+def whole_line(event: Event, motion: Motion) -> str:
+    """An event as a line for those who are not blinded: with condition and wall, and reasons in full."""
+    content, said = event.content, [line_of_event(event)]
+    if event.kind == "trial":
+        return _whole(trial_of(content), motion)
+    if event.kind == "began":
+        said.append(f"{content['protocol']['study']['title']}, row {content['row']} of the order")
+    elif event.kind == "opened":
+        said.append(device_words(content))
+        said += [
+            f"armed anyway: {one['condition']}, B = {one['damping']:g}, "
+            f"K = {', '.join(f'{stiffness:g}' for stiffness in one['stiffness'])}"
+            for one in content.get("armed_anyway", ())
+        ]
+    elif event.kind == "pulse":
+        said += content["checks"]
+    elif event.kind == "stopped" and "detail" in content:
+        said.append(" ".join(content["detail"].split()))
+    return "; ".join(said)
+
+
+def _whole(trial: Trial, motion: Motion) -> str:
+    wall = ", ".join(
+        f"{symbol} = {value:g} {unit_of(quantity, motion)}"
+        for symbol, value, quantity in (("K", trial.stiffness, "stiffness"), ("B", trial.damping, "damping"))
+    )
+    kind = [name for name in ("practice", "catch") if getattr(trial, name)]
+    attempt = [f"attempt {trial.attempt}"] if trial.attempt > 1 else []
+    ended = trial.aborted or trial.ended.replace(FINISHED, "")
+    said = [
+        ", ".join([f"trial {trial.trial}", *kind, trial.condition, wall, *attempt]),
+        ": ".join(["the program says " + trial.automatic, *filter(None, ["; ".join(trial.reasons)])]),
+        *([f"ended early: {ended.replace('_', ' ')}"] if ended else []),
+    ]
+    return "; ".join(said)
 
 
 def lost_samples(opened: Mapping[str, Any]) -> list[str]:
@@ -70,10 +117,16 @@ def lost(event: Event) -> list[str]:
     return losses
 
 
-def outcome(trial: Trial) -> str:
+def outcome(trial: Trial, *, blind: bool) -> str:
     """The result of a trial, without its wall, and without anything that could influence a verdict."""
     if trial.invalid:
-        return f"trial {trial.trial}: invalid, it is repeated"
+        return _invalid(trial.trial, trial.reasons, blind=blind)
     if not trial.verdict:
         return f"trial {trial.trial}: over"
     return f"trial {trial.trial}: done" + (", cut off for safety" if trial.aborted else "")
+
+
+def _invalid(trial: int, reasons: Sequence[str], *, blind: bool) -> str:
+    return ": ".join(
+        [f"trial {trial}", "invalid, it is repeated", *filter(None, [told(reasons, blind=blind)])]
+    )

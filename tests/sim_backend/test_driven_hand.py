@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from rig import config
 from rig.config import presets
 from rig.core.errors import ConfigError
+from rig.core.operators import GRIPS
 from rig.devices.hand import Wish
 from sim_backend.driven_hand import (
     AHEAD_M,
@@ -22,12 +23,14 @@ from sim_backend.driven_hand import (
     BLOCK_S,
     FOLLOW_HZ,
     PRESS_N,
+    REACH_M_S,
     SILENT_S,
     DrivenHand,
     follow,
 )
 from sim_backend.hardware import Hardware
 
+AHEAD = min(AHEAD_M, AHEAD_N / GRIPS["normal"].hand_stiffness)
 RATE = 1000
 EXPERIMENT = config.override(
     presets.load("koul-compliant"),
@@ -111,6 +114,20 @@ def test_a_step_of_a_key_becomes_a_motion_without_overshoot() -> None:
     assert np.allclose(np.diff(rows[:, 0]) * RATE, rows[1:, 1], atol=0.02), "the rate is that of the position"
     assert rows[-1, 2] == pytest.approx(3.0 * RADIUS, rel=1e-3)
     assert rows[:, 2].max() <= 3.0 * RADIUS
+
+
+@pytest.mark.parametrize("far", [0.05, 0.2, 1e6])
+def test_a_jump_to_the_other_end_is_a_reach_at_a_bounded_speed(far: float) -> None:
+    """The end key, or a mouse that jumps: it went at 0.26 m/s, the faster the further."""
+    driven, someone = begun()
+    rows = played(driven, 3.0, says=lambda: someone.says(START + far))
+    speed = rows[:, 1] * RADIUS
+    assert speed.max() <= REACH_M_S * (1.0 + 1e-9)
+    assert speed.min() >= -1e-9, "without overshoot"
+    if far > 1.0:
+        assert speed.max() == pytest.approx(REACH_M_S, rel=0.01)
+    goal = min(START + far, MODEL.reach.target + AHEAD / RADIUS)
+    assert rows[-1, 0] == pytest.approx(goal, abs=1e-4)
 
 
 @settings(deadline=None, max_examples=30)

@@ -147,7 +147,7 @@ class Operator:
     def hits(self) -> None:
         """Say go until a hit is there to be judged."""
         for _ in range(HITS):
-            asked = self.sees("[1] stable", "ended early:", "said nothing:", "ready?")
+            asked = self.sees("[1] stable", "hit ended early:", "were invalid:", "ready?")
             if asked == "[1] stable":
                 return
             assert asked, self.end()
@@ -288,7 +288,7 @@ def begin_to_press(operator: Operator, clock: str) -> None:
     """Say go until a hand presses against the wall; in real time the keys move it."""
     engine, screen = operator.program.pid, operator.terminal.screen
     for _ in range(HITS):
-        asked = operator.sees("ended early:", "said nothing:", "ready?")
+        asked = operator.sees("hit ended early:", "were invalid:", "ready?")
         assert asked, operator.end()
         operator.types("g", until_gone=asked)
         if asked != "ready?":
@@ -356,7 +356,7 @@ def test_space_stops_a_hit_and_so_does_a_console_that_says_nothing(
     operator = start("virtual", duration_s=600.0)
     begin_to_press(operator, "virtual")
     terminal.type(" ")
-    terminal.wait("ended early: stopped at the console")
+    terminal.wait("hit ended early: stopped at the console")
     first = operator.of_kind("trial")[-1]
     assert "stopped at the console" in check_stopped(operator, first)
     begin_to_press(operator, "virtual")
@@ -372,7 +372,7 @@ def test_space_stops_a_hit_and_so_does_a_console_that_says_nothing(
 
 def leave(operator: Operator) -> None:
     """Leave the session at the next question."""
-    assert operator.sees("ended early:", "[1] stable")
+    assert operator.sees("hit ended early:", "[1] stable")
     operator.terminal.type("a")
     operator.terminal.wait("leave the session")
     operator.terminal.type("a")

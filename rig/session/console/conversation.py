@@ -11,9 +11,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, cast
 
+from rig.session.console.pointer import HandKind
 from rig.session.desk import Action, Question, View
 from rig.session.items import parse_answer, wanted
-from rig.session.keymap import STOP, KeyMap
+from rig.session.keymap import HELP, STOP, KeyMap
 from rig.session.protocol import VERDICTS
 
 LATER: tuple[Action, ...] = ("pause", "note", "abort")  # what may be asked for while nobody asks
@@ -21,6 +22,7 @@ TWICE: dict[Action, str] = {  # what a wrong key must not do
     "abort": "leave the session (it can be resumed)",
     "skip": "leave this run without a limit",
 }
+BACK = (HELP, "enter", "escape")  # what leaves the page of the keys, and does nothing else
 MOST_TEXT = 500
 
 
@@ -73,10 +75,12 @@ class Conversation:
         What the last key came to, when that was not what it was pressed for.
     help
         Whether the keys are shown.
+    hand
+        What moves the simulated hand here, if anything.
     """
 
-    def __init__(self, keymap: KeyMap) -> None:
-        self.keymap = keymap
+    def __init__(self, keymap: KeyMap, hand: HandKind | None = None) -> None:
+        self.keymap, self.hand = keymap, hand
         self.view = View(state="starting")
         self.question: Question | None = None
         self.asked = 0
@@ -138,8 +142,9 @@ class Conversation:
             self.help = False
             return [Stop()]
         if self.help:
-            self.help = False
-            return []
+            self.help = False  # a key acts as the page says, but for those that somebody presses to see the rest again
+            if key in BACK:
+                return []
         if self.twice is not None:
             return self._confirm(key)
         if self.entry is not None:

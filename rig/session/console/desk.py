@@ -18,7 +18,7 @@ from rig.core.present import plain as plain_of
 from rig.devices.hand import SharedHand
 from rig.session.console import terminal
 from rig.session.console.child import Child, Message
-from rig.session.console.pointer import HandKind
+from rig.session.console.pointer import KEYS, HandKind
 from rig.session.desk import Action, Desk, Question, Reply, View
 from rig.session.keymap import KeyMap
 from rig.session.protocol import VERDICTS, Keys, Protocol
@@ -68,7 +68,7 @@ class ConsoleDesk(Desk):
     Raises
     ------
     ConfigError
-        Invalid keys, or a terminal that belongs to another job.
+        Invalid keys, a hand that this console cannot move, or a terminal that belongs to another job.
     RigError
         The console does not start.
     """
@@ -84,6 +84,8 @@ class ConsoleDesk(Desk):
         hung_s: float = HUNG_S,
     ) -> None:
         self._keymap = KeyMap.of(keys or Keys())
+        if hand is not None and hand.kind == "keyboard":
+            _refuse_keys_of_the_hand(self._keymap)
         self._silence_s, self._hung_s = silence_s, hung_s
         with ExitStack() as opened:
             self._place = _opened(place)
@@ -101,6 +103,11 @@ class ConsoleDesk(Desk):
             "attributes": None if self._before is None else terminal.as_plain(self._before),
             "hand": None if hand is None else {**asdict(hand), "path": str(hand.path)},
         }
+        if hand is not None and hand.kind == "mouse" and self._setup["plain"]:
+            raise ConfigError(
+                "the mouse moves the hand on a full screen alone, and this console prints lines",
+                remedy="leave `plain` out, in a terminal that can draw; or take `hand` keyboard",
+            )
         self._hand = hand
         self._inbox: SimpleQueue[tuple[Child, Message]] = SimpleQueue()
         self._view: View | None = None
@@ -279,6 +286,15 @@ def at_console(
         return desk
 
     return make
+
+
+def _refuse_keys_of_the_hand(keymap: KeyMap) -> None:
+    for meaning, key in keymap.keys.items():
+        if key in KEYS:
+            raise ConfigError(
+                f"[keys] {meaning} = {key!r}: that key moves the hand",
+                remedy="give another key, or leave `hand` keyboard out",
+            )
 
 
 def _opened(place: Path) -> int:

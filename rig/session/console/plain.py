@@ -20,11 +20,12 @@ class PlainLines:
         found = [self._new("place", words.place(view)), self._new("state", f"state: {words.state(talk)}")]
         found.append(self._new("wall", self._wall(talk)))
         found.append(self._new("say", f"say: {view.say}" if view.say else ""))
+        found.append(self._new("hand", words.hand(talk)))
         found.append(self._new("phase", "" if live is None else f"phase: {live.phase}"))
         found.append(self._new("last", f"last: {view.last}" if view.last else ""))
         fresh = view.lines[_common(self._log, view.lines) :]
         self._log = view.lines
-        found += [f"log: {line}" for line in fresh]
+        found += [f"log: {line}" for line in fresh if line != view.last]
         found.append(self._new("help", self._help(talk)))
         found.append(self._new(f"question {talk.asked}", self._question(talk)))
         found.append(self._new("notice", talk.notice))
@@ -59,7 +60,7 @@ class PlainLines:
     def _help(talk: Conversation) -> str:
         if not talk.help:
             return ""
-        return "\n".join(f"{key}: {meaning}" for key, meaning in words.help_pairs(talk.keymap))
+        return "\n".join(f"{key}: {meaning}" for key, meaning in words.help_pairs(talk))
 
 
 def _common(before: tuple[str, ...], now: tuple[str, ...]) -> int:

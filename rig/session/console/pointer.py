@@ -13,6 +13,7 @@ from typing import Any, Literal, Protocol
 BEHIND, INSIDE = 0.25, 0.75  # of the way from start to wall: what the screen's ends mean
 STEPS = 40  # of an arrow key over the whole way
 CLOSE = 5  # such steps for a large one
+KEYS = {"right": 1, "left": -1, "up": CLOSE, "down": -CLOSE, "home": -STEPS, "end": STEPS}  # steps of each
 START_SHARE = BEHIND / (BEHIND + 1.0 + INSIDE)
 WALL_SHARE = (BEHIND + 1.0) / (BEHIND + 1.0 + INSIDE)
 
@@ -55,7 +56,7 @@ class Pointer:
 
     def key(self, name: str) -> bool:
         """An arrow key; whether it was one."""
-        steps = {"right": 1, "left": -1, "up": CLOSE, "down": -CLOSE, "home": -STEPS, "end": STEPS}.get(name)
+        steps = KEYS.get(name)
         if steps is None:
             return False
         self.point(self._share + steps / STEPS, held=False)

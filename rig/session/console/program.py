@@ -29,7 +29,7 @@ from rig.session.console.keyboard import Event, Key, Keyboard, Mode, Mouse
 from rig.session.console.live import Live, Snapshot
 from rig.session.console.messages import Lines, line_of
 from rig.session.console.plain import PlainLines
-from rig.session.console.pointer import Hand, Pointer
+from rig.session.console.pointer import START_SHARE, Hand, Pointer
 from rig.session.console.screen import picture
 from rig.session.keymap import STOP, KeyMap
 
@@ -89,7 +89,8 @@ class _Console:
         self._lines = Lines()
         setup, self._early = self._setup()
         self._session_pid = int(setup["pid"])
-        self._talk = Conversation(KeyMap.from_mapping(setup["keys"]))
+        hand = setup.get("hand")
+        self._talk = Conversation(KeyMap.from_mapping(setup["keys"]), hand["kind"] if hand else None)
         self._attributes = setup["attributes"]
         self._bell = self._talk.keymap.bell
         self._live = Live(self._session_pid)
@@ -102,7 +103,6 @@ class _Console:
         self._number = 0  # of the question
         self._over = False
         self._drawn_s = 0.0
-        hand = setup.get("hand")
         self._hand = None if hand is None else _MovedHand(hand)
         self._face: _Face = _Lines() if setup["plain"] or not self._is_terminal else _Screen(self._hand)
 
@@ -188,6 +188,8 @@ class _Console:
             answered = self._talk.ask(message["question"], time.monotonic())
             if message["question"]["kind"] == "ready":
                 self._ring()
+                if self._hand is not None:
+                    self._hand.begin()
             self._do(answered)
         elif kind == "end":
             self._over = True
@@ -230,7 +232,7 @@ class _Console:
 
     def _event(self, event: Event) -> None:
         if isinstance(event, Key):
-            if self._hand is not None and self._hand.key(event.name) and self._talk.entry is None:
+            if self._hand is not None and self._talk.entry is None and self._hand.key(event.name):
                 return
             self._face.typed(self._talk, event.name)
             self._do(self._talk.press(event.name))
@@ -356,6 +358,11 @@ class _MovedHand:
     def key(self, name: str) -> bool:
         """Whether the key moved the hand."""
         return self.kind == "keyboard" and self._pointer.key(name)
+
+    def begin(self) -> None:
+        """Be back at the start: keys that led into the last wall would touch the next one in free space."""
+        if self.kind == "keyboard":
+            self._pointer.point(START_SHARE, held=False)
 
     def mouse(self, event: Event) -> None:
         """Take a motion of the mouse, or the terminal's word that it can tell pixels."""

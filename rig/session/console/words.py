@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 from rig.session.console.conversation import TWICE, Conversation
 from rig.session.console.live import Snapshot
+from rig.session.console.pointer import CLOSE, HandKind
 from rig.session.desk import Action, View
-from rig.session.keymap import KeyMap
 
 HALF, NEAR = 0.4, 0.8  # of the limit: from where an effort is called half, and near the limit
 MEANINGS: dict[str, str] = {
@@ -21,6 +21,17 @@ MEANINGS: dict[str, str] = {
     "note": "write a note into the log",
     "skip": "leave this run without a limit (asks once)",
     "abort": "leave the session; it can be resumed (asks once)",
+}
+HANDS: dict[HandKind, list[tuple[str, str]]] = {
+    "keyboard": [
+        ("right, left", "a step towards the wall, or back; inside it the hand presses harder with each"),
+        ("up, down", f"{CLOSE} steps at once"),
+        ("end, home", "into the wall and full press, or back behind the start"),
+    ],
+    "mouse": [
+        ("mouse", "to the right: towards the wall; inside it the hand presses harder with the way"),
+        ("button", "held: full press"),
+    ],
 }
 ORDER: tuple[Action, ...] = ("go", "redo", "pause", "note", "skip", "abort")
 
@@ -66,7 +77,6 @@ def facts(view: View) -> list[tuple[str, str]]:
         ("counts", "no, practice" if view.practice else "yes"),
         ("attempt", str(view.attempt)),
         ("motor heat", f"{100 * view.heat:.0f} % of budget"),
-        ("last", view.last or "-"),
     ]
 
 
@@ -153,15 +163,26 @@ def choices(talk: Conversation) -> str:
 
 def always(talk: Conversation) -> str:
     """Keys that always work."""
-    return "[SPACE] STOP  [?] keys  [^C] stop and leave"
+    return "\n".join(filter(None, [hand(talk), "[SPACE] STOP  [?] keys  [^C] stop and leave"]))
 
 
-def help_pairs(keymap: KeyMap) -> list[tuple[str, str]]:
+def hand(talk: Conversation) -> str:
+    """What moves the simulated hand here; empty where nothing does."""
+    if talk.hand is None:
+        return ""
+    if talk.hand == "mouse":
+        return "hand: mouse to the right  [button] full press"
+    return "hand: [left] [right] a step  [down] [up] more  [home] back  [end] into the wall"
+
+
+def help_pairs(talk: Conversation) -> list[tuple[str, str]]:
     """All keys and what they do."""
+    keymap = talk.keymap
     return [
         ("SPACE", "STOP: zero effort now"),
         *((key, f"verdict: {verdict}") for key, verdict in keymap.verdicts),
         *((keymap.key_of(action), MEANINGS[action]) for action in ORDER),
         ("^C", "stop, and leave the session; works also when this screen hangs"),
-        ("any key", "back"),
+        *(HANDS[talk.hand] if talk.hand else []),
+        ("?, enter, escape", "back; any other key does what it says here"),
     ]

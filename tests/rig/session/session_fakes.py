@@ -139,10 +139,13 @@ class FakeRunner:
         pass
 
 
-INVALID = {"automatic": "invalid", "reasons": ["gaps"], "passes": {"felt": None, "heard": None, "any": None}}
-
-
-SPOILED = {**INVALID, "reasons": ["3 gaps in the samples"], "by_machine": True}
+INVALID = {
+    "automatic": "invalid",
+    "reasons": ["the wall was never touched"],
+    "passes": {"felt": None, "heard": None, "any": None},
+}
+LOST = "from contact on, 2.1 % of the samples lost (limit 1 %), 7 in a row (limit 2): the link was late"
+SPOILED = {**INVALID, "reasons": [LOST], "by_machine": True}
 
 
 class ScriptedDesk(Desk):

@@ -28,6 +28,7 @@ from rig.session.state import BOOKKEEPING, State
 from rig.session.telling import line_of_event
 from tests.rig.session.session_fakes import (
     INVALID,
+    LOST,
     SPOILED,
     FakeRunner,
     ScriptedDesk,
@@ -731,7 +732,7 @@ def test_a_machine_that_spoils_one_trial_after_another_pauses_the_session(tmp_pa
     protocol, desk = protocol_of(stop={"machine": 3}), ScriptedDesk()
     state = run_with(started(tmp_path / "P01", protocol), spoiled(2, 3, 4, 5, 6, 8, 9), desk)
     (asked,) = [question for question in desk.questions if question.kind == "paused"]
-    assert "spoiled 3 trials in a row: 3 gaps in the samples; close other programs" in asked.text
+    assert f"spoiled 3 trials in a row: {LOST}; close other programs" in asked.text
     assert asked.actions == ("go", "note", "abort")
     events = read(tmp_path / "P01" / LOG)
     at = next(number for number, event in enumerate(events) if event.kind == "paused")
@@ -775,7 +776,7 @@ def test_who_leaves_at_such_a_pause_finds_it_again(tmp_path: Path) -> None:
 def test_where_nobody_sits_the_session_ends_there_and_is_resumed(tmp_path: Path) -> None:
     session, person = started(tmp_path / "P01", protocol_of(stop={"machine": 3})), Person(thresholds={})
     assert isinstance(session.clock, Day)
-    with session, pytest.raises(OverrunError, match="spoiled 3 trials in a row: 3 gaps") as ended:
+    with session, pytest.raises(OverrunError, match="spoiled 3 trials in a row: from contact on") as ended:
         conduct(session, spoiled(1, 2, 3, 4), RehearsalDesk(person, session.clock))
     assert ended.value.exit_code == 14
     assert "rig session resume" in ended.value.remedy

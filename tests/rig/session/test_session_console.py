@@ -25,7 +25,7 @@ from rig.session.console.keyboard import Key, Keyboard, Mode, Mouse
 from rig.session.console.live import Live, Snapshot, snapshot_of
 from rig.session.console.messages import Lines, line_of
 from rig.session.console.plain import PlainLines
-from rig.session.console.pointer import Pointer
+from rig.session.console.pointer import HandKind, Pointer
 from rig.session.console.screen import picture
 from rig.session.desk import Action, Question, View
 from rig.session.keymap import KeyMap
@@ -289,6 +289,50 @@ def test_what_shows_the_keys_hides_no_stop_and_no_question() -> None:
     assert not conversation.help
 
 
+@pytest.mark.parametrize(
+    ("key", "outcome"), [("1", [Answer("judge", "stable")]), ("r", [Answer("redo")]), ("space", [Stop()])]
+)
+def test_a_key_on_the_page_of_the_keys_does_what_the_page_says(key: str, outcome: list[Any]) -> None:
+    conversation = told(asked("verdict", ("judge", "redo", "note", "abort")))
+    conversation.press("?")
+    assert conversation.press(key) == outcome
+    assert not conversation.help
+
+
+@pytest.mark.parametrize("key", ["?", "enter", "escape"])
+def test_what_leaves_the_page_of_the_keys_begins_nothing(key: str) -> None:
+    conversation = told(asked())
+    conversation.press("?")
+    assert conversation.press(key) == []
+    assert (conversation.help, conversation.question is None, conversation.notice) == (False, False, "")
+    assert conversation.press("enter") == [Answer("go")]
+
+
+def test_an_unknown_key_on_the_page_of_the_keys_is_named() -> None:
+    conversation = told(asked())
+    conversation.press("?")
+    assert conversation.press("x") == []
+    assert "x: no such key" in conversation.notice
+
+
+@given(st.text(st.sampled_from("1234grpnsa?y "), max_size=20), st.booleans())
+def test_typed_text_is_never_a_command(text: str, note: bool) -> None:
+    item = {"kind": "text"}
+    conversation = told(
+        asked("item", ("answer", "redo", "note", "abort"), item=item) if not note else asked()
+    )
+    if note:
+        conversation.press("n")
+    for character in text:
+        assert conversation.press("space" if character == " " else character) == []
+    assert (conversation.help, conversation.twice, conversation.later, conversation.notice) == (
+        False, None, None, "",
+    )  # fmt: skip
+    kind: Action = "note" if note else "answer"
+    found = conversation.press("enter")
+    assert found == ([Answer(kind, text.strip())] if text.strip() or not note else [])
+
+
 def test_a_rest_ends_itself_but_not_under_a_note() -> None:
     conversation = told()
     conversation.ask(plain(asked("rest", ("go", "note", "abort"), seconds=10.0)), 100.0)
@@ -412,6 +456,56 @@ def test_a_picture_fits_its_terminal(kind: str, width: int, height: int) -> None
         assert any("[SPACE] STOP" in line for line in lines)
 
 
+LONG = (
+    "trial 7: invalid, it is repeated: from contact on, 2.1 % of the samples lost (limit 1 %), 7 in a row (limit 2): "
+    "the link or this computer was late; the hand left the wall before the end and did not come back: ask to stay in it"
+)
+
+
+def words_of(text: str) -> list[str]:
+    """All words, without what frames them: a text that continues in the next line is whole."""
+    return re.sub("[│╭╮╰╯─ \n]+", " ", text).split()
+
+
+def contains(text: str, part: str) -> bool:
+    return f" {' '.join(words_of(part))} " in f" {' '.join(words_of(text))} "
+
+
+@pytest.mark.parametrize(("width", "height"), [(80, 24), (120, 30), (60, 24), (50, 20), (40, 24), (30, 24)])
+def test_a_long_reason_is_whole_at_once_and_nothing_is_cut_off(width: int, height: int) -> None:
+    view = View(
+        state="ready", say="Again. Push.", code="P03", block=2, blocks=5, run=3, runs=8, trial=34, trials=120,
+        attempt=2, scale=SCALE, last=LONG, lines=(*(f"trial {n}: stable" for n in range(7)), LONG),
+    )  # fmt: skip
+    text = drawn(told(asked(), view), SNAPSHOT, width, height)
+    assert "…" not in text
+    for part in (LONG, words.place(view), "Again. Push.", "ready", "[a] abort", "[SPACE] STOP"):
+        assert contains(text, part), part
+    if height >= 24 and width >= 60:
+        assert "trial 6: stable" in text
+    assert text.count("invalid") == 1  # the log does not repeat it
+
+
+def test_what_is_wide_wraps_beside_the_live_numbers() -> None:
+    name, saturated = "a-condition-with-a-name-of-its-own", replace(SNAPSHOT, effort=-1.234, saturated=True)
+    view = View(state="hit", scale=SCALE, blinded=False, condition=name, stiffness=1234.5, damping=0.125)
+    text = drawn(told(view=view), replace(saturated, skipped=12345), 80, 24)
+    assert "…" not in text
+    cells = "".join(re.findall(r"│ (.{30}) ││", text)).replace(" ", "")
+    assert name in cells
+    assert "K=1234.5,B=0.125" in cells
+    for part in ("saturated", "(12345", "skipped)", "0 % of budget", "[SPACE] STOP"):
+        assert part in text
+
+
+def test_plain_lines_say_a_reason_once_and_whole() -> None:
+    talk, printer = told(view=View(state="ready", last=LONG, lines=("trial 6: stable", LONG))), PlainLines()
+    said = printer.lines(talk, None, 0.0)
+    assert f"last: {LONG}" in said
+    assert [line for line in said if LONG in line] == [f"last: {LONG}"]
+    assert "log: trial 6: stable" in said
+
+
 def test_lines_say_each_thing_once() -> None:
     conversation, printer = told(asked("verdict", ("judge", "redo"))), PlainLines()
     first = printer.lines(conversation, None, 0.0)
@@ -510,6 +604,36 @@ def test_the_pointer_reaches_from_behind_the_start_into_the_wall(scale: dict[str
     position, press = pointer.intention
     assert abs(position - wall) < 0.75 * abs(wall - start)
     assert 0.0 < press < 4.0
+
+
+@pytest.mark.parametrize(
+    ("hand", "says"),
+    [
+        ("keyboard", ["[left] [right] a step", "[end] into the wall"]),
+        ("mouse", ["mouse to the right", "full press"]),
+    ],
+)
+def test_what_moves_the_hand_stands_on_the_screen_among_the_keys_and_in_lines(
+    hand: HandKind, says: list[str]
+) -> None:
+    conversation = Conversation(KEYMAP, hand)
+    for width, height in ((80, 24), (60, 24), (40, 24)):
+        text = drawn(conversation, None, width, height)
+        assert all(contains(text, part) for part in says)
+    printer = PlainLines()
+    assert words.hand(conversation) in printer.lines(conversation, None, 0.0)
+    assert words.hand(conversation) not in printer.lines(conversation, SNAPSHOT, 1.0)
+    conversation.press("?")
+    for width, height in ((80, 24), (60, 24)):
+        page = drawn(conversation, None, width, height)
+        assert "…" not in page
+        assert all(
+            contains(page.replace(";", ""), meaning.replace(";", ""))
+            for _, meaning in words.help_pairs(conversation)
+        )
+        assert "press" in page
+    nobody = drawn(Conversation(KEYMAP), None)
+    assert "hand:" not in nobody
 
 
 # Messages

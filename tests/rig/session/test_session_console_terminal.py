@@ -23,11 +23,14 @@ import pytest
 
 from rig.core.errors import ConfigError, RigError, StoppedError
 from rig.devices.hand import SharedHand, Wish
+from rig.session.conduct import conduct
 from rig.session.console.desk import ConsoleDesk, MovedHand, at_console
 from rig.session.desk import Action, Question, Reply, View
 from rig.session.protocol import Keys
 from tests.conformance.terminal import PATIENCE_S, Program, Terminal
-from tests.rig.session.session_fakes import FakeRunner, protocol_of
+from tests.rig.session.session_fakes import INVALID, LOST, FakeRunner, protocol_of
+from tests.rig.session.test_session_conduct import started
+from tests.rig.session.test_session_console import LONG, contains
 
 ROOT = Path(__file__).parents[3]
 READY: tuple[Action, ...] = ("go", "pause", "skip", "redo", "note", "abort")
@@ -109,9 +112,11 @@ def test_a_session_on_the_screen(terminal: Terminal) -> None:
         terminal.wait("x: no such key")
         terminal.type("?")
         terminal.wait("verdict: unsure")
-        terminal.type("a")  # back to the question, and nothing else
+        terminal.type("?")  # back to the question, and nothing else
         terminal.wait("ready now?")
-        terminal.type("a")
+        terminal.type("?")
+        terminal.wait("verdict: unsure")
+        terminal.type("a")  # acts there as it would without the page
         terminal.wait("leave the session")
         terminal.type("g")
         terminal.wait("abort: no")
@@ -276,6 +281,63 @@ def test_lines_for_a_screen_reader(terminal: Terminal) -> None:
     assert terminal.attributes_are_back()
 
 
+@pytest.mark.parametrize("columns", [80, 60, 40])
+def test_a_reason_stands_whole_on_the_screen(columns: int, terminal: Terminal) -> None:
+    with console(terminal) as (desk, asker):
+        terminal.resize(24, columns)
+        desk.show(View(state="ready", say="Again. Push.", last=LONG, lines=("trial 6: stable", LONG)))
+        reply = asking(desk, asker, READY_QUESTION)
+        terminal.until(lambda: contains(terminal.screen.text, LONG), LONG)
+        assert "…" not in terminal.wait("Again. Push.", "[SPACE] STOP")
+        terminal.type("g")
+        assert answered(reply) == ("go", "")
+
+
+def test_a_reason_is_a_plain_line(terminal: Terminal) -> None:
+    with console(terminal, plain=True) as (desk, _):
+        desk.show(View(state="ready", last=LONG, lines=("trial 6: stable", LONG)))
+        printed = terminal.wait_printed(f"last: {LONG}\n", "log: trial 6: stable\n")
+    assert printed.count(LONG) == 1
+
+
+@pytest.mark.parametrize("plain", [False, True])
+def test_a_blinded_console_says_at_once_why_a_trial_is_invalid_and_names_no_wall(
+    plain: bool, terminal: Terminal, tmp_path: Path
+) -> None:
+    slew = ["the slew limit bound in 41792 ticks", "saturated in the tail without ripple or motion"]
+    runner = FakeRunner({1: ({**INVALID, "reasons": [LOST]}, None), 2: ({**INVALID, "reasons": slew}, None)})
+    said = 0  # what was printed before the last key
+
+    def reads(text: str) -> None:
+        seen = terminal.screen
+        terminal.until(lambda: contains(seen.printed[said:] if plain else seen.text, text), text)
+
+    def types(key: str) -> None:
+        nonlocal said
+        said = len(terminal.screen.printed)
+        terminal.type(key)
+
+    with (
+        started(tmp_path / "P01", protocol_of(stop={"trials": 3})) as session,
+        console(terminal, plain=plain) as (desk, asker),
+    ):
+        state = asker.submit(conduct, session, runner, desk)
+        reads("ready? [g] go")
+        for trial, why in ((1, LOST), (2, "rig limit")):
+            types("g")
+            reads(f"trial {trial}: invalid, it is repeated: {why}")
+            reads(f"Again. {session.state.protocol.trial.say}")
+            reads("ready? [g] go")
+        types("g")
+        reads("the verdict?")
+        types("1")
+        reads("end the session?")
+        types("g")
+        assert state.result(PATIENCE_S).ended == "3 trials"
+    for secret in ("4179", "slew", "saturated", "0.37", "-hidden", *(f"{hit[1]:g}" for hit in runner.hits)):
+        assert secret not in terminal.screen.printed, secret
+
+
 @pytest.mark.parametrize("kind", ["keyboard", "mouse"])
 def test_the_hand_follows(kind: Any, terminal: Terminal, tmp_path: Path) -> None:
     path = tmp_path / "of" / "hand"
@@ -304,8 +366,49 @@ def test_the_hand_follows(kind: Any, terminal: Terminal, tmp_path: Path) -> None
         again = wish(keys[1], lambda one: one.position < 0.1)
         assert (again.position, again.press) == (pytest.approx(0.0), 0.0)
         wish("", lambda one: one.sequence > again.sequence + 2)  # said again and again: else it would rest
+        assert "hand:" in terminal.screen.text
     assert terminal.screen.modes & {1003, 1006, 1016} == set()
     assert not path.exists()
+
+
+def test_the_hand_of_the_keys_is_back_before_a_trial_and_keys_in_a_note_do_not_move_it(
+    terminal: Terminal, tmp_path: Path
+) -> None:
+    path = tmp_path / "of" / "hand"
+    path.parent.mkdir()
+    moved = MovedHand(kind="keyboard", path=path, press=4.0)
+    with SharedHand.create(path) as hand, console(terminal, hand=moved) as (desk, asker):
+        desk.show(View(state="hit", scale={"start": 0.1, "wall": 0.5}))
+        terminal.wait("hit")
+        terminal.type("\x1b[F")
+        terminal.until(lambda: (found := hand.read()) is not None and found.press == 4.0, "a full press")
+        reply = asking(desk, asker, READY_QUESTION)
+        terminal.wait("ready?")
+        terminal.until(
+            lambda: (found := hand.read()) is not None and found.press == 0.0, "a hand that is back"
+        )
+        terminal.type("n")
+        terminal.wait("note>")
+        terminal.type(
+            "ab\x1b[F\x1b[Dc"
+        )  # end, left: of the line that is typed, as far as somebody thinks of it
+        terminal.wait("note> abc_")
+        found = hand.read()
+        assert found is not None
+        assert (found.position, found.press) == (pytest.approx(0.1), 0.0)
+        terminal.type("\r")
+        assert answered(reply) == ("note", "abc")
+
+
+def test_a_hand_that_this_console_cannot_move_is_refused(terminal: Terminal, tmp_path: Path) -> None:
+    keyboard, mouse = (
+        MovedHand(kind=kind, path=tmp_path / "hand", press=4.0) for kind in ("keyboard", "mouse")
+    )
+    with pytest.raises(ConfigError, match=r"go = 'right': that key moves the hand"):
+        ConsoleDesk(Keys(go="right"), hand=keyboard, place=Path(terminal.path))
+    with pytest.raises(ConfigError, match="prints lines"):
+        ConsoleDesk(hand=mouse, plain=True, place=Path(terminal.path))
+    assert terminal.attributes_are_back()
 
 
 # A session's program of its own: the kernel's signals, a script at standard input, an end without a word.

@@ -1,0 +1,42 @@
+"""Why a trial is invalid, for whoever repeats it: what to do otherwise, and nothing of the wall.
+
+The log keeps the reasons as `rig.control.verdict` and `rig.experiments.judgement` wrote them. That the motor saturated
+or the slew limit bound is effort, which over the penetration is stiffness: a blinded operator reads of a rig limit. A
+settling time, a calm wall, a number of ticks (the rate) tell of wall or condition too. What is not listed here is
+hidden.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+RIG_LIMIT = "rig limit"
+HIDDEN = "for a reason that a blinded operator is not told"
+AS_IT_IS = ""
+# Beginning of a reason: what a blinded operator reads.
+_TOLD = {
+    "from contact on, ": AS_IT_IS,  # samples lost, late ticks
+    "the wall was never touched": AS_IT_IS,
+    "the wall was touched at ": AS_IT_IS,  # in the baseline
+    "a false start": AS_IT_IS,
+    "the run ended early: ": AS_IT_IS,
+    "the first contact lies in the tail": "the wall was touched too late",
+    "the wall was not touched in the tail": "the handle was outside the wall at the end: ask to stay in it",
+    "the hand left ": "the hand left the wall before the end and did not come back: ask to stay in it",
+    "only ": "the trial was too short",
+    "still settling ": "the trial was too short to judge: lengthen it",
+    "the device overruled the law ": "the device overruled the law",
+    "the measured current ": "the motor's current was not the one that was set: motor leads, amplifier, sensor",
+    "saturated ": RIG_LIMIT,
+    "the slew limit ": RIG_LIMIT,
+}
+
+
+def told(reasons: Iterable[str], *, blind: bool) -> str:
+    """The reasons of an invalid trial in one line: as they are, or as a blinded operator may read them."""
+    return "; ".join(dict.fromkeys(_blinded(one) if blind else one for one in reasons))
+
+
+def _blinded(reason: str) -> str:
+    found = next((said for start, said in _TOLD.items() if reason.startswith(start)), HIDDEN)
+    return reason if found is AS_IT_IS else found

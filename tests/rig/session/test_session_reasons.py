@@ -1,0 +1,211 @@
+"""Why a trial is invalid, on the screen, in lines and in JSON: at once, whole, and for the blinded without the wall."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rig.cli import run as rig
+from rig.config import presets, verdict_thresholds
+from rig.control import verdict
+from rig.control.measure import NUMBERS
+from rig.control.verdict import INVALID as MAKES_INVALID
+from rig.control.verdict import TOGGLES, Objection
+from rig.core.errors import GuardError
+from rig.core.present import plain
+from rig.session.conduct import conduct
+from rig.session.desk import View
+from rig.session.log import Event
+from rig.session.reasons import HIDDEN, RIG_LIMIT, told
+from rig.session.run import summary
+from rig.session.telling import line_of_event, whole_line
+from tests.rig.session.session_fakes import INVALID, SPOILED, FakeRunner, ScriptedDesk, protocol_of, study
+from tests.rig.session.test_session_conduct import started
+
+THRESHOLDS = verdict_thresholds(presets.load("koul-rigid"))
+OF_THE_RIG = Objection.SLEW_BOUND | Objection.IDLE_SATURATION
+TELLING = {  # numbers by which somebody could tell one wall or condition from another
+    "ticks": 41791,
+    "slew_bound_ticks": 41792,
+    "overruled_ticks": 41793,
+    "settling_in_tail_s": 4179.4,
+    "current_differs": 41795,
+    "other_current_ticks": 41796,
+}
+
+
+@pytest.fixture(autouse=True)
+def _quick_disk(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "fsync", lambda descriptor: None)
+
+
+def reason(objection: Objection, **changes: Any) -> str:
+    """What the log keeps of it."""
+    numbers = np.zeros((), NUMBERS)
+    for name, value in {**TELLING, **changes}.items():
+        numbers[name] = value
+    return verdict._TEXTS[objection](numbers[()], THRESHOLDS)
+
+
+@pytest.mark.parametrize("objection", list(MAKES_INVALID), ids=lambda one: one.name)
+def test_every_reason_is_told_and_effort_only_as_a_rig_limit(objection: Objection) -> None:
+    """A new reason, or a new wording, is not told before somebody has decided how."""
+    text = reason(objection)
+    said = told([text], blind=True)
+    assert said != HIDDEN
+    assert (said == RIG_LIMIT) == bool(objection & OF_THE_RIG)
+    assert not re.search(r"4179|calm|saturat|slew|settl|ripple", said)
+    assert told([text], blind=False) == text
+
+
+@pytest.mark.parametrize(
+    "text", ["a false start: the handle moved before the cue", "the run ended early: stopped"]
+)
+def test_what_judges_without_the_signals_is_told(text: str) -> None:
+    assert told([text], blind=True) == text
+
+
+def test_what_nobody_has_decided_about_is_hidden() -> None:
+    assert told(["K = 412 is too much"], blind=True) == HIDDEN
+    several = [reason(Objection.SLEW_BOUND), reason(Objection.IDLE_SATURATION), reason(Objection.TOO_SHORT)]
+    assert told(several, blind=True) == f"{RIG_LIMIT}; the trial was too short"
+    assert told([], blind=True) == ""
+
+
+def test_a_dead_channel_of_the_encoder_is_told() -> None:
+    text = reason(Objection.NEVER_TOUCHED, toggles=TOGGLES)
+    assert told([text], blind=True) == text
+    assert "one channel of the encoder is dead" in text
+
+
+def invalid(*objections: Objection, **more: Any) -> dict[str, Any]:
+    return {**INVALID, "reasons": [reason(one) for one in objections], **more}
+
+
+def views_after(desk: ScriptedDesk, trial: int) -> list[View]:
+    return [view for view in desk.views if view.last.startswith(f"trial {trial}:")]
+
+
+@pytest.mark.parametrize("blind", ["both", "participant"])
+def test_the_reason_is_there_before_anybody_is_asked_anything(tmp_path: Path, blind: str) -> None:
+    desk = ScriptedDesk()
+    protocol = protocol_of(study=study(blind=blind), stop={"trials": 3})
+    runner = FakeRunner({1: (invalid(Objection.LEFT, Objection.SLEW_BOUND), None)})
+    with started(tmp_path / "P01", protocol) as session:
+        conduct(session, runner, desk)
+        result = summary(session.directory, session.state)
+    first = views_after(desk, 1)[0]
+    if blind == "both":
+        assert first.last == (
+            "trial 1: invalid, it is repeated: the hand left the wall before the end and did not come back: ask to "
+            "stay in it; rig limit"
+        )
+        assert first.last in first.lines
+    else:
+        assert "left the calm wall" in first.last
+        assert "the slew limit bound in 41792 ticks" in first.last
+    assert (first.state, first.trial, first.attempt) == ("ready", 2, 2)
+    assert first.say == f"Again. {protocol.trial.say}"
+    assert "gain" not in protocol.trial.say
+    assert {view.say for view in desk.views if view.state == "ready" and view.attempt == 1} == {
+        protocol.trial.say
+    }
+    (line,) = result.invalid_trials
+    assert line.startswith("trial 1: invalid, it is repeated: the hand left the wall")
+    assert plain(result)["invalid_trials"] == [line]
+
+
+def test_a_log_is_told_in_sentences_and_in_json_with_walls_only_unblinded(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    thrown = {"automatic": "unstable", "reasons": ["left the wall 3 times in the tail"]}
+    fails: dict[int, Any] = {
+        1: (invalid(Objection.TOUCHED_LATE, Objection.SLEW_BOUND), None),
+        3: ({**thrown, "ended": "energy", "aborted": "energy"}, None),
+    }
+    with started(tmp_path / "P01", protocol_of(stop={"trials": 3})) as session:
+        conduct(session, FakeRunner(fails), ScriptedDesk())
+
+    def show(*options: str) -> str:
+        assert rig(["session", "show", str(tmp_path / "P01"), *options]) == 0
+        return capsys.readouterr().out
+
+    blind = "trial 1: invalid, it is repeated: the wall was touched too late; rig limit"
+    reported = json.loads(show("--json"))
+    assert reported["invalid_trials"] == [blind]
+    assert blind in [event["text"] for event in reported["events"]]
+    assert blind in show("--log")
+    assert not re.search(r"4179|slew|hidden|0\.37", show("--log") + json.dumps(reported))
+    told_all = show("--log", "--unblind")
+    assert not re.search(r'[{}"\[\]]', told_all)
+    wall = r"[a-z]+-hidden, K = \d+ N·m/rad, B = 0\.37 N·m·s/rad"
+    assert re.search(
+        rf"trial 1, {wall}; the program says invalid: the first contact lies in the tail; the slew limit bound",
+        told_all,
+    )
+    assert re.search(rf"trial 2, {wall}, attempt 2; the program says", told_all)
+    assert re.search(r"says unstable: left the wall 3 times in the tail; ended early: energy\n", told_all)
+    assert "began; fakes, row 0 of the order" in told_all
+    assert "opened; koul-rigid (simulated)" in told_all
+    assert '"stiffness"' in show("--json", "--unblind")
+
+
+@pytest.mark.parametrize(
+    ("kind", "content", "whole"),
+    [
+        (
+            "opened",
+            {
+                "device": "koul", "simulated": False, "serial_number": "7",
+                "armed_anyway": [{"condition": "dual", "damping": 0.37, "stiffness": [400.0, 412.5]}],
+            },
+            "; koul (real, serial number 7); armed anyway: dual, B = 0.37, K = 400, 412.5",
+        ),
+        ("pulse", {"said": "it moves", "checks": ["direction: K as it is", "inertia: fine"]},
+         "; direction: K as it is; inertia: fine"),
+        ("stopped", {"reason": "an error", "detail": "K = 412 is too much\n  choose less"},
+         "; K = 412 is too much choose less"),
+        ("note", {"text": "a note"}, ""),
+    ],
+)  # fmt: skip
+def test_what_is_told_besides_to_those_who_are_not_blinded(kind: str, content: Any, whole: str) -> None:
+    event = Event(5, 0.0, kind, content)
+    assert whole_line(event, "rotary") == line_of_event(event) + whole
+    assert not whole or not re.search(r"K =|K as|0\.37|41", line_of_event(event))
+
+
+def test_no_question_and_no_pause_tells_a_blinded_operator_of_the_wall(tmp_path: Path) -> None:
+    """After as many attempts as are allowed, after an early end, and after trials that the machine spoiled."""
+    spoiled = {**SPOILED, "reasons": [reason(Objection.GAPS), reason(Objection.OVERRULED)]}
+    guarded = GuardError("the motor gave the handle 4179 J: the effort oscillated")
+    ended = [
+        "the run ended early: current differs",
+        reason(Objection.CURRENT),
+        reason(Objection.IDLE_SATURATION),
+    ]
+    fails: dict[int, Any] = {
+        **dict.fromkeys((1, 2, 3), (invalid(Objection.IDLE_SATURATION, Objection.STILL_SETTLING), None)),
+        4: ({**INVALID, "reasons": ended}, guarded),
+        **dict.fromkeys(range(6, 12), (spoiled, None)),
+    }
+    desk = ScriptedDesk()
+    with started(tmp_path / "P01", protocol_of(stop={"trials": 20})) as session:
+        conduct(session, FakeRunner(fails), desk)
+        result = summary(session.directory, session.state)
+    asked = [question.text for question in desk.questions]
+    assert any(
+        re.search(r"3 trials in a row were invalid: rig limit; the trial was too short", text)
+        for text in asked
+    )
+    assert any("ended early: current differs; the motor's current" in text for text in asked)
+    assert any(
+        "spoiled 5 trials in a row: from contact on, 0 % of the samples lost" in text for text in asked
+    )
+    seen = json.dumps([asked, [plain(view) for view in desk.views], plain(result)])
+    assert not re.search(r"4179|calm|saturat|slew|oscillat", seen)
