@@ -128,7 +128,11 @@ def show(found: Analysis) -> None:
     shown.append(tables.agreement(one for one in found.agreements if not one.condition))
     own = (one for one in found.slopes if one.measure in ("", measure) and not one.problem)
     shown.append(tables.slopes(found, own))
-    output.show(item for item in shown if not isinstance(item, Table) or item.rows)
+    output.show(
+        tables.filled(item) if isinstance(item, Table) else item
+        for item in shown
+        if not isinstance(item, Table) or item.rows
+    )
 
 
 def _differences(found: Analysis) -> Iterator[Item]:
