@@ -629,11 +629,26 @@ def test_the_command_writes_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyP
         one.run()
     png = tmp_path / "zwidth.png"
     png.write_bytes(b"made up")
-    monkeypatch.setattr(session_report, "draw_session", lambda *_, **__: {png.name: png})  # told above
-    told = CliRunner().invoke(
-        rig, ["session", "analyse", str(tmp_path), "--json", "-o", str(tmp_path / "out")]
-    )
+    asked: list[Any] = []
+
+    def draws(found: Any, place: Path, endings: Any, **_: Any) -> dict[str, Path]:  # told above
+        asked.append(endings)
+        return {png.name: png}
+
+    monkeypatch.setattr(session_report, "draw_session", draws)
+    words = [
+        "session",
+        "analyse",
+        str(tmp_path),
+        "--json",
+        "-o",
+        str(tmp_path / "out"),
+        "--picture-format",
+        "pdf",
+    ]
+    told = CliRunner().invoke(rig, words)
     assert told.exit_code == 0, told.output
+    assert asked == [("png", "pdf")]
     answer = json.loads(told.stdout)
     assert answer["report"] == str(tmp_path / "out" / PAGE)
     assert answer["pictures"] == {"zwidth.png": str(png)}
