@@ -45,7 +45,7 @@ CURVES: Mapping[str, dict[str, Any]] = {  # what a psychometric picture is made 
     ALL: {"linewidth": 2.0},
     ONE: {"linewidth": 2.0},
     EACH: {"linewidth": 0.6, "alpha": 0.5},
-    AUTOMATIC: {"color": "#777777", "linewidth": 1.1, "linestyle": "--"},
+    AUTOMATIC: {"color": "#333333", "linewidth": 1.1, "linestyle": "--"},
     VERDICTS_THERE: {"marker": "o", "linestyle": "", "fillstyle": "none", "markersize": 6},
     K50: {"color": "#222222", "marker": "|", "linestyle": "", "markersize": 9},
     K50_INTERVAL: {"color": "#222222", "linewidth": 2.4, "solid_capstyle": "butt"},
@@ -313,12 +313,16 @@ def _functions(axes: Any, of: Sequence[Psychometric], judge: str, colour: str, m
     low, high = together.levels[0], together.levels[-1]
     margin = 0.05 * (high - low) or 0.05 * high
     at = np.linspace(max(low - margin, 0.0), high + margin, 200)
-    curves = {EACH: [one for one in mine if one is not together]}
-    curves[AUTOMATIC] = [one for one in [_together([one for one in of if one.judge != judge])] if one]
-    curves[ALL if together.participant == "" else ONE] = [together]
+    curves = {
+        EACH: [one for one in mine if one is not together],
+        ONE if together.participant else ALL: [together],
+        AUTOMATIC: [
+            _together([one for one in of if one.judge != judge])
+        ],  # often equal: on top of the others
+    }
     drawn = {VERDICTS_THERE}
     for label, some in curves.items():
-        for one in (one for one in some if one.bounded):
+        for one in (one for one in some if one is not None and one.bounded):
             axes.plot(at, one.share(at), **{"color": colour, **CURVES[label]})
             drawn.add(label)
     shares = [stable / count for stable, count in zip(together.stable, together.verdicts, strict=True)]

@@ -43,6 +43,7 @@ def zwidth_figure(
     """The figure of a map, see `draw_zwidth`."""
     experiment, dampings = found.plan.experiment, found.plan.dampings
     alone = len(dampings) == 1
+    highest = max(b.highest for b in found.boundaries)
     unit = unit_of("damping", experiment.rig.motion)
     figure = style.new_figure(4.6 * len(criteria) + 0.6, 4.6)
     panels = figure.subplots(1, len(criteria), sharey=True, squeeze=False)[0]
@@ -57,7 +58,7 @@ def zwidth_figure(
                 across = ([number - 0.3, number + 0.3], [limits[0], limits[0]])
                 axes.plot(*(across if alone else (at, limits)), color=colour, **_THEORY)
         axes.set_title(f"stable and not {TITLES[criterion]}", fontsize=10)
-        _from_zero(axes, found, max(b.highest for b in found.boundaries))
+        _from_zero(axes, found, max(highest, axes.dataLim.y1) if alone else highest)
         if alone:
             axes.set(xticks=[], xlim=(-0.7, len(found.plan.schemes) - 0.3))
             axes.set_xlabel(f"scheme, at B = {dampings[0]:g} {unit}")

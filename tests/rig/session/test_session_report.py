@@ -456,6 +456,11 @@ def test_a_psychometric_picture_says_what_is_thick_and_what_is_thin(found: Any, 
     told = key(pictures(found)["psychometric"](found))
     assert told[:3] == ["all participants", "each participant", "automatic verdicts"]
     assert {"verdicts, their number as area", "K50"} <= set(told)
+    for axes in pictures(found)["psychometric"](found).axes:
+        dashed = [line for line in axes.lines if line.get_linestyle() == "--" and len(line.get_xdata())]
+        thick = [line for line in axes.lines if line.get_linewidth() == 2.0 and len(line.get_xdata())]
+        assert dashed  # as often as not it equals the thick one, and would lie hidden below it
+        assert axes.lines.index(dashed[0]) > axes.lines.index(thick[0])
     alone = one_person(tmp_path)
     told = key(pictures(alone)["psychometric"](alone))
     assert "the participant" in told
@@ -496,6 +501,13 @@ def test_no_column_is_dashes_only(found: Any, tmp_path: Path) -> None:
         for head, *rows in read.tables:
             for number, name in enumerate(head):
                 assert not rows or any(row[number] != "–" for row in rows), (name, head)
+
+
+def test_a_slope_that_is_not_there_is_a_sentence_and_no_row(tmp_path: Path) -> None:
+    read = _Page(render(some := one_person(tmp_path), {}))
+    assert all(one.problem for one in some.slopes)
+    assert "No slope of limit (rule) per place in the block" in " ".join(read.text.split())
+    assert not any("slope" in head or head[0] == "of" for head, *_ in read.tables)
 
 
 def test_a_table_keeps_its_columns_where_a_single_cell_says_something() -> None:

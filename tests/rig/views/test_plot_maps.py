@@ -99,13 +99,14 @@ def test_the_legend_says_what_else_there_is_and_nothing_more() -> None:
 
 
 def test_a_single_damping_is_no_width() -> None:
-    figure = zwidth_figure(a_map([0.5]), theory={1: ([0.5, 0.5], [250.0, 250.0])})
+    figure = zwidth_figure(a_map([0.5]), theory={1: ([0.5, 0.5], [2500.0, 2500.0])})
     assert "Z-width" not in figure._suptitle.get_text()
     assert figure._suptitle.get_text().startswith("Largest stable K of koul-compliant")
     for axes in figure.axes:
         assert axes.get_xlabel() == "scheme, at B = 0.5 N·m·s/rad"
         assert [list(line.get_xdata()) for line in marked(axes)] == [[0.0], [1.0], [2.0]]  # beside each other
         assert list(axes.get_xticks()) == []
+        assert axes.get_ylim()[1] > 2500.0
     assert "Z-width of koul-compliant" in zwidth_figure(a_map())._suptitle.get_text()
 
 
