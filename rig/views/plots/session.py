@@ -42,10 +42,10 @@ EACH, ALL, ONE = "each participant", "all participants", "the participant"
 AUTOMATIC, VERDICTS_THERE = "automatic verdicts", "verdicts, their number as area"
 K50, K50_INTERVAL = "K50", "its interval of 95 %"
 CURVES: Mapping[str, dict[str, Any]] = {  # what a psychometric picture is made of
-    ALL: {"linewidth": 2.0},
-    ONE: {"linewidth": 2.0},
+    ALL: {"linewidth": 3.0},
+    ONE: {"linewidth": 3.0},
     EACH: {"linewidth": 0.6, "alpha": 0.5},
-    AUTOMATIC: {"color": "#333333", "linewidth": 1.1, "linestyle": "--"},
+    AUTOMATIC: {"color": "#000000", "linewidth": 1.0, "linestyle": "--"},
     VERDICTS_THERE: {"marker": "o", "linestyle": "", "fillstyle": "none", "markersize": 6},
     K50: {"color": "#222222", "marker": "|", "linestyle": "", "markersize": 9},
     K50_INTERVAL: {"color": "#222222", "linewidth": 2.4, "solid_capstyle": "butt"},
@@ -313,12 +313,11 @@ def _functions(axes: Any, of: Sequence[Psychometric], judge: str, colour: str, m
     low, high = together.levels[0], together.levels[-1]
     margin = 0.05 * (high - low) or 0.05 * high
     at = np.linspace(max(low - margin, 0.0), high + margin, 200)
-    curves = {
+    other = _together([one for one in of if one.judge != judge])
+    curves: dict[str, Sequence[Psychometric | None]] = {
         EACH: [one for one in mine if one is not together],
         ONE if together.participant else ALL: [together],
-        AUTOMATIC: [
-            _together([one for one in of if one.judge != judge])
-        ],  # often equal: on top of the others
+        AUTOMATIC: [other],  # often equal to the one before: on top of it
     }
     drawn = {VERDICTS_THERE}
     for label, some in curves.items():

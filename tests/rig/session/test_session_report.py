@@ -458,7 +458,7 @@ def test_a_psychometric_picture_says_what_is_thick_and_what_is_thin(found: Any, 
     assert {"verdicts, their number as area", "K50"} <= set(told)
     for axes in pictures(found)["psychometric"](found).axes:
         dashed = [line for line in axes.lines if line.get_linestyle() == "--" and len(line.get_xdata())]
-        thick = [line for line in axes.lines if line.get_linewidth() == 2.0 and len(line.get_xdata())]
+        thick = [line for line in axes.lines if line.get_linewidth() == 3.0 and len(line.get_xdata())]
         assert dashed  # as often as not it equals the thick one, and would lie hidden below it
         assert axes.lines.index(dashed[0]) > axes.lines.index(thick[0])
     alone = one_person(tmp_path)
