@@ -63,7 +63,7 @@ def run(
     schemes: Sequence[str],
     directory: Path,
     *,
-    plot: bool,
+    plot: str,
     as_json: bool,
 ) -> None:
     """Compare the schemes on the experiment under the changes; print and draw."""
@@ -71,7 +71,7 @@ def run(
     comparison = comparing.compare(changed, entries(changed, schemes))
     picture = None
     if plot:
-        picture = _drawn(directory / f"{changed.rig.name}-compare.png", draw_comparison, comparison)
+        picture = _drawn(directory / f"{changed.rig.name}-compare.{plot}", draw_comparison, comparison)
     if as_json:
         output.print_json({**plain(comparison), "picture": picture})
         return
@@ -88,14 +88,14 @@ def run(
         output.print_pairs([("picture", picture)])
 
 
-def run_as_in_the_paper(directory: Path, *, plot: bool, as_json: bool) -> None:
+def run_as_in_the_paper(directory: Path, *, plot: str, as_json: bool) -> None:
     """Figures 7 and 8 of Koul et al.: print and draw."""
     panels, words, profiles = koul.koul_figure_7(), koul.word_lengths(), koul.koul_figure_8()
     pictures = {}
     if plot:
         pictures = {
-            "figure 7": _drawn(directory / "koul-figure-7.png", impact_pictures.draw_figure_7, panels),
-            "figure 8": _drawn(directory / "koul-figure-8.png", impact_pictures.draw_figure_8, profiles),
+            "figure 7": _drawn(directory / f"koul-figure-7.{plot}", impact_pictures.draw_figure_7, panels),
+            "figure 8": _drawn(directory / f"koul-figure-8.{plot}", impact_pictures.draw_figure_8, profiles),
         }
     if as_json:
         output.print_json(

@@ -89,7 +89,10 @@ def _facts(name: str, case: Case, hertz: int) -> dict[str, Any]:
 )
 @click.option("--estimator", "chosen", multiple=True, help=f"{VARIANT_HELP} [all]")
 @click.option("--time/--no-time", "timed", default=True, help="Also measure ns a sample.")
-@click.option("--plot", type=click.Path(path_type=Path), default=Path("estimators.png"), show_default=True)
+@click.option(
+    "--plot", type=click.Path(path_type=Path), default=Path("estimators.png"), show_default=True,
+    help=f"Picture to write; {options.PICTURE_NAME}.",
+)  # fmt: skip
 @click.option("--no-plot", is_flag=True, help="Draw nothing.")
 @options.json_option
 def compare(

@@ -38,7 +38,7 @@ from rig.experiments import hit as hits
     default=Path("recordings"),
     show_default=True,
 )
-@click.option("--plot/--no-plot", default=True, help="Draw a picture beside the recording.")
+@options.plot_options("Draw a picture beside the recording.")
 @options.compare_options
 @options.json_option
 def hit(
@@ -49,7 +49,7 @@ def hit(
     verified: bool,
     arm_anyway: bool,
     directory: Path,
-    plot: bool,
+    plot: str,
     compare: bool,
     schemes: tuple[str, ...],
     as_in_the_paper: bool,
@@ -124,12 +124,12 @@ class Artist:
     A picture that fails is reported and takes nothing with it, since the recording is on disk.
     """
 
-    def __init__(self, wanted: bool) -> None:
-        self._wanted = wanted
+    def __init__(self, ending: str) -> None:
+        self._ending = ending
         self._process: subprocess.Popen[str] | None = None
 
     def __enter__(self) -> Artist:
-        if self._wanted:
+        if self._ending:
             self._process = subprocess.Popen(
                 [sys.executable, "-P", "-m", "rig.views.plots.hit"],
                 stdin=subprocess.PIPE,
@@ -152,7 +152,8 @@ class Artist:
         if process is None or process.stdin is None or process.stdout is None:
             return None
         try:
-            process.stdin.write(json.dumps(str(recording)) + "\n")
+            picture = recording.with_suffix(f".{self._ending}")
+            process.stdin.write(json.dumps([str(recording), str(picture)]) + "\n")
             process.stdin.flush()
             answer: dict[str, str] = json.loads(process.stdout.readline())
         except (OSError, ValueError):

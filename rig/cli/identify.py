@@ -48,7 +48,7 @@ from rig.views.plots.identify import draw_identification
     show_default=True,
     help="Directory of recordings and picture.",
 )
-@click.option("--plot/--no-plot", default=True, help="Draw data, fit and residual.")
+@options.plot_options("Draw data, fit and residual.")
 @click.option(
     "--plan", "only_plan", is_flag=True, help="List and check what would be done; touches no device."
 )
@@ -65,7 +65,7 @@ def identify(
     seed: int,
     file_out: Path | None,
     recordings: Path,
-    plot: bool,
+    plot: str,
     only_plan: bool,
     as_json: bool,
 ) -> None:
@@ -101,7 +101,7 @@ def identify(
     found = identifying.identify(
         request, None if as_json else lambda text: click.echo(f"  {text} …", err=True)
     )
-    picture = _draw(found) if plot else None
+    picture = _draw(found, plot) if plot else None
     written = _write(found, file_out) if file_out is not None else None
     if as_json:
         more = {"picture": picture, "file": None if written is None else str(written)}
@@ -119,9 +119,9 @@ def _print_plan(plan: Plan) -> None:
     output.show(plan.items())
 
 
-def _draw(found: Identification) -> str | None:
+def _draw(found: Identification, ending: str) -> str | None:
     first = found.recordings["signs"][0]
-    picture = first.with_name(f"{first.name.partition('-signs')[0]}.png")
+    picture = first.with_name(f"{first.name.partition('-signs')[0]}.{ending}")
     return output.drawn(lambda: draw_identification(found, picture))
 
 

@@ -68,7 +68,7 @@ DEFAULT_PRESET = "chawda-linear"
 @click.option(
     "-o", "--output", "directory", type=click.Path(path_type=Path), default=Path("impedances"), show_default=True
 )  # fmt: skip
-@click.option("--plot/--no-plot", default=True, help="Draw magnitude, phase and real part.")
+@options.plot_options("Draw magnitude, phase and real part.")
 @options.json_option
 def impedance(
     file: Path | None,
@@ -86,7 +86,7 @@ def impedance(
     arm_anyway: bool,
     yes: bool,
     directory: Path,
-    plot: bool,
+    plot: str,
     as_json: bool,
     **excitation: Any,
 ) -> None:
@@ -123,7 +123,9 @@ def impedance(
     table, summary = measuring.write_results(results, place)
     measured = any(result.impedance is not None for result in results)
     picture = (
-        output.drawn(lambda: draw_impedance(results, place / "impedance.png")) if plot and measured else None
+        output.drawn(lambda: draw_impedance(results, place / f"impedance.{plot}"))
+        if plot and measured
+        else None
     )
     if as_json:
         output.print_json({"results": results, "table": str(table), "picture": picture})

@@ -37,7 +37,7 @@ def kmax(
     workers: int | None,
     scheduler: str | None,
     directory: Path,
-    plot: bool,
+    plot: str,
     as_json: bool,
     rates: str,
     **push: Any,
@@ -59,7 +59,7 @@ def kmax(
     with SweepBar("series", unit="ticks", plain=as_json) as bar:
         found = KMax.of(maps.map_into(plan, place, scheduler=scheduler, workers=workers, watch=bar.watch))
     picture = (
-        output.drawn(lambda: draw_kmax(found, place / "kmax.png", theory=kmax_theory(found)))
+        output.drawn(lambda: draw_kmax(found, place / f"kmax.{plot}", theory=kmax_theory(found)))
         if plot
         else None
     )

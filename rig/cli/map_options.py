@@ -78,7 +78,7 @@ def map_options(command: F) -> F:
             default=Path("maps"),
             show_default=True,
         ),
-        click.option("--plot/--no-plot", default=True, help="Draw a picture."),
+        options.plot_options(),
         options.json_option,
     ]
     for option in reversed(added):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Callable
+from functools import wraps
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -13,6 +14,7 @@ from rig import config
 from rig.config import Experiment, presets
 from rig.config.schemes import parse_rates
 from rig.core.errors import ConfigError
+from rig.views.plots.style import FORMATS
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -24,6 +26,29 @@ arm_anyway_option = click.option(
     help="Arm a real rig although its link, as measured, makes this wall dangerous; `rig doctor` says why.",
 )
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON for machines.")
+PICTURE_NAME = "its name ends in .png, .svg or .pdf"
+
+
+def picture_format_option(help: str, default: str | None) -> Callable[[F], F]:
+    """The option that chooses a format of pictures, by its ending."""
+    return click.option(
+        "--picture-format", type=click.Choice(tuple(FORMATS)), default=default, show_default=True, help=help
+    )
+
+
+def plot_options(help: str = "Draw a picture.") -> Callable[[F], F]:
+    """Add the options of a picture; the command receives its format as `plot`, empty where none is wanted."""
+
+    def add(command: F) -> F:
+        @wraps(command)
+        def called(*, plot: bool, picture_format: str, **others: Any) -> Any:
+            return command(plot=picture_format if plot else "", **others)
+
+        called = picture_format_option("Of the picture.", "png")(called)
+        return click.option("--plot/--no-plot", default=True, help=help)(called)  # type: ignore[return-value]
+
+    return add
+
 
 # Option → key of the experiment.
 _KEYS = {

@@ -20,7 +20,7 @@ def plot() -> None:
 @plot.command("levant-regions")
 @click.option(
     "-o", "--output", "picture", type=click.Path(path_type=Path), default=Path("levant-regions.png"),
-    show_default=True, help="PNG to write.",
+    show_default=True, help=f"Picture to write; {options.PICTURE_NAME}.",
 )  # fmt: skip
 @options.json_option
 def levant_regions(picture: Path, as_json: bool) -> None:

@@ -21,7 +21,11 @@ from rig.views.plots.replay import draw_replay
 @click.option("--rate", metavar="T1/T2", help="Another velocity rate T2; T1 is the recording's.")
 @click.option("--estimator", help="Another velocity estimator.")
 @click.option("--set", "sets", multiple=True, metavar="KEY=VALUE", help="Any other key.")
-@click.option("--plot", type=click.Path(path_type=Path), help="Draw recorded and replayed into this PNG.")
+@click.option(
+    "--plot",
+    type=click.Path(path_type=Path),
+    help=f"Draw recorded and replayed into this file; {options.PICTURE_NAME}.",
+)
 @options.json_option
 def replay(recording: Path, plot: Path | None, as_json: bool, **changed: Any) -> None:
     """Run the inputs of RECORDING through the same law (bit-exact) or another one.

@@ -12,7 +12,7 @@ from rig.cli.progress import SweepBar
 from rig.papers import reproduction
 from rig.papers.chawda.reproduction import CHAWDA
 from rig.papers.koul.reproduction import KOUL
-from rig.papers.reproduction import Reproduction, write_report
+from rig.papers.reproduction import Reproduction, draw_into, write_report
 from rig.papers.rules import Status
 from rig.recording.files import plain_errors
 
@@ -42,8 +42,11 @@ PAPERS = {paper.name: paper for paper in (KOUL, CHAWDA)}
     help="Where the report goes, and the journal to resume from.",
 )
 @click.option("--workers", type=click.IntRange(1, 1024), help="Threads. [one for each core]")
+@options.picture_format_option("Write the pictures beside the report, too.", None)
 @options.json_option
-def reproduce(paper: str, quick: bool, directory: Path, workers: int | None, as_json: bool) -> None:
+def reproduce(
+    paper: str, quick: bool, directory: Path, workers: int | None, picture_format: str | None, as_json: bool
+) -> None:
     """Reproduce a paper: every figure, a verdict on every claim, its open ideas, as one HTML report.
 
     koul: dual-rate sampling and Z-width (Koul et al. 2013), in about two minutes. chawda: velocity estimators,
@@ -62,13 +65,14 @@ def reproduce(paper: str, quick: bool, directory: Path, workers: int | None, as_
             watch=bar.watch,
         )
     page, numbers = write_report(found, directory)
+    pictures = draw_into(found, directory, picture_format) if picture_format else {}
     if as_json:
-        output.print_json({**found.as_mapping(), "report": str(page), "json": str(numbers)})
+        files = {"report": page, "json": numbers, "pictures": pictures}
+        output.print_json({**found.as_mapping(), **files})
         return
     _print(found)
-    output.print_pairs(
-        [("report", str(page)), ("numbers", str(numbers)), ("computed in", f"{found.seconds:.0f} s")]
-    )
+    pairs = [("report", str(page)), ("numbers", str(numbers)), ("computed in", f"{found.seconds:.0f} s")]
+    output.print_pairs([*pairs, *((name, str(path)) for name, path in pictures.items())])
 
 
 def _print(found: Reproduction) -> None:

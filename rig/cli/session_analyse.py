@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from rig.cli import output
+from rig.cli import options, output
 from rig.cli.session_report import write_report
 from rig.core.present import Item, Table
 from rig.session.analysis import Analysis, Options, write_tables
@@ -42,6 +42,7 @@ _FEW = 3  # participants: each is printed
 @click.option("--hashes/--no-hashes", default=True, help="Compare recordings with the hashes in the logs.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the bootstraps.")
 @click.option("--report/--no-report", default=True, help="Draw pictures and write the report, one HTML file.")
+@options.picture_format_option("Of the pictures beside the report, which has its own.", "svg")
 @click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
 def analyse(
     places: tuple[Path, ...],
@@ -50,6 +51,7 @@ def analyse(
     hashes: bool,
     seed: int,
     report: bool,
+    picture_format: str,
     as_json: bool,
 ) -> None:
     """Analyse a study: limits with intervals, differences, agreement, order and fatigue.
@@ -58,12 +60,12 @@ def analyse(
     logs alone, corrections included; tables are written as CSV and Parquet, with a dictionary of their columns, and
     one HTML file reports everything, with pictures and the methods as a paper prints them.
     """
-    options = Options(measure=MEASURES[measure], hashes=hashes, seed=seed)  # type: ignore[arg-type]
+    chosen = Options(measure=MEASURES[measure], hashes=hashes, seed=seed)  # type: ignore[arg-type]
     with Steps(quiet=as_json) as steps:
-        found = found_in(places, options, watch=steps.watch)
+        found = found_in(places, chosen, watch=steps.watch)
         directory = beside(places, found) if out is None else out
         written = write_tables(found, directory)
-        drawn, page = write_report(found, directory, steps.watch) if report else ({}, None)
+        drawn, page = write_report(found, directory, picture_format, steps.watch) if report else ({}, None)
     if as_json:
         output.print_json(
             {
@@ -128,7 +130,11 @@ def show(found: Analysis) -> None:
     shown.append(tables.agreement(one for one in found.agreements if not one.condition))
     own = (one for one in found.slopes if one.measure in ("", measure) and not one.problem)
     shown.append(tables.slopes(found, own))
-    output.show(item for item in shown if not isinstance(item, Table) or item.rows)
+    output.show(
+        tables.filled(item) if isinstance(item, Table) else item
+        for item in shown
+        if not isinstance(item, Table) or item.rows
+    )
 
 
 def _differences(found: Analysis) -> Iterator[Item]:

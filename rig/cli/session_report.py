@@ -14,9 +14,11 @@ PICTURES = "pictures"
 
 
 def write_report(
-    found: Analysis, directory: Path, watch: Callable[[str, int, int], None]
+    found: Analysis, directory: Path, ending: str, watch: Callable[[str, int, int], None]
 ) -> tuple[dict[str, Path], Path]:
     """Draw all pictures and write the page; returns the paths of the pictures by name, and that of the page.
+
+    Pictures are PNGs, which the page needs, and beside them files of that ending.
 
     Raises
     ------
@@ -26,7 +28,9 @@ def write_report(
     place = directory / PICTURES
     with plain_errors("make", place):
         place.mkdir(parents=True, exist_ok=True)
-    drawn = draw_session(found, place, watch=lambda done, total: watch("pictures drawn", done, total))
+    drawn = draw_session(
+        found, place, ("png", ending), watch=lambda done, total: watch("pictures drawn", done, total)
+    )
     pngs = {path.stem: path.read_bytes() for path in drawn.values() if path.suffix == ".png"}
     page, _ = write_session_report(found, pngs, directory)
     return drawn, page

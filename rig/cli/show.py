@@ -22,7 +22,9 @@ from rig.views.plots.hit import draw_hit
 @click.command()
 @click.argument("recording", type=click.Path(path_type=Path))
 @click.option("--marks", is_flag=True, help="Also list what happened when: trial, contacts, sync edges.")
-@click.option("--plot", type=click.Path(path_type=Path), help="Also draw it into this PNG.")
+@click.option(
+    "--plot", type=click.Path(path_type=Path), help=f"Also draw it into this file; {options.PICTURE_NAME}."
+)
 @options.json_option
 def show(recording: Path, marks: bool, plot: Path | None, as_json: bool) -> None:
     """Show what RECORDING holds: rig, wall, why it ended, verdict, losses, columns."""

@@ -45,7 +45,7 @@ _MEANINGS = {"exact": "exact (rigid rig)"}
 @click.option(
     "-o", "--output", "directory", type=click.Path(path_type=Path), default=Path(), help="Where the picture goes. [.]"
 )  # fmt: skip
-@click.option("--plot/--no-plot", default=True, help="Draw K_max over B into theory-RIG.png.")
+@options.plot_options("Draw K_max over B into theory-RIG.png.")
 @options.json_option
 def theory(
     file: Path | None,
@@ -55,7 +55,7 @@ def theory(
     damping: float | None,
     sets: tuple[str, ...],
     directory: Path,
-    plot: bool,
+    plot: str,
     as_json: bool,
 ) -> None:
     """Say which walls are stable on a rig by exact linear theory, and which bound binds; nothing is simulated.
@@ -69,7 +69,7 @@ def theory(
     if changes:
         experiment = config.override(experiment, changes)
     found = theory_of(experiment, schemes or None, operator=operator)
-    picture = _draw(found, directory) if plot else None
+    picture = _draw(found, directory, plot) if plot else None
     if as_json:
         output.print_json({**plain(found), "picture": None if picture is None else str(picture)})
         return
@@ -78,14 +78,14 @@ def theory(
         output.print_pairs([("picture", str(picture))])
 
 
-def _draw(found: Theory, directory: Path) -> Path:
+def _draw(found: Theory, directory: Path, ending: str) -> Path:
     try:
         directory.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise RecordingError(
             f"cannot make {directory}: {error.strerror or error}", remedy="choose another --output"
         ) from error
-    return draw_theory(found, directory / f"theory-{found.rig}.png")
+    return draw_theory(found, directory / f"theory-{found.rig}.{ending}")
 
 
 def _print(found: Theory) -> None:

@@ -15,13 +15,13 @@ from rig.views.plots.timing import draw_timing
 
 @click.command()
 @click.argument("recording", type=click.Path(path_type=Path))
-@click.option("--plot/--no-plot", default=True, help="Draw a picture.")
+@options.plot_options()
 @click.option(
     "-o", "--output", "picture", type=click.Path(path_type=Path),
-    help="PNG to write. [beside the recording]",
+    help=f"Picture to write: {options.PICTURE_NAME}. [beside the recording]",
 )  # fmt: skip
 @options.json_option
-def timing(recording: Path, plot: bool, picture: Path | None, as_json: bool) -> None:
+def timing(recording: Path, plot: str, picture: Path | None, as_json: bool) -> None:
     """Show where the time of each tick in RECORDING went: sampled, received, computed, sent, applied.
 
     Sampled and applied are times of the device, put on the host's clock by the exchanges of the run; without them only
@@ -30,7 +30,7 @@ def timing(recording: Path, plot: bool, picture: Path | None, as_json: bool) -> 
     found = timing_of(recording)
     drawn, failure = None, None
     if plot:
-        target = picture or recording.with_name(f"{recording.stem}-timing.png")
+        target = picture or recording.with_name(f"{recording.stem}-timing.{plot}")
         try:
             drawn = draw_timing(found.ledger, found.summary, target, title=recording.name)
         except RigError as error:  # the numbers are there all the same

@@ -67,7 +67,7 @@ def zwidth(
     workers: int | None,
     scheduler: str | None,
     directory: Path,
-    plot: bool,
+    plot: str,
     as_json: bool,
     schemes: tuple[str, ...],
     damping: str | None,
@@ -127,7 +127,7 @@ def zwidth(
         dialogue = Dialogue(plan, url, realtime=realtime, confirm=confirm)
         place, found = dialogue.map(directory, verified=verified)
     picture = (
-        output.drawn(lambda: draw_zwidth(found, place / "zwidth.png", theory=theory_curves(plan)))
+        output.drawn(lambda: draw_zwidth(found, place / f"zwidth.{plot}", theory=theory_curves(plan)))
         if plot
         else None
     )

@@ -108,7 +108,7 @@ def map_frequency(
     z_score: float | None,
     residual_threshold: float | None,
     directory: Path,
-    plot: bool,
+    plot: str,
     as_json: bool,
     workers: int | None,
     scheduler: str | None,
@@ -126,7 +126,7 @@ def map_frequency(
     picture = None
     if plot:
         curves = linear_curves(plan)
-        picture = output.drawn(lambda: draw_frequency_map(found, place / "zwidth.png", theory=curves))
+        picture = output.drawn(lambda: draw_frequency_map(found, place / f"zwidth.{plot}", theory=curves))
     if as_json:
         output.print_json({**maps.summary(found), "directory": str(place), "picture": picture})
         return

@@ -50,7 +50,7 @@ class Paper:
     numbers, provenance
         Every number in plain values; what they come from, the same on every machine.
     pictures
-        By name: a function that draws the results as a PNG.
+        By name: a function that draws the results into a file, in the format that its name ends in.
     """
 
     name: str
@@ -171,9 +171,16 @@ def render(found: Reproduction, pictures: Mapping[str, bytes]) -> str:
 def draw(found: Reproduction) -> dict[str, bytes]:
     """Draw every picture of the page; returns PNGs by name."""
     with TemporaryDirectory(prefix=f"rig-{found.paper.name}-") as place:
-        for name, picture in found.paper.pictures.items():
-            picture(found.results, Path(place, f"{name}.png"))
-        return {name: Path(place, f"{name}.png").read_bytes() for name in found.paper.pictures}
+        paths = draw_into(found, Path(place), "png")
+        return {name: path.read_bytes() for name, path in paths.items()}
+
+
+def draw_into(found: Reproduction, directory: Path, ending: str) -> dict[str, Path]:
+    """Draw every picture into a file of this ending, PAPER-NAME; returns their paths by name."""
+    paths = {name: directory / f"{found.paper.name}-{name}.{ending}" for name in found.paper.pictures}
+    for name, picture in found.paper.pictures.items():
+        picture(found.results, paths[name])
+    return paths
 
 
 def write_report(found: Reproduction, directory: Path) -> tuple[Path, Path]:

@@ -127,6 +127,9 @@ def free_name(directory: Path, stem: str) -> Path:
     stem = re.sub(r"[^A-Za-z0-9._-]+", "-", stem).strip(".-") or "rig"
     for number in range(1, 10_000):
         name = stem if number == 1 else f"{stem}-{number}"
-        if not any((directory / f"{name}{suffix}").exists() for suffix in (".rigcap", ".parquet", ".png")):
+        if not any(
+            (directory / f"{name}{suffix}").exists()
+            for suffix in (".rigcap", ".parquet", ".png", ".svg", ".pdf")
+        ):
             return directory / f"{name}.rigcap"
     raise ConfigError(f"{directory} is full of recordings named {stem}", remedy="choose another `output`")

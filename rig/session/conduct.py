@@ -520,6 +520,7 @@ class _Engine:
     ) -> None:
         """Show how things stand, with the wall only to an operator who may know it."""
         state = self._state
+        trial = wall.trial if wall else state.newest
         blind = state.protocol.study.blind in BLINDED
         seen = wall if wall is not None and not blind else None
         self._desk.show(
@@ -531,8 +532,8 @@ class _Engine:
                 blocks=sum(not one.practice for one in state.blocks),
                 run=wall.run if wall else 0,
                 runs=sum(len(one.runs) for one in state.blocks if not one.practice),
-                trial=wall.trial if wall else state.newest,
-                trials=max(self._expected, state.newest),
+                trial=trial,
+                trials=max(self._expected, trial),
                 practice=wall.practice if wall else False,
                 attempt=wall.attempt if wall else 1,
                 condition=seen.condition if seen else None,

@@ -50,6 +50,19 @@ def test_hit_prints_the_verdict_and_leaves_a_recording_and_a_picture(run: Any, t
     assert not list((tmp_path / "recordings").glob("*.rigcap"))
 
 
+def test_pictures_have_the_format_that_one_asks_for(run: Any, tmp_path: Path) -> None:
+    code, out, err = run("hit", "--json", "--picture-format", "svg", *QUICK)
+    assert code == 0, err
+    (hit,) = json.loads(out)["hits"]
+    picture = Path(hit["picture"])
+    assert picture == Path(hit["recording"]).with_suffix(".svg")
+    assert "position (mrad)" in picture.read_text(encoding="utf-8")
+    assert run("show", hit["recording"], "--plot", tmp_path / "a.pdf")[0] == 0
+    assert (tmp_path / "a.pdf").read_bytes().startswith(b"%PDF")
+    code, _, err = run("show", hit["recording"], "--plot", tmp_path / "a.jpg")
+    assert (code, "not a name for a picture" in err, "Traceback" in err) == (9, True, False)
+
+
 def test_hit_gives_the_numbers_as_json(run: Any) -> None:
     code, out, _ = run(
         "hit", "--json", "--no-plot", "-K", "200", "-B", "0.3", "--rate", "20k/2k", "--repeats", "2", *QUICK

@@ -36,7 +36,7 @@ def draw_figure_7(panels: Sequence[Panel], picture: str | Path, *, offset: int =
 
 
 def draw_figure_8(profiles: Profiles, picture: str | Path) -> Path:
-    """Draw figure 8 of Koul et al.: early and late in the impact, in each arithmetic; return the PNG's path."""
+    """Draw figure 8 of Koul et al.: early and late in the impact, in each arithmetic; return its path."""
     rows = list(dict.fromkeys(profile.arithmetic for profile in profiles.profiles))
     figure = style.new_figure(width=10.0, height=1.0 + 3.0 * len(rows))
     grid = figure.subplots(len(rows), 2, sharey="col", squeeze=False)

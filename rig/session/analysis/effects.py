@@ -196,18 +196,13 @@ def within_slopes(at: Floats, values: Floats, cells: Sequence[tuple[str, str, fl
     """
     if not cells:
         return {}
-    keys: list[Sequence[object]] = [cells]
-    if _shared(cells):
-        keys = [[cell[0] for cell in cells], [cell[1:] for cell in cells]]
-    moved, changed = _less_means(at, keys), _less_means(values, keys)
-    changed[np.abs(changed) <= _ALIKE * np.abs(values).max()] = 0.0
+    moved, changed = less_means(at, cells), less_means(values, cells)
     codes = np.array([cell[0] for cell in cells])
     found = {}
-    least = (_ALIKE * max(1.0, float(np.ptp(at)))) ** 2
     for code in dict.fromkeys(cell[0] for cell in cells):
         own = codes == code
         square = float(moved[own] @ moved[own])
-        if square > least:
+        if square > 0.0:
             found[code] = float(moved[own] @ changed[own]) / square
     return found
 
@@ -243,14 +238,19 @@ def _shared(cells: Sequence[tuple[str, str, float]]) -> bool:
     return len(set(cells)) == len(cells)
 
 
-def _less_means(values: Floats, keys: Sequence[Sequence[object]]) -> Floats:
-    """Values less what least squares gives to each key; of a single list of keys those are the means."""
-    if len(keys) == 1:
-        number = {key: place for place, key in enumerate(dict.fromkeys(keys[0]))}
-        of = np.array([number[key] for key in keys[0]])
-        return np.asarray(values - (np.bincount(of, values) / np.bincount(of))[of])
-    fixed = np.column_stack([_indicators(of) for of in keys])
-    return np.asarray(values - fixed @ np.linalg.lstsq(fixed, values, rcond=None)[0])
+def less_means(values: Floats, cells: Sequence[tuple[str, str, float]]) -> Floats:
+    """Values less what participants and conditions have in common, see above; what is left by rounding is zero."""
+    if not cells:
+        return values
+    if _shared(cells):
+        fixed = np.column_stack([_indicators(of) for of in ([c[0] for c in cells], [c[1:] for c in cells])])
+        left = np.asarray(values - fixed @ np.linalg.lstsq(fixed, values, rcond=None)[0])
+    else:
+        number = {cell: place for place, cell in enumerate(dict.fromkeys(cells))}
+        of = np.array([number[cell] for cell in cells])
+        left = np.asarray(values - (np.bincount(of, values) / np.bincount(of))[of])
+    left[np.abs(left) <= _ALIKE * np.abs(values).max()] = 0.0
+    return left
 
 
 def _indicators(keys: Sequence[object]) -> Floats:

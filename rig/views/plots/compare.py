@@ -18,14 +18,14 @@ SHORTEST_S, LONGEST_S = 0.03, 0.3
 
 
 def draw_comparison(comparison: Comparison, picture: str | Path, *, offset: int = 0) -> Path:
-    """Draw penetration above and velocities below, over the time since the first contact; return the PNG's path.
+    """Draw penetration above and velocities below, over the time since the first contact; return its path.
 
     Parameters
     ----------
     comparison
         What to draw: of each outcome the hit at one encoder offset.
     picture
-        PNG to write; `RecordingError` when it cannot be written.
+        File to write, see `rig.views.plots.style.save`; `RecordingError` when it cannot be written.
     offset
         Which of the offsets.
     """

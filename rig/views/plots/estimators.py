@@ -20,7 +20,7 @@ PANELS = 4  # more would be too small to read
 
 
 def draw_comparison(comparison: Comparison, picture: str | Path) -> Path:
-    """Draw into a PNG and return its path; raises `ConfigError` when there is nothing to draw.
+    """Draw into a file and return its path; raises `ConfigError` when there is nothing to draw.
 
     A panel for each signal and resolution, the first `PANELS` of them. On the left the error that is left without
     delay, on the right the delay, against the velocity rate; with a single rate the estimates over time instead.

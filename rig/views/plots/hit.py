@@ -27,7 +27,7 @@ def draw_hit(path: str | Path, picture: str | Path | None = None) -> Path:
     path
         The recording.
     picture
-        PNG to write; beside the recording unless given.
+        File to write, see `rig.views.plots.style.save`; beside the recording unless given.
 
     Returns
     -------
@@ -40,10 +40,10 @@ def draw_hit(path: str | Path, picture: str | Path | None = None) -> Path:
 
 
 def main() -> None:
-    """Draw every recording whose path comes as a JSON string on a line; answer each with a line of JSON."""
+    """Draw every recording whose path and picture come as JSON on a line; answer each with a line of JSON."""
     for line in sys.stdin:
         try:
-            answer = {"picture": str(draw_hit(json.loads(line)))}
+            answer = {"picture": str(draw_hit(*json.loads(line)))}
         except Exception as error:
             answer = {"error": str(error)}
         print(json.dumps(answer), flush=True)

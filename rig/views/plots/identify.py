@@ -15,7 +15,7 @@ from rig.views.plots import style
 
 
 def draw_identification(found: Identification, picture: str | Path) -> Path:
-    """Draw data, fits and residuals into a PNG; returns its path."""
+    """Draw data, fits and residuals into a file; returns its path."""
     figure = style.new_figure(12.0, 8.5)
     (pushes, response), (sliding, phase), (left, residual) = figure.subplots(3, 2, height_ratios=(3, 3, 2))
     _draw_pushes(pushes, found)

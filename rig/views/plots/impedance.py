@@ -20,7 +20,7 @@ HEADROOM = 1.3  # of the real part's axis, over what was measured
 
 
 def draw_impedance(results: Sequence[ImpedanceResult], picture: str | Path) -> Path:
-    """Draw results into a PNG, one colour each; returns its path.
+    """Draw results into a file, one colour each; returns its path.
 
     Solid with a band of two standard deviations: measured. Thin and dark: closed form of rig and wall, without friction
     and quantum. Dashed: the ideal wall K/(jω) + B.

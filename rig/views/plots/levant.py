@@ -64,7 +64,7 @@ def levant_regions() -> Regions:
 
 
 def draw_levant_regions(computed: Regions, picture: str | Path) -> Path:
-    """Draw both regions, their crossing, the named gains and the numeric boundary into a PNG; returns its path."""
+    """Draw both regions, their crossing, the named gains and the numeric boundary into a file; returns its path."""
     figure = style.new_figure(7.0, 5.0)
     axes = figure.subplots()
     for bound, colour, label in (

@@ -11,7 +11,7 @@ from rig.views.plots import style
 
 
 def draw_replay(recording: Recording, result: ReplayResult, picture: str | Path) -> Path:
-    """Draw velocity and effort, recorded against replayed, into a PNG; returns its path."""
+    """Draw velocity and effort, recorded against replayed, into a file; returns its path."""
     motion, time_s = recording.header["motion"], recording.time_s
     figure = style.new_figure(height=5.0)
     top, bottom = figure.subplots(2, 1, sharex=True)

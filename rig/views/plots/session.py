@@ -7,7 +7,7 @@ limits that lie beyond the levels: ▲ above the stiffest, ▼ below the softest
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ import numpy as np
 
 from rig.session.analysis.agreement import Agreement
 from rig.session.analysis.analyse import Analysis
+from rig.session.analysis.effects import less_means
 from rig.session.analysis.kmax import OfParticipant, OverParticipants
 from rig.session.analysis.psychometric import Psychometric
 from rig.session.analysis.rows import Measure, RunRow, TrialRow
@@ -37,8 +38,26 @@ VERDICTS: Mapping[str, tuple[str, str]] = {  # colour, marker
     "": (style.KINDS["invalid"], "x"),
 }
 _VERDICT_WORDS = {"": "invalid"}
+EACH, ALL, ONE = "each participant", "all participants", "the participant"
+AUTOMATIC, VERDICTS_THERE = "automatic verdicts", "verdicts, their number as area"
+K50, K50_INTERVAL = "K50", "its interval of 95 %"
+CURVES: Mapping[str, dict[str, Any]] = {  # what a psychometric picture is made of
+    ALL: {"linewidth": 3.0},
+    ONE: {"linewidth": 3.0},
+    EACH: {"linewidth": 0.6, "alpha": 0.5},
+    AUTOMATIC: {"color": "#000000", "linewidth": 1.0, "linestyle": "--"},
+    VERDICTS_THERE: {"marker": "o", "linestyle": "", "fillstyle": "none", "markersize": 6},
+    K50: {"color": "#222222", "marker": "|", "linestyle": "", "markersize": 9},
+    K50_INTERVAL: {"color": "#222222", "linewidth": 2.4, "solid_capstyle": "butt"},
+}
+_LARGEST = 98.0  # area of a circle (pt²)
 _RUNS_IN_A_ROW = 4
 _TOGETHER = 10  # verdicts whose median time is one point
+_LIMIT = {"color": "#333333", "linewidth": 0.9}
+_INTERVAL = {"color": "#cccccc", "alpha": 0.5, "linewidth": 0.0}
+_WAY = {"color": "#999999", "linewidth": 0.6}
+_RING = {"s": 46, "facecolors": "none", "edgecolors": "#333333", "linewidths": 0.6}
+_LEAST_SPAN = 0.1  # of an axis of limits, over the largest: what is closer together is alike
 _QUIET = "#bbbbbb"
 
 Draw = Callable[[Analysis], Any]
@@ -62,9 +81,13 @@ def pictures(found: Analysis) -> dict[str, Draw]:
 
 
 def draw_session(
-    found: Analysis, directory: Path, *, watch: Callable[[int, int], None] | None = None
+    found: Analysis,
+    directory: Path,
+    endings: Iterable[str] = ("png", "svg"),
+    *,
+    watch: Callable[[int, int], None] | None = None,
 ) -> dict[str, Path]:
-    """Draw everything into a directory, which is there: PNG, and SVG of all but the tracks.
+    """Draw everything into a directory, which is there.
 
     Parameters
     ----------
@@ -72,6 +95,8 @@ def draw_session(
         What is drawn.
     directory
         Takes the files; earlier ones of the same names are replaced.
+    endings
+        Of the files, as `rig.views.plots.style.FORMATS` has them.
     watch
         Told how many pictures are done, and of how many.
 
@@ -89,8 +114,8 @@ def draw_session(
     chosen = pictures(found)
     for number, (name, draw) in enumerate(chosen.items(), start=1):
         figure = draw(found)
-        for suffix in (".png",) if name.startswith(TRACKS) else (".png", ".svg"):
-            written[f"{name}{suffix}"] = style.save(figure, directory / f"{name}{suffix}")
+        for file in dict.fromkeys(f"{name}.{ending}" for ending in endings):
+            written[file] = style.save(figure, directory / file)
             figure.set_layout_engine("none")  # it is laid out now, which takes as long as drawing it
         if watch is not None:
             watch(number, len(chosen))
@@ -125,7 +150,8 @@ def zwidth_figure(found: Analysis, measure: Measure) -> Any:
     axes.set_ylim(bottom=0.0)
     style.tidy(axes, f"stiffest wall K ({found.study.unit('stiffness')})")
     participants = len({one.participant for one in each})
-    figure.suptitle(f"Z-width, {MEASURES[measure]}; {_people(found, participants)}", fontsize=11)
+    title = "Z-width" if len(dampings) > 1 else "Stiffest wall at one damping"
+    figure.suptitle(f"{title}, {MEASURES[measure]}; {_people(found, participants)}", fontsize=11)
     return figure
 
 
@@ -243,9 +269,7 @@ def _censored(
 def psychometric_figure(found: Analysis) -> Any:
     """Share of stable verdicts over stiffness: a row of panels for each condition, a column for each damping.
 
-    Dots are verdicts of all participants, their area the number of verdicts; thin lines the functions of each whose K50
-    lies among the levels, the thick one that of all together with the interval of the mean K50; dashed grey is the
-    function of the automatic verdicts.
+    Functions are drawn where K50 lies among the levels; `CURVES` says what is what.
     """
     judge = "person" if any(one.judge == "person" for one in found.psychometrics) else "automatic"
     names = _conditions(found)
@@ -254,11 +278,13 @@ def psychometric_figure(found: Analysis) -> Any:
     figure = style.new_figure(1.0 + 3.0 * columns, 0.9 + 2.2 * rows)
     panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     unit = found.study.unit("stiffness")
+    most = max(count for one in found.psychometrics for count in one.verdicts)
+    drawn: set[str] = set()
     for row, name in enumerate(names):
         for column, damping in enumerate(dampings):
             axes = panels[row][column]
             of = [one for one in found.psychometrics if (one.condition, one.damping) == (name, damping)]
-            _functions(axes, of, judge, style_of(row))
+            drawn |= _functions(axes, of, judge, style_of(row), most)
             axes.set_ylim(-0.05, 1.05)
             style.lighten(axes)
             if not of:
@@ -270,44 +296,50 @@ def psychometric_figure(found: Analysis) -> Any:
             if column == 0:
                 axes.set_ylabel(f"{_plain(name)}\nshare stable", fontsize=9)
             axes.tick_params(labelsize=8)
+    for label in (known for known in CURVES if known in drawn):
+        panels[0][0].plot([], [], **{"color": "#444444", **CURVES[label]}, label=label)
+    style.key_below(figure, panels[0][0])
     whose = "the person's verdicts" if judge == "person" else "the automatic verdicts"
     figure.suptitle(f"Psychometric functions of {whose}", fontsize=11)
     return figure
 
 
-def _functions(axes: Any, of: Sequence[Psychometric], judge: str, colour: str) -> None:
+def _functions(axes: Any, of: Sequence[Psychometric], judge: str, colour: str, most: int) -> set[str]:
+    """Draw a panel; the largest circle stands for `most` verdicts. Returns which of `CURVES` are in it."""
     mine = [one for one in of if one.judge == judge]
     together = _together(mine)
     if together is None:
-        return
+        return set()
     low, high = together.levels[0], together.levels[-1]
     margin = 0.05 * (high - low) or 0.05 * high
     at = np.linspace(max(low - margin, 0.0), high + margin, 200)
-    for one in mine:
-        if one is not together and one.bounded:
-            axes.plot(at, one.share(at), color=colour, linewidth=0.6, alpha=0.4)
     other = _together([one for one in of if one.judge != judge])
-    if other is not None and other.bounded:
-        axes.plot(at, other.share(at), color="#777777", linewidth=1.1, linestyle="--")
-    if together.bounded:
-        axes.plot(at, together.share(at), color=colour, linewidth=2.0)
+    curves: dict[str, Sequence[Psychometric | None]] = {
+        EACH: [one for one in mine if one is not together],
+        ONE if together.participant else ALL: [together],
+        AUTOMATIC: [other],  # often equal to the one before: on top of it
+    }
+    drawn = {VERDICTS_THERE}
+    for label, some in curves.items():
+        for one in (one for one in some if one is not None and one.bounded):
+            axes.plot(at, one.share(at), **{"color": colour, **CURVES[label]})
+            drawn.add(label)
     shares = [stable / count for stable, count in zip(together.stable, together.verdicts, strict=True)]
-    sizes = [8.0 + 90.0 * count / max(together.verdicts) for count in together.verdicts]
+    sizes = [_LARGEST * count / most for count in together.verdicts]
     axes.scatter(together.levels, shares, s=sizes, facecolors="none", edgecolors=colour, linewidths=1.0)
     threshold = together.threshold
     if together.bounded:
-        ends = [threshold.low, threshold.high]
-        axes.plot(ends, [0.5, 0.5], color="#222222", linewidth=2.4, solid_capstyle="butt")
-        axes.plot([threshold.mean], [0.5], "|", color="#222222", markersize=9)
-    axes.text(
-        0.98,
-        0.93,
-        _k50(together),
-        transform=axes.transAxes,
-        ha="right",
-        va="top",
-        fontsize=7.5,
+        axes.plot([threshold.mean], [0.5], **CURVES[K50])
+        drawn.add(K50)
+        if math.isfinite(threshold.low) and math.isfinite(threshold.high):
+            axes.plot([threshold.low, threshold.high], [0.5, 0.5], **CURVES[K50_INTERVAL])
+            drawn.add(K50_INTERVAL)
+    where = (
+        (0.98, 0.93, "right", "top") if 2.0 * threshold.mean < low + high else (0.02, 0.07, "left", "bottom")
     )
+    x, y, ha, va = where  # the corner from which the function is far
+    axes.text(x, y, _k50(together), transform=axes.transAxes, ha=ha, va=va, fontsize=7.5)
+    return drawn
 
 
 def _k50(one: Psychometric) -> str:
@@ -346,13 +378,12 @@ def tracks_figure(found: Analysis, code: str) -> Any:
             axes.set_ylabel(f"K ({found.study.unit('stiffness')})", fontsize=8)
         if place + columns >= len(runs):
             axes.set_xlabel("trial", fontsize=8)
-    told = [verdict for verdict in VERDICTS if any(_said(trial) == verdict for trial in trials)]
-    handles = [_key(panels[0][0], verdict) for verdict in told]
-    if handles:
-        figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), fontsize=8)
-    figure.suptitle(
-        f"Tracks of {_plain(code)}: filled, counts; hollow, does not; ring, catch trial", fontsize=10
-    )
+    _key(panels[0][0], [trial for run in runs for trial in trials if trial.run == run.run])
+    if any(found.options.measure in run.limits for run in runs):
+        panels[0][0].plot([], [], **_LIMIT, label=MEASURES[found.options.measure])
+        panels[0][0].fill_between([], [], **_INTERVAL, label="its interval of 95 %")
+    style.key_below(figure, panels[0][0])
+    figure.suptitle(f"Tracks of {_plain(code)}", fontsize=10)
     return figure
 
 
@@ -360,16 +391,12 @@ def _track(axes: Any, run: RunRow, trials: Sequence[TrialRow], found: Analysis) 
     limit = run.limits.get(found.options.measure)
     if limit is not None:
         low, high = (end if math.isfinite(end) else limit.value for end in (limit.low, limit.high))
-        axes.axhspan(low, high, color="#cccccc", alpha=0.5, linewidth=0)
-        axes.axhline(limit.value, color="#333333", linewidth=0.9)
+        axes.axhspan(low, high, **_INTERVAL)
+        axes.axhline(limit.value, **_LIMIT)
     for track in sorted({trial.track for trial in trials if not trial.catch}):
         counted = [trial for trial in trials if trial.track == track and not trial.void and not trial.catch]
         axes.plot(
-            [trial.trial for trial in counted],
-            [trial.stiffness for trial in counted],
-            color="#999999",
-            linewidth=0.6,
-            zorder=1,
+            [trial.trial for trial in counted], [trial.stiffness for trial in counted], **_WAY, zorder=1
         )
     for verdict, (colour, marker) in VERDICTS.items():
         for counts in (True, False):
@@ -386,19 +413,11 @@ def _track(axes: Any, run: RunRow, trials: Sequence[TrialRow], found: Analysis) 
                 zorder=3,
             )
     caught = [trial for trial in trials if trial.catch]
-    axes.scatter(
-        [trial.trial for trial in caught],
-        [trial.stiffness for trial in caught],
-        s=46,
-        facecolors="none",
-        edgecolors="#333333",
-        linewidths=0.6,
-        zorder=2,
-    )
+    axes.scatter([trial.trial for trial in caught], [trial.stiffness for trial in caught], **_RING, zorder=2)
     state = "" if run.state == "complete" else f", {run.state}"
     title = f"{run.run}. {_plain(run.condition)}, B = {run.damping:g}, repeat {run.repeat}{state}"
     axes.set_title(title, fontsize=7)
-    axes.xaxis.get_major_locator().set_params(integer=True)
+    style.count_along(axes)
     axes.tick_params(labelsize=7)
     style.lighten(axes)
 
@@ -411,9 +430,18 @@ def _paint(colour: str, filled: bool) -> dict[str, Any]:
     return {"color": colour} if filled else {"facecolors": "none", "edgecolors": colour}
 
 
-def _key(axes: Any, verdict: str) -> Any:
-    colour, marker = VERDICTS[verdict]
-    return axes.scatter([], [], marker=marker, s=18, color=colour, label=_VERDICT_WORDS.get(verdict, verdict))
+def _key(axes: Any, trials: Sequence[TrialRow]) -> None:
+    """What the marks of these trials mean."""
+    for verdict, (colour, marker) in VERDICTS.items():
+        if any(_said(trial) == verdict for trial in trials):
+            name = _VERDICT_WORDS.get(verdict, verdict)
+            axes.scatter([], [], marker=marker, s=18, color=colour, label=name)
+    if any(trial.void and _said(trial) for trial in trials):
+        axes.scatter([], [], s=18, **_paint("#333333", False), label="hollow: does not count")
+    if any(trial.catch for trial in trials):
+        axes.scatter([], [], **_RING, label="catch trial")
+    if not all(trial.void for trial in trials):
+        axes.plot([], [], **_WAY, label="order of those that count")
 
 
 # -------------------------------------------------------------------------------------------------------- agreement
@@ -472,7 +500,8 @@ def effects_figure(found: Analysis) -> Any:
     """
     measure = found.options.measure
     runs = [run for run in found.runs if run.state == "complete" and measure in run.limits]
-    left = _less_means(runs, measure)
+    limits = np.array([run.limits[measure].value for run in runs])
+    left = less_means(limits, [(run.participant, run.condition, run.damping) for run in runs])
     figure = style.new_figure(10.5, 6.2)
     panels = figure.subplots(2, 3)
     places: tuple[tuple[str, str, Callable[[RunRow], float]], ...] = (
@@ -496,10 +525,8 @@ def effects_figure(found: Analysis) -> Any:
         _slope(axes, found, "limit", along, measure, at)
         axes.axhline(0.0, color="#777777", linewidth=0.7)
         axes.set_xlabel(label, fontsize=9)
-        if along != "trial":
-            axes.set_xticks(sorted(set(at)))
-        style.lighten(axes)
-        axes.tick_params(labelsize=8)
+        style.at_least(axes, "y", _LEAST_SPAN * float(limits.max(initial=0.0)))
+        _count_runs(axes, runs)
     panels[0][0].set_ylabel(f"limit less the mean ({found.study.unit('stiffness')})", fontsize=9)
     if runs:
         panels[0][0].legend(fontsize=7, loc="best")
@@ -546,6 +573,10 @@ def _response(axes: Any, found: Analysis) -> None:
     axes.set_xlabel("trial", fontsize=9)
     axes.set_ylabel("time to the verdict (s)", fontsize=9)
     axes.set_title(f"medians of {_TOGETHER}, a line for each participant", fontsize=8)
+    if any(line.get_xdata().size for line in axes.lines):
+        style.count_along(axes)
+    else:
+        style.say(axes, "no verdict was timed")
     axes.tick_params(labelsize=8)
     style.lighten(axes)
 
@@ -564,8 +595,11 @@ def _useless(axes: Any, found: Analysis) -> None:
     axes.set_xlabel("block", fontsize=9)
     axes.set_ylabel("trials (%)", fontsize=9)
     axes.set_ylim(0.0, max(1.3 * float(bottom.max(initial=0.0)), 1.0))
-    axes.legend(fontsize=7, loc="upper right", ncols=3)
-    axes.set_xticks(numbers)
+    if bottom.any():
+        axes.legend(fontsize=7, loc="upper right", ncols=3)
+        style.count_along(axes)
+    else:
+        style.say(axes, "no trial was invalid, redone or aborted")
     axes.set_axisbelow(True)
     axes.tick_params(labelsize=8)
     style.lighten(axes)
@@ -584,22 +618,17 @@ def _limits_over_session(axes: Any, found: Analysis, runs: Sequence[RunRow], mea
         )
     axes.set_xlabel("mean trial of the run", fontsize=9)
     axes.set_ylabel(f"limit ({found.study.unit('stiffness')})", fontsize=9)
+    style.at_least(axes, "y", _LEAST_SPAN * max((run.limits[measure].value for run in runs), default=0.0))
+    _count_runs(axes, runs)
+
+
+def _count_runs(axes: Any, runs: Sequence[RunRow]) -> None:
+    if runs:
+        style.count_along(axes)
+    else:
+        style.say(axes, "no run is complete")
     axes.tick_params(labelsize=8)
     style.lighten(axes)
-
-
-def _less_means(runs: Sequence[RunRow], measure: Measure) -> list[float]:
-    """Limits less what the participant and the cell have in common, as the slopes take it out."""
-    cells = [(run.participant, run.condition, run.damping) for run in runs]
-    values = np.array([run.limits[measure].value for run in runs])
-    if not len(values):
-        return []
-    repeated = len(set(cells)) < len(cells)
-    keys: list[list[Any]] = [list(cells)] if repeated else [[c[0] for c in cells], [c[1:] for c in cells]]
-    design = np.hstack(
-        [np.array([[float(key == value) for value in dict.fromkeys(of)] for key in of]) for of in keys]
-    )
-    return list(values - design @ (np.linalg.pinv(design) @ values))
 
 
 # ------------------------------------------------------------------------------------------------------------ shared

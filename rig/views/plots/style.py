@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,15 @@ SERIES = (
 )
 KINDS = {"stable": "#00703c", "limit cycle": "#b35900", "unstable": BAD, "invalid": "#666666"}
 DPI = 120
-RECORDINGS = (".parquet", ".rigcap")  # suffixes
+_KEY_LINE = 0.18  # height of a line of a legend (inch)
+FORMATS: Mapping[
+    str, Mapping[str, None]
+] = {  # by ending: what would differ from one minute or version to the next
+    "png": {"Software": None},
+    "svg": {"Date": None, "Creator": None},
+    "pdf": {"CreationDate": None, "Creator": None, "Producer": None},
+}
+_AS_TEXT = {"svg.hashsalt": "haptic-rig", "svg.fonttype": "none", "pdf.fonttype": 42}
 
 
 def new_figure(width: float = 9.0, height: float = 7.0) -> Any:
@@ -51,26 +60,59 @@ def lighten(axes: Any) -> None:
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def save(figure: Any, path: Path) -> Path:
-    """Write a PNG, or an SVG where the name ends so; the same picture gives the same bytes.
+def at_least(axes: Any, which: str, span: float) -> None:
+    """Show no less than so much of an axis (x or y), about its middle: values that are alike differ by rounding."""
+    low, high = getattr(axes, f"get_{which}lim")()
+    more = 0.5 * (span - (high - low))
+    if more > 0.0:
+        axes.set(**{f"{which}lim": (low - more, high + more)})
 
-    `RecordingError` when it cannot be written, or has the name of a recording: those are never overwritten.
+
+def count_along(axes: Any) -> None:
+    """Let the horizontal axis count: ticks at whole numbers only, one neighbour at least to each side of a value."""
+    at_least(axes, "x", 2.0)
+    axes.xaxis.get_major_locator().set_params(integer=True, min_n_ticks=1)
+
+
+def say(axes: Any, text: str) -> None:
+    """Write into an empty panel why nothing is there."""
+    look = {"ha": "center", "va": "center", "color": "#666666", "fontsize": 8, "bbox": {"color": "white"}}
+    axes.text(0.5, 0.5, text, transform=axes.transAxes, **look)
+    axes.set(xticks=[], yticks=[])
+
+
+def key_below(figure: Any, axes: Any) -> None:
+    """Put the legend of a panel below all of them, where it hides nothing, in as many columns as there is room for."""
+    handles, labels = axes.get_legend_handles_labels()
+    for columns in range(len(handles), 0, -1):
+        key = figure.legend(
+            handles, labels, loc="outside lower center", ncols=columns, fontsize=8, frameon=False
+        )
+        if columns == 1 or key.get_window_extent(figure.canvas.get_renderer()).width < figure.bbox.width:
+            break
+        key.remove()
+    if handles:
+        figure.set_figheight(figure.get_figheight() + _KEY_LINE * -(-len(handles) // columns))
+
+
+def save(figure: Any, path: Path) -> Path:
+    """Write what the name ends in, one of `FORMATS`; the same picture gives the same bytes.
+
+    `RecordingError` when it cannot be written, or ends in something else: no recording is ever overwritten.
     """
-    if path.suffix in RECORDINGS:
+    ending = path.suffix.lower().removeprefix(".")
+    if ending not in FORMATS:
         raise RecordingError(
-            f"{path} is not a name for a picture: recordings end like that",
-            remedy="give one that ends in .png",
+            f"{path} is not a name for a picture",
+            remedy=f"give one that ends in {', '.join('.' + known for known in FORMATS)}",
         )
     for text in figure.findobj(lambda artist: hasattr(artist, "set_text")):
         text.set_text(
             text.get_text().encode("utf-8", "backslashreplace").decode()
         )  # a file's name need not be text
     try:
-        if path.suffix == ".svg":
-            with matplotlib.rc_context({"svg.hashsalt": "haptic-rig", "svg.fonttype": "none"}):
-                figure.savefig(path, format="svg", metadata={"Date": None, "Creator": None})
-        else:
-            figure.savefig(path, dpi=DPI, format="png", metadata={"Software": None})
+        with matplotlib.rc_context(_AS_TEXT):
+            figure.savefig(path, dpi=DPI, format=ending, metadata=FORMATS[ending])
     except OSError as error:
         raise RecordingError(
             f"cannot write the picture {path}: {error.strerror or error}",

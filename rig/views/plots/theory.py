@@ -18,7 +18,7 @@ CORNER = 1.5  # width and height of the right panel, in what passivity allows
 
 
 def draw_theory(theory: Theory, picture: str | Path) -> Path:
-    """Draw a result of `rig.analysis.theory.theory_of` into a PNG; returns its path.
+    """Draw a result of `rig.analysis.theory.theory_of` into a file; returns its path.
 
     Solid lines are K_max of the linear loop, connected from the lowest stiffness; islands beyond are shaded. The right
     panel shows the corner in which the wall can be passive: below the dashed lines it is, lag and delay counted, and on

@@ -32,7 +32,7 @@ def label(name: str) -> str:
 
 
 def draw_timing(ledger: Ledger, summary: TimingSummary, picture: str | Path, *, title: str = "") -> Path:
-    """Draw a ledger and its summary into a PNG; returns its path. `RecordingError` when it cannot be written."""
+    """Draw a ledger and its summary into a file; returns its path. `RecordingError` when it cannot be written."""
     figure = style.new_figure(width=11.0, height=7.5)
     panels = figure.subplot_mosaic([["often", "worst"], ["when", "when"]], height_ratios=(3, 2))
     _draw_survival(panels["often"], ledger)
@@ -66,7 +66,7 @@ def _draw_survival(axes: Any, ledger: Ledger) -> None:
         )
         axes.legend(frameon=False, fontsize=8)
     else:
-        _say(axes, "no stage took any time: virtual time" if len(ledger.tick) else "no ticks")
+        style.say(axes, "no stage took any time: virtual time" if len(ledger.tick) else "no ticks")
     axes.set_xlabel("time (µs)")
     style.tidy(axes, "share of ticks that took longer")
 
@@ -87,7 +87,7 @@ def _draw_worst(axes: Any, summary: TimingSummary) -> None:
         axes.set_yticks(range(len(summary.worst)), [f"{bad.tick}" for bad in summary.worst], fontsize=8)
         axes.invert_yaxis()
     else:
-        _say(axes, "no tick took any time")
+        style.say(axes, "no tick took any time")
     axes.set_xlabel("time from the sample (µs); the mark is the lateness")
     axes.set_axisbelow(True)
     style.tidy(axes, "worst ticks")
@@ -129,7 +129,3 @@ def _longest(
     each = -(-len(values) // POINTS)
     starts = np.arange(0, len(values), each)
     return time_s[starts], np.maximum.reduceat(values, starts)
-
-
-def _say(axes: Any, text: str) -> None:
-    axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", color="#666666")

@@ -1,7 +1,7 @@
 """Pictures of Z-width maps: the limits of every scheme over damping, and the limit over the rate at B = 0.
 
-Solid lines are means over offsets and repeats, bands reach from the lowest to the highest limit. A triangle marks a
-limit that is only a cap, bars above a curve are islands, thin dashed lines are the linear theory.
+A map of a single damping has no width: there the limits of the schemes stand side by side. Circles are means over
+offsets and repeats.
 """
 
 from __future__ import annotations
@@ -16,6 +16,10 @@ from rig.experiments.zwidth import Boundary, ZWidth
 from rig.views.plots import style
 
 TITLES = {"felt": "felt", "heard": "heard", "any": "felt, heard or moved"}
+_THEORY: dict[str, Any] = {"linewidth": 0.8, "linestyle": "--"}
+_BAND: dict[str, Any] = {"alpha": 0.18, "linewidth": 0.0}
+_CAP: dict[str, Any] = {"marker": "^", "linestyle": "", "markersize": 7}
+_ISLAND: dict[str, Any] = {"linewidth": 3.0, "alpha": 0.45, "solid_capstyle": "butt"}
 Curve = tuple[Sequence[float], Sequence[float]]  # damping or rate, stiffness
 
 
@@ -27,69 +31,126 @@ def draw_zwidth(
     criteria: Sequence[str] = ("felt", "heard"),
 ) -> Path:
     """Draw a map, one panel for each criterion; `theory` has curves by number of scheme. Returns the path."""
-    experiment = found.plan.experiment
+    return style.save(zwidth_figure(found, theory=theory, criteria=criteria), Path(picture))
+
+
+def zwidth_figure(
+    found: ZWidth,
+    *,
+    theory: Mapping[int, Curve] | None = None,
+    criteria: Sequence[str] = ("felt", "heard"),
+) -> Any:
+    """The figure of a map, see `draw_zwidth`."""
+    experiment, dampings = found.plan.experiment, found.plan.dampings
+    alone = len(dampings) == 1
+    highest = max(b.highest for b in found.boundaries)
+    unit = unit_of("damping", experiment.rig.motion)
     figure = style.new_figure(4.6 * len(criteria) + 0.6, 4.6)
     panels = figure.subplots(1, len(criteria), sharey=True, squeeze=False)[0]
     for axes, criterion in zip(panels, criteria, strict=True):
         for number, scheme in enumerate(found.plan.schemes):
             colour = style.SERIES[number % len(style.SERIES)]
             curve = found.curve(number, criterion)
-            draw_boundaries(axes, [b.damping for b in curve], curve, colour, scheme.label(experiment))
+            along = [float(number)] if alone else [b.damping for b in curve]
+            draw_boundaries(axes, along, curve, colour, scheme.label(experiment))
             if theory and number in theory:
-                axes.plot(*theory[number], color=colour, linewidth=0.8, linestyle="--")
-        axes.set_xlabel(f"damping B ({unit_of('damping', experiment.rig.motion)})")
+                at, limits = theory[number]
+                across = ([number - 0.3, number + 0.3], [limits[0], limits[0]])
+                axes.plot(*(across if alone else (at, limits)), color=colour, **_THEORY)
         axes.set_title(f"stable and not {TITLES[criterion]}", fontsize=10)
-        axes.set_ylim(bottom=0.0, top=1.08 * max(b.highest for b in found.boundaries) or 1.0)
-        axes.set_xlim(left=0.0)
+        _from_zero(axes, found, max(highest, axes.dataLim.y1) if alone else highest)
+        if alone:
+            axes.set(xticks=[], xlim=(-0.7, len(found.plan.schemes) - 0.3))
+            axes.set_xlabel(f"scheme, at B = {dampings[0]:g} {unit}")
+        else:
+            axes.set_xlim(left=-0.02 * max(dampings))  # a marker at B = 0 is not cut in half
+            axes.set_xlabel(f"damping B ({unit})")
         style.lighten(axes)
     panels[0].set_ylabel(f"stiffness K ({unit_of('stiffness', experiment.rig.motion)})")
     if theory:
-        panels[0].plot(
-            [], [], color="#333333", linewidth=0.8, linestyle="--", label="linear theory, no friction"
-        )
-    panels[0].legend(fontsize=8, loc="upper right")
-    figure.suptitle(f"Z-width of {experiment.rig.name}, {_how(found)}", fontsize=11)
-    return style.save(figure, Path(picture))
+        panels[0].plot([], [], color="#333333", **_THEORY, label="linear theory, no friction")
+    _explain(panels[0], [b for b in found.boundaries if b.criterion in criteria])
+    style.key_below(figure, panels[0])
+    title = f"Largest stable K of {experiment.rig.name}" if alone else f"Z-width of {experiment.rig.name}"
+    figure.suptitle(f"{title}, {_how(found)}", fontsize=11)
+    return figure
 
 
 def draw_kmax(
     found: KMax, picture: str | Path, *, theory: Curve | None = None, paper: Mapping[str, Curve] | None = None
 ) -> Path:
     """Draw the limit at B = 0 over the sampling rate; `paper` has points to compare with, by name."""
+    return style.save(kmax_figure(found, theory=theory, paper=paper), Path(picture))
+
+
+def kmax_figure(found: KMax, *, theory: Curve | None = None, paper: Mapping[str, Curve] | None = None) -> Any:
+    """The figure of limits over the rate, see `draw_kmax`."""
     experiment = found.map.plan.experiment
     figure = style.new_figure(7.0, 4.6)
     axes = figure.subplots()
     for number, criterion in enumerate(("felt", "heard")):
         colour = style.SERIES[number]
-        draw_boundaries(axes, found.rates, found.curve(criterion), colour, f"stable and not {criterion}")
+        curve = found.curve(criterion)
+        label, width = (
+            f"stable and not {criterion}",
+            (4.5, 1.2)[number],
+        )  # equal curves stay visible under each other
+        draw_boundaries(axes, found.rates, curve, colour, label, width=width)
     if theory is not None:
-        axes.plot(*theory, color="#333333", linewidth=0.9, linestyle="--", label="linear theory, no friction")
+        axes.plot(*theory, color="#333333", marker="_", **_THEORY, label="linear theory, no friction")
     for name, points in (paper or {}).items():
         axes.plot(*points, "k*", markersize=11, label=name)
     axes.set_xscale("log")
-    axes.set_ylim(bottom=0.0)
+    _from_zero(axes, found.map, float(axes.dataLim.y1))
     axes.set_xlabel("sampling rate 1/T1 (Hz)")
     style.tidy(axes, f"largest stiffness at B = 0 ({unit_of('stiffness', experiment.rig.motion)})")
-    axes.legend(fontsize=8, loc="upper left")
+    _explain(axes, [b for b in found.map.boundaries if b.criterion != "any"])
+    style.key_below(figure, axes)
     axes.set_title(f"{experiment.rig.name}, {_how(found.map)}", fontsize=11)
-    return style.save(figure, Path(picture))
+    return figure
 
 
 def draw_boundaries(
-    axes: Any, along: Sequence[float], curve: Sequence[Boundary], colour: str, label: str
+    axes: Any,
+    along: Sequence[float],
+    curve: Sequence[Boundary],
+    colour: str,
+    label: str,
+    *,
+    width: float = 1.6,
 ) -> None:
     """Draw one curve of limits: mean, band, caps and islands."""
-    axes.plot(along, [b.stiffness for b in curve], color=colour, linewidth=1.6, label=label)
-    axes.fill_between(
-        along, [b.lowest for b in curve], [b.highest for b in curve], color=colour, alpha=0.18, linewidth=0
+    size = 2.0 + 1.2 * width
+    axes.plot(
+        along, [b.stiffness for b in curve], "o-", color=colour, linewidth=width, markersize=size, label=label
     )
+    lowest, highest = [b.lowest for b in curve], [b.highest for b in curve]
+    axes.fill_between(along, lowest, highest, color=colour, **_BAND)
+    if len(curve) == 1:  # a band has no width there
+        axes.vlines(along, lowest, highest, color=colour, linewidth=width)
     capped = [(x, b.stiffness) for x, b in zip(along, curve, strict=True) if b.capped]
     if capped:
-        axes.plot(*zip(*capped, strict=True), "^", color=colour, markersize=6)
+        axes.plot(*zip(*capped, strict=True), color=colour, **_CAP)
     for x, boundary in zip(along, curve, strict=True):
         for limit in boundary.limits:
             for low, high in limit.islands:
-                axes.plot([x, x], [low, high], color=colour, linewidth=3.0, alpha=0.45, solid_capstyle="butt")
+                axes.plot([x, x], [low, high], color=colour, **_ISLAND)
+
+
+def _from_zero(axes: Any, found: ZWidth, highest: float) -> None:
+    """Let K begin at zero, cutting no marker in half; without a stable wall it ends at the softest one tried."""
+    top = 1.08 * highest or found.plan.search.lowest
+    axes.set_ylim(-0.02 * top, top)
+
+
+def _explain(axes: Any, boundaries: Sequence[Boundary]) -> None:
+    """Say in the legend what else there is to see: what mean and colour leave open."""
+    if any(b.lowest < b.highest for b in boundaries):
+        axes.fill_between([], [], [], color="#333333", **_BAND, label="from the lowest limit to the highest")
+    if any(b.capped for b in boundaries):
+        axes.plot([], [], color="#333333", **_CAP, label="no wall failed: the limit lies above")
+    if any(limit.islands for b in boundaries for limit in b.limits):
+        axes.plot([], [], color="#333333", **_ISLAND, label="island: stable walls beyond the limit")
 
 
 def _how(found: ZWidth) -> str:

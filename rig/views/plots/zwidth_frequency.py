@@ -49,7 +49,7 @@ def draw_frequency_map(
     found
         The map.
     picture
-        PNG to write.
+        File to write, see `rig.views.plots.style.save`.
     theory
         Curves by number of scheme, as `rig.experiments.ranges.linear_curves` gives them.
     search

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
 
 from rig.core.present import Table
@@ -122,9 +123,6 @@ def terms(found: Analysis, model: Mixed) -> Table:
 def psychometric(found: Analysis, some: Iterable[Psychometric], caption: str) -> Table:
     """Parameters of psychometric functions."""
     unit = found.study.unit("stiffness")
-    some = list(some)
-    spread = [interval(one.spread.low, one.spread.high) for one in some]
-    shown = any(text != NOTHING for text in spread)  # there is none of all participants
     rows = [
         (
             one.participant or "all",
@@ -134,21 +132,22 @@ def psychometric(found: Analysis, some: Iterable[Psychometric], caption: str) ->
             bounded(one.threshold.mean, one.above, one.below),
             NOTHING if _mostly_censored(one) else interval(one.threshold.low, one.threshold.high),
             number(one.spread.mean),
-            *([text] if shown else []),
+            interval(one.spread.low, one.spread.high),
             lapse_rate(one.lapse_rate.mean),
             str(sum(one.verdicts)),
         )
-        for one, text in zip(some, spread, strict=True)
+        for one in some
     ]
-    head = [
+    head = (
         "participant",
         "condition",
         "judge",
         f"B ({found.study.unit('damping')})",
         f"K50 ({unit})",
         "95 %",
-    ]
-    head += [f"spread ({unit})", *(["95 %"] if shown else [])]
+        f"spread ({unit})",
+        "95 %",
+    )
     return Table((*head, "lapse rate", "verdicts"), rows, caption, words=3)
 
 
@@ -363,6 +362,15 @@ def events(some: Iterable[Deviation], caption: str) -> Table:
     """What happened, to whom and when."""
     rows = [(one.participant, clock(one.at_s), one.what, one.detail) for one in some]
     return Table(("participant", "since the begin", "what", "details"), rows, caption, words=4)
+
+
+def filled(table: Table) -> Table:
+    """A table without the columns in which nothing but dashes stands."""
+    kept = [
+        i for i in range(len(table.head)) if not table.rows or any(row[i] != NOTHING for row in table.rows)
+    ]
+    head, rows = [table.head[i] for i in kept], [[row[i] for i in kept] for row in table.rows]
+    return replace(table, head=head, rows=rows, words=sum(i < table.words for i in kept))
 
 
 # What the terminal and the page begin with.

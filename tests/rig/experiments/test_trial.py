@@ -704,7 +704,7 @@ def test_a_real_device_moves_only_when_its_polarity_is_verified(tmp_path: Path, 
 def test_names_of_recordings_are_free(tmp_path: Path) -> None:
     first = free_name(tmp_path, "x")
     assert first == tmp_path / "x.rigcap"
-    for number, ending in enumerate(("rigcap", "parquet", "png"), start=2):
+    for number, ending in enumerate(("rigcap", "parquet", "png", "svg", "pdf"), start=2):
         (tmp_path / f"{'x' if number == 2 else f'x-{number - 1}'}.{ending}").touch()
         assert free_name(tmp_path, "x") == tmp_path / f"x-{number}.rigcap"
 

@@ -711,6 +711,14 @@ def spoiled(*trials: int) -> FakeRunner:
     return FakeRunner(dict.fromkeys(trials, (SPOILED, None)))
 
 
+def test_the_estimate_of_trials_is_never_below_the_trial_that_is_there(tmp_path: Path) -> None:
+    """What is repeated comes on top of what was expected."""
+    desk = ScriptedDesk()
+    run_with(started(tmp_path / "P01"), spoiled(*range(1, 100, 2)), desk)
+    assert max(view.trial for view in desk.views) > desk.views[0].trials
+    assert [view for view in desk.views if view.trials < view.trial] == []
+
+
 def test_what_the_machine_spoils_is_repeated_and_counts_for_no_rule(tmp_path: Path) -> None:
     protocol = protocol_of(stop={"invalid": 2, "machine": 5}, trial={"attempts": 2})
     runner, desk = spoiled(1, 2, 3, 4), ScriptedDesk()

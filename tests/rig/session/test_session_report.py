@@ -18,6 +18,7 @@ from click.testing import CliRunner
 from rig.cli import rig, session_report
 from rig.config.table import parameters
 from rig.core.oscillation import OSCILLATIONS
+from rig.core.present import Table
 from rig.session.analysis import Options, analyse
 from rig.session.analysis.tables import tables
 from rig.session.search.psychometric import LAPSE_RATES
@@ -33,7 +34,7 @@ from rig.views.report.session import (
 )
 from rig.views.report.session_events import _with_units, deviations, invalid_trials, notes
 from rig.views.report.session_methods import effective, methods
-from rig.views.report.session_tables import psychometric, summarised
+from rig.views.report.session_tables import filled, psychometric, summarised
 from rig.views.report.writing import interval
 from tests.conformance.studies import Person, protocol, sitting, without_sync, write_study
 
@@ -135,6 +136,7 @@ class _Page(HTMLParser):
         self.text = ""
         self.numbers = ""
         self.scripts = 0
+        self.tables: list[list[list[str]]] = []
         self._open: list[str] = []
         self.feed(page)
         assert not self._open
@@ -144,6 +146,12 @@ class _Page(HTMLParser):
         self.ids += [v] if (v := values.get("id")) else []
         self.sources += [v for name in ("src", "href") if (v := values.get(name))]
         self.scripts += tag == "script"
+        if tag == "table":
+            self.tables.append([])
+        elif tag == "tr":
+            self.tables[-1].append([])
+        elif tag in ("td", "th"):
+            self.tables[-1][-1].append("")
         if tag not in self.VOID:
             self._open.append(tag)
 
@@ -151,6 +159,8 @@ class _Page(HTMLParser):
         assert self._open.pop() == tag
 
     def handle_data(self, data: Any) -> None:
+        if self._open[-1:] in (["td"], ["th"]):
+            self.tables[-1][-1][-1] += data
         if self._open[-1:] == ["script"]:
             self.numbers += data
         elif self._open[-1:] != ["style"]:
@@ -367,7 +377,7 @@ def test_each_rule_is_told_with_the_settings_in_force(
 def test_pictures_are_drawn_with_units_in_their_labels(found: Any, drawn: Any) -> None:
     expected = {"zwidth", "psychometric", "agreement", "effects"}
     assert {path.stem for path in drawn.values()} == expected | {tracks_name(f"P0{n}") for n in (1, 2, 3)}
-    assert {path.stem for path in drawn.values() if path.suffix == ".svg"} == expected
+    assert {f"{path.stem}.svg" for path in drawn.values()} <= {path.name for path in drawn.values()}
     for path in drawn.values():
         if path.suffix == ".png":
             image = matplotlib.image.imread(path)
@@ -389,6 +399,122 @@ def test_the_same_study_gives_the_same_pictures(found: Any, drawn: Any, tmp_path
 
     assert saved(".png") == drawn["zwidth.png"].read_bytes()
     assert saved(".svg") == saved(".svg")
+
+
+def key(figure: Any) -> list[str]:
+    return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
+
+
+def one_person(where: Path, trials: int = 10_000, *, invalid: float = 0.0, repeats: int = 1) -> Any:
+    mapping = protocol(
+        search={"step": 50.0, "settings": {"turns": 2, "most": 10}},
+        order={"repeats": repeats},
+        condition=[{"name": "dual", "scheme": "dual:20k/2k"}],
+    )
+    with without_sync(), sitting(where / "P01", mapping, person(invalid=invalid)) as one:
+        one.run(trials)
+    return analyse([where])
+
+
+def test_what_is_rounding_is_no_effect(tmp_path: Path) -> None:
+    """One run less its own mean is zero, and stands on an axis of its own size, not of the rounding's."""
+    figure = pictures(found := one_person(tmp_path))["effects"](found)
+    limit = found.runs[0].limits["rule"].value
+    for axes in (*figure.axes[:3], figure.axes[5]):
+        low, high = axes.get_ylim()
+        assert 0.09 * limit <= high - low <= 0.5 * limit
+    assert all(list(axes.lines[0].get_ydata()) == [0.0] for axes in figure.axes[:3])
+
+
+@pytest.mark.parametrize("trials", [1, 3, 10_000])
+def test_axes_that_count_have_whole_ticks(trials: int, tmp_path: Path) -> None:
+    found = one_person(tmp_path, trials)
+    panels = [*pictures(found)["effects"](found).axes, *pictures(found)[tracks_name("P01")](found).axes]
+    for axes in (axes for axes in panels if axes.get_xlabel()):
+        low, high = axes.get_xlim()
+        ticks = [tick for tick in axes.get_xticks() if low <= tick <= high]
+        assert all(tick == round(tick) for tick in ticks), axes.get_xlabel()
+        assert ticks or axes.texts, axes.get_xlabel()  # a panel without ticks says why it is empty
+
+
+def test_a_panel_without_data_says_so(tmp_path: Path) -> None:
+    figure = pictures(found := one_person(tmp_path, 1))["effects"](found)
+    said = [[text.get_text() for text in axes.texts] for axes in figure.axes]
+    empty, useless = ["no run is complete"], ["no trial was invalid, redone or aborted"]
+    assert said == [empty, empty, empty, [], useless, empty]
+
+
+def test_tracks_say_what_line_and_band_and_marks_are(found: Any, tmp_path: Path) -> None:
+    told = key(pictures(found)[tracks_name("P01")](found))
+    assert told[-2:] == ["limit by the search rule", "its interval of 95 %"]
+    assert {"stable", "buzz", "hollow: does not count", "order of those that count"} <= set(told)
+    nothing = one_person(tmp_path, 12, invalid=1.0)
+    assert key(pictures(nothing)[tracks_name("P01")](nothing)) == ["invalid"]
+
+
+def test_a_psychometric_picture_says_what_is_thick_and_what_is_thin(found: Any, tmp_path: Path) -> None:
+    told = key(pictures(found)["psychometric"](found))
+    assert told[:3] == ["all participants", "each participant", "automatic verdicts"]
+    assert {"verdicts, their number as area", "K50"} <= set(told)
+    for axes in pictures(found)["psychometric"](found).axes:
+        dashed = [line for line in axes.lines if line.get_linestyle() == "--" and len(line.get_xdata())]
+        thick = [line for line in axes.lines if line.get_linewidth() == 3.0 and len(line.get_xdata())]
+        assert dashed  # as often as not it equals the thick one, and would lie hidden below it
+        assert axes.lines.index(dashed[0]) > axes.lines.index(thick[0])
+    alone = one_person(tmp_path)
+    told = key(pictures(alone)["psychometric"](alone))
+    assert "the participant" in told
+    assert not {"all participants", "each participant"} & set(told)
+
+
+def test_a_circle_has_the_area_of_its_verdicts(found: Any) -> None:
+    """In all panels alike."""
+    figure = pictures(found)["psychometric"](found)
+    shown = {
+        round(float(size), 6) for axes in figure.axes for c in axes.collections for size in c.get_sizes()
+    }
+    counts = {count for one in found.psychometrics if not one.participant for count in one.verdicts}
+    area = max(shown) / max(count for one in found.psychometrics for count in one.verdicts)
+    assert shown <= {round(area * count, 6) for count in counts | {1}}
+
+
+def test_legends_lie_within_their_picture(found: Any, tmp_path: Path) -> None:
+    for some in (found, one_person(tmp_path)):
+        for name in ("psychometric", tracks_name("P01")):
+            figure = pictures(some)[name](some)
+            figure.draw_without_rendering()
+            (legend,) = figure.legends
+            box = legend.get_window_extent()
+            assert box.x0 >= 0.0
+            assert box.x1 <= figure.bbox.width
+            assert all(box.y1 <= axes.get_tightbbox().y0 for axes in figure.axes if axes.axison)
+
+
+def test_a_single_damping_is_no_z_width(found: Any, tmp_path: Path) -> None:
+    assert zwidth_figure(found, "rule")._suptitle.get_text().startswith("Z-width, limit by the search rule")
+    assert "Z-width" not in zwidth_figure(one_person(tmp_path), "rule")._suptitle.get_text()
+
+
+def test_no_column_is_dashes_only(found: Any, tmp_path: Path) -> None:
+    for some in (found, one_person(tmp_path / "one"), one_person(tmp_path / "two", repeats=2)):
+        read = _Page(render(some, {}))
+        for head, *rows in read.tables:
+            for number, name in enumerate(head):
+                assert not rows or any(row[number] != "–" for row in rows), (name, head)
+
+
+def test_a_slope_that_is_not_there_is_a_sentence_and_no_row(tmp_path: Path) -> None:
+    read = _Page(render(some := one_person(tmp_path), {}))
+    assert all(one.problem for one in some.slopes)
+    assert "No slope of limit (rule) per place in the block" in " ".join(read.text.split())
+    assert not any("slope" in head or head[0] == "of" for head, *_ in read.tables)
+
+
+def test_a_table_keeps_its_columns_where_a_single_cell_says_something() -> None:
+    table = Table(("who", "when", "a", "b"), [("P01", "–", "–", "–"), ("P02", "–", "1", "–")], "c", words=2)
+    assert filled(table) == Table(["who", "a"], [["P01", "–"], ["P02", "1"]], "c", words=1)
+    empty = Table(("who", "a"), [], "c")
+    assert filled(empty).head == ["who", "a"]
 
 
 def test_limits_beyond_the_levels_are_marked(tmp_path: Path) -> None:
@@ -515,11 +641,26 @@ def test_the_command_writes_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyP
         one.run()
     png = tmp_path / "zwidth.png"
     png.write_bytes(b"made up")
-    monkeypatch.setattr(session_report, "draw_session", lambda *_, **__: {png.name: png})  # told above
-    told = CliRunner().invoke(
-        rig, ["session", "analyse", str(tmp_path), "--json", "-o", str(tmp_path / "out")]
-    )
+    asked: list[Any] = []
+
+    def draws(found: Any, place: Path, endings: Any, **_: Any) -> dict[str, Path]:  # told above
+        asked.append(endings)
+        return {png.name: png}
+
+    monkeypatch.setattr(session_report, "draw_session", draws)
+    words = [
+        "session",
+        "analyse",
+        str(tmp_path),
+        "--json",
+        "-o",
+        str(tmp_path / "out"),
+        "--picture-format",
+        "pdf",
+    ]
+    told = CliRunner().invoke(rig, words)
     assert told.exit_code == 0, told.output
+    assert asked == [("png", "pdf")]
     answer = json.loads(told.stdout)
     assert answer["report"] == str(tmp_path / "out" / PAGE)
     assert answer["pictures"] == {"zwidth.png": str(png)}

@@ -1,0 +1,131 @@
+"""Pictures of maps: markers, a legend that hides nothing and says what is there, and no width where there is none."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rig.config import presets
+from rig.config.schemes import Scheme
+from rig.control.verdict import CRITERIA
+from rig.experiments.kmax import KMax, kmax_plan
+from rig.experiments.searches import Search, StiffnessLimit
+from rig.experiments.zwidth import Boundary, MapPlan, ZWidth
+from rig.views.plots.zwidth import draw_kmax, draw_zwidth, kmax_figure, zwidth_figure
+
+SEARCH = Search(lowest=10.0, highest=1000.0, ratio=1.1)
+SCHEMES = ("uniform:20k", "dual:20k/2k", "uniform:2k")
+FIVE = (0.0, 0.5, 1.0, 1.5, 2.0)
+Limits = Callable[[int, float, str], Sequence[StiffnessLimit]]
+
+
+def limit(
+    stiffness: float, failed_at: float | None = 1000.0, *islands: tuple[float, float]
+) -> StiffnessLimit:
+    return StiffnessLimit(stiffness, failed_at, islands, 0)
+
+
+def a_peak(scheme: int, damping: float, criterion: str) -> Sequence[StiffnessLimit]:
+    """Highest in the corner in which a legend used to stand."""
+    heard = 0.9 if criterion == "heard" else 1.0
+    return [limit(heard * (300.0 + 100.0 * scheme + 200.0 * damping + 10.0 * offset)) for offset in (0, 1)]
+
+
+def mapped(plan: MapPlan, limits: Limits) -> ZWidth:
+    boundaries = tuple(
+        Boundary.of(number, damping, criterion, limits(number, damping, criterion))
+        for number in range(len(plan.schemes))
+        for damping in plan.dampings
+        for criterion in CRITERIA
+    )
+    return ZWidth(plan, boundaries, 0, ())
+
+
+def a_map(
+    dampings: Sequence[float] = FIVE, limits: Limits = a_peak, schemes: Sequence[str] = SCHEMES
+) -> ZWidth:
+    plan = MapPlan(
+        experiment=presets.load("koul-compliant"),
+        schemes=tuple(Scheme.parse(text) for text in schemes),
+        dampings=tuple(dampings),
+        search=SEARCH,
+    )
+    return mapped(plan, limits)
+
+
+def over_rates(limits: Limits, rates: Sequence[int] = (1000, 5000, 20_000)) -> KMax:
+    return KMax.of(mapped(kmax_plan(presets.load("koul-compliant"), SEARCH, rates=rates), limits))
+
+
+def key(figure: Any) -> list[str]:
+    """What the legends say: there is one, outside of the panels."""
+    assert not any(axes.get_legend() for axes in figure.axes)
+    (legend,) = figure.legends
+    return [text.get_text() for text in legend.get_texts()]
+
+
+def marked(axes: Any) -> list[Any]:
+    return [line for line in axes.lines if line.get_marker() == "o" and len(line.get_xdata())]
+
+
+def test_every_measured_limit_has_a_marker() -> None:
+    for axes in zwidth_figure(a_map()).axes:
+        assert [list(line.get_xdata()) for line in marked(axes)] == [list(FIVE)] * len(SCHEMES)
+
+
+def test_the_legend_lies_below_the_panels_and_in_the_picture() -> None:
+    figure = zwidth_figure(a_map(), theory={0: (list(FIVE), [100.0] * 5)})
+    figure.draw_without_rendering()
+    (legend,) = figure.legends
+    box = legend.get_window_extent()
+    assert box.x0 >= 0.0
+    assert box.x1 <= figure.bbox.width
+    assert all(box.y1 <= axes.get_tightbbox().y0 for axes in figure.axes)
+    assert len(key(figure)) == len(SCHEMES) + 2  # the theory, the band
+
+
+def test_the_legend_says_what_else_there_is_and_nothing_more() -> None:
+    plain = key(zwidth_figure(a_map(limits=lambda *_: [limit(300.0)])))
+    assert len(plain) == len(SCHEMES)
+    capped = key(zwidth_figure(a_map(limits=lambda *_: [limit(300.0, None)])))
+    assert capped[len(SCHEMES) :] == ["no wall failed: the limit lies above"]
+    islands = key(zwidth_figure(a_map(limits=lambda *_: [limit(300.0, 310.0, (400.0, 500.0))])))
+    assert islands[len(SCHEMES) :] == ["island: stable walls beyond the limit"]
+    band = key(zwidth_figure(a_map(limits=lambda *_: [limit(300.0), limit(400.0)])))
+    assert band[len(SCHEMES) :] == ["from the lowest limit to the highest"]
+
+
+def test_a_single_damping_is_no_width() -> None:
+    figure = zwidth_figure(a_map([0.5]), theory={1: ([0.5, 0.5], [2500.0, 2500.0])})
+    assert "Z-width" not in figure._suptitle.get_text()
+    assert figure._suptitle.get_text().startswith("Largest stable K of koul-compliant")
+    for axes in figure.axes:
+        assert axes.get_xlabel() == "scheme, at B = 0.5 N·m·s/rad"
+        assert [list(line.get_xdata()) for line in marked(axes)] == [[0.0], [1.0], [2.0]]  # beside each other
+        assert list(axes.get_xticks()) == []
+        assert axes.get_ylim()[1] > 2500.0
+    assert "Z-width of koul-compliant" in zwidth_figure(a_map())._suptitle.get_text()
+
+
+def test_equal_limits_are_both_seen() -> None:
+    """Felt and heard often end at the same wall: one line over the other must leave it visible."""
+    figure = kmax_figure(over_rates(lambda *_: [limit(300.0)]))
+    (axes,) = figure.axes
+    felt, heard = marked(axes)
+    assert list(felt.get_ydata()) == list(heard.get_ydata())
+    assert felt.get_linewidth() >= 3.0 * heard.get_linewidth()
+    assert felt.get_markersize() >= 2.0 * heard.get_markersize()
+    assert felt.get_zorder() <= heard.get_zorder()
+    assert key(figure)[:2] == ["stable and not felt", "stable and not heard"]
+
+
+@pytest.mark.parametrize("some", [[limit(0.0, 10.0)], [limit(300.0, None)], [limit(300.0), limit(300.0)]])
+@pytest.mark.parametrize("dampings", [[0.0], [0.0, 0.1]])
+def test_next_to_nothing_is_drawn(some: Any, dampings: Any, tmp_path: Path) -> None:
+    found = a_map(dampings, lambda *_: some, SCHEMES[:1])
+    for ending in ("png", "svg", "pdf"):
+        assert draw_zwidth(found, tmp_path / f"map.{ending}").stat().st_size > 4000
+        assert draw_kmax(over_rates(lambda *_: some, [1000]), tmp_path / f"k.{ending}").stat().st_size > 4000

@@ -1,0 +1,102 @@
+"""What all pictures share: formats by the ending of a name, axes of values that are alike, axes that count."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+import pytest
+
+from rig.cli import rig
+from rig.core.errors import RecordingError
+from rig.views.plots import style
+
+BEGINS = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}
+
+
+def a_figure(title: str = "K_max (N·m/rad)") -> Any:
+    figure = style.new_figure(3.0, 2.0)
+    axes = figure.subplots()
+    axes.plot([0.0, 1.0], [2.0, 1.0], label="a curve")
+    axes.set_title(title)
+    return figure
+
+
+@pytest.mark.parametrize("ending", style.FORMATS)
+def test_the_name_chooses_the_format_and_the_same_picture_has_the_same_bytes(
+    ending: str, tmp_path: Path
+) -> None:
+    first, second = (style.save(a_figure(), tmp_path / f"{n}.{ending}").read_bytes() for n in "ab")
+    assert first.startswith(BEGINS[ending])
+    assert first == second
+    assert style.save(a_figure(), tmp_path / f"c.{ending.upper()}").read_bytes() == first
+
+
+def test_vector_formats_hold_text(tmp_path: Path) -> None:
+    assert "K_max (N·m/rad)" in style.save(a_figure(), tmp_path / "a.svg").read_text(encoding="utf-8")
+    assert (
+        b"/FontFile2" in style.save(a_figure(), tmp_path / "a.pdf").read_bytes()
+    )  # TrueType, not drawn outlines
+
+
+@pytest.mark.parametrize("name", ["a.jpg", "a", "a.png.rigcap", "a.parquet", ".png"])
+def test_no_other_name_is_written(name: str, tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match=r"not a name for a picture") as caught:
+        style.save(a_figure(), tmp_path / name)
+    assert ".png, .svg, .pdf" in caught.value.remedy
+    assert list(tmp_path.iterdir()) == []
+
+
+def commands(group: click.Group) -> Any:
+    context = click.Context(group)
+    for name in group.list_commands(context):
+        command = group.get_command(context, name)
+        if isinstance(command, click.Group):
+            yield from ((f"{name} {inner}", one) for inner, one in commands(command))
+        else:
+            yield name, command
+
+
+def test_every_command_that_draws_offers_every_format() -> None:
+    drawing = {}
+    for name, command in commands(rig):
+        options = {option: one for one in command.params for option in one.opts}
+        if ("--plot" in options and options["--plot"].is_flag) or "--picture-format" in options:
+            drawing[name] = tuple(options["--picture-format"].type.choices)
+    assert set(drawing.values()) == {tuple(style.FORMATS)}
+    assert {"hit", "zwidth", "kmax", "impedance", "identify", "theory", "timing", "reproduce"} <= set(drawing)
+    assert "session analyse" in drawing
+
+
+# ------------------------------------------------------------------------------------------------------------ axes
+
+
+@pytest.mark.parametrize("values", [[500.0, 500.0 + 1e-11], [500.0], [0.0, 1e-14], []])
+def test_values_that_are_alike_are_not_spread_over_an_axis(values: Any) -> None:
+    axes = style.new_figure().subplots()
+    axes.plot(range(len(values)), values, "o")
+    style.at_least(axes, "y", 50.0)
+    low, high = axes.get_ylim()
+    assert high - low >= 50.0 * (1.0 - 1e-12)
+    assert all(low < value < high for value in values)
+
+
+def test_values_that_differ_keep_their_axis() -> None:
+    axes = style.new_figure().subplots()
+    axes.plot([0, 1], [100.0, 300.0])
+    before = axes.get_ylim()
+    style.at_least(axes, "y", 50.0)
+    assert axes.get_ylim() == before
+
+
+@pytest.mark.parametrize("values", [[6], [6.2], [1, 2], [1, 1.4], [3, 180], [1, 13], []])
+def test_an_axis_that_counts_has_whole_ticks(values: Any) -> None:
+    axes = style.new_figure(3.0, 2.0).subplots()
+    axes.plot(values, [0.0] * len(values), "o")
+    style.count_along(axes)
+    low, high = axes.get_xlim()
+    ticks = [tick for tick in axes.get_xticks() if low <= tick <= high]
+    assert ticks
+    np.testing.assert_array_equal(ticks, np.round(ticks))
