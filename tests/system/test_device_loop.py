@@ -12,6 +12,8 @@ import pytest
 
 from rig import config
 from rig.config import presets
+from rig.config.derive import free_s
+from rig.control.verdict import Kind
 from rig.core.errors import PlanError
 from rig.core.present import plain
 from rig.core.sample import Phase
@@ -55,7 +57,7 @@ def test_a_hit_on_the_device_is_the_hit_of_the_host(experiment: Any, quanta: int
             assert getattr(ours, number) == pytest.approx(getattr(theirs, number), rel=0.01), number
     rows = recording.rows
     assert (rows["elapsed_ticks"] == 1).all()
-    assert set(rows["phase"].tolist()) == set(Phase) - {Phase.WAIT}
+    assert set(rows["phase"].tolist()) == set(Phase) - {Phase.WAIT, Phase.FREE}
     moved = rows["current_applied"][1:] - rows["current_sent"][:-1]
     assert np.abs(moved[rows["phase"][:-1] < Phase.DONE]).max() <= quanta
     agreement = recording.trailer["device_host_agreement"]
@@ -169,3 +171,24 @@ def test_a_device_without_a_law_is_refused_before_anything_moves(run: Any, tmp_p
     assert "runs no law of its own" in err
     assert "firmware=1" in err
     assert not list(tmp_path.glob("*.rigcap"))
+
+
+@pytest.mark.parametrize("loop", ["host", "device"])
+def test_a_person_waits_for_the_cue_and_holds_alike_on_either_side(loop: str, tmp_path: Path) -> None:
+    held = {
+        "trial.kind": "human",
+        "trial.baseline_s": 0.1,
+        "trial.foreperiod_s": 0.2,
+        "trial.duration_s": 1.0,
+        "trial.hold_s": 0.5,
+        "verdict.tail_s": 0.2,
+        "controller.loop": loop,
+    }
+    experiment = config.override(BOARD, held)
+    result, recording = one_hit(experiment, tmp_path)
+    rows = recording.rows
+    rate = experiment.controller.position_rate
+    assert (rows["phase"] == Phase.FREE).sum() == round(free_s(experiment) * rate)
+    led = rows[rows["phase"] == Phase.TRIAL]
+    assert len(led) - np.argmax(led["penetration"] > 0.0) == round(0.5 * rate)
+    assert result.verdict.kind is Kind.STABLE

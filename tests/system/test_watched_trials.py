@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numba
-import numpy as np
 import pytest
 
 from rig.config import override, presets
@@ -157,31 +156,17 @@ def test_a_baseline_comes_before_the_hit(tmp_path: Path) -> None:
     result = one(
         override(PLACED, {"trial.baseline_s": 0.3, "rig.amplifier.current_noise_a": 0.002}), tmp_path
     )
-    assert result.verdict.contact_s == pytest.approx(plain.verdict.contact_s + 0.3, abs=0.005)
+    assert result.verdict.contact_s == pytest.approx(plain.verdict.contact_s, abs=0.005)
     assert result.verdict.kind is plain.verdict.kind is Kind.STABLE
-    assert result.verdict.ticks == plain.verdict.ticks + round(0.3 * 20_000)
+    assert result.verdict.ticks == plain.verdict.ticks
     found = baseline(result.recorded.recording, result.experiment)
     assert found is not None
     assert found.duration_s == pytest.approx(0.3)
     assert found.effort_rms == pytest.approx(0.002 * PLACED.rig.amplifier.effort_per_ampere, rel=0.1)
-    assert (found.sent_rms, found.touched) == (0.0, False)
+    assert found.sent_rms == 0.0
     assert found.count_range <= 2
     assert found.velocity_rms < 0.05
     assert baseline(plain.recorded.recording, plain.experiment) is None
-
-
-def test_a_wall_that_is_touched_too_early_says_nothing(tmp_path: Path) -> None:
-    experiment = override(PLACED, {"trial.baseline_s": 0.3})
-    eager = override(PLACED, {"trial.duration_s": 0.8, "verdict.tail_s": 0.1})
-    recording = open_recording(one(eager, tmp_path).recording)
-    rows = recording.rows
-    contact_s = float(np.flatnonzero(rows["penetration"][rows["phase"] == Phase.TRIAL] > 0.0)[0] / 20_000)
-    assert contact_s < 0.3
-    # the hand did not wait as long as it was told
-    said = judge(recording, experiment)
-    assert said.verdict.kind is said.verdict_true.kind is Kind.INVALID
-    assert any("free space before the hit" in reason for reason in said.verdict.reasons)
-    assert baseline(recording, experiment).touched
 
 
 def test_where_nobody_keeps_the_handle_off_the_wall_there_is_no_baseline() -> None:
