@@ -76,8 +76,8 @@ def check(
     practice = len(protocol.practice.stiffness)
     trials = searches.count + Range(practice, practice, practice)
     stiffest = max((one for of in under for one in of), key=lambda one: one.wall.stiffness)
-    asks = protocol.study.judge == "person"
-    times = trial_times(under[0][0], asks)
+    asks, people = protocol.study.judge == "person", protocol.trial
+    times = trial_times(under[0][0], ready_s=people.ready_s, verdict_s=people.verdict_s if asks else 0.0)
     heat = heat_of(stiffest, times, math.ceil(trials.most), protocol.rest.heat)
     blocks = schedule(protocol, 0)
     duration = dict(_durations(protocol, blocks, trials, times, stiffest))

@@ -20,7 +20,7 @@ TRIAL_BYTES = 100e3  # what one takes besides
 
 def bytes_of_trial(x: Experiment, protocol: Protocol) -> float:
     """Room of one recording."""
-    seconds = trial_times(x, asks=False).recorded
+    seconds = trial_times(x).recorded
     return TRIAL_BYTES + TICK_BYTES * seconds * x.controller.position_rate
 
 

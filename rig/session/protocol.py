@@ -61,6 +61,10 @@ class Study:
         Literal["any", "felt", "heard"], Quantity("", "what ends the Z-width in the automatic verdict")
     ] = "any"
 
+    notes: Annotated[
+        str, Quantity("", "what else whoever opens the study should know; kept, and printed nowhere")
+    ] = ""
+
     __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
 
 
@@ -172,6 +176,15 @@ class Trial:
         Le(600),
         Quantity("s", "from first contact to the end of the hit; left out: duration_s, contact or not"),
     ] = None
+    ready_s: Annotated[
+        float,
+        Ge(0),
+        Le(600),
+        Quantity("s", "planned: from *ready?* to the start, with what the operator reads out"),
+    ] = 3.0
+    verdict_s: Annotated[
+        float, Ge(0), Le(600), Quantity("s", "planned: from the end of a hit to the verdict's key")
+    ] = 2.0
     attempts: Annotated[
         int, Ge(1), Le(20), Quantity("", "at a trial that is invalid, before somebody is asked what to do")
     ] = 3
@@ -181,6 +194,16 @@ class Trial:
         Le(20),
         Quantity("", "unsure verdicts in a row on one wall, before it counts as not stable"),
     ] = 3
+    hand: Annotated[
+        Literal["", "right", "left", "dominant"],
+        Quantity("", "with which the handle is held; empty: not said"),
+    ] = ""
+    posture: Annotated[str, Quantity("", "how the participant sits and holds, a sentence for the report")] = (
+        ""
+    )
+    masking_noise: Annotated[
+        bool | None, Quantity("", "whether noise masks what is heard of the motor; left out: not said")
+    ] = None
     say: Annotated[str, Quantity("", "what the operator reads to the participant before each hit")] = (
         "Push into the wall until it stops you, and stay there."
     )

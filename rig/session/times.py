@@ -12,8 +12,6 @@ from dataclasses import dataclass
 
 from rig.config import Experiment, push_at_rest
 
-READY_S = 3.0  # chosen: from "ready?" to the start, with what the operator reads out
-VERDICT_S = 2.0  # chosen: from the end of a hit to the key
 QUESTION_S = 10.0  # chosen: a question that is read out and answered
 BETWEEN_RUNS_S = 5.0  # chosen: to sit down and to look at the next one
 COOL_TO = 0.5  # of the share of heat above which a motor rests
@@ -81,25 +79,25 @@ class Heat:
         return self.pauses * self.pause_s
 
 
-def trial_times(experiment: Experiment, asks: bool) -> TrialTimes:
+def trial_times(experiment: Experiment, *, ready_s: float = 0.0, verdict_s: float = 0.0) -> TrialTimes:
     """Times of one trial.
 
     Parameters
     ----------
     experiment
         Of a wall.
-    asks
-        Whether somebody judges.
+    ready_s, verdict_s
+        What people take before it and after it (s).
     """
     trial, homing = experiment.trial, experiment.homing
     way = abs(experiment.wall.position - trial.start)
     return TrialTimes(
-        ready=READY_S,
+        ready=ready_s,
         homing=way / homing.speed + homing.settle_s,
         baseline=trial.baseline_s + 0.5 * trial.foreperiod_s,
         hit=_reaching_s(experiment) + trial.hold_s if trial.hold_s else trial.duration_s,
         release=trial.release_s,
-        verdict=VERDICT_S if asks else 0.0,
+        verdict=verdict_s,
     )
 
 

@@ -45,7 +45,8 @@ _SCHEME = tuple(
     for name in ("position_rate", "velocity_rate", "estimator", "parameters", "prediction")
 )
 _ELSEWHERE = (
-    *_SCHEME, "rig.limits.", "homing.", "verdict.", "trial.duration_s", "trial.release_s", "trial.effort",
+    *_SCHEME, "rig.limits.", "homing.", "verdict.", "trial.duration_s", "trial.baseline_s",
+    "trial.foreperiod_s", "trial.hold_s", "trial.release_s", "trial.effort",
     "trial.start", "operator.begin_s", "operator.reach_s",
 )  # fmt: skip
 _NONE_AT_ZERO = ("trial.minimum_rest_counts",)

@@ -228,7 +228,7 @@ def test_a_ladder_costs_more_the_higher_the_limit_lies() -> None:
 def heat(schemes: Protocol, trials: int, share: float, press: float = 1.5) -> Any:
     base = base_of(schemes, Path())
     x = override(Walls(schemes, base).at(schemes.condition[0], 0.1, 200.0), {"operator.press": press})
-    times = trial_times(x, asks=True)
+    times = trial_times(x, ready_s=3.0, verdict_s=2.0)
     return heat_of(x, times, trials, share), times, x
 
 
@@ -237,8 +237,9 @@ def test_heat_settles_where_a_hit_gives_what_the_pause_takes(schemes: Protocol) 
     tau = x.rig.limits.thermal_time_constant_s
     settled = found.after_one / (1.0 - math.exp(-times.total / tau))
     assert found.peak == pytest.approx(settled)
-    pushing = times.hit - x.operator.begin_s - 0.5 * x.operator.reach_s
-    assert found.after_one == pytest.approx(found.load**2 * -math.expm1(-pushing / tau))
+    assert x.trial.hold_s > 0.0
+    assert times.hit == pytest.approx(x.operator.begin_s + 0.5 * x.operator.reach_s + x.trial.hold_s)
+    assert found.after_one == pytest.approx(found.load**2 * -math.expm1(-x.trial.hold_s / tau))
     assert (found.first_pause, found.pauses, found.cooling_s) == (0, 0, 0.0)
 
 
