@@ -92,6 +92,12 @@ def _device_options(command: Any) -> Any:
 )
 @click.option("--spread", type=float, help="Rehearsal: how gradually verdicts change over stiffness. [15]")
 @click.option("--lapse-rate", type=float, help="Rehearsal: share of verdicts that are turned round. [0]")
+@click.option(
+    "--people-sd",
+    type=float,
+    help="Rehearsal: people differ; standard deviation of ln(threshold) over codes. [0]",
+)
+@click.option("--again", is_flag=True, help="Rehearsal: delete the one that is there and begin anew.")
 @_device_options
 def run(
     protocol: Path,
@@ -102,6 +108,8 @@ def run(
     thresholds: tuple[str, ...],
     spread: float | None,
     lapse_rate: float | None,
+    people_sd: float | None,
+    again: bool,
     url: str | None,
     realtime: bool,
     verified: bool,
@@ -120,9 +128,11 @@ def run(
     Everything is kept below the study's directory, one directory a participant. Ctrl-C ends with zero effort; `rig
     session resume` continues it.
     """
-    if not rehearse and (thresholds or realtime or spread is not None or lapse_rate is not None):
+    given = {"spread": spread, "lapse_rate": lapse_rate, "people_sd": people_sd}
+    known = {name: value for name, value in given.items() if value is not None}
+    if not rehearse and (thresholds or realtime or again or known):
         raise ConfigError(
-            "--threshold, --spread, --lapse-rate and --realtime belong to a rehearsal",
+            "--threshold, --spread, --lapse-rate, --people-sd, --again and --realtime belong to a rehearsal",
             remedy="add --rehearse; a person's session is in real time as it is",
         )
     if rehearse and (hand != "simulated" or plain):
@@ -130,9 +140,6 @@ def run(
             "--hand and --plain belong to a session with a person",
             remedy="leave them out; a rehearsal has no console",
         )
-    known = {
-        name: value for name, value in (("spread", spread), ("lapse_rate", lapse_rate)) if value is not None
-    }
     person = rehearsal.Person(thresholds=_thresholds(thresholds), **known) if rehearse else None
     runner = _runner(url, realtime or not rehearse, verified, arm_anyway, lossy_anyway)
     with Rehearsed(quiet=as_json or person is None) as seen:
@@ -145,6 +152,7 @@ def run(
             study=study,
             row=row,
             person=person,
+            again=again,
             on_event=seen.on_event,
             lsl=lsl,
         )

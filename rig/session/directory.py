@@ -9,6 +9,7 @@ trials/abandoned/         recordings of trials that nobody logged, because the p
 from __future__ import annotations
 
 import os
+import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -136,6 +137,13 @@ def refuse_begun(protocol: Protocol, directory: Path, code: str) -> None:
     check_code(protocol, code)
     if (directory / LOG).exists() and (events := read(directory / LOG)):
         raise _begun(directory, events)
+
+
+def clear_rehearsal(directory: Path) -> None:
+    """Delete a rehearsal, which can be had again; a person's session, or what is none, is left as it is."""
+    events = read(directory / LOG) if (directory / LOG).exists() else []
+    if events and events[0].content.get("rehearsal") is not None:
+        shutil.rmtree(directory)
 
 
 def _begun(directory: Path, events: Sequence[Event]) -> ConfigError:

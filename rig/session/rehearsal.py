@@ -7,9 +7,10 @@ participant comes; and a test can know what an analysis must find.
 from __future__ import annotations
 
 import math
+import random
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -44,12 +45,20 @@ class Person:
         Share of verdicts that are turned round.
     unsure
         Share of trials after which they cannot say.
+    people_sd
+        How people differ: standard deviation of the logarithm of the factor that `of_code` draws for the thresholds.
     """
 
     thresholds: Mapping[str, float]
     spread: float = 15.0
     lapse_rate: float = 0.0
     unsure: float = 0.0
+    people_sd: float = 0.0
+
+    def of_code(self, code: str, seed: int) -> Person:
+        """Return whoever has that code: all thresholds by one factor."""
+        drawn = random.Random(f"person {seed} {code}").gauss(0.0, self.people_sd)
+        return replace(self, thresholds={name: k * math.exp(drawn) for name, k in self.thresholds.items()})
 
     def judge(self, trial: Trial, drawn: np.random.Generator) -> str:
         """Their verdict of a trial."""
@@ -81,6 +90,10 @@ def refuse_nobody(person: Person, protocol: Protocol) -> None:
     for option, value in {**stiffnesses, "`spread` ": person.spread}.items():
         if not 0.0 < value < math.inf:
             raise ConfigError(f"{option}{value:g} is not a stiffness", remedy="give a number above 0")
+    if not 0.0 <= person.people_sd < math.inf:
+        raise ConfigError(
+            f"`people_sd` {person.people_sd:g} is no deviation", remedy="give a number from 0, such as 0.2"
+        )
     for option, share in (("`lapse_rate`", person.lapse_rate), ("unsure", person.unsure)):
         if not 0.0 <= share <= 1.0:
             raise ConfigError(f"{option} {share:g} is not a share", remedy="give a number from 0 to 1")
@@ -133,6 +146,7 @@ class RehearsalDesk(Desk):
     def attend(self, session: Session) -> None:
         """Judge what stands in its log, and live by its clock."""
         self.state = session.state
+        self.person = self.person.of_code(session.state.code, session.state.seed)
         if isinstance(session.clock, Day | RealDay):
             self.day = session.clock
 

@@ -21,7 +21,7 @@ from rig.session.clock import Clock, WallClock
 from rig.session.conditions import Walls
 from rig.session.conduct import conduct, first_wall, walls_in
 from rig.session.desk import Desk, View
-from rig.session.directory import LOG, Session, begin, refuse_begun, resume
+from rig.session.directory import LOG, Session, begin, clear_rehearsal, refuse_begun, resume
 from rig.session.disk import refuse_full_disk
 from rig.session.fitting import refuse_misfit
 from rig.session.load import load_walls
@@ -103,6 +103,7 @@ def run_session(
     study: Path | None = None,
     row: int | None = None,
     person: Person | None = None,
+    again: bool = False,
     on_event: OnEvent | None = None,
     lsl: bool = False,
 ) -> SessionResult:
@@ -125,6 +126,8 @@ def run_session(
         Of the order; the number in the code, from 1, unless given.
     person
         Who is rehearsed, for the log; None with a participant.
+    again
+        Delete a rehearsal that is there, and begin it anew.
     on_event
         Called with each event once it is written.
     lsl
@@ -143,9 +146,11 @@ def run_session(
     with plain_errors("read", protocol_file):
         text = protocol_file.read_bytes()
     place = study_directory(protocol, study, rehearsal=person is not None) / code
-    refuse_begun(protocol, place, code)
     if person is not None:
         refuse_nobody(person, protocol)
+        if again:
+            clear_rehearsal(place)
+    refuse_begun(protocol, place, code)
     row = row_of(code) if row is None else _checked_row(row, protocol)
     _refuse_a_real_rig(person, runner)
     refuse_walls(walls)

@@ -12,6 +12,7 @@ import pytest
 from rig.cli import run as rig
 from rig.session.directory import LOG
 from rig.session.log import SessionLog, read
+from rig.session.rehearsal import Person
 from tests.system.session_study import PROTOCOL, written
 
 OF_THE_WALL = ("hidden", "0.211", "stiffness", "damping")
@@ -44,6 +45,24 @@ def test_a_rehearsal_runs_to_its_end_and_says_no_wall(
     assert "session of P02: complete" in out
     assert not any(word in out + err for word in OF_THE_WALL)
     assert (tmp_path / "all" / "P02" / "protocol.toml").read_text() == PROTOCOL
+
+
+def test_a_rehearsal_begins_anew_with_somebody_else_and_leaves_a_persons_session_alone(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    study, there = str(written(tmp_path)), tmp_path / "all"
+    rehearse = ("run", study, "P01", "--rehearse", "--study", str(there), "--json")
+    first, again = (json.loads(call(capsys, *rehearse, *more)[1]) for more in ((), ("--again",)))
+    assert first["trials"] == again["trials"]
+    assert call(capsys, *rehearse)[0] == 2
+    people = [
+        Person(thresholds={"hidden-dual": 100.0}, people_sd=0.3).of_code(code, 1) for code in ("P01", "P02")
+    ]
+    assert len({one.thresholds["hidden-dual"] for one in people}) == 2
+    assert people[0].of_code("P03", 1).people_sd == 0.3
+    (there / "P02").mkdir()
+    assert call(capsys, "run", study, "P02", "--again", "--study", str(there))[0] == 2
+    assert (there / "P02").is_dir()
 
 
 def test_a_rehearsal_takes_nobodys_place(
@@ -168,6 +187,7 @@ def test_codes_that_are_refused_change_nothing(
         (["--rehearse", "--lapse-rate", "5"], "--lapse-rate 5 is not a share"),
         (["--rehearse", "--lapse-rate", "-0.5"], "is not a share"),
         (["--rehearse", "--lapse-rate", "nan"], "is not a share"),
+        (["--rehearse", "--people-sd", "-1"], "--people-sd -1 is no deviation"),
         (["--rehearse", "--row", "99"], "give --row 0 to 11"),
         (["--plain", "--lapse-rate", "0.1"], "belong to a rehearsal"),
         (["--plain", "--spread", "3"], "belong to a rehearsal"),
