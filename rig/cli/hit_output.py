@@ -10,8 +10,8 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from rig.cli import output
-from rig.config import Experiment, describe
-from rig.core.sample import Phase, unit_of
+from rig.config import Experiment, describe, push_s
+from rig.core.sample import phase_name, unit_of
 
 _BRINGS = {
     "operator.grip": "operator.",
@@ -66,12 +66,12 @@ class ProgressBars:
         columns = (TextColumn("{task.description}"), BarColumn(), phase, TimeRemainingColumn())
         bars = self._bars = Progress(*columns, console=Console(stderr=True), transient=True)
         trial, rate = experiment.trial, experiment.controller.position_rate
-        least_s = experiment.homing.settle_s + trial.duration_s + trial.release_s
+        least_s = experiment.homing.settle_s + push_s(experiment) + trial.release_s
         task = bars.add_task(f"hit {repeat + 1}/{trial.repeats}", total=round(least_s * rate), phase="")
         bars.start()
 
         def update(ticks: int, phase_now: int) -> None:
-            bars.update(task, completed=ticks, phase=Phase(phase_now).name.lower())
+            bars.update(task, completed=ticks, phase=phase_name(phase_now))
 
         return update
 

@@ -204,7 +204,7 @@ def _contact(effort: Floats, penetration: Floats, settings: Records, numbers: Re
         deepest = max(deepest, penetration[k])
         strongest = max(strongest, abs(effort[k]))
     n["exits"], n["exits_in_tail"], n["inside_ticks_in_tail"] = exits, exits_in_tail, inside_in_tail
-    once = entries_in_tail == 0 and exits_in_tail == (1 if inside_in_tail > 0 else 0)
+    once = entries_in_tail == 0 and (exits_in_tail == 1 or inside_in_tail == 0)
     n["stay_ticks"] = stay if once and stay * s["tick_s"] * s["highpass_hz"] >= 1.0 else 0
     n["contact_s"] = contact * s["tick_s"] if contact >= 0 else math.nan
     n["peak_penetration"], n["peak_effort"] = deepest, strongest

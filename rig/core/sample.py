@@ -61,9 +61,13 @@ class Phase(IntEnum):
     FREE = 6  # between SETTLE and TRIAL: no effort, and nobody may begin yet
 
 
-HOLD = (
-    7  # what those who watch a loop are told in place of TRIAL, from the contact on that a hold counts from
-)
+HOLD = 7  # told to those who watch a loop in place of TRIAL, from the contact on that a hold counts from
+_PHASE_NAMES = {int(phase): phase.name.lower() for phase in Phase} | {HOLD: "hold"}
+
+
+def phase_name(phase: int) -> str:
+    """Word for a phase, as those who watch a loop are told it."""
+    return _PHASE_NAMES.get(phase, "unknown")
 
 
 class RowFlag(IntFlag):

@@ -51,15 +51,22 @@ def interrupts_later() -> Iterator[None]:
             yield
     finally:
         _heard_by.clear()
-        while _waiting:
-            signal.raise_signal(_waiting.pop())
+        for number in _came():
+            signal.raise_signal(number)
 
 
 def interrupts_now() -> None:
     """Let what waits interrupt here, where an exception is heard."""
-    while _waiting and _in_the_main_thread():
-        number = _waiting.pop()
-        _heard_by[number](number, None)
+    if _waiting and _in_the_main_thread():
+        for number in _came():
+            _heard_by[number](number, None)
+
+
+def _came() -> list[int]:
+    """Return those that waited, which wait no more: after the first interruption the others have none to make."""
+    came = _waiting.copy()
+    _waiting.clear()
+    return came
 
 
 def _in_the_main_thread() -> bool:

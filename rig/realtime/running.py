@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from rig.core.errors import ConfigError, RigError, RunEndedError
-from rig.core.sample import Phase
+from rig.core.sample import phase_name
 from rig.realtime import memories
 from rig.realtime.memories import LAYOUT_VERSION, LOOP_DONE, STOP, VERSION
 from rig.realtime.ring import CREATED, PHASE, TICKS, Ring
@@ -38,7 +38,7 @@ class RunningLoop:
     since
         When its memory was made (s, as `time.time`).
     ticks, phase
-        Steps of the law so far, and what it was doing (`rig.core.sample.Phase`, lower case).
+        Steps of the law so far, and what it was doing (`rig.core.sample.phase_name`).
     stopping
         Whether a stop was requested.
     done
@@ -240,7 +240,7 @@ def _look(memory: memories.Memory, ring: Ring) -> RunningLoop:
         pid=memory.pid,
         since=ring.peek(CREATED) * 1e-9 if ours else 0.0,
         ticks=ring.peek(TICKS) if ours else 0,
-        phase=Phase(phase).name.lower() if phase in set(Phase) else "unknown",
+        phase=phase_name(phase),
         stopping=ring.peek(STOP) != 0,
         done=ring.peek(LOOP_DONE) != 0,
         version=version,

@@ -17,7 +17,7 @@ AS_IT_IS = ""
 _TOLD = {
     "from contact on, ": AS_IT_IS,  # samples lost, late ticks
     "the wall was never touched": AS_IT_IS,
-    "the wall was touched at ": AS_IT_IS,  # in the baseline
+    "the wall was touched at ": AS_IT_IS,  # in the baseline, in older logs
     "a false start": AS_IT_IS,
     "the run ended early: ": AS_IT_IS,
     "the first contact lies in the tail": "the wall was touched too late",

@@ -1,6 +1,6 @@
 """False alarms and power of the comparison of measured and active current (`rig.control.current`).
 
-    python -m tests.benchmarks.currents                # the table; some ten minutes
+    python -m tests.benchmarks.currents                # the table; tens of minutes
     python -m tests.benchmarks.currents --trials 2     # fewer of each case
 
 Each trial is a hit in virtual time over the byte link, with the device's own check and the loop's. Walls are taken from

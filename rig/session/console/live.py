@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.core.sample import Phase, RowFlag
+from rig.core.sample import RowFlag, phase_name
 from rig.realtime import running
 from rig.realtime.ring import HEAD, LATE, LOOP_DONE, LOST, PHASE, SKIPPED, Ring
 
@@ -24,7 +24,7 @@ class Snapshot:
     Attributes
     ----------
     phase
-        `rig.core.sample.Phase`, lower case.
+        `rig.core.sample.phase_name`.
     position, velocity, penetration, effort
         Of the newest row (units of the rig's motion): measured, estimated, measured, applied.
     peak_effort
@@ -86,7 +86,7 @@ def snapshot_of(ring: Ring) -> Snapshot | None:
     last, applied = rows[-1], rows["effort_applied"]
     phase = ring.peek(PHASE)
     return Snapshot(
-        phase=Phase(phase).name.lower() if phase in set(Phase) else "unknown",
+        phase=phase_name(phase),
         position=float(last["position"]),
         velocity=float(last["velocity"]),
         penetration=float(last["penetration"]),

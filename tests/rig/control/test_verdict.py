@@ -195,6 +195,13 @@ def test_a_person_who_left_a_calm_wall_before_the_tail_says_nothing_of_it(at: fl
     assert judge(s, LIMITS).reasons == ("the wall was not touched in the tail",)
 
 
+def test_a_person_who_left_a_calm_wall_in_the_first_tick_of_the_tail_says_nothing_of_it() -> None:
+    s = signals(np.where(TAIL, -0.02, 1e-3), resolution=DELTA)
+    verdict = judge(s, PERSON)
+    assert (verdict.kind, verdict.exits_in_tail) == (Kind.INVALID, 1)
+    assert "left the calm wall" in " ".join(verdict.reasons)
+
+
 @pytest.mark.parametrize(
     "position",
     [

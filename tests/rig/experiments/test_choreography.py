@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from rig import config
+from rig.cli.hit_output import ProgressBars
 from rig.config import presets
 from rig.config.derive import free_s
 from rig.control.verdict import Kind
 from rig.core.errors import ConfigError
-from rig.core.sample import HOLD, Phase
+from rig.core.sample import HOLD, Phase, phase_name
 from rig.devices.framed import FramedDevice
 from rig.experiments.baseline import baseline
 from rig.experiments.judgement import judge
@@ -135,3 +136,16 @@ def test_the_foreperiod_is_the_seeds_and_spreads_over_its_range() -> None:
 def test_a_motor_keeps_its_clock(key: str) -> None:
     with pytest.raises(ConfigError, match="keeps its clock"):
         config.override(presets.load("koul-compliant"), {key: 0.5})
+
+
+def test_whoever_shows_a_phase_has_a_word_for_each_that_a_loop_tells(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A progress that raises would end the hit."""
+    monkeypatch.setattr("rig.cli.output.on_terminal", lambda: True)
+    told = (*Phase, HOLD)
+    assert len({phase_name(phase) for phase in told}) == len(told)
+    assert phase_name(HOLD) == "hold"
+    with ProgressBars(quiet=False) as bars:
+        update = bars.watch(0, HELD)
+        assert update is not None
+        for phase in told:
+            update(1, int(phase))

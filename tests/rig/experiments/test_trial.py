@@ -101,6 +101,12 @@ def judged(recording: Any) -> Any:
     return judge(recording, experiment_of(recording))
 
 
+def judged_while_interrupted(recording: Any) -> Any:
+    """As where Ctrl-C comes while the recording is sealed."""
+    signal.raise_signal(signal.SIGINT)
+    return judged(recording)
+
+
 # ---------------------------------------------------------------------- refused before anything moves
 
 
@@ -440,13 +446,9 @@ def test_a_second_ctrl_c_does_not_cut_short_what_the_first_began(
 def test_ctrl_c_after_the_trial_is_not_forgotten(tmp_path: Path, handlers: None) -> None:
     """It comes while the recording is sealed: that ends well, and then nothing more begins."""
 
-    def judge_slowly(recording: Any) -> Any:
-        signal.raise_signal(signal.SIGINT)
-        return judged(recording)
-
     bench = Bench(tmp_path)
     with pytest.raises(StoppedError) as caught:
-        bench.run(judge=judge_slowly)
+        bench.run(judge=judged_while_interrupted)
     recording = open_recording(caught.value.recording)
     assert recording.trailer["reason"] == "finished"
     assert recording.trailer["verdict"]
@@ -457,13 +459,9 @@ def test_ctrl_c_after_the_trial_is_not_forgotten(tmp_path: Path, handlers: None)
 def test_ctrl_c_after_a_trial_that_ended_early_is_not_forgotten(tmp_path: Path, handlers: None) -> None:
     """Who goes on to the next wall after a guard, as a Z-width does, must not go on after Ctrl-C."""
 
-    def judge_slowly(recording: Any) -> Any:
-        signal.raise_signal(signal.SIGINT)
-        return judged(recording)
-
     bench = Bench(tmp_path)
     with pytest.raises(StoppedError, match="the trial had ended: the law") as caught:
-        bench.run(law=RAISING, judge=judge_slowly)
+        bench.run(law=RAISING, judge=judged_while_interrupted)
     assert caught.value.signal == signal.SIGINT
     assert vars(caught.value)["end"].reason == EndReason.LAW_RAISED
     assert open_recording(caught.value.recording).trailer["reason"] == "law_raised"

@@ -49,6 +49,20 @@ def test_ctrl_c_where_an_exception_would_be_forgotten_is_raised_afterwards(place
     assert done
 
 
+def test_an_impatient_ctrl_c_is_one_interruption() -> None:
+    """The second one must not interrupt what is compiled next."""
+
+    def twice() -> None:
+        with interrupts_later():
+            signal.raise_signal(signal.SIGINT)
+            signal.raise_signal(signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt):
+        twice()
+    with interrupts_later():
+        interrupts_now()
+
+
 def test_it_is_raised_also_after_an_error() -> None:
     def fails() -> None:
         with interrupts_later():
