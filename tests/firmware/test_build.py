@@ -4,6 +4,7 @@ import json
 import math
 import os
 import re
+import shutil
 import subprocess
 from dataclasses import astuple, fields, replace
 from pathlib import Path
@@ -332,3 +333,25 @@ def test_the_ends_of_what_the_amplifier_may_be_are_built(tmp_path: Path, chosen:
     assert build(BuildRequest(model=model, board="rp2040", output=tmp_path, settings=chosen)).uf2.is_file()
     with pytest.raises(ConfigError, match="pwm_frequency"):
         boards.settings_of(boards.load("rp2040"), {"pwm_frequency": 3000})
+
+
+def test_a_board_may_lie_anywhere_and_gives_the_same_bytes(tmp_path: Path, model: RigModel) -> None:
+    cross.need_compiler()
+    directory = tmp_path / "mps2"
+    shutil.copytree(boards.BOARDS / "mps2", directory)
+    theirs, ours = (
+        build(BuildRequest(model=model, board=board, output=tmp_path)).sha256
+        for board in (str(directory), "mps2")
+    )
+    assert theirs == ours
+
+
+def test_a_board_that_is_not_right_is_refused_with_every_key(tmp_path: Path) -> None:
+    text = (boards.BOARDS / "mps2" / "board.toml").read_text()
+    (tmp_path / "board.toml").write_text(
+        "odd = 1\n" + text.replace("rate_maximum = 20000", 'rate_maximum = "x"')
+    )
+    with pytest.raises(ConfigError, match=r"board\.toml: rate_maximum: .*\n.*board\.toml: odd: "):
+        boards.load(str(tmp_path))
+    with pytest.raises(ConfigError, match=r"no board 'nowhere'.* directory with a board\.toml"):
+        boards.load("nowhere")

@@ -193,9 +193,16 @@ def sources_hash(board: Board) -> str:
     digest = hashlib.sha256()
     directories = [*(FIRMWARE / part for part in SHARED), board.directory]
     for path in sorted(path for directory in directories for path in directory.iterdir() if path.is_file()):
-        name = path.relative_to(FIRMWARE).as_posix()
+        name = _in_tree(path, board).as_posix()
         digest.update(name.encode() + b"\0" + hashlib.sha256(path.read_bytes()).digest())
     return digest.hexdigest()[:12]
+
+
+def _in_tree(path: Path, board: Board) -> Path:
+    """Where the compiler finds a source: its board may lie anywhere."""
+    if path.is_relative_to(board.directory):
+        return Path("board") / path.relative_to(board.directory)
+    return Path("firmware") / path.relative_to(FIRMWARE)
 
 
 def package_version() -> str:
@@ -215,16 +222,15 @@ def _compiled(
     on_progress: Progress,
 ) -> bytes:
     """Return the program. Everything is named relative to the scratch directory, so that no path gets into it."""
-    tree = scratch / "firmware"
-    if os.name == "posix":
-        tree.symlink_to(FIRMWARE, target_is_directory=True)
-    else:
-        shutil.copytree(FIRMWARE, tree)
+    for name, directory in (("firmware", FIRMWARE), ("board", board.directory)):
+        if os.name == "posix":
+            (scratch / name).symlink_to(directory, target_is_directory=True)
+        else:
+            shutil.copytree(directory, scratch / name)
     (scratch / "board_config.h").write_text(config.header, encoding="utf-8")
     (scratch / "board_config.c").write_text(config.source, encoding="utf-8")
-    names = [f"firmware/{path.relative_to(FIRMWARE).as_posix()}" for path in sources] + ["board_config.c"]
-    here = f"firmware/{board.directory.relative_to(FIRMWARE).as_posix()}"
-    include = ["-I.", *(f"-Ifirmware/{part}" for part in SHARED), f"-I{here}"]
+    names = [_in_tree(path, board).as_posix() for path in sources] + ["board_config.c"]
+    include = ["-I.", *(f"-Ifirmware/{part}" for part in SHARED), "-Iboard"]
     nowhere = f"-ffile-prefix-map={os.path.realpath(scratch)}=."  # the debugger's own notes have paths, too
     common = [*WARNINGS, *CODE, nowhere, *board.processor, *board.compile, *include]
     objects = [f"{number}.o" for number in range(len(names))]
@@ -239,8 +245,8 @@ def _compiled(
         for _ in pool.map(compile_one, range(len(names))):
             pass
     on_progress("linking", len(names) / (len(names) + 1))
-    script = ["-T", f"{here}/{board.linker_script}"]
-    flags = [*board.processor, "-mthumb", *board.compile, *LINK, f"-L{here}", *board.link]
+    script = ["-T", f"board/{board.linker_script}"]
+    flags = [*board.processor, "-mthumb", *board.compile, *LINK, "-Lboard", *board.link]
     compiler.run([*flags, *script, "-o", "program.elf", *objects, "-lm"], scratch)
     on_progress("linking", 1.0)
     return (scratch / "program.elf").read_bytes()
