@@ -143,6 +143,8 @@ def test_a_brown_out_is_told(far_end: Start, tmp_path: Path) -> None:
     device = far_end(brown_out=True)
     run = Run(device, tmp_path, LONG).check(*ALLOWED, StoppedError)
     assert run.error is not None
+    if device["running"] <= EARLY:  # it had ended before its supply dipped
+        return tolerated(run.error)
     try:
         with open_device(device.url) as opened:
             opened.identify()
