@@ -24,11 +24,11 @@ from rig.session.directory import Session
 from rig.session.protocol import Protocol
 from rig.session.search.observer import Observer
 from rig.session.state import State
+from rig.session.times import QUESTION_S
 from rig.session.trial import Trial
 
 _MAIN_VERDICT = {Kind.STABLE: "stable", Kind.LIMIT_CYCLE: "buzz", Kind.UNSTABLE: "unstable"}
 LATENCY_S = (0.6, 1.6)  # how long a simulated person thinks, at least and at most
-READY_S = 2.0  # … and takes hold of the handle
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -163,6 +163,7 @@ class RehearsalDesk(Desk):
 
     def _answer(self, question: Question) -> Reply:
         assert self.state is not None
+        ready_s = self.state.protocol.trial.ready_s
         if question.kind == "verdict":
             trial = self.state.trial_numbered(question.trial)
             drawn = np.random.default_rng([trial.seed, 3])
@@ -172,12 +173,12 @@ class RehearsalDesk(Desk):
                 took_s=round(float(drawn.uniform(*LATENCY_S)), 3),
             )
         if question.kind == "item":
-            return Reply(action="answer", value=_plain_answer(question.item or {}), took_s=READY_S)
+            return Reply(action="answer", value=_plain_answer(question.item or {}), took_s=QUESTION_S)
         if question.kind == "rest":
             return Reply(action="go", took_s=question.seconds)
         if question.kind == "trouble":
-            return Reply(action="skip" if "skip" in question.actions else "go", took_s=READY_S)
-        return Reply(action="go", took_s=READY_S)
+            return Reply(action="skip" if "skip" in question.actions else "go", took_s=ready_s)
+        return Reply(action="go", took_s=ready_s)
 
 
 def _plain_answer(item: Mapping[str, Any]) -> str:

@@ -283,17 +283,6 @@ def practice(protocol: Protocol) -> Iterator[Problem]:
         yield Problem("practice.condition", shown(wanted), "is not a condition", instead)
 
 
-def baseline(protocol: Protocol) -> Iterator[Problem]:
-    """A motor pushes from the first tick on."""
-    if protocol.trial.kind == "constant-effort" and protocol.trial.baseline_s > 0:
-        yield Problem(
-            "trial.baseline_s",
-            f"{protocol.trial.baseline_s:g} s",
-            'must be 0 where the motor pushes (trial.kind = "constant-effort")',
-            "leave it out",
-        )
-
-
 def items(protocol: Protocol) -> Iterator[Problem]:
     """Every question can be answered, and has a column of its own."""
     yield from _names_twice("question.name", [item.name for item in protocol.question])
@@ -333,7 +322,6 @@ RULES: tuple[Callable[[Protocol], Iterable[Problem]], ...] = (
     runs,
     stiffness_cap,
     practice,
-    baseline,
     items,
     console_keys,
 )

@@ -96,6 +96,16 @@ def test_the_same_seed_gives_the_same_bytes_of_log(tmp_path: Path) -> None:
     assert logs[0] == logs[1]
 
 
+def test_a_simulated_person_takes_as_long_before_a_trial_as_the_protocol_plans(tmp_path: Path) -> None:
+    session = started(tmp_path / "P01", protocol_of(trial={"ready_s": 7.0}))
+    assert isinstance(session.clock, Day)
+    with session:
+        conduct(session, FakeRunner(), RehearsalDesk(Person(thresholds={}), session.clock))
+    events = read(tmp_path / "P01" / LOG)
+    waited = [after.at - before.at for before, after in pairwise(events) if after.kind == "trial"]
+    assert waited == pytest.approx([7.0 + 1.5] * len(waited))  # the rig's own seconds
+
+
 class RealRunner(FakeRunner):
     simulated = virtual = False
 

@@ -214,7 +214,6 @@ def test_a_person_meets_no_more_than_nominal_effort_unless_somebody_answers_for_
         ({"caps.stiffness": 600, "practice.stiffness": [700]}, "practise with softer walls"),
         ({"practice.stiffness": [0]}, "must be above 0"),
         ({"practice.condition": "duel"}, "did you mean dual?"),
-        ({"trial.kind": "constant-effort", "trial.baseline_s": 0.3}, "must be 0 where the motor pushes"),
         ({"study.code": "[A-Z"}, "is no regular expression"),
         ({"study.code": ".*"}, "the names of people"),
         ({"study.code": "[a-z]+"}, "the names of people"),
@@ -280,6 +279,14 @@ def test_everything_is_said_at_once(tmp_path: Path) -> None:
         ({"search.highest": 5000}, "cannot be run at K = 5000 N·m/rad"),
         ({"caps.effort": 3.0}, "must be at most rig.limits.effort of the rig, 1.3 N·m"),
         ({"practice.stiffness": [9000]}, "cannot be run at K = 9000 N·m/rad"),
+        (
+            {
+                "study.changes": {"trial.effort": 0.4},
+                "trial.kind": "constant-effort",
+                "trial.baseline_s": 0.3,
+            },
+            'trial.baseline_s = 0.3 s: must be 0 with trial.kind = "constant-effort"',
+        ),
         ({"search.lowest": "soft"}, "a number > 0 N·m/rad"),  # the unit of this rig alone
     ],
 )
