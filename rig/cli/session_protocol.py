@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from rig.session.disk import in_words
 from rig.session.expected import Range
 from rig.session.load import json_schema, load_protocol
 from rig.session.plan import CellPlan, StudyPlan
+from rig.session.run import study_directory
 
 _MARKS = {"ok": ("ok", "green"), "warning": ("!!", "yellow"), "refused": ("no", "red")}
 MOST_ORDERS = 24  # participants whose order is printed; --json has all
@@ -69,6 +71,11 @@ def schema(as_json: bool) -> None:
     type=click.IntRange(1, 10_000),
     help="How many will come. [as FILE says]",
 )
+@click.option(
+    "--study",
+    type=click.Path(path_type=Path),
+    help="Directory of the participants, whose finished sessions say how long people take. [sessions/TITLE]",
+)
 @click.option("--url", help="Check rate and link of this device too: sim://, serial:///dev/ttyACM0.")
 @click.option(
     "--unblind",
@@ -76,7 +83,9 @@ def schema(as_json: bool) -> None:
     help="Show the order of the searches too, though the operator is blinded: for who never sits at the console.",
 )
 @options.json_option
-def check(file: Path, participants: int | None, url: str | None, unblind: bool, as_json: bool) -> None:
+def check(
+    file: Path, participants: int | None, study: Path | None, url: str | None, unblind: bool, as_json: bool
+) -> None:
     """Say what the protocol FILE will do, and check it; nothing moves.
 
     Trials, time, heat of the motor, the order of every participant, who sees what; and every wall that a rule may ask
@@ -86,7 +95,13 @@ def check(file: Path, participants: int | None, url: str | None, unblind: bool, 
     Exits with an error when something is refused.
     """
     protocol = load_protocol(file)
-    plan = checking.check(protocol, file.parent, participants=participants, url=url)
+    plan = checking.check(
+        protocol,
+        file.parent,
+        participants=participants,
+        url=url,
+        study=study_directory(protocol, study),
+    )
     if as_json:
         shown = plain(plan)
         if plan.blinded and not unblind:
@@ -110,6 +125,7 @@ def _print(plan: StudyPlan, *, unblind: bool) -> None:
             ("time", f"{_minutes(plan.session_s)} min"),
             *((f"  {name}", f"{_minutes(part)} min") for name, part in plan.duration_s.items()),
             ("one trial", _trial(plan)),
+            *_taken(plan),
             (
                 "on disk",
                 f"{in_words(plan.trial_bytes)} a trial, {in_words(plan.disk_bytes.likely)} a participant",
@@ -206,6 +222,15 @@ def _trial(plan: StudyPlan) -> str:
         f"{one.total:.1f} s: ready {one.ready:g}, homing {one.homing:.2g}, free space {one.baseline:g}, "
         f"hit {one.hit + one.release:.2g}, verdict {one.verdict:g}"
     )
+
+
+def _taken(plan: StudyPlan) -> Iterator[tuple[str, str]]:
+    if plan.taken is not None:
+        sessions = f"{plan.taken.sessions} finished session{'s' if plan.taken.sessions > 1 else ''}"
+        yield (
+            "times of people",
+            f"medians of {plan.taken.trials} trials in {sessions}, not those of the protocol",
+        )
 
 
 def _number(expected: Range) -> str:

@@ -36,6 +36,7 @@ from rig.session.pace import pace_checks
 from rig.session.plan import CellPlan, StudyPlan
 from rig.session.protocol import Condition, Protocol
 from rig.session.schedule import Block, levels_of, rows_of, schedule
+from rig.session.taken import taken
 from rig.session.times import BETWEEN_RUNS_S, QUESTION_S, REHEARSED_TICK_S, TrialTimes, heat_of, trial_times
 
 
@@ -45,6 +46,7 @@ def check(
     *,
     participants: int | None = None,
     url: str | None = None,
+    study: Path | None = None,
 ) -> StudyPlan:
     """Plan and check a study.
 
@@ -58,6 +60,8 @@ def check(
         How many will come; those that the protocol plans if not given.
     url
         Of a device whose rate and link are to be checked too; nothing moves on it.
+    study
+        Directory of the participants: what those took who have finished replaces the planned times of people.
 
     Raises
     ------
@@ -69,8 +73,8 @@ def check(
     if participants is not None:
         protocol = replace(protocol, study=replace(protocol.study, participants=participants))
     base = base_of(protocol, folder)
-    study = Walls(protocol, base)
-    under = [_experiments(study, condition) for condition in protocol.condition]
+    walls = Walls(protocol, base)
+    under = [_experiments(walls, condition) for condition in protocol.condition]
     cells = tuple(_cells(protocol, under))
     searches = sum((cell.trials for cell in cells), NO_TRIALS) * protocol.order.repeats
     practice = len(protocol.practice.stiffness)
@@ -78,12 +82,15 @@ def check(
     stiffest = max((one for of in under for one in of), key=lambda one: one.wall.stiffness)
     asks, people = protocol.study.judge == "person", protocol.trial
     times = trial_times(under[0][0], ready_s=people.ready_s, verdict_s=people.verdict_s if asks else 0.0)
+    took = None if study is None else taken(protocol, study)
+    times = times if took is None else took.of_people(times)
     heat = heat_of(stiffest, times, math.ceil(trials.most), protocol.rest.heat)
     blocks = schedule(protocol, 0)
-    duration = dict(_durations(protocol, blocks, trials, times, stiffest))
+    question_s = QUESTION_S if took is None else took.question
+    duration = dict(_durations(protocol, blocks, trials, times, stiffest, question_s))
     rows = rows_of(protocol)
     checks = [
-        *wall_checks([*_walls(protocol, under), *_practice(study)]),
+        *wall_checks([*_walls(protocol, under), *_practice(walls)]),
         *level_checks(cells, base.rig.motion),
         *energy_check(protocol, under),
         *cap_checks(protocol, under),
@@ -96,10 +103,10 @@ def check(
         with closing(
             DeviceRunner(url=url, realtime=True, verified=True)
         ) as runner:  # as a session with a person has it
-            fits = fit_checks(study, runner)
-            checks += [*fits, *arming_checks(study, runner)]
+            fits = fit_checks(walls, runner)
+            checks += [*fits, *arming_checks(walls, runner)]
             if not refused(fits):
-                checks += pace_checks(study, runner)
+                checks += pace_checks(walls, runner)
     return StudyPlan(
         title=protocol.study.title,
         rig=base.rig.name,
@@ -113,6 +120,7 @@ def check(
         cells=cells,
         trials=trials,
         trial=times,
+        taken=took,
         duration_s=duration,
         trial_bytes=max(bytes_of_trial(of[0], protocol) for of in under),
         disk_bytes=_disk(protocol, cells, under),
@@ -182,7 +190,12 @@ def _cells(protocol: Protocol, under: Sequence[Sequence[Experiment]]) -> Iterato
 
 
 def _durations(
-    protocol: Protocol, blocks: Sequence[Block], trials: Range, times: TrialTimes, stiffest: Experiment
+    protocol: Protocol,
+    blocks: Sequence[Block],
+    trials: Range,
+    times: TrialTimes,
+    stiffest: Experiment,
+    question_s: float,
 ) -> Iterator[tuple[str, Range]]:
     """Durations of the parts of a session (s)."""
     yield "homing and free space", trials * (times.homing + times.baseline)
@@ -202,7 +215,7 @@ def _durations(
     often = {"start": 1, "block": counted, "end": 1}
     questions = sum(often[item.when] for item in protocol.question)
     if questions:
-        yield "questions", _same(QUESTION_S * questions)
+        yield "questions", _same(question_s * questions)
     cooling = [heat_of(stiffest, times, math.ceil(number), rest.heat).cooling_s for number in trials.values]
     if cooling[-1] > 0.0:
         yield "cooling of the motor", Range(*cooling)

@@ -8,7 +8,7 @@ from rig.core.check import Check, Outcome
 from rig.core.present import reported
 from rig.core.sample import Motion
 from rig.session.expected import NOTHING, Expected, Range, Trials
-from rig.session.times import Heat, TrialTimes
+from rig.session.times import Heat, Taken, TrialTimes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,6 +59,8 @@ class StudyPlan:
         Of one session, practice included.
     trial
         Parts of one trial at a wall in the middle.
+    taken
+        What finished sessions say of people's times, which then stand in `trial` and `duration_s`; None: as planned.
     duration_s
         Of one session by what it goes into; their sum is `session_s`.
     trial_bytes, disk_bytes
@@ -87,6 +89,7 @@ class StudyPlan:
     cells: tuple[CellPlan, ...]
     trials: Range
     trial: TrialTimes
+    taken: Taken | None
     duration_s: dict[str, Range]
     trial_bytes: float
     disk_bytes: Range

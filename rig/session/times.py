@@ -8,7 +8,7 @@ the share that ``rest.heat`` names, the motor waits until it is at `COOL_TO` of 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from rig.config import Experiment, push_at_rest
 
@@ -44,6 +44,33 @@ class TrialTimes:
     def total(self) -> float:
         """All of it."""
         return self.ready + self.homing + self.baseline + self.hit + self.release + self.verdict
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Taken:
+    """Medians of finished sessions (s), practice aside.
+
+    Attributes
+    ----------
+    sessions, trials
+        How many are behind them.
+    trial
+        From the line before a trial in the log to its own.
+    verdict
+        From there to the verdict; 0 where nobody is asked.
+    question
+        From the line before an answer to its own.
+    """
+
+    sessions: int
+    trials: int
+    trial: float
+    verdict: float
+    question: float
+
+    def of_people(self, planned: TrialTimes) -> TrialTimes:
+        """Planned times of a trial with these for what people take."""
+        return replace(planned, ready=max(0.0, self.trial - planned.recorded), verdict=self.verdict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
