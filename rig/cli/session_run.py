@@ -352,7 +352,8 @@ def _print(result: SessionResult, *, as_json: bool) -> None:
             (
                 "trials",
                 f"{result.trials}, {result.counted} count, {result.invalid} invalid "
-                f"({result.by_machine} by the machine), {result.aborted} cut off",
+                f"({result.by_machine} by the machine), {result.aborted} cut off"
+                + (f", {result.outside} outside the bands" if result.outside else ""),
             ),
             ("blocks", f"{result.blocks_done} of {result.blocks} done"),
             ("directory", str(result.directory)),

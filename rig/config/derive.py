@@ -82,6 +82,15 @@ def push_at_rest(experiment: Experiment) -> float:
     return (operator.press + operator.hand_stiffness * operator.depth) / (1.0 + give) * radius
 
 
+def press_for(experiment: Experiment, push: float) -> float:
+    """Press of a hand (N, at the handle) that makes its effort into the wall in the end this one (N·m or N)."""
+    operator, given = experiment.operator, push_at_rest(experiment)
+    if given == 0.0:
+        return operator.press
+    spring = operator.hand_stiffness * operator.depth
+    return (operator.press + spring) * push / given - spring
+
+
 class Size(TypedDict, total=False):
     """Size of an excitation (N·m or N), by one of both."""
 

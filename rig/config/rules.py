@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from rig.config import amplifiers
-from rig.config.derive import motor_push, push_at_rest, push_s
+from rig.config.derive import motor_push, press_for, push_at_rest, push_s
 from rig.config.problems import Problem, did_you_mean
 from rig.config.sections import Experiment
 from rig.config.table import parameters, shown
@@ -234,9 +234,7 @@ def rest(x: Experiment) -> Iterator[Problem]:
     softest = push / (least * resolution)
     key, asked = "trial.effort", f"{needed:.3g} {_unit(x, 'effort')}"
     if x.trial.kind == "human":
-        spring = x.operator.hand_stiffness * x.operator.depth
-        press_needed = (x.operator.press + spring) * needed / push - spring
-        key, asked = "operator.press", f"{press_needed:.3g} N"
+        key, asked = "operator.press", f"{press_for(x, needed):.3g} N"
     yield _problem(
         x,
         key,

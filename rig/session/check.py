@@ -18,6 +18,7 @@ from rig.config.schemes import Scheme
 from rig.core.check import refuse, refused
 from rig.session.arming import arming_checks
 from rig.session.comparisons import (
+    band_checks,
     cap_checks,
     energy_check,
     heat_check,
@@ -93,6 +94,7 @@ def check(
         *wall_checks([*_walls(protocol, under), *_practice(walls)]),
         *level_checks(cells, base.rig.motion),
         *energy_check(protocol, under),
+        *band_checks(protocol.trial, _softest(walls)),
         *cap_checks(protocol, under),
         heat_check(protocol, heat, trials.most),
         *order_checks(protocol, rows),
@@ -154,6 +156,14 @@ def _walls(protocol: Protocol, under: Sequence[Sequence[Experiment]]) -> Iterato
     for condition, experiments in zip(protocol.condition, under, strict=True):
         for x in experiments:
             yield condition.name, x
+
+
+def _softest(study: Walls) -> list[Experiment]:
+    """The softest wall of each condition."""
+    protocol = study.protocol
+    return [
+        study.at(one, one.damping[0], levels_of(protocol.search_of(one))[0]) for one in protocol.condition
+    ]
 
 
 def _practice(study: Walls) -> Iterator[tuple[str, Experiment]]:

@@ -11,9 +11,10 @@ from rig.core.check import Check, Outcome
 from rig.core.errors import RigError
 from rig.core.sample import Motion, unit_of
 from rig.experiments.plan import make_plan
+from rig.session.bands import BANDS, simulated
 from rig.session.expected import Range
 from rig.session.plan import CellPlan
-from rig.session.protocol import Protocol
+from rig.session.protocol import Protocol, Trial
 from rig.session.schedule import schedule
 from rig.session.times import Heat, TrialTimes
 
@@ -144,6 +145,23 @@ def energy_check(protocol: Protocol, under: Sequence[Sequence[Experiment]]) -> I
         else f"a hit ends when the motor has given {most:g} J",
         "set caps.energy, some times what stable practice hits give (watched, in a recording's trailer)",
     )
+
+
+def band_checks(trial: Trial, walls: Sequence[Experiment]) -> Iterator[Check]:
+    """Whether the simulated hand of a rehearsal keeps within the bands, in these soft walls."""
+    bands = {name: band for name in BANDS if (band := getattr(trial, name))}
+    does = [simulated(x) for x in walls] if bands else []
+    for name, band in bands.items():
+        quantity, _, words = BANDS[name]
+        values, unit = [one for of in does for one in of[name]], unit_of(quantity, walls[0].rig.motion)
+        key = "operator.press" if name == "press" else "operator.reach_s"
+        yield Check(
+            f"trial.{name}",
+            Outcome.OK if band[0] <= min(values) and max(values) <= band[-1] else Outcome.WARNING,
+            f"{words} of the simulated hand {min(values):.3g} to {max(values):.3g} {unit}, asked {band[0]:g} to "
+            f"{band[-1]:g} {unit}",
+            f"widen it, or change {key} of the simulated hand; a person may do better",
+        )
 
 
 def cap_checks(protocol: Protocol, under: Sequence[Sequence[Experiment]]) -> Iterator[Check]:

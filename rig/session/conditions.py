@@ -1,7 +1,8 @@
 """The experiment behind a protocol: its rig and trial, and what each condition makes of them.
 
 Later ones win: the preset or the experiment file; what a person at the handle demands (`SAFE`); ``[study.changes]``;
-``[trial]`` and ``[caps]``; the condition's scheme and its changes; damping and stiffness of the run.
+``[trial]`` and ``[caps]``; the condition's scheme and its changes; damping and stiffness of the run. A simulated hand
+is told the bands of ``[trial]`` where nobody says how it hits (`rig.session.bands`).
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from rig.config.schemes import Scheme
 from rig.config.table import parameters, shown
 from rig.core.errors import ConfigError, RigError
 from rig.core.sample import unit_of
+from rig.session.bands import BANDS, pressing, reach_for
 from rig.session.protocol import Condition, Protocol
 from rig.session.schedule import levels_of
 
@@ -85,6 +87,7 @@ class Walls:
         self.protocol = protocol
         self.base = base
         self._known: dict[tuple[str, float, float], Experiment] = {}
+        self._reaches: dict[str, float] = {}  # of a simulated hand, found by simulation, by condition
 
     def at(
         self, condition: Condition, damping: float, stiffness: float, *, seed: int | None = None
@@ -107,25 +110,43 @@ class Walls:
         """
         key = (condition.name, damping, stiffness)
         if key not in self._known:
-            self._known[key] = _experiment_of(self.protocol, self.base, condition, damping, stiffness)
+            self._known[key] = _experiment_of(
+                self.protocol, self.base, condition, damping, stiffness, self._reaches
+            )
         x = self._known[key]
         return x if seed is None else replace(x, trial=replace(x.trial, seed=seed))
 
 
 def _experiment_of(
-    protocol: Protocol, base: Experiment, condition: Condition, damping: float, stiffness: float
+    protocol: Protocol,
+    base: Experiment,
+    condition: Condition,
+    damping: float,
+    stiffness: float,
+    reaches: dict[str, float],
 ) -> Experiment:
-    source = f"condition {shown(condition.name)}"
-    wall = {"wall.stiffness": stiffness, "wall.damping": damping}
-    studied = {**_safe(protocol, base), **protocol.study.changes, **_said(protocol)}
-    experiment = config.with_values(base, studied, source)
+    source, trial = f"condition {shown(condition.name)}", protocol.trial
+    experiment = config.with_values(base, _studied(protocol, base), source)
     if condition.scheme is not None:
         experiment = Scheme.parse(condition.scheme).on(experiment)
         source += f" with scheme {condition.scheme}"
-    experiment = config.with_values(experiment, {**condition.changes, **wall}, source)
-    experiment = config.checked(experiment, source)
-    config.check_plugins(experiment, source)
-    return experiment
+    experiment = config.with_values(experiment, condition.changes, source)
+    own = {**protocol.study.changes, **condition.changes}
+
+    def at(damping: float, stiffness: float) -> Experiment:
+        wall = {"wall.stiffness": stiffness, "wall.damping": damping}
+        x = config.with_values(experiment, wall, source)
+        return x if "operator.press" in own else config.with_values(x, pressing(x, trial), source)
+
+    x = at(damping, stiffness)
+    if trial.impact_speed and "operator.reach_s" not in own:
+        if condition.name not in reaches:  # by one wall, whichever is asked for first
+            softest = at(condition.damping[0], levels_of(protocol.search_of(condition))[0])
+            reaches[condition.name] = reach_for(softest, trial)
+        x = config.with_values(x, {"operator.reach_s": reaches[condition.name]}, source)
+    x = config.checked(x, source)
+    config.check_plugins(x, source)
+    return x
 
 
 def own_rates(condition: Condition, experiment: Experiment) -> dict[str, Any]:
@@ -150,8 +171,14 @@ def base_of(protocol: Protocol, folder: Path) -> Experiment:
 
 def broken_conditions(walls: Walls) -> list[Problem]:
     """What of the conditions the rig, the trial or the estimators do not allow, each condition's first problems."""
-    problems = [*_misplaced(walls.protocol), *_wide_caps(walls.protocol, walls.base)]
+    protocol, base = walls.protocol, walls.base
+    problems = [*_misplaced(protocol), *_wide_caps(protocol, base), *_wide_bands(protocol, base)]
     return problems or list(_refused(walls))
+
+
+def _studied(protocol: Protocol, base: Experiment) -> dict[str, Any]:
+    """What all conditions change of the experiment."""
+    return {**_safe(protocol, base), **protocol.study.changes, **_said(protocol)}
 
 
 def _safe(protocol: Protocol, base: Experiment) -> dict[str, Any]:
@@ -208,6 +235,18 @@ def _wide_caps(protocol: Protocol, base: Experiment) -> Iterator[Problem]:
                 f"must be at most rig.limits.{name} of the rig, {limit:g} {unit}",
                 "lower it, or leave it out",
             )
+
+
+def _wide_bands(protocol: Protocol, base: Experiment) -> Iterator[Problem]:
+    """What ends a hit, or what the motor cannot push back with, is not asked of a hand."""
+    studied = _studied(protocol, base)
+    for name, (quantity, _, _) in BANDS.items():
+        band, limited = getattr(protocol.trial, name), "effort" if name == "press" else "speed"
+        unit = unit_of(quantity, base.rig.motion)
+        limit = studied.get(f"rig.limits.{limited}", getattr(base.rig.limits, limited))
+        if band and isinstance(limit, int | float) and band[-1] > limit:
+            must = f"must end at rig.limits.{limited} at most, {limit:g} {unit}"
+            yield Problem(f"trial.{name}", f"{shown(band)} {unit}", must, "lower its upper end")
 
 
 def _refused(walls: Walls) -> Iterator[Problem]:

@@ -30,6 +30,8 @@ from rig.core.errors import (
 )
 from rig.core.sample import HOLD, Phase, unit_of
 from rig.experiments.pulse import NO_HANDS
+from rig.session.bands import asked as asked_of_hand
+from rig.session.bands import judged
 from rig.session.conditions import Walls, own_rates
 from rig.session.desk import Action, Desk, Question, Reply, View
 from rig.session.directory import TRIALS, Session
@@ -345,7 +347,8 @@ class _Engine:
             self._trouble("stopped before anything moved", presented)  # nothing to log: no trial was begun
             return
         self._session.clock.took(done.duration_s)
-        self.record("trial", **event_of(presented, done.hit))
+        hit = judged(done.hit, state.protocol.trial, experiment.rig.motion)
+        self.record("trial", **event_of(presented, hit))
         self._last = outcome(state.trials[-1], blind=self._blind)
         if done.error is not None:
             self._after_early_end(done, presented)
@@ -366,7 +369,7 @@ class _Engine:
         if self._state.trials[-1].invalid:
             why = error.message if isinstance(error, RigError) else done.hit.ended
             if self._blind and isinstance(error, GuardError):  # an energy, a velocity, an oscillating effort
-                why = told(done.hit.reasons, blind=True).removeprefix("the run ended early: ")
+                why = told(self._state.trials[-1].reasons, blind=True).removeprefix("the run ended early: ")
             self._trouble(f"the hit ended early: {why}", presented)
 
     def _trouble(self, text: str, presented: Presented) -> None:
@@ -540,6 +543,7 @@ class _Engine:
                 stiffness=seen.stiffness if seen else None,
                 damping=seen.damping if seen else None,
                 blinded=blind,
+                asked=asked_of_hand(state.protocol.trial, self._walls.base.rig.motion),
                 scale=_scale(experiment or self._walls.base),
                 heat=state.heat,
                 last=self._last,

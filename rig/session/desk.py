@@ -49,6 +49,8 @@ class View:
         None where the operator is blinded.
     blinded
         Whether effort may be shown in words only (`rig.session.console`): effort over penetration is stiffness.
+    asked
+        Of the hand: impact speed and press, in words; empty for nothing.
     scale
         For bars: start, wall, side, window (two ends), effort_limit, speed_limit, position_unit, effort_unit,
         velocity_unit.
@@ -75,6 +77,7 @@ class View:
     stiffness: float | None = None
     damping: float | None = None
     blinded: bool = True
+    asked: str = ""
     scale: Mapping[str, Any] = field(default_factory=dict)
     heat: float = 0.0
     last: str = ""

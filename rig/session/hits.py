@@ -35,6 +35,7 @@ from rig.recording.data import Recording
 from rig.recording.files import free_name, plain_errors
 from rig.recording.header import host_facts
 from rig.session.arming import refusals
+from rig.session.bands import press_of
 from rig.session.pace import sentence
 from rig.session.place import software
 from rig.session.runner import Done, RefusedWalls, Wall, Watch
@@ -352,9 +353,12 @@ def _hit_of(left: Recorded, path: Path, heat: float) -> Hit:
         aborted=ended if ended in THREW_OUT else fault.lower() if fault in THROWN_OUT else "",
         automatic=str(verdict.kind),
         reasons=verdict.reasons,
+        outside=(),
         by_machine=left.judgement.early is None and invalid and measured.by_machine,
         passes={criterion: None if invalid else measured.passes(criterion) for criterion in CRITERIA},
-        numbers=plain({name: getattr(verdict, name) for name in NUMBERS}),
+        numbers=plain(
+            {**{name: getattr(verdict, name) for name in NUMBERS}, "press": press_of(recording, experiment)}
+        ),
         baseline=None if free is None else plain(free),
         heat=heat_after(heat, load, tick_s, limits.thermal_time_constant_s),
     )

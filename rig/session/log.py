@@ -29,7 +29,7 @@ from rig.core.present import plain
 from rig.recording.files import plain_errors, whole_file
 from rig.recording.lines import LineFile, line_of, object_of
 
-VERSION = 3  # of events and their content; a change of their meaning is another version
+VERSION = 4  # of events and their content; a change of their meaning is another version
 RESERVED = ("n", "after", "at", "kind", "log")
 
 

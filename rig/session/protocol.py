@@ -24,6 +24,8 @@ RuleName = Literal["ascending", "staircase", "interleaved", "psi", "grid"]
 
 BLINDED = ("both", "operator")  # of `study.blind`: the operator sees no wall
 
+Band = tuple[float, ...]  # least and most; empty: anything
+
 Verdict = Literal["stable", "buzz", "unstable", "unsure"]
 VERDICTS: tuple[Verdict, ...] = ("stable", "buzz", "unstable", "unsure")
 
@@ -176,6 +178,20 @@ class Trial:
         Le(600),
         Quantity("s", "from first contact to the end of the hit; left out: duration_s, contact or not"),
     ] = None
+    impact_speed: Annotated[
+        Band,
+        Quantity("velocity", "least and most at the first contact, as [0.2, 0.4]; left out: any"),
+    ] = ()
+    press: Annotated[
+        Band,
+        Quantity(
+            "effort", "least and most of the mean effort in the judged tail, as [0.1, 0.3]; left out: any"
+        ),
+    ] = ()
+    outside: Annotated[
+        Literal["invalid", "keep"],
+        Quantity("", "what a trial outside one of these bands is: invalid and repeated, or kept and marked"),
+    ] = "invalid"
     ready_s: Annotated[
         float,
         Ge(0),

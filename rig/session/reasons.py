@@ -26,10 +26,23 @@ _TOLD = {
     "only ": "the trial was too short",
     "still settling ": "the trial was too short to judge: lengthen it",
     "the device overruled the law ": "the device overruled the law",
+    "hit too ": AS_IT_IS,
+    "pressed too lightly: ": "pressed too lightly: ask for more",  # in numbers it would be effort
+    "pressed too hard: ": "pressed too hard: ask for less",
     "the measured current ": "the motor's current was not the one that was set: motor leads, amplifier, sensor",
     "saturated ": RIG_LIMIT,
     "the slew limit ": RIG_LIMIT,
 }
+# Of a band: what is too little, and what too much.
+_OUTSIDE = {
+    "impact_speed": ("hit too slowly", "hit too fast"),
+    "press": ("pressed too lightly", "pressed too hard"),
+}
+
+
+def outside(name: str, value: float, band: str, unit: str, *, above: bool) -> str:
+    """Why a trial lies outside a band of the protocol (`rig.session.bands`)."""
+    return f"{_OUTSIDE[name][above]}: {value:.3g} {unit} ({band} {unit} asked)"
 
 
 def told(reasons: Iterable[str], *, blind: bool) -> str:

@@ -18,6 +18,7 @@ from rig.config.schemes import Scheme
 from rig.config.table import shown
 from rig.core.errors import ConfigError
 from rig.session import search
+from rig.session.bands import BANDS
 from rig.session.keymap import KeyMap
 from rig.session.protocol import Protocol, Search
 from rig.session.schedule import level_steps, rule
@@ -283,6 +284,19 @@ def practice(protocol: Protocol) -> Iterator[Problem]:
         yield Problem("practice.condition", shown(wanted), "is not a condition", instead)
 
 
+def bands(protocol: Protocol) -> Iterator[Problem]:
+    """A band has two ends, and is about a hand."""
+    for name in BANDS:
+        key, band = f"trial.{name}", getattr(protocol.trial, name)
+        if band and protocol.trial.kind != "human":
+            must = f'is about a hand, and the motor hits (trial.kind = "{protocol.trial.kind}")'
+            yield Problem(key, shown(band), must, 'leave it out, or set trial.kind = "human"')
+        elif band and not (len(band) == 2 and 0.0 <= band[0] < band[1]):
+            yield Problem(
+                key, shown(band), "must be two numbers from 0 on, the lower first", "write it like [0.1, 0.3]"
+            )
+
+
 def items(protocol: Protocol) -> Iterator[Problem]:
     """Every question can be answered, and has a column of its own."""
     yield from _names_twice("question.name", [item.name for item in protocol.question])
@@ -322,6 +336,7 @@ RULES: tuple[Callable[[Protocol], Iterable[Problem]], ...] = (
     runs,
     stiffness_cap,
     practice,
+    bands,
     items,
     console_keys,
 )

@@ -64,9 +64,9 @@ class SessionResult:
         Of the participant.
     ended, stopped
         Why it is over, or why it was left; None where it is not.
-    trials, counted, invalid, by_machine, aborted
+    trials, counted, invalid, by_machine, aborted, outside
         Recorded hits; those that count and were judged; invalid ones, and how many of these the computer or the link
-        spoiled; those cut off for safety.
+        spoiled; those cut off for safety; those outside the protocol's bands.
     invalid_trials
         A sentence each with the reasons, oldest first, as a blinded operator may read them.
     blocks, blocks_done
@@ -87,6 +87,7 @@ class SessionResult:
     invalid: int
     by_machine: int
     aborted: int
+    outside: int
     blocks: int
     blocks_done: int
     resume: str = ""
@@ -286,6 +287,7 @@ def summary(
         invalid=sum(trial.invalid for trial in state.trials),
         by_machine=sum(trial.by_machine for trial in state.trials),
         aborted=sum(bool(trial.aborted) for trial in state.trials),
+        outside=sum(bool(trial.outside) for trial in state.trials),
         blocks=len(blocks),
         blocks_done=sum(all(state.asks(run) is None for run in block.runs) for block in blocks),
         resume="" if state.ended is not None else resume_command(directory, events),

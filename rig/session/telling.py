@@ -90,6 +90,7 @@ def _whole(trial: Trial, motion: Motion) -> str:
     said = [
         ", ".join([f"trial {trial.trial}", *kind, trial.condition, wall, *attempt]),
         ": ".join(["the program says " + trial.automatic, *filter(None, ["; ".join(trial.reasons)])]),
+        *([] if trial.invalid else _kept(trial.outside, blind=False)),
         *([f"ended early: {ended.replace('_', ' ')}"] if ended else []),
     ]
     return "; ".join(said)
@@ -123,7 +124,16 @@ def outcome(trial: Trial, *, blind: bool) -> str:
         return _invalid(trial.trial, trial.reasons, blind=blind)
     if not trial.verdict:
         return f"trial {trial.trial}: over"
-    return f"trial {trial.trial}: done" + (", cut off for safety" if trial.aborted else "")
+    aborted = ["cut off for safety"] if trial.aborted else []
+    return ", ".join([f"trial {trial.trial}: done", *aborted, *_kept(trial.outside, blind=blind)])
+
+
+def _kept(outside: Sequence[str], *, blind: bool) -> list[str]:
+    """How a trial that counts lay outside the protocol's bands, in one phrase or none.
+
+    Not said before the verdict: that a press was judged tells that the wall was not unstable.
+    """
+    return [f"kept, but {told(outside, blind=blind)}"] if outside else []
 
 
 def _invalid(trial: int, reasons: Sequence[str], *, blind: bool) -> str:

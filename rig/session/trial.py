@@ -66,6 +66,10 @@ class Hit:
     aborted: Annotated[str, Quantity("", "what cut the hit off for safety; empty when nothing did")]
     automatic: Annotated[str, Quantity("", "automatic verdict: stable, limit cycle, unstable, invalid")]
     reasons: Annotated[tuple[str, ...], Quantity("", "of the automatic verdict")]
+    outside: Annotated[
+        tuple[str, ...],
+        Quantity("", "how impact speed or press lay outside the protocol's bands; empty when inside"),
+    ]
     by_machine: Annotated[
         bool,
         Quantity(
@@ -125,5 +129,5 @@ def event_of(presented: Presented, hit: Hit) -> dict[str, Any]:
 def trial_of(content: Mapping[str, Any]) -> Trial:
     """The trial of an event; `void` is true in one that was left out afterwards."""
     given = {one.name: content[one.name] for one in (*fields(Presented), *fields(Hit))}
-    given["reasons"] = tuple(given["reasons"])
+    given["reasons"], given["outside"] = tuple(given["reasons"]), tuple(given["outside"])
     return Trial(**given, void=LEFT_OUT if content.get("void") else "")

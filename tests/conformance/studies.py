@@ -161,6 +161,7 @@ class Sitting:
             aborted="",
             automatic="invalid" if invalid else kind,
             reasons=(),
+            outside=(),
             by_machine=False,
             passes={"felt": passes, "heard": passes, "any": passes},
             numbers={"felt": None, "heard": 0.01, "moved": 0.0, "peak_effort": 0.5},

@@ -43,6 +43,7 @@ class TrialRow(Trial):
     peak_penetration: Annotated[float | None, Quantity("position", "deepest")]
     peak_effort: Annotated[float | None, Quantity("effort", "largest, commanded")]
     impact_velocity: Annotated[float | None, Quantity("velocity", "at first contact")]
+    press: Annotated[float | None, Quantity("effort", "mean effort out of the wall in the tail")]
     saturated_fraction: Annotated[float | None, Quantity("1", "share of ticks at the limit of effort")]
     baseline_velocity: Annotated[float | None, Quantity("velocity", "rms in free space before the hit")]
     baseline_effort: Annotated[float | None, Quantity("effort", "rms in free space before the hit")]

@@ -227,13 +227,16 @@ _CATCHES = (
 )
 _PARTICIPANTS = (*columns_of(ParticipantRow), *_CATCHES)
 _ANSWERS = columns_of(AnswerRow)
-_TRIALS = columns_of(
+_OUTSIDE = DataColumn(
+    "outside", str, "", quantities(TrialRow)["outside"].meaning, lambda row: "; ".join(row.outside)
+)
+_TRIALS = (*columns_of(
     TrialRow,
     "participant", "row", "block", "run", "place", "trial", "attempt", "condition", "scheme", "damping", "repeat",
     "stiffness", "track", "catch", "practice", "void", "automatic", "automatic_stable", "verdict", "judged_by",
     "amended", "response_time_s", "ended", "aborted", "since_begin_s", "heat", *NUMBERS, "baseline_velocity",
     "baseline_effort", "recording", "recorded",
-)  # fmt: skip
+), _OUTSIDE)  # fmt: skip
 
 
 def _limit(measure: Measure, field: str) -> Callable[[RunRow], Any]:

@@ -26,6 +26,7 @@ NUMBERS = (
     "peak_penetration",
     "peak_effort",
     "impact_velocity",
+    "press",
     "saturated_fraction",
 )  # of the automatic verdict, in tables
 

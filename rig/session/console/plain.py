@@ -19,6 +19,7 @@ class PlainLines:
         view = talk.view
         found = [self._new("place", words.place(view)), self._new("state", f"state: {words.state(talk)}")]
         found.append(self._new("wall", self._wall(talk)))
+        found.append(self._new("asked", f"asked: {view.asked}" if view.asked else ""))
         found.append(self._new("say", f"say: {view.say}" if view.say else ""))
         found.append(self._new("hand", words.hand(talk)))
         found.append(self._new("phase", "" if live is None else f"phase: {live.phase}"))

@@ -76,6 +76,7 @@ def facts(view: View) -> list[tuple[str, str]]:
         ("wall", wall),
         ("counts", "no, practice" if view.practice else "yes"),
         ("attempt", str(view.attempt)),
+        *([("asked", view.asked)] if view.asked else []),
         ("motor heat", f"{100 * view.heat:.0f} % of budget"),
     ]
 

@@ -26,6 +26,7 @@ from rig.session.analysis.agreement import LEAST_PEOPLE
 from rig.session.analysis.analyse import Analysis
 from rig.session.analysis.kmax import ENOUGH_REPEATS, LEAST_REPEATS, RESAMPLES
 from rig.session.analysis.rows import Measure
+from rig.session.bands import asked
 from rig.session.conduct import walls_in
 from rig.session.schedule import cells_of, levels_of, rows_of, rule
 from rig.session.search.psychometric import LAPSE_RATES, Psychometric, of_levels
@@ -162,6 +163,7 @@ def _facts(found: Analysis) -> dict[str, Any]:
         "protocol": protocol,
         "x": x,
         "unit": study.unit,
+        "asked": asked(protocol.trial, study.motion),
         "measure": measure,
         "measures": MEASURES,
         "complete": sum(session.complete for session in study.sessions),

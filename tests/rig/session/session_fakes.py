@@ -126,6 +126,7 @@ class FakeRunner:
             "aborted": "",
             "automatic": "stable" if stable else "limit cycle",
             "reasons": [] if stable else ["heard"],
+            "outside": (),
             "by_machine": False,
             "passes": {"felt": stable, "heard": stable, "any": stable},
             "numbers": {"heard": 0.1},

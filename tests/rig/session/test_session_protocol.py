@@ -214,6 +214,18 @@ def test_a_person_meets_no_more_than_nominal_effort_unless_somebody_answers_for_
         ({"caps.stiffness": 600, "practice.stiffness": [700]}, "practise with softer walls"),
         ({"practice.stiffness": [0]}, "must be above 0"),
         ({"practice.condition": "duel"}, "did you mean dual?"),
+        (
+            {"trial.press": [0.3, 0.1]},
+            "trial.press = [0.3, 0.1]: must be two numbers from 0 on, the lower first",
+        ),
+        ({"trial.impact_speed": [0.3]}, "must be two numbers"),
+        ({"trial.impact_speed": 0.3}, "write numbers in brackets"),
+        ({"trial.impact_speed": [-0.1, 0.3]}, "must be two numbers"),
+        (
+            {"trial.press": [0.1, 0.3], "trial.kind": "constant-effort"},
+            'and the motor hits (trial.kind = "constant-effort"); leave it out',
+        ),
+        ({"trial.outside": "kept"}, "did you mean keep?"),
         ({"study.code": "[A-Z"}, "is no regular expression"),
         ({"study.code": ".*"}, "the names of people"),
         ({"study.code": "[a-z]+"}, "the names of people"),
@@ -286,6 +298,14 @@ def test_everything_is_said_at_once(tmp_path: Path) -> None:
                 "trial.baseline_s": 0.3,
             },
             'trial.baseline_s = 0.3 s: must be 0 with trial.kind = "constant-effort"',
+        ),
+        (
+            {"trial.press": [0.1, 3.0]},
+            "trial.press = [0.1, 3.0] N·m: must end at rig.limits.effort at most, 0.286 N·m; lower its upper end",
+        ),
+        (
+            {"trial.impact_speed": [1.0, 100.0]},
+            "trial.impact_speed = [1.0, 100.0] rad/s: must end at rig.limits.speed",
         ),
         ({"search.lowest": "soft"}, "a number > 0 N·m/rad"),  # the unit of this rig alone
     ],

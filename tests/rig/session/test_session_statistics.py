@@ -106,7 +106,7 @@ def trial_row(
 ) -> Any:
     empty = dict.fromkeys(
         ("felt", "heard", "moved", "peak_penetration", "peak_effort", "impact_velocity"), None
-    ) | dict.fromkeys(("saturated_fraction", "baseline_velocity", "baseline_effort"), None)
+    ) | dict.fromkeys(("press", "saturated_fraction", "baseline_velocity", "baseline_effort"), None)
     plain = {
         "participant": participant,
         "row": 0,
@@ -140,6 +140,7 @@ def trial_row(
         "sha256": "",
         "rows_sha256": "",
         "reasons": (),
+        "outside": (),
         "by_machine": False,
         "passes": {},
         "numbers": {},

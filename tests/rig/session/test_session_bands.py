@@ -1,0 +1,221 @@
+"""Bands of impact speed and press: what lies outside, what becomes of it, who hears why, and the simulated hand."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+from statistics import fmean
+from typing import Any
+
+import pytest
+
+from rig.config import push_at_rest
+from rig.core.check import Outcome
+from rig.core.present import plain
+from rig.session.analysis import analyse
+from rig.session.analysis.tables import tables
+from rig.session.bands import judged, simulated
+from rig.session.check import check
+from rig.session.conditions import Walls
+from rig.session.conduct import conduct
+from rig.session.console import words
+from rig.session.hits import DeviceRunner
+from rig.session.load import load_walls
+from rig.session.log import Event, read
+from rig.session.protocol import Trial
+from rig.session.rehearsal import Person
+from rig.session.run import rehearsal_desk, run_session, summary
+from rig.session.telling import outcome, whole_line
+from rig.session.trial import Hit
+from rig.views.report.session_methods import methods
+from tests.rig.session.session_fakes import FakeRunner, ScriptedDesk, protocol_of, study
+from tests.rig.session.test_session_conduct import started
+
+BOTH = Trial(impact_speed=(0.2, 0.4), press=(0.15, 0.25))
+FAST = "hit too fast: 0.5 rad/s (0.2 to 0.4 rad/s asked)"
+HARD = "pressed too hard: 0.3 N·m (0.15 to 0.25 N·m asked)"
+STUDY = """
+[study]
+title = "bands"
+preset = "koul-compliant"
+changes = {"trial.minimum_rest_counts" = 0.0}
+[[condition]]
+name = "slow"
+scheme = "uniform:2k"
+damping = [0.1]
+[search]
+rule = "grid"
+lowest = 40.0
+highest = 160.0
+ratio = 2.0
+settings.repeats = 1
+[trial]
+baseline_s = 0.1
+foreperiod_s = 0.2
+duration_s = 3.0
+hold_s = 0.7
+impact_speed = [0.2, 0.4]
+press = [0.17, 0.23]
+"""
+
+
+@pytest.fixture(autouse=True)
+def _quick_disk(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "fsync", lambda descriptor: None)
+
+
+def hit(automatic: str = "stable", **numbers: float | None) -> Hit:
+    return Hit(
+        recording="",
+        sha256="",
+        rows_sha256="",
+        ended="finished",
+        aborted="",
+        automatic=automatic,
+        reasons=(),
+        outside=(),
+        by_machine=False,
+        passes={"any": automatic == "stable"},
+        numbers={"impact_velocity": 0.3, "press": 0.2, **numbers},
+        baseline=None,
+        heat=0.0,
+    )
+
+
+@pytest.mark.parametrize(
+    ("one", "outside"),
+    [
+        (hit(), ()),
+        (hit(impact_velocity=0.5), (FAST,)),
+        (hit(impact_velocity=-0.5), (FAST,)),  # a wall on the other side
+        (hit(impact_velocity=0.2, press=0.25), ()),  # the ends belong to it
+        (hit(impact_velocity=0.1), ("hit too slowly: 0.1 rad/s (0.2 to 0.4 rad/s asked)",)),
+        (hit(press=0.3), (HARD,)),
+        (hit("limit cycle", impact_velocity=0.5, press=0.3), (FAST, HARD)),
+        (hit("unstable", press=0.3), ()),  # there the effort is the wall's own
+        (hit("unstable", impact_velocity=0.5, press=0.3), (FAST,)),
+        (hit(impact_velocity=None), ()),  # not measurable
+        (hit("invalid", impact_velocity=0.5), ()),  # it says nothing anyhow
+    ],
+)
+def test_what_lies_outside_is_invalid_or_kept_as_the_protocol_says(
+    one: Hit, outside: tuple[str, ...]
+) -> None:
+    found = judged(one, BOTH, "rotary")
+    assert found.outside == outside
+    assert (found.automatic, found.reasons) == (("invalid", outside) if outside else (one.automatic, ()))
+    assert found.passes == ({"any": None} if outside else one.passes)
+    kept = judged(one, replace(BOTH, outside="keep"), "rotary")
+    assert kept == replace(one, outside=outside)
+
+
+def test_without_bands_nothing_lies_outside() -> None:
+    assert judged(hit(impact_velocity=9.0, press=9.0), Trial(), "rotary") == hit(
+        impact_velocity=9.0, press=9.0
+    )
+
+
+def session_with(tmp_path: Path, **trial: Any) -> tuple[ScriptedDesk, Any, list[Event]]:
+    """Three trials, the first of them hit too fast and pressed too hard."""
+    numbers = {"impact_velocity": 0.3, "press": 0.2}
+    fails: dict[int, Any] = {number: ({"numbers": numbers}, None) for number in range(2, 9)}
+    fails[1] = ({"numbers": {"impact_velocity": 0.5, "press": 0.3}}, None)
+    desk = ScriptedDesk()
+    bands = {"impact_speed": [0.2, 0.4], "press": [0.15, 0.25], "hold_s": 0.7, **trial}
+    changes = {"trial.minimum_rest_counts": 0.0, "operator.press": 2.0, "operator.reach_s": 0.3}
+    protocol = protocol_of(study=study(changes=changes), trial=bands, stop={"trials": 3})
+    with started(tmp_path / "P01", protocol) as session:
+        conduct(session, FakeRunner(fails), desk)
+        result = summary(session.directory, session.state)
+    return desk, result, read(tmp_path / "P01" / "session.log")
+
+
+def test_a_hit_outside_is_repeated_and_a_blinded_operator_reads_no_effort(tmp_path: Path) -> None:
+    desk, result, events = session_with(tmp_path)
+    first = next(view for view in desk.views if view.last)
+    assert first.last == f"trial 1: invalid, it is repeated: {FAST}; pressed too hard: ask for less"
+    assert (first.trial, first.attempt, first.say[:7]) == (2, 2, "Again. ")
+    assert {view.asked for view in desk.views} == {"impact speed 0.2 to 0.4 rad/s, press 0.15 to 0.25 N·m"}
+    assert (result.invalid, result.outside, result.trials) == (1, 1, 3)
+    assert ("asked", first.asked) in words.facts(first)
+    (trial,) = [one for one in events if one.kind == "trial" and one.content["trial"] == 1]
+    assert trial.content["outside"] == [FAST, HARD]
+    assert HARD in whole_line(trial, "rotary")
+    assert "0.3 N·m" not in json.dumps([plain(view) for view in desk.views])
+
+
+def test_a_hit_that_is_kept_is_judged_and_marked_after_its_verdict_alone(tmp_path: Path) -> None:
+    """That a press was judged tells that the wall was not unstable."""
+    desk, result, events = session_with(tmp_path, outside="keep")
+    assert (result.invalid, result.outside, result.trials) == (0, 1, 3)
+    asked = [view for view in desk.views if view.state == "verdict?"]
+    assert asked[0].last == "trial 1: over"
+    assert any(
+        view.last == f"trial 1: done, kept, but {FAST}; pressed too hard: ask for less" for view in desk.views
+    )
+    assert not any("ask for less" in line for view in desk.views for line in view.lines)
+    (trial,) = [one for one in events if one.kind == "trial" and one.content["trial"] == 1]
+    assert trial.content["automatic"] == "stable"
+    assert f"kept, but {FAST}; {HARD}" in whole_line(trial, "rotary")
+    found = analyse([tmp_path])
+    assert outcome(found.trials[0], blind=False).endswith(f"kept, but {FAST}; {HARD}")
+    (table,) = [one for one in tables(found) if one.name == "trials"]
+    (column,) = [one for one in table.columns if one.name == "outside"]
+    assert [column.of(row) for row in table.rows] == [f"{FAST}; {HARD}", "", ""]
+    task = {paragraph.heading: paragraph.text for paragraph in methods(found)}["Task"]
+    assert "asked for: impact speed 0.2 to 0.4 rad/s, press 0.15 to 0.25 N·m" in task
+    assert "1 of 3 trials lay outside and were kept, marked in the table of trials" in task
+
+
+@pytest.fixture(scope="module")
+def walls(tmp_path_factory: pytest.TempPathFactory) -> Walls:
+    path = tmp_path_factory.mktemp("bands") / "study.toml"
+    path.write_text(STUDY)
+    return load_walls(path)
+
+
+def test_a_simulated_hand_aims_at_the_middle_whichever_wall_comes_first(walls: Walls) -> None:
+    (condition,) = walls.protocol.condition
+    soft, stiff = (walls.at(condition, 0.1, stiffness) for stiffness in (40.0, 160.0))
+    assert push_at_rest(soft) == pytest.approx(0.2)
+    assert push_at_rest(stiff) == pytest.approx(0.2)
+    does = simulated(soft)
+    assert fmean(does["impact_speed"]) == pytest.approx(0.3, rel=0.1)
+    assert fmean(does["press"]) == pytest.approx(0.2, rel=0.1)
+    again = Walls(walls.protocol, walls.base)
+    assert again.at(condition, 0.1, 160.0) == stiff
+    assert again.at(condition, 0.1, 40.0) == soft
+
+
+def test_a_rehearsal_keeps_within_the_bands(walls: Walls, tmp_path: Path) -> None:
+    (tmp_path / "study.toml").write_text(STUDY)
+    nobody = Person(thresholds={})
+    result = run_session(
+        tmp_path / "study.toml",
+        "P01",
+        rehearsal_desk(nobody),
+        runner=DeviceRunner(),
+        study=tmp_path,
+        person=nobody,
+    )
+    trials = [event.content for event in read(tmp_path / "P01" / "session.log") if event.kind == "trial"]
+    assert len(trials) == 3
+    assert (result.outside, result.invalid) == (0, 0)
+    for one in trials:
+        assert one["numbers"]["press"] == pytest.approx(0.2, rel=0.1)
+        assert 0.2 < one["numbers"]["impact_velocity"] < 0.4
+
+
+def test_the_plan_warns_of_a_band_that_the_simulated_hand_does_not_keep(walls: Walls) -> None:
+    found = {one.name: one for one in check(walls.protocol, Path()).checks}
+    assert found["trial.press"].outcome is Outcome.OK
+    assert found["trial.impact_speed"].outcome is Outcome.OK
+    changes = {**walls.protocol.study.changes, "operator.press": 1.0, "operator.reach_s": 0.1}
+    own = replace(walls.protocol, study=replace(walls.protocol.study, changes=changes))  # said: it stays
+    found = {one.name: one for one in check(own, Path()).checks}
+    assert found["trial.press"].outcome is Outcome.WARNING
+    assert "asked 0.17 to 0.23 N·m" in found["trial.press"].text
+    assert found["trial.impact_speed"].outcome is Outcome.WARNING
+    assert "operator.reach_s" in found["trial.impact_speed"].remedy
