@@ -23,6 +23,8 @@ from rig.session.log import read
 from rig.session.rehearsal import Person
 from rig.session.run import rehearsal_desk, resume_session, run_session
 from rig.session.state import State
+from rig.session.template_files import DEFAULT, write_template
+from rig.views.report.session import render
 from tests.system.session_study import comparable, written
 
 PERSON = Person(thresholds={"hidden-dual": 65.0, "hidden-uniform": 65.0}, lapse_rate=0.05)
@@ -63,6 +65,36 @@ def test_its_recordings_are_hashed_readable_and_say_nothing_in_their_names(calm:
         assert recording.trailer["reason"] == "finished"
         assert trial.automatic != "invalid"
         assert 0.0 < trial.heat < 1.0
+
+
+def test_the_first_session_of_a_newcomer_ends_in_ten_minutes_with_intervals_that_show_the_effect(
+    tmp_path: Path,
+) -> None:
+    """The template as it is, judged as the program judges: dual-rate above the uniform scheme of its slow rate."""
+    write_template(DEFAULT, tmp_path / "study.toml")
+    nobody = Person(thresholds={})
+    run_session(
+        tmp_path / "study.toml",
+        "P01",
+        rehearsal_desk(nobody),
+        runner=DeviceRunner(),
+        study=tmp_path,
+        person=nobody,
+    )
+    events = read(tmp_path / "P01" / LOG)
+    assert events[-1].content["reason"] == "complete"
+    assert events[-1].at - events[0].at <= 600.0  # in the simulation's time
+    found = analyse([tmp_path])
+    assert not any("hardly known" in message for message in found.messages)
+    slow, dual = (one for one in found.of_participants if one.measure == "rule")
+    if slow.condition.startswith("dual"):
+        slow, dual = dual, slow
+    for one in (slow, dual):
+        assert not one.beyond.count
+        assert 0.0 < one.low < one.mean < one.high < 1.5 * one.low
+    assert slow.high < dual.low
+    page = render(found, {})
+    assert f"{slow.low:.4g}" in page
 
 
 def test_ten_kills_change_nothing(calm: tuple[Path, Path], tmp_path: Path) -> None:
