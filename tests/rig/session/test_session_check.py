@@ -14,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.bench.doctor.pace import Pace
+from rig.cli import run
 from rig.config import override
 from rig.core.check import Check, Outcome
 from rig.core.errors import ConfigError
@@ -27,14 +28,13 @@ from rig.session.directory import LOG
 from rig.session.disk import refuse_full_disk
 from rig.session.expected import Range, expected_trials
 from rig.session.hits import DeviceRunner
-from rig.session.load import load_protocol, protocol_from_mapping
-from rig.session.log import read
+from rig.session.load import as_mapping, load_protocol
 from rig.session.plan import StudyPlan
 from rig.session.protocol import Caps, Condition, Practice, Protocol, Rest, Search, Stop
 from rig.session.schedule import levels_of
 from rig.session.template_files import DEFAULT, template_names, write_template
 from rig.session.times import QUESTION_S, heat_of, trial_times
-from tests.conformance.studies import Person, protocol, sitting, without_sync, write_study
+from tests.conformance.studies import Person, sitting, without_sync, write_study
 
 
 def template(name: str, folder: Path) -> Protocol:
@@ -205,31 +205,31 @@ def test_a_condition_that_theory_does_not_know_is_said(schemes: Protocol) -> Non
     assert "stands in" in found.cells[0].expected.note
 
 
-def test_the_times_of_people_who_have_finished_replace_the_planned_ones(tmp_path: Path) -> None:
+def test_the_times_of_people_who_have_finished_replace_the_planned_ones(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Trials 8 s and verdicts 2 s after the line before; an unfinished and a rehearsed session say nothing."""
-    table = protocol(
-        study={"changes": {"operator.press": 1.0, "trial.minimum_rest_counts": 0.0}},
-        trial={"ready_s": 1.0, "verdict_s": 30.0, "hold_s": 0.7},
-    )
-    planned = protocol_from_mapping(table, "the test")
-    somebody = Person(threshold=lambda *_: 400.0)
+    planned = template(DEFAULT, tmp_path)
+    table = as_mapping(planned)
+    somebody = Person(threshold=lambda *_: 100.0)
     write_study(tmp_path, table, {"P01": somebody, "P02": somebody})
     write_study(tmp_path, table, {"P03": somebody}, rehearsal={})
     with without_sync(), sitting(tmp_path / "P04", table, somebody, code="P04", row=3) as one:
         one.run(trials=3)
     (tmp_path / "P05").mkdir()
     (tmp_path / "P05" / LOG).write_text("no log")
-    assert check(planned, tmp_path, study=tmp_path / "nobody").trial.ready == 1.0
+    assert check(planned, tmp_path, study=tmp_path / "nobody").trial.ready == 3.0
     found = check(planned, tmp_path, study=tmp_path)
     assert found.taken is not None
     assert found.taken.sessions == 2
-    assert found.taken.trials == sum(
-        sum(event.kind == "trial" for event in read(tmp_path / code / LOG)) for code in ("P01", "P02")
-    )
+    assert found.taken.trials == 2 * (found.trials.likely - found.practice)
     assert found.trial.verdict == pytest.approx(2.0)
     assert found.trial.total == pytest.approx(found.taken.trial + 2.0)
     people = found.duration_s["ready and verdict"]
     assert people.likely == pytest.approx(found.trials.likely * (found.trial.ready + 2.0))
+    assert run(["session", "check", str(tmp_path / "study.toml"), "--study", str(tmp_path)]) == 0
+    told = f"medians of {found.taken.trials} trials in 2 finished sessions, not those of the protocol"
+    assert told in capsys.readouterr().out
     other = replace(planned, trial=replace(planned.trial, hold_s=0.9))  # other trials take another time
     assert check(other, tmp_path, study=tmp_path).taken is None
 
