@@ -94,7 +94,7 @@ def check(
         *wall_checks([*_walls(protocol, under), *_practice(walls)]),
         *level_checks(cells, base.rig.motion),
         *energy_check(protocol, under),
-        *band_checks(protocol.trial, _softest(walls)),
+        *band_checks(protocol.trial, [walls.softest(one) for one in protocol.condition]),
         *cap_checks(protocol, under),
         heat_check(protocol, heat, trials.most),
         *order_checks(protocol, rows),
@@ -156,14 +156,6 @@ def _walls(protocol: Protocol, under: Sequence[Sequence[Experiment]]) -> Iterato
     for condition, experiments in zip(protocol.condition, under, strict=True):
         for x in experiments:
             yield condition.name, x
-
-
-def _softest(study: Walls) -> list[Experiment]:
-    """The softest wall of each condition."""
-    protocol = study.protocol
-    return [
-        study.at(one, one.damping[0], levels_of(protocol.search_of(one))[0]) for one in protocol.condition
-    ]
 
 
 def _practice(study: Walls) -> Iterator[tuple[str, Experiment]]:

@@ -116,6 +116,10 @@ class Walls:
         x = self._known[key]
         return x if seed is None else replace(x, trial=replace(x.trial, seed=seed))
 
+    def softest(self, condition: Condition) -> Experiment:
+        """The softest wall of a condition, at its first damping; raises as `at`."""
+        return self.at(condition, condition.damping[0], _softest(self.protocol, condition))
+
 
 def _experiment_of(
     protocol: Protocol,
@@ -141,12 +145,16 @@ def _experiment_of(
     x = at(damping, stiffness)
     if trial.impact_speed and "operator.reach_s" not in own:
         if condition.name not in reaches:  # by one wall, whichever is asked for first
-            softest = at(condition.damping[0], levels_of(protocol.search_of(condition))[0])
+            softest = at(condition.damping[0], _softest(protocol, condition))
             reaches[condition.name] = reach_for(softest, trial)
         x = config.with_values(x, {"operator.reach_s": reaches[condition.name]}, source)
     x = config.checked(x, source)
     config.check_plugins(x, source)
     return x
+
+
+def _softest(protocol: Protocol, condition: Condition) -> float:
+    return levels_of(protocol.search_of(condition))[0]
 
 
 def own_rates(condition: Condition, experiment: Experiment) -> dict[str, Any]:

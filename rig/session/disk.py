@@ -11,7 +11,7 @@ from rig.recording.files import plain_errors
 from rig.session.conditions import Walls
 from rig.session.expected import likely_trials
 from rig.session.protocol import Protocol
-from rig.session.schedule import levels_of, schedule
+from rig.session.schedule import schedule
 from rig.session.times import trial_times
 
 TICK_BYTES = 35.0  # of a sealed recording: 30 to 40 were measured
@@ -30,8 +30,7 @@ def refuse_full_disk(walls: Walls, row: int, place: Path) -> None:
     trials = likely_trials(protocol, schedule(protocol, row))
     needed = 0.0
     for condition in protocol.condition:
-        softest = levels_of(protocol.search_of(condition))[0]
-        x = walls.at(condition, condition.damping[0], softest)
+        x = walls.softest(condition)
         needed += trials[condition.name] * bytes_of_trial(x, protocol)
     here = next(one for one in (place, *place.absolute().parents) if one.exists())
     with plain_errors("look at", here):

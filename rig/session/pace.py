@@ -14,7 +14,6 @@ from rig.bench.doctor.pace import Pace
 from rig.core.check import Check, Outcome, refuse
 from rig.session.conditions import Walls, own_rates
 from rig.session.runner import TrialRunner
-from rig.session.schedule import levels_of
 
 
 def refuse_lossy(walls: Walls, runner: TrialRunner) -> None:
@@ -31,10 +30,7 @@ def pace_checks(walls: Walls, runner: TrialRunner) -> Iterator[Check]:
     """
     if runner.virtual:
         return
-    under = [
-        (walls.at(one, one.damping[0], levels_of(walls.protocol.search_of(one))[0]), one)
-        for one in walls.protocol.condition
-    ]
+    under = [(walls.softest(one), one) for one in walls.protocol.condition]
     by_host = [(x, condition) for x, condition in under if x.controller.loop != "device"]
     if not by_host:
         return

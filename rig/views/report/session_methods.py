@@ -116,9 +116,8 @@ def effective(found: Analysis) -> dict[str, Experiment | RigError]:
     walls = walls_in(state)
     experiments: dict[str, Experiment | RigError] = {}
     for condition in state.protocol.condition:
-        softest = levels_of(state.protocol.search_of(condition))[0]
         try:
-            experiments[condition.name] = walls.at(condition, condition.damping[0], softest)
+            experiments[condition.name] = walls.softest(condition)
         except RigError as error:  # an estimator that is not installed here
             experiments[condition.name] = error
     return experiments

@@ -7,16 +7,19 @@ import os
 from dataclasses import replace
 from pathlib import Path
 from statistics import fmean
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
+import numpy as np
 import pytest
 
 from rig.config import push_at_rest
 from rig.core.check import Outcome
 from rig.core.present import plain
+from rig.core.sample import Phase
 from rig.session.analysis import analyse
 from rig.session.analysis.tables import tables
-from rig.session.bands import judged, simulated
+from rig.session.bands import judged, press_of, simulated
 from rig.session.check import check
 from rig.session.conditions import Walls
 from rig.session.conduct import conduct
@@ -115,6 +118,21 @@ def test_without_bands_nothing_lies_outside() -> None:
     assert judged(hit(impact_velocity=9.0, press=9.0), Trial(), "rotary") == hit(
         impact_velocity=9.0, press=9.0
     )
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_the_press_is_the_mean_effort_into_the_wall_over_the_judged_tail(walls: Walls, side: int) -> None:
+    x = walls.softest(walls.protocol.condition[0])
+    x = replace(x, wall=replace(x.wall, side=side))
+    tail = round(x.verdict.tail_s * x.controller.position_rate)
+    rows = np.zeros(3 * tail, [("phase", "i8"), ("effort_sent", "f8")])
+    rows["phase"][:tail] = Phase.FREE
+    assert press_of(cast("Any", SimpleNamespace(rows=rows[:tail])), x) is None
+    rows["phase"][tail:] = Phase.TRIAL
+    rows["effort_sent"][tail:] = side * 9.0  # the impact, which is not judged
+    rows["effort_sent"][2 * tail :: 2] = side * -0.5  # a limit cycle
+    rows["effort_sent"][2 * tail + 1 :: 2] = side * 0.1
+    assert press_of(cast("Any", SimpleNamespace(rows=rows)), x) == pytest.approx(0.2)
 
 
 def session_with(tmp_path: Path, **trial: Any) -> tuple[ScriptedDesk, Any, list[Event]]:
