@@ -128,6 +128,8 @@ def test_a_condition_becomes_an_experiment_with_everything_that_was_said(tmp_pat
         "trial": {"duration_s": 0.9},
         "caps": {"effort": 0.25, "speed": 5.0},
         "condition.1.changes": {"controller.friction_compensation": 0.5, "rig.encoder.ratio": 20.0},
+        "condition.1.fit": "the other encoder",
+        "order.blocks": "condition",
     }
     protocol = load_protocol(written(tmp_path, toml(changed(own))))
     base = base_of(protocol, tmp_path)
