@@ -470,8 +470,9 @@ def test_a_template_is_a_protocol_and_explains_itself(name: str, tmp_path: Path)
     assert text.count("#") > 20
 
 
-def test_templates_are_the_three_that_were_asked_for_and_one_to_begin_with() -> None:
-    assert template_names() == ("compare-estimators", "compare-schemes", "first-steps", "koul-fig6")
+def test_templates_are_those_that_were_asked_for_and_one_to_begin_with() -> None:
+    studies = ("brown-factorial", "compare-estimators", "compare-schemes", "koul-fig6")
+    assert {*template_names()} == {*studies, DEFAULT}
     assert DEFAULT == "first-steps"
     with pytest.raises(ConfigError, match="did you mean koul-fig6"):
         template_text("koul-fig-6")
