@@ -271,7 +271,7 @@ class State:
 
     def _answered(self, content: Any) -> None:
         if content["item"] == FITTED:
-            self.fitted = "" if content["answer"] == AS_IT_IS else content["answer"]
+            self.fitted = self._fit_of(next(one for one in self.blocks if one.number == content["block"]))
         else:
             self.answered[content["item"], content["block"]] = content["answer"]
 
@@ -455,7 +455,7 @@ class State:
 
     def _fitting(self, block: Block) -> DoAsk | None:
         """Ask for what the rig needs in a block, or no longer; None where it is there."""
-        fit = self.protocol.condition_named(block.runs[0].condition).fit
+        fit = self._fit_of(block)
         if fit == self.fitted:
             return None
         taken = f"Take off the rig: {self.fitted}. " if self.fitted else ""
@@ -465,6 +465,9 @@ class State:
             else taken.strip() or "Take off what was fitted to the rig."
         )
         return DoAsk(Item(name=FITTED, text=text, kind="choice", choices=(fit or AS_IT_IS,)), block.number)
+
+    def _fit_of(self, block: Block) -> str:
+        return self.protocol.condition_named(block.runs[0].condition).fit
 
     def _presented(self, block: Block, run: Run, probe: Probe, attempt: int) -> Presented:
         number = self.newest + 1

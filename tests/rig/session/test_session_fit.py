@@ -18,9 +18,11 @@ from rig.core.errors import ConfigError, PlanError
 from rig.core.same_rig import check_rig
 from rig.session.conditions import Walls
 from rig.session.desk import Question, Reply
-from rig.session.directory import resume
+from rig.session.directory import LOG, amend, resume
 from rig.session.fitting import refuse_misfit
+from rig.session.log import read
 from rig.session.protocol import Protocol
+from rig.session.state import DoTrial, State
 from tests.rig.session.session_fakes import FakeRunner, ScriptedDesk, protocol_of
 from tests.rig.session.test_session_conduct import run_with, started
 
@@ -74,6 +76,14 @@ def test_the_session_asks_for_what_a_block_needs_and_for_nothing_that_is_there(t
     desk = Helper()
     run_with(started(tmp_path / "P02", last_first), FakeRunner(), desk)
     assert desk.told == [f"Fit to the rig: {DAMPER}.", f"Take off the rig: {DAMPER}."]
+
+
+def test_a_corrected_answer_changes_nothing_of_what_was_done(tmp_path: Path) -> None:
+    run_with(started(tmp_path / "P01", factorial()), FakeRunner(), Helper(leaves_after=20))
+    log = tmp_path / "P01" / LOG
+    (number,) = (event.number for event in read(log) if event.kind == "answered")
+    amend(tmp_path / "P01", number, "the other damper", why="the first one was broken")
+    assert isinstance(State.of(read(log)).next(), DoTrial)
 
 
 def test_whoever_resumes_is_asked_again_because_nobody_knows_what_is_on_the_rig(tmp_path: Path) -> None:
