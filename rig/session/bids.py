@@ -157,6 +157,7 @@ class _Writer:
         place.mkdir(parents=True)
         scans: list[Row] = []
         shift: timedelta | None = None
+        devices = session.devices()
         for row in trials:
             problem = unusable(row)
             if problem is not None:
@@ -164,7 +165,9 @@ class _Writer:
             else:
                 recording = open_recording(session.directory / row.recording)
                 stem = f"{name}_{_STEM}_run-{row.trial:04d}"
-                self._run(place, stem, session, row, recording)
+                number = devices.get(row.trial, {}).get("serial_number")
+                known = {"DeviceSerialNumber": number} if number else {}
+                self._run(place, stem, session, row, recording, known)
                 acquired = _acquired(recording)
                 if shift is None and acquired is not None:
                     shift = SHIFTED_TO - acquired.replace(hour=0, minute=0, second=0, microsecond=0)
@@ -177,7 +180,9 @@ class _Writer:
         motion = session.state.experiment["rig"]["motion"]
         _write_json(self._root / name / f"{name}_scans.json", _scans_sidecar(motion))
 
-    def _run(self, place: Path, stem: str, session: Session, trial: TrialRow, recording: Recording) -> None:
+    def _run(
+        self, place: Path, stem: str, session: Session, trial: TrialRow, recording: Recording, known: Row
+    ) -> None:
         every, protocol = self._options.every, session.state.protocol
         motion: Motion = recording.header["motion"]
         columns = bids_motion.channels(motion, recording.experiment["controller"]["estimator"])
@@ -186,6 +191,7 @@ class _Writer:
             "the stiffest stable wall.",
             "Instructions": protocol.trial.say,
             "Recording": {"file": trial.recording, "sha256": trial.sha256},
+            **known,
         }
         _write_json(place / f"{stem}_motion.json", bids_motion.sidecar(recording, columns, every, extra))
         with open(place / f"{stem}_motion.tsv", "wb") as file:

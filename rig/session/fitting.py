@@ -29,7 +29,7 @@ def fit_checks(walls: Walls, runner: TrialRunner) -> list[Check]:
         for one in runner.fits(x, changes):
             known = worst.get(one.name)
             if known is None or SEVERITY.index(one.outcome) > SEVERITY.index(known.outcome):
-                worst[one.name] = replace(one, remedy=_remedy(one, runner))
+                worst[one.name] = replace(one, remedy=_remedy(one, walls, runner))
     return list(worst.values())
 
 
@@ -47,8 +47,12 @@ def _stiffest(walls: Walls) -> Iterator[tuple[Experiment, Mapping[str, Any]]]:
             yield x, own_rates(condition, x)
 
 
-def _remedy(one: Check, runner: TrialRunner) -> str:
-    """In words of a protocol: a session has no rate of its own."""
+def _remedy(one: Check, walls: Walls, runner: TrialRunner) -> str:
+    """In words of a protocol: a session has no rate of its own, and one device."""
+    if one.name == "rig of the device" and any(condition.fit for condition in walls.protocol.condition):
+        return (
+            f"{one.remedy}; a board counts one encoder: conditions with another one are a study of their own"
+        )
     if one.name not in ("device rate", "link capacity"):
         return one.remedy
     slower = "give the conditions slower schemes, as template first-steps has them"

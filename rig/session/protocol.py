@@ -141,9 +141,18 @@ class Condition:
         tuple[float, ...], MinLen(1), Quantity("damping", "B of each run; a search for each")
     ] = (0.0,)
     changes: Annotated[
-        Mapping[str, Setting], Quantity("", "what else differs, by dotted key: rig.encoder.quantum …")
+        Mapping[str, Setting],
+        Quantity("", "what else differs, by dotted key; a part of the machine needs fit"),
     ] = field(default_factory=dict)
     search: Annotated[Search | None, Quantity("", "instead of the study's [search]")] = None
+    fit: Annotated[
+        str,
+        Quantity(
+            "",
+            "what somebody must fit to the rig for it, such as a damper: the session asks for that, blinded or not; "
+            "empty: the rig as it is",
+        ),
+    ] = ""
 
     __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
 

@@ -26,6 +26,7 @@ from rig.session.schedule import level_steps, rule
 MOST_LEVELS = 400
 MOST_RUNS = 10_000
 MOST_STEPS_OF_A_SCALE = 100
+MACHINE = ("rig.mechanics.", "rig.amplifier.", "rig.encoder.")  # keys that no command changes on a rig
 # A pattern of codes that takes one of these takes names, or anything else that a code must not be.
 NAMES = ("Anna", "Li Wei", "Jean-Paul", "Müller", "anna.k", "a.k@lab.org", "../anna", "")
 LETTERS = tuple(word for n in range(3, 17) for word in ("a" * n, "A" * n, "A" + "a" * (n - 1)))
@@ -123,6 +124,24 @@ def conditions(protocol: Protocol) -> Iterator[Problem]:
             yield Problem(key, shown(one.damping), f"has {damping:g} more than once", "name it once")
         if one.scheme is not None:
             yield from _scheme(f"condition {number}.scheme", one.scheme)
+
+
+def fits(protocol: Protocol) -> Iterator[Problem]:
+    """What changes the machine is fitted by somebody, who does so between two blocks."""
+    blocks = protocol.order.blocks
+    if len({one.fit for one in protocol.condition}) > 1 and blocks != "condition":
+        must = 'must be "condition" where conditions differ in fit: the rig is not refitted within a block'
+        yield Problem("order.blocks", shown(blocks), must, 'write blocks = "condition"')
+    for number, one in enumerate(protocol.condition, 1):
+        for key, value in one.changes.items():
+            if key.startswith(MACHINE) and not one.fit:
+                must = (
+                    f"is a part of the machine, and condition {number}.fit does not say what has to be fitted"
+                )
+                instead = (
+                    'say it, such as fit = "the damper"; what all conditions have belongs to study.changes'
+                )
+                yield Problem(f"condition {number}.changes.{key}", shown(value), must, instead)
 
 
 def _scheme(key: str, text: str) -> Iterator[Problem]:
@@ -332,6 +351,7 @@ RULES: tuple[Callable[[Protocol], Iterable[Problem]], ...] = (
     rig_of,
     codes,
     conditions,
+    fits,
     searches,
     runs,
     stiffness_cap,

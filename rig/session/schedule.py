@@ -87,8 +87,10 @@ def rows_of(protocol: Protocol) -> int:
     if protocol.order.kind != "latin-square":
         return 1
     if protocol.order.blocks == "condition":
+        fits = _fits(protocol)
+        within = math.lcm(*(_rows(len(names)) for names in fits.values()))
         dampings = [len(condition.damping) for condition in protocol.condition]
-        return math.lcm(_rows(len(protocol.condition)), *map(_rows, dampings))
+        return math.lcm(_rows(len(fits)) * within, *map(_rows, dampings))
     return _rows(len(cells_of(protocol)))
 
 
@@ -191,7 +193,14 @@ def _orders(protocol: Protocol, row: int) -> list[list[_Cell]]:
     order, cells = protocol.order, cells_of(protocol)
     repeats = range(1, order.repeats + 1)
     if order.blocks == "condition":
-        names = _ordered(protocol, "conditions", [one.name for one in protocol.condition], row)
+        fits = _fits(protocol)
+        square = order.kind == "latin-square"  # every order of conditions under every order of what is fitted
+        within = row // _rows(len(fits)) if square else row
+        names = [
+            name
+            for fit in _ordered(protocol, "fits", list(fits), row)
+            for name in _ordered(protocol, f"conditions{fit}", fits[fit], within)
+        ]
         return [
             [
                 (cell, repeat)
@@ -211,6 +220,14 @@ def _orders(protocol: Protocol, row: int) -> list[list[_Cell]]:
         for repeat in repeats
     ]
     return by_repeat if order.blocks == "repeat" else [[cell for block in by_repeat for cell in block]]
+
+
+def _fits(protocol: Protocol) -> dict[str, list[str]]:
+    """Conditions by what must be fitted to the rig for them: nobody refits it for every block."""
+    found: dict[str, list[str]] = {}
+    for one in protocol.condition:
+        found.setdefault(one.fit, []).append(one.name)
+    return found
 
 
 def _ordered(protocol: Protocol, what: str, items: Sequence[T], row: int) -> Sequence[T]:

@@ -71,7 +71,7 @@ class DoJudge:
 
 @dataclass(frozen=True, slots=True)
 class DoAsk:
-    """An item of the questionnaire, before the first block (block 0), after one, or at the end (-1)."""
+    """An item of the questionnaire, before the first block (block 0), after one, or at the end (-1); or `FITTED`."""
 
     item: Item
     block: int
@@ -119,6 +119,8 @@ Step = DoTrial | DoJudge | DoAsk | DoBlock | DoRest | DoPause | DoDecide | DoEnd
 WALKING = ("ascending", "staircase", "interleaved")  # rules that go from wall to wall
 
 END = -1  # block of an item asked at the end
+FITTED = "fitted to the rig"  # an item that no question can be called: the rig is as the next block needs it
+AS_IT_IS = "the rig as it is"
 
 
 @dataclass
@@ -135,6 +137,10 @@ class State:
         All so far, void ones too.
     skipped, corrected
         Runs that were left, and runs of which a verdict was corrected or a trial left out afterwards.
+    answered
+        Answers to the questionnaire, by item and block.
+    fitted
+        What is on the rig, as somebody said; None where nobody knows.
     stopped
         Why the session was left, until it is resumed.
     paused
@@ -155,6 +161,7 @@ class State:
     skipped: set[int] = field(default_factory=set)
     corrected: set[int] = field(default_factory=set)
     answered: dict[tuple[str, int], Any] = field(default_factory=dict)
+    fitted: str | None = ""
     notes: list[tuple[int, str]] = field(default_factory=list)
     stopped: str | None = None
     ended: str | None = None
@@ -263,7 +270,10 @@ class State:
         self._rested[content["reason"]] = self.newest
 
     def _answered(self, content: Any) -> None:
-        self.answered[content["item"], content["block"]] = content["answer"]
+        if content["item"] == FITTED:
+            self.fitted = self._fit_of(next(one for one in self.blocks if one.number == content["block"]))
+        else:
+            self.answered[content["item"], content["block"]] = content["answer"]
 
     def _noted(self, content: Any) -> None:
         self.notes.append((content["trial"], content["text"]))
@@ -276,6 +286,8 @@ class State:
 
     def _resume(self, content: Any) -> None:
         self.stopped = None
+        if any(one.fit for one in self.protocol.condition):
+            self.fitted = None
 
     def _stop(self, content: Any) -> None:
         self.stopped = content["reason"]
@@ -411,12 +423,9 @@ class State:
         return None
 
     def _in_block(self, block: Block, waiting: list[Run]) -> Step:
-        rest = self.protocol.rest
-        if block.number not in self.begun:
-            between = rest.between_blocks_s if self.trials else 0.0
-            if between > 0.0 and self._rested.get("block") != self.newest:
-                return DoRest(between, "block")
-            return DoBlock(block)
+        first = self._before(block)
+        if first is not None:
+            return first
         spoiled = _in_a_row(trial.by_machine for trial in self.trials[self._continued :])
         if spoiled >= self.protocol.stop.machine:
             why = told(self.trials[-1].reasons, blind=True)  # the log's sentences are for anybody
@@ -435,6 +444,30 @@ class State:
         probe = self.asks(run)
         assert probe is not None
         return DoTrial(self._presented(block, run, probe, attempt))
+
+    def _before(self, block: Block) -> Step | None:
+        """What must be done before a trial of a block, once."""
+        begun = block.number in self.begun
+        between = self.protocol.rest.between_blocks_s if self.trials and not begun else 0.0
+        if between > 0.0 and self._rested.get("block") != self.newest:
+            return DoRest(between, "block")
+        return self._fitting(block) or (None if begun else DoBlock(block))
+
+    def _fitting(self, block: Block) -> DoAsk | None:
+        """Ask for what the rig needs in a block, or no longer; None where it is there."""
+        fit = self._fit_of(block)
+        if fit == self.fitted:
+            return None
+        taken = f"Take off the rig: {self.fitted}. " if self.fitted else ""
+        text = (
+            f"{taken}Fit to the rig: {fit}."
+            if fit
+            else taken.strip() or "Take off what was fitted to the rig."
+        )
+        return DoAsk(Item(name=FITTED, text=text, kind="choice", choices=(fit or AS_IT_IS,)), block.number)
+
+    def _fit_of(self, block: Block) -> str:
+        return self.protocol.condition_named(block.runs[0].condition).fit
 
     def _presented(self, block: Block, run: Run, probe: Probe, attempt: int) -> Presented:
         number = self.newest + 1

@@ -12,7 +12,7 @@ from rig.core.errors import ConfigError, RecordingError
 from rig.recording.files import plain_errors
 from rig.session.load import json_schema
 
-DEFAULT = "first-steps"  # the only one that a simulated rig does in real time
+DEFAULT = "first-steps"  # some minutes, at a rate that a simulated rig does in real time
 SCHEMA = "haptic-rig-protocol.schema.json"  # beside a protocol, which names it in its first line
 
 

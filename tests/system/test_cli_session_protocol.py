@@ -47,7 +47,7 @@ def test_a_new_protocol_is_written_once_and_passes(run: Any, tmp_path: Path) -> 
 def test_templates_are_listed_and_an_unknown_one_is_refused(run: Any, tmp_path: Path) -> None:
     code, out, _ = run("session", "new", "--list")
     assert code == 0
-    assert out.split()[0] == "compare-estimators"
+    assert out.split()[0] == "brown-factorial"
     assert json.loads(run("session", "new", "--list", "--json")[1]).keys() >= {"koul-fig6"}
     code, _, err = run("session", "new", "--template", "koul-fig5")
     assert code == 2

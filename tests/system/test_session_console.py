@@ -122,11 +122,11 @@ def terminal() -> Iterator[Terminal]:
 class Operator:
     """Somebody at the terminal of ``rig session …``."""
 
-    def __init__(self, terminal: Terminal, directory: Path, clock: str, *arguments: str) -> None:
+    def __init__(self, terminal: Terminal, directory: Path, *arguments: str, program: str = PROGRAM) -> None:
         self.terminal, self.directory = terminal, directory / "study" / "P01"
         self.seen: list[str] = []
         self.rested = 0  # hits after which the device had no current
-        self.program: Program = terminal.run(sys.executable, "-c", PROGRAM, clock, *arguments, cwd=ROOT)
+        self.program: Program = terminal.run(sys.executable, "-c", program, *arguments, cwd=ROOT)
 
     def sees(self, *texts: str) -> str:
         """Wait until one of them stands there, or the program has ended; returns which, or nothing."""

@@ -80,6 +80,17 @@ class Session:
         """Events of one kind, as they were written."""
         return [event for event in self.events if event.kind == kind]
 
+    def devices(self) -> dict[int, Mapping[str, Any]]:
+        """What the log said of the device on which each trial was made, as far as it said anything."""
+        found: dict[int, Mapping[str, Any]] = {}
+        opened: Mapping[str, Any] | None = None
+        for event in self.events:
+            if event.kind == "opened":
+                opened = event.content
+            elif event.kind == "trial" and opened is not None:
+                found[event.content["trial"]] = opened
+        return found
+
 
 @dataclass(frozen=True, kw_only=True)
 class Study:
@@ -296,14 +307,10 @@ def _of_session(session: Session) -> list[str]:
 def _changed_between(session: Session) -> Iterator[str]:
     """What was another when trials were recorded: the device, its firmware, the software."""
     used: list[tuple[Mapping[str, Any], list[str]]] = []
-    opened: Mapping[str, Any] | None = None
-    for event in session.events:
-        if event.kind == "opened":
-            opened = event.content
-        elif event.kind == "trial" and opened is not None:
-            if not used or used[-1][0] is not opened:
-                used.append((opened, []))
-            used[-1][1].append(str(event.content["trial"]))
+    for trial, opened in session.devices().items():
+        if not used or used[-1][0] is not opened:
+            used.append((opened, []))
+        used[-1][1].append(str(trial))
     if not used:
         return
     simulated = [trial for one, trials in used if one.get("simulated") for trial in trials]

@@ -76,6 +76,7 @@ class _Condition:
     """A condition; `controller` is None where its estimator is not installed here."""
 
     name: str
+    fit: str
     dampings: tuple[str, ...]
     controller: Controller | None
     estimator: Estimator | None
@@ -209,6 +210,7 @@ def _conditions(found: Analysis, experiments: Mapping[str, Experiment | RigError
         x = experiments[condition.name]
         yield _Condition(
             name=condition.name,
+            fit=condition.fit,
             dampings=tuple(f"{damping:g}" for damping in condition.damping),
             controller=x.controller if isinstance(x, Experiment) else None,
             estimator=estimators.get(x.controller.estimator) if isinstance(x, Experiment) else None,

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import re
+import subprocess
+import sys
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -31,6 +34,7 @@ from rig.session.bids_motion import TYPES, channels, spans
 from rig.session.export import export_trials
 from sim_backend.device import SimulatedDevice
 from sim_backend.link import MemoryLink
+from tests.conformance.started import LEASH
 from tests.conformance.studies import Person, protocol, sitting, without_sync
 from tests.conformance.trials import trial_on
 
@@ -81,6 +85,7 @@ def study(tmp_path_factory: pytest.TempPathFactory, hit: Any) -> Any:
     with without_sync():
         for row, code in enumerate(("P01", "P-02")):
             with sitting(where / code, mapping, person, code=code, row=row, recorded=hit) as one:
+                one.record("opened", device="bench", simulated=False, serial_number="E661")
                 one.run(4)
                 one.record("redone", trial=one.state.newest)
                 one.run()
@@ -124,6 +129,22 @@ def test_the_root_says_what_it_is(dataset: Any) -> None:
     assert set(people[0]) - {"participant_id"} == set(sidecar)
 
 
+def test_the_official_validator_finds_no_error(dataset: Any, tmp_path: Path) -> None:
+    pytest.importorskip("bids_validator_deno", reason="bids-validator-deno is not installed")
+    command = "from bids_validator_deno import cli; cli()"
+    done = subprocess.run(
+        [*LEASH, sys.executable, "-c", command, str(dataset), "--json"],
+        env={**os.environ, "DENO_DIR": str(tmp_path), "DENO_NO_UPDATE_CHECK": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    found = json.loads(done.stdout)
+    assert [one for one in found["issues"]["issues"] if one["severity"] == "error"] == []
+    assert sorted(found["summary"]["subjects"]) == ["P01", "P02"]
+    assert done.returncode == 0, done.stderr
+
+
 def test_names_are_those_of_the_standard(dataset: Any) -> None:
     name = re.compile(
         r"sub-P0[12]/motion/sub-P0[12]_task-wallhit_tracksys-rig_run-\d{4}_"
@@ -158,7 +179,7 @@ def test_a_run_holds_the_recording_and_says_what_each_column_is(dataset: Any, hi
         assert types["latency"] == ("LATENCY", "n/a", "s")
         sidecar = json.loads(path.with_name(f"{stem}_motion.json").read_text())
         assert set(sidecar) >= REQUIRED
-        assert sidecar["TaskName"] == "wallhit"
+        assert (sidecar["TaskName"], sidecar["DeviceSerialNumber"]) == ("wallhit", "E661")
         assert sidecar["SamplingFrequency"] == sidecar["SamplingFrequencyEffective"] == 2000.0
         assert sidecar["MotionChannelCount"] == len(described)
         assert [sidecar[f"{kind}ChannelCount"] for kind in TYPES] == [

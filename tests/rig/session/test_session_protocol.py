@@ -128,6 +128,8 @@ def test_a_condition_becomes_an_experiment_with_everything_that_was_said(tmp_pat
         "trial": {"duration_s": 0.9},
         "caps": {"effort": 0.25, "speed": 5.0},
         "condition.1.changes": {"controller.friction_compensation": 0.5, "rig.encoder.ratio": 20.0},
+        "condition.1.fit": "the other encoder",
+        "order.blocks": "condition",
     }
     protocol = load_protocol(written(tmp_path, toml(changed(own))))
     base = base_of(protocol, tmp_path)
@@ -495,8 +497,9 @@ def test_a_template_is_a_protocol_and_explains_itself(name: str, tmp_path: Path)
     assert text.count("#") > 20
 
 
-def test_templates_are_the_three_that_were_asked_for_and_one_to_begin_with() -> None:
-    assert template_names() == ("compare-estimators", "compare-schemes", "first-steps", "koul-fig6")
+def test_templates_are_those_that_were_asked_for_and_one_to_begin_with() -> None:
+    studies = ("brown-factorial", "compare-estimators", "compare-schemes", "koul-fig6")
+    assert {*template_names()} == {*studies, DEFAULT}
     assert DEFAULT == "first-steps"
     with pytest.raises(ConfigError, match="did you mean koul-fig6"):
         template_text("koul-fig-6")

@@ -109,6 +109,26 @@ def test_blocks_of_conditions_are_balanced_among_themselves() -> None:
     assert set(Counter(pair for row in study for pair in pairwise(row)).values()) == {2}
 
 
+@pytest.mark.parametrize("kind", ["fixed", "randomised", "latin-square"])
+def test_what_is_fitted_stays_for_all_blocks_that_need_it(kind: str) -> None:
+    one = protocol([1] * 6, kind=kind, blocks="condition")
+    fits = ["", "a damper", "", "a damper", "", "a damper"]
+    fit_of = {f"c{n}": fit for n, fit in enumerate(fits)}
+    one = replace(one, condition=tuple(replace(c, fit=fit_of[c.name]) for c in one.condition))
+    rows = {"fixed": 1, "randomised": 40, "latin-square": 2 * 6}[kind]
+    study = [[block[0][0] for block in sequences(one, row)] for row in range(rows)]
+    for row in study:
+        assert [fit_of[name] for name in row] in (
+            ["", "", ""] + ["a damper"] * 3,
+            ["a damper"] * 3 + [""] * 3,
+        )
+    if kind == "latin-square":
+        assert rows_of(one) == rows
+        assert set(Counter((place, name) for row in study for place, name in enumerate(row)).values()) == {2}
+    if kind == "randomised":
+        assert len({tuple(row) for row in study}) > 20
+
+
 def test_a_fixed_order_is_as_written_and_a_drawn_one_depends_on_all_that_it_should() -> None:
     fixed = protocol([2, 1, 1], kind="fixed", repeats=2)
     assert sequences(fixed, 0) == sequences(fixed, 7) == [list(cells_of(fixed))] * 2

@@ -1,0 +1,150 @@
+"""A whole session in real time at the console, by a script that presses the keys: how many of its trials are invalid?
+
+    python tests/benchmarks/keyboard_session.py                          template first-steps, 20 trials
+    python tests/benchmarks/keyboard_session.py --scheme uniform:500     on a machine that does not keep 1 kHz
+    python tests/benchmarks/keyboard_session.py --reaction 0.8           of somebody who is in no hurry
+    python tests/benchmarks/keyboard_session.py --template compare-estimators --trials 40
+
+The script is operator and participant of ``rig session run --hand keyboard`` in a pseudo-terminal. It reads the screen:
+at *ready?* it presses the go key, at *go* it waits for its reaction time and presses *end*, which takes the hand into
+the wall; it gives the program's own verdict, and goes on after whatever else it is asked. The last line is one JSON
+object; the exit code is 0 when at most one trial in twenty was invalid, which a quiet machine should reach. Machine and
+load stand beside the result: gaps and late ticks of a busy one are counted apart, and are no fault of the session's.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import re
+import sys
+import tempfile
+import time
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[2]
+if __name__ == "__main__":
+    sys.path.insert(0, str(ROOT))  # for tests.*
+
+ALLOWED = 1 / 20
+INTO_THE_WALL = "\x1b[F"
+LOOK_S = 0.02  # between two looks at the screen
+STUCK_S = 120.0  # without anything new on it
+KEYS = {"stable": "1", "limit cycle": "2", "unstable": "3"}
+ANSWERS = {"answer>": "4\r", "[g] go": "g"}  # what stands on the screen, and the keys that answer it
+
+
+def arguments() -> argparse.Namespace:
+    """What the command line says."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--template", default="first-steps")
+    parser.add_argument("--scheme", help="of all conditions, in place of the template's")
+    parser.add_argument("--trials", type=int, default=20)
+    parser.add_argument("--reaction", type=float, default=0.3, help="seconds from the cue to the key")
+    parser.add_argument("--output", type=Path, help="directory of the session, which is kept then")
+    return parser.parse_args()
+
+
+def protocol(options: argparse.Namespace, directory: Path) -> Path:
+    """The template, with as many trials as wanted and no practice."""
+    from rig.session.template_files import template_text  # noqa: PLC0415
+
+    text = template_text(options.template).replace("[stop]\n", f"[stop]\ntrials = {options.trials}\n")
+    text = re.sub(r"\[practice\]\nstiffness = \[.*?\]", "[practice]\nstiffness = []", text)
+    if options.scheme is not None:
+        text = re.sub(r'(?m)^scheme = ".*?"', f'scheme = "{options.scheme}"', text)
+    path = directory / "study.toml"
+    path.write_text(re.sub(r"\nrepeats = \d+", f"\nrepeats = {options.trials}", text))
+    return path
+
+
+class Participant:
+    """Who reads the screen and presses keys."""
+
+    def __init__(self, terminal: Any, log: Path, reaction_s: float) -> None:
+        self.terminal, self.log, self.reaction_s = terminal, log, reaction_s
+        self.seen, self.since = "", time.monotonic()
+        self.gone = False  # into the wall, in this trial
+
+    def look(self) -> None:
+        """Do what the screen asks for; raises `TimeoutError` where it asks for nothing new for long."""
+        screen = self.terminal.screen.text
+        if screen != self.seen:
+            self.seen, self.since = screen, time.monotonic()
+        elif time.monotonic() - self.since > STUCK_S:
+            raise TimeoutError(screen)
+        if screen.split("\n")[0].endswith(" go") and not self.gone:
+            self.gone = True
+            time.sleep(self.reaction_s)
+            self.terminal.type(INTO_THE_WALL)
+            return
+        asked = next((text for text in ("[1] stable", *ANSWERS) if text in screen), None)
+        if asked is None:
+            return
+        self.gone = False
+        self.terminal.type(ANSWERS.get(asked) or KEYS[self.trials[-1]["automatic"]])
+        self.terminal.until(lambda: self.terminal.screen.text != screen, f"an answer to {asked}")
+
+    @property
+    def trials(self) -> list[Any]:
+        """Those in the log so far."""
+        from rig.session.log import read  # noqa: PLC0415
+
+        return [event.content for event in read(self.log) if event.kind == "trial"]
+
+
+def session(options: argparse.Namespace, directory: Path) -> tuple[int, str, list[Any]]:
+    """Run it; exit code, what it wrote to standard error, and its trials."""
+    from tests.conformance.terminal import Terminal  # noqa: PLC0415
+
+    command = ["-m", "rig", "session", "run", str(protocol(options, directory)), "P01", "--hand", "keyboard"]
+    with Terminal(rows=40, columns=100) as terminal:
+        participant = Participant(terminal, directory / "study" / "P01" / "session.log", options.reaction)
+        more = ["--study", str(directory / "study"), "--lossy-anyway"]
+        program = terminal.run(sys.executable, *command, *more, cwd=ROOT)
+        try:
+            while Path(f"/proc/{program.pid}/exe").exists():
+                participant.look()
+                time.sleep(LOOK_S)
+            return (*program.wait(), participant.trials)
+        finally:
+            program.end()
+
+
+def main() -> int:
+    """Run, print every invalid trial with its reasons, and say whether they were few enough."""
+    options = arguments()
+    before = os.getloadavg()[0]
+    with tempfile.TemporaryDirectory() as name:
+        directory = options.output or Path(name)
+        directory.mkdir(parents=True, exist_ok=True)
+        code, said, trials = session(options, directory)
+    invalid = [one for one in trials if one["automatic"] == "invalid"]
+    for one in invalid:
+        print(
+            f"trial {one['trial']}, {'the machine' if one['by_machine'] else 'the hit'}: {'; '.join(one['reasons'])}"
+        )
+    share = len(invalid) / max(1, len(trials))
+    summary = {
+        "trials": len(trials),
+        "invalid": len(invalid),
+        "by_machine": sum(one["by_machine"] for one in invalid),
+        "verdicts": Counter(one["automatic"] for one in trials),
+        "aborted": Counter(one["aborted"] for one in trials if one["aborted"]),
+        "exit_code": code,
+        "load_before": before,
+        "load_after": os.getloadavg()[0],
+        "processors": os.cpu_count(),
+    }
+    if code:
+        print(said, file=sys.stderr)
+    print(f"{len(invalid)} of {len(trials)} trials invalid ({share:.0%}); allowed: {ALLOWED:.0%}")
+    print(json.dumps(summary))
+    return 0 if code == 0 and trials and share <= ALLOWED else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,36 @@
+"""Every template, shortened, from a new file to a report: rehearsed in virtual time."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from rig.cli import run as rig
+from rig.session.load import load_protocol
+from rig.session.template_files import template_names
+
+TRIALS = 3
+
+
+@pytest.mark.parametrize("name", template_names())
+def test_a_template_is_rehearsed_and_reported(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, out = tmp_path / "study.toml", tmp_path / "out"
+    assert rig(["session", "new", str(path), "--template", name]) == 0
+    text = path.read_text().replace("[stop]\n", f"[stop]\ntrials = {TRIALS}\n")
+    path.write_text(re.sub(r"\[practice\]\nstiffness = \[.*?\]", "[practice]\nstiffness = []", text))
+    capsys.readouterr()
+    study = str(tmp_path / "study")
+    assert rig(["session", "run", str(path), "P01", "--rehearse", "--study", study, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["ended"], told["counted"]) == (f"{TRIALS} trials", TRIALS)
+    assert told["invalid"] == 0
+    assert rig(["session", "analyse", study, "--out", str(out)]) == 0
+    report = (out / "report.html").read_text()
+    for condition in load_protocol(path).condition:
+        assert condition.name in report
+        assert condition.fit in report
