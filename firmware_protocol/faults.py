@@ -74,7 +74,7 @@ class Fault(Described):
     )
     TICK_OVERRUN = (
         6,
-        "the device did not finish a tick within its period",
+        "the device did not finish a tick within its period, or missed two in succession",
         "lower position_rate, or take a law in integers (estimator fdm-butterworth-fixed), which is faster than "
         "float32 on a board without floating point; then clear the fault",
     )
@@ -99,7 +99,11 @@ class Fault(Described):
         "the device's hardware watchdog reset it",
         "configure, home and verify again; report it",
     )
-    INTERNAL = 12, "the device found itself inconsistent", "restart the device; report it with its fault log"
+    INTERNAL = (
+        12,
+        "the device found itself inconsistent, or its main loop stood still for 20 ms",
+        "restart the device; report it with its fault log",
+    )
     BATCH_OVERFLOW = (
         13,
         "a count difference did not fit its batch layout",
@@ -109,6 +113,11 @@ class Fault(Described):
         14,
         "the measured current is not the one that was set",
         "check motor leads, amplifier, its supply and the current sensor with its sign and scale; then clear the fault",
+    )
+    PROCESSOR_STOPPED = (
+        15,
+        "the processor met an instruction or an address that it cannot use, and was reset",
+        "configure, home and verify again; report it with the place that STATISTICS tells",
     )
 
 
@@ -131,6 +140,11 @@ class LimitFlag(DescribedFlag):
         "position not confirmed: the count stayed on two neighbours for longer than confirm_ms under effort, which "
         "fades out",
         "leave the wall; if it does not come back, check the encoder and its cable",
+    )
+    MISSED_TICKS = (
+        256,
+        "more than ten ticks missed within a second",
+        "lower position_rate, or find what keeps the board's processor",
     )
 
 

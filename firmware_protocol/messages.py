@@ -21,7 +21,8 @@ from firmware_protocol.wire import Wire
 MAJOR = 2
 MINOR = 0
 TIME_UNIT_NS = 62.5  # one unit of every u32 and u64 device time: 1/16 µs; u32 wraps after 268 s
-
+# pid.codes keeps 1209:0001 … 1209:0010 for tests and private use: a product that is sold needs its own pair.
+USB_VENDOR, USB_PRODUCT = 0x1209, 0x0001
 
 NO_COMMAND_YET = 0xFFFF  # STATE.command_age before the first COMMAND of a session
 OLDEST_EDGE = (
@@ -227,7 +228,7 @@ class GetStatistics(Message):
 
 @dataclass(frozen=True, slots=True)
 class Statistics(Message):
-    """The device's counters of what it received (counters.py), each modulo 2³²."""
+    """The device's counters of what it received (counters.py), each modulo 2³²; and what had stopped it."""
 
     nonce: Nonce
     frames: Annotated[int, Wire("u32", "", "frames with a good CRC")]
@@ -241,6 +242,16 @@ class Statistics(Message):
     lost: Annotated[int, Wire("u32", "", "COMMANDs missing between two that came")]
     duplicated: Annotated[int, Wire("u32", "", "COMMANDs that came twice")]
     reordered: Annotated[int, Wire("u32", "", "COMMANDs older than one applied")]
+    stopped_at: Annotated[
+        int, Wire("u32", "", "address at which the processor stopped before its last reset; 0: it did not")
+    ]
+
+
+@dataclass(frozen=True, slots=True)
+class EnterBootloader(Message):
+    """Reset into the boot loader, which takes another program, shortly after the answer."""
+
+    nonce: Nonce
 
 
 @dataclass(frozen=True, slots=True)
@@ -329,6 +340,7 @@ MESSAGES: dict[int, type[Message]] = {
     0x13: FaultLog,
     0x14: GetStatistics,
     0x15: Statistics,
+    0x16: EnterBootloader,
     0x40: Command,
     0x41: State,
     0x61: Batch,

@@ -30,12 +30,15 @@ static size_t take_bytes(struct device *device)
 size_t device_poll(struct device *device)
 {
     size_t count = 0;
+    device->unpolled = 0;
     if (!device_send_some(device, HR_BYTES_A_POLL)) {
         if (device_is_changing(device))
             answer_more(device);
         else
             count = take_bytes(device);
     }
+    if (device->leaves_at != 0 && device->time >= device->leaves_at)
+        device->hal->enter_bootloader(device->hal->context);
     if (device_is_preparing(device))
         renderer_prepare(&device->renderer, HR_POLL_COSINES);
     return count;

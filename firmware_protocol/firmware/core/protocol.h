@@ -17,6 +17,8 @@
 #define HR_OLDEST_EDGE 2147483647u /* age at which STATE.edge_time saturates */
 #define HR_TRANSACTION_END 64u /* type ids below are answered */
 #define HR_DEVICE_BIT 1u /* of a type id: sent by the device */
+#define HR_USB_VENDOR 4617u
+#define HR_USB_PRODUCT 1u
 #define HR_BLOCK_LIMIT 1024u /* bytes of a parameter block */
 #define HR_PARAMETER_BYTES 6u /* an entry of a block: id, value */
 #define HR_FAULT_ENTRY_BYTES 14u
@@ -38,6 +40,7 @@ enum hr_type {
     HR_TYPE_FAULT_LOG = 0x13,
     HR_TYPE_GET_STATISTICS = 0x14,
     HR_TYPE_STATISTICS = 0x15,
+    HR_TYPE_ENTER_BOOTLOADER = 0x16,
     HR_TYPE_COMMAND = 0x40,
     HR_TYPE_STATE = 0x41,
     HR_TYPE_BATCH = 0x61,
@@ -61,6 +64,7 @@ enum hr_index {
     HR_INDEX_FAULT_LOG,
     HR_INDEX_GET_STATISTICS,
     HR_INDEX_STATISTICS,
+    HR_INDEX_ENTER_BOOTLOADER,
     HR_INDEX_COMMAND,
     HR_INDEX_STATE,
     HR_INDEX_BATCH,
@@ -170,7 +174,11 @@ enum hr_index {
 #define HR_AT_STATISTICS_LOST 40u /* u32 */
 #define HR_AT_STATISTICS_DUPLICATED 44u /* u32 */
 #define HR_AT_STATISTICS_REORDERED 48u /* u32 */
-#define HR_BYTES_STATISTICS 52u
+#define HR_AT_STATISTICS_STOPPED_AT 52u /* u32 */
+#define HR_BYTES_STATISTICS 56u
+
+#define HR_AT_ENTER_BOOTLOADER_NONCE 6u /* u16 */
+#define HR_BYTES_ENTER_BOOTLOADER 8u
 
 #define HR_AT_COMMAND_STATE_SEQUENCE 6u /* u16 */
 #define HR_AT_COMMAND_LIFETIME_US 8u /* u32, µs */
@@ -237,6 +245,7 @@ enum hr_fault {
     HR_FAULT_INTERNAL = 12,
     HR_FAULT_BATCH_OVERFLOW = 13,
     HR_FAULT_CURRENT_MISMATCH = 14,
+    HR_FAULT_PROCESSOR_STOPPED = 15,
 };
 
 enum hr_limit {
@@ -248,6 +257,7 @@ enum hr_limit {
     HR_LIMIT_RAMPING = 32,
     HR_LIMIT_HOLD_TO_RUN_RELEASED = 64,
     HR_LIMIT_NOT_CONFIRMED = 128,
+    HR_LIMIT_MISSED_TICKS = 256,
 };
 
 enum hr_status {

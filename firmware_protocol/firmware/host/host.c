@@ -95,9 +95,11 @@ static bool hal_link_write(void *context, const uint8_t *frame, size_t count)
     return true;
 }
 
-static void hal_feed_watchdog(void *context)
+static void hal_feed_watchdog(void *context, uint32_t bite_us)
 {
-    host_of(context)->feeds++;
+    struct host *host = host_of(context);
+    host->feeds++;
+    host->bite_us = bite_us;
 }
 
 static void hal_sync(void *context, uint8_t bits)
@@ -105,6 +107,11 @@ static void hal_sync(void *context, uint8_t bits)
     struct host *host = host_of(context);
     host->syncs += bits & ~host->sync & HR_SYNC_TICK ? 1u : 0u;
     host->sync = bits;
+}
+
+static void hal_enter_bootloader(void *context)
+{
+    host_of(context)->left = true;
 }
 
 static uint64_t hal_sync_time(void *context)
@@ -257,12 +264,18 @@ void host_tick(struct host *host)
 {
     host_tick_alone(host);
     device_flush(&host->device);
+    host->device.unpolled = 0; /* the main loop turns, and there is nothing for it */
     be_idle(host);
 }
 
-void host_missed(struct host *host, uint32_t ticks)
+void host_let_leave(struct host *host)
 {
-    device_missed(&host->device, ticks);
+    host->hal.enter_bootloader = hal_enter_bootloader;
+}
+
+void host_was_reset(struct host *host, uint32_t stopped_at)
+{
+    device_was_reset(&host->device, stopped_at);
 }
 
 void host_fault(struct host *host, uint8_t fault)
@@ -310,6 +323,7 @@ void host_status(const struct host *host, struct host_status *status)
     status->rate = host->rate;
     status->cuts = host->cuts;
     status->feeds = host->feeds;
+    status->bite_us = host->bite_us;
     status->dropped = host->dropped;
     status->frames_driven = host->frames_driven;
     status->current = host->current;
@@ -319,4 +333,5 @@ void host_status(const struct host *host, struct host_status *status)
     status->enabled = host->enabled;
     status->counters = device->connection.counters;
     status->sync = host->sync;
+    status->left = host->left;
 }

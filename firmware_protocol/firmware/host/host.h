@@ -31,11 +31,11 @@ struct host {
 
     /* What the device did to it. */
     int16_t current;
-    bool enabled, driving;
+    bool enabled, driving, left;
     uint8_t sync; /* bits of enum hr_sync */
     uint64_t sync_time;
     uint32_t cuts; /* times that the current was taken away between two ticks */
-    uint32_t rate, feeds, syncs;
+    uint32_t rate, feeds, bite_us, syncs;
 
     /* The link. */
     const uint8_t *input;
@@ -65,6 +65,7 @@ struct host_status {
     uint32_t rate;
     uint32_t cuts;
     uint32_t feeds;
+    uint32_t bite_us;
     uint32_t dropped;
     uint32_t frames_driven;
     int32_t current;
@@ -74,6 +75,7 @@ struct host_status {
     uint8_t enabled;
     struct counters counters;
     uint8_t sync;
+    uint8_t left; /* for the boot loader */
 };
 
 size_t host_bytes(void);
@@ -100,8 +102,9 @@ void host_sample(struct host *host);
 void host_tell(struct host *host);
 void host_tick(struct host *host);
 void host_tick_alone(struct host *host); /* what is to be sent waits for host_poll, as on a board */
-void host_missed(struct host *host, uint32_t ticks);
 void host_fault(struct host *host, uint8_t fault);
+void host_was_reset(struct host *host, uint32_t stopped_at);
+void host_let_leave(struct host *host); /* it has a boot loader */
 
 /* Hand all bytes in; take what the device has sent. */
 void host_receive(struct host *host, const uint8_t *bytes, size_t count);

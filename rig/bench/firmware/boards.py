@@ -89,6 +89,8 @@ class BoardFile:
         Of its boot ROM; left out when it takes no UF2.
     drive
         Board-ID of the boot ROM's drive, as in its INFO_UF2.TXT.
+    sealed_behind
+        The image's last word is the CRC-32 of all that lies between so many bytes and it; left out: it has none.
     settings
         By name; see `Setting`.
     reserved_pins
@@ -108,6 +110,7 @@ class BoardFile:
     applications: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: {"device": ()})
     uf2_family: int | None = None
     drive: str = ""
+    sealed_behind: int | None = None
     settings: Mapping[str, Setting] = field(default_factory=dict)
     reserved_pins: Mapping[int, str] = field(default_factory=dict)
 

@@ -12,8 +12,8 @@ let motor = null;
 const movesUntil = () => (pico.edges.length > 0 ? pico.edges[pico.edges.length - 1].at : pico.now);
 
 const commands = {
-  power({ image, pins, motor: description }) {
-    pico = new Pico(fs.readFileSync(image), pins);
+  power({ image, pins, motor: description, ...how }) {
+    pico = new Pico(fs.readFileSync(image), pins, how);
     motor = new Motor(pico, description);
     pico.onSteps = (now) => motor.upTo(now);
     return {};
@@ -54,14 +54,24 @@ const commands = {
     pico.showSwitches();
     return {};
   },
-  /* The processor stands still, as a crash would leave it: at a branch to itself, interrupts masked. */
-  hang() {
+  /* The processor stands still, as a crash would leave it: at a branch to itself, interrupts masked; or the main loop does,
+   * and interrupts come. */
+  hang({ interrupts = false }) {
     const { core } = pico.chip;
+    while (interrupts && (core.IPSR !== 0 || core.PM)) pico.step();
     pico.chip.sramView.setUint16(0x41000, 0xe7fe, true);
-    core.PM = true;
+    core.PM = !interrupts;
     core.PC = 0x20041000;
     core.IPSR = 0;
     return {};
+  },
+  /* An instruction of the main program cannot be executed: HardFault. Returns where that was. */
+  crash() {
+    const { core } = pico.chip;
+    while (core.IPSR !== 0) pico.step();
+    const at = core.PC;
+    core.exceptionEntry(3);
+    return { at };
   },
   look() {
     const most = motor.most;
@@ -84,7 +94,10 @@ const commands = {
       complaints: Object.fromEntries(pico.complaints),
       vtor: pico.chip.core.VTOR,
       clock: pico.chip.clkSys,
-      regulator: pico.regulator[0],
+      regulator: pico.regulator.value,
+      settled: pico.settled,
+      crystal_delay: pico.chip.peripherals[0x40024].startup,
+      bootloader: pico.inBootloader,
     };
   },
   /* Every tick since the last question. */

@@ -6,17 +6,18 @@ from collections.abc import Callable
 
 import pytest
 
+from firmware_protocol import messages as m
 from firmware_protocol.connection import State
-from firmware_protocol.faults import Fault, Input
+from firmware_protocol.faults import Fault, Input, Status
+from tests.firmware.rp2040.emulator import START_US, WATCHDOG_US
 from tests.firmware.rp2040.session import Session
 
 Powered = Callable[..., Session]
-WATCHDOG_US = 40_000.0
 
 
-def running(session: Session, current: int = 300) -> None:
+def running(session: Session, current: int = 300, position_rate: int = 5_000) -> None:
     """An armed device that gives a current (quanta)."""
-    session.configure(position_rate=5_000, window_minimum=-(2**31), window_maximum=2**31 - 1)
+    session.configure(position_rate=position_rate, window_minimum=-(2**31), window_maximum=2**31 - 1)
     session.arm()
     session.host.command(current)
     session.listen(0.002)
@@ -32,22 +33,59 @@ def test_nothing_is_driven_before_a_host_says_so(powered: Powered) -> None:
     assert look["duty"] == 0.0
 
 
-def test_the_watchdog_drops_enable_and_the_device_says_why_it_is_back(powered: Powered) -> None:
+@pytest.mark.parametrize(("rate", "bite_us"), [(1_000, 5_000.0), (20_000, 2_000.0)])
+def test_the_watchdog_drops_enable_and_the_device_says_why_it_is_back(
+    powered: Powered, rate: int, bite_us: float
+) -> None:
     session = powered()
-    running(session)
+    running(session, position_rate=rate)
     session.pico.ask("hang")
-    session.pico.run(WATCHDOG_US - 1_000.0)  # fed within the last tick
+    session.pico.run(bite_us - 1e6 / rate - 10.0)  # fed within the last tick
     assert session.pico.look()["resets"] == 0
-    session.pico.run(2_000.0)
+    session.pico.run(1e6 / rate + 20.0)
     look = session.pico.look()
     assert look["resets"] == 1
     assert not look["enabled"]
     assert look["duty"] == 0.0
-    session.pico.run(5_000.0)
+    session.pico.run(START_US)
     assert not session.pico.look()["enabled"]
     session.connect()
     state = session.host.next_state()
     assert (state.state, state.fault) == (State.FAULT, Fault.WATCHDOG_RESET)
+
+
+def test_a_crash_drops_enable_at_once_and_its_place_is_told_behind_the_reset(powered: Powered) -> None:
+    session = powered()
+    running(session)
+    at = session.pico.ask("crash")["at"]
+    session.pico.run(10.0)
+    assert not session.pico.look()["enabled"]
+    session.pico.run(WATCHDOG_US + START_US)
+    session.connect()
+    state = session.host.next_state()
+    assert (state.state, state.fault) == (State.FAULT, Fault.PROCESSOR_STOPPED)
+    assert session.host.ask(m.GetStatistics(session.host.nonce())).stopped_at == at
+
+
+def test_a_board_that_is_not_armed_shows_its_drive_when_asked(powered: Powered) -> None:
+    session = powered()
+    assert session.host.ask(m.EnterBootloader(session.host.nonce())).status == Status.OK
+    session.listen(0.1)
+    assert session.pico.look()["bootloader"]
+
+
+def test_a_main_loop_that_stands_still_ends_the_run_within_20_ms_and_the_watchdog_bites(
+    powered: Powered,
+) -> None:
+    session = powered()
+    running(session)
+    session.pico.ask("hang", interrupts=True)
+    session.pico.run(15_000.0)
+    assert session.pico.look()["enabled"], "the tick goes on, and the command lives"
+    session.pico.run(6_000.0)
+    assert not session.pico.look()["enabled"]
+    session.pico.run(WATCHDOG_US)
+    assert session.pico.look()["resets"] == 1
 
 
 def test_power_up_is_no_watchdog_reset(powered: Powered) -> None:

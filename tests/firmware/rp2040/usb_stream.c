@@ -18,6 +18,8 @@ static struct {
     volatile uint32_t ticks;
 } stream __attribute__((aligned(4)));
 
+static uint32_t to_host_words[8192];
+
 /* Number of the frame in eight digits, whatever behind them, a delimiter. */
 static void fill(uint32_t number)
 {
@@ -30,7 +32,7 @@ static void fill(uint32_t number)
 
 void tick_interrupt(void)
 {
-    (void)tick_taken();
+    tick_taken();
     SIO_OUT_SET = 1u << BOARD_SYNC_OUT_PIN;
     for (uint32_t i = stream.turns; i > 0; i--)
         __asm volatile("nop");
@@ -41,12 +43,10 @@ void tick_interrupt(void)
 
 int main(void)
 {
-    clocks_release(RESET_IO_BANK0 | RESET_PADS_BANK0);
-    clocks_start();
-    clocks_release(RESET_DMA | RESET_PWM | RESET_TIMER);
+    clocks_release(RESET_IO_BANK0 | RESET_PADS_BANK0 | RESET_DMA | RESET_PWM | RESET_TIMER);
     GPIO_CONTROL(BOARD_SYNC_OUT_PIN) = GPIO_SIO;
     SIO_DRIVE_SET = 1u << BOARD_SYNC_OUT_PIN;
-    usb_start(1);
+    usb_start(1, to_host_words, sizeof to_host_words / sizeof *to_host_words);
     time_start();
     uint32_t rate = 1000;
     tick_set_rate(rate);

@@ -3,6 +3,7 @@
 #include "amplifier.h"
 #include "clocks.h"
 #include "encoder.h"
+#include "flash.h"
 #include "link.h"
 #include "pins.h"
 #include "poll.h"
@@ -85,10 +86,16 @@ static bool hal_link_write(void *context, const uint8_t *frame, size_t count)
     return link_write(frame, count, frame >= begins && frame < begins + sizeof device);
 }
 
-static void hal_feed_watchdog(void *context)
+static void hal_feed_watchdog(void *context, uint32_t bite_us)
 {
     (void)context;
-    watchdog_feed_hardware();
+    watchdog_feed_hardware(bite_us);
+}
+
+static void hal_enter_bootloader(void *context)
+{
+    (void)context;
+    reset_to_bootloader();
 }
 
 static void hal_sync(void *context, uint8_t bits)
@@ -116,33 +123,18 @@ static const struct hal hal = {
     .link_read = hal_link_read,
     .link_write = hal_link_write,
     .feed_watchdog = hal_feed_watchdog,
+    .enter_bootloader = hal_enter_bootloader,
     .sync = hal_sync,
     .sync_time = hal_sync_time,
 };
 
 /* ------------------------------------------------------------------ the tick */
 
-static struct {
-    uint32_t rate;        /* that the core has set */
-    volatile bool polled; /* since the last tick */
-} grid;
-
-/* Ticks whose time passed while the conversation held the interrupt. */
-static void tell_missed(void)
-{
-    const uint64_t now = time_now();
-    if (now > device.due && now - device.due >= device.period)
-        device_missed(&device, (uint32_t)(now - device.due) / device.period);
-}
-
 void tick_interrupt(void)
 {
-    if (!tick_taken() && device.rate == grid.rate) /* under another rate there is no grid yet */
-        tell_missed();
-    grid.rate = device.rate;
+    tick_taken();
     device_tick(&device);
     link_pump();
-    grid.polled = false;
 }
 
 /* ------------------------------------------------------------------ the conversation */
@@ -160,31 +152,32 @@ static void unmask(void)
 /* The tick waits while the core takes bytes; so that happens behind a tick, where there is time. */
 static void converse(void)
 {
-    if (grid.polled && tick_cycles_left() < POLL_CYCLES)
+    const volatile uint32_t *unpolled = &device.unpolled; /* the tick counts it */
+    if (*unpolled == 0 && tick_cycles_left() < POLL_CYCLES)
         return;
     mask();
     time_look();
     device_poll(&device);
     link_pump();
-    grid.polled = true;
     unmask();
 }
 
 int main(void)
 {
-    clocks_release(RESET_IO_BANK0 | RESET_PADS_BANK0);
-    clocks_start();
-    clocks_release(RESET_DMA | RESET_PIO0 | RESET_PWM | RESET_ADC | RESET_TIMER | RESET_UART0);
-    const bool bitten = reset_by_watchdog();
+    clocks_release(RESET_IO_BANK0 | RESET_PADS_BANK0 | RESET_DMA | RESET_PIO0 | RESET_PWM | RESET_ADC | RESET_TIMER
+                   | RESET_UART0);
+    uint32_t stopped_at;
+    const bool bitten = reset_by_watchdog(&stopped_at);
     amplifier_start();
     pins_start();
     time_start();
     encoder_start();
-    link_start(board_config.dictionary_hash);
+    const uint64_t id = flash_unique_id();
+    link_start(id != 0 && id != UINT64_MAX ? id : board_config.dictionary_hash);
     device_start(&device, &hal, &board_config);
     if (bitten)
-        device_fault(&device, HR_FAULT_WATCHDOG_RESET);
-    watchdog_start();
+        device_was_reset(&device, stopped_at);
+    watchdog_start(device.bite_us);
     tick_start();
     unmask();
     for (;;)

@@ -34,6 +34,7 @@
 /* 2.10.6 Regulator of the core's voltage */
 #define REGULATOR REGISTER(0x40064000u)
 #define REGULATOR_ON 1u
+#define REGULATOR_IN_REGULATION (1u << 12)
 
 /* 2.15.7 Clocks */
 #define CLOCKS 0x40008000u
@@ -164,6 +165,15 @@
 #define PWM_ON 1u
 #define PWM_DIVIDED_BY(sixteenths) (sixteenths)
 
+/* 4.10.13 SSI: the flash */
+#define SSI 0x18000000u
+#define SSI_CONTROL REGISTER(SSI + 0x0u)
+#define SSI_ENABLE REGISTER(SSI + 0x8u) /* only while it is off may the others be changed */
+#define SSI_SELECT REGISTER(SSI + 0x10u)
+#define SSI_RECEIVED REGISTER(SSI + 0x24u)
+#define SSI_DATA REGISTER(SSI + 0x60u)
+#define SSI_BYTES_BOTH_WAYS (7u << 16)
+
 /* 4.6.5 Timer */
 #define TIMER_RAW_LOW 0x40054028u
 
@@ -173,8 +183,11 @@
 #define WATCHDOG_LOAD REGISTER(WATCHDOG + 0x4u)
 #define WATCHDOG_REASON REGISTER(WATCHDOG + 0x8u)
 #define WATCHDOG_SCRATCH0 REGISTER(WATCHDOG + 0xCu)
+#define WATCHDOG_SCRATCH1 REGISTER(WATCHDOG + 0x10u)
+#define WATCHDOG_SCRATCH2 REGISTER(WATCHDOG + 0x14u)
 #define WATCHDOG_TICK REGISTER(WATCHDOG + 0x2Cu)
 #define WATCHDOG_ENABLE (1u << 30)
+#define WATCHDOG_TRIGGER (1u << 31)
 #define WATCHDOG_TICK_ENABLE (1u << 9)
 
 /* 4.9.6 ADC */
