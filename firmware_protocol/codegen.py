@@ -1,8 +1,8 @@
-"""Print the tables of PROTOCOL.md and of the firmware from the tables that run.
+"""Print the tables of PROTOCOL.md, FMEA.md and of the firmware from the tables that run.
 
-``python -m firmware_protocol.codegen`` rewrites what stands between the markers of PROTOCOL.md, and the firmware's
-``protocol.h`` and ``protocol.c``; with ``--check`` it changes nothing and ends with 1 when one of them is stale. The
-prose around the markers is written by hand.
+``python -m firmware_protocol.codegen`` rewrites what stands between the markers of PROTOCOL.md and FMEA.md, and the
+firmware's ``protocol.h`` and ``protocol.c``; with ``--check`` it changes nothing and ends with 1 when one of them is
+stale. The prose around the markers is written by hand.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from pathlib import Path
 from firmware_protocol import messages as m
 from firmware_protocol.connection import REPLIES, TRANSITIONS, UNASKED, State
 from firmware_protocol.faults import Described, DescribedFlag, Fault, Input, LimitFlag, Status
+from firmware_protocol.fmea import FMEA, single_faults
 from firmware_protocol.framing import CRC_BYTES, HEADER_BYTES
 from firmware_protocol.header import FILES, title
 from firmware_protocol.packing import FAULT_ENTRY_BYTES, LAYOUTS, Header
@@ -129,6 +130,22 @@ def header() -> str:
     return _bytes_of(wire_fields(Header))
 
 
+def faults_of_a_rig() -> str:
+    """Single faults of a rig, their detection and what is left of them."""
+    rows = [
+        (
+            one.part,
+            one.fault,
+            one.found + (f": {', '.join(f'`{code}`' for code in one.codes)}" if one.codes else ""),
+            one.reaction,
+            one.remains,
+            one.shown_by(),
+        )
+        for one in single_faults()
+    ]
+    return table(("part", "fault", "found by", "reaction", "what remains", "shown by"), rows)
+
+
 def version() -> str:
     """Version of this description."""
     command, state = (HEADER_BYTES + record_struct(cls).size + CRC_BYTES + 2 for cls in (m.Command, m.State))
@@ -150,6 +167,7 @@ SECTIONS: dict[str, Callable[[], str]] = {
     "inputs": lambda: _codes(Input),
     "picture": picture,
     "states": states,
+    "single_faults": faults_of_a_rig,
 }
 
 
@@ -162,7 +180,7 @@ def render(text: str) -> str:
 
 def fresh() -> dict[Path, str]:
     """Return every file that is made here, and what should stand in it."""
-    made = {PROTOCOL: render(PROTOCOL.read_text(encoding="utf-8"))}
+    made = {page: render(page.read_text(encoding="utf-8")) for page in (PROTOCOL, FMEA)}
     return made | {path: text() for path, text in FILES.items()}
 
 
