@@ -1,20 +1,22 @@
-"""Print the tables of PROTOCOL.md and of the firmware from the tables that run.
+"""Print the tables of its pages and of the firmware from the tables that run.
 
-``python -m firmware_protocol.codegen`` rewrites what stands between the markers of PROTOCOL.md, and the firmware's
-``protocol.h`` and ``protocol.c``; with ``--check`` it changes nothing and ends with 1 when one of them is stale. The
-prose around the markers is written by hand.
+``python -m firmware_protocol.codegen`` rewrites what stands between the markers of PROTOCOL.md, FMEA.md and
+HARDWARE.md, and the firmware's ``protocol.h`` and ``protocol.c``; with ``--check`` it changes nothing and ends with 1
+when one of them is stale. The prose around the markers is written by hand.
 """
 
 from __future__ import annotations
 
 import re
 import sys
+import tomllib
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from firmware_protocol import messages as m
 from firmware_protocol.connection import REPLIES, TRANSITIONS, UNASKED, State
 from firmware_protocol.faults import Described, DescribedFlag, Fault, Input, LimitFlag, Status
+from firmware_protocol.fmea import FMEA, single_faults
 from firmware_protocol.framing import CRC_BYTES, HEADER_BYTES
 from firmware_protocol.header import FILES, title
 from firmware_protocol.packing import FAULT_ENTRY_BYTES, LAYOUTS, Header
@@ -22,6 +24,8 @@ from firmware_protocol.parameters import PARAMETERS
 from firmware_protocol.wire import FORMATS, Wire, record_struct, wire_fields
 
 PROTOCOL = Path(__file__).with_name("PROTOCOL.md")
+HARDWARE = FMEA.with_name("HARDWARE.md")
+WIRING = FMEA.parent / "boards" / "rp2040" / "wiring.toml"
 _SECTION = re.compile(r"<!-- generated: (\w+) -->\n.*?<!-- end -->", re.DOTALL)
 
 
@@ -129,6 +133,28 @@ def header() -> str:
     return _bytes_of(wire_fields(Header))
 
 
+def faults_of_a_rig() -> str:
+    """Single faults of a rig, their detection and what is left of them."""
+    rows = [
+        (
+            one.part,
+            one.fault,
+            one.found + (f": {', '.join(f'`{code}`' for code in one.codes)}" if one.codes else ""),
+            one.reaction,
+            one.remains,
+            one.shown_by(),
+        )
+        for one in single_faults()
+    ]
+    return table(("part", "fault", "found by", "reaction", "what remains", "shown by"), rows)
+
+
+def parts_list() -> str:
+    """Parts of the reference rig, and where what is known of them is from."""
+    parts = tomllib.loads(WIRING.read_text(encoding="utf-8"))["part"]
+    return table(("", "part", "source"), ((one["name"], one["what"], one["source"]) for one in parts))
+
+
 def version() -> str:
     """Version of this description."""
     command, state = (HEADER_BYTES + record_struct(cls).size + CRC_BYTES + 2 for cls in (m.Command, m.State))
@@ -150,6 +176,8 @@ SECTIONS: dict[str, Callable[[], str]] = {
     "inputs": lambda: _codes(Input),
     "picture": picture,
     "states": states,
+    "single_faults": faults_of_a_rig,
+    "parts_list": parts_list,
 }
 
 
@@ -162,7 +190,7 @@ def render(text: str) -> str:
 
 def fresh() -> dict[Path, str]:
     """Return every file that is made here, and what should stand in it."""
-    made = {PROTOCOL: render(PROTOCOL.read_text(encoding="utf-8"))}
+    made = {page: render(page.read_text(encoding="utf-8")) for page in (PROTOCOL, FMEA, HARDWARE)}
     return made | {path: text() for path, text in FILES.items()}
 
 

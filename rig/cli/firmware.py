@@ -16,6 +16,8 @@ from rig.bench.firmware.flash import flash as copy_image
 from rig.bench.firmware.info import info as look
 from rig.bench.firmware.selftest import SelfTestRequest, failure
 from rig.bench.firmware.selftest import selftest as run
+from rig.bench.firmware.wiring import draw
+from rig.bench.firmware.wiring import wiring as wired
 from rig.cli import options, output
 from rig.config import amplifiers
 from rig.core.errors import ConfigError, IncompatibleDeviceError
@@ -121,6 +123,33 @@ def list_amplifiers(as_json: bool) -> None:
         output.print_json(found)
     else:
         output.show(item for one in found for item in one.items())
+
+
+@firmware.command("wiring")
+@click.option("--board", default=DEFAULT_BOARD, show_default=True, help="Board to wire.")
+@click.option(
+    "--set", "sets", multiple=True, metavar="NAME=VALUE", help="A pin of the board: --set enable_pin=6."
+)
+@click.option(
+    "-o",
+    "--output",
+    "drawing",
+    type=click.Path(path_type=Path, dir_okay=False),
+    default=Path("wiring.svg"),
+    show_default=True,
+    help="Where the drawing goes.",
+)
+@options.json_option
+def draw_wiring(board: str, sets: tuple[str, ...], drawing: Path, as_json: bool) -> None:
+    """Draw the reference rig around a board, with the pins as they are set, and list its wires."""
+    known = boards.load(board)
+    found = wired(known, boards.settings_of(known, options.key_values(sets)))
+    path = draw(found, drawing)
+    if as_json:
+        output.print_json({"parts": found.parts, "nets": found.nets(), "drawing": path})
+        return
+    output.print_pairs([(net, ", ".join(pins)) for net, pins in found.nets().items()])
+    click.echo(str(path))
 
 
 @firmware.command()

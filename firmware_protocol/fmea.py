@@ -1,0 +1,41 @@
+"""Single faults as data (`firmware/fmea.toml`): what breaks, who finds it how soon, what remains, what shows it."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+FMEA = Path(__file__).with_name("firmware") / "FMEA.md"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SingleFault:
+    """One row; the file says what its fields mean."""
+
+    part: str
+    fault: str
+    found: str
+    reaction: str
+    remains: str
+    tests: tuple[str, ...]
+    codes: tuple[str, ...] = ()
+    bench: tuple[int, ...] = ()
+
+    def shown_by(self) -> str:
+        """Tests and steps, as the page names them."""
+        functions = [f"`{test.partition('::')[2]}`" for test in self.tests]
+        steps = [f"step {number}" for number in self.bench]
+        return ", ".join([*(functions or ["**no test**"]), *steps])
+
+
+def single_faults() -> list[SingleFault]:
+    """Every row, in the order of the file."""
+    content = tomllib.loads(FMEA.with_name("fmea.toml").read_text(encoding="utf-8"))
+    return [_row(**row) for row in content["row"]]
+
+
+def _row(**row: Any) -> SingleFault:
+    fields: dict[str, Any] = {key: tuple(one) if isinstance(one, list) else one for key, one in row.items()}
+    return SingleFault(**fields)
