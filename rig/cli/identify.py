@@ -195,6 +195,9 @@ def _dynamics_pairs(found: Identification) -> list[tuple[str, str]]:
             f"{ms.text('ms')}: {dynamics.delay_ticks} ticks and a lag of {dynamics.lag_s.scaled(1e3).text('ms')}",
         ),
     ]
+    amplifier = found.experiment.rig.amplifier
+    if amplifier.drive == "voltage":
+        pairs.append(("drive", f"voltage; back-EMF as described, {amplifier.back_emf:g} {unit['damping']}"))
     mode = dynamics.mode
     if mode is None:
         highest = dynamics.lines_hz[-1]

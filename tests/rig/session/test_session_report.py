@@ -602,6 +602,14 @@ def test_an_order_is_balanced_where_each_row_is_there_equally_often(
     assert told in texts["Order and blinding"]
 
 
+@pytest.mark.parametrize(("drive", "told"), [("voltage", True), ("current", False)])
+def test_a_voltage_drive_is_told(drive: str, told: bool, tmp_path: Path) -> None:
+    changes = {"rig.amplifier.drive": drive, "operator.press": 2.0}
+    write_study(tmp_path, protocol(study={"changes": changes}, search={"step": 200.0}), {"P01": person()})
+    texts = {paragraph.heading: paragraph.text for paragraph in methods(analyse([tmp_path]))}
+    assert ("back-EMF damped the handle by 0.0253 N·m·s/rad" in texts["Apparatus"]) is told
+
+
 def test_lapse_rates_that_no_verdict_shows_and_intervals_that_are_absent_are_dashes(found: Any) -> None:
     functions = [
         replace(
