@@ -17,11 +17,11 @@ from rig.core.present import plain
 from rig.core.sample import unit_of
 from rig.session import check as checking
 from rig.session import template_files as templates
+from rig.session.directory import study_directory
 from rig.session.disk import in_words
 from rig.session.expected import Range
 from rig.session.load import json_schema, load_protocol
 from rig.session.plan import CellPlan, StudyPlan
-from rig.session.run import study_directory
 
 _MARKS = {"ok": ("ok", "green"), "warning": ("!!", "yellow"), "refused": ("no", "red")}
 MOST_ORDERS = 24  # participants whose order is printed; --json has all

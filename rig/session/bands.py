@@ -10,16 +10,13 @@ repeat such trials would throw unstable walls away. The impact speed, which no w
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from statistics import fmean
 
 from rig import config
 from rig.config import Experiment
 from rig.control.verdict import Kind
 from rig.core.sample import Motion, Phase, unit_of
-from rig.experiments.hit_simulator import HitSimulator
 from rig.recording.data import Recording
 from rig.session.protocol import Band, Trial
 from rig.session.reasons import outside
@@ -30,10 +27,6 @@ BANDS: Mapping[str, tuple[str, str, str]] = {
     "impact_speed": ("velocity", "impact_velocity", "impact speed"),
     "press": ("effort", "press", "press"),
 }
-QUICKEST_S = 0.05  # chosen: no hand reaches faster
-TOUCH_S = 0.01  # after the contact: nothing more is needed for a speed
-HITS = 3  # simulated, each with another tremor and start
-HALVINGS = 8  # of the durations of a reach: to 2 % from `QUICKEST_S` to some seconds
 
 
 def asked(trial: Trial, motion: Motion) -> str:
@@ -83,43 +76,9 @@ def _words(band: Band) -> str:
 
 def pressing(x: Experiment, trial: Trial) -> dict[str, float]:
     """What a simulated hand is told of the press, as keys of the experiment of a wall: the middle of the band."""
-    return {"operator.press": max(0.0, config.press_for(x, _middle(trial.press)))} if trial.press else {}
+    return {"operator.press": max(0.0, config.press_for(x, middle(trial.press)))} if trial.press else {}
 
 
-def reach_for(x: Experiment, trial: Trial) -> float:
-    """Duration of the reach (s) with which a simulated hand hits nearest to the middle of the band.
-
-    It is found by simulated hits, within what the trial has room for.
-    """
-    room = x.trial.duration_s - (0.0 if x.trial.hold_s else x.verdict.tail_s) - x.operator.begin_s
-    quick, slow = math.log(QUICKEST_S), math.log(max(QUICKEST_S, room))
-    brief = replace(x, trial=replace(x.trial, hold_s=TOUCH_S))
-    for _ in range(HALVINGS):
-        middle = 0.5 * (quick + slow)
-        reaching = replace(brief, operator=replace(brief.operator, reach_s=math.exp(middle)))
-        if fmean(simulated(reaching)["impact_speed"]) > _middle(trial.impact_speed):
-            quick = middle
-        else:
-            slow = middle
-    return round(math.exp(quick), 3)
-
-
-def _middle(band: Band) -> float:
+def middle(band: Band) -> float:
+    """What a simulated hand aims at."""
     return 0.5 * (band[0] + band[-1])
-
-
-def simulated(x: Experiment) -> dict[str, list[float]]:
-    """What a simulated hand does in some hits of a soft wall (units of the rig); no speed where it never comes there.
-
-    The press is that of the wall's spring at the resting penetration, which in a soft wall is the mean effort.
-    """
-    verdicts = [
-        HitSimulator(replace(x, trial=replace(x.trial, baseline_s=0.0, foreperiod_s=0.0, seed=seed)))
-        .hit(x.wall.stiffness, x.wall.damping)
-        .recorded.verdict
-        for seed in range(HITS)
-    ]
-    return {
-        "impact_speed": [abs(one.impact_velocity or 0.0) for one in verdicts],
-        "press": [x.wall.stiffness * one.resting_penetration for one in verdicts],
-    }

@@ -37,6 +37,7 @@ from rig.session.pace import pace_checks
 from rig.session.plan import CellPlan, StudyPlan
 from rig.session.protocol import Condition, Protocol
 from rig.session.schedule import Block, levels_of, rows_of, schedule
+from rig.session.simulated_hand import reach_for
 from rig.session.taken import taken
 from rig.session.times import BETWEEN_RUNS_S, QUESTION_S, REHEARSED_TICK_S, TrialTimes, heat_of, trial_times
 
@@ -74,7 +75,7 @@ def check(
     if participants is not None:
         protocol = replace(protocol, study=replace(protocol.study, participants=participants))
     base = base_of(protocol, folder)
-    walls = Walls(protocol, base)
+    walls = Walls(protocol, base, reach_for)
     under = [_experiments(walls, condition) for condition in protocol.condition]
     cells = tuple(_cells(protocol, under))
     searches = sum((cell.trials for cell in cells), NO_TRIALS) * protocol.order.repeats

@@ -11,11 +11,12 @@ from rig.core.check import Check, Outcome
 from rig.core.errors import RigError
 from rig.core.sample import Motion, unit_of
 from rig.experiments.plan import make_plan
-from rig.session.bands import BANDS, simulated
+from rig.session.bands import BANDS
 from rig.session.expected import Range
 from rig.session.plan import CellPlan
 from rig.session.protocol import Protocol, Trial
 from rig.session.schedule import schedule
+from rig.session.simulated_hand import simulated
 from rig.session.times import Heat, TrialTimes
 
 TIRES_S = 1200.0  # chosen: so long without a rest, and a hand tires

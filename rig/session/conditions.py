@@ -7,7 +7,7 @@ is told the bands of ``[trial]`` where nobody says how it hits (`rig.session.ban
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,9 +21,11 @@ from rig.config.schemes import Scheme
 from rig.config.table import parameters, shown
 from rig.core.errors import ConfigError, RigError
 from rig.core.sample import unit_of
-from rig.session.bands import BANDS, pressing, reach_for
+from rig.session.bands import BANDS, middle, pressing
 from rig.session.protocol import Condition, Protocol
 from rig.session.schedule import levels_of
+
+ReachFor = Callable[[Experiment, float], float]
 
 OWNED = {  # keys of the experiment that a protocol says in its own words
     "wall.stiffness": "[search]",
@@ -81,13 +83,17 @@ class Walls:
         A checked one.
     base
         What its ``[study]`` names, from `base_of`.
+    reach_for
+        Finds the reach of a simulated hand for an impact speed (`rig.session.simulated_hand`); None where nobody
+        simulates one, and a band of impact speeds changes nothing.
     """
 
-    def __init__(self, protocol: Protocol, base: Experiment) -> None:
+    def __init__(self, protocol: Protocol, base: Experiment, reach_for: ReachFor | None = None) -> None:
         self.protocol = protocol
         self.base = base
         self._known: dict[tuple[str, float, float], Experiment] = {}
-        self._reaches: dict[str, float] = {}  # of a simulated hand, found by simulation, by condition
+        self._reach_for = reach_for
+        self._reaches: dict[str, float] = {}  # by condition
 
     def at(
         self, condition: Condition, damping: float, stiffness: float, *, seed: int | None = None
@@ -110,51 +116,41 @@ class Walls:
         """
         key = (condition.name, damping, stiffness)
         if key not in self._known:
-            self._known[key] = _experiment_of(
-                self.protocol, self.base, condition, damping, stiffness, self._reaches
-            )
+            self._known[key] = self._experiment(condition, damping, stiffness)
         x = self._known[key]
         return x if seed is None else replace(x, trial=replace(x.trial, seed=seed))
 
     def softest(self, condition: Condition) -> Experiment:
         """The softest wall of a condition, at its first damping; raises as `at`."""
-        return self.at(condition, condition.damping[0], _softest(self.protocol, condition))
+        return self.at(condition, *self._softest(condition))
 
+    def _softest(self, condition: Condition) -> tuple[float, float]:
+        return condition.damping[0], levels_of(self.protocol.search_of(condition))[0]
 
-def _experiment_of(
-    protocol: Protocol,
-    base: Experiment,
-    condition: Condition,
-    damping: float,
-    stiffness: float,
-    reaches: dict[str, float],
-) -> Experiment:
-    source, trial = f"condition {shown(condition.name)}", protocol.trial
-    experiment = config.with_values(base, _studied(protocol, base), source)
-    if condition.scheme is not None:
-        experiment = Scheme.parse(condition.scheme).on(experiment)
-        source += f" with scheme {condition.scheme}"
-    experiment = config.with_values(experiment, condition.changes, source)
-    own = {**protocol.study.changes, **condition.changes}
+    def _experiment(self, condition: Condition, damping: float, stiffness: float) -> Experiment:
+        protocol, name = self.protocol, condition.name
+        source = f"condition {shown(name)}"
+        experiment = config.with_values(self.base, _studied(protocol, self.base), source)
+        if condition.scheme is not None:
+            experiment = Scheme.parse(condition.scheme).on(experiment)
+            source += f" with scheme {condition.scheme}"
+        experiment = config.with_values(experiment, condition.changes, source)
+        own = {**protocol.study.changes, **condition.changes}
 
-    def at(damping: float, stiffness: float) -> Experiment:
-        wall = {"wall.stiffness": stiffness, "wall.damping": damping}
-        x = config.with_values(experiment, wall, source)
-        return x if "operator.press" in own else config.with_values(x, pressing(x, trial), source)
+        def at(damping: float, stiffness: float) -> Experiment:
+            wall = {"wall.stiffness": stiffness, "wall.damping": damping}
+            x = config.with_values(experiment, wall, source)
+            pressed = {} if "operator.press" in own else pressing(x, protocol.trial)
+            return config.with_values(x, pressed, source)
 
-    x = at(damping, stiffness)
-    if trial.impact_speed and "operator.reach_s" not in own:
-        if condition.name not in reaches:  # by one wall, whichever is asked for first
-            softest = at(condition.damping[0], _softest(protocol, condition))
-            reaches[condition.name] = reach_for(softest, trial)
-        x = config.with_values(x, {"operator.reach_s": reaches[condition.name]}, source)
-    x = config.checked(x, source)
-    config.check_plugins(x, source)
-    return x
-
-
-def _softest(protocol: Protocol, condition: Condition) -> float:
-    return levels_of(protocol.search_of(condition))[0]
+        x, speeds = at(damping, stiffness), protocol.trial.impact_speed
+        if self._reach_for is not None and speeds and "operator.reach_s" not in own:
+            if name not in self._reaches:  # by one wall, whichever is asked for first
+                self._reaches[name] = self._reach_for(at(*self._softest(condition)), middle(speeds))
+            x = config.with_values(x, {"operator.reach_s": self._reaches[name]}, source)
+        x = config.checked(x, source)
+        config.check_plugins(x, source)
+        return x
 
 
 def own_rates(condition: Condition, experiment: Experiment) -> dict[str, Any]:

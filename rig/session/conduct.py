@@ -32,7 +32,7 @@ from rig.core.sample import HOLD, Phase, unit_of
 from rig.experiments.pulse import NO_HANDS
 from rig.session.bands import asked as asked_of_hand
 from rig.session.bands import judged
-from rig.session.conditions import Walls, own_rates
+from rig.session.conditions import ReachFor, Walls, own_rates
 from rig.session.desk import Action, Desk, Question, Reply, View
 from rig.session.directory import TRIALS, Session
 from rig.session.expected import likely_trials
@@ -194,10 +194,10 @@ def _mend(reason: str) -> str:
     return SEE_TO_IT if reason.startswith(NOT_AS_DESCRIBED) else MEND
 
 
-def walls_in(state: State) -> Walls:
-    """The walls of a session: of the protocol and the experiment in its log."""
+def walls_in(state: State, reach_for: ReachFor | None = None) -> Walls:
+    """The walls of a session: of the protocol and the experiment in its log; `reach_for` as `Walls` has it."""
     base = config.experiment_from_mapping(state.experiment, "the experiment in the session's log")
-    return Walls(state.protocol, base)
+    return Walls(state.protocol, base, reach_for)
 
 
 class _Left(Exception):  # noqa: N818  (no error: somebody leaves)

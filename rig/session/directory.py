@@ -9,6 +9,7 @@ trials/abandoned/         recordings of trials that nobody logged, because the p
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -31,6 +32,7 @@ from rig.session.state import AMENDABLE, State
 
 OF_TRIAL = {"void": True, "counts": False}  # what an amendment may change of a trial itself
 WALL = WallClock()
+SESSIONS, REHEARSALS = Path("sessions"), Path("rehearsals")
 LOG, PROTOCOL, TRIALS, ABANDONED = "session.log", "protocol.toml", "trials", "abandoned"
 
 
@@ -68,6 +70,12 @@ class Session:
 
     def __exit__(self, *error: object) -> None:
         self.close()
+
+
+def study_directory(protocol: Protocol, study: Path | None, *, rehearsal: bool = False) -> Path:
+    """Where the participants of a protocol are kept, or those who were simulated."""
+    slug = re.sub(r"[^a-z0-9]+", "-", protocol.study.title.lower()).strip("-") or "study"
+    return (REHEARSALS if rehearsal else SESSIONS) / slug if study is None else study
 
 
 def begin(

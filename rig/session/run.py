@@ -18,10 +18,18 @@ from rig.recording.files import plain_errors
 from rig.session.arming import refuse_unarmable
 from rig.session.check import refuse_walls
 from rig.session.clock import Clock, WallClock
-from rig.session.conditions import Walls
+from rig.session.conditions import ReachFor, Walls
 from rig.session.conduct import conduct, first_wall, walls_in
 from rig.session.desk import Desk, View
-from rig.session.directory import LOG, Session, begin, clear_rehearsal, refuse_begun, resume
+from rig.session.directory import (
+    LOG,
+    Session,
+    begin,
+    clear_rehearsal,
+    refuse_begun,
+    resume,
+    study_directory,
+)
 from rig.session.disk import refuse_full_disk
 from rig.session.fitting import refuse_misfit
 from rig.session.load import load_walls
@@ -41,10 +49,9 @@ from rig.session.protocol import Protocol
 from rig.session.rehearsal import Day, Person, RealDay, RehearsalDesk, refuse_nobody
 from rig.session.runner import TrialRunner
 from rig.session.schedule import rows_of, schedule
+from rig.session.simulated_hand import reach_for
 from rig.session.state import State
 from rig.session.telling import lost, outcome
-
-SESSIONS, REHEARSALS = Path("sessions"), Path("rehearsals")
 
 OnEvent = Callable[[Event], None]
 DeskFor = Callable[
@@ -142,8 +149,9 @@ def run_session(
     RigError
         As `rig.session.conduct.conduct`.
     """
-    walls = load_walls(protocol_file)
-    protocol, experiment = walls.protocol, walls.base
+    loaded = load_walls(protocol_file)
+    protocol, experiment = loaded.protocol, loaded.base
+    walls = Walls(protocol, experiment, _reach_for(runner))
     with plain_errors("read", protocol_file):
         text = protocol_file.read_bytes()
     place = study_directory(protocol, study, rehearsal=person is not None) / code
@@ -201,7 +209,7 @@ def resume_session(
     _refuse_a_real_rig(person, runner)
     state, events = session_state(directory)
     with closing(runner):
-        walls = walls_in(state)
+        walls = walls_in(state, _reach_for(runner))
         if not other_device and state.ended is None:
             _refuse_another_device(state, events, runner, walls)
         refuse_unarmable(walls, runner)
@@ -296,12 +304,6 @@ def summary(
     )
 
 
-def study_directory(protocol: Protocol, study: Path | None, *, rehearsal: bool = False) -> Path:
-    """Where the participants of a protocol are kept, or those who were simulated."""
-    slug = re.sub(r"[^a-z0-9]+", "-", protocol.study.title.lower()).strip("-") or "study"
-    return (REHEARSALS if rehearsal else SESSIONS) / slug if study is None else study
-
-
 def row_of(code: str) -> int:
     """Row of the order, from 0, that a participant's code names: its last number, counted from 1.
 
@@ -331,6 +333,11 @@ def _checked_row(row: int, protocol: Protocol) -> int:
             remedy=f"give `row` 0 to {rows - 1}, or plan more: study.participants",
         )
     return row
+
+
+def _reach_for(runner: TrialRunner) -> ReachFor | None:
+    """What finds the reach of the simulated hand; at a real rig there is none."""
+    return reach_for if runner.simulated else None
 
 
 def _refuse_a_real_rig(person: Person | None, runner: TrialRunner) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from statistics import fmean
@@ -19,7 +21,7 @@ from rig.core.present import plain
 from rig.core.sample import Phase
 from rig.session.analysis import analyse
 from rig.session.analysis.tables import tables
-from rig.session.bands import judged, press_of, simulated
+from rig.session.bands import judged, press_of
 from rig.session.check import check
 from rig.session.conditions import Walls
 from rig.session.conduct import conduct
@@ -30,6 +32,7 @@ from rig.session.log import Event, read
 from rig.session.protocol import Trial
 from rig.session.rehearsal import Person
 from rig.session.run import rehearsal_desk, run_session, summary
+from rig.session.simulated_hand import reach_for, simulated
 from rig.session.telling import outcome, whole_line
 from rig.session.trial import Hit
 from rig.views.report.session_methods import methods
@@ -191,7 +194,8 @@ def test_a_hit_that_is_kept_is_judged_and_marked_after_its_verdict_alone(tmp_pat
 def walls(tmp_path_factory: pytest.TempPathFactory) -> Walls:
     path = tmp_path_factory.mktemp("bands") / "study.toml"
     path.write_text(STUDY)
-    return load_walls(path)
+    found = load_walls(path)
+    return Walls(found.protocol, found.base, reach_for)
 
 
 def test_a_simulated_hand_aims_at_the_middle_whichever_wall_comes_first(walls: Walls) -> None:
@@ -202,7 +206,7 @@ def test_a_simulated_hand_aims_at_the_middle_whichever_wall_comes_first(walls: W
     does = simulated(soft)
     assert fmean(does["impact_speed"]) == pytest.approx(0.3, rel=0.1)
     assert fmean(does["press"]) == pytest.approx(0.2, rel=0.1)
-    again = Walls(walls.protocol, walls.base)
+    again = Walls(walls.protocol, walls.base, reach_for)
     assert again.at(condition, 0.1, 160.0) == stiff
     assert again.at(condition, 0.1, 40.0) == soft
 
@@ -237,3 +241,10 @@ def test_the_plan_warns_of_a_band_that_the_simulated_hand_does_not_keep(walls: W
     assert "asked 0.17 to 0.23 N·m" in found["trial.press"].text
     assert found["trial.impact_speed"].outcome is Outcome.WARNING
     assert "operator.reach_s" in found["trial.impact_speed"].remedy
+
+
+def test_who_reads_a_protocol_or_analyses_a_study_does_not_pay_for_the_simulated_hand() -> None:
+    script = (
+        "import sys, rig.session.load, rig.session.analysis; print({'numba', 'scipy'} & set(sys.modules))"
+    )
+    assert subprocess.check_output([sys.executable, "-c", script], text=True) == "set()\n"

@@ -1,0 +1,50 @@
+"""What the simulated hand of a rehearsal does, by simulated hits: it follows its intention late, and hits as it can."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from statistics import fmean
+
+from rig.config import Experiment
+from rig.experiments.hit_simulator import HitSimulator
+
+QUICKEST_S = 0.05  # chosen: no hand reaches faster
+TOUCH_S = 0.01  # after the contact: nothing more is needed for a speed
+HITS = 3  # simulated, each with another tremor and start
+HALVINGS = 8  # of the durations of a reach: to 2 % from `QUICKEST_S` to some seconds
+
+
+def reach_for(x: Experiment, speed: float) -> float:
+    """Duration of the reach (s) with which a simulated hand hits nearest to this impact speed (rad/s or m/s).
+
+    It is found by simulated hits, within what the trial has room for.
+    """
+    room = x.trial.duration_s - (0.0 if x.trial.hold_s else x.verdict.tail_s) - x.operator.begin_s
+    quick, slow = math.log(QUICKEST_S), math.log(max(QUICKEST_S, room))
+    brief = replace(x, trial=replace(x.trial, hold_s=TOUCH_S))
+    for _ in range(HALVINGS):
+        middle = 0.5 * (quick + slow)
+        reaching = replace(brief, operator=replace(brief.operator, reach_s=math.exp(middle)))
+        if fmean(simulated(reaching)["impact_speed"]) > speed:
+            quick = middle
+        else:
+            slow = middle
+    return round(math.exp(quick), 3)
+
+
+def simulated(x: Experiment) -> dict[str, list[float]]:
+    """What a simulated hand does in some hits of a soft wall (units of the rig); no speed where it never comes there.
+
+    The press is that of the wall's spring at the resting penetration, which in a soft wall is the mean effort.
+    """
+    verdicts = [
+        HitSimulator(replace(x, trial=replace(x.trial, baseline_s=0.0, foreperiod_s=0.0, seed=seed)))
+        .hit(x.wall.stiffness, x.wall.damping)
+        .recorded.verdict
+        for seed in range(HITS)
+    ]
+    return {
+        "impact_speed": [abs(one.impact_velocity or 0.0) for one in verdicts],
+        "press": [x.wall.stiffness * one.resting_penetration for one in verdicts],
+    }
