@@ -28,7 +28,7 @@ import numpy as np
 from numba import types
 
 from rig.devices.port import PORT_TYPE, LoopPort
-from rig.realtime.groups import type_of
+from rig.realtime.groups import group_at, group_bytes, type_of
 from rig.realtime.kernel import kernel, prepare
 from rig.realtime.native import native_call
 from sim_backend.hardware import NO_END, Hardware, World
@@ -73,6 +73,13 @@ _UNITS, _UNITS_NS = 2, 125  # of device time: 62.5 ns
 _receive = native_call(2)
 _take = native_call(3)
 _INTS, _BYTES = types.int64[::1], types.uint8[::1]
+_put, _at = group_at(LoopPort)
+
+
+@kernel(types.void(types.int64, PORT_TYPE))
+def _keep(line: int, port: LoopPort) -> None:
+    """Let a number stand for a port: to take its five functions apart at each call takes Python most of a tick."""
+    _put(line, port)
 
 
 @kernel(types.void(PORT_TYPE, _INTS, _BYTES))
@@ -118,7 +125,7 @@ def _hear(
 @kernel(
     types.int64(
         *(type_of(Lockstep), PLANT_TYPE, type_of(Script), type_of(Wires), type_of(Supplies)),
-        *(PORT_TYPE, _INTS, _BYTES, _BYTES, types.int64),
+        *(types.int64, _INTS, _BYTES, _BYTES, types.int64),
     )
 )
 def keep_time(
@@ -127,7 +134,7 @@ def keep_time(
     script: Script,
     wires: Wires,
     supplies: Supplies,
-    port: LoopPort,
+    line: int,
     grid: Any,
     said: Any,
     heard: Any,
@@ -135,9 +142,10 @@ def keep_time(
 ) -> int:
     """Tick and move bytes until `end_ns` on the port's clock, or until Python has to look; say why it returned.
 
+    `line` stands for the port (`_keep`).
     `said` has room for `SAID_BYTES` behind the `PENDING_BYTES` that are kept, `heard` for `HEARD_BYTES`.
     """
-    words = software.words
+    words, port = software.words, _at(line)
     while True:
         step_ns = grid[STEP_NS]
         due_ns = grid[BOOT_NS] + words[DUE] * _UNITS_NS // _UNITS
@@ -233,9 +241,11 @@ class BoardTime:
         hung_up: Callable[[], None] = lambda: None,
         most: int = NO_END,
     ) -> None:
-        prepare(keep_time, port.read, port.write, port.wait, port.now, port.sleep)
+        prepare(_keep, keep_time, port.read, port.write, port.wait, port.now, port.sleep)
         self.device = device
         self._port = port
+        self._line = np.zeros(-(-group_bytes(LoopPort) // 8), np.int64)
+        _keep(int(self._line.ctypes.data), port)
         self._stop = stop
         self._hung_up = hung_up
         self._most = most
@@ -246,7 +256,7 @@ class BoardTime:
 
     def run(self, duration_s: float | None) -> None:
         """Tick until stopped."""
-        port, grid = self._port, self._grid
+        port, grid, line = self._port, self._grid, int(self._line.ctypes.data)
         now_ns = port.now(port.clock_handle)
         end_ns = NO_END if duration_s is None else now_ns + round(duration_s * 1e9)
         self._boot_ns = 0
@@ -256,7 +266,7 @@ class BoardTime:
             if why == ASK:
                 software, world = self._asked()
             why = keep_time(
-                software, *world, port, grid, self._said, self._heard, min(now_ns + SLICE_NS, end_ns)
+                software, *world, line, grid, self._said, self._heard, min(now_ns + SLICE_NS, end_ns)
             )
             if why == ASK:
                 self.device.passed(world)

@@ -251,11 +251,13 @@ class Measured:
     def by_machine(self) -> bool:
         """Whether it is invalid because of gaps or late ticks alone: another time the same hit would say something.
 
-        A device whose command does not come overrules the law by itself: beside a gap that is the same fault.
+        A device whose command does not come in time overrules the law by itself: beside a gap or late ticks that is
+        the same fault.
         """
         against = self.found & INVALID
-        same = Objection.OVERRULED if against & Objection.GAPS else Objection(0)
-        return not self.thrown_out and bool(against & MACHINE) and not against & ~(MACHINE | same)
+        return (
+            not self.thrown_out and bool(against & MACHINE) and not against & ~(MACHINE | Objection.OVERRULED)
+        )
 
     @cached_property
     def verdict(self) -> Verdict:
@@ -305,6 +307,11 @@ def _codes(found: Any) -> Any:
     return 3 * invalid + (invalid ^ True) * shown
 
 
+def percent(share: float) -> str:
+    """A share in per cent, to two digits; 100 % is no 1e+02 %."""
+    return f"{100 * share:{'.0f' if share >= 0.1 else '.2g'}} %"
+
+
 def _times(count: int, noun: str) -> str:
     return f"{count} {noun}{'' if count == 1 else 's'}"
 
@@ -320,12 +327,12 @@ _TEXTS: dict[Objection, Callable[[np.void, Thresholds], str]] = {
     Objection.GONE: lambda _, __: "the wall was not touched in the tail",
     Objection.TOUCHED_LATE: lambda _, __: "the first contact lies in the tail",
     Objection.GAPS: lambda n, thresholds: (
-        f"from contact on, {100 * n['lost_fraction']:.2g} % of the samples lost "
-        f"(limit {100 * thresholds.lost_fraction:.2g} %), {n['longest_gap']} in a row "
+        f"from contact on, {percent(n['lost_fraction'])} of the samples lost "
+        f"(limit {percent(thresholds.lost_fraction)}), {n['longest_gap']} in a row "
         f"(limit {thresholds.longest_gap}): the link or this computer was late"
     ),
     Objection.LATE: lambda n, thresholds: (
-        f"from contact on, {100 * n['late_fraction']:.2g} % late ticks (limit {100 * thresholds.late_fraction:.2g} %): "
+        f"from contact on, {percent(n['late_fraction'])} late ticks (limit {percent(thresholds.late_fraction)}): "
         "close other programs, or lower the rate"
     ),
     Objection.SLEW_BOUND: lambda n, _: f"the slew limit bound in {_times(n['slew_bound_ticks'], 'tick')}",
@@ -338,9 +345,7 @@ _TEXTS: dict[Objection, Callable[[np.void, Thresholds], str]] = {
     ),
     Objection.EXITS: lambda n, _: f"left the wall {_times(n['exits_in_tail'], 'time')} in the tail",
     Objection.GROWS: lambda n, _: f"ripple grows {n['growth']:.3g}-fold over the tail",
-    Objection.SATURATES: lambda n, _: (
-        f"saturates in {100 * n['saturated_fraction_in_tail']:.2g} % of the tail"
-    ),
+    Objection.SATURATES: lambda n, _: f"saturates in {percent(n['saturated_fraction_in_tail'])} of the tail",
     Objection.FELT: lambda n, thresholds: f"felt {n['felt']:.3g} above {thresholds.felt_velocity:.3g}",
     Objection.HEARD: lambda n, thresholds: f"heard {n['heard']:.3g} above {thresholds.heard_effort:.3g}",
     Objection.MOVED: lambda n, thresholds: f"moved {n['moved']:.3g} above {thresholds.moved:.3g}",

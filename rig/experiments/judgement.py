@@ -8,7 +8,7 @@ from typing import Any
 from firmware_protocol.faults import Fault
 from rig.config import Experiment, experiment_from_mapping, verdict_thresholds
 from rig.control import judging, verdict
-from rig.control.verdict import Kind, Measured, Objection, Verdict
+from rig.control.verdict import Kind, Measured, Objection, Verdict, percent
 from rig.core.errors import ConfigError, RecordingError
 from rig.core.present import Row, written
 from rig.core.sample import Phase, unit_of
@@ -92,11 +92,11 @@ class Judgement:
             ripple("heard (effort ripple, rms)", "heard", effort, thresholds.heard_effort),
             ripple("moved (position ripple, p-p)", "moved", position, thresholds.moved),
             Row("motor current", _observed(verdict.current_observed)),
-            Row("saturated", f"{100 * verdict.saturated_fraction:.2g} % of ticks"),
+            Row("saturated", f"{percent(verdict.saturated_fraction)} of ticks"),
             Row(
                 "late, lost",
                 f"{verdict.late_ticks} late ticks, {verdict.lost_samples} samples lost in {verdict.gaps} gaps",
-                note=f"from contact on {100 * verdict.late_fraction:.2g} % and {100 * verdict.lost_fraction:.2g} %, "
+                note=f"from contact on {percent(verdict.late_fraction)} and {percent(verdict.lost_fraction)}, "
                 f"{verdict.longest_gap} in a row at most",
             ),
         ]

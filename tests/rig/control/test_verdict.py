@@ -770,8 +770,20 @@ def test_only_gaps_and_late_ticks_by_themselves_are_the_machines_fault() -> None
     assert [one.by_machine for one in found] == [True, True, False, False, False]
     assert not Measured(lost, LIMITS, thrown_out=True).by_machine
     lost["overruled_ticks"], elsewhere["overruled_ticks"], elsewhere["slew_bound_ticks"] = 1, 1, 0
+    late["overruled_ticks"] = 1
     assert Measured(lost, LIMITS).by_machine  # a command that does not come is replaced by the device
+    assert Measured(late, LIMITS).by_machine  # so is one that comes after its time
     assert not Measured(elsewhere, LIMITS).by_machine
+
+
+@pytest.mark.parametrize(
+    ("share", "told"), [(1.0, "100 %"), (0.996, "100 %"), (0.123, "12 %"), (0.0123, "1.2 %")]
+)
+def test_a_reason_has_its_shares_as_a_person_writes_them(share: float, told: str) -> None:
+    late = measured(REST).numbers.copy()
+    late["late_fraction"] = share
+    (reason,) = Measured(late, LIMITS).verdict.reasons
+    assert reason.startswith(f"from contact on, {told} late ticks (limit 1 %)")
 
 
 def test_a_sweep_has_the_numbers_of_the_verdict() -> None:
