@@ -25,6 +25,7 @@ from firmware_protocol.wire import FORMATS, Wire, record_struct, wire_fields
 
 PROTOCOL = Path(__file__).with_name("PROTOCOL.md")
 HARDWARE = FMEA.with_name("HARDWARE.md")
+PAGES = PROTOCOL, FMEA, HARDWARE
 WIRING = FMEA.parent / "boards" / "rp2040" / "wiring.toml"
 _SECTION = re.compile(r"<!-- generated: (\w+) -->\n.*?<!-- end -->", re.DOTALL)
 
@@ -190,7 +191,7 @@ def render(text: str) -> str:
 
 def fresh() -> dict[Path, str]:
     """Return every file that is made here, and what should stand in it."""
-    made = {page: render(page.read_text(encoding="utf-8")) for page in (PROTOCOL, FMEA, HARDWARE)}
+    made = {page: render(page.read_text(encoding="utf-8")) for page in PAGES}
     return made | {path: text() for path, text in FILES.items()}
 
 

@@ -17,6 +17,7 @@ from typing import Annotated, Any, ClassVar
 from annotated_types import Ge, Gt, Len
 
 import firmware_protocol
+from firmware_protocol.dictionary import SettingValue
 from rig.config.files import read_toml
 from rig.core.deferred import pydantic
 from rig.core.errors import ConfigError
@@ -26,8 +27,6 @@ from rig.core.quantity import STRICT
 FIRMWARE = Path(firmware_protocol.__file__).with_name("firmware")
 BOARDS = FIRMWARE / "boards"
 BOARD_FILE = "board.toml"
-
-SettingValue = int | float | str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -66,7 +66,7 @@ class BuildRequest:
     output
         Directory for the files.
     settings
-        Pins and scales that are not the board's defaults.
+        Pins and scales that are neither the rig's (`RigModel.board`) nor the board's defaults.
     application
         Which of the board's programs.
     """
@@ -173,7 +173,7 @@ def build(request: BuildRequest, on_progress: Progress = lambda _what, _share: N
     compiler = find_compiler()
     profile = amplifiers.load(request.model.amplifier.profile)
     usual = {name: value for name, value in profile.settings.items() if name in board.settings}
-    settings = settings_of(board, {**usual, **request.settings})
+    settings = settings_of(board, {**usual, **dict(request.model.board), **request.settings})
     check_scales(board, request.model, settings)
     sources = (*shared_sources(), *board.sources(request.application))
     config = configure(board, request.model, settings, package=package_version(), sources=sources_hash(board))
