@@ -8,7 +8,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from math import inf
 
-from rig.bench.firmware.boards import Board, SettingValue
+from firmware_protocol.dictionary import SettingValue
+from rig.bench.firmware.boards import Board
 from rig.config import amplifiers
 from rig.core.board import OVER_CURRENT_MARGIN
 from rig.core.errors import ConfigError

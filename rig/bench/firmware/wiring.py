@@ -11,7 +11,8 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from rig.bench.firmware.boards import Board, SettingValue
+from firmware_protocol.dictionary import SettingValue
+from rig.bench.firmware.boards import Board
 from rig.core.errors import ConfigError
 from rig.recording.files import whole_file
 
