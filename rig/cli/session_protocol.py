@@ -159,6 +159,7 @@ def _print_cells(plan: StudyPlan) -> None:
     for cell in plan.cells:
         table.add_row(*_cell(cell))
     notes = {f"{cell.condition}: {cell.expected.note}" for cell in plan.cells if cell.expected.note}
+    notes |= {f"{cell.condition}: fit {cell.fit} (not in the time above)" for cell in plan.cells if cell.fit}
     _show(table)
     for note in sorted(notes):
         click.echo(f"  {note}")

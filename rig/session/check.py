@@ -189,6 +189,7 @@ def _cells(protocol: Protocol, under: Sequence[Sequence[Experiment]]) -> Iterato
                 trials=known[key],
                 unstable_free=None if free is None else tuple(k for k in levels if k > free),
                 unstable_in_hand=None if held is None else tuple(k for k in levels if k > held[0]),
+                fit=condition.fit,
             )
 
 

@@ -28,6 +28,8 @@ class CellPlan:
     unstable_free, unstable_in_hand
         Levels that linear theory calls unstable when nobody holds the handle, and in one hand at least; None where it
         gives none.
+    fit
+        What somebody must fit to the rig for it, in a time of its own; empty for nothing.
     """
 
     condition: str
@@ -39,6 +41,7 @@ class CellPlan:
     trials: Trials
     unstable_free: tuple[float, ...] | None
     unstable_in_hand: tuple[float, ...] | None
+    fit: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

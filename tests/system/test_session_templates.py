@@ -21,9 +21,12 @@ def test_a_template_is_rehearsed_and_reported(
 ) -> None:
     path, out = tmp_path / "study.toml", tmp_path / "out"
     assert rig(["session", "new", str(path), "--template", name]) == 0
+    assert rig(["session", "check", str(path)]) == 0
+    planned = capsys.readouterr().out
+    for condition in load_protocol(path).condition:
+        assert f"{condition.name}: fit {condition.fit}" in planned or not condition.fit
     text = path.read_text().replace("[stop]\n", f"[stop]\ntrials = {TRIALS}\n")
     path.write_text(re.sub(r"\[practice\]\nstiffness = \[.*?\]", "[practice]\nstiffness = []", text))
-    capsys.readouterr()
     study = str(tmp_path / "study")
     assert rig(["session", "run", str(path), "P01", "--rehearse", "--study", study, "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
