@@ -13,7 +13,7 @@ from rig.config.problems import Problem, config_error
 from rig.config.table import schema_of
 from rig.core.errors import ConfigError
 from rig.core.sample import Motion
-from rig.session.conditions import Walls, base_experiment, broken_conditions
+from rig.session.conditions import ReachFor, Walls, base_experiment, broken_conditions
 from rig.session.protocol import Protocol
 from rig.session.rules import broken_rules, looks_like_a_name, settings_schema, spells_a_name
 
@@ -29,8 +29,10 @@ def load_protocol(path: str | Path) -> Protocol:
     return load_walls(path).protocol
 
 
-def load_walls(path: str | Path) -> Walls:
+def load_walls(path: str | Path, reach_for: ReachFor | None = None) -> Walls:
     """Read and check a protocol file; returns it with the experiment that it names, and its walls on that.
+
+    `reach_for` is of the walls: for who simulates a hand.
 
     Raises
     ------
@@ -47,7 +49,7 @@ def load_walls(path: str | Path) -> Walls:
         problems += [problem for problem in base if problem.key not in known]
     if problems or protocol is None or isinstance(base, list):
         raise config_error(problems, source)
-    walls = Walls(protocol, base)
+    walls = Walls(protocol, base, reach_for)
     broken = broken_conditions(walls)
     if broken:
         raise config_error(broken, source)

@@ -149,9 +149,8 @@ def run_session(
     RigError
         As `rig.session.conduct.conduct`.
     """
-    loaded = load_walls(protocol_file)
-    protocol, experiment = loaded.protocol, loaded.base
-    walls = Walls(protocol, experiment, _reach_for(runner))
+    walls = load_walls(protocol_file, _reach_for(runner))
+    protocol, experiment = walls.protocol, walls.base
     with plain_errors("read", protocol_file):
         text = protocol_file.read_bytes()
     place = study_directory(protocol, study, rehearsal=person is not None) / code

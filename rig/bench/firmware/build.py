@@ -192,8 +192,8 @@ def sources_hash(board: Board) -> str:
     """Fingerprint of everything that is compiled for a board, but for the rig: 12 hexadecimal digits."""
     digest = hashlib.sha256()
     directories = [*(FIRMWARE / part for part in SHARED), board.directory]
-    for path in sorted(path for directory in directories for path in directory.iterdir() if path.is_file()):
-        name = _in_tree(path, board).as_posix()
+    files = (path for directory in directories for path in directory.iterdir() if path.is_file())
+    for name, path in sorted((_in_tree(path, board).as_posix(), path) for path in files):
         digest.update(name.encode() + b"\0" + hashlib.sha256(path.read_bytes()).digest())
     return digest.hexdigest()[:12]
 
