@@ -73,6 +73,8 @@ def _constants() -> list[str]:
         _define("OLDEST_EDGE", m.OLDEST_EDGE, "age at which STATE.edge_time saturates"),
         _define("TRANSACTION_END", 0x40, "type ids below are answered"),
         _define("DEVICE_BIT", 1, "of a type id: sent by the device"),
+        _define("USB_VENDOR", m.USB_VENDOR),
+        _define("USB_PRODUCT", m.USB_PRODUCT),
         _define("BLOCK_LIMIT", BLOCK_LIMIT, "bytes of a parameter block"),
         _define("PARAMETER_BYTES", _ENTRY.size, "an entry of a block: id, value"),
         _define("FAULT_ENTRY_BYTES", FAULT_ENTRY_BYTES),

@@ -21,7 +21,8 @@ from firmware_protocol.wire import Wire
 MAJOR = 2
 MINOR = 0
 TIME_UNIT_NS = 62.5  # one unit of every u32 and u64 device time: 1/16 µs; u32 wraps after 268 s
-
+# pid.codes keeps 1209:0001 … 1209:0010 for tests and private use: a product that is sold needs its own pair.
+USB_VENDOR, USB_PRODUCT = 0x1209, 0x0001
 
 NO_COMMAND_YET = 0xFFFF  # STATE.command_age before the first COMMAND of a session
 OLDEST_EDGE = (

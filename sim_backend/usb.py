@@ -20,12 +20,12 @@ import threading
 import time
 from dataclasses import dataclass
 
+from firmware_protocol.messages import USB_PRODUCT, USB_VENDOR
 from rig.core.errors import ConfigError
 from rig.core.model import RigModel
 from sim_backend.device import SimulatedDevice
 from sim_backend.real_time import RealTime, sleep_until
 
-VENDOR, PRODUCT = 0x1209, 0x0001  # pid.codes keeps this pair for tests: no shipped device has it
 VENDOR_CLASS = 0xFF
 ENDPOINT_IN, ENDPOINT_OUT = 0x81, 0x01
 FULL_SPEED_PACKET, HIGH_SPEED_PACKET = 64, 512
@@ -46,8 +46,8 @@ _SETUP = struct.Struct("<BBHHH")
 class UsbShape:
     """The device's descriptors on USB."""
 
-    vendor: int = VENDOR
-    product: int = PRODUCT
+    vendor: int = USB_VENDOR
+    product: int = USB_PRODUCT
     serial: str = "0001"
     maker: str = "haptic-rig"
     name: str = "simulated rig"

@@ -17,6 +17,8 @@
 #define HR_OLDEST_EDGE 2147483647u /* age at which STATE.edge_time saturates */
 #define HR_TRANSACTION_END 64u /* type ids below are answered */
 #define HR_DEVICE_BIT 1u /* of a type id: sent by the device */
+#define HR_USB_VENDOR 4617u
+#define HR_USB_PRODUCT 1u
 #define HR_BLOCK_LIMIT 1024u /* bytes of a parameter block */
 #define HR_PARAMETER_BYTES 6u /* an entry of a block: id, value */
 #define HR_FAULT_ENTRY_BYTES 14u

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from firmware_protocol.messages import USB_PRODUCT, USB_VENDOR
 from rig.realtime.scheduling.refusals import GROUP, RULES_COMMAND, RULES_FILE
 
-RIGS = ((0x2E8A, 0x000A),)  # Raspberry Pi Pico with the firmware of this project
+RIGS = ((USB_VENDOR, USB_PRODUCT),)  # every board with the firmware of this project
 
 _HEAD = f"""\
 # haptic-rig: rules of the device manager for rigs.

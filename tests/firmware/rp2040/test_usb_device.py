@@ -10,6 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from rig.bench.doctor.udev import RIGS
 from tests.firmware.rp2040.usb_host import IN, PACKET, SETUP, Host, StallError, program
 
 RIG, PORT, NOTES = 1, 2, 3
@@ -54,7 +55,8 @@ def pairs(data: bytes) -> Iterator[bytes]:
 
 def test_a_host_finds_what_rig_looks_for(host: Host) -> None:
     device = host.descriptor(DEVICE)
-    assert struct.unpack_from("<HH", device, 8) == (0x1209, 0x0001)
+    (ids,) = RIGS  # those of the rules that rig doctor prints
+    assert struct.unpack_from("<HH", device, 8) == ids
     whole = host.descriptor(CONFIGURATION, length=4096)
     assert struct.unpack_from("<H", whole, 2)[0] == len(whole)
     head, *others = pairs(whole)

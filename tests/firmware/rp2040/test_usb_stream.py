@@ -13,7 +13,7 @@ from rig.config.derive import rig_model
 from rig.config.presets import load
 from tests.firmware.rp2040 import emulator
 from tests.firmware.rp2040.conftest import PRESET
-from tests.firmware.rp2040.usb_host import BOARD
+from tests.firmware.rp2040.usb_host import BOARD, CORE
 from tests.firmware.rp2040.usb_line import UsbLine
 
 STREAM_US = 40_000.0
@@ -41,7 +41,14 @@ def image(tmp_path_factory: pytest.TempPathFactory) -> Path:
         *(f for name in PORT_FILES for f in BOARD.glob(name)),
     ]
     elf, flat = place / "stream.elf", place / "stream.bin"
-    compiler = ["arm-none-eabi-gcc", *FLAGS, f"-I{place}", f"-I{BOARD}", f"-T{BOARD / 'rp2040.ld'}"]
+    compiler = [
+        "arm-none-eabi-gcc",
+        *FLAGS,
+        f"-I{place}",
+        f"-I{BOARD}",
+        f"-I{CORE}",
+        f"-T{BOARD / 'rp2040.ld'}",
+    ]
     for command in (
         [*compiler, "-o", str(elf), *map(str, sources)],
         ["arm-none-eabi-objcopy", "-O", "binary", str(elf), str(flat)],

@@ -14,7 +14,7 @@ from typing import Any, Self
 
 from tests.firmware import build
 
-BOARD = build.FIRMWARE / "boards" / "rp2040"
+BOARD, CORE = build.FIRMWARE / "boards" / "rp2040", build.FIRMWARE / "core"
 SOURCES = [Path(__file__).with_name("usb_controller.c"), *sorted(BOARD.glob("usb*.c"))]
 HEAD = struct.Struct("<cB3sxH")
 REPLY = struct.Struct("<cBH")
@@ -29,7 +29,9 @@ class StallError(Exception):
 
 def program(directory: Path) -> Path:
     """Compile the stack and the model of its controller."""
-    return build.compile_c(directory / "usb", SOURCES, [*build.ADDRESS, "-DUSB_ELSEWHERE", f"-I{BOARD}"])
+    return build.compile_c(
+        directory / "usb", SOURCES, [*build.ADDRESS, "-DUSB_ELSEWHERE", f"-I{BOARD}", f"-I{CORE}"]
+    )
 
 
 @dataclass(frozen=True)

@@ -3,15 +3,9 @@
 #include <stddef.h>
 #include <string.h>
 
+#include "protocol.h"
 #include "usb_endpoint.h"
 
-/* pid.codes keeps 1209:0001 … 1209:0010 for tests and private use: a product that is sold needs its own pair. */
-#ifndef HR_USB_VENDOR
-#define HR_USB_VENDOR 0x1209u
-#endif
-#ifndef HR_USB_PRODUCT
-#define HR_USB_PRODUCT 0x0001u
-#endif
 #define RELEASE 0x0100u
 
 enum kind {
