@@ -80,6 +80,8 @@ class Board:
         Of its boot ROM; None when it takes no UF2.
     drive
         Board-ID of the boot ROM's drive, as in its INFO_UF2.TXT.
+    sealed_behind
+        The image's last word is the CRC-32 of all that lies between so many bytes and it; None: it has none.
     settings
         By name.
     reserved_pins
@@ -101,6 +103,7 @@ class Board:
     ram: Memory
     uf2_family: int | None
     drive: str
+    sealed_behind: int | None
     settings: Mapping[str, Setting]
     reserved_pins: Mapping[int, str]
 
@@ -157,6 +160,7 @@ def load(name: str) -> Board:
         ram=Memory(**content["ram"]),
         uf2_family=content.get("uf2_family"),
         drive=content.get("drive", ""),
+        sealed_behind=content.get("sealed_behind"),
         settings={key: _setting(key, entry) for key, entry in content.get("settings", {}).items()},
         reserved_pins={int(pin): use for pin, use in content.get("reserved_pins", {}).items()},
     )

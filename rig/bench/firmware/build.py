@@ -19,7 +19,7 @@ from typing import Any
 
 from rig.bench.firmware.board_config import BoardConfig, configure
 from rig.bench.firmware.boards import FIRMWARE, Board, load, settings_of
-from rig.bench.firmware.elf import Segment, flat, read_segments
+from rig.bench.firmware.elf import Segment, flat, read_segments, sealed
 from rig.bench.firmware.toolchain import Compiler, find_compiler
 from rig.bench.firmware.uf2 import write_uf2
 from rig.core.errors import ConfigError, RecordingError, ToolchainError
@@ -226,7 +226,8 @@ def _compiled(
     flags = [*board.processor, "-mthumb", *board.compile, *LINK, f"-L{here}", *board.link]
     compiler.run([*flags, *script, "-o", "program.elf", *objects, "-lm"], scratch)
     on_progress("linking", 1.0)
-    return (scratch / "program.elf").read_bytes()
+    content = (scratch / "program.elf").read_bytes()
+    return content if board.sealed_behind is None else sealed(content, board.sealed_behind)
 
 
 def _written(

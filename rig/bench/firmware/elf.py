@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
+from zlib import crc32
 
 from rig.bench.firmware.uf2 import Piece
 from rig.core.errors import ConfigError
@@ -15,15 +16,26 @@ MAGIC = b"\x7fELF\x01\x01"  # 32 bits, little-endian
 _LOAD = 1  # type of a segment that is put into memory
 _HEADER = struct.Struct("<16sHHIIIIIHHHHHH")
 _SEGMENT = struct.Struct("<8I")
+_WORD = struct.Struct("<I")
 
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """Bytes of the file at their load address, and where and how long they stand in memory when the program runs."""
+    """Bytes of the file from `offset` on, at their load address, and where and how long they stand in memory."""
 
+    offset: int
     load: Piece
     address: int
     memory_bytes: int
+
+
+def sealed(content: bytes, behind: int) -> bytes:
+    """Return a program whose last loaded word is the CRC-32 of its image, from so many bytes on up to that word."""
+    segments = read_segments(content, "the new program")
+    image = flat(tuple(segment.load for segment in segments if segment.load.data))
+    last = max((segment for segment in segments if segment.load.data), key=lambda one: one.load.address)
+    at = last.offset + len(last.load.data) - _WORD.size
+    return content[:at] + _WORD.pack(crc32(image[behind : -_WORD.size])) + content[at + _WORD.size :]
 
 
 def is_elf(content: bytes) -> bool:
@@ -45,7 +57,7 @@ def read_segments(content: bytes, name: str) -> tuple[Segment, ...]:
         if len(data) != file_bytes:
             raise ConfigError(f"{name} is a damaged program: it ends early", remedy="build it again")
         if kind == _LOAD and memory_bytes:
-            found.append(Segment(Piece(load, data), address, memory_bytes))
+            found.append(Segment(offset, Piece(load, data), address, memory_bytes))
     return tuple(sorted(found, key=lambda segment: segment.load.address))
 
 

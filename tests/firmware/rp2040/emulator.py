@@ -33,7 +33,8 @@ CLOCK_HZ = 200_000_000
 PLANT_STEP_S = 2e-6
 INSTALL_S = 60.0
 SLICE_US = 200.0
-START_US = 3_000.0  # from power-up to a device that listens
+START_US = 14_000.0  # from power-up to a device that listens
+WATCHDOG_US = 40_000.0
 FULL_SCALE_A = 10.0
 MONITOR_V_PER_A = 0.165
 PINS = {
@@ -147,11 +148,19 @@ def _ended(process: subprocess.Popen[str]) -> None:
 class Pico:
     """The emulated board; leave its context to end the process."""
 
-    def __init__(self, model: RigModel, image: Path, *, position: float | None = None) -> None:
+    def __init__(
+        self,
+        model: RigModel,
+        image: Path,
+        *,
+        position: float | None = None,
+        start_us: float = START_US,
+        **power: Any,
+    ) -> None:
         self._process = _started()
         self._ticks = Ticks(*[np.zeros(0, dtype=np.int64)] * 7)
-        self.ask("power", image=str(image), pins=PINS, motor=motor_of(model, position))
-        self.run(START_US)
+        self.ask("power", image=str(image), pins=PINS, motor=motor_of(model, position), **power)
+        self.run(start_us)
 
     def __enter__(self) -> Self:
         return self

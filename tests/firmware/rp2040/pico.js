@@ -14,6 +14,16 @@ const EXCEPTION_RETURN = 13;
 const TICK_EXCEPTION = 16 + 4; // PWM_IRQ_WRAP
 const BOOT2_BYTES = 256;
 const BOOT2_AT = 0x20041f00; // where the boot ROM puts it (RP2040 data sheet, 2.8.1.3.1)
+/* As much of the boot ROM as the program asks for (2.8.3): where its table and its search are; the search, which knows
+ * reset_to_usb_boot alone; and that, which stands still. */
+const BOOT_ROM = { 0x14: 0x0080, 0x18: 0x0041, 0x40: 0x42914a02, 0x44: 0x2061d101, 0x48: 0xe7fe4770, 0x4c: 0x4255, 0x60: 0xe7fe };
+const USB_BOOT = 0x60;
+const FLASH_AT = 0x10000000;
+const FLASH_ENDS = 0x11000000;
+const LINE_BYTES = 8; // of the flash's cache
+const WORD_BITS = 64; // on the flash's line for a word of 32: command, address, data
+const SSI_BAUD = 0x14;
+const REGULATES_NS = 50000;
 const PIO_RESTS = 32; // cycles after an edge in which the state machines have come to rest
 const GUARD_LOOP = 3; // cycles of the only machine that never waits
 const PIO_INSTRUCTIONS = [0xd8, 0xf0, 0x108, 0x120];
@@ -33,9 +43,11 @@ class Quiet {
 }
 
 class Pico {
-  /* `image`: the flash; `pins`: which GPIO is what, as in board.toml. */
-  constructor(image, pins) {
+  /* `image`: the flash; `pins`: which GPIO is what, as in board.toml; `waits`: whether flash and crystal take their time, which
+   * is most of a boot. */
+  constructor(image, pins, waits = false) {
     this.image = image;
+    this.waits = waits;
     this.pins = pins;
     this.complaints = new Map(); // of the emulator: what it does not know
     this.resets = 0;
@@ -60,11 +72,11 @@ class Pico {
     chip.sram.fill(0xa5); // as found after power-up: anything
     this.uart = new Uart(chip);
     chip.uart[0] = chip.peripherals[0x40034] = this.uart;
-    this.regulator = { 0: 0xb1 }; // 1.10 V, on (data sheet 2.10.6)
-    chip.peripherals[0x40064] = {
-      readUint32: (offset) => this.regulator[offset] || 0,
-      writeUint32Atomic: (offset, value) => (this.regulator[offset] = value),
-    };
+    chip.clkSys = chip.roscFreq;
+    for (const [at, word] of Object.entries(BOOT_ROM)) chip.bootrom[at / 4] = word;
+    this.powerSupply();
+    this.stall = 0; // cycles that an instruction has waited for the flash
+    if (this.waits) this.takeTime();
     this.watchdog = chip.peripherals[0x40058];
     this.watchdog.reason = reason;
     if (scratch) this.watchdog.scratchData.set(scratch);
@@ -85,6 +97,67 @@ class Pico {
     this.clear();
     chip.gpio[this.pins.sync_out].addListener((state) => this.syncChanged(state));
     this.boot();
+  }
+
+  /* The regulator (data sheet 2.10.6), which a reset of the chip leaves alone: 1.10 V, on; in regulation a while after
+   * each change. When it was changed last before the processor became fast, and what for. */
+  powerSupply() {
+    const { chip } = this;
+    const regulator = (this.regulator = this.regulator || { value: 0xb1 });
+    regulator.changed = this.elapsed;
+    chip.peripherals[0x40064] = {
+      readUint32: () => regulator.value | (this.now - regulator.changed > REGULATES_NS ? 0x1000 : 0),
+      writeUint32Atomic: (offset, value) => {
+        regulator.value = value;
+        regulator.changed = this.now;
+      },
+    };
+    this.settled = 0;
+    chip.addClockListener((frequency) => {
+      if (frequency > chip.xoscFreq) this.settled = this.now - regulator.changed;
+    });
+  }
+
+  /* The crystal is stable when its delay is over (2.16.3), and what the cache has not read yet takes its bits on the flash's
+   * line, at the processor's clock divided by BAUDR. */
+  takeTime() {
+    const { chip } = this;
+    const oscillator = chip.peripherals[0x40024];
+    const write = oscillator.writeUint32.bind(oscillator);
+    const read = oscillator.readUint32.bind(oscillator);
+    let ready = 0;
+    oscillator.writeUint32 = (offset, value) => {
+      if (offset === 0) ready = this.now + ((oscillator.startup * 256) / chip.xoscFreq) * 1e9;
+      write(offset, value);
+    };
+    oscillator.readUint32 = (offset) => {
+      oscillator.stable = oscillator.enabled && this.now >= ready;
+      return read(offset);
+    };
+    let divider = 1;
+    const flash = chip.peripherals[0x18000];
+    const writeFlash = flash.writeUint32.bind(flash);
+    flash.writeUint32 = (offset, value) => {
+      if (offset === SSI_BAUD) divider = value;
+      writeFlash(offset, value);
+    };
+    const cached = new Set();
+    for (const name of ['readUint32', 'readUint16', 'readUint8']) {
+      const from = chip[name].bind(chip);
+      chip[name] = (address) => {
+        if (address >= FLASH_AT && address < FLASH_ENDS) {
+          const line = Math.floor(address / LINE_BYTES);
+          if (!cached.has(line)) this.stall += (LINE_BYTES / 4) * WORD_BITS * divider;
+          cached.add(line);
+        }
+        return from(address);
+      };
+    }
+  }
+
+  /* Whether the boot ROM shows its drive. */
+  get inBootloader() {
+    return this.chip.core.PC === USB_BOOT;
   }
 
   /* What the boot ROM does with a flash that it accepts. */
@@ -250,6 +323,8 @@ class Pico {
       cycles = core.executeInstruction();
       const after = core.IPSR;
       if (before !== after) cycles += this.excepted(before, after, cycles);
+      cycles += this.stall;
+      this.stall = 0;
     }
     const from = this.now;
     const nanos = 1e9 / chip.clkSys;

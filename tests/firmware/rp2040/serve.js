@@ -12,8 +12,8 @@ let motor = null;
 const movesUntil = () => (pico.edges.length > 0 ? pico.edges[pico.edges.length - 1].at : pico.now);
 
 const commands = {
-  power({ image, pins, motor: description }) {
-    pico = new Pico(fs.readFileSync(image), pins);
+  power({ image, pins, motor: description, waits }) {
+    pico = new Pico(fs.readFileSync(image), pins, waits);
     motor = new Motor(pico, description);
     pico.onSteps = (now) => motor.upTo(now);
     return {};
@@ -84,7 +84,10 @@ const commands = {
       complaints: Object.fromEntries(pico.complaints),
       vtor: pico.chip.core.VTOR,
       clock: pico.chip.clkSys,
-      regulator: pico.regulator[0],
+      regulator: pico.regulator.value,
+      settled: pico.settled,
+      crystal_delay: pico.chip.peripherals[0x40024].startup,
+      bootloader: pico.inBootloader,
     };
   },
   /* Every tick since the last question. */

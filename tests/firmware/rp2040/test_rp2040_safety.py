@@ -8,10 +8,10 @@ import pytest
 
 from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault, Input
+from tests.firmware.rp2040.emulator import START_US, WATCHDOG_US
 from tests.firmware.rp2040.session import Session
 
 Powered = Callable[..., Session]
-WATCHDOG_US = 40_000.0
 
 
 def running(session: Session, current: int = 300) -> None:
@@ -43,7 +43,7 @@ def test_the_watchdog_drops_enable_and_the_device_says_why_it_is_back(powered: P
     assert look["resets"] == 1
     assert not look["enabled"]
     assert look["duty"] == 0.0
-    session.pico.run(5_000.0)
+    session.pico.run(START_US)
     assert not session.pico.look()["enabled"]
     session.connect()
     state = session.host.next_state()

@@ -9,16 +9,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rig.bench.firmware.elf import flat, read_segments, sealed
 from rig.config.derive import rig_model
 from rig.config.presets import load
 from tests.firmware.rp2040 import emulator
 from tests.firmware.rp2040.conftest import PRESET
+from tests.firmware.rp2040.test_rp2040_image import BOOT2_BYTES
 from tests.firmware.rp2040.usb_host import BOARD, CORE
 from tests.firmware.rp2040.usb_line import UsbLine
 
 STREAM_US = 40_000.0
 FRAME_BYTES, SAMPLES = 254, 45  # BATCH's longest, with the measured current
-PORT_FILES = ("boot2.S", "start.S", "exceptions.c", "clocks.c", "timekeeping.c", "usb*.c")
+PORT_FILES = ("boot2.S", "start.S", "image.c", "exceptions.c", "clocks.c", "timekeeping.c", "usb*.c")
 FLAGS = (
     *("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Werror", "-O2", "-mcpu=cortex-m0plus", "-mthumb"),
     *("-ffunction-sections", "-nostartfiles", "--specs=nano.specs", "--specs=nosys.specs", "-Wl,--gc-sections"),
@@ -40,7 +42,7 @@ def image(tmp_path_factory: pytest.TempPathFactory) -> Path:
         Path(__file__).with_name("usb_stream.c"),
         *(f for name in PORT_FILES for f in BOARD.glob(name)),
     ]
-    elf, flat = place / "stream.elf", place / "stream.bin"
+    elf, bin_ = place / "stream.elf", place / "stream.bin"
     compiler = [
         "arm-none-eabi-gcc",
         *FLAGS,
@@ -49,13 +51,12 @@ def image(tmp_path_factory: pytest.TempPathFactory) -> Path:
         f"-I{CORE}",
         f"-T{BOARD / 'rp2040.ld'}",
     ]
-    for command in (
-        [*compiler, "-o", str(elf), *map(str, sources)],
-        ["arm-none-eabi-objcopy", "-O", "binary", str(elf), str(flat)],
-    ):
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, done.stderr
-    return flat
+    command = [*compiler, "-o", str(elf), *map(str, sources)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    content = sealed(elf.read_bytes(), BOOT2_BYTES)
+    bin_.write_bytes(flat(tuple(s.load for s in read_segments(content, "stream") if s.load.data)))
+    return bin_
 
 
 @pytest.mark.parametrize("rate", [20_000, 50_000])

@@ -41,9 +41,7 @@ void tick_interrupt(void)
 
 int main(void)
 {
-    clocks_release(RESET_IO_BANK0 | RESET_PADS_BANK0);
-    clocks_start();
-    clocks_release(RESET_DMA | RESET_PWM | RESET_TIMER);
+    clocks_release(RESET_IO_BANK0 | RESET_PADS_BANK0 | RESET_DMA | RESET_PWM | RESET_TIMER);
     GPIO_CONTROL(BOARD_SYNC_OUT_PIN) = GPIO_SIO;
     SIO_DRIVE_SET = 1u << BOARD_SYNC_OUT_PIN;
     usb_start(1);

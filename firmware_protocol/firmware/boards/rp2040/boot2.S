@@ -2,8 +2,8 @@
  * checks their CRC and calls them there. They set the flash interface up for the plain read command, 03h with a 24-bit
  * address, which every serial flash has, so that the flash can be read as memory; then the program starts.
  *
- * Slow and sure: the flash is read once, when the program is copied to RAM, before any clock is set. The boot's clock
- * is the ring oscillator's, some MHz, of which the flash gets a quarter; every flash does that. */
+ * Slow and sure: the flash gets an eighth of the processor's clock, 25 MHz at most, which every flash takes for that
+ * command. It is read once, when the program is copied to RAM. */
     .syntax unified
     .cpu cortex-m0plus
     .thumb
@@ -24,7 +24,7 @@ boot2:
     ldr r0, =SSI
     movs r1, #0
     str r1, [r0, #SSI_SSIENR] /* off: only then may it be changed */
-    movs r2, #4
+    movs r2, #8
     str r2, [r0, #SSI_BAUDR]
     ldr r2, =(31 << 16) | (3 << 8) /* one line, words of 32 bits, reading as from an EEPROM */
     str r2, [r0, #SSI_CTRLR0]
@@ -48,4 +48,4 @@ boot2:
     .ltorg
 
     .org 252
-    .word 0x573A5463 /* CRC-32 of the 252 bytes before, polynomial 0x04C11DB7, nothing reflected or inverted at the end; tested */
+    .word 0xF7E1C9EF /* CRC-32 of the 252 bytes before, polynomial 0x04C11DB7, nothing reflected or inverted at the end; tested */

@@ -1,23 +1,18 @@
 #include "clocks.h"
 
 #include "registers.h"
+#include "start.h"
 
-/* 2.16.3: 47 · 256 cycles of 12 MHz are 1 ms, in which the crystal gets going. */
-#define CRYSTAL_START_DELAY 47u
+/* 2.16.3: 47 · 256 cycles of 12 MHz are 1 ms. Slow crystals take several, so that the maker's SDK waits six. */
+#define CRYSTAL_START_DELAY (6u * 47u)
 #define CRYSTAL_MHZ 12u
+#define SETTLES_US 1000u
 
 /* 2.10.2: 1.15 V. Raspberry Pi has certified 200 MHz at that voltage (release notes of its SDK 2.1.1, 2025-02-19). */
 #define VOLTS_1_15 0xCu
 
-void clocks_release(uint32_t blocks)
-{
-    CLEAR_BITS(RESETS) = blocks;
-    while ((RESETS_DONE & blocks) != blocks)
-        continue;
-}
-
 /* 2.18.2: 12 MHz · feedback / (first · second). */
-static void start_pll(uint32_t pll, uint32_t feedback, uint32_t first, uint32_t second)
+AT_START static void start_pll(uint32_t pll, uint32_t feedback, uint32_t first, uint32_t second)
 {
     PLL_CONTROL(pll) = 1; /* the crystal, not divided */
     PLL_FEEDBACK(pll) = feedback;
@@ -28,11 +23,23 @@ static void start_pll(uint32_t pll, uint32_t feedback, uint32_t first, uint32_t 
     CLEAR_BITS(pll + PLL_POWER) = PLL_POWER_POST_DIVIDERS;
 }
 
-void clocks_start(void)
+#ifdef BOARD_CLOCK_200MHZ
+/* The processor runs on the crystal here. A crystal that runs already, as behind a watchdog's reset or the boot ROM's
+ * own, gives the regulator no time by itself. 2.10.6: the voltage is in regulation; then a millisecond more. */
+AT_START static void wait_for_regulator(void)
+{
+    while (!(REGULATOR & REGULATOR_IN_REGULATION))
+        continue;
+    for (uint32_t turns = SETTLES_US * CRYSTAL_MHZ / 3u; turns > 0; turns--)
+        __asm volatile("" ::: "memory"); /* a turn takes three cycles at least */
+}
+#endif
+
+AT_START void clocks_start(void)
 {
     CLOCK_RESUSCITATION = 0;
 #ifdef BOARD_CLOCK_200MHZ
-    REGULATOR = VOLTS_1_15 << 4 | REGULATOR_ON; /* it settles while the crystal starts */
+    REGULATOR = VOLTS_1_15 << 4 | REGULATOR_ON;
 #endif
     CRYSTAL_STARTUP = CRYSTAL_START_DELAY;
     CRYSTAL_CONTROL = CRYSTAL_ENABLE_1_TO_15_MHZ;
@@ -46,6 +53,9 @@ void clocks_start(void)
     while (!(CLOCK_REFERENCE_SELECTED & (1u << REFERENCE_FROM_CRYSTAL)))
         continue;
     CLOCK_REFERENCE_DIVIDER = CLOCK_DIVIDED_BY_ONE;
+#ifdef BOARD_CLOCK_200MHZ
+    wait_for_regulator();
+#endif
     SET_BITS(RESETS) = RESET_PLL_SYS | RESET_PLL_USB;
     clocks_release(RESET_PLL_SYS | RESET_PLL_USB);
 #ifdef BOARD_CLOCK_200MHZ

@@ -5,6 +5,7 @@
 #include <stdint.h>
 
 #include "board_config.h"
+#include "registers.h"
 
 /* Of the processor and all that hangs on its bus. */
 #ifdef BOARD_CLOCK_200MHZ
@@ -13,10 +14,15 @@
 #define CLOCK_HZ 125000000u
 #endif
 
-/* Start the crystal, the processor's clock, 48 MHz for USB and ADC, 1 MHz for timer and watchdog. */
+/* Start the crystal, the processor's clock, 48 MHz for USB and ADC, 1 MHz for timer and watchdog. Runs from the flash. */
 void clocks_start(void);
 
-/* Take blocks (RESET_… bits) out of reset. */
-void clocks_release(uint32_t blocks);
+/* Take blocks (RESET_… bits) out of reset. For callers in flash and in RAM alike. */
+static inline __attribute__((always_inline)) void clocks_release(uint32_t blocks)
+{
+    CLEAR_BITS(RESETS) = blocks;
+    while ((RESETS_DONE & blocks) != blocks)
+        continue;
+}
 
 #endif

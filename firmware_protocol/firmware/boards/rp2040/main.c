@@ -172,9 +172,8 @@ static void converse(void)
 
 int main(void)
 {
-    clocks_release(RESET_IO_BANK0 | RESET_PADS_BANK0);
-    clocks_start();
-    clocks_release(RESET_DMA | RESET_PIO0 | RESET_PWM | RESET_ADC | RESET_TIMER | RESET_UART0);
+    clocks_release(RESET_IO_BANK0 | RESET_PADS_BANK0 | RESET_DMA | RESET_PIO0 | RESET_PWM | RESET_ADC | RESET_TIMER
+                   | RESET_UART0);
     const bool bitten = reset_by_watchdog();
     amplifier_start();
     pins_start();

@@ -34,6 +34,7 @@
 /* 2.10.6 Regulator of the core's voltage */
 #define REGULATOR REGISTER(0x40064000u)
 #define REGULATOR_ON 1u
+#define REGULATOR_IN_REGULATION (1u << 12)
 
 /* 2.15.7 Clocks */
 #define CLOCKS 0x40008000u

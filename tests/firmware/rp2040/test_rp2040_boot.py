@@ -1,0 +1,56 @@
+"""From power-up to a device that listens: what the image waits for, how long it takes, and what it refuses to start."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from rig.bench.firmware.build import BuildResult
+from rig.config.derive import rig_model
+from rig.config.presets import load
+from tests.firmware.rp2040.conftest import PRESET
+from tests.firmware.rp2040.emulator import START_US, WATCHDOG_US, Pico
+from tests.firmware.rp2040.session import Session
+
+BOOT_S = 0.2
+CRYSTAL_DELAY_S = 6e-3  # of the maker's SDK
+SETTLES_NS = 1e6
+
+
+def test_it_listens_within_a_fifth_of_a_second(built: BuildResult) -> None:
+    model = rig_model(load(PRESET))
+    with Pico(model, built.bin, start_us=BOOT_S * 1e6, waits=True) as pico:
+        first = float(pico.ticks().came[0]) * 1e-9
+    print(f"the first tick comes {first * 1e3:.1f} ms after power-up")
+    assert first < BOOT_S
+
+
+def test_the_crystal_and_the_regulator_get_their_time_whoever_has_reset_the_chip(
+    powered: Callable[..., Session],
+) -> None:
+    pico = powered().pico
+    for resets in range(2):
+        look = pico.look()
+        assert look["resets"] == resets
+        assert look["crystal_delay"] * 256 / 12e6 >= CRYSTAL_DELAY_S
+        assert look["clock"] == 200_000_000
+        assert look["settled"] >= SETTLES_NS, "from its last change to the fast clock"
+        pico.ask("hang")
+        pico.run(WATCHDOG_US + START_US)
+
+
+@pytest.mark.parametrize("place", [0x800, 0x9000, -5, -1])
+def test_an_image_with_a_flipped_bit_shows_the_boot_roms_drive_and_drives_nothing(
+    built: BuildResult, tmp_path: Path, place: int
+) -> None:
+    image = bytearray(built.bin.read_bytes())
+    image[place] ^= 0x10
+    broken = tmp_path / "broken.bin"
+    broken.write_bytes(image)
+    with Pico(rig_model(load(PRESET)), broken) as pico:
+        look = pico.look()
+        assert look["bootloader"]
+        assert not look["enabled"]
+        assert len(pico.ticks().at) == 0
