@@ -74,7 +74,7 @@ class Fault(Described):
     )
     TICK_OVERRUN = (
         6,
-        "the device did not finish a tick within its period",
+        "the device did not finish a tick within its period, or missed two in succession",
         "lower position_rate, or take a law in integers (estimator fdm-butterworth-fixed), which is faster than "
         "float32 on a board without floating point; then clear the fault",
     )
@@ -99,7 +99,11 @@ class Fault(Described):
         "the device's hardware watchdog reset it",
         "configure, home and verify again; report it",
     )
-    INTERNAL = 12, "the device found itself inconsistent", "restart the device; report it with its fault log"
+    INTERNAL = (
+        12,
+        "the device found itself inconsistent, or its main loop stood still for 20 ms",
+        "restart the device; report it with its fault log",
+    )
     BATCH_OVERFLOW = (
         13,
         "a count difference did not fit its batch layout",
@@ -131,6 +135,11 @@ class LimitFlag(DescribedFlag):
         "position not confirmed: the count stayed on two neighbours for longer than confirm_ms under effort, which "
         "fades out",
         "leave the wall; if it does not come back, check the encoder and its cable",
+    )
+    MISSED_TICKS = (
+        256,
+        "more than ten ticks missed within a second",
+        "lower position_rate, or find what keeps the board's processor",
     )
 
 

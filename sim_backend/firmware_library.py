@@ -82,7 +82,7 @@ class Status(ctypes.Structure):
         ("due", ctypes.c_uint64),
         *(
             (name, ctypes.c_uint32)
-            for name in ("sample_index", "rate", "cuts", "feeds", "dropped", "frames_driven")
+            for name in ("sample_index", "rate", "cuts", "feeds", "bite_us", "dropped", "frames_driven")
         ),
         ("current", ctypes.c_int32),
         *((name, ctypes.c_uint8) for name in ("state", "session", "fault", "enabled")),
@@ -117,7 +117,6 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "host_tell": (None, [_P]),
     "host_tick": (None, [_P]),
     "host_tick_alone": (None, [_P]),
-    "host_missed": (None, [_P, _U32]),
     "host_fault": (None, [_P, _U8]),
     "host_receive": (None, [_P, ctypes.c_char_p, _N]),
     "host_poll": (_N, [_P, ctypes.c_char_p, _N]),

@@ -367,14 +367,12 @@ static void tick(struct fuzz *fuzz)
         count = below(10) ? (int32_t)below(200) - 100 : (int32_t)(chance() >> 33) - (1 << 30);
     const uint8_t inputs = (uint8_t)(below(500) ? HR_INPUT_HOLD_TO_RUN : below(256));
     const int16_t measured = (int16_t)(below(300) ? host->current : (int32_t)below(65536) - 32768);
-    const uint64_t late = below(100) ? 0 : below(1000000);
+    const uint64_t late = below(100) ? 0 : below(below(10) ? 2u * host->device.period : 1000000u);
     host_set_world(host, host->device.due + late, count, below(2) ? host->time : 0, measured, inputs);
     host_set_clock(host, host->time, below(2000) ? 0 : below(20000));
     if (!below(5000))
         host_fail_encoder(host);
     host_tick(host);
-    if (!below(5000))
-        host_missed(host, below(100));
     take_all(fuzz);
     host_set_room(host, below(50) ? HR_HOST_OUTPUT_BYTES : below(300));
 }

@@ -18,6 +18,7 @@ from firmware_protocol.transfer import set_parameters
 from firmware_protocol.wire import FORMATS
 from rig.core.model import RigModel
 from sim_backend.firmware import Core, FirmwareDevice
+from sim_backend.safety import UNITS_PER_SECOND
 from tests.conformance.host import RUN_PARAMETERS
 from tests.conformance.rigs import rotary_rig, unmeasured
 
@@ -168,6 +169,7 @@ class Board(Supervisor):
             library, unmeasured(model or rotary_rig(effort_limit=10.0)), law_maximum=law_maximum, **options
         )
         self.count, self.measured, self.inputs, self.late = 0, 0, 0, 0
+        self.missed = 0  # ticks before the next one
         self.fed: list[Sample] = []  # what the board saw and had active at each tick
         self.core.start()
 
@@ -176,9 +178,9 @@ class Board(Supervisor):
 
     def tick(self) -> None:
         status = self.core.status
-        self.library.host_set_world(
-            self.core.address, status.due + self.late, self.count, 0, self.measured, self.inputs
-        )
+        time = status.due + self.late + self.missed * UNITS_PER_SECOND // status.rate
+        self.missed = 0
+        self.library.host_set_world(self.core.address, time, self.count, 0, self.measured, self.inputs)
         self.strike()
         self.fed.append(Sample(self.core.status.sample_index, self.count, status.current, self.measured))
         self.take(self.core.take())

@@ -11,7 +11,7 @@ import pytest
 from firmware_protocol import messages as m
 from firmware_protocol.connection import Connection, Received, State
 from firmware_protocol.dictionary import decode
-from firmware_protocol.faults import Fault, Status
+from firmware_protocol.faults import Fault, LimitFlag, Status
 from firmware_protocol.framing import ENCODED_LIMIT
 from firmware_protocol.header import CORE, FILES
 from firmware_protocol.messages import Message, Role
@@ -20,7 +20,7 @@ from firmware_protocol.parameters import BY_NAME, encode_block
 from firmware_protocol.transfer import set_parameters
 from rig.core.model import RigModel
 from sim_backend.firmware import Core
-from sim_backend.safety import BUDGET, HEAT, configure_heat, flat, warm
+from sim_backend.safety import BUDGET, HEAT, UNITS_PER_SECOND, configure_heat, flat, warm
 from tests.conformance.host import RUN_PARAMETERS
 from tests.conformance.rigs import rotary_rig, unmeasured
 
@@ -46,11 +46,11 @@ class Board:
             assert isinstance(event, Received)
             yield event.message
 
-    def tick(self, current: int | None = None) -> m.State | None:
-        """Let the timer strike; a COMMAND comes before, if one is given."""
+    def tick(self, current: int | None = None, missed: int = 0) -> m.State | None:
+        """Let the timer strike, once more for each missed tick; a COMMAND comes before, if one is given."""
         if current is not None:
             self.core.receive(self.host.send(m.Command(0, 20_000, 0, 0, current)))
-        time = self.core.status.due + self.late
+        time = self.core.status.due + self.late + missed * UNITS_PER_SECOND // self.core.status.rate
         self.library.host_set_world(
             self.core.address, time, self.count, self.edge_time, self.measured, self.inputs
         )
@@ -166,13 +166,80 @@ def test_a_tick_longer_than_its_period_is_an_overrun(library: ctypes.CDLL) -> No
 def test_missed_ticks_are_counted_and_show_as_lost_states(library: ctypes.CDLL) -> None:
     board = Board(library).begin()
     before = seen(board.tick(10))
-    board.library.host_missed(board.core.address, 7)
+    state = seen(board.tick(10, missed=1))
+    assert (state.missed_ticks, state.sample_index) == (1, before.sample_index + 2)
+    assert (state.device_time - before.device_time) & 0xFFFFFFFF == 2 * PERIOD
+    assert board.host.statistics.lost == 1
+    assert state.fault == Fault.NONE
+
+
+def test_a_tick_that_is_only_late_is_none_that_was_missed(library: ctypes.CDLL) -> None:
+    board = Board(library).begin()
+    before = seen(board.tick(10))
+    board.late = PERIOD - 1
     state = seen(board.tick(10))
-    assert (state.missed_ticks, state.sample_index) == (7, before.sample_index + 8)
-    assert (state.device_time - before.device_time) & 0xFFFFFFFF == 8 * PERIOD
-    assert board.host.statistics.lost == 7
-    board.library.host_missed(board.core.address, 70_000)
-    assert seen(board.tick(10)).missed_ticks == 0xFFFF
+    assert (state.missed_ticks, state.sample_index) == (0, before.sample_index + 1)
+
+
+def test_two_missed_ticks_in_succession_end_an_armed_run(library: ctypes.CDLL) -> None:
+    board = Board(library)
+    board.tick()
+    board.tick(missed=7)
+    assert board.core.status.fault == Fault.NONE, "a device that is not armed may take its time"
+    board.begin()
+    board.tick(100)
+    assert seen(board.tick(100)).current_commanded == 100
+    state = seen(board.tick(100, missed=2))
+    assert (state.missed_ticks, state.fault) == (2, Fault.TICK_OVERRUN)
+    assert (board.core.status.current, board.core.status.enabled) == (0, 0)
+
+
+def test_a_flag_says_when_more_than_ten_ticks_are_missed_within_a_second(library: ctypes.CDLL) -> None:
+    board = Board(library).begin()
+    board.tick(0)
+
+    def flags(missed: int) -> list[bool]:
+        return [bool(seen(board.tick(0, missed=missed)).limits & LimitFlag.MISSED_TICKS) for _ in range(10)]
+
+    assert flags(1) == [False] * 10
+    assert seen(board.tick(0)).limits == 0
+    assert seen(board.tick(0, missed=1)).limits & LimitFlag.MISSED_TICKS
+    for _ in range(RATE):
+        board.tick(0)
+    assert flags(1) == [False] * 10
+
+
+@pytest.mark.parametrize(
+    ("rate", "bite_us"), [(100, 50_000), (1_000, 5_000), (2_000, 2_500), (20_000, 2_000)]
+)
+def test_an_armed_device_lets_the_hardware_watchdog_bite_early(
+    library: ctypes.CDLL, rate: int, bite_us: int
+) -> None:
+    board = Board(library)
+    board.tick()
+    assert board.core.status.bite_us == 40_000
+    board.begin(position_rate=rate)
+    board.tick(0)
+    assert board.core.status.bite_us == bite_us
+    board.ask(m.Disarm(9, 0))
+    board.tick()
+    assert board.core.status.bite_us == 40_000
+
+
+def test_a_main_loop_that_stands_for_20_ms_ends_the_run_and_starves_the_watchdog(
+    library: ctypes.CDLL,
+) -> None:
+    board = Board(library).begin()
+    board.tick(100)
+    fed = board.core.status.feeds
+    for tick in range(1, RATE // 50 + 5):
+        world = (board.core.status.due, 0, 0, 0, 0)
+        board.library.host_set_world(board.core.address, *world)
+        board.library.host_tick_alone(board.core.address)
+        stands = tick > RATE // 50
+        status = board.core.status
+        assert (status.fault, status.enabled) == ((Fault.INTERNAL, 0) if stands else (Fault.NONE, 1))
+        assert status.feeds == fed + min(tick, RATE // 50)
 
 
 def test_a_timer_beside_the_grid_draws_the_grid_along(library: ctypes.CDLL) -> None:

@@ -16,7 +16,7 @@ BOARDS = {
     "cortex-m4f": ["-mcpu=cortex-m4", "-mthumb", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard"],
     "cortex-m7": ["-mcpu=cortex-m7", "-mthumb", "-mfpu=fpv5-d16", "-mfloat-abi=hard"],
 }
-CODE_LIMIT = 28 * 1024  # bytes of code and constants; an RP2040 has 264 KiB of memory
+CODE_LIMIT = 29 * 1024  # bytes of code and constants; an RP2040 has 264 KiB of memory
 # What a core may ask of a C library: copying, three functions when a block of parameters comes, and a root for Levant's
 # estimator.
 LIBRARY = {"memcpy", "memset", "expm1", "sqrt", "ceil", "floor", "sqrtf"}

@@ -204,8 +204,7 @@ static struct refusal arm(struct device *device, const uint8_t *raw)
     if (refusal.status != HR_STATUS_OK)
         return refusal;
     device_begin_session(device);
-    device_cut(device);
-    device->hal->enable(device->hal->context, true);
+    device_switch_on(device);
     return refusal;
 }
 

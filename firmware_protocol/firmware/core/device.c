@@ -5,6 +5,13 @@
 #define UNITS_PER_SECOND (HR_TIME_UNITS_PER_US * 1000000u)
 #define UNARMED_STATES_A_SECOND 100u    /* enough to home by hand */
 #define SUPERVISED_STATES_A_SECOND 200u /* beside BATCH, which has every tick */
+#define IDLE_BITE_US 40000u             /* activating parameters may take some ms */
+#define ARMED_BITE_TICKS 5u             /* of the hardware watchdog: 5 ms at 1 kHz */
+#define SHORTEST_BITE_US 2000u
+#define LONGEST_BITE_US 50000u
+#define LIVELY_A_SECOND 50u             /* the main loop must come by within 20 ms, or so many ticks */
+#define LIVELY_TICKS 3u
+#define MISSED_A_SECOND 10u             /* beyond these a flag says so */
 #define FAULT(name) (UINT32_C(1) << HR_FAULT_##name)
 #define COMMANDED_PINS (HR_SYNC_TRIAL | HR_SYNC_INSIDE)
 
@@ -85,6 +92,7 @@ void device_begin_session(struct device *device)
         renderer_reset(&device->renderer);
     device->worst_execution_time = 0;
     device->missed_ticks = 0;
+    device->missed_lately = 0;
 }
 
 /* ------------------------------------------------------------------ parameters */
@@ -109,6 +117,8 @@ static void apply_rate(struct device *device, uint32_t rate)
     device->period_rest = UNITS_PER_SECOND % rate;
     device->due = device->time + device->period;
     device->due_rest = device->period_rest;
+    device->on_grid = false;
+    device->most_unpolled = rate / LIVELY_A_SECOND > LIVELY_TICKS ? rate / LIVELY_A_SECOND : LIVELY_TICKS;
 }
 
 bool device_apply(struct device *device, const struct candidate *candidate)
@@ -159,8 +169,18 @@ void device_cut(struct device *device)
     device->hal->set_current(device->hal->context, 0);
 }
 
+void device_switch_on(struct device *device)
+{
+    const uint32_t bite_us = ARMED_BITE_TICKS * 1000000u / device->rate;
+    device->bite_us = bite_us < SHORTEST_BITE_US ? SHORTEST_BITE_US
+                      : bite_us < LONGEST_BITE_US ? bite_us : LONGEST_BITE_US;
+    device_cut(device);
+    device->hal->enable(device->hal->context, true);
+}
+
 void device_switch_off(struct device *device)
 {
+    device->bite_us = IDLE_BITE_US;
     device_cut(device);
     device->hal->enable(device->hal->context, false);
     show_sync(device, device->sync & HR_SYNC_TICK);
@@ -489,12 +509,39 @@ void device_tell(struct device *device)
 
 /* ------------------------------------------------------------------ the tick of a board */
 
+/* The timer has gone on under a tick that came late. */
+static void miss(struct device *device, uint32_t ticks)
+{
+    if (device->missed_lately == 0 || device->sample_index - device->lately >= device->rate) {
+        device->lately = device->sample_index;
+        device->missed_lately = 0;
+    }
+    device->missed_ticks += ticks;
+    device->missed_lately += ticks;
+    if (device->missed_lately > MISSED_A_SECOND)
+        device->limits.flags |= HR_LIMIT_MISSED_TICKS;
+    for (uint32_t i = 0; i < ticks; i++) { /* the hardware watchdog lets them be two thousand at most */
+        device->time = device->due;
+        step_index(device);
+        if (device->connection.session != 0 && device->state_every == 1)
+            connection_skip(&device->connection, HR_INDEX_STATE);
+    }
+    if (ticks > 1 && device_is_armed(device))
+        latch(device, FAULT(TICK_OVERRUN));
+}
+
 void device_tick(struct device *device)
 {
     const struct hal *hal = device->hal;
     const uint64_t begun = hal->time(hal->context);
     show_sync(device, device->sync | HR_SYNC_TICK);
-    hal->feed_watchdog(hal->context);
+    if (device->on_grid && begun > device->due && begun - device->due >= device->period)
+        miss(device, (uint32_t)((begun - device->due) / device->period));
+    device->on_grid = true;
+    if (++device->unpolled <= device->most_unpolled)
+        hal->feed_watchdog(hal->context, device->bite_us);
+    else if (device_is_armed(device))
+        latch(device, FAULT(INTERNAL));
     device_sample(device);
     device_drive(device);
     tell(device);
@@ -504,17 +551,6 @@ void device_tick(struct device *device)
         device->worst_execution_time = (uint32_t)execution;
     if (device_is_armed(device) && execution > device->period)
         latch(device, FAULT(TICK_OVERRUN));
-}
-
-void device_missed(struct device *device, uint32_t ticks)
-{
-    device->missed_ticks += ticks;
-    for (uint32_t i = 0; i < ticks; i++) {
-        device->time = device->due;
-        step_index(device);
-        if (device->connection.session != 0 && device->state_every == 1)
-            connection_skip(&device->connection, HR_INDEX_STATE);
-    }
 }
 
 /* ------------------------------------------------------------------ commands */

@@ -61,10 +61,13 @@ struct device {
     uint32_t state_every;  /* ticks between STATEs of a session */
     uint32_t state_due;    /* ticks until the next one */
     uint32_t worst_execution_time, missed_ticks; /* since arming */
+    uint32_t bite_us;      /* of the hardware watchdog */
+    uint32_t unpolled, most_unpolled; /* ticks since the main loop came by, and how many it may take */
     struct told_tick tick;
     int16_t driven;        /* active current since the last sample (quanta) */
     uint16_t command_age;  /* ticks; saturates */
     uint16_t limits_acted; /* since the last STATE */
+    bool on_grid;          /* a tick has come since the rate was set: the next one's time is known */
     bool supervised;       /* by the active command */
     bool needs_hold;
     uint8_t fault_told;    /* by the last STATE */
@@ -92,6 +95,7 @@ struct device {
     struct packet state_packet;
     uint64_t received_at; /* when the bytes came that are being taken */
     uint32_t command_lifetime_us, supervise_lifetime_us, ramp;
+    uint32_t missed_lately, lately; /* ticks missed within a second, and the sample with which that began */
 };
 
 /* After power-up, with a struct of zeroes: in BOOT, at the board's initial rate. `hal` and `board` must live as
@@ -101,8 +105,9 @@ void device_start(struct device *device, const struct hal *hal, const struct boa
 /* Start again as after a reset that left the memory alone: the motor's heat and the link counters stay. */
 void device_restart(struct device *device);
 
-/* One tick of a board: sample, drive, tell; and food for the hardware watchdog. What is to be sent waits for
- * device_poll. */
+/* One tick of a board: sample, drive, tell; and food for the hardware watchdog, as long as device_poll comes by. What is to
+ * be sent waits for device_poll. Ticks that were missed before it are counted by its
+ * time; two in succession end an armed run. */
 void device_tick(struct device *device);
 
 /* The parts of a tick, for a caller that lets time pass between them, as a simulation does: it drives, lets the world
@@ -114,9 +119,6 @@ void device_tell(struct device *device);   /* BATCH, STATE, the ring of ticks be
 /* Whether something waits to be sent; send all of it, at once. */
 bool device_is_sending(const struct device *device);
 void device_flush(struct device *device);
-
-/* Ticks passed that could not be worked on. */
-void device_missed(struct device *device, uint32_t ticks);
 
 /* Whether device_poll has something to do even when no byte comes: an excitation to work out, parameters to change. */
 bool device_is_preparing(const struct device *device);
@@ -148,7 +150,8 @@ void device_begin_session(struct device *device);
 /* Zero current now, regardless of the slew limit. */
 void device_cut(struct device *device);
 
-/* Cut, and switch the amplifier off. */
+/* Cut, and switch the amplifier on: from here on the hardware watchdog bites early. Or off. */
+void device_switch_on(struct device *device);
 void device_switch_off(struct device *device);
 
 /* The law on the device runs no longer: what BATCH has not sent yet leaves. */

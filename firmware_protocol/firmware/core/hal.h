@@ -37,8 +37,8 @@ struct hal {
     size_t (*link_read)(void *context, uint8_t *into, size_t capacity);
     bool (*link_write)(void *context, const uint8_t *frame, size_t count);
 
-    /* The hardware watchdog, of 50 ms at most: fed by the tick alone. */
-    void (*feed_watchdog)(void *context);
+    /* The hardware watchdog, fed by the tick alone: it bites after so long (µs) unless it is fed again, 50 ms at most. */
+    void (*feed_watchdog)(void *context, uint32_t bite_us);
 
     /* Pins, bits of enum hr_sync: an oscilloscope shows rate, jitter and load, and what happens when. Called when they
      * change; low before. */

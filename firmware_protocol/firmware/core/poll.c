@@ -30,6 +30,7 @@ static size_t take_bytes(struct device *device)
 size_t device_poll(struct device *device)
 {
     size_t count = 0;
+    device->unpolled = 0;
     if (!device_send_some(device, HR_BYTES_A_POLL)) {
         if (device_is_changing(device))
             answer_more(device);

@@ -250,6 +250,7 @@ enum hr_limit {
     HR_LIMIT_RAMPING = 32,
     HR_LIMIT_HOLD_TO_RUN_RELEASED = 64,
     HR_LIMIT_NOT_CONFIRMED = 128,
+    HR_LIMIT_MISSED_TICKS = 256,
 };
 
 enum hr_status {

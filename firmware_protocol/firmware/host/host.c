@@ -95,9 +95,11 @@ static bool hal_link_write(void *context, const uint8_t *frame, size_t count)
     return true;
 }
 
-static void hal_feed_watchdog(void *context)
+static void hal_feed_watchdog(void *context, uint32_t bite_us)
 {
-    host_of(context)->feeds++;
+    struct host *host = host_of(context);
+    host->feeds++;
+    host->bite_us = bite_us;
 }
 
 static void hal_sync(void *context, uint8_t bits)
@@ -257,12 +259,8 @@ void host_tick(struct host *host)
 {
     host_tick_alone(host);
     device_flush(&host->device);
+    host->device.unpolled = 0; /* the main loop turns, and there is nothing for it */
     be_idle(host);
-}
-
-void host_missed(struct host *host, uint32_t ticks)
-{
-    device_missed(&host->device, ticks);
 }
 
 void host_fault(struct host *host, uint8_t fault)
@@ -310,6 +308,7 @@ void host_status(const struct host *host, struct host_status *status)
     status->rate = host->rate;
     status->cuts = host->cuts;
     status->feeds = host->feeds;
+    status->bite_us = host->bite_us;
     status->dropped = host->dropped;
     status->frames_driven = host->frames_driven;
     status->current = host->current;

@@ -35,7 +35,7 @@ struct host {
     uint8_t sync; /* bits of enum hr_sync */
     uint64_t sync_time;
     uint32_t cuts; /* times that the current was taken away between two ticks */
-    uint32_t rate, feeds, syncs;
+    uint32_t rate, feeds, bite_us, syncs;
 
     /* The link. */
     const uint8_t *input;
@@ -65,6 +65,7 @@ struct host_status {
     uint32_t rate;
     uint32_t cuts;
     uint32_t feeds;
+    uint32_t bite_us;
     uint32_t dropped;
     uint32_t frames_driven;
     int32_t current;
@@ -100,7 +101,6 @@ void host_sample(struct host *host);
 void host_tell(struct host *host);
 void host_tick(struct host *host);
 void host_tick_alone(struct host *host); /* what is to be sent waits for host_poll, as on a board */
-void host_missed(struct host *host, uint32_t ticks);
 void host_fault(struct host *host, uint8_t fault);
 
 /* Hand all bytes in; take what the device has sent. */

@@ -54,11 +54,13 @@ const commands = {
     pico.showSwitches();
     return {};
   },
-  /* The processor stands still, as a crash would leave it: at a branch to itself, interrupts masked. */
-  hang() {
+  /* The processor stands still, as a crash would leave it: at a branch to itself, interrupts masked; or the main loop does,
+   * and interrupts come. */
+  hang({ interrupts = false }) {
     const { core } = pico.chip;
+    while (interrupts && (core.IPSR !== 0 || core.PM)) pico.step();
     pico.chip.sramView.setUint16(0x41000, 0xe7fe, true);
-    core.PM = true;
+    core.PM = !interrupts;
     core.PC = 0x20041000;
     core.IPSR = 0;
     return {};

@@ -14,9 +14,9 @@ from tests.firmware.rp2040.session import Session
 Powered = Callable[..., Session]
 
 
-def running(session: Session, current: int = 300) -> None:
+def running(session: Session, current: int = 300, position_rate: int = 5_000) -> None:
     """An armed device that gives a current (quanta)."""
-    session.configure(position_rate=5_000, window_minimum=-(2**31), window_maximum=2**31 - 1)
+    session.configure(position_rate=position_rate, window_minimum=-(2**31), window_maximum=2**31 - 1)
     session.arm()
     session.host.command(current)
     session.listen(0.002)
@@ -32,13 +32,16 @@ def test_nothing_is_driven_before_a_host_says_so(powered: Powered) -> None:
     assert look["duty"] == 0.0
 
 
-def test_the_watchdog_drops_enable_and_the_device_says_why_it_is_back(powered: Powered) -> None:
+@pytest.mark.parametrize(("rate", "bite_us"), [(1_000, 5_000.0), (20_000, 2_000.0)])
+def test_the_watchdog_drops_enable_and_the_device_says_why_it_is_back(
+    powered: Powered, rate: int, bite_us: float
+) -> None:
     session = powered()
-    running(session)
+    running(session, position_rate=rate)
     session.pico.ask("hang")
-    session.pico.run(WATCHDOG_US - 1_000.0)  # fed within the last tick
+    session.pico.run(bite_us - 1e6 / rate - 10.0)  # fed within the last tick
     assert session.pico.look()["resets"] == 0
-    session.pico.run(2_000.0)
+    session.pico.run(1e6 / rate + 20.0)
     look = session.pico.look()
     assert look["resets"] == 1
     assert not look["enabled"]
@@ -48,6 +51,20 @@ def test_the_watchdog_drops_enable_and_the_device_says_why_it_is_back(powered: P
     session.connect()
     state = session.host.next_state()
     assert (state.state, state.fault) == (State.FAULT, Fault.WATCHDOG_RESET)
+
+
+def test_a_main_loop_that_stands_still_ends_the_run_within_20_ms_and_the_watchdog_bites(
+    powered: Powered,
+) -> None:
+    session = powered()
+    running(session)
+    session.pico.ask("hang", interrupts=True)
+    session.pico.run(15_000.0)
+    assert session.pico.look()["enabled"], "the tick goes on, and the command lives"
+    session.pico.run(6_000.0)
+    assert not session.pico.look()["enabled"]
+    session.pico.run(WATCHDOG_US)
+    assert session.pico.look()["resets"] == 1
 
 
 def test_power_up_is_no_watchdog_reset(powered: Powered) -> None:

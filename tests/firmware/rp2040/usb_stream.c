@@ -30,7 +30,7 @@ static void fill(uint32_t number)
 
 void tick_interrupt(void)
 {
-    (void)tick_taken();
+    tick_taken();
     SIO_OUT_SET = 1u << BOARD_SYNC_OUT_PIN;
     for (uint32_t i = stream.turns; i > 0; i--)
         __asm volatile("nop");

@@ -139,9 +139,10 @@ static bool hal_link_write(void *context, const uint8_t *frame, size_t count)
     return true;
 }
 
-static void hal_feed_watchdog(void *context)
+static void hal_feed_watchdog(void *context, uint32_t bite_us)
 {
     (void)context;
+    (void)bite_us;
 }
 
 static void hal_sync(void *context, uint8_t bits)

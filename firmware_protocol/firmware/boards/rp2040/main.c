@@ -85,10 +85,10 @@ static bool hal_link_write(void *context, const uint8_t *frame, size_t count)
     return link_write(frame, count, frame >= begins && frame < begins + sizeof device);
 }
 
-static void hal_feed_watchdog(void *context)
+static void hal_feed_watchdog(void *context, uint32_t bite_us)
 {
     (void)context;
-    watchdog_feed_hardware();
+    watchdog_feed_hardware(bite_us);
 }
 
 static void hal_sync(void *context, uint8_t bits)
@@ -122,27 +122,11 @@ static const struct hal hal = {
 
 /* ------------------------------------------------------------------ the tick */
 
-static struct {
-    uint32_t rate;        /* that the core has set */
-    volatile bool polled; /* since the last tick */
-} grid;
-
-/* Ticks whose time passed while the conversation held the interrupt. */
-static void tell_missed(void)
-{
-    const uint64_t now = time_now();
-    if (now > device.due && now - device.due >= device.period)
-        device_missed(&device, (uint32_t)(now - device.due) / device.period);
-}
-
 void tick_interrupt(void)
 {
-    if (!tick_taken() && device.rate == grid.rate) /* under another rate there is no grid yet */
-        tell_missed();
-    grid.rate = device.rate;
+    tick_taken();
     device_tick(&device);
     link_pump();
-    grid.polled = false;
 }
 
 /* ------------------------------------------------------------------ the conversation */
@@ -160,13 +144,13 @@ static void unmask(void)
 /* The tick waits while the core takes bytes; so that happens behind a tick, where there is time. */
 static void converse(void)
 {
-    if (grid.polled && tick_cycles_left() < POLL_CYCLES)
+    const volatile uint32_t *unpolled = &device.unpolled; /* the tick counts it */
+    if (*unpolled == 0 && tick_cycles_left() < POLL_CYCLES)
         return;
     mask();
     time_look();
     device_poll(&device);
     link_pump();
-    grid.polled = true;
     unmask();
 }
 
@@ -183,7 +167,7 @@ int main(void)
     device_start(&device, &hal, &board_config);
     if (bitten)
         device_fault(&device, HR_FAULT_WATCHDOG_RESET);
-    watchdog_start();
+    watchdog_start(device.bite_us);
     tick_start();
     unmask();
     for (;;)

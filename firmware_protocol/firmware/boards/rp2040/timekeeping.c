@@ -18,7 +18,6 @@ static struct {
     uint32_t top;        /* counts of a period, rounded down, less one */
     uint32_t rest, rate; /* a period is top + 1 + rest / rate counts */
     uint32_t saved;      /* of rests, in 1 / rate */
-    uint32_t at, late;   /* the last tick; how much later one is late (µs) */
 } tick;
 
 /* ------------------------------------------------------------------ device time */
@@ -53,14 +52,9 @@ uint64_t time_now(void)
     return clock.now;
 }
 
-static void look_at(uint32_t coarse)
-{
-    clock.now += joined(PWM_COUNTER(TIME_SLICE), coarse) - (uint32_t)clock.now;
-}
-
 void time_look(void)
 {
-    look_at(REGISTER(TIMER_RAW_LOW));
+    clock.now += joined(PWM_COUNTER(TIME_SLICE), REGISTER(TIMER_RAW_LOW)) - (uint32_t)clock.now;
 }
 
 uint64_t time_of(uint32_t fine, uint32_t coarse)
@@ -100,7 +94,6 @@ bool tick_set_rate(uint32_t rate)
     tick.top = CLOCK_HZ / tick.rate - 1u;
     tick.rest = CLOCK_HZ % tick.rate;
     tick.saved = 0;
-    tick.late = 1500000u / rate;
     PWM_CONTROL(TICK_SLICE) = 0; /* what is written while it stands is active at once */
     PWM_DIVIDER(TICK_SLICE) = PWM_DIVIDED_BY(divider << 4);
     PWM_COUNTER(TICK_SLICE) = 0;
@@ -117,21 +110,16 @@ void tick_start(void)
     PWM_WRAPPED = 1u << TICK_SLICE;
     PWM_INTERRUPTS = 1u << TICK_SLICE;
     INTERRUPT_PRIORITY(INTERRUPT_PWM_WRAP / 4u) &= ~(UINT32_C(0xFF) << 8u * (INTERRUPT_PWM_WRAP % 4u)); /* the highest */
-    tick.at = REGISTER(TIMER_RAW_LOW);
     INTERRUPTS_FORGET = 1u << INTERRUPT_PWM_WRAP;
     INTERRUPTS_ENABLE = 1u << INTERRUPT_PWM_WRAP;
 }
 
-bool tick_taken(void)
+void tick_taken(void)
 {
-    const uint32_t now = REGISTER(TIMER_RAW_LOW);
-    const bool in_time = now - tick.at < tick.late;
-    tick.at = now;
-    look_at(now);
+    time_look();
     PWM_WRAPPED = 1u << TICK_SLICE;
     if (tick.rest != 0)
         PWM_TOP(TICK_SLICE) = next_top(); /* active from the next wrap on (4.5.2.3) */
-    return in_time;
 }
 
 uint32_t tick_cycles_left(void)

@@ -39,9 +39,8 @@ bool tick_set_rate(uint32_t rate);
 /* Let the interrupt come, not before a whole period. */
 void tick_start(void);
 
-/* In the interrupt: look at the clock, take the tick, and say how long the next period but one will be. False when it comes
- * so late that a tick may have been missed. */
-bool tick_taken(void);
+/* In the interrupt: look at the clock, take the tick, and say how long the next period but one will be. */
+void tick_taken(void);
 
 /* Cycles of the processor until the next tick is due; 0 when it waits already. */
 uint32_t tick_cycles_left(void);
