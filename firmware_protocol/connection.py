@@ -79,11 +79,13 @@ TRANSITIONS: dict[State, dict[type[Message], State]] = {
     State.IDENTIFIED: {
         **dict.fromkeys(_QUESTIONS + _SETTING, State.IDENTIFIED),
         m.SetCommit: State.CONFIGURED,
+        m.EnterBootloader: State.BOOT,
     },
     State.CONFIGURED: {
         **dict.fromkeys(_QUESTIONS + _SETTING, State.CONFIGURED),
         m.SetCommit: State.CONFIGURED,
         m.Arm: State.ARMED,
+        m.EnterBootloader: State.BOOT,
     },
     State.ARMED: {
         **dict.fromkeys(_QUESTIONS + _SETTING, State.ARMED),
@@ -100,6 +102,7 @@ TRANSITIONS: dict[State, dict[type[Message], State]] = {
     State.FAULT: {
         **dict.fromkeys(_QUESTIONS, State.FAULT),
         m.Disarm: State.CONFIGURED,  # only with CLEAR_FAULT: see Connection._objection
+        m.EnterBootloader: State.BOOT,
     },
 }
 

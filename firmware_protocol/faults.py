@@ -114,6 +114,11 @@ class Fault(Described):
         "the measured current is not the one that was set",
         "check motor leads, amplifier, its supply and the current sensor with its sign and scale; then clear the fault",
     )
+    PROCESSOR_STOPPED = (
+        15,
+        "the processor met an instruction or an address that it cannot use, and was reset",
+        "configure, home and verify again; report it with the place that STATISTICS tells",
+    )
 
 
 class LimitFlag(DescribedFlag):

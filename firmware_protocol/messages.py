@@ -228,7 +228,7 @@ class GetStatistics(Message):
 
 @dataclass(frozen=True, slots=True)
 class Statistics(Message):
-    """The device's counters of what it received (counters.py), each modulo 2³²."""
+    """The device's counters of what it received (counters.py), each modulo 2³²; and what had stopped it."""
 
     nonce: Nonce
     frames: Annotated[int, Wire("u32", "", "frames with a good CRC")]
@@ -242,6 +242,16 @@ class Statistics(Message):
     lost: Annotated[int, Wire("u32", "", "COMMANDs missing between two that came")]
     duplicated: Annotated[int, Wire("u32", "", "COMMANDs that came twice")]
     reordered: Annotated[int, Wire("u32", "", "COMMANDs older than one applied")]
+    stopped_at: Annotated[
+        int, Wire("u32", "", "address at which the processor stopped before its last reset; 0: it did not")
+    ]
+
+
+@dataclass(frozen=True, slots=True)
+class EnterBootloader(Message):
+    """Reset into the boot loader, which takes another program, shortly after the answer."""
+
+    nonce: Nonce
 
 
 @dataclass(frozen=True, slots=True)
@@ -330,6 +340,7 @@ MESSAGES: dict[int, type[Message]] = {
     0x13: FaultLog,
     0x14: GetStatistics,
     0x15: Statistics,
+    0x16: EnterBootloader,
     0x40: Command,
     0x41: State,
     0x61: Batch,

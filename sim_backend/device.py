@@ -322,6 +322,7 @@ class SimulatedDevice:
             m.SetCommit: lambda request, event: self._ack(event, *self._commit(request)),
             m.Arm: lambda request, event: self._ack(event, *self._arm(request)),
             m.Disarm: lambda _, event: self._ack(event, *self._disarm()),
+            m.EnterBootloader: lambda _, event: self._ack(event, Status.UNSUPPORTED),
         }
 
     def _ack(self, event: Received, status: Status, detail: int = 0) -> m.Ack:
@@ -335,8 +336,8 @@ class SimulatedDevice:
 
     def _statistics(self, request: m.GetStatistics) -> m.Statistics:
         counted = self.connection.statistics
-        values = {field.name: getattr(counted, field.name) & _U32 for field in fields(m.Statistics)[1:]}
-        return m.Statistics(request.nonce, **values)
+        values = {field.name: getattr(counted, field.name) & _U32 for field in fields(m.Statistics)[1:-1]}
+        return m.Statistics(request.nonce, **values, stopped_at=0)
 
     def _arm(self, request: m.Arm) -> tuple[Status, int]:
         configuration = self._configuration

@@ -88,6 +88,7 @@ class Status(ctypes.Structure):
         *((name, ctypes.c_uint8) for name in ("state", "session", "fault", "enabled")),
         ("counters", Counters),
         ("sync", ctypes.c_uint8),
+        ("left", ctypes.c_uint8),
     ]
 
 
@@ -117,6 +118,8 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "host_tell": (None, [_P]),
     "host_tick": (None, [_P]),
     "host_tick_alone": (None, [_P]),
+    "host_was_reset": (None, [_P, _U32]),
+    "host_let_leave": (None, [_P]),
     "host_fault": (None, [_P, _U8]),
     "host_receive": (None, [_P, ctypes.c_char_p, _N]),
     "host_poll": (_N, [_P, ctypes.c_char_p, _N]),

@@ -132,14 +132,15 @@ def info(source: str, as_json: bool) -> None:
     type=click.Path(path_type=Path, file_okay=False),
     help="Where the board's drive is mounted. [found]",
 )
+@click.option("--url", help="Device that shall show its drive first: it must not be armed.")
 @options.json_option
-def flash(image: Path, drive: Path | None, as_json: bool) -> None:
+def flash(image: Path, drive: Path | None, url: str | None, as_json: bool) -> None:
     """Copy an image (.uf2) to a board that shows its drive, and wait until the board has started it.
 
-    Hold BOOTSEL while you plug the board in: its drive appears. Motor power must be off.
+    Hold BOOTSEL while you plug the board in, or name the device with --url: its drive appears. Motor power must be off.
     """
     with output.Status(quiet=as_json) as status:
-        done = copy_image(image, drive, status.on_progress)
+        done = copy_image(image, drive, status.on_progress, url=url)
     if as_json:
         output.print_json(done)
         return

@@ -329,6 +329,14 @@ class FramedDevice:
         flags = int(m.DisarmFlag.CLEAR_FAULT) if clear_fault else 0
         self._command(m.Disarm(self._next_nonce(), flags))
 
+    def enter_bootloader(self) -> None:
+        """Have the device reset into its boot loader, 50 ms after its answer.
+
+        Raises `DeviceRefusedError` when it is armed or has none.
+        """
+        self.dictionary  # noqa: B018  (a device in BOOT knows IDENTIFY alone)
+        self._command(m.EnterBootloader(self._next_nonce()))
+
     # ------------------------------------------------------------------ asking
 
     def exchange_clock(self, exchanges: int = EXCHANGES, *, over_s: float = 0.0) -> NDArray[np.void]:

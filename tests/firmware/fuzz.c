@@ -395,7 +395,8 @@ static void fall_silent(struct fuzz *fuzz)
 /* Those that nothing in a simulated world can cause. */
 static void inject(struct fuzz *fuzz)
 {
-    const uint8_t faults[] = {HR_FAULT_NON_FINITE, HR_FAULT_WATCHDOG_RESET, HR_FAULT_INTERNAL, HR_FAULT_BATCH_OVERFLOW};
+    const uint8_t faults[] = {HR_FAULT_NON_FINITE, HR_FAULT_WATCHDOG_RESET, HR_FAULT_INTERNAL, HR_FAULT_BATCH_OVERFLOW,
+                              HR_FAULT_PROCESSOR_STOPPED};
     host_fault(fuzz->host, faults[below(sizeof faults)]);
 }
 

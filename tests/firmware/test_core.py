@@ -11,6 +11,7 @@ import pytest
 from firmware_protocol import messages as m
 from firmware_protocol.connection import Connection, Received, State
 from firmware_protocol.dictionary import decode
+from firmware_protocol.errors import LocalProtocolError
 from firmware_protocol.faults import Fault, LimitFlag, Status
 from firmware_protocol.framing import ENCODED_LIMIT
 from firmware_protocol.header import CORE, FILES
@@ -224,6 +225,35 @@ def test_an_armed_device_lets_the_hardware_watchdog_bite_early(
     board.ask(m.Disarm(9, 0))
     board.tick()
     assert board.core.status.bite_us == 40_000
+
+
+def test_it_enters_its_boot_loader_when_asked_and_not_armed(library: ctypes.CDLL) -> None:
+    board = Board(library)
+    board.ask(m.Identify(1, 0))
+    question = m.EnterBootloader(2)
+    assert board.ask(question).status == Status.UNSUPPORTED  # type: ignore[attr-defined]
+    library.host_let_leave(board.core.address)
+    board.begin()
+    with pytest.raises(LocalProtocolError, match="ARMED"):
+        board.ask(question)
+    board.ask(m.Disarm(9, 0))
+    assert board.ask(question).status == Status.OK  # type: ignore[attr-defined]
+    for _ in range(RATE // 20):
+        assert not board.core.status.left, "the answer has 50 ms to leave"
+        board.tick()
+        board.core.receive(b"\0")
+    assert board.core.status.left
+    assert board.core.status.state == State.BOOT
+
+
+def test_what_had_stopped_the_processor_is_told(library: ctypes.CDLL) -> None:
+    board = Board(library)
+    board.ask(m.Identify(1, 0))
+    for place, fault in ((0x2000_1234, Fault.PROCESSOR_STOPPED), (0, Fault.WATCHDOG_RESET)):
+        library.host_restart(board.core.address)
+        library.host_was_reset(board.core.address, place)
+        assert board.core.status.fault == fault
+        assert board.ask(m.GetStatistics(2)).stopped_at == place  # type: ignore[attr-defined]
 
 
 def test_a_main_loop_that_stands_for_20_ms_ends_the_run_and_starves_the_watchdog(

@@ -8,6 +8,9 @@
 /* Every transaction begins with its nonce. */
 #define AT_NONCE HR_HEADER_BYTES
 
+/* What the answer to ENTER_BOOTLOADER has to reach the host: 50 ms. */
+#define LEAVES_AFTER (50000u * HR_TIME_UNITS_PER_US)
+
 static uint16_t nonce_of(const uint8_t *raw)
 {
     return get_u16(raw + AT_NONCE);
@@ -106,6 +109,7 @@ static void tell_statistics(struct device *device, const uint8_t *request)
     put_u32(raw + HR_AT_STATISTICS_LOST, counters->lost);
     put_u32(raw + HR_AT_STATISTICS_DUPLICATED, counters->duplicated);
     put_u32(raw + HR_AT_STATISTICS_REORDERED, counters->reordered);
+    put_u32(raw + HR_AT_STATISTICS_STOPPED_AT, device->stopped_at);
     device_send(device, &packet);
 }
 
@@ -224,6 +228,14 @@ static struct refusal disarm(struct device *device)
     return refusal;
 }
 
+static struct refusal enter_bootloader(struct device *device)
+{
+    const struct refusal refusal = {device->hal->enter_bootloader != NULL ? HR_STATUS_OK : HR_STATUS_UNSUPPORTED, 0};
+    if (refusal.status == HR_STATUS_OK)
+        device->leaves_at = device->time + LEAVES_AFTER;
+    return refusal;
+}
+
 static struct refusal execute(struct device *device, const uint8_t *raw, size_t count)
 {
     const struct refusal unsupported = {HR_STATUS_UNSUPPORTED, 0};
@@ -238,6 +250,8 @@ static struct refusal execute(struct device *device, const uint8_t *raw, size_t 
         return arm(device, raw);
     case HR_TYPE_DISARM:
         return disarm(device);
+    case HR_TYPE_ENTER_BOOTLOADER:
+        return enter_bootloader(device);
     default:
         return unsupported;
     }

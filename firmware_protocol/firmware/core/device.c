@@ -57,6 +57,7 @@ void device_restart(struct device *device)
     device->remembered.there = false;
     device->live_change.step = LIVE_NOTHING;
     device->configuration.homed = false;
+    device->leaves_at = 0;
     device->sample_index = 0;
     device->time = device->hal->time(device->hal->context);
     device->received_at = device->time;
@@ -198,6 +199,12 @@ void device_fault(struct device *device, uint8_t fault)
     if (fault == HR_FAULT_ENCODER)
         device->configuration.homed = false;
     latch(device, UINT32_C(1) << fault);
+}
+
+void device_was_reset(struct device *device, uint32_t stopped_at)
+{
+    device->stopped_at = stopped_at;
+    device_fault(device, stopped_at != 0 ? HR_FAULT_PROCESSOR_STOPPED : HR_FAULT_WATCHDOG_RESET);
 }
 
 /* ------------------------------------------------------------------ driving */

@@ -94,6 +94,8 @@ struct device {
     struct faults faults;
     struct packet state_packet;
     uint64_t received_at; /* when the bytes came that are being taken */
+    uint64_t leaves_at;   /* for the boot loader; 0: it stays */
+    uint32_t stopped_at;  /* where the processor stopped before its last reset, or 0 */
     uint32_t command_lifetime_us, supervise_lifetime_us, ramp;
     uint32_t missed_lately, lately; /* ticks missed within a second, and the sample with which that began */
 };
@@ -129,6 +131,9 @@ bool device_is_armed(const struct device *device);
 
 /* The port has found a fault (enum hr_fault): zero effort from here on, FAULT latched. */
 void device_fault(struct device *device, uint8_t fault);
+
+/* The hardware watchdog has reset the board; before that the processor had stopped at an address, or 0. */
+void device_was_reset(struct device *device, uint32_t stopped_at);
 
 /* ------------------------------------------------------------------ for what takes the host's requests */
 

@@ -40,6 +40,9 @@ struct hal {
     /* The hardware watchdog, fed by the tick alone: it bites after so long (µs) unless it is fed again, 50 ms at most. */
     void (*feed_watchdog)(void *context, uint32_t bite_us);
 
+    /* Reset into the boot loader, which takes another program; NULL: there is none. */
+    void (*enter_bootloader)(void *context);
+
     /* Pins, bits of enum hr_sync: an oscilloscope shows rate, jitter and load, and what happens when. Called when they
      * change; low before. */
     void (*sync)(void *context, uint8_t bits);

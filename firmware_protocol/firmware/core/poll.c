@@ -37,6 +37,8 @@ size_t device_poll(struct device *device)
         else
             count = take_bytes(device);
     }
+    if (device->leaves_at != 0 && device->time >= device->leaves_at)
+        device->hal->enter_bootloader(device->hal->context);
     if (device_is_preparing(device))
         renderer_prepare(&device->renderer, HR_POLL_COSINES);
     return count;

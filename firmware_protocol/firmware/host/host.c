@@ -109,6 +109,11 @@ static void hal_sync(void *context, uint8_t bits)
     host->sync = bits;
 }
 
+static void hal_enter_bootloader(void *context)
+{
+    host_of(context)->left = true;
+}
+
 static uint64_t hal_sync_time(void *context)
 {
     return host_of(context)->sync_time;
@@ -263,6 +268,16 @@ void host_tick(struct host *host)
     be_idle(host);
 }
 
+void host_let_leave(struct host *host)
+{
+    host->hal.enter_bootloader = hal_enter_bootloader;
+}
+
+void host_was_reset(struct host *host, uint32_t stopped_at)
+{
+    device_was_reset(&host->device, stopped_at);
+}
+
 void host_fault(struct host *host, uint8_t fault)
 {
     device_fault(&host->device, fault);
@@ -318,4 +333,5 @@ void host_status(const struct host *host, struct host_status *status)
     status->enabled = host->enabled;
     status->counters = device->connection.counters;
     status->sync = host->sync;
+    status->left = host->left;
 }

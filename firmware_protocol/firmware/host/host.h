@@ -31,7 +31,7 @@ struct host {
 
     /* What the device did to it. */
     int16_t current;
-    bool enabled, driving;
+    bool enabled, driving, left;
     uint8_t sync; /* bits of enum hr_sync */
     uint64_t sync_time;
     uint32_t cuts; /* times that the current was taken away between two ticks */
@@ -75,6 +75,7 @@ struct host_status {
     uint8_t enabled;
     struct counters counters;
     uint8_t sync;
+    uint8_t left; /* for the boot loader */
 };
 
 size_t host_bytes(void);
@@ -102,6 +103,8 @@ void host_tell(struct host *host);
 void host_tick(struct host *host);
 void host_tick_alone(struct host *host); /* what is to be sent waits for host_poll, as on a board */
 void host_fault(struct host *host, uint8_t fault);
+void host_was_reset(struct host *host, uint32_t stopped_at);
+void host_let_leave(struct host *host); /* it has a boot loader */
 
 /* Hand all bytes in; take what the device has sent. */
 void host_receive(struct host *host, const uint8_t *bytes, size_t count);

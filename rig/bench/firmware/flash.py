@@ -1,7 +1,8 @@
 """Put an image onto a board whose boot ROM shows itself as a drive.
 
-The board's BOOTSEL button, held while it is plugged in, makes the boot ROM show a small drive with a file INFO_UF2.TXT.
-A UF2 that is copied there is written into the flash, and the board starts it and takes the drive away.
+The board's BOOTSEL button, held while it is plugged in, makes the boot ROM show a small drive with a file INFO_UF2.TXT;
+so does a request to firmware of this project that runs there. A UF2 that is copied to the drive is written into the
+flash, and the board starts it and takes the drive away.
 """
 
 from __future__ import annotations
@@ -20,11 +21,13 @@ from rig.bench.firmware.elf import flat
 from rig.bench.firmware.record import Record, find
 from rig.bench.firmware.uf2 import FAMILIES, RP2040, is_uf2, read_uf2
 from rig.core.errors import ConfigError, DeviceNotFoundError, LinkLostError
+from rig.devices import open_device
 
 INFO_FILE = "INFO_UF2.TXT"
 # Board-ID of a boot ROM → families that it takes. RP2040 data sheet, section 2.8.4.1.
 FAMILY_OF_DRIVE = {"RPI-RP2": RP2040, "RP2350": 0xE48BFF59}
 VANISH_S = 20.0  # from the last byte to the drive's end; a Pico takes less than one
+APPEAR_S = 20.0  # from the request to a drive that is mounted
 _LOOK_S = 0.05
 _CHUNK = 64 * 1024
 HOLD = "hold BOOTSEL while the board is plugged in, wait for its drive to appear, and start the command again"
@@ -55,7 +58,11 @@ class FlashResult:
 
 
 def flash(
-    image: Path, drive: Path | None = None, on_progress: Progress = lambda _what, _share: None
+    image: Path,
+    drive: Path | None = None,
+    on_progress: Progress = lambda _what, _share: None,
+    *,
+    url: str | None = None,
 ) -> FlashResult:
     """Copy an image to a board's drive, and wait until the board has taken it and started it.
 
@@ -67,17 +74,26 @@ def flash(
         Where the boot ROM's drive is; None finds it.
     on_progress
         Called with what is being done and the share of it that is done.
+    url
+        A device that shall show its drive first: it must not be armed.
 
     Raises
     ------
     ConfigError
         The file is not an image, or for another processor or board.
     DeviceNotFoundError
-        No board shows its drive, or several do.
+        No board shows its drive, or several do; or there is no device at the URL.
+    DeviceRefusedError
+        The device is armed, or has no boot loader.
     LinkLostError
         The board did not take the image.
     """
     content, record = read_image(image)
+    if url is not None:
+        _check_kind(image, content)
+        with open_device(url) as device:
+            device.enter_bootloader()
+        _wait_for_drive(drive, on_progress)
     target = _only(find_drives()) if drive is None else drive_at(drive)
     _check_family(image, content, target)
     _check_board(image, record, target)
@@ -170,11 +186,15 @@ def _unmounted() -> Path | None:
     return next((labels / name for name in FAMILY_OF_DRIVE if (labels / name).exists()), None)
 
 
-def _check_family(image: Path, content: bytes, drive: Drive) -> None:
+def _check_kind(image: Path, content: bytes) -> None:
     if not is_uf2(content):
         raise ConfigError(
             f"{image} is not a UF2 file", remedy="flash the .uf2 that rig firmware build made beside it"
         )
+
+
+def _check_family(image: Path, content: bytes, drive: Drive) -> None:
+    _check_kind(image, content)
     family = read_uf2(content, str(image)).family
     wanted = FAMILY_OF_DRIVE.get(drive.board_id)
     if wanted is None:
@@ -230,6 +250,14 @@ def _is_there(drive: Drive) -> bool:
         return (drive.path / INFO_FILE).exists()
     except OSError:
         return False
+
+
+def _wait_for_drive(drive: Path | None, on_progress: Progress) -> None:
+    """Wait for the drive to appear, which the system mounts; what then is there or not says `flash`."""
+    deadline = time.monotonic() + APPEAR_S
+    while not (find_drives() if drive is None else _drive(drive)) and time.monotonic() < deadline:
+        on_progress("waiting for the board's drive", 1.0 - (deadline - time.monotonic()) / APPEAR_S)
+        time.sleep(_LOOK_S)
 
 
 def _wait_until_gone(drive: Drive, on_progress: Progress) -> None:

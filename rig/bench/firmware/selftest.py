@@ -186,12 +186,14 @@ def _rig(device: FramedDevice, request: SelfTestRequest) -> Check:
 def _fault_memory(device: FramedDevice, _request: SelfTestRequest) -> Check:
     device.identify()  # brings its state
     report = device.fault_report()
+    stopped_at = device.statistics().stopped_at
+    place = f", at {stopped_at:#010x}" if stopped_at else ""
     if not _is_faulty(device):
         return ok(f"nothing is latched, {len(report.entries)} ticks are logged")
     device.disarm(clear_fault=True)
     if _is_faulty(device):
         return refused(f"{report.text} stays latched", report.remedy)
-    return ok(f"{report.name} was latched by an earlier run ({report.text}) and is now cleared")
+    return ok(f"{report.name} was latched by an earlier run ({report.text}{place}) and is now cleared")
 
 
 def _is_faulty(device: FramedDevice) -> bool:

@@ -65,6 +65,14 @@ const commands = {
     core.IPSR = 0;
     return {};
   },
+  /* An instruction of the main program cannot be executed: HardFault. Returns where that was. */
+  crash() {
+    const { core } = pico.chip;
+    while (core.IPSR !== 0) pico.step();
+    const at = core.PC;
+    core.exceptionEntry(3);
+    return { at };
+  },
   look() {
     const most = motor.most;
     motor.most = 0;

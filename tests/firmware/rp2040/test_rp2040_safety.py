@@ -6,8 +6,9 @@ from collections.abc import Callable
 
 import pytest
 
+from firmware_protocol import messages as m
 from firmware_protocol.connection import State
-from firmware_protocol.faults import Fault, Input
+from firmware_protocol.faults import Fault, Input, Status
 from tests.firmware.rp2040.emulator import START_US, WATCHDOG_US
 from tests.firmware.rp2040.session import Session
 
@@ -51,6 +52,26 @@ def test_the_watchdog_drops_enable_and_the_device_says_why_it_is_back(
     session.connect()
     state = session.host.next_state()
     assert (state.state, state.fault) == (State.FAULT, Fault.WATCHDOG_RESET)
+
+
+def test_a_crash_drops_enable_at_once_and_its_place_is_told_behind_the_reset(powered: Powered) -> None:
+    session = powered()
+    running(session)
+    at = session.pico.ask("crash")["at"]
+    session.pico.run(10.0)
+    assert not session.pico.look()["enabled"]
+    session.pico.run(WATCHDOG_US + START_US)
+    session.connect()
+    state = session.host.next_state()
+    assert (state.state, state.fault) == (State.FAULT, Fault.PROCESSOR_STOPPED)
+    assert session.host.ask(m.GetStatistics(session.host.nonce())).stopped_at == at
+
+
+def test_a_board_that_is_not_armed_shows_its_drive_when_asked(powered: Powered) -> None:
+    session = powered()
+    assert session.host.ask(m.EnterBootloader(session.host.nonce())).status == Status.OK
+    session.listen(0.1)
+    assert session.pico.look()["bootloader"]
 
 
 def test_a_main_loop_that_stands_still_ends_the_run_within_20_ms_and_the_watchdog_bites(

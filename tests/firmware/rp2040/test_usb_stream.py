@@ -20,7 +20,16 @@ from tests.firmware.rp2040.usb_line import UsbLine
 
 STREAM_US = 40_000.0
 FRAME_BYTES, SAMPLES = 254, 45  # BATCH's longest, with the measured current
-PORT_FILES = ("boot2.S", "start.S", "image.c", "exceptions.c", "clocks.c", "timekeeping.c", "usb*.c")
+PORT_FILES = (
+    "boot2.S",
+    "start.S",
+    "image.c",
+    "reset.c",
+    "exceptions.c",
+    "clocks.c",
+    "timekeeping.c",
+    "usb*.c",
+)
 FLAGS = (
     *("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Werror", "-O2", "-mcpu=cortex-m0plus", "-mthumb"),
     *("-ffunction-sections", "-nostartfiles", "--specs=nano.specs", "--specs=nosys.specs", "-Wl,--gc-sections"),

@@ -1,6 +1,7 @@
 """Flashing by copying to the drive of a boot ROM; the drive is a directory here."""
 
 import errno
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from rig.bench.firmware import flash as flashing
 from rig.bench.firmware.flash import Drive, drive_at, find_drives, flash
 from rig.bench.firmware.record import ImageFacts, Record, pack
 from rig.bench.firmware.uf2 import RP2040, Piece, write_uf2
-from rig.core.errors import ConfigError, DeviceNotFoundError, LinkLostError
+from rig.core.errors import ConfigError, DeviceNotFoundError, DeviceRefusedError, LinkLostError
 
 DICTIONARY = dictionaries.build(device="mine", firmware="1", simulated=False, current_quantum_a=0.001)
 FACTS = ImageFacts(package="0.1", sources="abc", board="a pico", rig="mine", settings={})
@@ -55,6 +56,32 @@ def test_the_image_is_copied_and_the_board_starts(image: Any, drive: Any) -> Non
         "mine",
         image.stat().st_size,
     )
+
+
+def test_a_device_that_runs_is_asked_for_its_drive(
+    image: Any, drive: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (drive / "INFO_UF2.TXT").unlink()
+    asked = []
+
+    class Device:
+        def enter_bootloader(self) -> None:
+            asked.append("asked")
+            (drive / "INFO_UF2.TXT").write_text(PICO)
+
+    monkeypatch.setattr(flashing, "open_device", lambda _url: nullcontext(Device()))
+
+    def step(what: str, _share: float) -> None:
+        if what == "waiting for the board to start":
+            (drive / "INFO_UF2.TXT").unlink()
+
+    done = flash(image, on_progress=step, url="usb://1209:0001")
+    assert (asked, done.drive) == (["asked"], drive)
+
+
+def test_a_device_without_a_boot_loader_says_so(image: Any, drive: Any) -> None:
+    with pytest.raises(DeviceRefusedError, match="does not know the request"):
+        flash(image, url="sim://koul-rigid")
 
 
 def test_a_drive_is_known_by_what_it_says(drive: Any) -> None:

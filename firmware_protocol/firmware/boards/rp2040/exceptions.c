@@ -3,6 +3,7 @@
 
 #include "board_config.h"
 #include "registers.h"
+#include "reset.h"
 
 typedef void (*handler)(void);
 
@@ -12,7 +13,7 @@ void tick_interrupt(void);
 void usb_interrupt(void);
 
 /* Something that cannot be: amplifier off, then nothing, until the watchdog bites. */
-static void stand_still(void)
+__attribute__((noreturn)) static void stand_still(void)
 {
     SIO_OUT_CLEAR = 1u << BOARD_ENABLE_PIN;
     __asm volatile("cpsid i" ::: "memory");
@@ -25,6 +26,22 @@ __attribute__((weak)) void usb_interrupt(void)
     stand_still();
 }
 
+/* HardFault, which has no cause of its own: the place says more. Called with where the processor would have gone on. */
+__attribute__((used, noreturn)) void hard_fault_at(uint32_t at)
+{
+    SIO_OUT_CLEAR = 1u << BOARD_ENABLE_PIN;
+    processor_stopped(at);
+    stand_still();
+}
+
+__attribute__((naked)) static void hard_fault(void)
+{
+    __asm volatile("ldr r0, [sp, #24]\n" /* of the frame that the processor has laid down: B1.5.6 */
+                   "ldr r1, =hard_fault_at\n"
+                   "bx r1\n"
+                   ".ltorg");
+}
+
 #define S stand_still
 
 __attribute__((section(".vectors"), used)) static const struct {
@@ -33,7 +50,7 @@ __attribute__((section(".vectors"), used)) static const struct {
     handler interrupts[32];
 } vectors = {
     .stack = &stack_top,
-    .exceptions = {start, S, S, S, S, S, S, S, S, S, S, S, S, S, S},
+    .exceptions = {start, S, hard_fault, S, S, S, S, S, S, S, S, S, S, S, S},
     .interrupts =
         {
             S, S, S, S, tick_interrupt, usb_interrupt, S, S, /* 4: PWM_IRQ_WRAP, 5: USBCTRL_IRQ */

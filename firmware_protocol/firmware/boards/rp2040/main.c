@@ -91,6 +91,12 @@ static void hal_feed_watchdog(void *context, uint32_t bite_us)
     watchdog_feed_hardware(bite_us);
 }
 
+static void hal_enter_bootloader(void *context)
+{
+    (void)context;
+    reset_to_bootloader();
+}
+
 static void hal_sync(void *context, uint8_t bits)
 {
     (void)context;
@@ -116,6 +122,7 @@ static const struct hal hal = {
     .link_read = hal_link_read,
     .link_write = hal_link_write,
     .feed_watchdog = hal_feed_watchdog,
+    .enter_bootloader = hal_enter_bootloader,
     .sync = hal_sync,
     .sync_time = hal_sync_time,
 };
@@ -158,7 +165,8 @@ int main(void)
 {
     clocks_release(RESET_IO_BANK0 | RESET_PADS_BANK0 | RESET_DMA | RESET_PIO0 | RESET_PWM | RESET_ADC | RESET_TIMER
                    | RESET_UART0);
-    const bool bitten = reset_by_watchdog();
+    uint32_t stopped_at;
+    const bool bitten = reset_by_watchdog(&stopped_at);
     amplifier_start();
     pins_start();
     time_start();
@@ -166,7 +174,7 @@ int main(void)
     link_start(board_config.dictionary_hash);
     device_start(&device, &hal, &board_config);
     if (bitten)
-        device_fault(&device, HR_FAULT_WATCHDOG_RESET);
+        device_was_reset(&device, stopped_at);
     watchdog_start(device.bite_us);
     tick_start();
     unmask();

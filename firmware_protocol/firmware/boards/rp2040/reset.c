@@ -8,11 +8,27 @@
  * cleared by power-up alone (4.7.5). */
 #define OURS 0x48525744u
 
-bool reset_by_watchdog(void)
+#define BOOTLOADER_WANTED 0x544F4F42u /* start.S */
+
+bool reset_by_watchdog(uint32_t *stopped_at)
 {
     const bool bitten = WATCHDOG_REASON != 0 && WATCHDOG_SCRATCH0 == OURS;
+    *stopped_at = bitten ? WATCHDOG_SCRATCH2 : 0u;
     WATCHDOG_SCRATCH0 = 0;
+    WATCHDOG_SCRATCH2 = 0;
     return bitten;
+}
+
+void reset_to_bootloader(void)
+{
+    WATCHDOG_SCRATCH0 = 0; /* what runs next was not bitten */
+    WATCHDOG_SCRATCH1 = BOOTLOADER_WANTED;
+    WATCHDOG_CONTROL = WATCHDOG_TRIGGER;
+}
+
+void processor_stopped(uint32_t at)
+{
+    WATCHDOG_SCRATCH2 = at;
 }
 
 void watchdog_start(uint32_t bite_us)

@@ -6,6 +6,8 @@
     .thumb
 
     .equ VTOR, 0xE000ED08 /* 2.4.8 */
+    .equ WATCHDOG_SCRATCH1, 0x40058010 /* 4.7.6 */
+    .equ BOOTLOADER_WANTED, 0x544F4F42 /* reset.c */
     .equ ROM_TABLE, 0x14 /* 2.8.3: half words: table of functions, the function that searches it */
     .equ ROM_SEARCH, 0x18
     .equ ROM_RESET_TO_USB_BOOT, 'U' | 'B' << 8 /* 2.8.3.1.6 */
@@ -19,6 +21,13 @@
     .thumb_func
 start:
     cpsid i
+    ldr r0, =WATCHDOG_SCRATCH1
+    ldr r1, [r0]
+    movs r2, #0
+    str r2, [r0]
+    ldr r2, =BOOTLOADER_WANTED
+    cmp r1, r2
+    beq bootloader
     bl clocks_start
     ldr r0, =ram_image
     ldr r1, =ram_begins
@@ -49,7 +58,7 @@ start:
     blx r0
 4:  b 4b
 
-/* The boot ROM's drive, because there is nothing that may run. No pin is driven here. */
+/* The boot ROM's drive: asked for, or because there is nothing that may run. No pin is driven here. */
     .thumb_func
 bootloader:
     movs r0, #ROM_TABLE
