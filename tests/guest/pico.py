@@ -70,7 +70,7 @@ def emulated_pico(share: Path) -> Iterator[Path]:
             modules = emulator.modules()
         except pytest.skip.Exception as absent:
             raise GuestAbsentError(str(absent)) from None
-        facts = {"serial": f"{int(built.dictionary_hash, 16):016X}", "firmware": built.firmware}
+        facts = {"serial": emulator.FLASH_ID.upper(), "firmware": built.firmware}
         (share / FACTS).write_text(json.dumps(facts))
         with _server(place, built.bin, modules, share / STATUS) as socket:
             yield socket
@@ -82,6 +82,7 @@ def _server(place: Path, image: Path, modules: Path, status: Path) -> Iterator[P
         "image": str(image),
         "pins": emulator.PINS,
         "motor": emulator.motor_of(model(), 0.0),
+        "flash": emulator.FLASH_ID,
         "socket": str(place / "usb"),
         "status": str(status),
         "pace": PACE,

@@ -35,6 +35,7 @@ INSTALL_S = 60.0
 SLICE_US = 200.0
 START_US = 14_000.0  # from power-up to a device that listens
 WATCHDOG_US = 40_000.0
+FLASH_ID = "e6614103e7452d2f"
 FULL_SCALE_A = 10.0
 MONITOR_V_PER_A = 0.165
 PINS = {
@@ -159,7 +160,13 @@ class Pico:
     ) -> None:
         self._process = _started()
         self._ticks = Ticks(*[np.zeros(0, dtype=np.int64)] * 7)
-        self.ask("power", image=str(image), pins=PINS, motor=motor_of(model, position), **power)
+        self.ask(
+            "power",
+            image=str(image),
+            pins=PINS,
+            motor=motor_of(model, position),
+            **{"flash": FLASH_ID, **power},
+        )
         self.run(start_us)
 
     def __enter__(self) -> Self:

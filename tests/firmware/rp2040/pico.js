@@ -6,6 +6,7 @@
  * time, reset by the watchdog, the boot ROM's way into a program. */
 const { RP2040 } = require('rp2040js');
 const { ConsoleLogger, LogLevel } = require('rp2040js');
+const { Flash } = require('./flash.js');
 const { Uart } = require('./uart.js');
 
 /* Armv6-M without wait states (Cortex-M0+ Technical Reference Manual, 3.3 and 3.6). The emulator takes none. */
@@ -22,7 +23,6 @@ const FLASH_AT = 0x10000000;
 const FLASH_ENDS = 0x11000000;
 const LINE_BYTES = 8; // of the flash's cache
 const WORD_BITS = 64; // on the flash's line for a word of 32: command, address, data
-const SSI_BAUD = 0x14;
 const REGULATES_NS = 50000;
 const PIO_RESTS = 32; // cycles after an edge in which the state machines have come to rest
 const GUARD_LOOP = 3; // cycles of the only machine that never waits
@@ -44,10 +44,11 @@ class Quiet {
 
 class Pico {
   /* `image`: the flash; `pins`: which GPIO is what, as in board.toml; `waits`: whether flash and crystal take their time, which
-   * is most of a boot. */
-  constructor(image, pins, waits = false) {
+   * is most of a boot; `flash`: its unique number, 16 hexadecimal digits. */
+  constructor(image, pins, { waits = false, flash }) {
     this.image = image;
     this.waits = waits;
+    this.flash = flash;
     this.pins = pins;
     this.complaints = new Map(); // of the emulator: what it does not know
     this.resets = 0;
@@ -74,6 +75,7 @@ class Pico {
     chip.uart[0] = chip.peripherals[0x40034] = this.uart;
     chip.clkSys = chip.roscFreq;
     for (const [at, word] of Object.entries(BOOT_ROM)) chip.bootrom[at / 4] = word;
+    chip.peripherals[0x18000] = new Flash(this.flash, (text) => chip.logger.warn('SSI', text));
     this.powerSupply();
     this.stall = 0; // cycles that an instruction has waited for the flash
     if (this.waits) this.takeTime();
@@ -134,20 +136,14 @@ class Pico {
       oscillator.stable = oscillator.enabled && this.now >= ready;
       return read(offset);
     };
-    let divider = 1;
     const flash = chip.peripherals[0x18000];
-    const writeFlash = flash.writeUint32.bind(flash);
-    flash.writeUint32 = (offset, value) => {
-      if (offset === SSI_BAUD) divider = value;
-      writeFlash(offset, value);
-    };
     const cached = new Set();
     for (const name of ['readUint32', 'readUint16', 'readUint8']) {
       const from = chip[name].bind(chip);
       chip[name] = (address) => {
         if (address >= FLASH_AT && address < FLASH_ENDS) {
           const line = Math.floor(address / LINE_BYTES);
-          if (!cached.has(line)) this.stall += (LINE_BYTES / 4) * WORD_BITS * divider;
+          if (!cached.has(line)) this.stall += (LINE_BYTES / 4) * WORD_BITS * flash.divider;
           cached.add(line);
         }
         return from(address);

@@ -12,8 +12,8 @@ let motor = null;
 const movesUntil = () => (pico.edges.length > 0 ? pico.edges[pico.edges.length - 1].at : pico.now);
 
 const commands = {
-  power({ image, pins, motor: description, waits }) {
-    pico = new Pico(fs.readFileSync(image), pins, waits);
+  power({ image, pins, motor: description, ...how }) {
+    pico = new Pico(fs.readFileSync(image), pins, how);
     motor = new Motor(pico, description);
     pico.onSteps = (now) => motor.upTo(now);
     return {};

@@ -64,14 +64,20 @@ def answer_of(data: bytes) -> Message:
     return event.message
 
 
-def test_it_enumerates_and_says_which_build_it_is(pico: emulator.Pico, built: BuildResult) -> None:
-    line = UsbLine(pico)
-    assert line.plugged["status"] == 0
-    assert line.plugged["address"] == 7
-    device = bytes.fromhex(line.plugged["device"])
-    status, text = line.control(0x80, 6, 0x300 | device[16], 0x409)
+@pytest.mark.parametrize(
+    "flash", [emulator.FLASH_ID, "0000000000000001", "ffffffffffffffff", "0000000000000000"]
+)
+def test_its_serial_number_is_that_of_its_flash_or_else_of_its_build(built: BuildResult, flash: str) -> None:
+    with emulator.Pico(rig_model(load(PRESET)), built.bin, flash=flash) as pico:
+        line = UsbLine(pico)
+        assert line.plugged["status"] == 0
+        assert line.plugged["address"] == 7
+        device = bytes.fromhex(line.plugged["device"])
+        status, text = line.control(0x80, 6, 0x300 | device[16], 0x409)
+        assert not [text for text in pico.look()["complaints"] if text.startswith("SSI")]
     assert status == 0
-    assert int(text[2:].decode("utf-16-le"), 16) == int(built.dictionary_hash, 16)
+    serial = text[2:].decode("utf-16-le")
+    assert serial.lower() == (flash if len(set(flash)) > 1 else built.dictionary_hash)
 
 
 @pytest.mark.parametrize("pipe", [RIG, PORT])
@@ -93,6 +99,20 @@ def test_after_a_fault_on_the_serial_line_it_answers_by_usb(powered: Callable[..
     assert session.host.states[-1].state == State.FAULT
     line.send(Connection(Role.HOST).send(IDENTIFY))
     assert isinstance(answer_of(line.run(5_000.0)), m.Identity)
+
+
+def test_both_links_take_turns_in_one_memory(powered: Callable[..., Session]) -> None:
+    session = powered()
+    session.configure(position_rate=5_000)
+    line = UsbLine(session.pico)
+    for _ in range(4):
+        line.send(Connection(Role.HOST).send(IDENTIFY))
+        answered = line.run(5_000.0)
+        assert isinstance(answer_of(answered), m.Identity)
+        session.host.ask(m.GetTime(session.host.nonce(), 0))  # STATEs by USB still wait for their packet
+        session.listen(0.02)
+    counted = session.host.connection.statistics
+    assert counted.crc_errors == 0
 
 
 def test_what_it_does_not_know_it_refuses_and_goes_on(pico: emulator.Pico) -> None:

@@ -334,7 +334,7 @@ static void reply(enum answer answer, unsigned pid, const uint8_t *data, size_t 
 int main(void)
 {
     static uint8_t data[65536];
-    static uint32_t frame[16385];
+    static uint32_t frame[16385], to_host_words[8192];
     for (;;) {
         uint8_t head[8];
         read_all(head, sizeof head);
@@ -346,7 +346,7 @@ int main(void)
         size_t length = 0;
         switch (head[0]) {
         case 'x': /* start: the serial number */
-            usb_start(UINT64_C(0x0123456789ABCDEF));
+            usb_start(UINT64_C(0x0123456789ABCDEF), to_host_words, sizeof to_host_words / sizeof *to_host_words);
             break;
         case 'r': /* reset of the bus */
             model.sie_status = (model.sie_status & ~(uint32_t)USB_SIE_STATUS_SUSPENDED) | USB_SIE_STATUS_BUS_RESET;

@@ -17,7 +17,7 @@ const BEHIND = 20e6; // ns of the board that are made up for; more are forgotten
 const STATUS_EVERY = 100; // ms
 
 const settings = JSON.parse(fs.readFileSync(process.argv[2], 'utf8'));
-const pico = new UsbPico(fs.readFileSync(settings.image), settings.pins);
+const pico = new UsbPico(fs.readFileSync(settings.image), settings.pins, settings);
 const motor = new Motor(pico, settings.motor);
 pico.onSteps = (now) => motor.upTo(now);
 const { bus } = pico;

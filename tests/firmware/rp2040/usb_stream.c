@@ -18,6 +18,8 @@ static struct {
     volatile uint32_t ticks;
 } stream __attribute__((aligned(4)));
 
+static uint32_t to_host_words[8192];
+
 /* Number of the frame in eight digits, whatever behind them, a delimiter. */
 static void fill(uint32_t number)
 {
@@ -44,7 +46,7 @@ int main(void)
     clocks_release(RESET_IO_BANK0 | RESET_PADS_BANK0 | RESET_DMA | RESET_PWM | RESET_TIMER);
     GPIO_CONTROL(BOARD_SYNC_OUT_PIN) = GPIO_SIO;
     SIO_DRIVE_SET = 1u << BOARD_SYNC_OUT_PIN;
-    usb_start(1);
+    usb_start(1, to_host_words, sizeof to_host_words / sizeof *to_host_words);
     time_start();
     uint32_t rate = 1000;
     tick_set_rate(rate);

@@ -3,6 +3,7 @@
 #include "amplifier.h"
 #include "clocks.h"
 #include "encoder.h"
+#include "flash.h"
 #include "link.h"
 #include "pins.h"
 #include "poll.h"
@@ -171,7 +172,8 @@ int main(void)
     pins_start();
     time_start();
     encoder_start();
-    link_start(board_config.dictionary_hash);
+    const uint64_t id = flash_unique_id();
+    link_start(id != 0 && id != UINT64_MAX ? id : board_config.dictionary_hash);
     device_start(&device, &hal, &board_config);
     if (bitten)
         device_was_reset(&device, stopped_at);

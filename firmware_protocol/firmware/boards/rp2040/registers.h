@@ -165,6 +165,15 @@
 #define PWM_ON 1u
 #define PWM_DIVIDED_BY(sixteenths) (sixteenths)
 
+/* 4.10.13 SSI: the flash */
+#define SSI 0x18000000u
+#define SSI_CONTROL REGISTER(SSI + 0x0u)
+#define SSI_ENABLE REGISTER(SSI + 0x8u) /* only while it is off may the others be changed */
+#define SSI_SELECT REGISTER(SSI + 0x10u)
+#define SSI_RECEIVED REGISTER(SSI + 0x24u)
+#define SSI_DATA REGISTER(SSI + 0x60u)
+#define SSI_BYTES_BOTH_WAYS (7u << 16)
+
 /* 4.6.5 Timer */
 #define TIMER_RAW_LOW 0x40054028u
 

@@ -10,14 +10,11 @@
 
 enum { DMA_RECEIVE = 6, DMA_TRANSMIT = 7, DMA_COPY = 8 };
 
-/* Room for 0.1 s of BATCH at 3 Mbaud, and for 13 ms of the host. */
-#define SEND_BITS 15u
-#define SEND_BYTES (1u << SEND_BITS)
+/* Room for 13 ms of the host. */
 #define RECEIVE_BITS 12u
 #define RECEIVE_BYTES (1u << RECEIVE_BITS)
 #define RECEIVE_ROUNDS 0xFFFFF000u /* bytes until the channel must be restarted; whole rings */
 
-static uint8_t send_ring[SEND_BYTES] __attribute__((section(".rings.32768"), aligned(SEND_BYTES)));
 static uint8_t receive_ring[RECEIVE_BYTES] __attribute__((section(".rings.4096"), aligned(RECEIVE_BYTES)));
 
 /* Bytes since the start, modulo 2³². */
@@ -42,7 +39,7 @@ static void start_receiving(void)
     link.taken = 0;
 }
 
-void uart_start(void)
+void uart_start(uint8_t *send_ring)
 {
     /* 4.2.3.2.1: the divider in sixty-fourths, rounded. */
     const uint32_t divider = (CLOCK_HZ * 4u + BOARD_UART_BAUD / 2u) / BOARD_UART_BAUD;
@@ -76,6 +73,11 @@ size_t uart_read(uint8_t *into, size_t capacity)
     if (count == 0 && !busy(DMA_RECEIVE))
         start_receiving();
     return count;
+}
+
+bool uart_is_idle(void)
+{
+    return link.given == link.begun && !busy(DMA_TRANSMIT);
 }
 
 void uart_pump(void)

@@ -5,8 +5,6 @@
 #include "usb_registers.h"
 #include "usb_ring.h"
 
-/* 100 ms of everything at 50 kHz are 28 KB. */
-#define TO_HOST_WORDS 8192u
 #define FROM_HOST_WORDS 256u
 
 /* RP2040-E15: the controller may hang when the bus garbles the answer to a packet of ours in the last fifth of a frame,
@@ -39,7 +37,6 @@ static struct {
     volatile bool starved; /* an out buffer waits until there is room in the ring */
 } usb;
 
-static uint32_t to_host_words[TO_HOST_WORDS];
 static uint32_t from_host_words[FROM_HOST_WORDS];
 
 static struct usb_endpoint *in_of(enum pipe pipe)
@@ -252,7 +249,7 @@ static void shape(uint8_t *count, uint16_t *buffers_at, uint8_t number, bool out
     *buffers_at = (uint16_t)(*buffers_at + 2u * USB_PACKET);
 }
 
-static void begin(uint64_t serial)
+static void begin(uint64_t serial, const struct ring *to_host)
 {
     uint16_t at = USB_AT_BUFFERS;
     uint8_t count = 0;
@@ -267,7 +264,7 @@ static void begin(uint64_t serial)
         .endpoint_count = ENDPOINTS,
         .line_coding = {0x00, 0xC2, 0x01, 0x00, 0, 0, 8}, /* 115200 8N1 */
     };
-    usb.to_host = (struct ring){.words = to_host_words, .size = sizeof to_host_words};
+    usb.to_host = *to_host;
     usb.from_host = (struct ring){.words = from_host_words, .size = sizeof from_host_words};
     usb.active = PIPE_RIG;
     usb.heard = usb_now_us() - SILENCE_US;
@@ -282,12 +279,13 @@ static void begin(uint64_t serial)
 
 /* 4.1.2.4 and 4.1.3: the controller to the PHY, a bus that always looks powered (its pin is not connected), device
  * mode, and at the end the pull-up by which the host sees us. */
-void usb_start(uint64_t serial)
+void usb_start(uint64_t serial, uint32_t *words, uint32_t count)
 {
+    const struct ring to_host = {.words = words, .size = count * 4u};
     usb_hardware_start();
     for (size_t at = 0; at < USB_MEMORY_BYTES; at += 4u)
         usb_memory_put(at, 0);
-    begin(serial);
+    begin(serial, &to_host);
     usb_put(USB_MUXING, USB_MUXING_TO_PHY | USB_MUXING_SOFTCON);
     usb_put(USB_PWR, USB_PWR_VBUS_DETECT | USB_PWR_VBUS_OVERRIDE);
     usb_put(USB_MAIN_CTRL, USB_MAIN_CTRL_ENABLE);
@@ -295,6 +293,11 @@ void usb_start(uint64_t serial)
     usb_put(USB_INTE, USB_INT_BUFFER | USB_INT_SETUP | USB_INT_BUS_RESET | USB_INT_SUSPEND | USB_INT_RESUME |
                           USB_INT_SOF);
     usb_put(USB_SIE_CTRL, USB_SIE_CTRL_EACH_BUFFER_OF_0 | USB_SIE_CTRL_PULL_UP);
+}
+
+void usb_drop(void)
+{
+    flush();
 }
 
 bool usb_is_up(void)

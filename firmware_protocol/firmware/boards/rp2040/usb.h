@@ -11,8 +11,12 @@
 #include <stddef.h>
 #include <stdint.h>
 
-/* Plug in. `serial` is shown as sixteen hexadecimal digits; clk_usb runs at 48 MHz and TIMER counts microseconds. */
-void usb_start(uint64_t serial);
+/* Plug in. `serial` is shown as sixteen hexadecimal digits; `words` hold what waits for the host, 2ⁿ of them. clk_usb runs at
+ * 48 MHz and TIMER counts microseconds. */
+void usb_start(uint64_t serial, uint32_t *words, uint32_t count);
+
+/* Drop what waits for the host: its memory becomes another's. From the main loop, interrupts masked. */
+void usb_drop(void);
 
 /* The bytes of the host, at most `capacity`; from the main loop. */
 size_t usb_read(uint8_t *into, size_t capacity);
@@ -21,7 +25,7 @@ size_t usb_read(uint8_t *into, size_t capacity);
  * dropped meanwhile. From the main loop. */
 void usb_hold(bool held);
 
-/* A whole frame or nothing: false when nobody is connected or the host has not fetched the last 32 KB. From the tick or
+/* A whole frame or nothing: false when nobody is connected or the host has not fetched what the words hold. From the tick or
  * the main loop, of which one must not interrupt the other. Whole words (a frame at an address divisible by four)
  * go four times as fast. */
 bool usb_write(const uint8_t *frame, size_t count);
