@@ -22,6 +22,7 @@ from firmware_protocol.messages import MAJOR, MINOR, TIME_UNIT_NS
 from firmware_protocol.parameter import Parameter, Value
 from firmware_protocol.parameters import PARAMETERS
 
+SettingValue = int | float | str
 COMPRESSED_LIMIT = 0xFFFF  # IDENTITY counts its bytes in a u16
 PLAIN_LIMIT = 1 << 18  # what a host is willing to unpack
 
@@ -49,6 +50,14 @@ class ConstantInfo:
 
 
 @dataclass(frozen=True, slots=True)
+class SettingInfo:
+    """A pin, a scale or a choice that the device's board was built with, by the name that its port gives it."""
+
+    name: str
+    value: SettingValue
+
+
+@dataclass(frozen=True, slots=True)
 class CodeInfo:
     """A fault or status code as the device explains it."""
 
@@ -73,6 +82,7 @@ class Dictionary:
     position_rate_default: int
     position_rate_maximum: int
     constants: tuple[ConstantInfo, ...] = ()
+    settings: tuple[SettingInfo, ...] = ()
     parameters: tuple[ParameterInfo, ...]
     faults: tuple[CodeInfo, ...]
     statuses: tuple[CodeInfo, ...]
@@ -101,6 +111,7 @@ def build(
     position_rate_maximum: int = 50_000,
     ranges: Mapping[str, tuple[Value, Value]] | None = None,
     constants: tuple[ConstantInfo, ...] = (),
+    settings: Mapping[str, SettingValue] | None = None,
 ) -> Dictionary:
     """Dictionary of a device that has all parameters and codes of this package.
 
@@ -120,6 +131,8 @@ def build(
         Parameter name → (minimum, maximum) where the device is narrower than the table.
     constants
         What its monitors know of the rig.
+    settings
+        What its board was built with, by the names of the board's port.
     """
     narrower = {"position_rate": (PARAMETERS[1].minimum, position_rate_maximum), **(ranges or {})}
     defaults = {"position_rate": position_rate_default}
@@ -132,6 +145,7 @@ def build(
         position_rate_default=position_rate_default,
         position_rate_maximum=position_rate_maximum,
         constants=constants,
+        settings=tuple(SettingInfo(name, value) for name, value in (settings or {}).items()),
         parameters=tuple(_info(parameter, narrower, defaults) for parameter in PARAMETERS),
         faults=tuple(_code_info(fault) for fault in Fault),
         statuses=tuple(_code_info(status) for status in Status),
@@ -190,6 +204,7 @@ def _dictionary(content: dict[str, Any]) -> Dictionary:
         position_rate_default=_whole(content, "position_rate_default", 1, 10**6),
         position_rate_maximum=_whole(content, "position_rate_maximum", 1, 10**6),
         constants=tuple(_constant(item) for item in _typed({"constants": []} | content, "constants", list)),
+        settings=tuple(_setting(item) for item in _typed({"settings": []} | content, "settings", list)),
         parameters=tuple(_parameter(item) for item in _typed(content, "parameters", list)),
         faults=tuple(_code(item) for item in _typed(content, "faults", list)),
         statuses=tuple(_code(item) for item in _typed(content, "statuses", list)),
@@ -209,6 +224,11 @@ def _parameter(item: Any) -> ParameterInfo:
         maximum,
         default,
     )
+
+
+def _setting(item: Any) -> SettingInfo:
+    value = item["value"]
+    return SettingInfo(_text(item, "name"), value if isinstance(value, str) else _number(item, "value"))
 
 
 def _constant(item: Any) -> ConstantInfo:

@@ -96,6 +96,13 @@ class Rig:
     simulation: Simulation = field(default_factory=Simulation)
     description: Annotated[str, Quantity("", "what the rig is, in a sentence")] = ""
     source: Annotated[str, Quantity("", "where its numbers come from")] = ""
+    board: Annotated[
+        Mapping[str, Setting],
+        Quantity(
+            "",
+            "pins, scales and amplifier of the board: rig firmware build takes them, and a device must have them",
+        ),
+    ] = field(default_factory=dict)
 
     __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
 

@@ -175,10 +175,9 @@ def describe(experiment: Experiment, under: str = "") -> tuple[Described, ...]:
     for key, parameter in parameters().items():
         value = attrgetter(key)(experiment)
         if parameter.kind == "table":
+            owner = experiment.controller.estimator if key == "controller.parameters" else "the board"
             lines += [
-                Described(
-                    f"{key}.{name}", v, _suffix_unit(name), f"setting of {experiment.controller.estimator}"
-                )
+                Described(f"{key}.{name}", v, _suffix_unit(name), f"setting of {owner}")
                 for name, v in value.items()
             ]
         else:

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from firmware_protocol import dictionary as dictionaries
-from firmware_protocol.dictionary import ConstantInfo
+from firmware_protocol.dictionary import ConstantInfo, SettingValue
 from firmware_protocol.parameter import Value
 from rig.core.model import RigModel
 from rig.core.sample import unit_of
@@ -147,6 +147,7 @@ def describe(
     rate_maximum: int,
     name: str | None = None,
     narrower: Mapping[str, tuple[Value, Value]] | None = None,
+    settings: Mapping[str, SettingValue] | None = None,
 ) -> dictionaries.Dictionary:
     """Dictionary of a rig's device: narrower than the parameter table by its motion and its amplifier's peak.
 
@@ -164,6 +165,8 @@ def describe(
         Of the device; None: that of the rig.
     narrower
         Further ranges, by the name of the parameter.
+    settings
+        What its board was built with.
     """
     motion = 0 if model.motion == "rotary" else 1
     peak = peak_current(model)
@@ -176,6 +179,7 @@ def describe(
         position_rate_default=rate_default,
         position_rate_maximum=rate_maximum,
         constants=constants(model),
+        settings=settings,
         ranges={
             "motion": (motion, motion),
             "encoder_sign": (model.encoder.sign, model.encoder.sign),

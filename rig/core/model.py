@@ -237,7 +237,8 @@ class Reach:
 class RigModel:
     """A whole rig, enough to simulate it: see the parts.
 
-    With an `operator` a person holds the handle: still, or on a `reach`.
+    With an `operator` a person holds the handle: still, or on a `reach`. `board` are settings that the
+    firmware of its board must have been built with, by name.
     """
 
     name: str
@@ -248,6 +249,7 @@ class RigModel:
     simulation: Simulation = field(default_factory=Simulation)
     operator: Operator | None = None
     reach: Reach | None = None
+    board: tuple[tuple[str, bool | int | float | str], ...] = ()
 
     @property
     def damping(self) -> float:

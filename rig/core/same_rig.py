@@ -46,6 +46,7 @@ def check_rig(model: RigModel, device: Dictionary) -> Check:
         for name, value in wanted.items()
         if name in theirs and not _agree(name.split()[0], theirs[name], value, model.amplifier.effort_limit)
     ]
+    differ += [] if device.simulated else _other_settings(model, device)
     if device.device != ours.device:
         differ = [f"its name is {device.device}", *differ]
     if differ:
@@ -58,6 +59,16 @@ def check_rig(model: RigModel, device: Dictionary) -> Check:
     untold = ", ".join(name for name in wanted if name not in theirs)
     text = f"{device.device}, of the same scales and limits as {model.name}"
     return Check("rig of the device", Outcome.OK, f"{text}; it does not tell {untold}" if untold else text)
+
+
+def _other_settings(model: RigModel, device: Dictionary) -> list[str]:
+    """Pins and scales that the experiment names and the board was not built with; a simulated device has no board."""
+    told = {info.name: info.value for info in device.settings}
+    return [
+        f"{name} of its board is {told.get(name, 'not told')} there and {value} here"
+        for name, value in model.board
+        if told.get(name) != value
+    ]
 
 
 def _agree(name: str, theirs: float, ours: float, effort_limit: float) -> bool:

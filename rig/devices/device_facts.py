@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from firmware_protocol.connection import State
-from firmware_protocol.dictionary import Dictionary
+from firmware_protocol.dictionary import Dictionary, SettingValue
 from firmware_protocol.messages import MAJOR, MINOR
 from rig.core.present import Row
 from rig.devices.framed import FramedDevice
@@ -33,6 +33,8 @@ class FirmwareFacts:
         One step of a current on the wire (A).
     law
         Laws that it runs itself: highest value of parameter ``law``.
+    settings
+        Pins, scales and amplifier that its board was built for.
     """
 
     device: str
@@ -45,6 +47,7 @@ class FirmwareFacts:
     position_rate_maximum: int
     current_quantum_a: float
     law: int
+    settings: Mapping[str, SettingValue]
 
     def rows(self) -> list[Row]:
         """Return it for people."""
@@ -61,6 +64,7 @@ class FirmwareFacts:
             Row("rates", self.position_rate_default, "Hz", f"up to {self.position_rate_maximum} Hz"),
             Row("law on the device", law.get(self.law, f"up to kind {self.law}")),
             Row("current quantum", self.current_quantum_a, "A"),
+            *(Row(name, value) for name, value in self.settings.items()),
         ]
 
 
@@ -78,6 +82,7 @@ def stated(dictionary: Dictionary, fingerprint: int) -> dict[str, Any]:
         "position_rate_maximum": dictionary.position_rate_maximum,
         "current_quantum_a": dictionary.current_quantum_a,
         "law": 0 if law is None else int(law.maximum),
+        "settings": {info.name: info.value for info in dictionary.settings},
     }
 
 

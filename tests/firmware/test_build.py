@@ -18,6 +18,7 @@ from rig.bench.firmware import boards
 from rig.bench.firmware.board_config import configure
 from rig.bench.firmware.build import BuildRequest, build, package_version, sources_hash
 from rig.bench.firmware.elf import read_segments
+from rig.bench.firmware.flash import read_image
 from rig.bench.firmware.info import info
 from rig.bench.firmware.toolchain import COMPILER_VARIABLE, find_compiler
 from rig.bench.firmware.uf2 import read_uf2
@@ -32,6 +33,7 @@ from rig.core.board import (
 )
 from rig.core.errors import ConfigError, RecordingError, ToolchainError
 from rig.core.present import plain
+from rig.core.same_rig import check_rig
 from tests.firmware import cross
 from tests.firmware.build import FIRMWARE, compile_c
 
@@ -281,3 +283,19 @@ def test_the_ends_of_what_the_amplifier_may_be_are_built(tmp_path: Path, chosen:
     assert build(BuildRequest(model=model, board="rp2040", output=tmp_path, settings=chosen)).uf2.is_file()
     with pytest.raises(ConfigError, match="pwm_frequency"):
         boards.settings_of(boards.load("rp2040"), {"pwm_frequency": 3000})
+
+
+def test_settings_that_the_rig_names_are_built_in_and_told_and_the_command_wins(
+    model: Any, tmp_path: Path
+) -> None:
+    cross.need_compiler()
+    named = replace(model, board=(("enable_pin", 20), ("full_scale", 12.5)))
+    request = BuildRequest(model=named, board="rp2040", output=tmp_path, settings={"enable_pin": 21})
+    built = build(request)
+    told = {setting.name: setting.value for setting in read_image(built.elf)[1].dictionary.settings}
+    assert told == built.settings
+    assert (told["enable_pin"], told["full_scale"], told["encoder_lines"]) == (21, 12.5, "single")
+    assert (
+        "enable_pin of its board is 21 there and 20 here"
+        in check_rig(named, read_image(built.elf)[1].dictionary).text
+    )

@@ -11,9 +11,10 @@ import struct
 from dataclasses import asdict, dataclass, replace
 
 from firmware_protocol import dictionary as dictionaries
+from firmware_protocol.dictionary import SettingValue
 from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import PARAMETERS
-from rig.bench.firmware.boards import Board, SettingValue
+from rig.bench.firmware.boards import Board
 from rig.bench.firmware.record import ImageFacts, Record, pack
 from rig.core.board import current_sensor, describe, moved_mechanics, over_current
 from rig.core.model import RigModel
@@ -56,6 +57,7 @@ def configure(
         simulated=False,
         rate_default=RATE_INITIAL,
         rate_maximum=board.rate_maximum,
+        settings=settings,
         narrower={
             "law": (0, board.law_maximum),
             "excitation_period": (2, max(2, board.excitation_ticks)),

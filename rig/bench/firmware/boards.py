@@ -14,13 +14,12 @@ from pathlib import Path
 from typing import Any
 
 import firmware_protocol
+from firmware_protocol.dictionary import SettingValue
 from rig.core.errors import ConfigError
 from rig.core.present import Item, Row
 
 FIRMWARE = Path(firmware_protocol.__file__).with_name("firmware")
 BOARDS = FIRMWARE / "boards"
-
-SettingValue = int | float | str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

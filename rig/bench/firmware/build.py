@@ -64,7 +64,7 @@ class BuildRequest:
     output
         Directory for the files.
     settings
-        Pins and scales that are not the board's defaults.
+        Pins and scales that are neither the rig's (`RigModel.board`) nor the board's defaults.
     application
         Which of the board's programs.
     """
@@ -157,7 +157,7 @@ def build(request: BuildRequest, on_progress: Progress = lambda _what, _share: N
         )
     _make_directory(request.output)
     compiler = find_compiler()
-    settings = settings_of(board, request.settings)
+    settings = settings_of(board, {**dict(request.model.board), **request.settings})
     sources = (*shared_sources(), *board.sources(request.application))
     config = configure(board, request.model, settings, package=package_version(), sources=sources_hash(board))
     with tempfile.TemporaryDirectory(prefix="haptic-rig-") as scratch:

@@ -46,9 +46,7 @@ class FirmwareInfo(FirmwareFacts):
     def items(self) -> list[Item]:
         """Return it for people."""
         board = [Row("board", self.facts.board)] if self.facts else []
-        settings = self.facts.settings if self.facts else {}
-        named = [Row(name, value) for name, value in settings.items()]
-        return [*board, *self.rows(), *named, Row("compatible", self.compatible), *self.checks]
+        return [*board, *self.rows(), Row("compatible", self.compatible), *self.checks]
 
 
 def info(source: str) -> FirmwareInfo:

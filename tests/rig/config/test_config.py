@@ -577,7 +577,10 @@ def test_a_listing_has_every_parameter_with_its_unit_and_meaning() -> None:
     assert lines["rig.limits.slew"].unit == "N·m/s"
     assert lines["controller.parameters.cutoff_hz"][1:3] == (200.0, "Hz")
     assert {line.key: line for line in describe(CHAWDA)}["rig.amplifier.effort_per_ampere"].unit == "N/A"
-    assert set(lines) >= set(parameters()) - {"controller.parameters"}
+    assert set(lines) >= set(parameters()) - {"controller.parameters", "rig.board"}
+    with_board = override(KOUL, {"rig.board.enable_pin": 6})
+    assert {line.key: line for line in describe(with_board)}["rig.board.enable_pin"][1] == 6
+    assert rig_model(with_board).board == (("enable_pin", 6),)
     assert all(line.meaning for line in lines.values())
     walls = [line.key for line in describe(KOUL, "wall")]
     assert walls == [f"wall.{f.name}" for f in fields(KOUL.wall)]

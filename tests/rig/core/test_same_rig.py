@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from firmware_protocol.dictionary import ConstantInfo, Dictionary
+from firmware_protocol.dictionary import ConstantInfo, Dictionary, SettingInfo, decode, encode
 from rig import config
 from rig.config import presets
 from rig.core.board import describe
@@ -77,3 +77,22 @@ def test_what_a_device_does_not_tell_is_said_and_not_refused() -> None:
     assert "does not tell over_current (quantum), effort_quantum (N·m)" in found.text
     strange = check_rig(MODEL, built_for(MODEL, constants=(ConstantInfo("colour", "", 1.0),)))
     assert strange.outcome is Outcome.OK
+
+
+def test_pins_and_scales_that_the_experiment_names_are_those_of_the_board() -> None:
+    model = replace(MODEL, board=(("enable_pin", 6), ("full_scale", 12.0)))
+    told = describe(
+        MODEL,
+        firmware="1",
+        simulated=False,
+        rate_default=1_000,
+        rate_maximum=50_000,
+        settings={"enable_pin": 6, "full_scale": 12, "pwm_pin": 8},
+    )
+    told = decode(encode(told))
+    assert check_rig(model, told).outcome == Outcome.OK
+    other = check_rig(model, replace(told, settings=(SettingInfo("enable_pin", 10),)))
+    assert other.outcome == Outcome.REFUSED
+    assert "enable_pin of its board is 10 there and 6 here" in other.text
+    assert "full_scale of its board is not told there and 12.0 here" in other.text
+    assert check_rig(model, replace(told, settings=(), simulated=True)).outcome == Outcome.OK
