@@ -7,8 +7,9 @@ real port.
 It is the reference of `board_time`, where no Python passes in a tick, and what runs where nothing compiles.
 
 Time keeps its grid: deadlines follow from the device's own clock, so lateness never adds up. A few ticks that are late
-run at once; what is beyond that passes without STATE and is counted in `missed_ticks`; after a pause longer than
-`LONGEST_PAUSE_S` (a suspended process) the grid restarts, because the simulated world stood still too.
+run at once; what is beyond that passes without STATE and is counted in `missed_ticks`, but is no fault, because it is
+this computer that was late and the device works on each tick; after a pause longer than `LONGEST_PAUSE_S` (a suspended
+process) the grid restarts, because the simulated world stood still too.
 """
 
 from __future__ import annotations

@@ -29,7 +29,6 @@ __attribute__((weak)) void usb_interrupt(void)
 /* HardFault, which has no cause of its own: the place says more. Called with where the processor would have gone on. */
 __attribute__((used, noreturn)) void hard_fault_at(uint32_t at)
 {
-    SIO_OUT_CLEAR = 1u << BOARD_ENABLE_PIN;
     processor_stopped(at);
     stand_still();
 }
