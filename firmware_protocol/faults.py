@@ -117,7 +117,7 @@ class Fault(Described):
     PROCESSOR_STOPPED = (
         15,
         "the processor met an instruction or an address that it cannot use, and was reset",
-        "configure, home and verify again; report it with the place that STATISTICS tells",
+        "configure, home and verify again; report it with the place that rig firmware selftest shows",
     )
 
 

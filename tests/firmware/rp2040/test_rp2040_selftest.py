@@ -10,6 +10,7 @@ from rig.bench.firmware import selftest
 from rig.config import presets
 from rig.devices.device import DeviceUrl
 from rig.devices.framed import FramedDevice
+from tests.firmware.rp2040.emulator import START_US, WATCHDOG_US
 from tests.firmware.rp2040.session import Session
 
 FLOAT32 = presets.load("koul-rigid")
@@ -38,3 +39,14 @@ def test_a_law_that_is_too_slow_for_the_board_is_found_before_anything_moves(
     check = selftest._stream(device_of(powered(position=0.0)), request)
     assert check.outcome == "refused"
     assert Fault.TICK_OVERRUN.text in check.text
+
+
+def test_the_place_of_a_crash_is_shown_once_it_is_back(powered: Callable[..., Session]) -> None:
+    session = powered()
+    at = session.pico.ask("crash")["at"]
+    session.pico.run(WATCHDOG_US + START_US)
+    device = device_of(session)
+    device.identify()
+    check = selftest._fault_memory(device, selftest.SelfTestRequest())
+    assert f"at {at:#010x}" in check.text
+    assert Fault.PROCESSOR_STOPPED.name in check.text
