@@ -21,7 +21,7 @@ import numpy as np
 
 from rig.core.errors import ConfigError
 from rig.core.model import RigModel
-from rig.devices.hand import Wish
+from rig.realtime.hand import Wish
 from sim_backend.coupled_hand import INTENTIONS
 from sim_backend.operator import PRESS_HZ, REPEAT_S, Rows, Script, tremor
 
@@ -42,7 +42,7 @@ class DrivenHand:
     model
         A rig that is held, with a reach.
     wish
-        Returns what is wished now (`rig.devices.hand.SharedHand.read`), or None.
+        Returns what is wished now (`rig.realtime.hand.SharedHand.read`), or None.
 
     Raises
     ------

@@ -188,7 +188,7 @@ def _discretised(model: RigModel, tick_s: float) -> DiscretePlant:
         gamma=gamma,
         parameters=_parameters(model, continuous, tick_s / steps, steps),
         tick_s=tick_s,
-        delay_ticks=model.simulation.computation_delay_ticks,
+        delay_ticks=model.delay_ticks(tick_s),
         sensed_position=continuous.sensed_position,
         handle_position=continuous.handle_position,
         effort=continuous.effort,

@@ -18,7 +18,7 @@ from pathlib import Path
 
 from rig.core.errors import ConfigError
 from rig.core.model import RigModel
-from rig.devices.hand import SharedHand
+from rig.realtime.hand import SharedHand
 from sim_backend.board_time import BoardTime
 from sim_backend.compiled_device import CompiledDevice, device_for
 from sim_backend.device import SimulatedDevice
@@ -62,7 +62,7 @@ def serve(
         True: the firmware itself, compiled for this machine, which can run the law. False: the readable device. Unless
         given, the firmware without its laws where this machine can compile it, else the compiled device.
     hand
-        File through which a person drives the hand at the handle (`rig.devices.hand`); without one it plays its
+        File through which a person drives the hand at the handle (`rig.realtime.hand`); without one it plays its
         script.
     socket
         Path of a Unix socket to be made and removed at the end; a pseudo-terminal unless given.

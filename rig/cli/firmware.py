@@ -17,6 +17,7 @@ from rig.bench.firmware.info import info as look
 from rig.bench.firmware.selftest import SelfTestRequest, failure
 from rig.bench.firmware.selftest import selftest as run
 from rig.cli import options, output
+from rig.config import amplifiers
 from rig.core.errors import ConfigError, IncompatibleDeviceError
 from rig.devices import open_device
 
@@ -62,10 +63,15 @@ def firmware() -> None:
     type=click.Path(path_type=Path, dir_okay=False),
     help="TOML file of such settings; --set wins.",
 )
+@click.option(
+    "--amplifier",
+    help="In place of the rig's rig.amplifier.profile; rig firmware amplifiers lists them.",
+)
 @options.json_option
 def build(
     preset: str,
     board: str,
+    amplifier: str | None,
     directory: Path,
     sets: tuple[str, ...],
     settings_file: Path | None,
@@ -84,8 +90,11 @@ def build(
             output.show(item for one in found for item in one.items())
         return
     chosen = {**_settings(settings_file), **options.key_values(sets)}
+    experiment = options.named_experiment(preset)
+    if amplifier is not None:
+        experiment = config.override(experiment, {"rig.amplifier.profile": amplifier}, "--amplifier")
     request = BuildRequest(
-        model=config.rig_model(options.named_experiment(preset)),
+        model=config.rig_model(experiment),
         board=board,
         output=directory,
         settings=chosen,
@@ -101,6 +110,17 @@ def build(
             click.echo(str(path))
     if built.uf2 is not None:
         click.echo(f"rig: next: rig firmware flash {built.uf2}", err=True)
+
+
+@firmware.command("amplifiers")
+@options.json_option
+def list_amplifiers(as_json: bool) -> None:
+    """List the amplifiers that are known: what a rig and a board must say of one, and what to set in it."""
+    found = [amplifiers.load(name) for name in amplifiers.names()]
+    if as_json:
+        output.print_json(found)
+    else:
+        output.show(item for one in found for item in one.items())
 
 
 @firmware.command()

@@ -97,7 +97,8 @@ def _print(found: Theory) -> None:
     ticks = f"{found.delay_ticks} tick{'' if found.delay_ticks == 1 else 's'}"
     click.echo(
         f"{found.rig}, {hand}: damping of the rig {found.rig_damping:.4g} {damping}, "
-        f"lag {1e3 * found.lag_s:.3g} ms, delay {ticks}; linear theory"
+        f"{found.drive} drive, lag {1e3 * found.lag_s:.3g} ms, set-point {1e3 * found.set_point_delay_s:.3g} ms late, "
+        f"delay {ticks}; linear theory"
     )
     if found.in_hand is not None:
         click.echo(_in_hand(found.in_hand, unit_of("stiffness", found.motion)))

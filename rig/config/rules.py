@@ -9,8 +9,9 @@ import math
 from collections.abc import Callable, Iterator
 from typing import Any
 
+from rig.config import amplifiers
 from rig.config.derive import motor_push, push_at_rest, push_s
-from rig.config.problems import Problem
+from rig.config.problems import Problem, did_you_mean
 from rig.config.sections import Experiment
 from rig.config.table import parameters, shown
 from rig.core.sample import Motion, unit_of
@@ -95,6 +96,40 @@ def current(x: Experiment) -> Iterator[Problem]:
             "rig.amplifier.effort_limit",
             f"must be ≤ {largest:.4g} {_unit(x, 'effort')}, which is {LARGEST_CURRENT} current quanta",
             "make rig.amplifier.current_quantum_a coarser",
+        )
+
+
+def profile(x: Experiment) -> Iterator[Problem]:
+    """What is known of an amplifier holds for the rig's."""
+    amplifier, key = x.rig.amplifier, "rig.amplifier.profile"
+    if (why := amplifiers.REFUSED.get(amplifier.profile)) is not None:
+        yield _problem(x, key, why, "take a bridge with phase and enable inputs: voltage-bridge")
+        return
+    if amplifier.profile not in amplifiers.names():
+        known = f"choose one of: {', '.join(amplifiers.names())}"
+        remedy = did_you_mean(amplifier.profile, amplifiers.names(), known)
+        yield _problem(x, key, "must be a known amplifier", remedy)
+        return
+    known_of = amplifiers.load(amplifier.profile)
+    if known_of.drive not in (None, amplifier.drive):
+        yield _problem(
+            x,
+            "rig.amplifier.drive",
+            f"must be {known_of.drive} with {key} = {shown(known_of.name)}",
+            f"set it to {known_of.drive}"
+            if known_of.drive == "current"
+            else "and set back_emf_damping: k_t²/R",
+        )
+    if amplifier.drive == "voltage" and known_of.drive == "voltage" and amplifier.back_emf_damping == 0.0:
+        yield _problem(
+            x, "rig.amplifier.back_emf_damping", "must be > 0 on a plain bridge", "k_t²/R at the link"
+        )
+    if amplifier.set_point_delay_s < known_of.set_point_delay_s * (1.0 - 1e-9):
+        yield _problem(
+            x,
+            "rig.amplifier.set_point_delay_s",
+            f"must be ≥ {known_of.set_point_delay_s:g} s with {key} = {shown(known_of.name)}",
+            "it is the period of the set-point's pulse width",
         )
 
 
@@ -354,6 +389,7 @@ RULES: tuple[Callable[[Experiment], Iterator[Problem]], ...] = (
     encoder,
     handle,
     current,
+    profile,
     efforts,
     window,
     approach,

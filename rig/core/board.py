@@ -51,7 +51,7 @@ class MovedMechanics:
     damping
         Of a steady motion, with back-EMF under voltage drive (N·m·s/rad or N·s/m).
     lag_s
-        Of the amplifier (s).
+        Of the amplifier and of its set-point (s).
     """
 
     effort_quantum: float
@@ -94,7 +94,7 @@ def current_sensor(model: RigModel) -> CurrentSensor:
     comparable = amplifier.current_monitor and model.simulation.computation_delay_ticks == 0
     return CurrentSensor(
         noise=math.hypot(sensor, ROUNDED, ROUNDED * back_emf / SPEED_LAG_S) if comparable else -1.0,
-        lag_s=amplifier.lag_s,
+        lag_s=amplifier.lag_s + amplifier.set_point_delay_s,
         back_emf=back_emf,
     )
 
@@ -122,7 +122,7 @@ def moved_mechanics(model: RigModel) -> MovedMechanics:
         travel=STALL_COUNTS * model.encoder.resolution,
         inertia=mechanics.motor_inertia + mechanics.loaded_link_inertia,
         damping=model.damping,
-        lag_s=amplifier.lag_s,
+        lag_s=amplifier.lag_s + amplifier.set_point_delay_s,
     )
 
 

@@ -23,7 +23,7 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from annotated_types import Ge, Gt, Le, Lt
+from annotated_types import Ge, Gt, Le, Lt, MinLen
 from numpy.typing import NDArray
 
 from rig.core.quantity import STRICT, Quantity
@@ -117,6 +117,15 @@ class Amplifier:
     current_noise_a: Annotated[
         float, Ge(0), Quantity("A", "rms noise of the current sensor, its quantum apart")
     ] = 0.0
+    profile: Annotated[
+        str, MinLen(1), Quantity("", "what it is: a name that `rig firmware amplifiers` lists")
+    ] = "generic"
+    set_point_delay_s: Annotated[
+        float,
+        Ge(0),
+        Lt(0.01),
+        Quantity("s", "from a set-point to the amplifier's answer: a PWM's period; whole ticks, rounded up"),
+    ] = 0.0
 
     __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
 
@@ -129,6 +138,10 @@ class Amplifier:
     def back_emf(self) -> float:
         """Back-EMF damping (N·m·s/rad or N·s/m) under voltage drive, behind the lag; 0 under current drive."""
         return self.back_emf_damping if self.drive == "voltage" else 0.0
+
+    def set_point_ticks(self, tick_s: float) -> int:
+        """Whole ticks that a set-point is late, rounded up."""
+        return math.ceil(self.set_point_delay_s / tick_s - 1e-9)  # 250 µs of 50 µs each are 5
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -258,6 +271,10 @@ class RigModel:
         Above 1/(2π·lag) the back-EMF brakes less and less: its current has no time to build up.
         """
         return self.mechanics.motor_damping + self.mechanics.link_damping + self.amplifier.back_emf
+
+    def delay_ticks(self, tick_s: float) -> int:
+        """Whole ticks between a command and its effort: the far end's computation, and the set-point's way."""
+        return self.simulation.computation_delay_ticks + self.amplifier.set_point_ticks(tick_s)
 
     def held_by(self, operator: Operator | None, reach: Reach | None) -> RigModel:
         """Put the handle into somebody's hand; the end mass, which belongs to automated trials, is off then."""

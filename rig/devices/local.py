@@ -23,7 +23,7 @@ from rig.core.model import RigModel
 from rig.devices import simulated_model
 from rig.devices.device import DeviceUrl, Link
 from rig.devices.framed import FramedDevice
-from rig.devices.hand import SharedHand
+from rig.realtime.hand import SharedHand
 from rig.realtime.scheduling import Realtime, obtained
 
 START_TIMEOUT_S = 60.0  # the first start compiles the plant
@@ -104,7 +104,7 @@ def serve_locally(url: str, model: RigModel, *, seed: int = 0, realtime: str = "
     """Start a device process and yield the URL of its port; the process ends with the context.
 
     A name in the URL wins over `model`, and ``firmware=1`` means the firmware, as in virtual time. ``hand=PATH`` lets
-    a program drive the hand that holds the handle, through a file that exists (`rig.devices.hand`). `realtime` as in
+    a program drive the hand that holds the handle, through a file that exists (`rig.realtime.hand`). `realtime` as in
     `serve`.
 
     Raises

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from rig import config, devices
 from rig.analysis.impedance.signals import Complexes, ExcitedRun, Floats, hold
-from rig.config import Experiment, controller
+from rig.config import Experiment, controller, rig_model
 from rig.control import bilateral, laws
 from rig.control.excitation import Multisine
 from rig.control.excitation_table import ExcitationTable, Phases
@@ -365,7 +365,8 @@ def _lagged(effort: Floats, model: RigModel, rate_hz: float) -> Floats:
 
 
 def _delay_s(x: Experiment) -> float:
-    return x.rig.simulation.computation_delay_ticks / x.controller.position_rate
+    tick_s = 1.0 / x.controller.position_rate
+    return rig_model(x).delay_ticks(tick_s) * tick_s
 
 
 def _tripped(x: Experiment, position: float, velocity: float) -> str:

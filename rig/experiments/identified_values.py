@@ -62,7 +62,11 @@ def identified_values(x: Experiment, sliding: Sliding, dynamics: Dynamics) -> Id
     found.share(m, "coulomb", max(0.0, coulomb.value), levels, "sliding")
     found.put("rig.amplifier.lag_s", max(0.0, dynamics.lag_s.value), dynamics.lag_s.text("s"), "dynamics")
     whole = f"whole ticks at {x.controller.position_rate} Hz; delay {dynamics.delay_s.text('s')} in all"
-    found.put("rig.simulation.computation_delay_ticks", dynamics.delay_ticks, whole, "dynamics")
+    beside = x.rig.amplifier.set_point_ticks(
+        1.0 / x.controller.position_rate
+    )  # counted by itself, at any rate
+    ticks = max(0, dynamics.delay_ticks - beside)
+    found.put("rig.simulation.computation_delay_ticks", ticks, whole, "dynamics")
     return found
 
 

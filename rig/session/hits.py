@@ -78,7 +78,7 @@ class DeviceRunner:
     lossy_anyway
         Begin although nearly every trial would be lost to the computer or the link.
     hand
-        File through which somebody moves the simulated hand (`rig.devices.hand`); None: it plays its script.
+        File through which somebody moves the simulated hand (`rig.realtime.hand`); None: it plays its script.
     messages
         What this computer or the port did not grant, once each.
     """

@@ -18,7 +18,7 @@ GOAL_US = 3.0
 
 
 def loops_tick_us(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, url: str) -> float:
-    """CPU time of the loop's thread for one tick (µs), recorder and sealing apart: the least of five hits."""
+    """CPU time of the loop's thread for one tick (µs), recorder and sealing apart: the least of three hits."""
     found = []
     run = LoopThread._run
 
@@ -29,7 +29,7 @@ def loops_tick_us(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, url: str) -> 
 
     with monkeypatch.context() as patch:
         patch.setattr(LoopThread, "_run", timed)
-        for _ in range(5):
+        for _ in range(3):
             list(hit(HitRequest(experiment=presets.load("koul-compliant"), url=url, output=tmp_path)))
     return min(found)
 

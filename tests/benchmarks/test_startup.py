@@ -17,6 +17,7 @@ import pytest
 from rig.cli.compiling import EXPECTED
 from rig.realtime import ring as words
 from rig.realtime.ring import Ring
+from tests.benchmarks.realtime.workbench import FULL
 
 
 def best_of(count: Any, command: Any, **options: Any) -> Any:
@@ -131,8 +132,7 @@ def test_commands_that_check_and_show_take_a_few_bare_interpreters(private: Any)
         ("rig session check", 7.0, "session", "check", "study.toml"),
         ("rig hit --no-plot", 9.0, "hit", "--no-plot"),
     ):
-        subprocess.run([*run, *arguments], check=True, capture_output=True, **options)
-        seconds = best_of(3, [*run, *arguments], **options)
+        seconds = best_of(3, [*run, *arguments], **options)  # the first may compile
         print(f"  {name}: {seconds:.2f} s, {seconds / numba:.1f} × import numba")
         assert seconds < most * numba
 
@@ -160,9 +160,9 @@ def test_a_rehearsed_trial_costs_little_more_than_its_ticks(private: Any) -> Non
         return trials, usage.ru_utime + usage.ru_stime
 
     rehearsed(5.0)  # compiles what it needs
-    (few, short_s), (many, long_s) = rehearsed(6.0), rehearsed(14.0)
+    (few, short_s), (many, long_s) = rehearsed(4.0), rehearsed(10.0)
     trial_s = (long_s - short_s) / (many - few)
-    print(f"\na rehearsed trial at 20 kHz: {trial_s:.2f} s of CPU (goal 0.71), {many} trials in 14 s")
+    print(f"\na rehearsed trial at 20 kHz: {trial_s:.2f} s of CPU (goal 0.71), {many} trials in 10 s")
     assert trial_s < 3.0 * best_of(3, [sys.executable, "-c", "import numba"])
 
 
@@ -171,7 +171,7 @@ def test_a_stop_reaches_the_loop_almost_as_soon_as_an_interpreter_starts() -> No
     program = Path(sys.executable).with_name("rig")
     bare, stop = [], []
     with Ring.allocate(1, info={}, shared=True) as ring:
-        for _ in range(50):
+        for _ in range(50 if FULL else 15):
             bare.append(best_of(1, [sys.executable, "-c", "pass"]))
             ring.put(words.STOP, 0)
             ring.put(words.LOOP_DONE, 0)

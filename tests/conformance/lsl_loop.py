@@ -48,12 +48,12 @@ class HandTurnedLoop:
             self.ring.put(words.HEAD, head + 1)
         self.told = np.concatenate((self.told, rows))
 
-    def compare_clocks(self) -> None:
-        """Do what `rig.loop.exchange` does with an answer."""
+    def compare_clocks(self, *, late_ns: int = 0) -> None:
+        """Do what `rig.loop.exchange` does with an answer that comes `late_ns` later than usual."""
         done = self.ring.get(words.EXCHANGES)
         device = 1_000_000 * (100 + len(self.told))
         host = device + OFFSET_NS
-        for i, stamp in enumerate((host - WAY_NS, device, device, host + WAY_NS)):
+        for i, stamp in enumerate((host - WAY_NS, device, device, host + WAY_NS + late_ns)):
             self.ring.put(words.CLOCK + 4 * (done % 2) + i, stamp)
         self.ring.put(words.EXCHANGES, done + 1)
 

@@ -4,6 +4,7 @@ import json
 import math
 import os
 import re
+import shutil
 import subprocess
 from dataclasses import astuple, fields, replace
 from pathlib import Path
@@ -20,9 +21,10 @@ from rig.bench.firmware.build import BuildRequest, build, package_version, sourc
 from rig.bench.firmware.elf import read_segments
 from rig.bench.firmware.flash import read_image
 from rig.bench.firmware.info import info
+from rig.bench.firmware.scales import check_scales
 from rig.bench.firmware.toolchain import COMPILER_VARIABLE, find_compiler
 from rig.bench.firmware.uf2 import read_uf2
-from rig.config import presets
+from rig.config import amplifiers, presets
 from rig.core.board import (
     CurrentSensor,
     MovedMechanics,
@@ -32,6 +34,7 @@ from rig.core.board import (
     peak_current,
 )
 from rig.core.errors import ConfigError, RecordingError, ToolchainError
+from rig.core.model import RigModel
 from rig.core.present import plain
 from rig.core.same_rig import check_rig
 from tests.firmware import cross
@@ -65,6 +68,18 @@ int main(void)
 @pytest.fixture(scope="module")
 def model() -> Any:
     return config.rig_model(presets.load("chawda-linear"))
+
+
+def of_profile(name: str) -> RigModel:
+    """koul-rigid with an amplifier."""
+    profile = amplifiers.load(name)
+    changes = {
+        "profile": name,
+        "drive": profile.drive or "current",
+        "set_point_delay_s": profile.set_point_delay_s,
+    }
+    keys = {f"rig.amplifier.{key}": value for key, value in changes.items()}
+    return config.rig_model(config.override(presets.load("koul-rigid"), keys))
 
 
 @pytest.fixture(scope="module")
@@ -106,15 +121,17 @@ def test_the_generated_constants_follow_the_structs_of_the_core() -> None:
 
 @pytest.mark.parametrize(("monitor", "measured"), [("none", False), ("adc", True)])
 def test_a_board_without_a_current_monitor_says_so(monitor: str, measured: bool, model: Any) -> None:
-    """One with a converter of 12 bits has its steps for noise, even if the rig says nothing of it."""
+    """One with a converter of 12 bits has its steps and the output's for noise, whatever the rig says of it."""
     board = boards.load("rp2040")
-    settings = boards.settings_of(board, {"current_monitor": monitor})
+    settings = boards.settings_of(board, {"current_monitor": monitor, "monitor_scale": 0.15})
     made = configure(board, model, settings, package="1", sources="abc")
     assert decode(made.record.packed).current_measured is measured
     told = re.search(r"\.noise = (\S+),", made.source)
     assert told is not None
     step = 3.3 / 4096 / float(settings["monitor_scale"]) / model.amplifier.current_quantum_a
-    expected = math.hypot(step / math.sqrt(12.0), math.sqrt(1.0 / 6.0)) if measured else -1.0
+    output = 10.0 / (200e6 / 50e3) / model.amplifier.current_quantum_a  # of the pulse width, at 10 A
+    expected = math.hypot(step / math.sqrt(12.0), output / math.sqrt(12.0), math.sqrt(1.0 / 6.0))
+    expected = expected if measured else -1.0
     assert float(told[1]) == pytest.approx(expected)
 
 
@@ -273,6 +290,41 @@ def test_the_uf2_of_a_board_writes_its_image_and_nothing_else(name: Any) -> None
     assert info(str(made.uf2)).firmware == made.firmware
 
 
+@pytest.mark.parametrize("name", amplifiers.names())
+def test_every_amplifier_has_an_image_by_its_own_settings(name: str, tmp_path: Path) -> None:
+    cross.need_compiler()
+    profile = amplifiers.load(name)
+    made = build(BuildRequest(model=of_profile(name), board="rp2040", output=tmp_path))
+    assert profile.settings.items() <= made.settings.items()
+    sent = made.settings["full_scale"] / (200e6 / made.settings["pwm_frequency"])
+    wanted = {"generic": sent, "voltage-bridge": sent, "escon-50-5-pwm": 2 * 10.0 / 800}
+    assert made.set_point_step_a == pytest.approx(wanted[name])
+
+
+@pytest.mark.parametrize(
+    ("name", "settings", "words"),
+    [
+        ("generic", {"full_scale": 5.5}, "full_scale .* 5.5 A is below the 5.556 A that the rig may ask for"),
+        ("generic", {"full_scale": 1000.0, "pwm_frequency": 125_000}, "1000 A in steps of 0.625 A leave 9 of them"),
+        (
+            "generic",
+            {"current_monitor": "adc", "monitor_scale": 0.3},
+            "monitor_scale .* show 5.497 A, and over-current is 6.111 A: it could never be seen; .* 0.27 V/A or less",
+        ),
+        ("escon-50-5-pwm", {"full_scale": 16.0}, "16 A is more than escon-50-5-pwm gives; set it to 15 A at most"),
+        ("escon-50-5-pwm", {"pwm_frequency": 50_000}, "50000 Hz is outside what escon-50-5-pwm takes; .* 10 to 5000"),
+        ("escon-50-5-pwm", {"pwm_frequency": 3500}, "3500 Hz have a period of 285.7 µs, and theory counts 250 µs"),
+    ],
+)  # fmt: skip
+def test_scales_that_do_not_fit_the_rig_are_refused_with_both_numbers(
+    name: str, settings: Any, words: str
+) -> None:
+    board, model = boards.load("rp2040"), of_profile(name)
+    usual = amplifiers.load(name).settings
+    with pytest.raises(ConfigError, match=words):
+        check_scales(board, model, boards.settings_of(board, {**usual, **settings}))
+
+
 @pytest.mark.parametrize(
     "chosen", [{"pwm_frequency": 3100, "set_point": "offset"}, {"pwm_frequency": 125_000}]
 )
@@ -299,3 +351,25 @@ def test_settings_that_the_rig_names_are_built_in_and_told_and_the_command_wins(
         "enable_pin of its board is 21 there and 20 here"
         in check_rig(named, read_image(built.elf)[1].dictionary).text
     )
+
+
+def test_a_board_may_lie_anywhere_and_gives_the_same_bytes(tmp_path: Path, model: RigModel) -> None:
+    cross.need_compiler()
+    directory = tmp_path / "mps2"
+    shutil.copytree(boards.BOARDS / "mps2", directory)
+    theirs, ours = (
+        build(BuildRequest(model=model, board=board, output=tmp_path)).sha256
+        for board in (str(directory), "mps2")
+    )
+    assert theirs == ours
+
+
+def test_a_board_that_is_not_right_is_refused_with_every_key(tmp_path: Path) -> None:
+    text = (boards.BOARDS / "mps2" / "board.toml").read_text()
+    (tmp_path / "board.toml").write_text(
+        "odd = 1\n" + text.replace("rate_maximum = 20000", 'rate_maximum = "x"')
+    )
+    with pytest.raises(ConfigError, match=r"board\.toml: rate_maximum: .*\n.*board\.toml: odd: "):
+        boards.load(str(tmp_path))
+    with pytest.raises(ConfigError, match=r"no board 'nowhere'.* directory with a board\.toml"):
+        boards.load("nowhere")

@@ -15,7 +15,7 @@ from rig import config
 from rig.config import presets
 from rig.core.errors import ConfigError
 from rig.core.operators import GRIPS
-from rig.devices.hand import Wish
+from rig.realtime.hand import Wish
 from sim_backend.driven_hand import (
     AHEAD_M,
     AHEAD_N,

@@ -244,6 +244,17 @@ def test_a_computation_delay_shifts_the_response_by_whole_ticks(delay_ticks: int
     assert delayed[delay_ticks:].tobytes() == at_once[:-delay_ticks].tobytes()
 
 
+@pytest.mark.parametrize(
+    ("delay_s", "ticks"), [(TICK_S, 1), (0.2 * TICK_S, 1), (5 * TICK_S, 5), (5.1 * TICK_S, 6)]
+)
+def test_the_way_of_a_set_point_counts_in_whole_ticks_rounded_up_beside_the_computation(
+    delay_s: float, ticks: int
+) -> None:
+    late = with_amplifier(with_simulation(ROTARY, computation_delay_ticks=2), set_point_delay_s=delay_s)
+    assert late.delay_ticks(TICK_S) == DiscretePlant.build(late, TICK_S).delay_ticks == 2 + ticks
+    assert late.delay_ticks(TICK_S / 10) == 2 + round(10 * delay_s / TICK_S)
+
+
 def test_zeroing_the_commands_on_their_way_cuts_the_effort_of_a_delayed_plant() -> None:
     rig = with_amplifier(with_simulation(LINEAR, computation_delay_ticks=3), lag_s=0.0)
     plant = DiscretePlant.build(rig, TICK_S)

@@ -61,17 +61,12 @@ def test_quick_reproduces_the_paper_in_one_report_and_goes_on_from_its_journal(
 
 @pytest.mark.timeout(300)
 def test_quick_reproduces_the_second_paper_too(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    words = ["reproduce", "chawda", "--quick", "--json", "-o", str(tmp_path), "--picture-format", "svg"]
-    assert rig.cli.run(words) == 0
+    assert rig.cli.run(["reproduce", "chawda", "--quick", "--json", "-o", str(tmp_path)]) == 0
     found = json.loads(capfd.readouterr().out)
     page = (tmp_path / "chawda.html").read_text(encoding="utf-8")
     for section in CHAWDA_SECTIONS:
         assert f'id="{section}"' in page
     assert page.count("data:image/png;base64,") == 11
-    assert {path.name for path in tmp_path.glob("*.svg")} == {
-        f"chawda-{name}.svg" for name in found["pictures"]
-    }
-    assert len(found["pictures"]) == 11
     assert "(no picture)" not in page
 
     # Facts of the reproduction that no grid is too coarse for.

@@ -11,8 +11,8 @@ import pytest
 from rig.config import override, presets
 from rig.core.errors import DeviceFaultError, LinkLostError
 from rig.core.sample import Phase
-from rig.devices.hand import SharedHand
 from rig.experiments.hit import HitRequest, hit
+from rig.realtime.hand import SharedHand
 from rig.recording.reader import open_recording
 from tests.conformance.firmware import need_compiler
 from tests.conformance.tolerance import too_busy

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+import traceback
 from pathlib import Path
 
 import pytest
@@ -153,6 +154,8 @@ def _child(protocol: Path, study: Path) -> None:
         else:
             rehearse(protocol, study)
         code = 0
+    except Exception:
+        traceback.print_exc()
     finally:
         os._exit(code)
 

@@ -161,7 +161,7 @@ def linear_loop(
         tick_s=tick_s,
         divider=controller.position_rate // controller.velocity_rate,
         extrapolate=controller.prediction == "extrapolate",
-        delay_ticks=model.simulation.computation_delay_ticks,
+        delay_ticks=model.delay_ticks(tick_s),
     )
 
 

@@ -108,6 +108,10 @@ class Theory:
         The hand on it, or ``none``, and then the mass at the handle (kg).
     structure
         ``rigid`` or ``two-mass``: of the former the limit of passivity is exact.
+    drive
+        ``current`` or ``voltage``: the latter's back-EMF is part of the rig's damping, behind the lag.
+    lag_s, set_point_delay_s, delay_ticks
+        Of the amplifier, of the way to it, and of the far end's computation beside these.
     in_hand
         For a rig that is meant for an automated trial and was asked about as it is.
     not_linear
@@ -121,7 +125,9 @@ class Theory:
     end_mass: float
     damping: float
     rig_damping: float
+    drive: str
     lag_s: float
+    set_point_delay_s: float
     delay_ticks: int
     schemes: tuple[SchemeTheory, ...]
     in_hand: InHand | None = None
@@ -169,7 +175,9 @@ def theory_of(
         end_mass=mechanics.end_mass,
         damping=damping,
         rig_damping=subject.damping,
+        drive=subject.model.amplifier.drive,
         lag_s=subject.model.amplifier.lag_s,
+        set_point_delay_s=subject.model.amplifier.set_point_delay_s,
         delay_ticks=subject.model.simulation.computation_delay_ticks,
         schemes=tuple(_of_scheme(Lifted.of(loop), scheme, experiment, damping) for scheme, loop in loops),
         in_hand=_in_hand(subject, [scheme for scheme, _ in loops]) if operator is None else None,

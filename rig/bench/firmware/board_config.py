@@ -16,11 +16,11 @@ from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import PARAMETERS
 from rig.bench.firmware.boards import Board
 from rig.bench.firmware.record import ImageFacts, Record, pack
+from rig.bench.firmware.scales import monitor_step, set_point_step_a
 from rig.core.board import current_sensor, describe, moved_mechanics, over_current
 from rig.core.model import RigModel
 
 RATE_INITIAL = 1_000  # Hz, until configured
-CONVERTER_V, CONVERTER_STEPS = 3.3, 4096  # of the converter behind a current monitor
 _BYTES_A_LINE = 16
 
 
@@ -71,12 +71,12 @@ def configure(
 
 
 def _measured(model: RigModel, settings: dict[str, SettingValue]) -> RigModel:
-    """Return the rig with the current sensor that the board has: none, or one that a converter reads in steps."""
+    """Return the rig with the current sensor that the board has: none, or one as coarse as converter and output."""
     amplifier, monitor = model.amplifier, settings.get("current_monitor")
     if monitor == "none":
         amplifier = replace(amplifier, current_monitor=False)
     elif monitor == "adc":
-        step_a = CONVERTER_V / CONVERTER_STEPS / float(settings["monitor_scale"])
+        step_a = math.hypot(monitor_step(settings), set_point_step_a(model, settings) or 0.0)
         noise_a = math.hypot(amplifier.current_noise_a, step_a / math.sqrt(12.0))
         amplifier = replace(amplifier, current_noise_a=noise_a)
     return replace(model, amplifier=amplifier)

@@ -1,25 +1,32 @@
 """A board as the compiler and its wiring see it, read from the ``board.toml`` beside its port.
 
-A port is a directory of `firmware_protocol/firmware/boards`: C files, a linker script and this file. A new board needs
-no line of Python.
+A port is a directory, of `firmware_protocol/firmware/boards` or anywhere else: C files, a linker script and this file.
+A new board needs no line of Python.
 """
 
 from __future__ import annotations
 
-import tomllib
+import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from functools import cache
 from os.path import normpath
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, ClassVar
+
+from annotated_types import Ge, Gt, Len
 
 import firmware_protocol
 from firmware_protocol.dictionary import SettingValue
+from rig.config.files import read_toml
+from rig.core.deferred import pydantic
 from rig.core.errors import ConfigError
 from rig.core.present import Item, Row
+from rig.core.quantity import STRICT
 
 FIRMWARE = Path(firmware_protocol.__file__).with_name("firmware")
 BOARDS = FIRMWARE / "boards"
+BOARD_FILE = "board.toml"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,29 +47,31 @@ class Setting:
     pins: int = 0
     where: Mapping[str, SettingValue] = field(default_factory=dict)
 
+    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Memory:
     """A stretch of memory that an image may fill."""
 
-    origin: int
-    bytes: int
+    origin: Annotated[int, Ge(0)]
+    bytes: Annotated[int, Gt(0)]
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Board:
-    """One board.
+class BoardFile:
+    """What ``board.toml`` says.
 
     Attributes
     ----------
-    name
-        As on the command line; a board with several processors is ``directory-processor``.
-    directory
-        Of its port.
     description
         In one line.
-    processor, compile, link
-        Flags for the compiler; for the linker.
+    processors
+        Name → flags for the compiler; the first is the board's own.
+    compile, link
+        More flags for the compiler; for the linker.
     linker_script
         Beside the sources.
     applications
@@ -70,41 +79,60 @@ class Board:
     rate_maximum
         Most ticks a second (Hz).
     law_maximum
-        Laws that it can run itself (parameter ``law``).
+        Laws that it can run itself (parameter ``law``): 0 none, 1 integers, 2 float32 as well.
     excitation_ticks
-        Room for one period of an excitation.
+        Room for one period of an excitation; 0: none.
     flash, ram
         What there is room in.
     uf2_family
-        Of its boot ROM; None when it takes no UF2.
+        Of its boot ROM; left out when it takes no UF2.
     drive
         Board-ID of the boot ROM's drive, as in its INFO_UF2.TXT.
     sealed_behind
         The image's last word is the CRC-32 of all that lies between so many bytes and it; None: it has none.
     settings
-        By name.
+        By name; see `Setting`.
     reserved_pins
         Pin → what the port uses it for, whatever the settings are.
     """
 
-    name: str
-    directory: Path
     description: str
-    processor: tuple[str, ...]
-    compile: tuple[str, ...]
-    link: tuple[str, ...]
+    processors: Annotated[Mapping[str, tuple[str, ...]], Len(min_length=1)]
     linker_script: str
-    applications: Mapping[str, tuple[str, ...]]
-    rate_maximum: int
-    law_maximum: int
-    excitation_ticks: int
+    rate_maximum: Annotated[int, Gt(0)]
+    law_maximum: Annotated[int, Ge(0)]
+    excitation_ticks: Annotated[int, Ge(0)]
     flash: Memory
     ram: Memory
-    uf2_family: int | None
-    drive: str
-    sealed_behind: int | None
-    settings: Mapping[str, Setting]
-    reserved_pins: Mapping[int, str]
+    compile: tuple[str, ...] = ("-O2",)
+    link: tuple[str, ...] = ()
+    applications: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: {"device": ()})
+    uf2_family: int | None = None
+    drive: str = ""
+    sealed_behind: Annotated[int, Ge(0)] | None = None
+    settings: Mapping[str, Setting] = field(default_factory=dict)
+    reserved_pins: Mapping[int, str] = field(default_factory=dict)
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Board(BoardFile):
+    """One board, with one of its processors.
+
+    Attributes
+    ----------
+    name
+        As on the command line, or of its directory; one with several processors is ``directory-processor``.
+    directory
+        Of its port.
+    processor
+        Flags for the compiler.
+    """
+
+    name: str
+    directory: Path
+    processor: tuple[str, ...]
 
     def items(self) -> list[Item]:
         """Return it for people."""
@@ -123,54 +151,54 @@ class Board:
 
 
 def names() -> list[str]:
-    """Every board that has a port; of one with several processors the plain name, then each."""
+    """Every board of this package; of one with several processors the plain name, then each."""
     found = []
     for path in sorted(BOARDS.glob("*/board.toml")):
         found.append(path.parent.name)
-        processors = _content(path).get("processors", {})
+        processors = _read(path).processors
         if len(processors) > 1:
             found += [f"{path.parent.name}-{processor}" for processor in processors]
     return found
 
 
 def load(name: str) -> Board:
-    """Return a board; `ConfigError` naming those that there are when it is none of them."""
-    directory, _, processor = name.partition("-")
-    path = BOARDS / directory / "board.toml"
-    if name not in names():
-        raise ConfigError(f"there is no board {name!r}", remedy=f"name one of: {', '.join(names())}")
-    content = _content(path)
-    processors = content["processors"]
+    """Return a board of `names`, or the one whose ``board.toml`` is in the directory of this name.
+
+    Raises
+    ------
+    ConfigError
+        It is neither, or its file is not right: with every key that is not.
+    """
+    own, processor = Path(name), ""
+    if not (own / BOARD_FILE).is_file():
+        if name not in names():
+            known = ", ".join(names())
+            raise ConfigError(
+                f"there is no board {name!r}",
+                remedy=f"name one of: {known}, or a directory with a {BOARD_FILE}",
+            )
+        directory, _, processor = name.partition("-")
+        own = BOARDS / directory
+    read = _read(own / BOARD_FILE)
     return Board(
-        name=name,
-        directory=path.parent,
-        description=content["description"],
-        processor=tuple(processors[processor or next(iter(processors))]),
-        compile=tuple(content.get("compile", ("-O2",))),
-        link=tuple(content.get("link", ())),
-        linker_script=content["linker_script"],
-        applications={
-            key: tuple(files) for key, files in content.get("applications", {"device": ()}).items()
-        },
-        rate_maximum=content["rate_maximum"],
-        law_maximum=content["law_maximum"],
-        excitation_ticks=content["excitation_ticks"],
-        flash=Memory(**content["flash"]),
-        ram=Memory(**content["ram"]),
-        uf2_family=content.get("uf2_family"),
-        drive=content.get("drive", ""),
-        sealed_behind=content.get("sealed_behind"),
-        settings={key: _setting(key, entry) for key, entry in content.get("settings", {}).items()},
-        reserved_pins={int(pin): use for pin, use in content.get("reserved_pins", {}).items()},
+        name=name if own.parent == BOARDS else own.resolve().name,
+        directory=own.resolve(),
+        processor=read.processors[processor or next(iter(read.processors))],
+        **{each.name: getattr(read, each.name) for each in fields(BoardFile)},
     )
 
 
-def _content(path: Path) -> dict[str, Any]:
-    return tomllib.loads(path.read_text(encoding="utf-8"))
-
-
-def _setting(name: str, entry: dict[str, Any]) -> Setting:
-    return Setting(name=name, **{**entry, "choices": tuple(entry.get("choices", ()))})
+@cache
+def _read(path: Path) -> BoardFile:
+    content = read_toml(path, "a board's")
+    if isinstance(content.get("settings"), dict):
+        named = {key: {"name": key, **entry} for key, entry in content["settings"].items()}
+        content = {**content, "settings": named}
+    try:
+        return pydantic.TypeAdapter(BoardFile).validate_json(json.dumps(content))  # type: ignore[no-any-return]
+    except pydantic.ValidationError as error:
+        wrong = (f"{path}: {'.'.join(map(str, one['loc']))}: {one['msg']}" for one in error.errors())
+        raise ConfigError("\n".join(wrong), remedy="PORTING.md lists the keys of a board") from None
 
 
 def settings_of(board: Board, chosen: Mapping[str, Any]) -> dict[str, SettingValue]:

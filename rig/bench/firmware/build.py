@@ -20,8 +20,10 @@ from typing import Any
 from rig.bench.firmware.board_config import BoardConfig, configure
 from rig.bench.firmware.boards import FIRMWARE, Board, load, settings_of
 from rig.bench.firmware.elf import Segment, flat, read_segments, sealed
+from rig.bench.firmware.scales import check_scales, set_point_step_a
 from rig.bench.firmware.toolchain import Compiler, find_compiler
 from rig.bench.firmware.uf2 import write_uf2
+from rig.config import amplifiers
 from rig.core.errors import ConfigError, RecordingError, ToolchainError
 from rig.core.model import RigModel
 from rig.core.present import Row, plain
@@ -89,6 +91,8 @@ class BuildResult:
         Version, as the device will report it.
     dictionary_hash
         As in IDENTITY and ARM.
+    quantum_a, set_point_step_a
+        Of the rig's commands; of the output, as the amplifier sees it (A); None: the board has no output of its own.
     flash_bytes, ram_bytes
         What the program takes of the board's memory, its stack's reserve as the linker script has it.
     flash_room, ram_room
@@ -103,6 +107,8 @@ class BuildResult:
     dictionary_hash: str
     compiler: str
     settings: dict[str, int | float | str]
+    quantum_a: float
+    set_point_step_a: float | None
     elf: Path
     bin: Path
     uf2: Path | None
@@ -122,8 +128,16 @@ class BuildResult:
             Row("flash", self.flash_bytes, "bytes", _share(self.flash_bytes, self.flash_room)),
             Row("memory", self.ram_bytes, "bytes", _share(self.ram_bytes, self.ram_room)),
             Row("compiler", self.compiler),
+            *self._set_point_rows(),
             *(Row(name, value) for name, value in self.settings.items()),
         ]
+
+    def _set_point_rows(self) -> list[Row]:
+        if self.set_point_step_a is None:
+            return []
+        quantum = f"the rig's simulation has rig.amplifier.current_quantum_a = {self.quantum_a:g} A"
+        note = quantum if self.set_point_step_a > self.quantum_a else ""
+        return [Row("set-point step", f"{self.set_point_step_a:.3g}", "A", note)]
 
 
 def _share(taken: int, room: int) -> str:
@@ -157,7 +171,10 @@ def build(request: BuildRequest, on_progress: Progress = lambda _what, _share: N
         )
     _make_directory(request.output)
     compiler = find_compiler()
-    settings = settings_of(board, {**dict(request.model.board), **request.settings})
+    profile = amplifiers.load(request.model.amplifier.profile)
+    usual = {name: value for name, value in profile.settings.items() if name in board.settings}
+    settings = settings_of(board, {**usual, **dict(request.model.board), **request.settings})
+    check_scales(board, request.model, settings)
     sources = (*shared_sources(), *board.sources(request.application))
     config = configure(board, request.model, settings, package=package_version(), sources=sources_hash(board))
     with tempfile.TemporaryDirectory(prefix="haptic-rig-") as scratch:
@@ -176,9 +193,16 @@ def sources_hash(board: Board) -> str:
     digest = hashlib.sha256()
     directories = [*(FIRMWARE / part for part in SHARED), board.directory]
     for path in sorted(path for directory in directories for path in directory.iterdir() if path.is_file()):
-        name = path.relative_to(FIRMWARE).as_posix()
+        name = _in_tree(path, board).as_posix()
         digest.update(name.encode() + b"\0" + hashlib.sha256(path.read_bytes()).digest())
     return digest.hexdigest()[:12]
+
+
+def _in_tree(path: Path, board: Board) -> Path:
+    """Where the compiler finds a source: its board may lie anywhere."""
+    if path.is_relative_to(board.directory):
+        return Path("board") / path.relative_to(board.directory)
+    return Path("firmware") / path.relative_to(FIRMWARE)
 
 
 def package_version() -> str:
@@ -198,16 +222,15 @@ def _compiled(
     on_progress: Progress,
 ) -> bytes:
     """Return the program. Everything is named relative to the scratch directory, so that no path gets into it."""
-    tree = scratch / "firmware"
-    if os.name == "posix":
-        tree.symlink_to(FIRMWARE, target_is_directory=True)
-    else:
-        shutil.copytree(FIRMWARE, tree)
+    for name, directory in (("firmware", FIRMWARE), ("board", board.directory)):
+        if os.name == "posix":
+            (scratch / name).symlink_to(directory, target_is_directory=True)
+        else:
+            shutil.copytree(directory, scratch / name)
     (scratch / "board_config.h").write_text(config.header, encoding="utf-8")
     (scratch / "board_config.c").write_text(config.source, encoding="utf-8")
-    names = [f"firmware/{path.relative_to(FIRMWARE).as_posix()}" for path in sources] + ["board_config.c"]
-    here = f"firmware/{board.directory.relative_to(FIRMWARE).as_posix()}"
-    include = ["-I.", *(f"-Ifirmware/{part}" for part in SHARED), f"-I{here}"]
+    names = [_in_tree(path, board).as_posix() for path in sources] + ["board_config.c"]
+    include = ["-I.", *(f"-Ifirmware/{part}" for part in SHARED), "-Iboard"]
     nowhere = f"-ffile-prefix-map={os.path.realpath(scratch)}=."  # the debugger's own notes have paths, too
     common = [*WARNINGS, *CODE, nowhere, *board.processor, *board.compile, *include]
     objects = [f"{number}.o" for number in range(len(names))]
@@ -222,8 +245,8 @@ def _compiled(
         for _ in pool.map(compile_one, range(len(names))):
             pass
     on_progress("linking", len(names) / (len(names) + 1))
-    script = ["-T", f"{here}/{board.linker_script}"]
-    flags = [*board.processor, "-mthumb", *board.compile, *LINK, f"-L{here}", *board.link]
+    script = ["-T", f"board/{board.linker_script}"]
+    flags = [*board.processor, "-mthumb", *board.compile, *LINK, "-Lboard", *board.link]
     compiler.run([*flags, *script, "-o", "program.elf", *objects, "-lm"], scratch)
     on_progress("linking", 1.0)
     content = (scratch / "program.elf").read_bytes()
@@ -254,6 +277,8 @@ def _written(
         dictionary_hash=f"{config.record.dictionary_hash:016x}",
         compiler=compiler.version,
         settings=config.record.facts.settings,
+        quantum_a=request.model.amplifier.current_quantum_a,
+        set_point_step_a=set_point_step_a(request.model, config.record.facts.settings),
         elf=paths["elf"],
         bin=paths["bin"],
         uf2=None if board.uf2_family is None else paths["uf2"],

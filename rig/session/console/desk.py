@@ -15,7 +15,7 @@ from typing import Any, cast
 
 from rig.core.errors import ConfigError, StoppedError
 from rig.core.present import plain as plain_of
-from rig.devices.hand import SharedHand
+from rig.realtime.hand import SharedHand
 from rig.session.console import terminal
 from rig.session.console.child import Child, Message
 from rig.session.console.pointer import KEYS, HandKind

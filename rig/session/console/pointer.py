@@ -21,7 +21,7 @@ HandKind = Literal["mouse", "keyboard"]
 
 
 class Hand(Protocol):
-    """Where an intention goes (`rig.devices.hand.SharedHand`)."""
+    """Where an intention goes (`rig.realtime.hand.SharedHand`)."""
 
     def move(self, position: float, press: float) -> None:
         """Reach for a position of the link (rad or m), and press with a force (N)."""

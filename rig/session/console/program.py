@@ -21,8 +21,8 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from rig.devices.hand import SharedHand
 from rig.realtime import running
+from rig.realtime.hand import SharedHand
 from rig.session.console import terminal
 from rig.session.console.conversation import Conversation, Decision, Stop
 from rig.session.console.keyboard import Event, Key, Keyboard, Mode, Mouse

@@ -115,6 +115,7 @@ class Follower:
         self._told_clock = self._begun = False
         self._since = time.monotonic()
         self._before: NDArray[np.void] = np.zeros(0, ROW)
+        self._last_ns = 0
         self._contacts = 0
 
     def poll(self) -> Chunk:
@@ -124,7 +125,7 @@ class Follower:
         if not self._clock.fitted and not done and time.monotonic() - self._since < HOLD_S:
             return Chunk(np.zeros(0, ROW), np.zeros(0, np.int64))
         rows = self._read()
-        times = self._clock.host_of(rows, rows["device_time"]) if len(rows) else np.zeros(0, np.int64)
+        times = self._times(rows) if len(rows) else np.zeros(0, np.int64)
         markers = list(self._markers(rows, times)) if len(rows) else []
         self._before = rows[-1:].copy() if len(rows) else self._before
         if done:
@@ -149,6 +150,12 @@ class Follower:
         self.rows += len(rows)
         self._next = head
         return rows
+
+    def _times(self, rows: NDArray[np.void]) -> NDArray[np.int64]:
+        """Host times of the rows, none before one that was told: a better line may be an earlier one."""
+        times: NDArray[np.int64] = np.maximum(self._clock.host_of(rows, rows["device_time"]), self._last_ns)
+        self._last_ns = int(times[-1])
+        return times
 
     def _markers(self, rows: NDArray[np.void], times: NDArray[np.int64]) -> Iterator[Marker]:
         first = {"tick": int(rows["tick"][0]), "device_time": int(rows["device_time"][0])}

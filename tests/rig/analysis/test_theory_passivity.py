@@ -134,6 +134,14 @@ def test_lag_and_delay_tighten_the_bound() -> None:
     assert found.largest_damping < 3e-3 / found.beta
 
 
+def test_a_slow_pulse_width_costs_most_of_the_stiffness() -> None:
+    """b over half a tick, lag and delay: 3 mN·m·s/rad, 25 µs, 109 µs and the period of 250 µs at 4 kHz."""
+    slow = replace(RIGID, amplifier=replace(RIGID.amplifier, set_point_delay_s=2.5e-4))
+    at_once, late = (theory.passivity_bound(rig, "dual:20k/2k", 0.0).stiffness for rig in (RIGID, slow))
+    assert at_once == pytest.approx(3e-3 / 134e-6, rel=0.02)
+    assert late == pytest.approx(3e-3 / 384e-6, rel=0.02)
+
+
 def test_one_damping_of_the_rig_stands_in_all_of_a_bound() -> None:
     """On two masses what the motor side meets; only slow motion, at B = 0, meets all of it."""
     heavy = replace(KOUL, mechanics=replace(KOUL.mechanics, link_damping=0.5))

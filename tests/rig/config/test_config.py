@@ -386,6 +386,31 @@ ROTARY_RULES = [
         {"rig.amplifier.current_quantum_a": 1e-4},
         "rig.amplifier.effort_limit = 1.3 N·m: must be ≤ 0.7667 N·m, which is 32767 current quanta; make rig.ampl",
     ),
+    (
+        {"rig.amplifier.profile": "escon-50-5"},
+        'rig.amplifier.profile = "escon-50-5": must be a known amplifier; did you mean escon-50-5-pwm?',
+    ),
+    (
+        {"rig.amplifier.profile": "l298n"},
+        'rig.amplifier.profile = "l298n": a bridge with two inputs is at full',
+    ),
+    (
+        {"rig.amplifier.profile": "escon-50-5-pwm", "rig.amplifier.set_point_delay_s": 1e-4},
+        "rig.amplifier.set_point_delay_s = 0.0001 s: must be ≥ 0.00025 s with rig.amplifier.profile = ",
+    ),
+    (
+        {"rig.amplifier.profile": "voltage-bridge", "rig.amplifier.set_point_delay_s": 2e-5},
+        'rig.amplifier.drive = "current": must be voltage with rig.amplifier.profile = "voltage-bridge"; and set',
+    ),
+    (
+        {
+            "rig.amplifier.profile": "voltage-bridge",
+            "rig.amplifier.set_point_delay_s": 2e-5,
+            "rig.amplifier.drive": "voltage",
+            "rig.amplifier.back_emf_damping": 0.0,
+        },
+        "rig.amplifier.back_emf_damping = 0.0 N·m·s/rad: must be > 0 on a plain bridge; k_t²/R at the link",
+    ),
 ]
 
 

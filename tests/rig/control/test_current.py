@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.signal import lfilter
 
 from rig.control import current
 from rig.control.current import AGREES, CURRENT, DISAGREES, FEWEST_TICKS
@@ -35,11 +36,7 @@ def answers(words: Any, active: Any, measured: Any, counts: Any = None) -> list[
 def lagged(active: Any, rate: int, lag_s: float) -> Any:
     """The exact current behind a first-order lag at the end of each tick, as a converter rounds it."""
     share = 1.0 if lag_s == 0.0 else -np.expm1(-1.0 / (rate * lag_s))
-    flowing, found = 0.0, []
-    for one in active:
-        flowing += (one - flowing) * share
-        found.append(flowing)
-    return np.floor(np.array(found) + 0.5)
+    return np.floor(lfilter([share], [1.0, share - 1.0], active) + 0.5)
 
 
 def outside(active: Any, measured: Any, rate: int, lag_s: float) -> Any:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 from types import SimpleNamespace
@@ -17,7 +18,7 @@ from rig.papers import reproduction
 from rig.papers.chawda.reproduction import CHAWDA
 from rig.papers.claims import read_claims
 from rig.papers.koul.reproduction import KOUL
-from rig.papers.reproduction import Paper, Reproduction, render, write_report
+from rig.papers.reproduction import Paper, Reproduction, draw_into, render, write_report
 from rig.papers.rules import Ruling, Status
 from rig.views.report import template, writing
 
@@ -271,6 +272,13 @@ def test_numbers_are_attached_as_json_that_any_reader_takes(templates: None, tmp
 
 def test_the_same_reproduction_gives_the_same_bytes(templates: None) -> None:
     assert render(made_up(), {"drawn": PNG}) == render(made_up(), {"drawn": PNG})
+
+
+def test_pictures_lie_beside_the_report_by_paper_and_name(templates: None, tmp_path: Path) -> None:
+    drawn = {name: lambda _, path: path.write_bytes(PNG) for name in ("one", "two")}
+    made = replace(made_up(), paper=replace(paper(), pictures=drawn))
+    assert draw_into(made, tmp_path, "svg") == {name: tmp_path / f"made-up-{name}.svg" for name in drawn}
+    assert {path.name for path in tmp_path.iterdir()} == {"made-up-one.svg", "made-up-two.svg"}
 
 
 def test_a_page_that_calls_for_what_it_does_not_get_is_an_error(templates: None) -> None:

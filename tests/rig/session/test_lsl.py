@@ -7,6 +7,7 @@ import os
 from typing import Any
 
 import numba
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -211,6 +212,23 @@ def test_without_a_comparison_of_clocks_times_are_receipts_after_a_while(
     chunk = follower.poll()
     assert chunk.times_ns.tolist() == loop.told["received_at"].tolist()
     assert next(one for one in contents(chunk) if one["mark"] == "clock")["bound_s"] is None
+
+
+def test_times_never_run_backwards_when_the_clocks_are_known_better() -> None:
+    loop = HandTurnedLoop()
+    follower = Follower(loop.ring)
+    loop.compare_clocks(late_ns=20_000_000)
+    loop.leave(3)
+    before = follower.poll().times_ns
+    for _ in range(8):
+        loop.compare_clocks()
+        follower.poll()
+    loop.leave(12)
+    after = follower.poll().times_ns
+    truth = loop.told["device_time"] + OFFSET_NS
+    assert before[0] - truth[0] > 5_000_000, "the first exchange misled it"
+    assert (np.diff(np.concatenate((before, after))) >= 0).all()
+    assert abs(after[-1] - truth[-1]) < 100_000
 
 
 def test_a_run_of_another_kind_is_followed_by_its_rows_alone() -> None:

@@ -22,7 +22,7 @@ from typing import Any
 import pytest
 
 from rig.core.errors import ConfigError, RigError, StoppedError
-from rig.devices.hand import SharedHand, Wish
+from rig.realtime.hand import SharedHand, Wish
 from rig.session.conduct import conduct
 from rig.session.console.desk import ConsoleDesk, MovedHand, at_console
 from rig.session.desk import Action, Question, Reply, View

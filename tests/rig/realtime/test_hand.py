@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 from rig.core.errors import ConfigError
 from rig.devices.device import DeviceUrl
-from rig.devices.hand import MAGIC, SIZE, SharedHand, Wish
 from rig.devices.local import serve_locally
+from rig.realtime.hand import MAGIC, SIZE, SharedHand, Wish
 from sim_backend.link import open_link
 from tests.conformance.rigs import rotary_rig
 
