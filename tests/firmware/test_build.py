@@ -337,6 +337,22 @@ def test_the_ends_of_what_the_amplifier_may_be_are_built(tmp_path: Path, chosen:
         boards.settings_of(boards.load("rp2040"), {"pwm_frequency": 3000})
 
 
+def test_settings_that_the_rig_names_are_built_in_and_told_and_the_command_wins(
+    model: Any, tmp_path: Path
+) -> None:
+    cross.need_compiler()
+    named = replace(model, board=(("enable_pin", 20), ("full_scale", 12.5)))
+    request = BuildRequest(model=named, board="rp2040", output=tmp_path, settings={"enable_pin": 21})
+    built = build(request)
+    told = {setting.name: setting.value for setting in read_image(built.elf)[1].dictionary.settings}
+    assert told == built.settings
+    assert (told["enable_pin"], told["full_scale"], told["encoder_lines"]) == (21, 12.5, "single")
+    assert (
+        "enable_pin of its board is 21 there and 20 here"
+        in check_rig(named, read_image(built.elf)[1].dictionary).text
+    )
+
+
 def test_a_board_may_lie_anywhere_and_gives_the_same_bytes(tmp_path: Path, model: RigModel) -> None:
     cross.need_compiler()
     directory = tmp_path / "mps2"

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sim_backend.usb import PRODUCT, VENDOR
+from firmware_protocol.messages import USB_PRODUCT, USB_VENDOR
 from tests.guest import vhci
 from tests.guest.pico import FACTS, PORT, STATUS
 
@@ -31,7 +31,7 @@ class PluggedPico:
     @property
     def url(self) -> str:
         """How `rig` names it."""
-        return f"usb://{VENDOR:04x}:{PRODUCT:04x}/{self.serial}"
+        return f"usb://{USB_VENDOR:04x}:{USB_PRODUCT:04x}/{self.serial}"
 
     @property
     def tty(self) -> Path | None:

@@ -7,8 +7,9 @@ import socket
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from firmware_protocol.messages import USB_PRODUCT, USB_VENDOR
 from rig.core.model import RigModel
-from sim_backend.usb import PRODUCT, VENDOR, UsbPort, UsbShape
+from sim_backend.usb import UsbPort, UsbShape
 from tests.guest import vhci
 from tests.guest.far_end import RATE, FarEnd, far_end
 from tests.guest.usbip import Bus
@@ -27,7 +28,7 @@ class Plugged:
     @property
     def url(self) -> str:
         """How `rig` names it."""
-        return f"usb://{VENDOR:04x}:{PRODUCT:04x}/{self.serial}"
+        return f"usb://{USB_VENDOR:04x}:{USB_PRODUCT:04x}/{self.serial}"
 
     def unplug(self) -> None:
         """Pull the plug and wait until Linux and udev have seen it."""

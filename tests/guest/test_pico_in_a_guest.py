@@ -19,6 +19,7 @@ import usb.util
 from usb.backend import libusb1
 
 from firmware_protocol import messages as m
+from firmware_protocol.messages import USB_PRODUCT, USB_VENDOR
 from rig import config
 from rig.config import presets
 from rig.config.controller import prepared
@@ -26,7 +27,7 @@ from rig.devices import open_device, open_link
 from rig.devices.usb import available_devices
 from rig.experiments import trial
 from rig.recording.reader import open_recording
-from sim_backend.usb import PRODUCT, VENDOR, VENDOR_CLASS
+from sim_backend.usb import VENDOR_CLASS
 from tests.conformance.host import Host
 from tests.guest import pico, vhci
 from tests.guest.hits import check_recorded, whole_hit
@@ -52,8 +53,8 @@ def board() -> Iterator[Any]:
 def opened(board: Any) -> Iterator[Any]:
     """The device through pyusb."""
     device = usb.core.find(
-        idVendor=VENDOR,
-        idProduct=PRODUCT,
+        idVendor=USB_VENDOR,
+        idProduct=USB_PRODUCT,
         backend=libusb1.get_backend(),
         custom_match=lambda found: usb.util.get_string(found, found.iSerialNumber) == board.serial,
     )

@@ -14,6 +14,7 @@ import usb.core
 import usb.util
 from usb.backend import libusb1
 
+from firmware_protocol.messages import USB_PRODUCT, USB_VENDOR
 from rig.core.errors import (
     BlockedError,
     BrokenLineError,
@@ -26,7 +27,7 @@ from rig.core.errors import (
 )
 from rig.devices import open_link
 from rig.devices.usb import available_devices
-from sim_backend.usb import ENDPOINT_IN, ENDPOINT_OUT, PRODUCT, VENDOR, VENDOR_CLASS
+from sim_backend.usb import ENDPOINT_IN, ENDPOINT_OUT, VENDOR_CLASS
 from tests.guest import vhci
 from tests.guest.hits import MODEL, check_ended_safely, struck_trial, whole_hit
 from tests.guest.plugged import plugged, plugged_rig
@@ -43,8 +44,8 @@ def find(serial: Any) -> Any:
     """A fresh look at the bus: pyusb keeps what it has once seen, a backend made anew does not."""
     backend = libusb1.get_backend()
     return usb.core.find(
-        idVendor=VENDOR,
-        idProduct=PRODUCT,
+        idVendor=USB_VENDOR,
+        idProduct=USB_PRODUCT,
         backend=backend,
         custom_match=lambda device: usb.util.get_string(device, device.iSerialNumber) == serial,
     )
@@ -163,7 +164,7 @@ def test_unplugged_in_a_blocked_read_and_after_it_and_found_again() -> None:
 
 @pytest.fixture(params=["queued", "plain"])
 def link(bare: Any, request: pytest.FixtureRequest) -> Iterator[Any]:
-    made = open_link(f"usb://{VENDOR:04x}:{PRODUCT:04x}/bare?transfers={request.param}")
+    made = open_link(f"usb://{USB_VENDOR:04x}:{USB_PRODUCT:04x}/bare?transfers={request.param}")
     yield made
     bare.bus.heal()
     made.close()
@@ -230,7 +231,7 @@ def check_is(kind: Any, act: Any) -> None:
 
 def test_opening_anew_clears_a_halt(bare: Any) -> None:
     bare.bus.halt(ENDPOINT_IN)
-    made = open_link(f"usb://{VENDOR:04x}:{PRODUCT:04x}/bare")
+    made = open_link(f"usb://{USB_VENDOR:04x}:{USB_PRODUCT:04x}/bare")
     bare.device.send(b"well again")
     assert made.read(20.0) == b"well again"
     made.close()
@@ -238,7 +239,7 @@ def test_opening_anew_clears_a_halt(bare: Any) -> None:
 
 def test_nobody_there_is_said_with_who_is(bare: Any) -> None:
     with pytest.raises(DeviceNotFoundError, match="bare"):
-        open_link(f"usb://{VENDOR:04x}:{PRODUCT:04x}/nobody")
+        open_link(f"usb://{USB_VENDOR:04x}:{USB_PRODUCT:04x}/nobody")
     assert "bare" in {device.serial for device in available_devices() if device.is_rig}
 
 
@@ -249,7 +250,7 @@ def test_one_program_at_a_time(link: Any) -> None:
 
 @pytest.mark.parametrize("transfers", ["queued", "plain"])
 def test_a_pulled_plug_is_one_error_and_the_next_device_is_found(transfers: str) -> None:
-    url = f"usb://{VENDOR:04x}:{PRODUCT:04x}/pulled?transfers={transfers}"
+    url = f"usb://{USB_VENDOR:04x}:{USB_PRODUCT:04x}/pulled?transfers={transfers}"
     with plugged("pulled") as made:
         link = open_link(url)
         threading.Timer(STRIKE_AFTER_S, made.bus.unplug).start()

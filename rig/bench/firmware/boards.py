@@ -109,7 +109,7 @@ class BoardFile:
     applications: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: {"device": ()})
     uf2_family: int | None = None
     drive: str = ""
-    sealed_behind: int | None = None
+    sealed_behind: Annotated[int, Ge(0)] | None = None
     settings: Mapping[str, Setting] = field(default_factory=dict)
     reserved_pins: Mapping[int, str] = field(default_factory=dict)
 
