@@ -373,19 +373,3 @@ def test_a_board_that_is_not_right_is_refused_with_every_key(tmp_path: Path) -> 
         boards.load(str(tmp_path))
     with pytest.raises(ConfigError, match=r"no board 'nowhere'.* directory with a board\.toml"):
         boards.load("nowhere")
-
-
-def test_settings_that_the_rig_names_are_built_in_and_told_and_the_command_wins(
-    model: Any, tmp_path: Path
-) -> None:
-    cross.need_compiler()
-    named = replace(model, board=(("enable_pin", 20), ("full_scale", 12.5)))
-    request = BuildRequest(model=named, board="rp2040", output=tmp_path, settings={"enable_pin": 21})
-    built = build(request)
-    told = {setting.name: setting.value for setting in read_image(built.elf)[1].dictionary.settings}
-    assert told == built.settings
-    assert (told["enable_pin"], told["full_scale"], told["encoder_lines"]) == (21, 12.5, "single")
-    assert (
-        "enable_pin of its board is 21 there and 20 here"
-        in check_rig(named, read_image(built.elf)[1].dictionary).text
-    )
