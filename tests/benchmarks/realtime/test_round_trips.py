@@ -66,7 +66,7 @@ TRIES = 3
 RING_ROWS = round(SECONDS * 200_000)
 STATE_FRAME_BYTES = encoded_bytes(m.State)
 WAIT_S = 10.0
-LEAST_OF_C = 0.85
+LEAST_OF_C = 0.7  # 0.9 to 2.8 on the processors seen
 
 pytestmark = pytest.mark.timeout(900)
 
