@@ -42,7 +42,7 @@ from tests.conformance.far_end import PORTS, FarEnd, HostProcess, Script
 from tests.conformance.tolerance import tolerated, too_busy
 from tests.conformance.trials import trial_on
 
-BOUND_S = 15.0  # of everything that a host does after a fault, on a loaded machine
+BOUND_S = 60.0  # "it comes back", not how soon: a loaded machine may have to compile first
 RATE = 500
 EARLY = 30  # ticks of RUNNING before something breaks in the middle of a run
 
