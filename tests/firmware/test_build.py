@@ -290,6 +290,16 @@ def test_the_uf2_of_a_board_writes_its_image_and_nothing_else(name: Any) -> None
     assert info(str(made.uf2)).firmware == made.firmware
 
 
+def test_scales_of_a_port_of_ones_own_are_checked_as_far_as_it_tells_them() -> None:
+    board, model = boards.load("rp2040"), of_profile("generic")
+    settings = boards.settings_of(board, {})
+    assert check_scales(board, model, settings) == pytest.approx(10.0 / 4000)
+    assert check_scales(board, model, {**settings, "clock": "external"}) == 0.0
+    assert check_scales(board, model, {"full_scale": 10.0}) is None
+    with pytest.raises(ConfigError, match="saturate unseen"):
+        check_scales(board, model, {**settings, "clock": "external", "full_scale": 1.0})
+
+
 @pytest.mark.parametrize("name", amplifiers.names())
 def test_every_amplifier_has_an_image_by_its_own_settings(name: str, tmp_path: Path) -> None:
     cross.need_compiler()

@@ -16,7 +16,7 @@ from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import PARAMETERS
 from rig.bench.firmware.boards import Board
 from rig.bench.firmware.record import ImageFacts, Record, pack
-from rig.bench.firmware.scales import monitor_step, set_point_step_a
+from rig.bench.firmware.scales import monitor_step_a, set_point_step_a
 from rig.core.board import current_sensor, describe, moved_mechanics, over_current
 from rig.core.model import RigModel
 
@@ -76,7 +76,7 @@ def _measured(model: RigModel, settings: dict[str, SettingValue]) -> RigModel:
     if monitor == "none":
         amplifier = replace(amplifier, current_monitor=False)
     elif monitor == "adc":
-        step_a = math.hypot(monitor_step(settings), set_point_step_a(model, settings) or 0.0)
+        step_a = math.hypot(monitor_step_a(settings), set_point_step_a(model, settings) or 0.0)
         noise_a = math.hypot(amplifier.current_noise_a, step_a / math.sqrt(12.0))
         amplifier = replace(amplifier, current_noise_a=noise_a)
     return replace(model, amplifier=amplifier)

@@ -20,7 +20,7 @@ from typing import Any
 from rig.bench.firmware.board_config import BoardConfig, configure
 from rig.bench.firmware.boards import FIRMWARE, Board, load, settings_of
 from rig.bench.firmware.elf import Segment, flat, read_segments, sealed
-from rig.bench.firmware.scales import check_scales, set_point_step_a
+from rig.bench.firmware.scales import check_scales
 from rig.bench.firmware.toolchain import Compiler, find_compiler
 from rig.bench.firmware.uf2 import write_uf2
 from rig.config import amplifiers
@@ -157,7 +157,7 @@ def build(request: BuildRequest, on_progress: Progress = lambda _what, _share: N
     Raises
     ------
     ConfigError
-        No such board, or a setting that it does not have.
+        No such board, a setting that it does not have, or scales that do not fit the rig.
     ToolchainError
         No compiler, or it refuses the sources, or the image is too large.
     RecordingError
@@ -174,13 +174,13 @@ def build(request: BuildRequest, on_progress: Progress = lambda _what, _share: N
     profile = amplifiers.load(request.model.amplifier.profile)
     usual = {name: value for name, value in profile.settings.items() if name in board.settings}
     settings = settings_of(board, {**usual, **dict(request.model.board), **request.settings})
-    check_scales(board, request.model, settings)
+    step_a = check_scales(board, request.model, settings)
     sources = (*shared_sources(), *board.sources(request.application))
     config = configure(board, request.model, settings, package=package_version(), sources=sources_hash(board))
     with tempfile.TemporaryDirectory(prefix="haptic-rig-") as scratch:
         content = _compiled(compiler, board, sources, config, Path(scratch), on_progress)
     segments = read_segments(content, "the new program")
-    return _written(request, board, compiler, config, content, segments)
+    return _written(request, board, compiler, config, content, segments, step_a)
 
 
 def shared_sources() -> tuple[Path, ...]:
@@ -260,6 +260,7 @@ def _written(
     config: BoardConfig,
     content: bytes,
     segments: tuple[Segment, ...],
+    step_a: float | None,
 ) -> BuildResult:
     flash_bytes, ram_bytes = _sizes(board, segments)
     pieces = tuple(segment.load for segment in segments if segment.load.data)
@@ -278,7 +279,7 @@ def _written(
         compiler=compiler.version,
         settings=config.record.facts.settings,
         quantum_a=request.model.amplifier.current_quantum_a,
-        set_point_step_a=set_point_step_a(request.model, config.record.facts.settings),
+        set_point_step_a=step_a,
         elf=paths["elf"],
         bin=paths["bin"],
         uf2=None if board.uf2_family is None else paths["uf2"],

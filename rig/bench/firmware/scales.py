@@ -5,6 +5,7 @@ A device reports the current that it was told to give. That is true as long as i
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from math import inf
 
@@ -17,10 +18,19 @@ from rig.core.model import RigModel
 
 CONVERTER_V, CONVERTER_STEPS = 3.3, 4096  # of the converter behind a current monitor
 LEAST_STEPS = 50  # of the output from none to the rig's peak: a coarser one is no torque output
-CLOCKS_HZ = {"200mhz": 200e6, "125mhz": 125e6}
+# Settings of a board with a pulse width output, as the Pico's board.toml has them: without all nothing is known.
+OUTPUT = {
+    "full_scale",
+    "duty_minimum",
+    "duty_maximum",
+    "set_point",
+    "pwm_frequency",
+    "clock",
+    "current_monitor",
+}
 
 
-def monitor_step(settings: Mapping[str, SettingValue]) -> float:
+def monitor_step_a(settings: Mapping[str, SettingValue]) -> float:
     """One step of the converter behind a current monitor (A)."""
     return CONVERTER_V / CONVERTER_STEPS / float(settings["monitor_scale"])
 
@@ -28,21 +38,22 @@ def monitor_step(settings: Mapping[str, SettingValue]) -> float:
 def set_point_step_a(model: RigModel, settings: Mapping[str, SettingValue]) -> float | None:
     """Return one step of the set-point (A): the coarser of the pulse width's and of what the amplifier tells apart.
 
-    None for a board without an output of its own.
+    None for a board without such an output; a clock that is not told in MHz is taken for fast enough.
     """
-    if "full_scale" not in settings:
+    if not settings.keys() >= OUTPUT:
         return None
     span = float(settings["duty_maximum"]) - float(settings["duty_minimum"])
     one_way = 0.5 * span if settings["set_point"] == "offset" else span
-    cycles = CLOCKS_HZ[str(settings["clock"])] / float(settings["pwm_frequency"])
+    mhz = re.fullmatch(r"(\d+)mhz", str(settings["clock"]))
+    cycles = float(mhz[1]) * 1e6 / float(settings["pwm_frequency"]) if mhz else inf
     full_scale = float(settings["full_scale"])
     told_apart = amplifiers.load(model.amplifier.profile).steps
     seen = 2.0 * full_scale / told_apart if told_apart else 0.0
     return max(full_scale / (one_way * cycles), seen)
 
 
-def check_scales(board: Board, model: RigModel, settings: Mapping[str, SettingValue]) -> None:
-    """Refuse what could not give or not measure the rig's currents.
+def check_scales(board: Board, model: RigModel, settings: Mapping[str, SettingValue]) -> float | None:
+    """Refuse what could not give or not measure the rig's currents; returns `set_point_step_a`.
 
     Parameters
     ----------
@@ -57,7 +68,7 @@ def check_scales(board: Board, model: RigModel, settings: Mapping[str, SettingVa
         The first thing that does not fit, with both numbers and what to change.
     """
     if (step := set_point_step_a(model, settings)) is None:
-        return
+        return None
     profile = amplifiers.load(model.amplifier.profile)
     peak = model.amplifier.effort_limit / model.amplifier.effort_per_ampere
     full_scale, frequency = float(settings["full_scale"]), float(settings["pwm_frequency"])
@@ -96,6 +107,7 @@ def check_scales(board: Board, model: RigModel, settings: Mapping[str, SettingVa
         )
     if settings["current_monitor"] == "adc":
         _check_monitor(peak * OVER_CURRENT_MARGIN, settings, refuse)
+    return step
 
 
 def _check_monitor(over_a: float, settings: Mapping[str, SettingValue], refuse: _Refusal) -> None:
