@@ -32,8 +32,8 @@ PERSON = Person(thresholds={"hidden-dual": 65.0, "hidden-uniform": 65.0}, lapse_
 KILLS = 10
 
 
-def rehearse(protocol: Path, study: Path, code: str = "P01") -> Path:
-    run_session(protocol, code, rehearsal_desk(PERSON), runner=DeviceRunner(), study=study, person=PERSON)
+def rehearse(protocol: Path, study: Path, code: str = "P01", person: Person = PERSON) -> Path:
+    run_session(protocol, code, rehearsal_desk(person), runner=DeviceRunner(), study=study, person=person)
     return study / code
 
 
@@ -73,16 +73,7 @@ def test_the_first_session_of_a_newcomer_ends_in_ten_minutes_with_intervals_that
 ) -> None:
     """The template as it is, judged as the program judges: dual-rate above the uniform scheme of its slow rate."""
     write_template(DEFAULT, tmp_path / "study.toml")
-    nobody = Person(thresholds={})
-    run_session(
-        tmp_path / "study.toml",
-        "P01",
-        rehearsal_desk(nobody),
-        runner=DeviceRunner(),
-        study=tmp_path,
-        person=nobody,
-    )
-    events = read(tmp_path / "P01" / LOG)
+    events = read(rehearse(tmp_path / "study.toml", tmp_path, person=Person(thresholds={})) / LOG)
     assert events[-1].content["reason"] == "complete"
     assert events[-1].at - events[0].at <= 600.0  # in the simulation's time
     found = analyse([tmp_path])
