@@ -50,23 +50,6 @@ def test_hit_prints_the_verdict_and_leaves_a_recording_and_a_picture(run: Any, t
     assert not list((tmp_path / "recordings").glob("*.rigcap"))
 
 
-@pytest.mark.parametrize(
-    "command",
-    [("hit", "--no-plot"), ("identify",), ("impedance", "--channel", "motor"), ("zwidth",), ("check",)],
-    ids=lambda command: command[0],
-)
-def test_a_device_of_another_rig_is_refused_before_anything_moves(
-    command: tuple[str, ...], run: Any, tmp_path: Path
-) -> None:
-    code, _, err = run(
-        *command, "--rig", "koul-compliant", "--url", "sim://koul-rigid", "-o", tmp_path / "out"
-    )
-    assert code == 2
-    assert "koul-rigid was built for another rig than koul-compliant" in err
-    assert not list(tmp_path.glob("**/*.rigcap"))
-    assert not list(tmp_path.glob("**/*.parquet"))
-
-
 def test_pictures_have_the_format_that_one_asks_for(run: Any, tmp_path: Path) -> None:
     code, out, err = run("hit", "--json", "--picture-format", "svg", *QUICK)
     assert code == 0, err
@@ -330,6 +313,30 @@ def test_an_error_is_json_too_when_json_was_asked_for(run: Any) -> None:
     assert facts["exit_code"] == code == 2
     assert "counts" in facts["error"]
     assert err.startswith("rig: ")
+
+
+@pytest.mark.parametrize(
+    "command",
+    [("hit", "--no-plot"), ("identify",), ("impedance", "--channel", "motor"), ("zwidth",), ("check",)],
+    ids=lambda command: command[0],
+)
+def test_a_device_of_another_rig_is_refused_before_anything_moves(
+    command: tuple[str, ...], run: Any, tmp_path: Path
+) -> None:
+    code, _, err = run(
+        *command, "--rig", "koul-compliant", "--url", "sim://koul-rigid", "-o", tmp_path / "out"
+    )
+    assert code == 2
+    assert "koul-rigid was built for another rig than koul-compliant" in err
+    assert "--rig koul-rigid" in err
+    assert not list(tmp_path.glob("**/*.rigcap"))
+    assert not list(tmp_path.glob("**/*.parquet"))
+
+
+def test_a_url_alone_names_the_rig(run: Any) -> None:
+    code, out, _ = run("hit", "--url", "sim://koul-rigid", "--no-plot", "--json", *QUICK)
+    assert code == 0
+    assert json.loads(out)["hits"][0]["rig"] == "koul-rigid"
 
 
 def test_a_push_that_rests_below_two_counts_is_refused_with_the_number(run: Any) -> None:
