@@ -28,7 +28,7 @@ from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import BY_NAME
 from rig.control import current as currents
 from rig.control.current import CURRENT, DISAGREES, compare
-from rig.core.board import STALL_COUNTS, current_sensor, over_current
+from rig.core.board import current_sensor, moved_mechanics, over_current
 from rig.core.model import RigModel
 from rig.realtime.groups import Floats, Ints
 from rig.realtime.kernel import rule
@@ -49,9 +49,10 @@ NEAR_EDGE = 0.05  # share of the position window at each end in which STATE warn
 
 FADES_A_SECOND = 2  # of an effort whose position nothing confirms
 
-# A motor that follows its own sign error accelerates under most of its current. Below a fifth of the limit an
-# automated rig may rest in friction, and a handle may be thrown along the effort by a person.
-RUNAWAY_SHARE = 0.2
+# Up to the described friction, and a twentieth of the limit for what friction may be beside that, an automated rig may
+# rest; above a fifth of the limit it never may.
+LARGEST_SHARE = 5
+FRICTION_SHARE = 0.25  # a twentieth, times LARGEST_SHARE
 STALL_MARGIN = 3.0  # times the longest time in which the free rig passes STALL_COUNTS
 
 # At the budget the current is reduced; heat well above it shows that the reduction does not help.
@@ -248,14 +249,13 @@ def check(
     """Judge one tick: the count at its end, active current and measured. Return the faults as bits 1 << code."""
     slot, ticks = rules[AT.slot], rules[AT.ticks]
     moved = count - counts[slot]
-    stood = count == counts[slot - 1 if slot > 0 else ticks - 1]
     counts[slot] = count
     left = not 0 <= count - rules[AT.low] <= 1  # the two neighbours
     if left:
         rules[AT.low] = count if count < rules[AT.low] else count - 1
     rules[AT.unmoved] = 0 if left and rules[AT.unmoved] <= rules[AT.confirm] else rules[AT.unmoved] + 1
     rules[AT.slot] = slot + 1 if slot + 1 < ticks else 0
-    faults = _runaway(rules, current, moved, stood)
+    faults = _runaway(rules, current, moved, not left)
     if abs(moved) > rules[AT.near_fastest]:
         rules[AT.flags] |= _SPEED
         if abs(moved) > rules[AT.fastest]:
@@ -287,8 +287,11 @@ def in_window(rules: Ints, count: int) -> bool:
 
 @rule
 def _runaway(rules: Ints, current: int, moved: int, stood: bool) -> int:
-    """Count the ticks of large effort along the motion, and those without any; say when the latter are too many."""
-    if abs(current) <= rules[AT.large]:
+    """Count the ticks of large effort along the motion, and those on two neighbouring counts; say when these are many.
+
+    A dead channel leaves no more of any motion.
+    """
+    if LARGEST_SHARE * abs(current) <= rules[AT.large]:
         rules[AT.driven] = rules[AT.still] = 0
         return 0
     push = 1 if current > 0 else -1
@@ -344,9 +347,10 @@ class Safety:
         margin = NEAR_EDGE * (last - first)
         rules[AT.first], rules[AT.last] = first, last
         rules[AT.near_first], rules[AT.near_last] = math.ceil(first + margin), math.floor(last - margin)
-        large = RUNAWAY_SHARE * values["current_limit"]
-        rules[AT.large] = math.floor(large)
-        stall_s = math.inf if values["hold_to_run"] else stall_time(self._model, large)
+        rules[AT.large] = large_effort(self._model, int(values["current_limit"]))
+        stall_s = (
+            math.inf if values["hold_to_run"] else stall_time(self._model, rules[AT.large] / LARGEST_SHARE)
+        )
         rules[AT.stall_ticks] = math.ceil(stall_s * rate) if stall_s < math.inf else _NEVER
         for slot in range(ticks):
             self.counts[slot] = count
@@ -445,20 +449,23 @@ def _gravest(faults: int) -> Fault:
     return Fault((faults & -faults).bit_length() - 1)
 
 
+def large_effort(model: RigModel, limit: int) -> int:
+    """`LARGEST_SHARE` times the effort above which a rig must move (quanta)."""
+    mechanics = moved_mechanics(model)
+    large = LARGEST_SHARE * mechanics.friction / mechanics.effort_quantum + FRICTION_SHARE * limit
+    return min(int(large), limit)
+
+
 def stall_time(model: RigModel, current: float) -> float:
     """Time (s) after which a free rig under a steady current (quanta) must have shown an encoder edge; ∞ if never.
 
-    Friction and weight are taken off the effort, then the whole inertia is moved by `STALL_COUNTS`; viscous and
-    electrical lag add their times. With `hold_to_run` a person has the handle and can hold it still, so the device
-    asks no such question then.
+    Friction and weight are taken off the effort, then the whole inertia is moved by `rig.core.board.STALL_COUNTS`;
+    viscous and electrical lag add their times. With `hold_to_run` a person has the handle and can hold it still, so the
+    device asks no such question then.
     """
-    mechanics, amplifier = model.mechanics, model.amplifier
-    friction = mechanics.motor_coulomb + mechanics.link_coulomb + abs(mechanics.gravity_effort)
-    effort = min(current * amplifier.effort_quantum, amplifier.effort_limit) - friction
+    m = moved_mechanics(model)
+    effort = min(current * m.effort_quantum, m.effort_limit) - m.friction
     if effort <= 0.0:
         return math.inf
-    travel = STALL_COUNTS * model.encoder.resolution
-    inertia = mechanics.motor_inertia + mechanics.loaded_link_inertia
-    damping = model.damping
-    moving_s = math.sqrt(2.0 * inertia * travel / effort) + travel * damping / effort + amplifier.lag_s
+    moving_s = math.sqrt(2.0 * m.inertia * m.travel / effort) + m.travel * m.damping / effort + m.lag_s
     return max(STALL_MARGIN * moving_s, SPEED_WINDOW_S)

@@ -10,7 +10,7 @@ import click
 
 from rig.cli import output
 from rig.control.verdict import Measured
-from rig.core.errors import ConfigError, RigError
+from rig.core.errors import ConfigError, RigError, StoppedError
 from rig.core.sample import unit_of
 from rig.devices import load_backend
 from rig.experiments import maps
@@ -53,6 +53,7 @@ class Dialogue:
                 realtime=self._realtime,
                 verified=verified,
                 recordings=place / maps.RECORDINGS,
+                hands_off=self._hands_off,
             ),
             agrees=self._agrees,
             report=self._report,
@@ -81,6 +82,13 @@ class Dialogue:
             return _asked(f"{text}   Enter: continue, q: end ")
         _say(text)
         return True
+
+    def _hands_off(self, text: str) -> None:
+        """Before a torque pulse, which a hit with a person begins with where the rig was not tried, or is in doubt."""
+        if self._confirm == "no":
+            _say(f"  {text}")
+        elif not _asked(f"  {text}   Enter: continue, q: end "):
+            raise StoppedError("ended before the torque pulse; nothing moved")
 
     def _report(self, asked: Next, done: Measured) -> None:
         outcomes = {criterion: done.passes(criterion) for criterion in CRITERIA}

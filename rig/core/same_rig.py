@@ -11,10 +11,10 @@ from rig.core.model import RigModel
 
 # What moves may have been identified anew since the firmware was built, or have an end mass now. The device's check of
 # a stalled motor has a margin of three in time: of that an inertia of four times takes two. Damping has no part in the
-# two counts that it waits for, friction acts beside a fifth of the effort limit, at least. The comparison of currents
+# two counts that it waits for, friction may be larger by a twentieth of the effort limit. The comparison of currents
 # was tried with half and twice the lag. All this as a share of the larger value.
 SHARES = {"inertia": 0.75, "damping": 1.0, "lag_s": 0.5}
-FRICTION_SHARE = 0.05  # of the effort limit
+FRICTION_SHARE = 0.03  # of the effort limit
 ROUNDING = 1e-6
 
 

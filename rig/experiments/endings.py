@@ -112,6 +112,18 @@ ENDINGS: dict[EndReason, tuple[type[RigError], str, str]] = {
 }
 
 
+# Reasons, as a trailer has them, behind which a rig may no longer be the one that a torque pulse found.
+IN_DOUBT = frozenset(
+    reason.name.lower()
+    for reason in (
+        EndReason.DEVICE_FAULT,
+        EndReason.DEVICE_CONTRADICTS,
+        EndReason.DEVICE_RESTARTED,
+        EndReason.CURRENT_DIFFERS,
+    )
+)
+
+
 def error_of(end: LoopEnd, url: str, fault: FaultReport | None, rows: NDArray[np.void]) -> RigError | None:
     """Return the error of an ending, None when the run finished.
 

@@ -44,6 +44,8 @@ class Judgement:
         The numbers that these go by, and what each criterion says.
     early
         What an early end makes of the verdict (`ended_early`).
+    began
+        Position at the beginning of the trial proper (rad or m); None where it never began.
     """
 
     verdict: Verdict
@@ -51,6 +53,7 @@ class Judgement:
     measured: Measured = field(repr=False)
     measured_true: Measured | None = field(repr=False)
     early: tuple[Kind, str] | None = field(repr=False)
+    began: float | None = None
 
     def rows(self, experiment: Experiment) -> list[Row]:
         """The verdict and what it goes by, for people; the truth beside it where there is one."""
@@ -76,6 +79,7 @@ class Judgement:
         rows += [Row("", reason) for reason in verdict.reasons]
         if true is not None and true.kind != verdict.kind:
             rows += [Row("", f"true: {reason}") for reason in true.reasons]
+        rows += self._start(experiment, position)
         if verdict.contact_s is not None and verdict.impact_velocity is not None:
             at = f"at {verdict.impact_velocity:.3g} {velocity}"
             rows.append(Row("first contact", verdict.contact_s, "s", at))
@@ -99,6 +103,22 @@ class Judgement:
                 note=f"from contact on {percent(verdict.late_fraction)} and {percent(verdict.lost_fraction)}, "
                 f"{verdict.longest_gap} in a row at most",
             ),
+        ]
+
+    def _start(self, experiment: Experiment, unit: str) -> list[Row]:
+        """Where the trial began, if that is more than a count from where it was to begin."""
+        away = 0.0 if self.began is None else abs(self.began - experiment.trial.start)
+        if away <= experiment.rig.encoder.resolution:
+            return []
+        what = "the person" if experiment.trial.kind == "human" else "friction"
+        tolerance = f"homing.tolerance_counts = {experiment.homing.tolerance_counts:g}"
+        return [
+            Row(
+                "start",
+                self.began,
+                unit,
+                f"{what} held the handle {away:.2g} {unit} from trial.start ({tolerance})",
+            )
         ]
 
     def _felt(self, unit: str, true: str, threshold: float) -> Row:
@@ -144,7 +164,13 @@ def judge(recording: Recording, experiment: Experiment) -> Judgement:
         measured=measured,
         measured_true=true,
         early=early,
+        began=_began(recording),
     )
+
+
+def _began(recording: Recording) -> float | None:
+    proper = recording.rows["phase"] == Phase.TRIAL
+    return float(recording.rows["position"][proper.argmax()]) if proper.any() else None
 
 
 def _overruled(measured: Measured, overruling: tuple[Kind, str] | None) -> Verdict:

@@ -27,7 +27,7 @@ class OnDevice:
 
     Attributes
     ----------
-    url, realtime, verified, arm_anyway
+    url, realtime, verified, arm_anyway, hands_off
         As in `rig.experiments.hit.HitRequest`; a real handle is at position zero when the measurement begins.
     recordings
         Directory of the recordings.
@@ -38,6 +38,7 @@ class OnDevice:
     realtime: bool = False
     verified: bool = False
     arm_anyway: bool = False
+    hands_off: Callable[[str], None] | None = None
 
     @property
     def simulated(self) -> bool:
@@ -81,6 +82,7 @@ class Trials:
             verified=self.where.verified,
             output=self.where.recordings,
             arm_anyway=self.where.arm_anyway,
+            hands_off=self.where.hands_off,
             law=law,
         )
         try:

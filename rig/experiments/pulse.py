@@ -18,12 +18,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from firmware_protocol.faults import Fault
 from rig import config, devices
 from rig.analysis.identification.quality import IdentificationError
 from rig.analysis.identification.signs import SignCheck
 from rig.config import Experiment
 from rig.core.check import Check, Outcome, refuse, refused
+from rig.core.errors import DeviceFaultError
 from rig.core.present import reported
 from rig.core.same_rig import check_rig
 from rig.core.sample import unit_of
@@ -43,8 +46,10 @@ from rig.experiments.motion_run import (
     refuse_unverified,
     run_motion,
     signs_of,
+    trial_rows,
 )
 from rig.experiments.plan import link_checks
+from rig.experiments.trial import TrialEnd
 from rig.recording.files import free_name, plain_errors
 
 PUSHES = 4
@@ -146,14 +151,19 @@ def pulse(
     x = config.override(experiment, changes, "the torque pulse")
     refuse(link_checks(still(x), device.dictionary.position_rate_maximum, device.link.bytes_per_second))
     motion = pushes_motion(x, position_now(device, x, reference_count), PUSHES)
-    rows, path = run_motion(
-        device,
-        motion,
-        recording,
-        verified=verified,
-        reference_count=reference_count,
-        extra={"pulse": {"pushes": PUSHES, "most_effort": most_push(x), "way": push_way(x)}},
-    )
+    ended: DeviceFaultError | None = None
+    try:
+        rows, path = run_motion(
+            device,
+            motion,
+            recording,
+            verified=verified,
+            reference_count=reference_count,
+            extra={"pulse": {"pushes": PUSHES, "most_effort": most_push(x), "way": push_way(x)}},
+        )
+    except DeviceFaultError as error:
+        ended = error
+        rows, path = _stalled(error)
     signs = signs_of(x, rows, motion.experiment.controller.position_rate)
     found = Pulse(
         rig=x.rig.name,
@@ -163,8 +173,20 @@ def pulse(
         signs=signs,
         checks=judged(x, signs),
     )
+    if ended is not None and found.ok:
+        raise ended
     device.moved_as_described = found.ok
     return found
+
+
+def _stalled(error: DeviceFaultError) -> tuple[NDArray[np.void], Path]:
+    """Rows and file of pushes that the device ended for want of motion: what they show says more. Else raises."""
+    end: TrialEnd | None = getattr(error, "end", None)
+    sealed = None if end is None else end.sealed
+    fault = None if sealed is None else (sealed.trailer or {}).get("fault")
+    if sealed is None or sealed.path is None or not fault or fault["name"] != Fault.RUNAWAY.name:
+        raise error
+    return trial_rows(sealed), sealed.path
 
 
 def _at_own_rate(x: Experiment, device: FramedDevice) -> dict[str, Any]:

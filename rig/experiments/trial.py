@@ -32,7 +32,7 @@ from rig.core.sample import Phase
 from rig.devices.device import Link
 from rig.devices.framed import Echo, FaultReport, FramedDevice
 from rig.devices.local import host_beside
-from rig.experiments.endings import error_of
+from rig.experiments.endings import IN_DOUBT, error_of
 from rig.experiments.judgement import Judgement
 from rig.loop import exchange
 from rig.loop.layout import EndReason
@@ -161,6 +161,8 @@ def run_trial(device: FramedDevice, request: TrialRequest) -> TrialEnd:
                 _bring_to_rest(device, loop)
             end = loop.end()
             end, error = _conclude(device, loop, end, recorder, realtime, exchanges, watch.stopped)
+            if end.reason.name.lower() in IN_DOUBT:
+                device.moved_as_described = False
         sealed, judgement = _seal(request, device.link.truth(), error)
     if error is None and watch.stopped is not None and not isinstance(watch.stopped, StoppedError):
         error = watch.stopped

@@ -29,6 +29,7 @@ from rig.core.errors import (
     StoppedError,
 )
 from rig.core.sample import HOLD, Phase, unit_of
+from rig.experiments.endings import IN_DOUBT
 from rig.experiments.pulse import NO_HANDS
 from rig.session.bands import asked as asked_of_hand
 from rig.session.bands import judged
@@ -308,7 +309,7 @@ class _Engine:
                 self._hit(presented)
 
     def _pulse(self, presented: Presented) -> bool:
-        """Before the first trial of a block, or after the rig was left: whether it moves as it is described."""
+        """Before a block's first trial, where the rig was left, or is in doubt: whether it moves as it is described."""
         self._show("hands off", presented, say="Let go of the handle.")
         self._ask(Question(kind="ready", text=NO_HANDS, actions=("go", *_ALWAYS)))
         wall = _wall(self._walls, presented.condition, presented.damping, presented.stiffness, presented.seed)
@@ -350,6 +351,8 @@ class _Engine:
         hit = judged(done.hit, state.protocol.trial, experiment.rig.motion)
         self.record("trial", **event_of(presented, hit))
         self._last = outcome(state.trials[-1], blind=self._blind)
+        if done.hit.ended in IN_DOUBT:
+            self._pulsed = None
         if done.error is not None:
             self._after_early_end(done, presented)
 

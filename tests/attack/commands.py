@@ -22,7 +22,6 @@ from tests.conformance.started import die_with_parent
 ROOT = Path(__file__).parents[2]
 GRACE_S = 20.0  # from Ctrl-C to the end
 LOOK_S = 0.002
-UNDOCUMENTED = {74: "exit code 74 (output lost) is not in the README"}
 _CODES = re.compile(r"Exit codes: (.*?)\n\n", re.DOTALL)
 
 

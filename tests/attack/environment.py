@@ -23,7 +23,7 @@ from typing import Any
 from rig.realtime.cache import cache_root
 from rig.realtime.kernel import CACHE_DIRECTORY
 from tests.attack.area import Outcome, isolation, mounted, require
-from tests.attack.commands import ROOT, UNDOCUMENTED, documented
+from tests.attack.commands import ROOT, documented
 from tests.conformance.started import die_with_parent
 
 NOBODY = 65534
@@ -91,7 +91,7 @@ class Environment:
 
     def __init__(self, place: Path) -> None:
         self._place = place
-        self._codes = documented() | set(UNDOCUMENTED)
+        self._codes = documented()
         self._cache: Path | None = None
         self._model = place / "model"
         self._model.mkdir()
@@ -119,8 +119,7 @@ class Environment:
         finally:
             shutil.rmtree(here, ignore_errors=True)
         figures[f"code {ended.returncode}"] = 1
-        known = Counter({UNDOCUMENTED[ended.returncode]: 1} if ended.returncode in UNDOCUMENTED else {})
-        return Outcome(figures, known)
+        return Outcome(figures)
 
     def _run(self, start: Start, here: Path, command: tuple[str, ...]) -> subprocess.CompletedProcess[str]:
         environment = {"PYTHONPATH": str(ROOT), **os.environ, **start.environment}

@@ -2,7 +2,7 @@
 
 It obeys like an honest one and says something else, in frames with a right CRC. Whatever it says, the run ends with no
 effort and, unless it went well, a reason; and what contradicts itself is never called a stable wall. `KNOWN` has the
-lies that today's host does not see, each with its reason: they are counted apart.
+lies that a host cannot see, each with its reason: they are counted apart.
 """
 
 from __future__ import annotations
@@ -113,16 +113,7 @@ CONTRADICTIONS: dict[str, Callable[[], Lie]] = {
     "command: another sequence": _changed("command_sequence", lambda true, told: (true + 30_000) & U16),
     "missed ticks: many": _changed("missed_ticks", lambda true, told: U16),
 }
-_BUILDING = "being built: the comparison of commanded, active and measured current"
-_ENCODER = "being built: an encoder that stands still under an effort"
-KNOWN: dict[str, str] = {
-    **{
-        name: _BUILDING
-        for name in CONTRADICTIONS
-        if name.partition(":")[0] in ("measured current", "active current")
-    },
-    "count: frozen": _ENCODER,
-}
+KNOWN = {"count: frozen": "a hand that holds still looks like that on two single-ended channels"}
 
 
 # Of a dictionary: a value that is read, and another device than it says.

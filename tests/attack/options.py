@@ -16,7 +16,7 @@ from typing import Any
 import click
 
 from tests.attack.area import Outcome, isolation, require
-from tests.attack.commands import UNDOCUMENTED, Ended, documented, preload, run
+from tests.attack.commands import Ended, documented, preload, run
 
 PATIENCE_S = 4.0  # a value may be right and the work long: then Ctrl-C has to end it
 FILE_BYTES = 1 << 28  # that a huge value may not fill the disk
@@ -62,7 +62,7 @@ class Options:
 
         preload()
         self._place = place
-        self._codes = documented() | set(UNDOCUMENTED)
+        self._codes = documented()
         self._commands = [one for one in commands(rig) if isolation() or one[0][0] not in OF_ALL_LOOPS]
         self._home = place / "home"
         self._elsewhere = place / "tmp"
@@ -81,7 +81,7 @@ class Options:
         line = [*words, *self._arguments(command, chance)]
         ended = self._run(line, directory)
         try:
-            ended.check(frozenset(self._codes))
+            ended.check(self._codes)
             for elsewhere in (self._home, self._elsewhere):
                 left = [path for path in elsewhere.rglob("*") if path.is_file()]
                 require(not left, "left elsewhere:", left)
@@ -94,9 +94,8 @@ class Options:
                 shutil.rmtree(path, ignore_errors=True)
             self._home.mkdir()
             self._elsewhere.mkdir()
-        known = Counter({UNDOCUMENTED[ended.code]: 1} if ended.code in UNDOCUMENTED else {})
         figures = Counter({"runs": 1, "interrupted": int(ended.interrupted), f"code {ended.code}": 1})
-        return Outcome(figures, known)
+        return Outcome(figures)
 
     def _run(self, line: list[str], directory: Path) -> Ended:
         limits = {resource.RLIMIT_FSIZE: FILE_BYTES, resource.RLIMIT_AS: MEMORY_BYTES}

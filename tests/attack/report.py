@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 SHOWN = 2000  # characters of a failure
@@ -40,7 +40,10 @@ class AreaReport:
 
     def as_mapping(self) -> dict[str, Any]:
         """As plain data."""
-        return {**asdict(self), "shares": self.shares()}
+        named = {
+            one.name: getattr(self, one.name) for one in fields(self)
+        }  # asdict() breaks a Counter's names
+        return {**named, "shares": self.shares()}
 
     def lines(self, name: str, seed: int) -> list[str]:
         """For a person."""

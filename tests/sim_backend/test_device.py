@@ -28,11 +28,13 @@ from sim_backend.plant import DiscretePlant, advance
 from sim_backend.safety import (
     AT,
     IDLE_LIFETIME_S,
+    LARGEST_SHARE,
     RING_TICKS,
     Safety,
     check,
     feed,
     flat,
+    large_effort,
     stall_time,
     wanted,
     warm,
@@ -686,17 +688,36 @@ def test_a_dead_encoder_is_found_by_the_edges_that_do_not_come() -> None:
     device = device_of(armed(model))
     safety = Safety(model)
     safety.configure({**_values(), "current_limit": 500, "position_rate": RATE}, 0)
-    ticks = next(k for k in range(RATE) if judge(safety, 0, 200, 200))
-    assert ticks * TICK_S == pytest.approx(stall_time(model, 0.2 * 500), abs=2 * TICK_S)
+    least = large_effort(model, 500) / LARGEST_SHARE  # friction of 50 quanta, and a twentieth of the limit
+    assert least == 75
+    ticks = next(k for k in range(RATE) if judge(safety, 0, 76, 76))
+    assert ticks * TICK_S == pytest.approx(stall_time(model, least), abs=2 * TICK_S)
     assert device.fault == Fault.NONE
+
+
+def test_a_dead_channel_is_found_too_though_the_other_one_toggles() -> None:
+    model = rotary_rig(inertia=1e-3, coulomb=5e-3)
+    safety = Safety(model)
+    safety.configure({**_values(), "current_limit": 500, "position_rate": RATE}, 0)
+    ticks = next(k for k in range(RATE) if judge(safety, k % 2, 76, 76))
+    assert ticks * TICK_S == pytest.approx(stall_time(model, 75), abs=2 * TICK_S)
+
+
+def test_no_effort_is_large_enough_beyond_a_fifth_of_the_limit() -> None:
+    """Friction that nearly holds the limit itself: then as much as ever is asked for."""
+    assert large_effort(rotary_rig(coulomb=0.02), 500) == 500
+    assert large_effort(rotary_rig(coulomb=0.0), 500) == 125
 
 
 def test_the_free_rig_shows_edges_long_before_it_is_called_stalled() -> None:
     """The most unlucky start: the least effort that is watched, friction against it, a whole cell to cross."""
     model = rotary_rig(coulomb=5e-3, offset=0.0)
     host = armed(model, speed_limit=100_000)
-    state = exchange(host, 101, ticks=math.ceil(stall_time(model, 100) / 3 * RATE))
+    state = exchange(host, 76, ticks=math.ceil(stall_time(model, 75) / 3 * RATE))
     assert state.count >= 1
+    state = exchange(host, 76, ticks=math.ceil(stall_time(model, 75) * RATE))
+    assert state.count >= 2
+    assert not state.fault
 
 
 def test_a_person_may_hold_the_handle_still_as_long_as_she_holds_the_switch() -> None:

@@ -28,6 +28,7 @@ from sim_backend.far_end import LONGEST_RUN
 from sim_backend.firmware import FirmwareDevice
 from sim_backend.link import BUFFER_BYTES, MemoryLink
 from sim_backend.lockstep import BYTES, CUTS, WORDS
+from tests.conformance import host as hosts
 from tests.conformance.firmware import hide_compiler
 from tests.conformance.host import RUN_PARAMETERS, Host
 from tests.conformance.link import COMPILED, check_link, listen
@@ -90,6 +91,7 @@ def five() -> list[ThroughThePort]:
 
 
 def walk(wire: ThroughThePort, steps: list[tuple[str, int]]) -> None:
+    hosts._dictionaries.clear()  # each reads it, the first one too
     host = Host(wire)  # type: ignore[arg-type]
     host.begin(position_rate=RATE)
     for session, (step, number) in enumerate(steps, start=2):

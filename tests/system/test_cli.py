@@ -294,14 +294,6 @@ def test_a_run_that_ends_early_still_gives_verdict_picture_and_the_hits_before_i
     assert open_recording(told["error"]["recording"]).trailer["verdict"]["kind"] == "unstable"
 
 
-def test_another_simulated_rig_than_the_experiments_is_refused(run: Any) -> None:
-    code, _, err = run("hit", "--rig", "koul-rigid", "--url", "sim://koul-compliant")
-    assert code == 2
-    assert "--rig koul-compliant" in err
-    code, out, _ = run("hit", "--url", "sim://koul-rigid", "--no-plot", "--json", *QUICK)
-    assert json.loads(out)["hits"][0]["rig"] == "koul-rigid"
-
-
 def test_what_a_file_says_is_meant_in_real_time_too(tmp_path: Path) -> None:
     from rig import config  # noqa: PLC0415
 
@@ -321,6 +313,30 @@ def test_an_error_is_json_too_when_json_was_asked_for(run: Any) -> None:
     assert facts["exit_code"] == code == 2
     assert "counts" in facts["error"]
     assert err.startswith("rig: ")
+
+
+@pytest.mark.parametrize(
+    "command",
+    [("hit", "--no-plot"), ("identify",), ("impedance", "--channel", "motor"), ("zwidth",), ("check",)],
+    ids=lambda command: command[0],
+)
+def test_a_device_of_another_rig_is_refused_before_anything_moves(
+    command: tuple[str, ...], run: Any, tmp_path: Path
+) -> None:
+    code, _, err = run(
+        *command, "--rig", "koul-compliant", "--url", "sim://koul-rigid", "-o", tmp_path / "out"
+    )
+    assert code == 2
+    assert "koul-rigid was built for another rig than koul-compliant" in err
+    assert "--rig koul-rigid" in err
+    assert not list(tmp_path.glob("**/*.rigcap"))
+    assert not list(tmp_path.glob("**/*.parquet"))
+
+
+def test_a_url_alone_names_the_rig(run: Any) -> None:
+    code, out, _ = run("hit", "--url", "sim://koul-rigid", "--no-plot", "--json", *QUICK)
+    assert code == 0
+    assert json.loads(out)["hits"][0]["rig"] == "koul-rigid"
 
 
 def test_a_push_that_rests_below_two_counts_is_refused_with_the_number(run: Any) -> None:

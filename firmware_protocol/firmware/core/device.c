@@ -298,7 +298,8 @@ static void step_index(struct device *device)
  * fails, any. */
 static uint32_t faults_of(struct device *device, const struct fault_entry *tick)
 {
-    uint32_t bits = monitor_check(&device->monitor, tick->count, tick->current_commanded, tick->current_measured);
+    uint32_t bits = monitor_check(&device->monitor, tick->count, !device->limits.moved, tick->current_commanded,
+                                  tick->current_measured);
     if (current_disagrees(&device->current, tick->count, tick->current_commanded, tick->current_measured))
         bits |= FAULT(CURRENT_MISMATCH);
     if (thermal_is_overheated(&device->thermal))

@@ -17,7 +17,7 @@ void limits_configure(struct limits *limits, const struct limits_settings *setti
 void limits_pass(struct limits *limits, int32_t count)
 {
     const uint32_t away = (uint32_t)count - (uint32_t)limits->low;
-    const bool moved = away > 1u;
+    const bool moved = limits->moved = away > 1u;
     if (moved)
         limits->low = (int32_t)away < 0 ? count : (int32_t)((uint32_t)count - 1u);
     if (moved && limits->unmoved <= limits->confirm)

@@ -18,6 +18,7 @@ struct limits {
     uint32_t fade;    /* ticks that this takes */
     uint32_t unmoved; /* such ticks so far; beyond `confirm` since the effort began to fade, too */
     int32_t low;      /* the lower of those two counts */
+    bool moved;       /* whether the last tick left them */
 };
 
 struct limits_settings {

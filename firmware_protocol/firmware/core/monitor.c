@@ -4,9 +4,10 @@
 
 #include "protocol.h"
 
-/* A motor that follows its own sign error accelerates under most of its current. Below a fifth of the limit an
- * automated rig may rest in friction, and a handle may be thrown along the effort by a person. */
-#define RUNAWAY_DIVISOR 5
+/* Up to the described friction, and a twentieth of the limit for what friction may be beside that, an automated rig may
+ * rest; above a fifth of the limit it never may. */
+#define LARGEST_SHARE 5
+#define FRICTION_SHARE 0.25 /* a twentieth, times LARGEST_SHARE */
 
 /* A rig under a large effort must show an edge within three times what the free rig takes for two counts. */
 #define STALL_MARGIN 3.0
@@ -28,11 +29,18 @@ static double stall_s(const struct mechanics *m, double current)
     return stall > SHORTEST_STALL_S ? stall : SHORTEST_STALL_S;
 }
 
-static uint32_t stall_ticks(const struct board *board, const struct monitor_settings *settings)
+/* LARGEST_SHARE times the effort above which a rig must move (quanta). */
+static int32_t large_effort(const struct mechanics *m, uint16_t limit)
+{
+    const double large = LARGEST_SHARE * m->friction / m->effort_quantum + FRICTION_SHARE * limit;
+    return large < (double)limit ? (int32_t)large : limit;
+}
+
+static uint32_t stall_ticks(const struct board *board, const struct monitor_settings *settings, int32_t large)
 {
     if (settings->hold_to_run)
         return NEVER; /* a person has the handle, and can hold it still */
-    const double stall = stall_s(&board->mechanics, 1.0 / RUNAWAY_DIVISOR * settings->current_limit);
+    const double stall = stall_s(&board->mechanics, large / (double)LARGEST_SHARE);
     const double ticks = ceil(stall * settings->rate);
     return stall < 0.0 || ticks >= (double)NEVER ? NEVER : (uint32_t)ticks;
 }
@@ -72,13 +80,12 @@ void monitor_configure(struct monitor *monitor, const struct board *board, const
 {
     monitor->encoder_sign = board->encoder_sign;
     monitor->over_current = (int16_t)(board->over_current < INT16_MAX ? board->over_current : INT16_MAX);
-    monitor->large = settings->current_limit;
-    monitor->stall_ticks = stall_ticks(board, settings);
+    monitor->large = large_effort(&board->mechanics, settings->current_limit);
+    monitor->stall_ticks = stall_ticks(board, settings, monitor->large);
     monitor->ticks = window_ticks(settings->rate);
     configure_motion(monitor, settings);
     for (uint16_t i = 0; i < monitor->ticks; i++)
         monitor->counts[i] = count;
-    monitor->newest = count;
     monitor->slot = 0;
     monitor_forget(monitor);
 }
@@ -96,11 +103,12 @@ bool monitor_in_window(const struct monitor *monitor, int32_t count)
     return count >= monitor->first && count <= monitor->last;
 }
 
-/* Count the ticks of large effort along the motion, and those without any; say when the latter are too many.
+/* Count the ticks of large effort along the motion, and those on two neighbouring counts, which is all that a dead
+ * channel leaves of any motion; say when the latter are too many.
  * `direction` is that of the motion in the window, 0 for none. */
 static uint32_t runaway(struct monitor *monitor, int16_t current, int32_t direction, bool stood)
 {
-    const int32_t five = RUNAWAY_DIVISOR * (int32_t)current;
+    const int32_t five = LARGEST_SHARE * (int32_t)current;
     if (five >= -monitor->large && five <= monitor->large) {
         monitor->driven = 0;
         monitor->still = 0;
@@ -140,16 +148,14 @@ static uint32_t over_current(struct monitor *monitor, int16_t measured)
     return high + (before & 1u) + (before >> 1) >= 2u ? FAULT(OVER_CURRENT) : 0u;
 }
 
-uint32_t monitor_check(struct monitor *monitor, int32_t count, int16_t current, int16_t measured)
+uint32_t monitor_check(struct monitor *monitor, int32_t count, bool stood, int16_t current, int16_t measured)
 {
     const uint32_t slot = monitor->slot, next = slot + 1u < monitor->ticks ? slot + 1u : 0u;
     const int32_t before = monitor->counts[slot];
     const int32_t direction = count > before ? 1 : count < before ? -1 : 0;
     /* Two counts of 32 bits are less than 2³² apart. */
     const uint32_t distance = direction < 0 ? (uint32_t)before - (uint32_t)count : (uint32_t)count - (uint32_t)before;
-    const bool stood = count == monitor->newest;
     monitor->counts[slot] = count;
-    monitor->newest = count;
     monitor->slot = (uint16_t)next;
     uint32_t faults = runaway(monitor, current, direction, stood);
     faults |= speed(monitor, distance);

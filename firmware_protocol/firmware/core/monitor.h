@@ -18,13 +18,12 @@ struct monitor {
     int16_t over_current;
     uint8_t peaks; /* of the last two ticks: was the measured current above it? */
     int32_t large; /* five times an effort above which motion is watched (quanta) */
-    uint32_t driven, still; /* ticks of large effort: along the motion, without any */
+    uint32_t driven, still; /* ticks of large effort: along the motion, and on two neighbouring counts */
     uint32_t stall_ticks;
     uint32_t fastest, near_fastest; /* counts in the window */
     int32_t first, last;            /* the position window */
     int32_t near_first, near_last;  /* between these nothing is near its ends; crossed over when it is narrow */
     uint16_t ticks, slot; /* of the speed window */
-    int32_t newest;       /* count of the last tick */
     int32_t counts[HR_WINDOW_TICKS_MAXIMUM];
 };
 
@@ -45,7 +44,8 @@ void monitor_forget(struct monitor *monitor);
 
 bool monitor_in_window(const struct monitor *monitor, int32_t count);
 
-/* Judge one tick: the count at its end, active current and measured. Returns the faults as bits 1 << code. */
-uint32_t monitor_check(struct monitor *monitor, int32_t count, int16_t current, int16_t measured);
+/* Judge one tick: the count at its end, whether it is still one of two neighbours, active current and measured. Returns
+ * the faults as bits 1 << code. */
+uint32_t monitor_check(struct monitor *monitor, int32_t count, bool stood, int16_t current, int16_t measured);
 
 #endif

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from rig.config import override, presets, verdict_thresholds
@@ -55,3 +57,22 @@ def test_what_a_count_hides_is_not_measurable_and_json_says_null(result: HitResu
     assert mapping["verdict"]["felt"] is None
     assert set(mapping["verdict"]) == set(mapping["verdict_true"])
     assert mapping["thresholds"]["felt_velocity"] == verdict_thresholds(result.experiment).felt_velocity
+
+
+@pytest.mark.parametrize("coulomb", [1.0, 0.0])
+def test_a_handle_that_friction_held_away_from_its_start_is_told(coulomb: float, tmp_path: Path) -> None:
+    """Homing ends where the servo, within its tolerance, no longer overcomes friction: 0.9 mrad away on koul-rigid."""
+    preset = presets.load("koul-rigid")
+    mechanics = {
+        f"rig.mechanics.{name}": coulomb * getattr(preset.rig.mechanics, name)
+        for name in ("motor_coulomb", "link_coulomb")
+    }
+    experiment = override(preset, {"trial.duration_s": 0.05, "verdict.tail_s": 0.02, **mechanics})
+    (found,) = hit(HitRequest(experiment=experiment, output=tmp_path))
+    rows = rows_of(found)
+    if coulomb == 0.0:
+        assert "start" not in rows
+        return
+    assert rows["start"].value == pytest.approx(experiment.trial.start + 0.9e-3, abs=0.1e-3)
+    assert "friction held the handle 0.00086 rad from trial.start" in rows["start"].note
+    assert plain(found.as_mapping())["began"] == rows["start"].value

@@ -12,6 +12,7 @@ import pytest
 
 import sim_backend.configuration
 from firmware_protocol.connection import State
+from firmware_protocol.faults import Fault
 from rig import config
 from rig.analysis.identification.quality import IdentificationError
 from rig.analysis.identification.signs import check_signs
@@ -23,6 +24,7 @@ from rig.devices.framed import FramedDevice
 from rig.experiments.hit import HitRequest, hit
 from rig.experiments.identify_motions import PUSH_S, coulomb_of, inertia_of, most_push, push_way
 from rig.experiments.motion_run import FreeRigRequest
+from rig.experiments.on_device import OnDevice, Trials
 from rig.experiments.pulse import NO_HANDS, Pulse, check_rig_moves, energy_of, judged, pulse
 from rig.recording.reader import open_recording
 from sim_backend.device import SimulatedDevice
@@ -129,9 +131,21 @@ def real(monkeypatch: pytest.MonkeyPatch) -> None:
     )
 
 
+class Failing(SimulatedDevice):
+    """A device that finds a fault once it runs, if it is told to."""
+
+    fails = False
+
+    def tick(self) -> bytes:
+        if self.fails and self.connection.state == State.RUNNING:
+            self.fails = False
+            self.inject_fault(Fault.OVER_CURRENT)
+        return super().tick()
+
+
 def framed(**hardware: float) -> FramedDevice:
     """A rig, held by nobody, of the person's experiment."""
-    device = SimulatedDevice(config.rig_model(config.override(PERSON, BARE)))
+    device = Failing(config.rig_model(config.override(PERSON, BARE)))
     for name, value in hardware.items():
         setattr(device.hardware, name, value)
     return FramedDevice(MemoryLink(device))
@@ -162,6 +176,30 @@ def test_a_real_rig_whose_motor_is_dead_is_not_armed_for_a_person(real: None, tm
         assert device.connection.state != State.RUNNING
     (only,) = tmp_path.glob("*.parquet")
     assert "pulse" in only.name
+
+
+def test_a_rig_that_a_run_left_in_doubt_is_pushed_again_before_a_person_is_armed(
+    real: None, tmp_path: Path
+) -> None:
+    said: list[str] = []
+    with framed() as device:
+        person = HitRequest(
+            experiment=PERSON, device=device, verified=True, output=tmp_path, hands_off=said.append
+        )
+        tuple(hit(person))
+        device.link.device.fails = True  # type: ignore[attr-defined]
+        with pytest.raises(DeviceFaultError, match="measured current above"):
+            tuple(hit(dataclasses.replace(person, name="faulty")))
+        tuple(hit(person))
+    assert said == [NO_HANDS] * 2
+
+
+def test_a_map_with_a_person_tells_to_let_go_before_its_pulse(real: None, tmp_path: Path) -> None:
+    said: list[str] = []
+    where = OnDevice(url="serial://none", verified=True, recordings=tmp_path, hands_off=said.append)
+    with framed() as device:
+        Trials(where, device, 0).run(PERSON, {})
+    assert said == [NO_HANDS]
 
 
 def test_an_automated_trial_needs_no_pulse(real: None, tmp_path: Path) -> None:

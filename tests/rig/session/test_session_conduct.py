@@ -14,7 +14,15 @@ import numpy as np
 import pytest
 
 from rig.config.presets import load as preset
-from rig.core.errors import ConfigError, LinkLostError, OverrunError, PlanError, RecordingError, StoppedError
+from rig.core.errors import (
+    ConfigError,
+    GuardError,
+    LinkLostError,
+    OverrunError,
+    PlanError,
+    RecordingError,
+    StoppedError,
+)
 from rig.core.present import plain
 from rig.session.conduct import conduct
 from rig.session.desk import Question, Reply
@@ -140,6 +148,23 @@ def test_a_rig_that_was_left_is_pushed_again_and_a_simulated_one_never(tmp_path:
     virtual = FakeRunner()
     run_with(started(tmp_path / "P02"), virtual, ScriptedDesk())
     assert virtual.pulses == []
+
+
+@pytest.mark.parametrize(
+    ("ended", "again"),
+    [("device_fault", 1), ("current_differs", 1), ("device_contradicts", 1), ("energy", 0)],
+)
+def test_a_rig_that_a_trial_left_in_doubt_is_pushed_before_the_next(
+    ended: str, again: int, tmp_path: Path
+) -> None:
+    """Somebody said go on: a motor that had another current than was set may be another motor."""
+    runner = RealRunner({2: ({**INVALID, "ended": ended}, GuardError("ended early", remedy="look"))})
+    session = started(tmp_path / "P01")
+    run_with(session, runner, ScriptedDesk())
+    kinds = [event.kind for event in read(tmp_path / "P01" / LOG)]
+    assert len(runner.pulses) == len(session.state.blocks) + again
+    second, third = [place for place, kind in enumerate(kinds) if kind == "trial"][1:3]
+    assert kinds[second:third].count("pulse") == again
 
 
 @pytest.mark.parametrize("blind", ["both", "operator"])

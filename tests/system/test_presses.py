@@ -1,0 +1,66 @@
+"""A person who presses on a stiff wall, from quite still to trembling: no check of a device takes that for a fault."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import pytest
+
+from firmware_protocol.faults import LimitFlag
+from rig import config
+from rig.analysis import theory
+from rig.config import presets
+from rig.core.errors import GuardError
+from rig.core.operators import GRIPS
+from rig.experiments.hit import HitRequest, Recorded, hit, left_by
+
+PERSON = config.override(
+    presets.load("koul-compliant"),
+    {
+        "trial.kind": "human",
+        "rig.limits.human": True,
+        "rig.limits.effort": 0.28,
+        "operator.press": 2.0,
+        "controller.position_rate": 2_000,
+        "controller.velocity_rate": 2_000,
+        "trial.duration_s": 1.2,
+        "trial.release_s": 0.05,
+    },
+)
+MODULATIONS = (0.0, 0.01, 0.02, 0.2)
+TREMORS = (0.0, GRIPS["relaxed"].tremor, GRIPS["firm"].tremor)  # m rms: none, least and most of a hand
+
+
+@pytest.fixture(scope="module")
+def limit() -> float:
+    """Stiffness at which linear theory has the wall unstable in this hand."""
+    return float(theory.k_max(PERSON, operator=PERSON.operator.grip).stiffness)
+
+
+def pressed(stiffness: float, modulation: float, tremor: float, place: Path) -> Recorded:
+    changes = {
+        "wall.stiffness": stiffness,
+        "operator.press_modulation": modulation,
+        "operator.tremor": tremor,
+    }
+    try:
+        (done,) = hit(HitRequest(experiment=config.override(PERSON, changes), output=place))
+    except (
+        GuardError
+    ) as error:  # a wall at its limit may oscillate; a fault of the device would be none of these
+        left = left_by(error)
+        assert left is not None
+        return left
+    return done.recorded
+
+
+@pytest.mark.parametrize("share", [0.3, 1.0])
+def test_a_press_however_still_is_no_fault_and_keeps_its_wall(
+    share: float, limit: float, tmp_path: Path
+) -> None:
+    for modulation, tremor in itertools.product(MODULATIONS, TREMORS):
+        rows = pressed(share * limit, modulation, tremor, tmp_path).recording.rows
+        assert not rows["fault"].any(), (modulation, tremor)
+        assert not (rows["limits"] & LimitFlag.NOT_CONFIRMED).any(), (modulation, tremor)
+        assert (rows["penetration"] > 0.0).any(), "it pressed"
