@@ -1,0 +1,46 @@
+"""Open a console, from a program or a command."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Sequence
+from importlib.util import find_spec
+from pathlib import Path
+
+from rig.console.terminal import Terminal
+from rig.core.errors import ConfigError
+
+
+def open_console(
+    *,
+    port: int = 0,
+    hosts: Sequence[str] = (),
+    verified: bool = False,
+    own: bool = False,
+    output: str | Path = "recordings",
+    announce: Callable[[str], None] = print,
+) -> None:
+    """Serve the page on loopback until Ctrl-C; arguments as `rig.console.server.Settings`.
+
+    Raises
+    ------
+    ConfigError
+        The extra is not installed, a host is no NAME:PORT, or the port is taken.
+    """
+    if find_spec("websockets") is None:
+        raise ConfigError("websockets is not installed", remedy="pip install 'haptic-rig[console]'")
+    for host in hosts:
+        name, colon, number = host.rpartition(":")
+        if not (name and colon and number.isdecimal()):
+            raise ConfigError(
+                f"{host!r} is no NAME:PORT", remedy="write it as the browser's address bar has it"
+            )
+    from rig.console.server import Settings, run  # noqa: PLC0415  (an extra)
+
+    settings = Settings(
+        port=port, hosts=hosts, verified=verified, own=own, output=Path(output).resolve(), announce=announce
+    )
+    try:
+        asyncio.run(run(settings, Terminal()))
+    except OSError as error:
+        raise ConfigError(f"port {port}: {error.strerror}", remedy="name another one, or none") from error
