@@ -56,6 +56,11 @@ class Job:
         assert self._process.stdin is not None
         self._process.stdin.write(json.dumps(value).encode() + b"\n")
 
+    def beat(self) -> None:
+        """Say that the console is there."""
+        if self._process.stdin is not None and self._process.stdin.transport.get_write_buffer_size() == 0:
+            self._process.stdin.write(b"\n")
+
     async def follow(self, tell: Callable[[Mapping[str, Any]], None]) -> int:
         """Hand on its messages until it has ended; its exit code."""
         assert self._process.stdout is not None
@@ -132,6 +137,11 @@ class Jobs:
         job.answer({"job": name, "content": content, "goes_on": goes_on})
         self._task = asyncio.create_task(self._follow(job))
         return job
+
+    def beat(self) -> None:
+        """Say to what runs that the console is there."""
+        if self.running is not None:
+            self.running.beat()
 
     async def close(self) -> None:
         """End what runs, unless it goes on without a console."""

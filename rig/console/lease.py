@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 BEAT_S = 0.3
 LOST_S = 1.0
+LOOK_S = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +37,7 @@ class Lease:
         self._now = now
         self._by: str | None = None
         self._heard = 0.0
+        self._looked = now()
 
     def take(self, client: str) -> bool:
         """Operate, if nobody else does; whether `client` does now."""
@@ -58,8 +60,14 @@ class Lease:
         return Held(self._by, self._by is not None and self._now() - self._heard > BEAT_S)
 
     def expire(self) -> str | None:
-        """Take it from a page that was not heard of for too long: that page, once; else None."""
-        if self._by is None or self._now() - self._heard <= LOST_S:
+        """Take it from a page that was not heard of for too long: that page, once; else None.
+
+        To be called every `LOOK_S`. Who calls late did not listen either, and counts no silence for that time.
+        """
+        now = self._now()
+        self._heard += max(0.0, now - self._looked - 2.0 * LOOK_S)
+        self._looked = now
+        if self._by is None or now - self._heard <= LOST_S:
             return None
         gone, self._by = self._by, None
         return gone

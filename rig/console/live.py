@@ -14,6 +14,7 @@ from rig.console.client import Client
 from rig.console.follow import Followed, attached, newest
 from rig.console.history import History
 from rig.console.hits import experiment_of
+from rig.console.lease import LOOK_S
 from rig.console.regions import regions
 from rig.console.service import Handler, Service, Shared
 from rig.console.terminal import Terminal
@@ -29,7 +30,6 @@ from rig.realtime.running import RunningLoop
 FRAME_S = 1.0 / 60.0
 STATE_S = 0.1
 SEARCH_S = 0.25
-BEAT_S = 0.05
 RESERVED = ("wall.law",)  # a page chooses no program
 
 
@@ -221,11 +221,12 @@ class Live(Service):
     async def every_beat(self) -> None:
         """End what moves when its operator has gone."""
         while True:
+            self._shared.jobs.beat()
             if self._shared.lease.expire() is not None:
                 job = self._shared.jobs.running
                 if job is not None and not job.goes_on:
                     job.end()
-            await asyncio.sleep(BEAT_S)
+            await asyncio.sleep(LOOK_S)
 
     def _tell_state(self) -> None:
         held = self._shared.lease.held()

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Sequence
+import signal
+from collections.abc import Callable, Coroutine, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -41,6 +42,13 @@ def open_console(
         port=port, hosts=hosts, verified=verified, own=own, output=Path(output).resolve(), announce=announce
     )
     try:
-        asyncio.run(run(settings, Terminal()))
+        asyncio.run(_until_told(lambda ended: run(settings, Terminal(), ended)))
     except OSError as error:
         raise ConfigError(f"port {port}: {error.strerror}", remedy="name another one, or none") from error
+
+
+async def _until_told(serve: Callable[[asyncio.Event], Coroutine[None, None, None]]) -> None:
+    ended = asyncio.Event()
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        asyncio.get_running_loop().add_signal_handler(number, ended.set)
+    await serve(ended)

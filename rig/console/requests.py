@@ -156,6 +156,12 @@ def request_of(text: str | bytes, kinds: Mapping[str, type[Request]]) -> Request
     return found
 
 
+def number_of(text: str | bytes) -> int:
+    """The number that a page gave its message, right or wrong; 0: none."""
+    number = json_of(text).get("number")
+    return number if isinstance(number, int) and not isinstance(number, bool) else 0
+
+
 def json_of(text: str | bytes) -> dict[str, Any]:
     """The object that a message holds; an empty one where it holds none."""
     try:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import signal
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AsyncExitStack, suppress
@@ -147,10 +146,9 @@ class Console:
                 await sender
 
     async def _answer(self, client: Client, text: str | bytes) -> None:
-        number = 0
+        number = asked.number_of(text)
         try:
             request = asked.request_of(text, self._kinds)
-            number = request.number
             result = await self._handlers[request.do][1](client, request)
         except RigError as error:
             client.reply(number, error=error)
@@ -197,12 +195,8 @@ def _facts() -> dict[str, Any]:
     }
 
 
-async def run(settings: Settings, terminal: Terminal) -> None:
-    """Serve until SIGINT or SIGTERM."""
-    ended = asyncio.Event()
-    loop = asyncio.get_running_loop()
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        loop.add_signal_handler(number, ended.set)
+async def run(settings: Settings, terminal: Terminal, ended: asyncio.Event) -> None:
+    """Serve until `ended` is set. Raises `OSError` when the port is taken."""
     static = _page()
     async with AsyncExitStack() as stack:
         place = stack.enter_context(TemporaryDirectory(prefix="rig-console-"))

@@ -6,11 +6,14 @@ import json
 import os
 import sys
 import threading
+import time
 from queue import SimpleQueue
 from typing import Any
 
 from rig.core.errors import StoppedError
 from rig.core.present import plain
+
+SILENT_S = 2.0  # after which a console is taken to hang: it beats twenty times a second
 
 
 class Talk:
@@ -27,6 +30,7 @@ class Talk:
         self._lock = threading.Lock()
         self._answers: SimpleQueue[Any] = SimpleQueue()
         self._gone = threading.Event()
+        self._heard = time.monotonic()
 
     def tell(self, say: str, /, **content: Any) -> None:
         """Say something; a console that is gone does not hear it."""
@@ -42,6 +46,8 @@ class Talk:
 
         Raises `StoppedError` when nobody is there any more and the job does not go on without.
         """
+        if time.monotonic() - self._heard > SILENT_S:  # it hangs: nobody could say stop
+            self._gone.set()
         if self._gone.is_set() and not self._goes_on:
             raise StoppedError("the console has gone", remedy="start it again: rig console")
         self.tell("progress", **content)
@@ -55,8 +61,10 @@ class Talk:
         return answer
 
     def listen(self) -> None:
-        """Hear answers until the console goes."""
+        """Hear answers until the console goes; an empty line says that it is there."""
         for line in sys.stdin:
-            self._answers.put(json.loads(line))
+            self._heard = time.monotonic()
+            if line.strip():
+                self._answers.put(json.loads(line))
         self._gone.set()
         self._answers.put(None)

@@ -1,7 +1,8 @@
 """The process that a job runs in, so that no loop shares a process with the page's server.
 
 ``python -P -m rig.console.worker``: the first line of standard input is the job; each further one an answer to what it
-asks; the end of input means that the console is gone. Each line of standard output is one message:
+asks, or empty; the end of input means that the console is gone, and 2 s of silence that it hangs. Each line of standard
+output is one message:
 
 =========  =======================================================================================
 say        content

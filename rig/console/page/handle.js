@@ -3,7 +3,7 @@
 import { cleared, colour, make, written } from "./dom.js";
 
 const SAY_MS = 40; // a hand that says nothing for a second has let go
-const SPAN = 0.06; // shown at the handle (m), if the rig does not say how large it is
+const SPAN = 0.025; // shown at the handle (m), of a trial that starts at its wall
 const MARGIN = 0.05; // of the window that the rig may move in
 const PRESS_STEP = 1; // N with each key
 
@@ -32,7 +32,7 @@ export class Handle {
     const { rig, wall, trial } = loop.experiment ?? {};
     if (!rig?.mechanics || !trial) return;
     const radius = rig.motion === "rotary" ? rig.mechanics.handle_radius ?? 1 : 1;
-    const reach = Math.max(SPAN / radius, 2.5 * Math.abs(wall.position - trial.start));
+    const reach = 6 * Math.abs(wall.position - trial.start) || SPAN / radius;
     const { position_minimum: lowest, position_maximum: highest } = rig.limits; // beyond these the run ends
     const margin = MARGIN * (highest - lowest);
     this.low = Math.max(wall.position - reach / 2, lowest + margin);

@@ -52,7 +52,7 @@ link.addEventListener("state", ({ detail }) => {
   else if (loop.ended !== null) say(`ended: ${loop.ended}`);
   else {
     const lost = loop.counters.lost + loop.counters.skipped;
-    say(`${loop.phase}${loop.inside ? ", inside the wall" : ""}, set ${loop.set}${lost ? `, ${lost} samples lost` : ""}${loop.fault !== "none" ? `, fault ${loop.fault}` : ""}`);
+    say(`${loop.phase}${loop.inside ? ", inside the wall" : ""}, set ${loop.set}${lost ? `, ${lost} samples lost` : ""}${loop.fault && loop.fault !== "none" ? `, fault ${loop.fault}` : ""}`);
   }
 });
 

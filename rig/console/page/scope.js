@@ -190,7 +190,7 @@ export class Scope {
     return {
       width: 400, height: 160, legend: { show: false },
       cursor: { sync: { key: "rig" }, drag: { x: true, y: false, setScale: false } },
-      scales: { x: { time: false, auto: false, range: () => this.#range() } },
+      scales: { x: { time: false, auto: false, range: () => this.#range() }, y: { range: (_, low, high) => this.#height(title, low, high) } },
       axes: [
         { ...axis, ...(last ? { label: "s since the first sample", labelSize: 18, size: 36 } : { size: 26 }) },
         { ...axis, size: 78, values: (_, ticks) => ticks.map((tick) => written(tick, 6)), label: `${title} (${this.unit(series[0][0])})`, labelSize: 18 },
@@ -224,6 +224,16 @@ export class Scope {
       return [this.triggered - before, this.triggered - before + this.window_s];
     }
     return [from.newest - this.window_s, from.newest];
+  }
+
+  // The least span of a chart is some steps of its sensor or a share of its limit: what stands still is drawn flat.
+  #height(title, low, high) {
+    const rig = this.loop?.experiment?.rig;
+    const least = { position: 10 * (rig?.encoder?.resolution ?? 1e-4), velocity: 0.01 * (rig?.limits?.speed ?? 1), effort: 0.02 * (rig?.limits?.effort ?? 1) };
+    if (low === null) return [0, least[title] ?? 1];
+    const middle = (low + high) / 2;
+    const half = Math.max(0.55 * (high - low), (least[title] ?? Math.max(1e-3 * Math.abs(middle), 1e-9)) / 2);
+    return [middle - half, middle + half];
   }
 
   // What is true, the wall, the trigger, the cursors and a legend, over a chart.
