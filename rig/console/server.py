@@ -28,6 +28,7 @@ from rig.config.files import preset_names
 from rig.console import requests as asked
 from rig.console.access import HEADERS, Access
 from rig.console.client import Client
+from rig.console.devices import Devices
 from rig.console.jobs import Job, Jobs
 from rig.console.lease import Lease
 from rig.console.live import Live
@@ -82,7 +83,7 @@ class Console:
     def __init__(self, settings: Settings, hand: SharedHand, terminal: Terminal) -> None:
         self._shared = Shared(set(), Lease(), Jobs(self._job_says), settings.output)
         self.live = Live(self._shared, hand, terminal, verified=settings.verified, own=settings.own)
-        self.services: tuple[Service, ...] = (self.live,)
+        self.services: tuple[Service, ...] = (self.live, Devices(self._shared))
         self._handlers = {do: found for service in self.services for do, found in service.handlers().items()}
         self._kinds = {do: kind for do, (kind, _) in self._handlers.items()}
 

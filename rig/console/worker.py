@@ -33,6 +33,7 @@ from rig.realtime import compiling
 
 # Job → module:function; each takes its content and a `Talk`, and returns its result.
 JOBS = {
+    "doctor": "rig.console.devices:doctor",
     "hit": "rig.console.hits:hit",
     "play": "rig.console.hits:play",
 }

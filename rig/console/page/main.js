@@ -1,5 +1,6 @@
 // The page: a header that is always there, with STOP; and views, of which one is shown.
 
+import { devicesView } from "./devices.js";
 import { make, written } from "./dom.js";
 import { Handle } from "./handle.js";
 import { Link } from "./link.js";
@@ -85,5 +86,6 @@ link.addEventListener("hello", ({ detail: facts }) => {
     globalThis.rigConsole = { scope, written };
     return make("div", {}, scope.element, side);
   });
+  addView("devices", "Devices", () => devicesView(link, facts));
   show("live");
 });

@@ -314,6 +314,10 @@ export class Scope {
     const top = Math.max(most(y, -side), this.wall.stiffness * deep, 1e-9) * 1.1;
     const bottom = -0.15 * top;
     const place = { left: 70, right: width - 12, top: 12, bottom: height - 40 };
+    context.save();
+    context.beginPath();
+    context.rect(place.left, place.top, place.right - place.left, place.bottom - place.top);
+    context.clip();
     const px = (value) => place.left + (value - left) / (right - left) * (place.right - place.left);
     const py = (value) => place.bottom - (value - bottom) / (top - bottom) * (place.bottom - place.top);
     line(context, px(0), place.top, px(0), place.bottom, colour("wall"));
@@ -323,6 +327,7 @@ export class Scope {
     context.beginPath();
     for (let i = 0; i < x.length; i++) context[i ? "lineTo" : "moveTo"](px(x[i]), py(-side * y[i]));
     context.stroke();
+    context.restore();
     context.fillStyle = colour("quiet");
     context.font = "12px system-ui";
     context.fillText(`penetration (${this.unit("penetration")}), up to ${written(deep, 3)}`, place.left, height - 12);

@@ -2,6 +2,7 @@
 
 import { cleared, colour, make, written } from "./dom.js";
 
+const JOBS = ["hit", "play"];
 const ASK_MS = 250; // between two questions to theory while a slider moves
 const SET_MS = 100;
 const ESTIMATORS = ["fdm-butterworth", "fdm", "foaw", "kalman", "levant"];
@@ -23,7 +24,7 @@ export class Wall {
     link.addEventListener("loop", ({ detail }) => this.#another(detail));
     link.addEventListener("state", ({ detail }) => this.#state(detail));
     link.addEventListener("job", ({ detail }) => this.#job(detail));
-    link.addEventListener("progress", ({ detail }) => this.#progress(detail.told));
+    link.addEventListener("progress", ({ detail }) => { if (JOBS.includes(detail.job)) this.#progress(detail.told); });
     this.rig.value = facts.rigs.includes("koul-compliant") ? "koul-compliant" : facts.rigs[0];
     this.#load();
   }
@@ -191,6 +192,7 @@ export class Wall {
   }
 
   #job({ job, told }) {
+    if (!JOBS.includes(job)) return;
     if (told.say === "compiling" && told.busy) this.verdict.replaceChildren("compiling what this run needs, once for this version and machine …");
     if (told.say === "failed") {
       this.verdict.replaceChildren(`The ${job} ended: ${told.error}${told.remedy ? `; ${told.remedy}` : ""}${told.recording ? `. Recorded: ${told.recording}` : ""}`);
