@@ -1,4 +1,4 @@
-"""The rig in the browser, live: a page that looks at the loops of this computer, starts runs and stops them.
+"""The live page in the browser, and what it starts.
 
 * `access`: who may open the page at all: token, Host, Origin, and what a browser may load;
 * `follow`, `history`, `trigger`, `view`: from a loop's rows to what one scope shows;

@@ -11,9 +11,8 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
-from websockets.asyncio.server import ServerConnection
-
 from rig.console.follow import Followed
+from rig.console.sockets import ServerConnection
 from rig.console.view import Shown, View
 from rig.core.errors import RigError
 from rig.core.present import plain

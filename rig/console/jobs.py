@@ -110,7 +110,7 @@ class Jobs:
         self.running: Job | None = None
 
     async def start(self, name: str, content: Mapping[str, Any], *, goes_on: bool = False) -> Job:
-        """Start a job (`rig.console.worker.JOBS`).
+        """Start a job, one of `rig.console.worker.JOBS`.
 
         Raises
         ------
@@ -123,7 +123,7 @@ class Jobs:
             raise ConfigError(f"a {self.running.name} runs", remedy="stop it first")
         try:
             process = await asyncio.create_subprocess_exec(
-                *(sys.executable, "-P", "-m", "rig.console.worker"),
+                *(sys.executable, "-P", "-m", "rig.console"),
                 stdin=asyncio.subprocess.PIPE,
                 stdout=asyncio.subprocess.PIPE,
                 stderr=asyncio.subprocess.PIPE,

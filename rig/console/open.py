@@ -1,13 +1,13 @@
-"""Open a console, from a program or a command."""
+"""Open a console, from a program or a command. Without its extra this raises `ConfigError` when it is imported."""
 
 from __future__ import annotations
 
 import asyncio
 import signal
 from collections.abc import Callable, Coroutine, Sequence
-from importlib.util import find_spec
 from pathlib import Path
 
+from rig.console.server import Settings, run
 from rig.console.terminal import Terminal
 from rig.core.errors import ConfigError
 
@@ -26,18 +26,14 @@ def open_console(
     Raises
     ------
     ConfigError
-        The extra is not installed, a host is no NAME:PORT, or the port is taken.
+        A host is no NAME:PORT, or the port is taken.
     """
-    if find_spec("websockets") is None:
-        raise ConfigError("websockets is not installed", remedy="pip install 'haptic-rig[console]'")
     for host in hosts:
         name, colon, number = host.rpartition(":")
         if not (name and colon and number.isdecimal()):
             raise ConfigError(
                 f"{host!r} is no NAME:PORT", remedy="write it as the browser's address bar has it"
             )
-    from rig.console.server import Settings, run  # noqa: PLC0415  (an extra)
-
     settings = Settings(
         port=port, hosts=hosts, verified=verified, own=own, output=Path(output).resolve(), announce=announce
     )

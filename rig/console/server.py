@@ -18,12 +18,6 @@ from pathlib import Path, PurePath
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from websockets.asyncio.server import ServerConnection, serve
-from websockets.datastructures import Headers
-from websockets.exceptions import ConnectionClosed
-from websockets.http11 import Request as HttpRequest
-from websockets.http11 import Response
-
 from rig.config.files import preset_names
 from rig.console import requests as asked
 from rig.console.access import HEADERS, Access
@@ -33,6 +27,14 @@ from rig.console.jobs import Job, Jobs
 from rig.console.lease import Lease
 from rig.console.live import Live
 from rig.console.service import Download, Service, Shared
+from rig.console.sockets import (
+    ConnectionClosed,
+    Headers,
+    HttpRequest,
+    Response,
+    ServerConnection,
+    serve,
+)
 from rig.console.terminal import Terminal
 from rig.core.errors import RigError
 from rig.core.sample import COLUMNS, unit_of

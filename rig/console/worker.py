@@ -1,6 +1,6 @@
 """The process that a job runs in, so that no loop shares a process with the page's server.
 
-``python -P -m rig.console.worker``: the first line of standard input is the job; each further one an answer to what it
+``python -P -m rig.console``: the first line of standard input is the job; each further one an answer to what it
 asks, or empty; the end of input means that the console is gone, and 2 s of silence that it hangs. Each line of standard
 output is one message:
 
@@ -24,19 +24,15 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Mapping
-from importlib import import_module
 from typing import Any
 
+from rig.console import devices, hits
 from rig.console.talk import Talk
-from rig.core.errors import ConfigError, RigError, StoppedError
+from rig.core.errors import RigError, StoppedError
 from rig.realtime import compiling
 
-# Job → module:function; each takes its content and a `Talk`, and returns its result.
-JOBS = {
-    "doctor": "rig.console.devices:doctor",
-    "hit": "rig.console.hits:hit",
-    "play": "rig.console.hits:play",
-}
+Work = Callable[[Mapping[str, Any], Talk], Any]
+JOBS: Mapping[str, Work] = {"doctor": devices.doctor, "hit": hits.hit, "play": hits.play}
 
 
 def main() -> int:
@@ -47,7 +43,7 @@ def main() -> int:
     threading.Thread(target=talk.listen, name="rig-console", daemon=True).start()
     compiling.listen(lambda busy: talk.tell("compiling", busy=busy))
     try:
-        result = _function(str(job["job"]))(job["content"], talk)
+        result = JOBS[job["job"]](job["content"], talk)
     except RigError as error:
         talk.tell("failed", **error.as_mapping())
         return error.exit_code
@@ -56,15 +52,3 @@ def main() -> int:
         return 130
     talk.tell("done", result=result)
     return 0
-
-
-def _function(job: str) -> Callable[[Mapping[str, Any], Talk], Any]:
-    if job not in JOBS:
-        raise ConfigError(f"no job {job!r}", remedy=f"choose of {', '.join(JOBS)}")
-    module, _, name = JOBS[job].partition(":")
-    found: Callable[[Mapping[str, Any], Talk], Any] = getattr(import_module(module), name)
-    return found
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,0 +1,7 @@
+"""``python -m rig.console`` is the process that a job runs in (`rig.console.worker`)."""
+
+import sys
+
+from rig.console.worker import main
+
+sys.exit(main())
