@@ -56,7 +56,7 @@ export class Scope {
 
   #bar(facts) {
     const choice = (label, values, value, onchange) =>
-      make("label", {}, `${label} `, make("select", { onchange: ({ target }) => onchange(target.value) },
+      make("label", {}, `${label} `, make("select", { ariaLabel: label, onchange: ({ target }) => onchange(target.value) },
         ...values.map(([text, key]) => make("option", { value: key, textContent: text, selected: key === value }))));
     const columns = facts.columns.map((column) => [column.name, column.name]);
     this.pauseButton = make("button", { type: "button", textContent: "Pause", ariaPressed: "false", onclick: () => this.pause(!this.paused) });

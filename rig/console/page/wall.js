@@ -215,5 +215,6 @@ function verdictOf(hit) {
 }
 
 function field(label, input) {
+  input.ariaLabel ??= label;
   return make("label", { className: "field" }, make("span", { textContent: label }), input);
 }
