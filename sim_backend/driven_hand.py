@@ -43,6 +43,8 @@ class DrivenHand:
         A rig that is held, with a reach.
     wish
         Returns what is wished now (`rig.realtime.hand.SharedHand.read`), or None.
+    tell
+        Told, for each block of ticks, hand and handle (rad or m) and the handle's velocity as they are at its start.
 
     Raises
     ------
@@ -50,7 +52,12 @@ class DrivenHand:
         The rig is not held by a person.
     """
 
-    def __init__(self, model: RigModel, wish: Callable[[], Wish | None]) -> None:
+    def __init__(
+        self,
+        model: RigModel,
+        wish: Callable[[], Wish | None],
+        tell: Callable[[float, float, float], None] = lambda *motion: None,
+    ) -> None:
         if model.operator is None or model.reach is None:
             raise ConfigError(
                 f"the handle of {model.name} is not held by a person, so no hand can be driven",
@@ -60,6 +67,7 @@ class DrivenHand:
         self._radius = model.mechanics.handle_radius
         self._side = math.copysign(1.0, model.reach.target - model.reach.start)
         self._wish = wish
+        self.tell = tell
         self._leads = False
 
     def begin(self, position: float, tick_s: float, session: int = 0) -> None:

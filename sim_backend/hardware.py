@@ -145,8 +145,9 @@ class Hardware:
     def _go_on(self) -> None:
         """Where the hand is driven, ask for the next ticks when the last ones are over."""
         if self._hand_driven and self._row == 0 and self._hand is not None:
-            hand = self._plant.hand_position
+            hand, handle = self._plant.hand_position, self._plant.handle_position
             assert hand is not None
+            self._hand.tell(*(self._state.item(place) for place in (hand, handle, handle + 1)))
             self._script = self._hand.next(self._state.item(hand))
 
     def advance(self, current: int) -> None:

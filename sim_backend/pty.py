@@ -18,7 +18,7 @@ from pathlib import Path
 
 from rig.core.errors import ConfigError
 from rig.core.model import RigModel
-from rig.realtime.hand import SharedHand
+from rig.realtime.hand import HandMotion, SharedHand
 from sim_backend.board_time import BoardTime
 from sim_backend.compiled_device import CompiledDevice, device_for
 from sim_backend.device import SimulatedDevice
@@ -122,7 +122,11 @@ def _driven(
         yield
         return
     with SharedHand.open(hand) as shared:
-        device.hardware.drive_hand(DrivenHand(model, shared.read))
+
+        def tell(hand: float, handle: float, velocity: float) -> None:
+            shared.tell(HandMotion(device.time_ns, hand, handle, velocity))
+
+        device.hardware.drive_hand(DrivenHand(model, shared.read, tell))
         yield
 
 

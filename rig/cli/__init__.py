@@ -38,6 +38,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "rig.cli.reproduce:reproduce",
         "Reproduce a paper: figures, claims and open ideas, as one report.",
     ),
+    "console": ("rig.cli.console:console", "See and touch a rig in the browser: scope, wall, handle, STOP."),
     "stop": ("rig.cli.stop:stop", "Stop the loops that run in real time, from any terminal."),
     "set": ("rig.cli.set:set_", "Change the wall of a loop that runs in real time."),
     "plan": ("rig.cli.plan:plan", "List what an experiment will do and check it; touches no device."),

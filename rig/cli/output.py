@@ -124,15 +124,8 @@ def on_terminal() -> bool:
 
 
 def error_facts(error: RigError) -> dict[str, Any]:
-    """Return an error for a machine."""
-    return {
-        "error": for_terminal(error.message),
-        "kind": type(error).__name__,
-        "remedy": error.remedy,
-        "recording": None if error.recording is None else str(error.recording),
-        "messages": list(error.messages),
-        "exit_code": error.exit_code,
-    }
+    """Return an error for a machine, in the words of a command."""
+    return {**error.as_mapping(), "error": for_terminal(error.message)}
 
 
 class Status:

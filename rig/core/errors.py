@@ -30,6 +30,17 @@ class RigError(Exception):
     def __str__(self) -> str:
         return f"{self.message}; {self.remedy}" if self.remedy else self.message
 
+    def as_mapping(self) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        return {
+            "error": self.message,
+            "kind": type(self).__name__,
+            "remedy": self.remedy,
+            "recording": None if self.recording is None else str(self.recording),
+            "messages": list(self.messages),
+            "exit_code": self.exit_code,
+        }
+
 
 class ConfigError(RigError):
     """An invalid file, key or value: correct it and start again."""

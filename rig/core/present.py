@@ -150,6 +150,32 @@ Item = str | Row | Table | Check
 """A heading, a line, a table or a check."""
 
 
+def told(items: Sequence[Item]) -> list[dict[str, Any]]:
+    """What people are shown, for a page that lays it out itself: texts alone, each item by its kind."""
+
+    def one(item: Item) -> dict[str, Any]:
+        match item:
+            case Row():
+                return {"row": item.label, "text": item.text}
+            case Table():
+                return {
+                    "table": item.caption,
+                    "head": list(item.head),
+                    "rows": item.cells,
+                    "words": item.words,
+                }
+            case Check():
+                return {
+                    "check": item.name,
+                    "outcome": item.outcome.value,
+                    "text": item.text,
+                    "remedy": item.remedy,
+                }
+        return {"heading": item}
+
+    return [one(item) for item in items]
+
+
 def written(value: Any, digits: int = 4) -> str:
     """Write a value for people: numbers with so many significant digits, ``yes`` and ``no``, ``unknown`` for None."""
     match value:

@@ -1,8 +1,9 @@
-"""What somebody's hand wants, in a small shared file: whoever moves a mouse writes it, a simulated rig reads it.
+"""A hand in a small shared file: whoever moves a mouse writes what it wants, a simulated rig what became of that.
 
-The file holds a sequence number, a position, a press and their CRC. Writer and reader need no lock and no order of
-memory: what was caught half written has no CRC and is looked at again. Whoever is silent has let go: the sequence
-stands still, so a writer says something several times a second even where nothing changes.
+The file holds the wish (a sequence number, a position, a press) and a ring of the newest motions of hand and handle,
+each with its CRC. Writer and reader need no lock and no order of memory: what was caught half written has no CRC and is
+looked at again. Whoever is silent has let go: the sequence stands still, so a writer says something several times a
+second even where nothing changes.
 """
 
 from __future__ import annotations
@@ -20,8 +21,12 @@ from rig.core.errors import ConfigError
 
 MAGIC = b"RIGHAND1"
 _VALUES = struct.Struct("<qdd")  # sequence, position, press
+_MOTION = struct.Struct("<qqddd")  # number, device time, hand, handle, velocity
 _CRC = struct.Struct("<I")
-SIZE = len(MAGIC) + _VALUES.size + _CRC.size
+MOTIONS = 128  # that the ring holds: a quarter of a second of a simulated hand's blocks
+WISH_END = len(MAGIC) + _VALUES.size + _CRC.size
+_MOTION_BYTES = _MOTION.size + _CRC.size
+SIZE = WISH_END + MOTIONS * _MOTION_BYTES
 _TRIES = 3
 
 
@@ -44,12 +49,34 @@ class Wish:
     press: float
 
 
+@dataclass(frozen=True, slots=True)
+class HandMotion:
+    """How a simulated hand and its handle moved: apart by what the coupling between them gives.
+
+    Attributes
+    ----------
+    device_time_ns
+        Of the sample, on the device's clock, as in the column ``device_time``.
+    hand, handle
+        True positions, at the link (rad or m).
+    velocity
+        True velocity of the handle (rad/s or m/s).
+    """
+
+    device_time_ns: int
+    hand: float
+    handle: float
+    velocity: float
+
+
 class SharedHand:
-    """A hand in a file: `create` to move it, `open` to look at it. Close either."""
+    """A hand in a file: `create` to move it, `open` to obey it. Close either."""
 
     def __init__(self, memory: mmap.mmap, path: Path) -> None:
         self.path = path
         self._memory = memory
+        told = self._whole_motions()  # of whoever opened it before
+        self._told = self._seen = told[-1][0] if told else 0
 
     @classmethod
     def create(cls, path: str | Path) -> SharedHand:
@@ -64,8 +91,8 @@ class SharedHand:
             descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
             told = os.fstat(descriptor)
             if stat.S_ISREG(told.st_mode) and told.st_size == 0:
-                os.pwrite(descriptor, MAGIC + _packed(Wish(0, 0.0, 0.0)), 0)
-            return cls._mapped(descriptor, path, mmap.ACCESS_WRITE)
+                os.pwrite(descriptor, (MAGIC + _packed(Wish(0, 0.0, 0.0))).ljust(SIZE, b"\0"), 0)
+            return cls._mapped(descriptor, path)
         except OSError as error:
             raise ConfigError(
                 f"{path}: cannot be made: {error.strerror}", remedy="name a file in a directory of your own"
@@ -76,25 +103,25 @@ class SharedHand:
 
     @classmethod
     def open(cls, path: str | Path) -> SharedHand:
-        """Open a file that somebody made, to look at it; raises `ConfigError` when there is none."""
+        """Open a file that somebody made, to obey it; raises `ConfigError` when there is none."""
         path = Path(path)
         try:
-            descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
+            descriptor = os.open(path, os.O_RDWR | os.O_CLOEXEC | os.O_NONBLOCK)
         except OSError as error:
             raise ConfigError(
                 f"{path}: no hand there: {error.strerror}", remedy="whoever moves it makes the file first"
             ) from None
         try:
-            return cls._mapped(descriptor, path, mmap.ACCESS_READ)
+            return cls._mapped(descriptor, path)
         finally:
             os.close(descriptor)
 
     @classmethod
-    def _mapped(cls, descriptor: int, path: Path, access: int) -> SharedHand:
+    def _mapped(cls, descriptor: int, path: Path) -> SharedHand:
         try:
             right = os.fstat(descriptor).st_size == SIZE and os.pread(descriptor, len(MAGIC), 0) == MAGIC
             if right:
-                return cls(mmap.mmap(descriptor, SIZE, access=access), path)
+                return cls(mmap.mmap(descriptor, SIZE), path)
         except (OSError, ValueError):  # a directory, a pipe
             pass
         raise ConfigError(
@@ -110,16 +137,39 @@ class SharedHand:
             raise ConfigError(f"a hand at {position} with {press} N", remedy="give finite numbers")
         last = self.read()
         sequence = (0 if last is None else last.sequence) + 1
-        self._memory[len(MAGIC) : SIZE] = _packed(Wish(sequence, position, press))
+        self._memory[len(MAGIC) : WISH_END] = _packed(Wish(sequence, position, press))
 
     def read(self) -> Wish | None:
         """What was said last; None while it is being written."""
         for _ in range(_TRIES):
-            data = self._memory[len(MAGIC) : SIZE]
+            data = self._memory[len(MAGIC) : WISH_END]
             (crc,) = _CRC.unpack_from(data, _VALUES.size)
             if zlib.crc32(data[: _VALUES.size]) == crc:
                 return Wish(*_VALUES.unpack_from(data))
         return None
+
+    def tell(self, motion: HandMotion) -> None:
+        """Say how hand and handle moved."""
+        self._told += 1
+        values = _MOTION.pack(self._told, motion.device_time_ns, motion.hand, motion.handle, motion.velocity)
+        place = WISH_END + self._told % MOTIONS * _MOTION_BYTES
+        self._memory[place : place + _MOTION_BYTES] = values + _CRC.pack(zlib.crc32(values))
+
+    def motions(self) -> list[HandMotion]:
+        """The motions that were told since the last call, oldest first, as far as the ring still has them."""
+        fresh = [one for one in self._whole_motions() if one[0] > self._seen]
+        self._seen = max((number for number, _ in fresh), default=self._seen)
+        return [motion for _, motion in fresh]
+
+    def _whole_motions(self) -> list[tuple[int, HandMotion]]:
+        """What the ring holds, by number."""
+        found = []
+        for place in range(WISH_END, SIZE, _MOTION_BYTES):
+            data = self._memory[place : place + _MOTION_BYTES]
+            number, *motion = _MOTION.unpack_from(data)
+            if number > 0 and zlib.crc32(data[: _MOTION.size]) == _CRC.unpack_from(data, _MOTION.size)[0]:
+                found.append((number, HandMotion(*motion)))
+        return sorted(found, key=lambda one: one[0])
 
     def close(self) -> None:
         """Let go of the file, which stays."""

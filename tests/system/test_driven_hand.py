@@ -55,7 +55,12 @@ def test_the_hand_goes_where_somebody_leads_it(firmware: bool, tmp_path: Path) -
             (result,) = hit(request, watch)
         except (LinkLostError, DeviceFaultError) as error:  # a machine that is too busy for real time
             too_busy(error)
+        told = {motion.device_time_ns: motion for motion in hand.motions()}
     rows = open_recording(result.recording).rows
+    same = [row for row in rows if int(row["device_time"]) in told]
+    assert same, "what the hand did last is in the recording"
+    for row in same:  # at the sample's own time, within one count
+        assert abs(told[int(row["device_time"])].handle - row["position"]) <= DRIVEN.rig.encoder.resolution
     trial = rows[rows["phase"] == Phase.TRIAL]
     free = trial[: len(trial) // 10]
     assert (free["penetration"] <= 0.0).all()

@@ -31,6 +31,7 @@ from rig.core.sample import ROW, Phase, RowFlag
 from rig.loop.layout import EndReason
 from rig.realtime import ring as words
 from rig.realtime.ring import Ring
+from rig.realtime.row_reader import RowReader
 from rig.session.lsl.clock import LiveClock
 
 HOLD_S = 0.5  # how long rows wait for the first clock exchange
@@ -92,10 +93,6 @@ class Follower:
         The memory, and what the loop's program said about the run when this began.
     position_rate, every, rate
         Rows a second; one row in `every` becomes a sample; samples a second.
-    lost
-        Rows that were overwritten before they were seen.
-    rows
-        Rows seen.
     ended
         Whether the loop has ended and its last row was seen.
     """
@@ -107,10 +104,9 @@ class Follower:
         self.position_rate = float((experiment.get("controller") or {}).get("position_rate") or 0)
         self.every = decimation(self.position_rate, rate)
         self.rate = self.position_rate / self.every
-        self.lost = self.rows = 0
         self.ended = False
         self._blind = blind
-        self._next = 0
+        self._reader = RowReader(ring)
         self._clock = LiveClock()
         self._told_clock = self._begun = False
         self._since = time.monotonic()
@@ -118,13 +114,23 @@ class Follower:
         self._last_ns = 0
         self._contacts = 0
 
+    @property
+    def lost(self) -> int:
+        """Rows that were overwritten before they were seen."""
+        return self._reader.lost
+
+    @property
+    def rows(self) -> int:
+        """Rows seen."""
+        return self._reader.rows
+
     def poll(self) -> Chunk:
         """What has come since the last call; the last call (`ended`) has the end."""
         done = self.ring.get(words.LOOP_DONE) != 0  # before the rows: what follows is then all
         self._clock.look(self.ring)
         if not self._clock.fitted and not done and time.monotonic() - self._since < HOLD_S:
             return Chunk(np.zeros(0, ROW), np.zeros(0, np.int64))
-        rows = self._read()
+        rows = self._reader.new()
         times = self._times(rows) if len(rows) else np.zeros(0, np.int64)
         markers = list(self._markers(rows, times)) if len(rows) else []
         self._before = rows[-1:].copy() if len(rows) else self._before
@@ -136,20 +142,6 @@ class Follower:
             markers = [Marker(marker.time_ns, without_secrets(marker.content)) for marker in markers]
         wanted = rows["sample_index"] % self.every == 0
         return Chunk(rows[wanted], times[wanted], sorted(markers, key=lambda marker: marker.time_ns))
-
-    def _read(self) -> NDArray[np.void]:
-        """Copy the new rows out; those that the loop overtook meanwhile are lost, and counted."""
-        ring = self.ring
-        head = ring.get(words.HEAD)
-        first = max(self._next, head - ring.capacity)
-        rows = ring.rows[np.arange(first, head) % max(1, ring.capacity)]
-        # The loop may be writing row HEAD just now, over row HEAD - capacity.
-        oldest = max(first, ring.get(words.HEAD) - ring.capacity + 1) if head > first else first
-        rows = rows[min(oldest - first, len(rows)) :]
-        self.lost += head - self._next - len(rows)
-        self.rows += len(rows)
-        self._next = head
-        return rows
 
     def _times(self, rows: NDArray[np.void]) -> NDArray[np.int64]:
         """Host times of the rows, none before one that was told: a better line may be an earlier one."""

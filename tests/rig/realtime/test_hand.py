@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from rig.core.errors import ConfigError
 from rig.devices.device import DeviceUrl
 from rig.devices.local import serve_locally
-from rig.realtime.hand import MAGIC, SIZE, SharedHand, Wish
+from rig.realtime.hand import MAGIC, MOTIONS, SIZE, WISH_END, HandMotion, SharedHand, Wish
 from sim_backend.link import open_link
 from tests.conformance.rigs import rotary_rig
 
@@ -48,7 +48,7 @@ def test_what_is_half_written_is_not_read(tmp_path: Path) -> None:
     with SharedHand.create(path) as mover, SharedHand.open(path) as looker:
         mover.move(0.1, 2.0)
         whole = path.read_bytes()
-        for place in range(len(MAGIC), SIZE):
+        for place in range(len(MAGIC), WISH_END):
             torn = bytearray(whole)
             torn[place] ^= 0x55
             path.write_bytes(torn)
@@ -91,3 +91,40 @@ def test_where_nobody_can_lead_that_is_said(tmp_path: Path) -> None:
         pass
     with pytest.raises(ConfigError, match="no hand there"), serve_locally(f"{url}less", rotary_rig()):
         pass
+
+
+def moved(number: int) -> HandMotion:
+    return HandMotion(device_time_ns=number, hand=0.1 * number, handle=0.05 * number, velocity=-1.0)
+
+
+def test_motions_are_read_once_and_in_order(tmp_path: Path) -> None:
+    with SharedHand.create(tmp_path / "hand") as mover, SharedHand.open(tmp_path / "hand") as device:
+        assert mover.motions() == []
+        for number in range(3):
+            device.tell(moved(number))
+        assert mover.motions() == [moved(0), moved(1), moved(2)]
+        assert mover.motions() == []
+        for number in range(2 * MOTIONS + 5):  # whoever comes late gets the newest
+            device.tell(moved(number))
+        assert mover.motions() == [moved(number) for number in range(MOTIONS + 5, 2 * MOTIONS + 5)]
+
+
+def test_motions_go_on_with_another_device(tmp_path: Path) -> None:
+    with SharedHand.create(tmp_path / "hand") as mover:
+        for number in range(2):
+            with SharedHand.open(tmp_path / "hand") as device:
+                device.tell(moved(number))
+            assert mover.motions() == [moved(number)]
+
+
+def test_a_torn_motion_is_left_out(tmp_path: Path) -> None:
+    path = tmp_path / "hand"
+    with SharedHand.create(path) as mover, SharedHand.open(path) as device:
+        device.tell(moved(7))
+        whole = path.read_bytes()
+        torn = [place for place in range(WISH_END, SIZE) if whole[place]]
+        for place in torn:
+            path.write_bytes(whole[:place] + bytes([whole[place] ^ 0x55]) + whole[place + 1 :])
+            assert mover.motions() == []
+        path.write_bytes(whole)
+        assert mover.motions() == [moved(7)]

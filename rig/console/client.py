@@ -1,0 +1,93 @@
+"""One page at its socket: what it is still to be sent, in a bounded memory, however slowly it reads.
+
+A page that reads slowly gets the newest state and one long piece of scope instead of many short ones; it delays nobody.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import time
+from collections.abc import Mapping
+from typing import Any
+
+from rig.console.follow import Followed
+from rig.console.sockets import ServerConnection
+from rig.console.view import Shown, View
+from rig.core.errors import RigError
+from rig.core.present import plain
+
+MOST_REPLIES = 200  # that wait for a page: more, and it is cut off
+MOST_A_SECOND = 200.0  # messages that a page may send
+
+
+class Client:
+    """A page that has shown the token.
+
+    Attributes
+    ----------
+    name
+        Random, of the page's own choosing: its two sockets say the same.
+    shown, paused
+        What its scope shows.
+    """
+
+    def __init__(self, socket: ServerConnection, name: str) -> None:
+        self.name = name
+        self.shown, self.paused = Shown(), False
+        self._socket = socket
+        self._view: View | None = None
+        self._replies: list[str | bytes] = []
+        self._newest: dict[str, str] = {}
+        self._wake = asyncio.Event()
+        self._allowance, self._counted = MOST_A_SECOND, time.monotonic()
+
+    def may_send(self) -> bool:
+        """Count a message from it; False when it sends too many."""
+        now = time.monotonic()
+        self._allowance = min(MOST_A_SECOND, self._allowance + (now - self._counted) * MOST_A_SECOND)
+        self._counted = now
+        self._allowance -= 1.0
+        return self._allowance >= 0.0
+
+    def reply(self, number: int, result: Any = None, error: RigError | None = None) -> None:
+        """Answer a request."""
+        told = {"say": "answer", "to": number}
+        told |= {"result": plain(result)} if error is None else {"error": error.as_mapping()}
+        self.put(json.dumps(told))
+
+    def put(self, message: str | bytes) -> None:
+        """Send a message that may not be left out."""
+        self._replies.append(message)
+        self._wake.set()
+
+    def put_newest(self, message: Mapping[str, Any]) -> None:
+        """Send a message unless a newer one of its kind comes before it can leave."""
+        self._newest[str(message["say"])] = json.dumps(message)
+        self._wake.set()
+
+    def show(
+        self, followed: Followed | None, shown: Shown | None = None, *, paused: bool | None = None
+    ) -> None:
+        """Show something else, or the same of another loop."""
+        self.shown = shown or self.shown
+        self.paused = self.paused if paused is None else paused
+        self._view = None if followed is None else View(followed.history, followed.rate, self.shown)
+
+    def wake(self) -> None:
+        """Rows have come."""
+        self._wake.set()
+
+    async def send(self) -> None:
+        """Send what there is, as fast as the page takes it, until its socket closes."""
+        while len(self._replies) <= MOST_REPLIES:
+            await self._wake.wait()
+            self._wake.clear()
+            replies, self._replies = self._replies, []
+            newest, self._newest = self._newest, {}
+            for message in [*replies, *newest.values()]:
+                await self._socket.send(message)
+            if self._view is not None and not self.paused:
+                for frame in self._view.frames():
+                    await self._socket.send(frame)
+        await self._socket.close(1008, "too slow")

@@ -1,0 +1,166 @@
+"""The last minute or more of a loop in a fixed memory: the newest rows as they are, older ones by bucket.
+
+A bucket keeps the least and the greatest value of each column over `BUCKET` rows, so that no spike is lost when a
+minute at 20 kHz is drawn a thousand points wide.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.core.sample import COLUMNS, ROW
+
+Floats = NDArray[np.float64]
+
+BUCKET = 32  # rows
+RAW_ROWS = 1 << 17  # 6.5 s at 20 kHz, two minutes at 1 kHz
+BUCKETS = 1 << 16  # 105 s at 20 kHz
+NAMES = tuple(column.name for column in COLUMNS)
+_PLACES = {name: place for place, name in enumerate(NAMES)}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cut:
+    """Some columns over a stretch of rows.
+
+    Attributes
+    ----------
+    first, step
+        Number of the first row, and rows that each point stands for.
+    times
+        Of the first row of each point, since the first row of the loop (s, device clock).
+    low, high
+        Least and greatest value of each column (columns × points); with a step of 1 the same array.
+    """
+
+    first: int
+    step: int
+    times: Floats
+    low: Floats
+    high: Floats
+
+
+class History:
+    """Rows of one loop, counted from 0 in the order in which they came.
+
+    Attributes
+    ----------
+    rows
+        Rows so far.
+    """
+
+    def __init__(self, raw_rows: int = RAW_ROWS, buckets: int = BUCKETS) -> None:
+        self._raw = np.zeros(raw_rows, ROW)
+        self._times = np.zeros(buckets)
+        self._low = np.zeros((len(NAMES), buckets))
+        self._high = np.zeros((len(NAMES), buckets))
+        self.clear()
+
+    def clear(self) -> None:
+        """Begin with another loop."""
+        self.rows = 0
+        self._buckets = 0
+        self._start_ns = 0
+
+    def add(self, rows: NDArray[np.void]) -> None:
+        """Take what has come."""
+        if self.rows == 0 and len(rows):
+            self._start_ns = int(rows["device_time"][0])
+        most = len(self._raw) // 2
+        for part in (rows[place : place + most] for place in range(0, len(rows), most)):
+            self._raw[np.arange(self.rows, self.rows + len(part)) % len(self._raw)] = part
+            self.rows += len(part)
+            self._fill_buckets()
+
+    def _fill_buckets(self) -> None:
+        whole = self.rows // BUCKET
+        if whole == self._buckets:
+            return
+        rows = self._rows_of(self._buckets * BUCKET, whole * BUCKET)
+        places = np.arange(self._buckets, whole) % len(self._times)
+        self._times[places] = self._seconds(rows[::BUCKET])
+        values = _values(rows, NAMES).reshape(len(NAMES), -1, BUCKET)
+        self._low[:, places], self._high[:, places] = values.min(axis=2), values.max(axis=2)
+        self._buckets = whole
+
+    @property
+    def oldest_row(self) -> int:
+        """The first row that is still there as it was."""
+        return max(0, self.rows - len(self._raw))
+
+    def raw(self, first: int, last: int) -> NDArray[np.void]:
+        """Copy rows from `first` up to before `last`, as far as they are still there."""
+        return self._rows_of(max(first, self.oldest_row), min(last, self.rows))
+
+    def row_at(self, seconds: float) -> int:
+        """Number of the row that came so long after the first one, or the nearest there is."""
+        if self._buckets == 0 or seconds >= self._newest_s():
+            return self.rows
+        kept = np.arange(max(0, self._buckets - len(self._times)), self._buckets)
+        return int(kept[0] + np.searchsorted(self._times[kept % len(self._times)], seconds)) * BUCKET
+
+    def seconds_at(self, row: int) -> float:
+        """When a row came that is still there as it was (s since the first)."""
+        return float(self._seconds(self._raw[row % len(self._raw)][np.newaxis])[0])
+
+    def received_at(self, row: int) -> float | None:
+        """When a row was received, on the clock of the page (ms since 1970); None where there is none yet."""
+        if not 0 <= row < self.rows:
+            return None
+        age_ns = time.monotonic_ns() - int(self._raw["received_at"][row % len(self._raw)])
+        return (time.time_ns() - age_ns) * 1e-6
+
+    def seconds_of(self, device_time_ns: int) -> float:
+        """When something was on the device's clock (s since the first row)."""
+        return (device_time_ns - self._start_ns) * 1e-9
+
+    def _newest_s(self) -> float:
+        return self.seconds_at(self.rows - 1)
+
+    def cut(self, columns: Sequence[str], first: int, last: int, step: int) -> Cut:
+        """Columns from row `first` up to before `last`, each point over `step` rows.
+
+        Whole points only. Where rows are no longer there as they were, `step` becomes a whole number of buckets; what
+        is no longer there at all is left out.
+        """
+        last = min(last, self.rows)
+        if first >= self.oldest_row:
+            return self._of_rows(columns, max(0, first), last, step)
+        step = -(-step // BUCKET) * BUCKET
+        first = max(first, (self._buckets - len(self._times)) * BUCKET, 0)
+        return self._of_buckets(columns, first, last, step)
+
+    def _of_rows(self, columns: Sequence[str], first: int, last: int, step: int) -> Cut:
+        points = max(0, (last - first) // step)
+        rows = self._rows_of(first, first + points * step)
+        values = _values(rows, columns)
+        if step == 1:
+            return Cut(first, 1, self._seconds(rows), values, values)
+        values = values.reshape(len(columns), points, step)
+        return Cut(first, step, self._seconds(rows[::step]), values.min(axis=2), values.max(axis=2))
+
+    def _of_buckets(self, columns: Sequence[str], first: int, last: int, step: int) -> Cut:
+        each = step // BUCKET
+        begin = -(-first // BUCKET)
+        points = max(0, (min(last // BUCKET, self._buckets) - begin) // each)
+        places = np.arange(begin, begin + points * each) % len(self._times)
+        which = np.array([_PLACES[name] for name in columns])
+        low = self._low[np.ix_(which, places)].reshape(len(which), points, each).min(axis=2)
+        high = self._high[np.ix_(which, places)].reshape(len(which), points, each).max(axis=2)
+        return Cut(begin * BUCKET, step, self._times[places[::each]], low, high)
+
+    def _rows_of(self, first: int, last: int) -> NDArray[np.void]:
+        return self._raw[np.arange(first, last) % len(self._raw)]
+
+    def _seconds(self, rows: NDArray[np.void]) -> Floats:
+        return (rows["device_time"] - self._start_ns) * 1e-9
+
+
+def _values(rows: NDArray[np.void], columns: Sequence[str]) -> Floats:
+    """Columns × rows."""
+    return np.array([rows[name] for name in columns], np.float64).reshape(len(columns), len(rows))

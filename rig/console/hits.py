@@ -1,0 +1,76 @@
+"""Jobs that hit a wall: the motor does it, or somebody who drags the handle of a simulated rig."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from rig import config
+from rig.bench.doctor.gate import Gate
+from rig.config import Experiment, presets
+from rig.console.talk import Talk
+from rig.core.errors import ConfigError
+from rig.core.sample import phase_name
+from rig.experiments import hit as hits
+
+EVERY_S = 0.05  # between two words on the progress
+PLAY = {  # a person's trial that judges nothing of how the wall is met; a simulated winding does not burn
+    "trial.kind": "human", "trial.hold_s": 0.0, "trial.baseline_s": 0.0, "trial.foreperiod_s": 0.0,
+    "rig.limits.thermal_time_constant_s": 8000.0,
+}  # fmt: skip
+SIMULATED = "sim://"
+
+
+def experiment_of(content: Mapping[str, Any]) -> Experiment:
+    """The experiment that a page names: a built-in rig or a file."""
+    name = str(content.get("rig") or "koul-compliant")
+    return config.load_experiment(name) if name.endswith(".toml") else presets.load(name)
+
+
+def hit(content: Mapping[str, Any], talk: Talk) -> Any:
+    """One automated hit in real time, or a person's on a real rig."""
+    return _run(content, talk, dict(content.get("changes") or {}), str(content.get("url") or SIMULATED))
+
+
+def play(content: Mapping[str, Any], talk: Talk) -> Any:
+    """A simulated rig whose hand somebody drags, through the file `hand` (`rig.realtime.hand`)."""
+    url = str(content.get("url") or SIMULATED)
+    if not url.startswith("sim:"):
+        raise ConfigError(f"{url}: no hand is dragged there", remedy="hold its handle, and start a hit")
+    url += ("&" if "?" in url else "?") + f"hand={content['hand']}"
+    changes = {**PLAY, "trial.duration_s": float(content["duration_s"]), **(content.get("changes") or {})}
+    return _run(content, talk, changes, url)
+
+
+def _run(content: Mapping[str, Any], talk: Talk, changes: Mapping[str, Any], url: str) -> Any:
+    request = hits.HitRequest(
+        experiment=experiment_of(content),
+        url=url,
+        changes=changes,
+        realtime=True,
+        verified=bool(content.get("verified")),
+        output=Path(str(content["output"])),
+        measuring=lambda share: talk.progress(stage="measuring the link", share=share),
+        judged_link=lambda gate: _say(gate, talk),
+        hands_off=lambda text: talk.progress(stage=text),
+    )
+    return list(hits.hit(request, lambda _, __: _watch(talk)))
+
+
+def _watch(talk: Talk) -> Callable[[int, int], None]:
+    said = 0.0
+
+    def told(ticks: int, phase: int) -> None:
+        nonlocal said
+        if time.monotonic() - said >= EVERY_S:
+            said = time.monotonic()
+            talk.progress(stage=phase_name(phase), ticks=ticks)
+
+    return told
+
+
+def _say(gate: Gate, talk: Talk) -> None:
+    if not gate.armable:
+        talk.progress(stage="arming a simulated rig although", why=gate.text)

@@ -1,0 +1,164 @@
+"""Jobs of this console: one at a time, each a process of its own (`rig.console.worker`) that outlives no console."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import sys
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from rig.core.errors import ConfigError, RigError
+from rig.realtime.running import ask_to_stop
+
+END_S = 10.0  # how long a job may take to bring its recording to rest once it was told to end
+LINE_BYTES = 1 << 24  # of a message: a result with all its numbers
+
+
+class Job:
+    """One that runs.
+
+    Attributes
+    ----------
+    name, content
+        What it is, and what it was given.
+    goes_on
+        Whether it goes on when its operator has gone.
+    said
+        The newest message of each kind.
+    """
+
+    def __init__(
+        self, name: str, content: Mapping[str, Any], process: asyncio.subprocess.Process, *, goes_on: bool
+    ) -> None:
+        self.name, self.content, self.goes_on = name, content, goes_on
+        self.said: dict[str, Mapping[str, Any]] = {}
+        self._process = process
+        self._told_to_end = False
+
+    @property
+    def pid(self) -> int:
+        """Of its process, whose loops are its own."""
+        return self._process.pid
+
+    def end(self) -> None:
+        """Zero effort by the stop word of its loop, or an interrupt where no loop runs yet. Never waits."""
+        self._told_to_end = True
+        if ask_to_stop(self.pid) == 0:
+            with suppress(ProcessLookupError):
+                self._process.send_signal(2)
+
+    def answer(self, value: Any) -> None:
+        """Answer what it asks."""
+        assert self._process.stdin is not None
+        self._process.stdin.write(json.dumps(value).encode() + b"\n")
+
+    def beat(self) -> None:
+        """Say that the console is there."""
+        if self._process.stdin is not None and self._process.stdin.transport.get_write_buffer_size() == 0:
+            self._process.stdin.write(b"\n")
+
+    async def follow(self, tell: Callable[[Mapping[str, Any]], None]) -> int:
+        """Hand on its messages until it has ended; its exit code."""
+        assert self._process.stdout is not None
+        async for line in self._process.stdout:
+            with suppress(ValueError):
+                message: dict[str, Any] = json.loads(line)
+                self.said[message["say"]] = message
+                tell(message)
+        code = await self._process.wait()
+        if not {"done", "failed"} & self.said.keys():
+            error = RigError(
+                f"the process of the {self.name} ended with {code}", remedy=await self._complaint()
+            )
+            self.said["failed"] = message = {"say": "failed", **error.as_mapping()}
+            tell(message)
+        return code
+
+    async def close(self) -> None:
+        """Let it end, or make it."""
+        if self._process.returncode is None:
+            self.end()
+            try:
+                async with asyncio.timeout(END_S):
+                    await self._process.wait()
+            except TimeoutError:
+                self._process.kill()
+                await self._process.wait()
+
+    async def _complaint(self) -> str:
+        assert self._process.stderr is not None
+        lines = (await self._process.stderr.read()).decode(errors="replace").strip().splitlines()
+        return lines[-1] if lines else "it does not say why"
+
+
+class Jobs:
+    """Starts jobs; only one runs at a time.
+
+    Parameters
+    ----------
+    tell
+        Told every message of the job, and at its end.
+    """
+
+    def __init__(self, tell: Callable[[Job, Mapping[str, Any]], None]) -> None:
+        self._tell = tell
+        self._task: asyncio.Task[int] | None = None
+        self.running: Job | None = None
+
+    async def start(self, name: str, content: Mapping[str, Any], *, goes_on: bool = False) -> Job:
+        """Start a job, one of `rig.console.worker.JOBS`.
+
+        Raises
+        ------
+        ConfigError
+            Another one runs.
+        RigError
+            No process for it.
+        """
+        if self.running is not None:
+            raise ConfigError(f"a {self.running.name} runs", remedy="stop it first")
+        try:
+            process = await asyncio.create_subprocess_exec(
+                *(sys.executable, "-P", "-m", "rig.console"),
+                stdin=asyncio.subprocess.PIPE,
+                stdout=asyncio.subprocess.PIPE,
+                stderr=asyncio.subprocess.PIPE,
+                limit=LINE_BYTES,
+                env=_environment(),
+                start_new_session=True,  # Ctrl-C on the terminal is the console's to answer
+            )
+        except OSError as error:
+            raise RigError(f"no process for a {name}: {error.strerror}", remedy="free some memory") from error
+        job = self.running = Job(name, content, process, goes_on=goes_on)
+        job.answer({"job": name, "content": content, "goes_on": goes_on})
+        self._task = asyncio.create_task(self._follow(job))
+        return job
+
+    def beat(self) -> None:
+        """Say to what runs that the console is there."""
+        if self.running is not None:
+            self.running.beat()
+
+    async def close(self) -> None:
+        """End what runs, unless it goes on without a console."""
+        if self.running is not None and not self.running.goes_on:
+            await self.running.close()
+            if self._task is not None:
+                await self._task
+
+    async def _follow(self, job: Job) -> int:
+        try:
+            return await job.follow(lambda message: self._tell(job, message))
+        finally:
+            self.running = None
+            self._tell(job, {"say": "ended"})
+
+
+def _environment() -> dict[str, str]:
+    """What the process finds around it: this package."""
+    paths = (str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH", ""))
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in paths if path)}

@@ -1,0 +1,274 @@
+"""The live view: the loop that is looked at, its wall, its handle, and runs that a page starts."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import time
+from collections.abc import Mapping
+from typing import Any
+
+from rig import config
+from rig.console import requests as asked
+from rig.console.client import Client
+from rig.console.follow import Followed, attached, newest
+from rig.console.history import History
+from rig.console.hits import experiment_of
+from rig.console.lease import LOOK_S
+from rig.console.regions import regions
+from rig.console.service import Handler, Service, Shared
+from rig.console.terminal import Terminal
+from rig.console.trigger import Trigger
+from rig.console.view import POINTS, Shown, packed
+from rig.core.errors import ConfigError
+from rig.core.present import plain
+from rig.experiments import live
+from rig.realtime.hand import SharedHand
+from rig.realtime.memories import ask_to_stop
+from rig.realtime.running import RunningLoop
+
+FRAME_S = 1.0 / 60.0
+STATE_S = 0.1
+SEARCH_S = 0.25
+RESERVED = ("wall.law",)  # a page chooses no program
+
+
+class Live(Service):
+    """See the module.
+
+    Parameters
+    ----------
+    verified
+        As `rig.console.server.Settings`.
+    own
+        Likewise.
+    """
+
+    def __init__(
+        self, shared: Shared, hand: SharedHand, terminal: Terminal, *, verified: bool, own: bool
+    ) -> None:
+        self._shared, self._hand, self._terminal = shared, hand, terminal
+        self._verified, self._own = verified, own
+        self._history = History()
+        self._followed: Followed | None = None
+        self._pid: int | None = None  # whose loop is wanted while no job runs; None: whichever began last
+        self._regions = asyncio.Lock()
+
+    def handlers(self) -> Mapping[str, tuple[type[asked.Request], Handler]]:
+        """See `Service.handlers`."""
+        return {
+            "operate": (asked.Operate, self._operate),
+            "stop": (asked.Stop, self._stop),
+            "run": (asked.Run, self._run),
+            "set": (asked.Set, self._set),
+            "hand": (asked.Hand, self._move),
+            "show": (asked.Show, self._show),
+            "zoom": (asked.Zoom, self._zoom),
+            "look": (asked.Look, self._look),
+            "regions": (asked.AskRegions, self._ask_regions),
+            "experiment": (asked.AskExperiment, self._ask_experiment),
+        }
+
+    def greet(self, client: Client) -> None:
+        """See `Service.greet`."""
+        client.show(self._followed)
+        self._tell_loop(client)
+
+    # Requests.
+
+    async def _operate(self, client: Client, request: asked.Operate) -> dict[str, Any]:
+        if request.take:
+            self._shared.lease.take(client.name)
+        else:
+            self._shared.lease.release(client.name)
+        return {"operates": self._shared.lease.held().by == client.name}
+
+    async def _stop(self, client: Client, request: asked.Stop) -> None:
+        self.stop_all()
+
+    def stop_all(self) -> None:
+        """Set the stop word of every loop of this user: first of the one that is looked at, which is open."""
+        if self._followed is not None and not self._followed.ended:
+            self._followed.stop()
+        for memory in ask_to_stop():
+            memory.close()
+        if self._shared.jobs.running is not None:
+            self._shared.jobs.running.end()
+
+    async def _run(self, client: Client, request: asked.Run) -> dict[str, Any]:
+        self._shared.must_operate(client)
+        _refuse_reserved(request.changes)
+        content: dict[str, Any] = {
+            "rig": request.rig, "url": request.url, "changes": request.changes, "output": str(self._shared.output),
+            "duration_s": request.duration_s, "hand": str(self._hand.path), "verified": self._verified,
+        }  # fmt: skip
+        if not request.url.startswith("sim:"):
+            said = ", ".join(f"{key} = {value}" for key, value in request.changes.items())
+            if not await self._terminal.consents(
+                f"{request.url} for a {request.job} on {request.rig}: {said}"
+            ):
+                raise ConfigError(
+                    f"{request.url} is a real rig, and nobody at the terminal of this console let it be armed",
+                    remedy="run `rig console` in a terminal beside the rig, and type there what it asks for",
+                )
+        goes_on = request.goes_on and request.job != "play"
+        job = await self._shared.jobs.start(request.job, content, goes_on=goes_on)
+        self._pid = None
+        return {"pid": job.pid}
+
+    async def _set(self, client: Client, request: asked.Set) -> Any:
+        self._shared.must_operate(client)
+        followed = self._looked_at()
+        return await asyncio.to_thread(live.change_wall, request.changes, followed.pid, patience_s=0.0)
+
+    async def _move(self, client: Client, request: asked.Hand) -> None:
+        self._shared.must_operate(client)
+        self._hand.move(request.position, request.press)
+
+    async def _show(self, client: Client, request: asked.Show) -> None:
+        trigger = request.trigger
+        made = None if trigger is None else Trigger(
+            trigger.on, trigger.level, trigger.edge, trigger.before, trigger.single
+        )  # fmt: skip
+        shown = Shown(columns=request.columns, window_s=request.window_s, trigger=made)
+        client.show(self._followed, shown, paused=request.paused)
+
+    async def _zoom(self, client: Client, request: asked.Zoom) -> None:
+        shown = Shown(columns=request.columns)
+        history = self._history
+        first, last = history.row_at(request.first_s), history.row_at(request.last_s)
+        step = max(1, (last - first) // POINTS)
+        client.put(
+            packed(history.cut(shown.columns, first, last, step), shown.columns, kind="zoom", fresh=True)
+        )
+
+    async def _look(self, client: Client, request: asked.Look) -> None:
+        self._pid = request.pid or None
+        await self.search()
+
+    async def _ask_regions(self, client: Client, request: asked.AskRegions) -> Any:
+        async with self._regions:  # one after the other: the page asks while a slider moves
+            return await asyncio.to_thread(self._regions_of, request)
+
+    def _regions_of(self, request: asked.AskRegions) -> Any:
+        experiment = self._experiment(request.rig, request.changes)
+        return regions(experiment, request.delay_ticks, request.damping)
+
+    async def _ask_experiment(self, client: Client, request: asked.AskExperiment) -> Any:
+        return await asyncio.to_thread(
+            lambda: config.as_mapping(self._experiment(request.rig, request.changes))
+        )
+
+    def _experiment(self, name: str, changes: Mapping[str, Any]) -> config.Experiment:
+        _refuse_reserved(changes)
+        return config.with_realtime(experiment_of({"rig": name}), changes)
+
+    def _looked_at(self) -> Followed:
+        if self._followed is None or self._followed.ended:
+            raise ConfigError("no loop runs", remedy="start a run first")
+        return self._followed
+
+    # What goes on by itself.
+
+    async def every_frame(self) -> None:
+        """Take over rows and hand them on, sixty times a second."""
+        due = 0.0
+        while True:
+            followed = self._followed
+            if followed is not None and not followed.ended:
+                followed.poll()
+                if followed.changed():
+                    self._tell_loop()
+            self._tell_hand()
+            now = time.monotonic()
+            if now >= due:
+                due = now + STATE_S
+                self._tell_state()
+            for client in self._shared.clients:
+                client.wake()
+            await asyncio.sleep(FRAME_S)
+
+    async def every_search(self) -> None:
+        """Look for another loop."""
+        while True:
+            await self.search()
+            await asyncio.sleep(SEARCH_S)
+
+    async def search(self) -> None:
+        """Look at the loop that is wanted, if it is another one."""
+        pid = self._pid
+        if self._shared.jobs.running is not None:
+            pid = self._shared.jobs.running.pid
+        elif self._own:
+            return
+        found = await asyncio.to_thread(newest, pid)
+        if found is None or self._is_looked_at(found):
+            return
+        made = attached(found, self._history)
+        if made is None:
+            return
+        if self._followed is not None:
+            self._followed.close()
+        self._followed = made
+        for client in self._shared.clients:
+            client.show(made)
+            self._tell_loop(client)
+
+    def _is_looked_at(self, loop: RunningLoop) -> bool:
+        followed = self._followed
+        return followed is not None and (followed.pid, followed.since) == (loop.pid, loop.since)
+
+    async def every_beat(self) -> None:
+        """End what moves when its operator has gone."""
+        while True:
+            self._shared.jobs.beat()
+            if self._shared.lease.expire() is not None:
+                job = self._shared.jobs.running
+                if job is not None and not job.goes_on:
+                    job.end()
+            await asyncio.sleep(LOOK_S)
+
+    def _tell_state(self) -> None:
+        held = self._shared.lease.held()
+        followed = self._followed
+        state = None if followed is None else followed.state()
+        job = self._shared.jobs.running
+        for client in self._shared.clients:
+            client.put_newest(
+                {
+                    "say": "state",
+                    "operates": held.by == client.name,
+                    "operated": held.by is not None,
+                    "overdue": held.overdue,
+                    "loop": state,
+                    "job": None if job is None else job.name,
+                    "pages": len(self._shared.clients),
+                }
+            )
+
+    def _tell_hand(self) -> None:
+        motions = self._hand.motions()
+        if motions and self._history.rows:
+            told = [
+                [self._history.seconds_of(one.device_time_ns), one.hand, one.handle, one.velocity]
+                for one in motions
+            ]
+            for client in self._shared.clients:
+                client.put_newest({"say": "hand", "motions": told})
+
+    def _tell_loop(self, only: Client | None = None) -> None:
+        if self._followed is not None:
+            told = json.dumps({"say": "loop", **plain(self._followed.about())})
+            for client in self._shared.clients if only is None else {only}:
+                client.put(told)
+
+    async def close(self) -> None:
+        """End what runs."""
+        if self._followed is not None:
+            self._followed.close()
+
+
+def _refuse_reserved(changes: Mapping[str, Any]) -> None:
+    for key in RESERVED:
+        if key in changes:
+            raise ConfigError(f"{key} is not changed from a page", remedy="name a file that says it")

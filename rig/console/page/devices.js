@@ -1,0 +1,42 @@
+// Devices: what is connected, what this machine and a link can do, and what each fault means.
+
+import { make } from "./dom.js";
+import { shown } from "./items.js";
+
+export function devicesView(link, facts) {
+  const here = make("div", {}, "looking …");
+  const found = make("div", { role: "status", ariaLive: "polite" });
+  const faults = make("tbody");
+  const url = make("input", { type: "text", value: "sim://", ariaLabel: "Device to examine; empty: this machine alone" });
+  const rig = make("select", { ariaLabel: "Rig" }, ...facts.rigs.map((name) => make("option", { value: name, textContent: name })));
+  rig.value = facts.rigs.includes("koul-compliant") ? "koul-compliant" : facts.rigs[0];
+  const trouble = (error) => link.dispatchEvent(new CustomEvent("trouble", { detail: error }));
+
+  async function look() {
+    try {
+      const told = await link.ask("devices");
+      here.replaceChildren(...shown(told.items));
+      faults.replaceChildren(...told.faults.map(({ name, text, remedy }) => make("tr", {},
+        make("th", { scope: "row", textContent: name.toLowerCase().replaceAll("_", " ") }), make("td", { textContent: text }), make("td", { textContent: remedy }))));
+    } catch (error) {
+      trouble(error);
+    }
+  }
+
+  link.addEventListener("progress", ({ detail }) => {
+    if (detail.job === "doctor") found.replaceChildren(`${detail.told.stage} ${Math.round(100 * (detail.told.share ?? 0))} %`);
+  });
+  link.addEventListener("job", ({ detail: { job, told } }) => {
+    if (job !== "doctor") return;
+    if (told.say === "done") found.replaceChildren(...shown(told.result.items), told.result.error ?? "");
+    if (told.say === "failed") found.replaceChildren([told.error, told.remedy].filter(Boolean).join(": "));
+  });
+  look();
+  return make("div", { className: "columns" },
+    make("section", { className: "panel" }, make("h2", { textContent: "Connected" }), make("button", { type: "button", textContent: "Look again", onclick: look }), here),
+    make("section", { className: "panel wide" }, make("h2", { textContent: "What a link can do" }),
+      make("p", {}, url, " ", rig, " ", make("button", { type: "button", textContent: "Examine",
+        onclick: () => link.ask("examine", { url: url.value, rig: rig.value }).then(() => found.replaceChildren("examining …"), trouble) })), found),
+    make("section", { className: "panel wide" }, make("h2", { textContent: "Faults" }),
+      make("table", {}, make("thead", {}, make("tr", {}, ...["fault", "meaning", "what to do"].map((text) => make("th", { textContent: text })))), faults)));
+}

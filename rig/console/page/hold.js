@@ -1,0 +1,38 @@
+// A worker: browsers throttle the timers of hidden pages, not its own. It beats while the page answers it, and says STOP.
+
+const BEAT_MS = 100;
+const PAGE_MS = 300; // a page that has not answered for so long hangs
+const RETRY_MS = 500;
+
+let socket = null;
+let setup = null;
+let answered = 0;
+let wanted = false; // a STOP that no socket has taken yet
+
+function open() {
+  socket = new WebSocket(setup.url);
+  socket.addEventListener("open", () => {
+    socket.send(JSON.stringify({ token: setup.token, client: setup.client }));
+    if (wanted) stop();
+  });
+  socket.addEventListener("message", () => postMessage({ stopped: true }));
+  socket.addEventListener("close", () => setTimeout(open, RETRY_MS));
+}
+
+function stop() {
+  wanted = socket.readyState !== WebSocket.OPEN;
+  if (!wanted) socket.send('{"stop":true}');
+}
+
+onmessage = ({ data }) => {
+  if (data.url) {
+    setup = data;
+    answered = performance.now();
+    open();
+    setInterval(() => {
+      postMessage({ alive: true });
+      if (socket.readyState === WebSocket.OPEN && performance.now() - answered < PAGE_MS) socket.send('{"beat":true}');
+    }, BEAT_MS);
+  } else if (data.stop) stop();
+  else if (data.alive) answered = performance.now();
+};

@@ -1,0 +1,91 @@
+// The page: a header that is always there, with STOP; and views, of which one is shown.
+
+import { devicesView } from "./devices.js";
+import { make, written } from "./dom.js";
+import { Handle } from "./handle.js";
+import { Link } from "./link.js";
+import { Scope } from "./scope.js";
+import { Sound } from "./sound.js";
+import { Wall } from "./wall.js";
+
+const NOTICE_MS = 12000;
+
+const link = new Link();
+const $ = (id) => document.getElementById(id);
+const views = {};
+
+// STOP: Escape everywhere, Space outside text fields and controls.
+$("stop").addEventListener("pointerdown", () => link.stop());
+$("stop").addEventListener("click", () => link.stop());
+addEventListener("keydown", (event) => {
+  const controls = "input, select, textarea, button, [role=slider], [contenteditable]";
+  const space = event.key === " " && !event.target.closest(controls);
+  if (event.key !== "Escape" && !space) return;
+  event.preventDefault();
+  link.stop();
+}, { capture: true });
+
+$("operate").addEventListener("click", () => link.ask("operate", { take: true }).catch(notice));
+
+let silence = 0;
+function notice(error) {
+  $("notice").textContent = error.message;
+  $("notice").hidden = false;
+  clearTimeout(silence);
+  silence = setTimeout(() => { $("notice").hidden = true; }, NOTICE_MS);
+}
+link.addEventListener("trouble", ({ detail }) => notice(detail));
+link.addEventListener("closed", ({ detail }) => {
+  $("state").textContent = detail ? `not connected: ${detail}` : "not connected: is the console still running?";
+});
+link.addEventListener("stopped", () => say("stop was said"));
+
+function say(text) {
+  if ($("state").textContent !== text) $("state").textContent = text;
+}
+
+link.addEventListener("state", ({ detail }) => {
+  const { loop, operates, operated, job } = detail;
+  $("operate").hidden = operates;
+  $("operate").disabled = operated;
+  $("operate").textContent = operated ? "Another page operates" : "Operate";
+  if (loop === null) say(job ? `${job}: starting` : "no loop runs");
+  else if (loop.ended !== null) say(`ended: ${loop.ended}`);
+  else {
+    const lost = loop.counters.lost + loop.counters.skipped;
+    say(`${loop.phase}${loop.inside ? ", inside the wall" : ""}, set ${loop.set}${lost ? `, ${lost} samples lost` : ""}${loop.fault && loop.fault !== "none" ? `, fault ${loop.fault}` : ""}`);
+  }
+});
+
+// Views: each a name, a title and what makes its element, once, when it is first shown.
+export function addView(name, title, build) {
+  const button = make("button", { type: "button", textContent: title, onclick: () => show(name) });
+  $("tabs").append(button);
+  views[name] = { button, build, element: null };
+}
+
+function show(name) {
+  for (const [other, view] of Object.entries(views)) {
+    const shown = other === name;
+    if (shown && view.element === null) {
+      view.element = view.build();
+      view.element.classList.add("view");
+      $("views").append(view.element);
+    }
+    if (view.element) view.element.hidden = !shown;
+    if (shown) view.button.setAttribute("aria-current", "page");
+    else view.button.removeAttribute("aria-current");
+  }
+}
+
+link.addEventListener("hello", ({ detail: facts }) => {
+  if (views.live) return; // connected again
+  addView("live", "Live", () => {
+    const scope = new Scope(link, facts);
+    const side = make("div", { className: "side" }, new Handle(link).element, new Wall(link, facts).element, new Sound(link).element);
+    globalThis.rigConsole = { scope, written };
+    return make("div", {}, scope.element, side);
+  });
+  addView("devices", "Devices", () => devicesView(link, facts));
+  show("live");
+});

@@ -1,0 +1,57 @@
+// What the scope shows, as a file: a picture of its charts, one that is drawn anew, or its numbers.
+
+import { colour, make } from "./dom.js";
+
+const WIDTH = 1000;
+const HEIGHT = 220; // of a panel
+
+function offer(blob, name) {
+  const url = URL.createObjectURL(blob);
+  make("a", { href: url, download: name }).click();
+  setTimeout(() => URL.revokeObjectURL(url), 1000);
+}
+
+export function savePng(canvases, name) {
+  const whole = make("canvas", { width: Math.max(...canvases.map((one) => one.width)), height: canvases.reduce((sum, one) => sum + one.height, 0) });
+  const context = whole.getContext("2d");
+  context.fillStyle = colour("paper");
+  context.fillRect(0, 0, whole.width, whole.height);
+  let top = 0;
+  for (const canvas of canvases) {
+    context.drawImage(canvas, 0, top);
+    top += canvas.height;
+  }
+  whole.toBlob((blob) => offer(blob, `${name}.png`));
+}
+
+export function saveCsv(traces, unit, name) {
+  const columns = traces.columns;
+  const head = ["time (s)", ...columns.map((column) => `${column} (${unit(column)})`)].join(",");
+  const rows = [...traces.series()].map((time, i) => [time, ...columns.map((column) => traces.series(column)[i])].join(","));
+  offer(new Blob([[head, ...rows].join("\n"), "\n"], { type: "text/csv" }), `${name}.csv`);
+}
+
+export function saveSvg(charts, traces, unit, [first, last], name) {
+  const times = traces.series();
+  const place = { left: 90, right: WIDTH - 15, top: 12, bottom: HEIGHT - 30 };
+  const panels = charts.map(({ title, series }, number) => {
+    const values = series.map(([column]) => traces.series(column));
+    const all = values.flatMap((one) => [...one]).filter(Number.isFinite);
+    const [low, high] = all.length ? [Math.min(...all), Math.max(...all)] : [0, 1];
+    const span = high - low || 1;
+    const x = (time) => (place.left + (time - first) / (last - first || 1) * (place.right - place.left)).toFixed(2);
+    const y = (value) => (place.bottom - (value - low) / span * (place.bottom - place.top)).toFixed(2);
+    const paths = series.map(([, key], i) => {
+      const points = [...times].map((time, k) => `${x(time)},${y(values[i][k])}`).join(" ");
+      return `<polyline fill="none" stroke="${colour(key)}" points="${points}"/>`;
+    });
+    const text = (left, top, words) => `<text x="${left}" y="${top}" font-family="sans-serif" font-size="12" fill="#333333">${words}</text>`;
+    return `<g transform="translate(0 ${number * HEIGHT})"><rect x="${place.left}" y="${place.top}" width="${place.right - place.left}" `
+      + `height="${place.bottom - place.top}" fill="none" stroke="#cccccc"/>${paths.join("")}`
+      + text(4, place.top + 12, `${title} (${unit(series[0][0])})`) + text(4, place.top + 30, high.toPrecision(4)) + text(4, place.bottom, low.toPrecision(4))
+      + text(place.left, HEIGHT - 10, `${first.toFixed(4)} s`) + text(place.right - 70, HEIGHT - 10, `${last.toFixed(4)} s`) + "</g>";
+  });
+  const svg = `<svg xmlns="http://www.w3.org/2000/svg" width="${WIDTH}" height="${HEIGHT * charts.length}">`
+    + `<rect width="100%" height="100%" fill="#ffffff"/>${panels.join("")}</svg>`;
+  offer(new Blob([svg], { type: "image/svg+xml" }), `${name}.svg`);
+}

@@ -1,0 +1,392 @@
+// The oscilloscope: charts over time, or effort over penetration; pause, zoom, cursors, trigger; what is seen is saved.
+
+import { cleared, colour, make, written } from "./dom.js";
+import { saveCsv, savePng, saveSvg } from "./save.js";
+import { Traces } from "./traces.js";
+
+const WINDOWS_S = [0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 60];
+const CHARTS = [
+  { title: "position", series: [["position", "measured"]] },
+  { title: "velocity", series: [["velocity", "measured"]] },
+  { title: "effort", series: [["effort_wanted", "other"], ["effort_sent", "sent"], ["effort_applied", "measured"]] },
+];
+const TRUTH = [
+  { title: "position", name: "hand (true)", place: 1, key: "other" },
+  { title: "position", name: "handle (true)", place: 2, key: "true" },
+  { title: "velocity", name: "true", place: 3, key: "true" },
+];
+const ALWAYS = ["position", "velocity", "effort_wanted", "effort_sent", "effort_applied", "penetration"];
+const NAMES = { effort_wanted: "wanted", effort_sent: "sent", effort_applied: "active", position: "measured", velocity: "estimated" };
+
+export class Scope {
+  constructor(link, facts) {
+    this.link = link;
+    this.units = Object.fromEntries(facts.columns.map((column) => [column.name, column.unit]));
+    this.traces = new Traces();
+    this.truth = []; // of a simulated handle: time, hand, handle, velocity
+    this.window_s = 2;
+    this.paused = false;
+    this.extra = "";
+    this.plane = false;
+    this.cursors = [];
+    this.drawn = { frames: 0, latency: [] };
+    this.element = make("section", { className: "scope", ariaLabel: "Scope" }, this.#bar(facts), this.#charts(), this.readout);
+    link.addEventListener("frame", ({ detail }) => this.#take(detail));
+    link.addEventListener("hand", ({ detail }) => this.#feel(detail.motions));
+    link.addEventListener("loop", ({ detail }) => this.#another(detail));
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.#build());
+    new ResizeObserver(() => this.#size()).observe(this.charts);
+    this.#build();
+    requestAnimationFrame(() => this.#draw());
+  }
+
+  get motion() {
+    return this.loop?.experiment?.rig?.motion ?? "rotary";
+  }
+
+  get wall() {
+    return this.loop?.experiment?.wall ?? null;
+  }
+
+  unit(name) {
+    return this.units[name]?.[this.motion] ?? "";
+  }
+
+  // The bar above the charts.
+
+  #bar(facts) {
+    const choice = (label, values, value, onchange) =>
+      make("label", {}, `${label} `, make("select", { ariaLabel: label, onchange: ({ target }) => onchange(target.value) },
+        ...values.map(([text, key]) => make("option", { value: key, textContent: text, selected: key === value }))));
+    const columns = facts.columns.map((column) => [column.name, column.name]);
+    this.pauseButton = make("button", { type: "button", textContent: "Pause", ariaPressed: "false", onclick: () => this.pause(!this.paused) });
+    this.levelField = make("input", { type: "number", step: "any", value: "0", ariaLabel: "Trigger level", onchange: () => this.#ask() });
+    this.levelField.style.width = "6rem";
+    this.trigger = { on: "", edge: "rising", before: 0.2, single: false };
+    this.readout = make("p", { className: "quiet", role: "status" });
+    return make("div", { className: "bar" },
+      this.pauseButton,
+      choice("window", WINDOWS_S.map((s) => [s < 1 ? `${s * 1000} ms` : `${s} s`, String(s)]), "2", (value) => this.#window(Number(value))),
+      choice("trigger", [["none", ""], ["contact", "contact"], ...columns], "", (value) => this.#trigger({ on: value })),
+      this.levelField,
+      choice("edge", [["rising", "rising"], ["falling", "falling"]], "rising", (value) => this.#trigger({ edge: value })),
+      choice("before", [["0 %", "0"], ["20 %", "0.2"], ["50 %", "0.5"], ["80 %", "0.8"]], "0.2", (value) => this.#trigger({ before: Number(value) })),
+      make("label", {}, make("input", { type: "checkbox", onchange: ({ target }) => this.#trigger({ single: target.checked }) }), " single"),
+      make("button", { type: "button", textContent: "Rearm", title: "wait for the trigger again", onclick: () => this.#ask() }),
+      choice("show also", [["nothing", ""], ...columns], "", (value) => this.#also(value)),
+      make("button", { type: "button", textContent: "Effort over penetration", ariaPressed: "false",
+        onclick: ({ target }) => this.#planeView(target) }),
+      choice("save", [["…", ""], ["PNG", "png"], ["SVG", "svg"], ["CSV", "csv"]], "", (value) => this.#save(value)));
+  }
+
+  pause(paused) {
+    this.paused = paused;
+    this.pauseButton.textContent = paused ? "Continue" : "Pause";
+    this.pauseButton.ariaPressed = String(paused);
+    if (!paused) this.zoomed = null;
+    this.#ask();
+  }
+
+  #window(seconds) {
+    this.window_s = seconds;
+    this.zoomed = null;
+    this.#ask();
+  }
+
+  #trigger(change) {
+    Object.assign(this.trigger, change);
+    this.#ask();
+  }
+
+  #also(name) {
+    this.extra = name;
+    this.#build();
+    this.#ask();
+  }
+
+  #planeView(button) {
+    this.plane = !this.plane;
+    button.ariaPressed = String(this.plane);
+    this.#build();
+  }
+
+  #columns() {
+    return [...new Set([...ALWAYS, ...(this.extra ? [this.extra] : [])])];
+  }
+
+  #ask() {
+    const { on, edge, before, single } = this.trigger;
+    const trigger = on ? { on, edge, before, single, level: Number(this.levelField.value) || 0 } : null;
+    const wanted = { columns: this.#columns(), window_s: this.window_s, trigger, paused: this.paused };
+    this.link.ask("show", wanted).catch((error) => this.link.dispatchEvent(new CustomEvent("trouble", { detail: error })));
+  }
+
+  // Data.
+
+  #another(loop) {
+    const same = this.loop && this.loop.pid === loop.pid && this.loop.since === loop.since;
+    const motion = this.motion;
+    this.loop = loop;
+    if (same) return;
+    this.truth = [];
+    this.zoomed = null;
+    if (this.motion !== motion) this.#build();
+    this.#ask();
+  }
+
+  #take(frame) {
+    if (frame.kind === "zoom") {
+      if (!this.zoomed) return;
+      this.zoomed = new Traces();
+      this.zoomed.add(frame);
+    } else {
+      this.traces.add(frame);
+      this.triggered = frame.at ?? null;
+      if (frame.kind === "live") this.traces.forget(this.traces.newest - this.window_s);
+      this.newest = frame.newest;
+    }
+    this.stale = true;
+  }
+
+  #feel(motions) {
+    this.truth.push(...motions);
+    const newest = this.truth.at(-1)[0];
+    while (this.truth.length && (this.truth[0][0] < newest - this.window_s || this.truth.length > 40000)) this.truth.shift();
+    this.hand = this.truth.at(-1);
+  }
+
+  // Charts.
+
+  #charts() {
+    this.charts = make("div", { className: "charts" });
+    return this.charts;
+  }
+
+  #shown() {
+    return [...CHARTS, ...(this.extra ? [{ title: this.extra, series: [[this.extra, "more"]] }] : [])];
+  }
+
+  #build() {
+    for (const plot of this.plots ?? []) plot.destroy();
+    this.plots = [];
+    this.charts.replaceChildren();
+    if (this.plane) {
+      this.canvas = make("canvas", { className: "plane", role: "img", ariaLabel: "Effort over penetration, with the ideal wall" });
+      this.charts.append(this.canvas);
+      this.stale = true;
+      return;
+    }
+    for (const { title, series } of this.#shown()) {
+      this.plots.push(new uPlot(this.#options(title, series), [[], ...series.map(() => [])], this.charts));
+    }
+    this.#size();
+    this.stale = true;
+  }
+
+  #options(title, series) {
+    const grid = { stroke: colour("grid"), width: 1 };
+    const axis = { stroke: colour("quiet"), grid, ticks: grid, font: "12px system-ui" };
+    const last = title === this.#shown().at(-1).title;
+    return {
+      width: 400, height: 160, legend: { show: false },
+      cursor: { sync: { key: "rig" }, drag: { x: true, y: false, setScale: false } },
+      scales: { x: { time: false, auto: false, range: () => this.#range() }, y: { range: (_, low, high) => this.#height(title, low, high) } },
+      axes: [
+        { ...axis, ...(last ? { label: "s since the first sample", labelSize: 18, size: 36 } : { size: 26 }) },
+        { ...axis, size: 78, values: (_, ticks) => ticks.map((tick) => written(tick, 6)), label: `${title} (${this.unit(series[0][0])})`, labelSize: 18 },
+      ],
+      series: [{}, ...series.map(([, key]) => ({ stroke: colour(key), width: 1.25, points: { show: false } }))],
+      hooks: {
+        draw: [(plot) => this.#marks(plot, title, series)],
+        setSelect: [(plot) => this.#zoom(plot)],
+        ready: [(plot) => plot.over.addEventListener("click", () => this.#cursor(plot))],
+      },
+    };
+  }
+
+  #size() {
+    const count = this.plots?.length || 1;
+    for (const plot of this.plots ?? []) {
+      plot.setSize({ width: this.charts.clientWidth, height: Math.max(110, Math.floor(this.charts.clientHeight / count)) });
+    }
+    this.stale = true;
+  }
+
+  #source() {
+    return this.zoomed instanceof Traces ? this.zoomed : this.traces;
+  }
+
+  #range() {
+    const from = this.#source();
+    if (from === this.zoomed) return [from.oldest, from.newest];
+    if (this.triggered !== null && this.triggered !== undefined) {
+      const before = this.trigger.before * this.window_s;
+      return [this.triggered - before, this.triggered - before + this.window_s];
+    }
+    return [from.newest - this.window_s, from.newest];
+  }
+
+  // The least span of a chart is some steps of its sensor or a share of its limit: what stands still is drawn flat.
+  #height(title, low, high) {
+    const rig = this.loop?.experiment?.rig;
+    const least = { position: 10 * (rig?.encoder?.resolution ?? 1e-4), velocity: 0.01 * (rig?.limits?.speed ?? 1), effort: 0.02 * (rig?.limits?.effort ?? 1) };
+    if (low === null) return [0, least[title] ?? 1];
+    const middle = (low + high) / 2;
+    const half = Math.max(0.55 * (high - low), (least[title] ?? Math.max(1e-3 * Math.abs(middle), 1e-9)) / 2);
+    return [middle - half, middle + half];
+  }
+
+  // What is true, the wall, the trigger, the cursors and a legend, over a chart.
+  #marks(plot, title, series) {
+    const { ctx, bbox } = plot;
+    ctx.save();
+    ctx.beginPath();
+    ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
+    ctx.clip();
+    if (title === "position" && this.wall) {
+      const y = plot.valToPos(this.wall.position, "y", true);
+      const inside = this.wall.side > 0 ? [bbox.top, y - bbox.top] : [y, bbox.top + bbox.height - y];
+      ctx.globalAlpha = 0.15;
+      ctx.fillStyle = colour("wall");
+      ctx.fillRect(bbox.left, inside[0], bbox.width, inside[1]);
+      ctx.globalAlpha = 1;
+      line(ctx, bbox.left, y, bbox.left + bbox.width, y, colour("wall"));
+    }
+    const known = this.truth.length && !(this.zoomed instanceof Traces) ? TRUTH.filter((one) => one.title === title) : [];
+    for (const { place, key } of known) this.#truth(plot, place, key);
+    let left = bbox.left + 6 * devicePixelRatio;
+    ctx.font = `${12 * devicePixelRatio}px system-ui`;
+    ctx.textAlign = "left";
+    ctx.textBaseline = "alphabetic";
+    for (const [name, key] of [...series.map(([name, key]) => [NAMES[name] ?? name, key]), ...known.map(({ name, key }) => [name, key])]) {
+      ctx.fillStyle = colour(key);
+      ctx.fillText(name, left, bbox.top + 13 * devicePixelRatio);
+      left += ctx.measureText(name).width + 10 * devicePixelRatio;
+    }
+    for (const at of [...(this.triggered ? [this.triggered] : []), ...this.cursors]) {
+      const x = plot.valToPos(at, "x", true);
+      line(ctx, x, bbox.top, x, bbox.top + bbox.height, colour(at === this.triggered ? "other" : "ink"));
+    }
+    ctx.restore();
+  }
+
+  // A column of what the simulated handle truly did.
+  #truth(plot, place, key) {
+    const { ctx } = plot;
+    ctx.strokeStyle = colour(key);
+    ctx.lineWidth = devicePixelRatio;
+    ctx.setLineDash([4 * devicePixelRatio, 3 * devicePixelRatio]);
+    ctx.beginPath();
+    this.truth.forEach((one, i) => ctx[i ? "lineTo" : "moveTo"](plot.valToPos(one[0], "x", true), plot.valToPos(one[place], "y", true)));
+    ctx.stroke();
+    ctx.setLineDash([]);
+  }
+
+  #draw() {
+    requestAnimationFrame(() => this.#draw());
+    if (!this.stale || !this.element.isConnected || this.element.offsetParent === null) return;
+    this.stale = false;
+    const from = this.#source();
+    if (this.plane) this.#drawPlane(from);
+    else this.#drawCharts(from);
+    this.drawn.frames++;
+    if (this.newest && !this.paused) {
+      this.drawn.latency.push(Date.now() - this.newest);
+      if (this.drawn.latency.length > 600) this.drawn.latency.shift();
+    }
+  }
+
+  #drawCharts(from) {
+    this.#shown().forEach(({ series }, place) => this.plots[place]?.setData([from.series(), ...series.map(([name]) => from.series(name))]));
+  }
+
+  // Effort that the wall gives over penetration, and the line that an ideal spring would give.
+  #drawPlane(from) {
+    const { context, width, height } = cleared(this.canvas);
+    const x = from.series("penetration");
+    const y = from.series("effort_applied");
+    if (!x.length || !this.wall) return;
+    const side = this.wall.side;
+    const most = (values, sign) => values.reduce((found, value) => Math.max(found, sign * value), 0);
+    const deep = Math.max(most(x, 1), 1e-6);
+    const right = deep * 1.1;
+    const left = -0.25 * right;
+    const top = Math.max(most(y, -side), this.wall.stiffness * deep, 1e-9) * 1.1;
+    const bottom = -0.15 * top;
+    const place = { left: 70, right: width - 12, top: 12, bottom: height - 40 };
+    context.save();
+    context.beginPath();
+    context.rect(place.left, place.top, place.right - place.left, place.bottom - place.top);
+    context.clip();
+    const px = (value) => place.left + (value - left) / (right - left) * (place.right - place.left);
+    const py = (value) => place.bottom - (value - bottom) / (top - bottom) * (place.bottom - place.top);
+    line(context, px(0), place.top, px(0), place.bottom, colour("wall"));
+    line(context, place.left, py(0), place.right, py(0), colour("line"));
+    line(context, px(0), py(0), px(right), py(this.wall.stiffness * right), colour("true"));
+    context.strokeStyle = colour("measured");
+    context.beginPath();
+    for (let i = 0; i < x.length; i++) context[i ? "lineTo" : "moveTo"](px(x[i]), py(-side * y[i]));
+    context.stroke();
+    context.restore();
+    context.fillStyle = colour("quiet");
+    context.font = "12px system-ui";
+    context.fillText(`penetration (${this.unit("penetration")}), up to ${written(deep, 3)}`, place.left, height - 12);
+    context.fillText(`active effort against it (${this.unit("effort_applied")}), up to ${written(top / 1.1, 3)}`, place.left + 4, place.top + 10);
+    context.fillStyle = colour("true");
+    context.fillText("ideal spring", px(right * 0.6), py(this.wall.stiffness * right * 0.6) - 6);
+  }
+
+  // Zoom and cursors.
+
+  #zoom(plot) {
+    const { left, width } = plot.select;
+    if (width < 4) return;
+    const [first_s, last_s] = [plot.posToVal(left, "x"), plot.posToVal(left + width, "x")];
+    plot.setSelect({ left: 0, width: 0, top: 0, height: 0 }, false);
+    if (!this.paused) this.pause(true);
+    this.zoomed = this.zoomed ?? true;
+    this.link.ask("zoom", { columns: this.#columns(), first_s, last_s }).catch(() => { this.zoomed = null; });
+  }
+
+  #cursor(plot) {
+    const at = plot.posToVal(plot.cursor.left, "x");
+    this.cursors = this.cursors.length === 1 ? [this.cursors[0], at] : [at];
+    this.#read();
+    this.stale = true;
+  }
+
+  // What stands at the cursors, and their differences.
+  #read() {
+    const from = this.#source();
+    const times = from.series();
+    const at = this.cursors.map((time) => {
+      const place = Math.max(0, Math.min(times.length - 1, times.findIndex((one) => one >= time)));
+      return Object.fromEntries([["s", times[place]], ...ALWAYS.map((name) => [name, from.series(name)[place]])]);
+    });
+    const told = (values, sign) => Object.entries(values).map(([name, value]) =>
+      `${sign}${name === "s" ? "t" : NAMES[name] && !name.startsWith("effort") ? name : name.replace("effort_", "effort ")} ${written(value)} ${name === "s" ? "s" : this.unit(name)}`).join(", ");
+    if (!at.length) this.readout.textContent = "";
+    else if (at.length === 1) this.readout.textContent = told(at[0], "");
+    else this.readout.textContent = told(Object.fromEntries(Object.keys(at[0]).map((name) => [name, at[1][name] - at[0][name]])), "Δ");
+  }
+
+  // Saving.
+
+  #save(kind) {
+    const from = this.#source();
+    const name = `scope-${new Date().toISOString().replace(/[:.]/g, "-")}`;
+    if (kind === "csv") saveCsv(from, (column) => this.unit(column), name);
+    if (kind === "png") savePng(this.plane ? [this.canvas] : this.plots.map((plot) => plot.root.querySelector("canvas")), name);
+    if (kind === "svg") saveSvg(this.#shown(), from, (column) => this.unit(column), this.#range(), name);
+    for (const select of this.element.querySelectorAll("select")) if (select.options[0].textContent === "…") select.value = "";
+  }
+}
+
+function line(context, x0, y0, x1, y1, stroke) {
+  context.strokeStyle = stroke;
+  context.lineWidth = 1;
+  context.beginPath();
+  context.moveTo(x0, y0);
+  context.lineTo(x1, y1);
+  context.stroke();
+}

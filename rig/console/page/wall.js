@@ -1,0 +1,220 @@
+// The wall and the run: fields for the next run, sliders that change the running wall, and what theory says of them.
+
+import { cleared, colour, make, written } from "./dom.js";
+
+const JOBS = ["hit", "play"];
+const ASK_MS = 250; // between two questions to theory while a slider moves
+const SET_MS = 100;
+const ESTIMATORS = ["fdm-butterworth", "fdm", "foaw", "kalman", "levant"];
+
+export class Wall {
+  constructor(link, facts) {
+    this.link = link;
+    this.fields = {};
+    this.rig = make("select", { onchange: () => this.#load() }, ...facts.rigs.map((name) => make("option", { value: name, textContent: name })));
+    this.url = make("input", { type: "text", value: "sim://", ariaLabel: "Device" });
+    this.goesOn = make("input", { type: "checkbox" });
+    this.bands = make("canvas", { className: "regions", role: "img" });
+    this.legend = make("p", { className: "quiet", role: "status" });
+    this.sets = make("p", { className: "quiet", role: "status" });
+    this.verdict = make("div", { role: "status", ariaLive: "polite" });
+    this.play = make("button", { type: "button", className: "first", textContent: "Drag the handle", onclick: () => this.#start("play") });
+    this.hit = make("button", { type: "button", textContent: "Automatic hit", onclick: () => this.#start("hit") });
+    this.element = make("div", {}, this.#run(facts), this.#wall());
+    link.addEventListener("loop", ({ detail }) => this.#another(detail));
+    link.addEventListener("state", ({ detail }) => this.#state(detail));
+    link.addEventListener("job", ({ detail }) => this.#job(detail));
+    link.addEventListener("progress", ({ detail }) => { if (JOBS.includes(detail.job)) this.#progress(detail.told); });
+    this.rig.value = facts.rigs.includes("koul-compliant") ? "koul-compliant" : facts.rigs[0];
+    this.#load();
+  }
+
+  #run(facts) {
+    return make("section", { className: "panel" }, make("h2", { textContent: "Run" }),
+      field("rig", this.rig), field("device", this.url),
+      make("label", { className: "quiet", title: "of an automatic hit: it ends at its end, not when this page closes" }, this.goesOn, " goes on when this page closes"),
+      make("p", {}, this.play, " ", this.hit), this.verdict);
+  }
+
+  #wall() {
+    const rates = (name, label) => field(label, this.#number(name, 0));
+    const estimator = make("select", { onchange: () => this.#changed("controller.estimator") }, ...ESTIMATORS.map((one) => make("option", { value: one, textContent: one })));
+    this.fields["controller.estimator"] = estimator;
+    return make("section", { className: "panel" }, make("h2", { textContent: "Wall" }),
+      this.#slider("wall.stiffness", "stiffness K"), make("div", { className: "field" }, make("span"), this.bands), this.#slider("wall.damping", "damping B"), this.#slider("wall.position", "position"),
+      this.legend, this.sets,
+      make("h2", { textContent: "For the next run" }),
+      rates("controller.position_rate", "1/T1 (Hz)"), rates("controller.velocity_rate", "1/T2 (Hz)"), field("estimator", estimator));
+  }
+
+  #number(key, step) {
+    const input = make("input", { type: "number", step: step || "any", onchange: () => this.#changed(key) });
+    this.fields[key] = input;
+    return input;
+  }
+
+  #slider(key, label) {
+    const number = this.#number(key);
+    const range = make("input", { type: "range", min: 0, max: 1000, ariaLabel: label, oninput: () => {
+      number.value = written(this.#ofSlider(key, Number(range.value)), 3);
+      this.#changed(key);
+    } });
+    this.fields[`${key}~`] = range;
+    return make("label", { className: "field" }, make("span", { textContent: label }), range, number);
+  }
+
+  // Stiffness and damping are slid over decades, so that soft and stiff walls are both within reach.
+  #ofSlider(key, place) {
+    const [low, high] = this.ranges?.[key] ?? [0, 1];
+    return low + (high - low) * place / 1000;
+  }
+
+  #place(key) {
+    const [low, high] = this.ranges?.[key] ?? [0, 1];
+    this.fields[`${key}~`].value = Math.round(1000 * (Number(this.fields[key].value) - low) / (high - low || 1));
+  }
+
+  async #load() {
+    try {
+      this.#fill(await this.link.ask("experiment", { rig: this.rig.value }));
+    } catch (error) {
+      this.#trouble(error);
+    }
+  }
+
+  // Show an experiment's numbers, and what a change of them is measured against.
+  #fill(experiment) {
+    this.experiment = experiment;
+    const { wall, controller, trial } = experiment;
+    const reach = Math.abs(wall.position - trial.start) || 0.01;
+    this.ranges = { "wall.stiffness": [0, 4 * wall.stiffness || 100], "wall.damping": [0, 5 * wall.damping || 1], "wall.position": [wall.position - reach / 2, wall.position + reach] };
+    const values = { "wall.stiffness": wall.stiffness, "wall.damping": wall.damping, "wall.position": wall.position,
+      "controller.position_rate": controller.position_rate, "controller.velocity_rate": controller.velocity_rate };
+    for (const [key, value] of Object.entries(values)) this.fields[key].value = written(value, 6);
+    this.fields["controller.estimator"].value = controller.estimator;
+    for (const key of Object.keys(this.ranges)) this.#place(key);
+    this.chosen = {};
+    this.#theory();
+  }
+
+  #changed(key) {
+    if (this.fields[`${key}~`]) this.#place(key);
+    this.chosen[key] = key === "controller.estimator" ? this.fields[key].value : Number(this.fields[key].value);
+    if (key.startsWith("controller.")) this.chosen[key] = key.endsWith("rate") ? Math.round(this.chosen[key]) : this.chosen[key];
+    if (key.startsWith("wall.") && this.running) this.#set(key);
+    this.#theory();
+  }
+
+  // Change the running wall, a few times a second while a slider moves; the last value is always said.
+  #set(key) {
+    this.pending = { ...this.pending, [key]: this.chosen[key] };
+    if (this.setting) return;
+    this.setting = true;
+    const changes = this.pending;
+    this.pending = null;
+    this.link.ask("set", { changes }).then((done) => { this.set = done.number; }, (error) => this.#trouble(error))
+      .finally(() => setTimeout(() => {
+        this.setting = false;
+        if (this.pending) this.#set(Object.keys(this.pending)[0]);
+      }, SET_MS));
+  }
+
+  #theory() {
+    clearTimeout(this.later);
+    this.later = setTimeout(async () => {
+      if (this.asking) return this.#theory();
+      this.asking = true;
+      try {
+        const damping = Math.max(0, Number(this.fields["wall.damping"].value) || 0);
+        const rates = Object.fromEntries(Object.entries(this.chosen).filter(([key]) => key.startsWith("controller.")));
+        this.regions = await this.link.ask("regions", { rig: this.rig.value, damping, changes: rates, delay_ticks: this.delay ?? 1 });
+        this.#drawRegions();
+      } catch (error) {
+        this.legend.textContent = error.message;
+      } finally {
+        this.asking = false;
+      }
+    }, ASK_MS);
+  }
+
+  #drawRegions() {
+    const { passive, stable, hand, note } = this.regions;
+    const { context, width, height } = cleared(this.bands);
+    const [low, high] = this.ranges["wall.stiffness"];
+    const x = (value) => Math.max(0, Math.min(1, (value - low) / (high - low))) * width;
+    const paint = (from, to, name) => { context.fillStyle = colour(name); context.fillRect(x(from), 0, x(to) - x(from), height); };
+    if (stable === null) {
+      paint(low, high, "invalid");
+    } else {
+      paint(low, passive ?? low, "stable");
+      paint(passive ?? low, stable, "limit-cycle");
+      paint(stable, high, "unstable");
+    }
+    const stiffness = Number(this.fields["wall.stiffness"].value);
+    const now = stable === null ? "theory says nothing" : stiffness > stable ? "unstable" : passive !== null && stiffness <= passive ? "passive" : "stable, not passive";
+    const limits = stable === null ? "" : ` (passive up to ${passive === null ? "none" : written(passive, 3)}, stable up to ${written(stable, 3)}, ${hand})`;
+    this.legend.textContent = `By linear theory with ${this.delay ?? 1} tick${this.delay === 1 || !this.delay ? "" : "s"} of delay${this.delay === undefined ? " (assumed)" : " (measured)"}: ${now}${limits}${note ? `; ${note}` : ""}.`;
+    this.bands.ariaLabel = this.legend.textContent;
+  }
+
+  async #start(job) {
+    this.verdict.replaceChildren("starting …");
+    try {
+      await this.link.ask("run", { job, rig: this.rig.value, url: this.url.value, changes: this.chosen, goes_on: this.goesOn.checked });
+    } catch (error) {
+      this.verdict.replaceChildren();
+      this.#trouble(error);
+    }
+  }
+
+  #another(loop) {
+    this.delay = loop.gate?.delay_ticks;
+    const wall = loop.experiment?.wall;
+    if (!wall) return;
+    for (const key of ["stiffness", "damping", "position"]) {
+      if (document.activeElement !== this.fields[`wall.${key}~`]) this.fields[`wall.${key}`].value = written(wall[key], 6);
+    }
+    for (const key of Object.keys(this.ranges ?? {})) if (document.activeElement !== this.fields[`${key}~`]) this.#place(key);
+    this.#theory();
+  }
+
+  #state(state) {
+    this.running = state.loop !== null && state.loop.ended === null;
+    const busy = state.job !== null;
+    this.play.disabled = this.hit.disabled = busy || (state.operated && !state.operates);
+    const loop = state.loop;
+    this.sets.textContent = !this.running ? "" : loop.set < (this.set ?? 0)
+      ? `Set ${this.set} waits until the handle is outside the wall; set ${loop.set} is active.` : `Parameter set ${loop.set} is active.`;
+  }
+
+  #progress(told) {
+    this.verdict.replaceChildren(`${told.stage}${told.share === undefined ? "" : ` ${Math.round(100 * told.share)} %`}${told.why ? `: ${told.why}` : ""}`);
+  }
+
+  #job({ job, told }) {
+    if (!JOBS.includes(job)) return;
+    if (told.say === "compiling" && told.busy) this.verdict.replaceChildren("compiling what this run needs, once for this version and machine …");
+    if (told.say === "failed") {
+      this.verdict.replaceChildren(`The ${job} ended: ${told.error}${told.remedy ? `; ${told.remedy}` : ""}${told.recording ? `. Recorded: ${told.recording}` : ""}`);
+    }
+    if (told.say === "done") this.verdict.replaceChildren(...told.result.map(verdictOf));
+    if (told.say === "ended") this.set = undefined;
+  }
+
+  #trouble(error) {
+    this.link.dispatchEvent(new CustomEvent("trouble", { detail: error }));
+  }
+}
+
+// One hit's verdict with its numbers.
+function verdictOf(hit) {
+  const verdict = hit.verdict ?? {};
+  return make("div", {}, make("span", { className: "verdict", dataset: { kind: verdict.kind ?? "" }, textContent: verdict.kind ?? "no verdict" }),
+    make("p", { className: "quiet", textContent: verdict.reason ?? "" }),
+    make("p", { className: "quiet", textContent: `K ${written(hit.stiffness)}, B ${written(hit.damping)}, ${hit.recording}` }));
+}
+
+function field(label, input) {
+  input.ariaLabel ??= label;
+  return make("label", { className: "field" }, make("span", { textContent: label }), input);
+}

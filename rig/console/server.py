@@ -1,0 +1,280 @@
+"""The server of the page: sockets in, the loop that is looked at, jobs and their operator.
+
+It runs in a process of its own: in a loop's process it would delay its ticks. Two sockets belong to a page: ``/live``
+for everything, and ``/hold`` for heartbeats and STOP alone, which so wait behind nothing.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AsyncExitStack, suppress
+from dataclasses import dataclass, field
+from http import HTTPStatus
+from importlib.resources import files
+from pathlib import Path, PurePath
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from rig.config.files import preset_names
+from rig.console import requests as asked
+from rig.console.access import HEADERS, Access
+from rig.console.client import Client
+from rig.console.devices import Devices
+from rig.console.jobs import Job, Jobs
+from rig.console.lease import Lease
+from rig.console.live import Live
+from rig.console.service import Download, Service, Shared
+from rig.console.sockets import (
+    ConnectionClosed,
+    Headers,
+    HttpRequest,
+    Response,
+    ServerConnection,
+    serve,
+)
+from rig.console.terminal import Terminal
+from rig.core.errors import RigError
+from rig.core.sample import COLUMNS, unit_of
+from rig.realtime.hand import SharedHand
+
+FRAME_S = 1.0 / 60.0
+STATE_S = 0.1
+SEARCH_S = 0.25
+GREETING_S = 5.0  # in which a socket shows the token
+MOST_CLIENTS = 16
+TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
+SOCKETS = ("/live", "/hold")
+UTF8 = "; charset=utf-8"
+RESERVED = ("wall.law",)  # a page chooses no program
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Settings:
+    """How a console is served.
+
+    Attributes
+    ----------
+    port
+        On loopback; 0: any that is free.
+    hosts
+        Further NAME:PORT under which a browser may reach it.
+    output
+        Directory of the recordings.
+    verified
+        The polarity of encoder and motor of a real rig was checked, and its handle is at position zero.
+    own
+        Look at runs of this console only.
+    announce
+        Told the URL, once it is served.
+    """
+
+    port: int = 0
+    hosts: Sequence[str] = ()
+    output: Path = Path("recordings")
+    verified: bool = False
+    own: bool = False
+    announce: Callable[[str], None] = field(default=lambda url: None)
+
+
+class Console:
+    """What all pages share."""
+
+    def __init__(self, settings: Settings, hand: SharedHand, terminal: Terminal) -> None:
+        self._shared = Shared(set(), Lease(), Jobs(self._job_says), settings.output)
+        self.live = Live(self._shared, hand, terminal, verified=settings.verified, own=settings.own)
+        self.services: tuple[Service, ...] = (self.live, Devices(self._shared))
+        self._handlers = {do: found for service in self.services for do, found in service.handlers().items()}
+        self._kinds = {do: kind for do, (kind, _) in self._handlers.items()}
+
+    access: Access
+
+    async def attend(self, socket: ServerConnection) -> None:
+        """Serve one socket until it closes."""
+        greeting = await self._greeting(socket)
+        if greeting is None:
+            return
+        with suppress(ConnectionClosed):
+            if socket.request is not None and socket.request.path == "/hold":
+                await self._hold(socket, greeting)
+            else:
+                await self._live(socket, greeting)
+
+    async def _greeting(self, socket: ServerConnection) -> str | None:
+        """Name of the page that shows the token in its first message; else the socket is closed."""
+        access: Access = self.access
+        message: dict[str, Any] = {}
+        with suppress(TimeoutError, ConnectionClosed):
+            async with asyncio.timeout(GREETING_S):
+                message = asked.json_of(await socket.recv())
+        name = message.get("client")
+        if access.token_right(message.get("token")) and isinstance(name, str) and 8 <= len(name) <= 64:
+            return name
+        with suppress(ConnectionClosed):
+            await socket.close(1008, "the token is missing or wrong")
+        return None
+
+    async def _hold(self, socket: ServerConnection, name: str) -> None:
+        """Heartbeats, and STOP before anything else."""
+        async for text in socket:
+            said = asked.json_of(text)
+            if said.get("stop") is True:
+                self.live.stop_all()
+                await socket.send(json.dumps({"stopped": time.monotonic()}))
+            else:
+                self._shared.lease.beat(name)
+
+    async def _live(self, socket: ServerConnection, name: str) -> None:
+        if len(self._shared.clients) >= MOST_CLIENTS:
+            await socket.close(1013, "too many pages are open")
+            return
+        client = Client(socket, name)
+        self._shared.clients.add(client)
+        client.put(json.dumps({"say": "hello", **_facts()}))
+        for service in self.services:
+            service.greet(client)
+        sender = asyncio.create_task(client.send())
+        try:
+            async for text in socket:
+                if not client.may_send():
+                    await socket.close(1008, "too many messages")
+                    return
+                await self._answer(client, text)
+        finally:
+            self._shared.clients.discard(client)
+            sender.cancel()
+            with suppress(asyncio.CancelledError, ConnectionClosed):
+                await sender
+
+    async def _answer(self, client: Client, text: str | bytes) -> None:
+        number = asked.number_of(text)
+        try:
+            request = asked.request_of(text, self._kinds)
+            result = await self._handlers[request.do][1](client, request)
+        except RigError as error:
+            client.reply(number, error=error)
+        else:
+            if number:
+                client.reply(number, result)
+
+    def _job_says(self, job: Job, message: Mapping[str, Any]) -> None:
+        told = {"say": "job", "job": job.name, "pid": job.pid, "told": message}
+        for client in self._shared.clients:
+            if message["say"] == "progress":
+                client.put_newest({**told, "say": "progress"})
+            else:
+                client.put(json.dumps(told))
+        for service in self.services:
+            service.job_says(job, message)
+
+    async def download(self, path: str) -> Download | None:
+        """Return the file of a path, of whichever service has it."""
+        for service in self.services:
+            if (found := await service.download(path)) is not None:
+                return found
+        return None
+
+    async def close(self) -> None:
+        """End what runs."""
+        await self._shared.jobs.close()
+        for service in self.services:
+            await service.close()
+
+
+def _facts() -> dict[str, Any]:
+    """What a page needs to know once."""
+    return {
+        "columns": [
+            {
+                "name": column.name,
+                "meaning": column.description,
+                "unit": {motion: unit_of(column.unit, motion) for motion in ("rotary", "linear")},
+            }
+            for column in COLUMNS
+        ],
+        "rigs": list(preset_names()),
+    }
+
+
+async def run(settings: Settings, terminal: Terminal, ended: asyncio.Event) -> None:
+    """Serve until `ended` is set. Raises `OSError` when the port is taken."""
+    static = _page()
+    async with AsyncExitStack() as stack:
+        place = stack.enter_context(TemporaryDirectory(prefix="rig-console-"))
+        hand = stack.enter_context(SharedHand.create(Path(place) / "hand"))
+        console = Console(settings, hand, terminal)
+        stack.push_async_callback(console.close)
+
+        async def respond(socket: ServerConnection, request: HttpRequest) -> Response | None:
+            return await _respond(console, static, request)
+
+        server = await stack.enter_async_context(
+            serve(
+                console.attend,
+                "127.0.0.1",
+                settings.port,
+                process_request=respond,
+                max_size=asked.MOST_BYTES,
+                compression=None,
+                server_header=None,
+                ping_interval=5.0,
+                ping_timeout=10.0,
+                max_queue=64,
+            )
+        )
+        console.access = Access(next(iter(server.sockets)).getsockname()[1], settings.hosts)
+        settings.announce(console.access.url)
+        tasks = [
+            asyncio.create_task(task())
+            for task in (console.live.every_frame, console.live.every_search, console.live.every_beat)
+        ]
+        done, _ = await asyncio.wait(
+            [*tasks, asyncio.create_task(ended.wait())], return_when=asyncio.FIRST_COMPLETED
+        )
+        for task in tasks:
+            task.cancel()
+        for one in done:
+            one.result()
+
+
+def _page() -> dict[str, tuple[str, bytes]]:
+    """Path → type and bytes."""
+    place = files("rig.console") / "page"
+    found = {
+        f"/{one.name}": (TYPES[PurePath(one.name).suffix] + UTF8, one.read_bytes())
+        for one in place.iterdir()
+        if PurePath(one.name).suffix in TYPES
+    }
+    return {**found, "/": found["/index.html"]}
+
+
+async def _respond(
+    console: Console, static: Mapping[str, tuple[str, bytes]], request: HttpRequest
+) -> Response | None:
+    """What a request gets; None lets it open a socket."""
+    access, headers = console.access, request.headers
+    if not access.host_allowed(headers):
+        return _response(HTTPStatus.MISDIRECTED_REQUEST, "this page is served under another name")
+    path = request.path.partition("?")[0]
+    if path in SOCKETS:
+        allowed = access.origin_allowed(headers)
+        return None if allowed else _response(HTTPStatus.FORBIDDEN, "a socket is for the page of this server")
+    found = Download(*static[path]) if path in static else None
+    if found is None and access.bearer_right(headers):
+        try:
+            found = await console.download(request.path)
+        except RigError as error:
+            return _response(HTTPStatus.BAD_REQUEST, str(error))
+    if found is None:
+        return _response(HTTPStatus.NOT_FOUND, "there is no such page or file")
+    return _response(HTTPStatus.OK, found.body, found.kind)
+
+
+def _response(status: HTTPStatus, body: str | bytes, kind: str = "text/plain" + UTF8) -> Response:
+    data = body.encode() if isinstance(body, str) else body
+    headers = Headers(
+        {**HEADERS, "Content-Type": kind, "Content-Length": str(len(data)), "Connection": "close"}
+    )
+    return Response(status.value, status.phrase, headers, data)

@@ -1,0 +1,70 @@
+"""A job's line to its console; see `rig.console.worker` for what is said."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import threading
+import time
+from queue import SimpleQueue
+from typing import Any
+
+from rig.core.errors import StoppedError
+from rig.core.present import plain
+
+SILENT_S = 2.0  # after which a console is taken to hang: it beats twenty times a second
+
+
+class Talk:
+    """See the module.
+
+    Parameters
+    ----------
+    goes_on
+        Whether the job goes on when its console has gone.
+    """
+
+    def __init__(self, goes_on: bool) -> None:
+        self._goes_on = goes_on
+        self._lock = threading.Lock()
+        self._answers: SimpleQueue[Any] = SimpleQueue()
+        self._gone = threading.Event()
+        self._heard = time.monotonic()
+
+    def tell(self, say: str, /, **content: Any) -> None:
+        """Say something; a console that is gone does not hear it."""
+        line = json.dumps({"say": say, **plain(content)}).encode() + b"\n"
+        try:
+            with self._lock:
+                os.write(1, line)
+        except OSError:
+            self._gone.set()
+
+    def progress(self, **content: Any) -> None:
+        """Say how far the job is.
+
+        Raises `StoppedError` when nobody is there any more and the job does not go on without.
+        """
+        if time.monotonic() - self._heard > SILENT_S:  # it hangs: nobody could say stop
+            self._gone.set()
+        if self._gone.is_set() and not self._goes_on:
+            raise StoppedError("the console has gone", remedy="start it again: rig console")
+        self.tell("progress", **content)
+
+    def ask(self, **content: Any) -> Any:
+        """Ask whoever operates, and wait for the answer. Raises `StoppedError` when nobody can answer."""
+        self.tell("asks", **content)
+        answer = None if self._gone.is_set() else self._answers.get()
+        if answer is None:
+            raise StoppedError("nobody is there to answer", remedy="start the console again: rig console")
+        return answer
+
+    def listen(self) -> None:
+        """Hear answers until the console goes; an empty line says that it is there."""
+        for line in sys.stdin:
+            self._heard = time.monotonic()
+            if line.strip():
+                self._answers.put(json.loads(line))
+        self._gone.set()
+        self._answers.put(None)

@@ -1,0 +1,77 @@
+"""Pages in Debian's Chromium, driven by playwright; without either the tests here skip, by the package's name."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.conformance.started import started
+
+ROOT = Path(__file__).parents[2]
+CHROMIUM = shutil.which("chromium")
+SIZE = {"width": 1280, "height": 720}
+PATIENCE_MS = 60_000  # a first run compiles
+
+
+@pytest.fixture(scope="session")
+def chromium() -> Iterator[Any]:
+    """A browser, without a window."""
+    if CHROMIUM is None:
+        pytest.skip("no browser: install chromium")
+    api = pytest.importorskip(
+        "playwright.sync_api", reason="no playwright: pip install 'haptic-rig[browser]'"
+    )
+    with api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def console(tmp_path: Path) -> Iterator[Any]:
+    """A console as a process, which writes its recordings into `tmp_path`; its URL is `url`."""
+    command = (sys.executable, "-P", "-m", "rig", "console", "--own", "--json", "-o", tmp_path)
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    with started(*command, cwd=tmp_path, text=True, stdout=-1, env=environment) as process:
+        assert process.stdout is not None
+        process.url = json.loads(process.stdout.readline())["url"]
+        yield process
+        process.send_signal(signal.SIGCONT)
+        process.terminate()
+        process.wait(30.0)  # it ends what it started
+
+
+@pytest.fixture
+def open_page(chromium: Any) -> Iterator[Any]:
+    """Open a page at a URL; what it finds wrong with itself fails the test."""
+    contexts, wrong = [], []
+
+    def opened(url: str, **options: Any) -> Any:
+        context = chromium.new_context(viewport=SIZE, **options)
+        contexts.append(context)
+        page = context.new_page()
+        page.set_default_timeout(PATIENCE_MS)
+        page.on("pageerror", lambda error: wrong.append(str(error)))
+        page.on("console", lambda message: wrong.append(message.text) if message.type == "error" else None)
+        page.goto(url)
+        return page
+
+    yield opened
+    for context in contexts:
+        context.close()
+    unexpected = [text for text in wrong if "WebSocket" not in text]  # a server that a test kills
+    assert not unexpected, unexpected
+
+
+@pytest.fixture
+def console_page(console: Any, open_page: Any) -> Any:
+    """The page of a console."""
+    return open_page(console.url)

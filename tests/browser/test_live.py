@@ -1,0 +1,186 @@
+"""The live view in a browser: first click to a wall, a judged hit, the scope, and STOP whatever happens to the page."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rig.core.sample import Phase
+from rig.recording.data import Recording
+from rig.recording.reader import open_recording
+
+SCOPE = "rigConsole.scope"
+
+
+def recorded(place: Path) -> Recording:
+    deadline = time.monotonic() + 60.0
+    while not (found := sorted(place.glob("*.parquet"))):
+        assert time.monotonic() < deadline, f"nothing was sealed: {list(place.iterdir())}"
+        time.sleep(0.05)
+    return open_recording(found[-1])
+
+
+def until(page: Any, expression: str) -> None:
+    """Wait for something in the page; its policy forbids what playwright would evaluate there."""
+    deadline = time.monotonic() + 60.0
+    while not page.evaluate(expression):
+        assert time.monotonic() < deadline, f"never: {expression}"
+        page.wait_for_timeout(20)
+
+
+def state(page: Any, text: str) -> None:
+    page.locator("#state", has_text=text).wait_for()
+
+
+def drag(page: Any, to: float = 0.6) -> None:
+    """Start the simulated rig and drag its handle from its start into the wall."""
+    page.get_by_role("button", name="Drag the handle").click()
+    state(page, "trial")
+    box = page.locator("canvas.handle").bounding_box()
+    height = box["y"] + box["height"] / 2
+    page.mouse.move(box["x"] + 0.35 * box["width"], height)
+    page.mouse.down()
+    for share in range(21):
+        page.mouse.move(box["x"] + (0.35 + (to - 0.35) * share / 20) * box["width"], height)
+        page.wait_for_timeout(20)
+    state(page, "inside the wall")
+
+
+def check_stopped(place: Path) -> None:
+    """The loop was stopped in the trial; the device had ramped its effort down when it was asked last."""
+    recording = recorded(place)
+    assert recording.trailer["reason"] == "stopped"
+    assert recording.rows["phase"][-1] == Phase.TRIAL
+    assert recording.rows["penetration"].max() > 0.0
+
+
+@pytest.mark.smoke
+def test_first_click_to_a_wall_that_is_felt_changed_and_stopped(console_page: Any, tmp_path: Path) -> None:
+    page = console_page
+    drag(page)
+    until(page, f"{SCOPE}.traces.length > 200")
+    assert page.evaluate(f"{SCOPE}.hand[1] > {SCOPE}.hand[2]"), (
+        "the hand is ahead of the handle: that is the force"
+    )
+    field = page.get_by_label("damping B").last
+    field.fill("0.25")
+    field.dispatch_event("change")
+    page.get_by_text("Set 1 waits until the handle is outside the wall").wait_for()
+    page.mouse.up()
+    box = page.locator("canvas.handle").bounding_box()
+    page.mouse.move(box["x"] + 0.3 * box["width"], box["y"] + 20)
+    page.mouse.down()
+    page.mouse.up()
+    page.get_by_text("Parameter set 1 is active").wait_for()
+    page.keyboard.press("Escape")
+    state(page, "ended: stopped")
+    check_stopped(tmp_path)
+
+
+@pytest.mark.smoke
+def test_an_automated_hit_is_judged(console_page: Any) -> None:
+    page = console_page
+    page.get_by_role("button", name="Automatic hit").click()
+    verdict = page.locator(".verdict")
+    verdict.wait_for()
+    assert verdict.text_content() in ("stable", "limit cycle", "invalid")
+
+
+def test_the_scope_pauses_zooms_triggers_and_saves(console_page: Any) -> None:
+    page = console_page
+    page.get_by_role("button", name="Automatic hit").click()
+    page.locator(".verdict").wait_for()
+    page.get_by_role("button", name="Pause").click()
+    chart = page.locator(".u-over").first
+    box = chart.bounding_box()
+    page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 20)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 0.6 * box["width"], box["y"] + 20, steps=5)
+    page.mouse.up()
+    until(page, f"{SCOPE}.zoomed && {SCOPE}.zoomed.length > 10")
+    span = page.evaluate(f"{SCOPE}.zoomed.newest - {SCOPE}.zoomed.oldest")
+    assert span == pytest.approx(0.2, rel=0.35), "a tenth of two seconds"
+    chart.click(position={"x": 100, "y": 20})
+    chart.click(position={"x": 200, "y": 20})
+    assert "Δt" in page.locator(".scope [role=status]").text_content()
+    for kind, begins in (("png", b"\x89PNG"), ("svg", b"<svg"), ("csv", b"time (s),position (rad)")):
+        with page.expect_download() as saved:
+            page.get_by_label("save").select_option(kind)
+        assert Path(saved.value.path()).read_bytes().startswith(begins)
+    page.get_by_role("button", name="Continue").click()
+    page.get_by_label("trigger", exact=True).select_option("contact")
+    page.get_by_label("window").select_option("0.2")
+    until(page, "!document.querySelector('.side button.first').disabled")
+    page.get_by_role("button", name="Automatic hit").click()
+    until(page, f"{SCOPE}.triggered > 0")
+    page.get_by_role("button", name="Effort over penetration").click()
+    page.locator("canvas.plane").wait_for()
+
+
+def stop_by_mouse(page: Any, console: Any) -> None:
+    page.get_by_role("button", name="STOP").click()
+
+
+def stop_by_space(page: Any, console: Any) -> None:
+    page.evaluate("document.activeElement.blur()")
+    page.keyboard.press("Space")
+
+
+def close_the_tab(page: Any, console: Any) -> None:
+    page.close()
+
+
+def kill_the_server(page: Any, console: Any) -> None:
+    console.send_signal(signal.SIGKILL)
+
+
+def hang_the_page(page: Any, console: Any) -> None:
+    page.evaluate("setTimeout(() => { for (;;); }, 0)")
+
+
+def stop_the_server(page: Any, console: Any) -> None:
+    os.kill(console.pid, signal.SIGSTOP)
+
+
+@pytest.mark.parametrize(
+    "ends", [stop_by_mouse, stop_by_space, close_the_tab, kill_the_server, hang_the_page, stop_the_server]
+)
+def test_whatever_ends_the_page_ends_what_it_moves(
+    ends: Any, console: Any, console_page: Any, tmp_path: Path
+) -> None:
+    drag(console_page)
+    ends(console_page, console)
+    check_stopped(tmp_path)
+
+
+def test_two_pages_one_operator_and_names_as_text(console: Any, open_page: Any, tmp_path: Path) -> None:
+    one, two = open_page(console.url), open_page(console.url)
+    one.get_by_role("button", name="Operate").click()
+    two.get_by_role("button", name="Another page operates").wait_for()
+    assert two.get_by_role("button", name="Drag the handle").is_disabled()
+    rig = one.get_by_label("rig", exact=True)
+    name = "<script>window.hit = 1</script>.toml"
+    rig.evaluate("(select, name) => { select.add(new Option(name)); select.value = name; }", name)
+    rig.dispatch_event("change")
+    one.locator("#notice").wait_for()
+    assert "<script>" in one.locator("#notice").text_content()
+    assert one.evaluate("window.hit") is None
+
+
+def test_keyboard_alone_moves_the_handle(console_page: Any) -> None:
+    page = console_page
+    page.get_by_role("button", name="Drag the handle").focus()
+    page.keyboard.press("Enter")
+    state(page, "trial")
+    page.locator("canvas.handle").focus()
+    for _ in range(40):
+        page.keyboard.press("ArrowRight")
+        page.wait_for_timeout(20)
+    state(page, "inside the wall")
+    page.keyboard.press("Escape")
+    state(page, "ended: stopped")

@@ -1,0 +1,128 @@
+"""A console that a test serves in its own event loop, and pages that are no browsers."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import struct
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+from websockets.asyncio.client import ClientConnection, connect
+from websockets.exceptions import ConnectionClosed
+
+from rig.console.server import Settings, run
+from rig.console.terminal import Terminal
+
+PATIENCE_S = 30.0
+
+
+class Page:
+    """The socket ``/live`` of a page, and what it has been told."""
+
+    def __init__(self, socket: ClientConnection) -> None:
+        self.socket = socket
+        self.told: list[dict[str, Any]] = []
+        self.frames: list[dict[str, Any]] = []
+        self.closed: ConnectionClosed | None = None
+        self._number = 0
+        self._news = asyncio.Event()
+        self._reader = asyncio.create_task(self._read())
+
+    async def _read(self) -> None:
+        try:
+            await self._read_all()
+        except ConnectionClosed as closed:
+            self.closed = closed
+        self._news.set()
+
+    async def _read_all(self) -> None:
+        while True:
+            data = await self.socket.recv()
+            if isinstance(data, bytes):
+                (length,) = struct.unpack_from("<I", data)
+                self.frames.append(json.loads(data[4 : 4 + length]) | {"bytes": len(data)})
+            else:
+                self.told.append(json.loads(data))
+            self._news.set()
+
+    async def until(self, found: Callable[[Page], Any]) -> Any:
+        """Wait until something has been told."""
+        async with asyncio.timeout(PATIENCE_S):
+            while not (result := found(self)):
+                if self.closed is not None:
+                    raise self.closed
+                self._news.clear()
+                await self._news.wait()
+            return result
+
+    async def say(self, do: str, **content: Any) -> None:
+        """Ask for something that has no answer."""
+        await self.socket.send(json.dumps({"do": do, **content}))
+
+    async def ask(self, do: str, **content: Any) -> dict[str, Any]:
+        """Ask, and wait for the answer: `result` or `error`."""
+        self._number += 1
+        number = self._number
+        await self.say(do, number=number, **content)
+        answer: dict[str, Any] = await self.until(lambda page: page.answer(number))
+        return answer
+
+    def answer(self, number: int) -> dict[str, Any] | None:
+        """The answer to a request, once it is there."""
+        return next((one for one in self.told if one["say"] == "answer" and one["to"] == number), None)
+
+    def newest(self, say: str) -> dict[str, Any] | None:
+        """What was told last of a kind."""
+        return next((one for one in reversed(self.told) if one["say"] == say), None)
+
+
+class Served:
+    """A console that is served."""
+
+    def __init__(self, url: str) -> None:
+        self.address, self.token = url.removeprefix("http://").split("/#")
+        self.port = int(self.address.rpartition(":")[2])
+
+    def socket(self, path: str = "/live", *, origin: str | None = None, host: str | None = None) -> Any:
+        """A connection as a page opens it, or as somebody else does."""
+        return connect(
+            f"ws://{host or self.address}{path}",
+            origin=origin or f"http://{self.address}",  # type: ignore[arg-type]
+            host="127.0.0.1", port=self.port, proxy=None, close_timeout=0.5,
+        )  # fmt: skip
+
+    @asynccontextmanager
+    async def page(self, name: str = "the-first-page") -> AsyncIterator[Page]:
+        """A page that has shown the token."""
+        async with self.socket() as socket:
+            await socket.send(json.dumps({"token": self.token, "client": name}))
+            page = Page(socket)
+            await page.until(lambda page: page.newest("hello"))
+            yield page
+
+    @asynccontextmanager
+    async def hold(self, name: str = "the-first-page") -> AsyncIterator[ClientConnection]:
+        """The socket of a page's worker."""
+        async with self.socket("/hold") as socket:
+            await socket.send(json.dumps({"token": self.token, "client": name}))
+            yield socket
+
+
+@asynccontextmanager
+async def served(place: Path, terminal: Terminal | None = None, **settings: Any) -> AsyncIterator[Served]:
+    """Serve a console; it has ended, and what it started, when the block is left."""
+    ended, urls = asyncio.Event(), asyncio.Queue[str]()
+    made = Settings(output=place, announce=urls.put_nowait, **settings)
+    task = asyncio.create_task(run(made, terminal or Terminal(), ended))
+    first = asyncio.create_task(urls.get())
+    try:
+        await asyncio.wait([task, first], return_when=asyncio.FIRST_COMPLETED)
+        if task.done():
+            task.result()
+        yield Served(first.result())
+    finally:
+        ended.set()
+        await task

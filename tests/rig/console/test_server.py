@@ -1,0 +1,224 @@
+"""A console and its pages, without a browser: who is let in, what they are told, who operates, and STOP."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import urllib.error
+import urllib.request
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+
+from rig.core.sample import Phase, RowFlag
+from rig.realtime import ring as words
+from tests.conformance.console import Served, served
+from tests.conformance.lsl_loop import INFO, HandTurnedLoop
+
+Scenario = Callable[[Served], Awaitable[None]]
+
+
+def play(place: Path, scenario: Scenario, **settings: Any) -> None:
+    async def whole() -> None:
+        async with asyncio.timeout(60), served(place, **settings) as console:
+            await scenario(console)
+
+    asyncio.run(whole())
+
+
+def status_of(console: Served, path: str = "/", **headers: str) -> int:
+    request = urllib.request.Request(f"http://{console.address}{path}", headers=headers)
+    try:
+        with urllib.request.urlopen(request) as response:
+            policy = response.headers["Content-Security-Policy"]
+            assert policy.startswith("default-src 'self';"), "no other host is asked for anything"
+            return int(response.status)
+    except urllib.error.HTTPError as error:
+        return error.code
+
+
+def test_the_page_is_served_to_its_own_name_alone(tmp_path: Path) -> None:
+    async def scenario(console: Served) -> None:
+        assert await asyncio.to_thread(status_of, console) == 200
+        assert await asyncio.to_thread(status_of, console, "/main.js") == 200
+        assert await asyncio.to_thread(status_of, console, "/", Host="evil.example") == 421
+        assert await asyncio.to_thread(status_of, console, "/", Host=f"localhost:{console.port}") == 200
+        assert await asyncio.to_thread(status_of, console, "/", Host="tunnel:9000") == 200
+        for path in ("/../server.py", "/server.py", "//main.js", "/live", "/uPlot.LICENSE"):
+            assert await asyncio.to_thread(status_of, console, path) >= 400
+
+    play(tmp_path, scenario, hosts=("tunnel:9000",))
+
+
+@pytest.mark.parametrize("path", ["/live", "/hold"])
+def test_a_socket_of_another_site_is_refused(path: str, tmp_path: Path) -> None:
+    async def scenario(console: Served) -> None:
+        for origin in ("http://evil.example", f"https://{console.address}", "null"):
+            with pytest.raises(InvalidStatus) as refused:
+                await console.socket(path, origin=origin)
+            assert refused.value.response.status_code == 403
+        with pytest.raises(InvalidStatus) as refused:
+            await console.socket(path, host="evil.example")
+        assert refused.value.response.status_code == 421
+
+    play(tmp_path, scenario)
+
+
+@pytest.mark.parametrize(
+    "greeting",
+    [
+        '{"token": "wrong", "client": "a-page-here"}',
+        "{}",
+        "no json",
+        '{"client": "a-page-here"}',
+        '{"token": 1, "client": "a"}',
+    ],
+)
+def test_without_the_token_a_socket_is_closed(greeting: str, tmp_path: Path) -> None:
+    async def scenario(console: Served) -> None:
+        for path in ("/live", "/hold"):
+            async with console.socket(path) as socket:
+                await socket.send(greeting)
+                with pytest.raises(ConnectionClosed) as closed:
+                    await socket.recv()
+                assert closed.value.rcvd is not None
+                assert closed.value.rcvd.code == 1008
+
+    play(tmp_path, scenario)
+
+
+def test_a_running_loop_is_found_followed_and_told(tmp_path: Path) -> None:
+    loop = HandTurnedLoop(4096, shared=True)
+    loop.ring.put(words.PHASE, int(Phase.TRIAL))
+
+    async def scenario(console: Served) -> None:
+        async with console.page() as page:
+            await page.ask("look", pid=os.getpid())
+            told = await page.until(lambda page: page.newest("loop"))
+            assert told["experiment"] == INFO["experiment"]
+            for _ in range(20):
+                loop.leave(100, flags=int(RowFlag.INSIDE))
+                await asyncio.sleep(0.005)
+            await page.until(lambda page: sum(f["points"] * f["step"] for f in page.frames) >= 2000)
+            state = await page.until(lambda page: (page.newest("state") or {}).get("loop"))
+            assert (state["phase"], state["unseen"], state["ended"]) == ("trial", 0, None)
+            loop.end(reason=1)
+            await page.until(lambda page: (page.newest("state") or {})["loop"]["ended"])
+            rows = sum(frame["points"] * frame["step"] for frame in page.frames if frame["kind"] == "live")
+            assert rows == 2000, "each row once"
+
+    with loop.ring:
+        play(tmp_path, scenario)
+
+
+def test_stop_reaches_the_loop_by_either_socket(tmp_path: Path) -> None:
+    async def scenario(console: Served) -> None:
+        for by in ("hold", "live"):
+            with HandTurnedLoop(64, shared=True).ring as ring:
+                async with console.page() as page, console.hold("the-second-page") as hold:
+                    await page.ask("look", pid=os.getpid())
+                    await page.until(lambda page: page.newest("loop"))
+                    if by == "hold":  # of a page that only looks on
+                        await hold.send('{"stop":true}')
+                    else:
+                        await page.ask("stop")
+                    while ring.get(words.STOP) == 0:
+                        await asyncio.sleep(0.001)
+                ring.put(words.LOOP_DONE, 1)
+
+    play(tmp_path, scenario)
+
+
+def test_stop_reaches_loops_that_nobody_looks_at(tmp_path: Path) -> None:
+    async def scenario(console: Served) -> None:
+        async with console.hold() as hold:
+            with HandTurnedLoop(64, shared=True).ring as ring:
+                await hold.send('{"stop":true}')
+                while ring.get(words.STOP) == 0:
+                    await asyncio.sleep(0.001)
+
+    play(tmp_path, scenario, own=True)
+
+
+def test_one_page_operates_and_the_others_look_on(tmp_path: Path) -> None:
+    async def scenario(console: Served) -> None:
+        async with console.page("page-number-one") as one, console.page("page-number-two") as two:
+            assert (await one.ask("operate", take=True))["result"] == {"operates": True}
+            assert (await two.ask("operate", take=True))["result"] == {"operates": False}
+            refused = await two.ask("hand", position=0.1)
+            assert "another page operates" in refused["error"]["error"]
+            refused = await two.ask("run", job="hit")
+            assert "another page operates" in refused["error"]["error"]
+            await one.ask("operate", take=False)
+            assert (await two.ask("operate", take=True))["result"] == {"operates": True}
+
+    play(tmp_path, scenario)
+
+
+def test_a_real_rig_is_armed_from_no_page_alone(tmp_path: Path) -> None:
+    async def scenario(console: Served) -> None:
+        async with console.page() as page:
+            refused = await page.ask("run", job="hit", url="serial:///dev/ttyACM0")
+            assert "nobody at the terminal" in refused["error"]["error"]
+            assert "rig console" in refused["error"]["remedy"]
+
+    play(tmp_path, scenario)
+
+
+def test_what_is_no_request_is_answered_and_too_much_is_cut_off(tmp_path: Path) -> None:
+    async def scenario(console: Served) -> None:
+        async with console.page() as page:
+            await page.socket.send("no json")
+            await page.socket.send(b"\xff\xfe")
+            answer = await page.ask("regions", damping=-1.0)
+            assert "damping" in answer["error"]["error"]
+            answer = await page.ask("experiment", rig="no-such-rig")
+            assert "no-such-rig" in answer["error"]["error"]
+            answer = await page.ask("experiment", changes={"wall.law": "rm"})
+            assert "wall.law" in answer["error"]["error"]
+            for _ in range(1000):
+                await page.say("")
+            with pytest.raises(ConnectionClosed):
+                await page.until(lambda _: False)
+        async with console.page() as page:
+            await page.socket.send("x" * (1 << 17))
+            with pytest.raises(ConnectionClosed):
+                await page.until(lambda _: False)
+
+    play(tmp_path, scenario)
+
+
+def test_a_page_that_reads_nothing_delays_nobody(tmp_path: Path) -> None:
+    loop = HandTurnedLoop(1 << 12, shared=True)
+
+    async def scenario(console: Served) -> None:
+        async with console.page("a-page-that-reads") as page, console.socket() as stalled:
+            await stalled.send(json.dumps({"token": console.token, "client": "a-stalled-page"}))
+            await page.ask("look", pid=os.getpid())
+            await page.until(lambda page: page.newest("loop"))
+            for _ in range(30):
+                loop.leave(100)
+                await asyncio.sleep(0.01)
+            await page.until(lambda page: sum(f["points"] * f["step"] for f in page.frames) >= 3000 - 2)
+            assert (page.newest("state") or {})["loop"]["unseen"] == 0
+
+    with loop.ring:
+        play(tmp_path, scenario)
+
+
+def test_what_theory_says_of_a_wall(tmp_path: Path) -> None:
+    async def scenario(console: Served) -> None:
+        async with console.page() as page:
+            soft = (await page.ask("regions", damping=0.2, delay_ticks=1))["result"]
+            late = (await page.ask("regions", damping=0.2, delay_ticks=4))["result"]
+            assert soft["stable"] > late["stable"] > 0.0, "delay takes stiffness away"
+            nothing = (await page.ask("regions", damping=0.2, rig="koul-rigid", delay_ticks=0))["result"]
+            assert nothing["passive"] is None or nothing["passive"] < nothing["stable"]
+            experiment = (await page.ask("experiment", changes={"wall.stiffness": 33}))["result"]
+            assert experiment["wall"]["stiffness"] == 33
+
+    play(tmp_path, scenario)

@@ -1,0 +1,136 @@
+"""Runs of a page in real time, on the simulated rig: they end at zero effort when the page or the console goes."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import signal
+import sys
+import time
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import numba
+import pytest
+from websockets.asyncio.client import ClientConnection
+
+from rig.core.sample import Phase
+from rig.recording.data import Recording
+from rig.recording.reader import open_recording
+from tests.conformance.console import Page, Served, served
+from tests.conformance.started import started
+
+pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="the loop is compiled")
+
+BEAT_S = 0.1
+NAME = "the-first-page"
+
+
+@asynccontextmanager
+async def beating(hold: ClientConnection) -> AsyncIterator[None]:
+    """A page that is there."""
+
+    async def beat() -> None:
+        while True:
+            await hold.send('{"beat":true}')
+            await asyncio.sleep(BEAT_S)
+
+    task = asyncio.create_task(beat())
+    try:
+        yield
+    finally:
+        task.cancel()
+
+
+async def dragged(page: Page) -> None:
+    """Start a run and drag the handle to the wall, a little inside."""
+    answer = await page.ask("run", job="play", duration_s=30)
+    assert "result" in answer, answer
+    await page.until(lambda page: phase(page) == "trial")
+    for _ in range(25):
+        await page.say("hand", position=0.01, press=1.0)
+        await asyncio.sleep(0.04)
+    await page.until(lambda page: page.newest("hand"))
+
+
+def phase(page: Page) -> str:
+    state = page.newest("state")
+    loop = None if state is None else state["loop"]
+    failed = [one["told"] for one in page.told if one["say"] == "job" and one["told"]["say"] == "failed"]
+    if failed:
+        pytest.fail(f"the run did not begin: {failed[0]}")
+    return "" if loop is None or loop["ended"] else str(loop["phase"])
+
+
+def recorded(place: Path) -> Recording:
+    """The recording of a run that was ended, once it is sealed."""
+    deadline = time.monotonic() + 30.0
+    while not (found := list(place.glob("*.parquet"))):
+        assert time.monotonic() < deadline, f"nothing was sealed: {list(place.iterdir())}"
+        time.sleep(0.05)
+    return open_recording(found[0])
+
+
+def check_zero(recording: Recording, reason: str) -> None:
+    """It was stopped in the trial, and the loop's last word was zero effort."""
+    assert recording.trailer["reason"] == reason
+    assert recording.rows["phase"][-1] == Phase.TRIAL
+    assert recording.trailer["error"]
+
+
+def test_a_page_that_goes_ends_what_it_moves(tmp_path: Path) -> None:
+    async def scenario(console: Served) -> None:
+        async with console.hold(NAME) as hold, beating(hold), console.page(NAME) as page:
+            await dragged(page)
+            changed = await page.ask("set", changes={"wall.damping": 0.25})
+            assert changed["result"]["number"] == 1
+            state: dict[str, Any] = page.newest("state") or {}
+            assert state["operates"]
+        async with console.page("another-page") as page:  # closed: no beat comes any more
+            await page.until(lambda page: (page.newest("state") or {"job": 1})["job"] is None)
+
+    async def whole() -> None:
+        async with asyncio.timeout(100), served(tmp_path, own=True) as console:
+            await scenario(console)
+
+    asyncio.run(whole())
+    recording = recorded(tmp_path)
+    check_zero(recording, "stopped")
+    assert recording.rows["penetration"].max() > 0.0, "the hand was in the wall"
+
+
+def test_an_automated_hit_may_outlive_its_page(tmp_path: Path) -> None:
+    async def whole() -> None:
+        async with asyncio.timeout(100), served(tmp_path, own=True) as console:
+            async with console.hold(NAME) as hold, beating(hold), console.page(NAME) as page:
+                assert "result" in await page.ask("run", job="hit", goes_on=True)
+                await page.until(lambda page: phase(page) in ("homing", "settle", "trial"))
+            async with console.page("another-page") as page:
+                await page.until(lambda page: (page.newest("state") or {"job": 1})["job"] is None)
+
+    asyncio.run(whole())
+    assert recorded(tmp_path).trailer["reason"] == "finished"
+
+
+def test_a_killed_console_leaves_nothing_that_moves(tmp_path: Path) -> None:
+    command = (sys.executable, "-P", "-m", "rig", "console", "--own", "--json", "-o", tmp_path)
+    with started(*command, text=True, stdout=-1, env={**os.environ, "PYTHONPATH": os.getcwd()}) as process:
+        assert process.stdout is not None
+        console = Served(json.loads(process.stdout.readline())["url"])
+
+        async def whole() -> None:
+            async with (
+                asyncio.timeout(100),
+                console.hold(NAME) as hold,
+                beating(hold),
+                console.page(NAME) as page,
+            ):
+                await dragged(page)
+                process.send_signal(signal.SIGKILL)
+                await page.socket.wait_closed()
+
+        asyncio.run(whole())
+    check_zero(recorded(tmp_path), "stopped")
