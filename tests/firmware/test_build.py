@@ -159,7 +159,8 @@ def test_its_sizes_are_those_of_the_program(built: Any) -> None:
     ).stdout.splitlines()
     code, data, zeroes = (int(text) for text in listed[1].split()[:3])
     assert built.ram_bytes == pytest.approx(data + zeroes, abs=64)
-    assert built.flash_bytes == pytest.approx(code, abs=64)
+    assert built.flash_bytes == pytest.approx(code + data, abs=64)
+    assert built.bin.stat().st_size == pytest.approx(built.flash_bytes, abs=64)
     assert built.flash_bytes < 64 * 1024
     assert len(read_segments(built.elf.read_bytes(), "x")) >= 1
 
