@@ -121,6 +121,11 @@ class Line:
             out += queue.popleft()[1]
         return out
 
+    def next_due(self) -> int | None:
+        """Return when the first of what is under way comes out (ticks); None when nothing will."""
+        due = [queue[0][0] for queue in self._under_way.values() if queue]
+        return min(due) if due and not self.unplugged else None
+
     def _send_frame(self, direction: Direction, frame: bytes, tick: int) -> None:
         number = self.frames[direction]
         self.frames[direction] = number + 1

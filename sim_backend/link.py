@@ -374,8 +374,9 @@ class MemoryLink:
         return self._link_time(device.elapsed_ns)
 
     def _until_something_happens(self) -> int:
-        """Let happen what is due; return the ticks up to the next of it."""
-        while self._happenings and self._happenings[0].tick <= self._progress.item(TICKS):
+        """Let happen what is due; return the ticks up to the next of it, one at least."""
+        passed = self._progress.item(TICKS)
+        while self._happenings and self._happenings[0].tick <= passed:
             happening = self._happenings.pop(0)
             if not isinstance(happening, DeviceFault):
                 happening.act(self._device)
@@ -383,9 +384,10 @@ class MemoryLink:
                 self._device.press_emergency_stop()
             else:
                 self._device.inject_fault(happening.fault)
-        if self.line is not None:
-            return 1  # whose frames may be due at any tick
-        return self._happenings[0].tick - self._progress.item(TICKS) if self._happenings else _LONG
+        due = passed + _LONG if self.line is None else self.line.next_due() or passed + _LONG
+        if self._happenings:
+            due = min(due, self._happenings[0].tick)
+        return max(1, due - passed)
 
     def _until_a_level_changes(self) -> int:
         """Put on the sync input what the next sample is to see; return until when that is all (ns of the device)."""
@@ -403,6 +405,8 @@ class MemoryLink:
         self._keep(data)
 
     def _keep(self, data: bytes) -> None:
+        if not data:
+            return
         waiting = self._progress.item(ARRIVED)
         kept = data[: BUFFER_BYTES - waiting]
         self._arrived[waiting : waiting + len(kept)] = np.frombuffer(kept, np.uint8)

@@ -210,7 +210,8 @@ class Pair:
             self.send(m.GetParameters(self.next_nonce(), offset))
         for offset in (0, 34, len(self.python._configuration._packed) - 1, 0xFFFF):
             self.send(m.Identify(self.next_nonce(), offset))
-        for first in (*range(0, 258, 2), 255, 0xFFFF):
+        logged = len(self.python._faults._frozen)  # page by page, each names the total; then behind the last
+        for first in (*range(0, logged + 2, 2), 254, 255, 256, 0xFFFF):
             self.send(m.GetFaultLog(self.next_nonce(), first))
         self.send(m.GetTime(self.next_nonce(), 2**64 - 1))
         self.send(m.GetStatistics(self.next_nonce()))

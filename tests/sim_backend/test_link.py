@@ -290,6 +290,16 @@ def test_faults_on_one_frame_act_one_after_the_other() -> None:
     assert through(Line(faults), FRAMES) == [b"", b"", b"", A + A + B + C + D, E]
 
 
+def test_a_delayed_frame_comes_out_at_its_tick_though_nobody_says_anything_meanwhile() -> None:
+    link = fresh(Faults((FrameFault(kind=Kind.DELAY, direction=TO_DEVICE, frame=0, ticks=500),)))
+    tick_s = link.device.next_tick_ns * 1e-9
+    link.write(Connection(m.Role.HOST).send(m.Identify(1, 0)))
+    link.elapse(499.5 * tick_s)
+    assert link.read(0.0) == b""
+    link.elapse(tick_s)
+    assert link.read(0.0) != b""
+
+
 def every_frame(direction: Direction) -> range:
     """Numbers of the frames of the session."""
     before, after = count_frames()

@@ -322,17 +322,12 @@ def _sizes(board: Board, segments: tuple[Segment, ...]) -> tuple[int, int]:
     """Bytes of flash and of RAM that a program takes; raises `ToolchainError` when it leaves them."""
     flash, ram = board.flash, board.ram
     for segment in segments:
-        inside = any(
-            memory.origin <= at and at + size <= memory.origin + memory.bytes
-            for memory, at, size in (
-                (flash, segment.load.address, len(segment.load.data)),
-                (ram, segment.load.address, len(segment.load.data)),
-            )
-        )
+        begin = segment.load.address
+        inside = flash.origin <= begin and begin + len(segment.load.data) <= flash.origin + flash.bytes
         if segment.load.data and not inside:
             raise ToolchainError(
-                f"the program has bytes at {segment.load.address:#x}, where board {board.name} has no memory",
-                remedy="report it: linker script and board.toml do not agree",
+                f"the program keeps bytes at {begin:#x}, where board {board.name} has no flash",
+                remedy="let the linker script keep them in flash (`AT >`), and the start copy them",
             )
     stored = [s for s in segments if flash.origin <= s.load.address < flash.origin + flash.bytes]
     flash_bytes = max((s.load.address + len(s.load.data) - flash.origin for s in stored), default=0)

@@ -6,11 +6,15 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numba import types
 from scipy.signal import lfilter
 
 from rig.control import current
-from rig.control.current import AGREES, CURRENT, DISAGREES, FEWEST_TICKS
+from rig.control.current import AGREES, CURRENT, DISAGREES, FEWEST_TICKS, compare
 from rig.core.board import ROUNDED, SPEED_LAG_S, CurrentSensor
+from rig.realtime.kernel import kernel
+
+WORDS = types.int64[::1]
 
 RATES = (100, 1_000, 4_000, 20_000, 50_000)
 LAGS_S = (0.0, 1.0e-4, 1.09e-4, 1e-3)
@@ -24,13 +28,20 @@ def watched(
     return words
 
 
+@kernel(types.void(WORDS, WORDS, WORDS, WORDS, WORDS), cache=False)
+def run(words: Any, counts: Any, active: Any, measured: Any, said: Any) -> None:
+    """Take many ticks."""
+    for i in range(len(said)):
+        said[i] = compare(words, counts[i], active[i], measured[i])
+
+
 def answers(words: Any, active: Any, measured: Any, counts: Any = None) -> list[int]:
-    counts = np.zeros(len(active), int) if counts is None else counts
-    said = [
-        current.compare(words, int(n), int(a), int(m))
-        for n, a, m in zip(counts, active, measured, strict=True)
-    ]
-    return [one for one in said if one]
+    counts = np.zeros(len(active)) if counts is None else counts
+    assert len(counts) == len(active) == len(measured)
+    said = np.zeros(len(active), np.int64)
+    ticks = (np.asarray(each).astype(np.int64) for each in (counts, active, measured))
+    run(np.asarray(words), *ticks, said)
+    return [int(one) for one in said[said != 0]]
 
 
 def lagged(active: Any, rate: int, lag_s: float) -> Any:

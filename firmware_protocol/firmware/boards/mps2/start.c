@@ -3,13 +3,16 @@
 
 #include <stdint.h>
 
-extern uint32_t bss_begins, bss_ends, stack_top;
+extern uint32_t data_begins, data_ends, data_image, bss_begins, bss_ends, stack_top;
 
 #define CPACR (*(volatile uint32_t *)0xE000ED88u) /* B3.2.20: who may use the floating-point unit */
 #define FULL_ACCESS_TO_CP10_AND_CP11 (0xFu << 20)
 
 void start(void)
 {
+    const uint32_t *from = &data_image;
+    for (uint32_t *word = &data_begins; word < &data_ends; word++)
+        *word = *from++;
     for (uint32_t *word = &bss_begins; word < &bss_ends; word++)
         *word = 0;
 #ifdef __ARM_FP
