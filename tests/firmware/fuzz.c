@@ -396,7 +396,7 @@ static void fall_silent(struct fuzz *fuzz)
 static void inject(struct fuzz *fuzz)
 {
     const uint8_t faults[] = {HR_FAULT_NON_FINITE, HR_FAULT_WATCHDOG_RESET, HR_FAULT_INTERNAL, HR_FAULT_BATCH_OVERFLOW,
-                              HR_FAULT_PROCESSOR_STOPPED};
+                              HR_FAULT_PROCESSOR_STOPPED, HR_FAULT_OUTPUT_STALLED};
     host_fault(fuzz->host, faults[below(sizeof faults)]);
 }
 
