@@ -14,7 +14,6 @@
 #include "registers.h"
 
 #define SYNC_PIN BOARD_DAC_PIN
-#define CLOCK_PIN (BOARD_DAC_PIN + 1u)
 #define DATA_PIN (BOARD_DAC_PIN + 2u)
 
 /* Rev. C, Table 15 and no-OS ad5761r.h: frames, most significant bit first, are the upper 24 bits of a word. */
