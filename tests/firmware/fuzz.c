@@ -48,7 +48,7 @@ struct fuzz {
     struct splitter output; /* of what the device sends */
     struct counters broken;
     uint32_t states[HR_STATES];
-    uint32_t faults[16];
+    uint32_t faults[32];
     uint32_t laws[3];   /* ticks under supervision */
     uint32_t phases[LAW_FREE + 1]; /* of the law */
     uint32_t batches[3]; /* frames of each layout */

@@ -61,6 +61,7 @@ class Pico {
     this.unplugged = false; // the encoder: the pull-ups hold all lines high
     this.broken = [false, false]; // lines A and B, which the pull-ups hold high then
     this.edges = []; // { at, way }: to come, rising
+    this.contact = true; // of the dead-man switch, in the wire from enable to the converter's RESET
     this.onReset = () => {};
     this.onSteps = null; // called before each instruction, with the time (ns)
     this.load({});
@@ -265,9 +266,15 @@ class Pico {
     this.outputHangs = false;
     this.outputCycles = 0; // of the machine
     this.divided = 0;
-    this.chip.gpio[this.pins.enable].addListener(() => {
-      if (!this.enabled) this.converter.reset();
-    });
+    this.chip.gpio[this.pins.enable].addListener(() => this.showReset());
+  }
+
+  get heard() {
+    return this.enabled && this.contact;
+  }
+
+  showReset() {
+    if (!this.heard) this.converter.reset();
   }
 
   /* A machine that does not run does not wait for words either. */
@@ -288,7 +295,7 @@ class Pico {
       machine.step();
       if (machine.waiting) this.outputCycles = machine.cycles;
       const levels = [0, 1, 2].map((i) => this.level(pin + i));
-      this.converter.see(...levels, from + (i + 1) * nanos, this.enabled);
+      this.converter.see(...levels, from + (i + 1) * nanos, this.heard);
     }
   }
 

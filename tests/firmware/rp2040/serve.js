@@ -79,6 +79,12 @@ const commands = {
     pico.hangOutput();
     return {};
   },
+  /* Close or open the contact in the wire to the converter's RESET. */
+  contact({ closed }) {
+    pico.contact = closed;
+    pico.showReset();
+    return {};
+  },
   /* Frames to the converter since the last question. */
   frames() {
     return { frames: pico.converter.frames.splice(0) };

@@ -205,3 +205,26 @@ def test_the_next_run_begins_at_zero_and_gives_its_current(powered_dac: Powered)
     session.host.command(-400)
     session.listen(0.002)
     assert session.pico.look()["current"] == pytest.approx(-0.4, abs=STEP_A)
+
+
+def test_a_contact_behind_the_board_is_zero_volts_whatever_it_sends_and_until_it_has_been_at_rest(
+    powered_dac: Powered,
+) -> None:
+    session = powered_dac()
+    running(session)
+    frames(session)
+
+    def volts_with(current: int) -> float:
+        session.host.command(current)
+        session.listen(0.001)
+        assert session.pico.look()["enabled"]
+        return float(session.pico.look()["volts"])
+
+    session.pico.ask("contact", closed=False)
+    assert volts_with(300) == 0.0
+    assert not any(frame.heard for frame in frames(session))
+    session.pico.ask("contact", closed=True)
+    assert volts_with(300) == 0.0
+    assert any(frame.heard for frame in frames(session)), "a current without a range"
+    assert volts_with(0) == 0.0
+    assert volts_with(-300) == pytest.approx(-0.3 / FULL_SCALE_A * 10.0, abs=1e-3)
