@@ -12,6 +12,7 @@ import sys
 import tomllib
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 from firmware_protocol import messages as m
 from firmware_protocol.connection import REPLIES, TRANSITIONS, UNASKED, State
@@ -153,7 +154,12 @@ def faults_of_a_rig() -> str:
 def parts_list() -> str:
     """Parts of the reference rig, and where what is known of them is from."""
     parts = tomllib.loads(WIRING.read_text(encoding="utf-8"))["part"]
-    return table(("", "part", "source"), ((one["name"], one["what"], one["source"]) for one in parts))
+    return table(("", "part", "source"), ((one["name"], _part(one), one["source"]) for one in parts))
+
+
+def _part(row: dict[str, Any]) -> str:
+    only = ", ".join(f'`{name} = "{value}"`' for name, value in row.get("where", {}).items())
+    return f"{row['what']} (with {only})" if only else str(row["what"])
 
 
 def version() -> str:

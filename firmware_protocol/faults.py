@@ -119,6 +119,11 @@ class Fault(Described):
         "the processor met an instruction or an address that it cannot use, and was reset",
         "configure, home and verify again; report it with the place that rig firmware selftest shows",
     )
+    OUTPUT_STALLED = (
+        16,
+        "a set-point did not leave the board: its transfer to the converter stalled",
+        "configure, home and verify again; report it if it comes back",
+    )
 
 
 class LimitFlag(DescribedFlag):

@@ -129,7 +129,7 @@ def profile(x: Experiment) -> Iterator[Problem]:
             x,
             "rig.amplifier.set_point_delay_s",
             f"must be ≥ {known_of.set_point_delay_s:g} s with {key} = {shown(known_of.name)}",
-            "it is the period of the set-point's pulse width",
+            "it is the set-point's way to the amplifier: a period of its pulse width, or until a voltage is seen",
         )
 
 

@@ -124,7 +124,7 @@ class Amplifier:
         float,
         Ge(0),
         Lt(0.01),
-        Quantity("s", "from a set-point to the amplifier's answer: a PWM's period; whole ticks, rounded up"),
+        Quantity("s", "from a set-point to the amplifier's answer (a PWM's period); whole ticks, rounded up"),
     ] = 0.0
 
     __pydantic_config__: ClassVar[dict[str, Any]] = STRICT

@@ -48,7 +48,7 @@ struct fuzz {
     struct splitter output; /* of what the device sends */
     struct counters broken;
     uint32_t states[HR_STATES];
-    uint32_t faults[16];
+    uint32_t faults[32];
     uint32_t laws[3];   /* ticks under supervision */
     uint32_t phases[LAW_FREE + 1]; /* of the law */
     uint32_t batches[3]; /* frames of each layout */
@@ -396,7 +396,7 @@ static void fall_silent(struct fuzz *fuzz)
 static void inject(struct fuzz *fuzz)
 {
     const uint8_t faults[] = {HR_FAULT_NON_FINITE, HR_FAULT_WATCHDOG_RESET, HR_FAULT_INTERNAL, HR_FAULT_BATCH_OVERFLOW,
-                              HR_FAULT_PROCESSOR_STOPPED};
+                              HR_FAULT_PROCESSOR_STOPPED, HR_FAULT_OUTPUT_STALLED};
     host_fault(fuzz->host, faults[below(sizeof faults)]);
 }
 

@@ -310,6 +310,9 @@ def test_scales_of_a_port_of_ones_own_are_checked_as_far_as_it_tells_them() -> N
     assert check_scales(board, model, settings) == pytest.approx(10.0 / 4000)
     assert check_scales(board, model, {**settings, "clock": "external"}) == 0.0
     assert check_scales(board, model, {"full_scale": 10.0}) is None
+    dac = {"output": "dac", "full_scale": 10.0, "current_monitor": "none"}
+    assert check_scales(board, model, dac) == pytest.approx(2 * 10.0 / 65536)
+    assert check_scales(board, of_profile("escon-50-5-dac"), dac) == pytest.approx(2 * 10.0 / 4096)
     with pytest.raises(ConfigError, match="saturate unseen"):
         check_scales(board, model, {**settings, "clock": "external", "full_scale": 1.0})
 
@@ -321,7 +324,8 @@ def test_every_amplifier_has_an_image_by_its_own_settings(name: str, pico: str, 
     made = build(BuildRequest(model=of_profile(name), board=pico, output=tmp_path))
     assert profile.settings.items() <= made.settings.items()
     sent = made.settings["full_scale"] / (200e6 / made.settings["pwm_frequency"])
-    wanted = {"generic": sent, "voltage-bridge": sent, "escon-50-5-pwm": 2 * 10.0 / 800}
+    seen = {"escon-50-5-pwm": 2 * 10.0 / 800, "escon-50-5-dac": 2 * 10.0 / 4096}
+    wanted = {"generic": sent, "voltage-bridge": sent, **seen}
     assert made.set_point_step_a == pytest.approx(wanted[name])
 
 
@@ -338,6 +342,9 @@ def test_every_amplifier_has_an_image_by_its_own_settings(name: str, pico: str, 
         ("escon-50-5-pwm", {"full_scale": 16.0}, "16 A is more than escon-50-5-pwm gives; set it to 15 A at most"),
         ("escon-50-5-pwm", {"pwm_frequency": 50_000}, "50000 Hz is outside what escon-50-5-pwm takes; .* 10 to 5000"),
         ("escon-50-5-pwm", {"pwm_frequency": 3500}, "3500 Hz have a period of 285.7 µs, and theory counts 250 µs"),
+        ("escon-50-5-pwm", {"output": "dac"}, "output .* dac is not what escon-50-5-pwm takes; set it to pwm, or "),
+        ("escon-50-5-dac", {"output": "pwm"}, "output .* pwm is not what escon-50-5-dac takes; set it to dac, or "),
+        ("escon-50-5-dac", {"full_scale": 5.5}, "5.5 A is below the 5.556 A .* saturate unseen"),
     ],
 )  # fmt: skip
 def test_scales_that_do_not_fit_the_rig_are_refused_with_both_numbers(

@@ -16,8 +16,8 @@ from firmware_protocol.fmea import FMEA, SingleFault, single_faults
 ROOT = Path(__file__).parents[2]
 ROWS = single_faults()
 PARTS = {
-    "encoder", "wires", "sensor", "host", "USB", "supply", "hang", "overrun", "bridge", "image", "parameters", "stop",
-    "heat", "jam", "crystal",
+    "encoder", "wires", "sensor", "host", "USB", "supply", "hang", "overrun", "bridge", "converter", "image",
+    "parameters", "stop", "heat", "jam", "crystal",
 }  # fmt: skip
 
 

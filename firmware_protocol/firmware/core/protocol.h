@@ -246,6 +246,7 @@ enum hr_fault {
     HR_FAULT_BATCH_OVERFLOW = 13,
     HR_FAULT_CURRENT_MISMATCH = 14,
     HR_FAULT_PROCESSOR_STOPPED = 15,
+    HR_FAULT_OUTPUT_STALLED = 16,
 };
 
 enum hr_limit {

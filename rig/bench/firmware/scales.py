@@ -12,22 +12,17 @@ from math import inf
 from firmware_protocol.dictionary import SettingValue
 from rig.bench.firmware.boards import Board
 from rig.config import amplifiers
+from rig.config.amplifiers import Profile
 from rig.core.board import OVER_CURRENT_MARGIN
 from rig.core.errors import ConfigError
 from rig.core.model import RigModel
 
 CONVERTER_V, CONVERTER_STEPS = 3.3, 4096  # of the converter behind a current monitor
 LEAST_STEPS = 50  # of the output from none to the rig's peak: a coarser one is no torque output
-# Settings of a board with a pulse width output, as the Pico's board.toml has them: without all nothing is known.
-OUTPUT = {
-    "full_scale",
-    "duty_minimum",
-    "duty_maximum",
-    "set_point",
-    "pwm_frequency",
-    "clock",
-    "current_monitor",
-}
+DAC_STEPS = 65536  # of the converter from full negative to full positive current
+# Settings of a board with an output, as the Pico's board.toml has them: without all nothing is known.
+SCALES = {"full_scale", "current_monitor"}
+PULSE_WIDTH = {"duty_minimum", "duty_maximum", "set_point", "pwm_frequency", "clock"}
 
 
 def monitor_step_a(settings: Mapping[str, SettingValue]) -> float:
@@ -35,21 +30,35 @@ def monitor_step_a(settings: Mapping[str, SettingValue]) -> float:
     return CONVERTER_V / CONVERTER_STEPS / float(settings["monitor_scale"])
 
 
-def set_point_step_a(model: RigModel, settings: Mapping[str, SettingValue]) -> float | None:
-    """Return one step of the set-point (A): the coarser of the pulse width's and of what the amplifier tells apart.
+def _has_pulse_width(settings: Mapping[str, SettingValue]) -> bool:
+    return settings.get("output", "pwm") == "pwm"
 
-    None for a board without such an output; a clock that is not told in MHz is taken for fast enough.
-    """
-    if not settings.keys() >= OUTPUT:
+
+def _share_of_a_step(settings: Mapping[str, SettingValue]) -> float | None:
+    """One step that leaves the board, as a share of full scale; None for a board that does not tell."""
+    if not settings.keys() >= SCALES:
+        return None
+    if not _has_pulse_width(settings):
+        return 2.0 / DAC_STEPS
+    if not settings.keys() >= PULSE_WIDTH:
         return None
     span = float(settings["duty_maximum"]) - float(settings["duty_minimum"])
     one_way = 0.5 * span if settings["set_point"] == "offset" else span
     mhz = re.fullmatch(r"(\d+)mhz", str(settings["clock"]))
     cycles = float(mhz[1]) * 1e6 / float(settings["pwm_frequency"]) if mhz else inf
-    full_scale = float(settings["full_scale"])
+    return 1.0 / (one_way * cycles)
+
+
+def set_point_step_a(model: RigModel, settings: Mapping[str, SettingValue]) -> float | None:
+    """Return one step of the set-point (A): the coarser of what leaves the board and what the amplifier tells apart.
+
+    None for a board without such an output; a clock that is not told in MHz is taken for fast enough.
+    """
+    if (sent := _share_of_a_step(settings)) is None:
+        return None
     told_apart = amplifiers.load(model.amplifier.profile).steps
-    seen = 2.0 * full_scale / told_apart if told_apart else 0.0
-    return max(full_scale / (one_way * cycles), seen)
+    seen = 2.0 / told_apart if told_apart else 0.0
+    return float(settings["full_scale"]) * max(sent, seen)
 
 
 def check_scales(board: Board, model: RigModel, settings: Mapping[str, SettingValue]) -> float | None:
@@ -71,8 +80,15 @@ def check_scales(board: Board, model: RigModel, settings: Mapping[str, SettingVa
         return None
     profile = amplifiers.load(model.amplifier.profile)
     peak = model.amplifier.effort_limit / model.amplifier.effort_per_ampere
-    full_scale, frequency = float(settings["full_scale"]), float(settings["pwm_frequency"])
+    full_scale = float(settings["full_scale"])
     refuse = _Refusal(board, model)
+    wanted = profile.settings.get("output")
+    if wanted is not None and settings.get("output", wanted) != wanted:
+        raise refuse(
+            "output",
+            f"{settings['output']} is not what {profile.name} takes",
+            f"set it to {wanted}, or name another rig.amplifier.profile",
+        )
     if full_scale < peak * (1.0 - 1e-9):
         raise refuse(
             "full_scale",
@@ -85,20 +101,8 @@ def check_scales(board: Board, model: RigModel, settings: Mapping[str, SettingVa
             f"{full_scale:g} A is more than {profile.name} gives",
             f"set it to {profile.most_a:g} A at most there and in the amplifier",
         )
-    least, most = profile.pwm_frequency or (0.0, inf)
-    if not least <= frequency <= most:
-        raise refuse(
-            "pwm_frequency",
-            f"{frequency:g} Hz is outside what {profile.name} takes",
-            f"set it to {least:g} to {most:g} Hz",
-        )
-    delay_s = model.amplifier.set_point_delay_s
-    if profile.set_point_delay_s and delay_s * frequency < 1.0 - 1e-9:
-        raise refuse(
-            "pwm_frequency",
-            f"{frequency:g} Hz have a period of {1e6 / frequency:.4g} µs, and theory counts {1e6 * delay_s:.4g} µs",
-            f"set rig.amplifier.set_point_delay_s = {1.0 / frequency:.4g}, or a higher rate",
-        )
+    if _has_pulse_width(settings):
+        _check_frequency(float(settings["pwm_frequency"]), profile, model.amplifier.set_point_delay_s, refuse)
     if step > peak / LEAST_STEPS:
         raise refuse(
             "full_scale",
@@ -108,6 +112,23 @@ def check_scales(board: Board, model: RigModel, settings: Mapping[str, SettingVa
     if settings["current_monitor"] == "adc":
         _check_monitor(peak * OVER_CURRENT_MARGIN, settings, refuse)
     return step
+
+
+def _check_frequency(frequency: float, profile: Profile, delay_s: float, refuse: _Refusal) -> None:
+    """A pulse width must have a rate that the amplifier takes, and a period that theory counts."""
+    least, most = profile.pwm_frequency or (0.0, inf)
+    if not least <= frequency <= most:
+        raise refuse(
+            "pwm_frequency",
+            f"{frequency:g} Hz is outside what {profile.name} takes",
+            f"set it to {least:g} to {most:g} Hz",
+        )
+    if profile.set_point_delay_s and delay_s * frequency < 1.0 - 1e-9:
+        raise refuse(
+            "pwm_frequency",
+            f"{frequency:g} Hz have a period of {1e6 / frequency:.4g} µs, and theory counts {1e6 * delay_s:.4g} µs",
+            f"set rig.amplifier.set_point_delay_s = {1.0 / frequency:.4g}, or a higher rate",
+        )
 
 
 def _check_monitor(over_a: float, settings: Mapping[str, SettingValue], refuse: _Refusal) -> None:

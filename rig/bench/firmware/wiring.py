@@ -17,7 +17,7 @@ from rig.core.errors import ConfigError
 from rig.recording.files import whole_file
 
 WIRING_FILE = "wiring.toml"
-_COLUMN, _BOX, _PITCH, _MARGIN, _STUB = 420, 215, 18, 40, 22  # px
+_COLUMN, _BOX, _PITCH, _MARGIN, _STUB = 440, 235, 18, 40, 22  # px
 _LINE = 36  # characters of a box
 
 
@@ -68,12 +68,22 @@ def wiring(board: Board, settings: Mapping[str, SettingValue]) -> Wiring:
     if not path.is_file():
         raise ConfigError(f"board {board.name} has no {WIRING_FILE}", remedy="write one, as the Pico's is")
     rows = tomllib.loads(path.read_text(encoding="utf-8"))["part"]
-    return Wiring(tuple(_part(row, board, settings) for row in rows))
+    return Wiring(
+        tuple(_part(row, board, settings) for row in rows if _applies(row.get("where", {}), settings))
+    )
+
+
+def _applies(where: Mapping[str, SettingValue], settings: Mapping[str, SettingValue]) -> bool:
+    return all(settings[name] == value for name, value in where.items())
 
 
 def _part(row: Mapping[str, Any], board: Board, settings: Mapping[str, SettingValue]) -> Part:
     sides = {
-        side: tuple(Pin(_pin(name, board, settings), net) for name, net in row.get(side, ()))
+        side: tuple(
+            Pin(_pin(name, board, settings), net)
+            for name, net, *where in row.get(side, ())
+            if all(_applies(one, settings) for one in where)
+        )
         for side in ("left", "right")
     }
     return Part(name=row["name"], what=row["what"], source=row["source"], column=row["column"], **sides)

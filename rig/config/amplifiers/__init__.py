@@ -32,8 +32,9 @@ class Profile:
     drive
         ``current``: it closes a current loop; ``voltage``: it does not; None: either.
     set_point_delay_s
-        From a set-point to the amplifier's answer (s): half a period of the pulse width until the next one begins, and
-        half of one until it has been seen; twice that at worst.
+        From a set-point to the amplifier's answer (s). Of a pulse width half a period until the next one begins, and
+        half of one until it has been seen, twice that at worst; of a voltage its transfer, its settling, and until the
+        amplifier has looked.
     most_a
         Largest current it gives (A); None: not known.
     steps

@@ -1,4 +1,4 @@
-"""The image, built once in each test process, and boards that run it."""
+"""The images, each built once in a test process, and boards that run them."""
 
 from __future__ import annotations
 
@@ -21,13 +21,28 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> BuildResult:
     return emulator.image(rig_model(load(PRESET)), tmp_path_factory.mktemp("rp2040"))
 
 
-@pytest.fixture
-def powered(built: BuildResult) -> Iterator[Callable[..., Session]]:
-    """Power a board up: without a rig behind it, or with one at a position (rad)."""
-    with ExitStack() as boards:
+@pytest.fixture(scope="session")
+def built_dac(tmp_path_factory: pytest.TempPathFactory) -> BuildResult:
+    return emulator.image(rig_model(load(PRESET)), tmp_path_factory.mktemp("rp2040-dac"), output="dac")
 
-        def power(position: float | None = None) -> Session:
-            pico = emulator.Pico(rig_model(load(PRESET)), built.bin, position=position)
-            return Session(boards.enter_context(pico), built)
+
+@pytest.fixture
+def boards() -> Iterator[Callable[..., Session]]:
+    """Power a board with an image up: without a rig behind it, or with one at a position (rad)."""
+    with ExitStack() as powered:
+
+        def power(image: BuildResult, position: float | None = None) -> Session:
+            pico = emulator.Pico(rig_model(load(PRESET)), image.bin, position=position)
+            return Session(powered.enter_context(pico), image)
 
         yield power
+
+
+@pytest.fixture
+def powered(built: BuildResult, boards: Callable[..., Session]) -> Callable[..., Session]:
+    return lambda position=None: boards(built, position)
+
+
+@pytest.fixture
+def powered_dac(built_dac: BuildResult, boards: Callable[..., Session]) -> Callable[..., Session]:
+    return lambda position=None: boards(built_dac, position)

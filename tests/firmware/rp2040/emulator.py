@@ -42,6 +42,7 @@ PINS = {
     "encoder": 2,
     "encoder_complement": 14,
     "pwm": 8,
+    "dac": 17,
     "enable": 10,
     "hold_to_run": 11,
     "emergency_stop": 12,
@@ -50,12 +51,12 @@ PINS = {
 }
 
 
-def image(model: RigModel, output: Path, **settings: Any) -> BuildResult:
+def image(model: RigModel, directory: Path, /, **settings: Any) -> BuildResult:
     """Build the firmware for a rig, with a current monitor; skips the test without a cross compiler."""
     if shutil.which("arm-none-eabi-gcc") is None:
         pytest.skip("arm-none-eabi-gcc is not installed (package gcc-arm-none-eabi)")
     request = BuildRequest(
-        model=model, board="rp2040", output=output, settings={"current_monitor": "adc", **settings}
+        model=model, board="rp2040", output=directory, settings={"current_monitor": "adc", **settings}
     )
     try:
         return build(request)

@@ -20,7 +20,7 @@ class Motor {
   upTo(now) {
     const { pico } = this;
     while (now >= this.next) {
-      this.current = pico.enabled ? pico.duty * this.fullScale : 0;
+      this.current = pico.enabled ? pico.share * this.fullScale : 0;
       this.most = Math.max(this.most, Math.abs(this.current));
       let flows = this.current;
       if (this.plant) {

@@ -2,10 +2,11 @@
 /* A Raspberry Pi Pico with a motor, an encoder and a serial line, cycle by cycle.
  *
  * The processor, DMA, PWM, ADC, timers and the state machines of PIO are rp2040js'. What it lacks for this purpose is here:
- * one clock for processor and PIO, cycles of an exception's entry and return, a wake-up by any timer, a UART that takes
+ * one clock for processor and PIO, PIO's delays where the tests look at them, cycles of an exception's entry and return, a wake-up by any timer, a UART that takes
  * time, reset by the watchdog, the boot ROM's way into a program. */
 const { RP2040 } = require('rp2040js');
 const { ConsoleLogger, LogLevel } = require('rp2040js');
+const { Converter } = require('./dac.js');
 const { Flash } = require('./flash.js');
 const { Uart } = require('./uart.js');
 
@@ -26,6 +27,7 @@ const WORD_BITS = 64; // on the flash's line for a word of 32: command, address,
 const REGULATES_NS = 50000;
 const PIO_RESTS = 32; // cycles after an edge in which the state machines have come to rest
 const GUARD_LOOP = 3; // cycles of the only machine that never waits
+const PIO1 = 7; // function of a pin
 const PIO_INSTRUCTIONS = [0xd8, 0xf0, 0x108, 0x120];
 
 class Quiet {
@@ -59,6 +61,7 @@ class Pico {
     this.unplugged = false; // the encoder: the pull-ups hold all lines high
     this.broken = [false, false]; // lines A and B, which the pull-ups hold high then
     this.edges = []; // { at, way }: to come, rising
+    this.contact = true; // of the dead-man switch, in the wire from enable to the converter's RESET
     this.onReset = () => {};
     this.onSteps = null; // called before each instruction, with the time (ns)
     this.load({});
@@ -92,6 +95,7 @@ class Pico {
     this.watchPads();
     this.watchPwm();
     this.watchPio();
+    this.watchConverter();
     this.showSwitches();
     this.showEncoder();
     this.born = this.elapsed;
@@ -254,6 +258,47 @@ class Pico {
     for (let i = 0; i < 4; i++) if (machines[i].enabled) machines[i].step();
   }
 
+  /* The machine that feeds the converter, in PIO 1: with delays, the clock's divider, and pins. */
+  watchConverter() {
+    const pio = this.chip.pio[1];
+    pio.run = () => {};
+    this.converter = new Converter((text) => this.chip.logger.warn('converter', text));
+    this.outputHangs = false;
+    this.outputCycles = 0; // of the machine
+    this.divided = 0;
+    this.chip.gpio[this.pins.enable].addListener(() => this.showReset());
+  }
+
+  get heard() {
+    return this.enabled && this.contact;
+  }
+
+  showReset() {
+    if (!this.heard) this.converter.reset();
+  }
+
+  /* A machine that does not run does not wait for words either. */
+  hangOutput() {
+    this.outputHangs = true;
+    this.chip.pio[1].txStall = 0;
+  }
+
+  advanceOutput(from, cycles, nanos) {
+    const pio = this.chip.pio[1];
+    const machine = pio.machines[0];
+    if (!machine.enabled || this.outputHangs) return;
+    if (machine.waiting && machine.txFIFO.empty) return;
+    const pin = this.pins.dac;
+    for (let i = 0; i < cycles; i++) {
+      if (++this.divided % machine.clockDivInt !== 0) continue;
+      if (++this.outputCycles < machine.cycles) continue; // a delay
+      machine.step();
+      if (machine.waiting) this.outputCycles = machine.cycles;
+      const levels = [0, 1, 2].map((i) => this.level(pin + i));
+      this.converter.see(...levels, from + (i + 1) * nanos, this.heard);
+    }
+  }
+
   /* Let the state machines live through some cycles; at rest only the guard turns, in circles. */
   advancePio(from, cycles, nanos) {
     const { edges } = this;
@@ -326,6 +371,7 @@ class Pico {
     const nanos = 1e9 / chip.clkSys;
     clock.tick(cycles * nanos);
     this.advancePio(from, cycles, nanos);
+    this.advanceOutput(from, cycles, nanos);
     this.cycles += cycles;
     this.held = core.PM ? this.held + cycles : 0;
     if (this.held > this.longestHeld) this.longestHeld = this.held;
@@ -372,8 +418,9 @@ class Pico {
     return this.level(this.pins.enable);
   }
 
-  /* Share of the largest duty, -1 to 1, that magnitude and direction show (setting "sign"). */
-  get duty() {
+  /* Share of full scale, -1 to 1: the converter's, or of the largest duty that magnitude and direction show (setting "sign"). */
+  get share() {
+    if (this.chip.gpio[this.pins.dac].functionSelect === PIO1) return this.converter.volts / 10;
     const gpio = this.chip.gpio[this.pins.pwm];
     if (gpio.functionSelect !== 4) return 0;
     const channel = this.chip.pwm.channels[(this.pins.pwm >> 1) & 7];

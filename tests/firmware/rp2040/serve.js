@@ -73,6 +73,28 @@ const commands = {
     core.exceptionEntry(3);
     return { at };
   },
+  /* The machine that feeds the converter does not go on, from now or from the middle of its next frame. */
+  stall({ amid = false }) {
+    while (amid && pico.converter.bits !== 12) pico.runUntil(pico.now + 1);
+    pico.hangOutput();
+    return {};
+  },
+  /* Close or open the contact in the wire to the converter's RESET. */
+  contact({ closed }) {
+    pico.contact = closed;
+    pico.showReset();
+    return {};
+  },
+  /* Frames to the converter since the last question. */
+  frames() {
+    return { frames: pico.converter.frames.splice(0) };
+  },
+  /* Time (ns) until the amplifier is off, at most so long. */
+  off({ us }) {
+    const begins = pico.now;
+    while (pico.enabled && pico.now < begins + us * 1000) pico.runUntil(pico.now + 1);
+    return { took: pico.now - begins };
+  },
   look() {
     const most = motor.most;
     motor.most = 0;
@@ -83,7 +105,8 @@ const commands = {
       now: pico.now,
       truth: pico.truth,
       enabled: pico.enabled,
-      duty: pico.duty,
+      share: pico.share,
+      volts: pico.converter.volts,
       current: motor.current,
       most,
       resets: pico.resets,

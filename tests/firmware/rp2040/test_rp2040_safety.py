@@ -30,7 +30,7 @@ def test_nothing_is_driven_before_a_host_says_so(powered: Powered) -> None:
     session = powered()
     look = session.pico.look()
     assert not look["enabled"]
-    assert look["duty"] == 0.0
+    assert look["share"] == 0.0
 
 
 @pytest.mark.parametrize(("rate", "bite_us"), [(1_000, 5_000.0), (20_000, 2_000.0)])
@@ -46,7 +46,7 @@ def test_the_watchdog_drops_enable_and_the_device_says_why_it_is_back(
     look = session.pico.look()
     assert look["resets"] == 1
     assert not look["enabled"]
-    assert look["duty"] == 0.0
+    assert look["share"] == 0.0
     session.pico.run(START_US)
     assert not session.pico.look()["enabled"]
     session.connect()

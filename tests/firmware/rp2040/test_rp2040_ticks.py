@@ -46,13 +46,20 @@ def test_the_device_dates_its_samples_as_they_come(powered: Powered, rate: int) 
 
 # Share of the period that the worst tick may take: a little above what it took when PICO.md was written.
 @pytest.mark.parametrize(
-    ("position_rate", "velocity_rate", "share"),
-    [(20_000, 2_000, 0.30), (20_000, 20_000, 0.30), (50_000, 5_000, 0.74), (50_000, 50_000, 0.74)],
+    ("output", "position_rate", "velocity_rate", "share"),
+    [
+        ("powered", 20_000, 2_000, 0.30),
+        ("powered", 20_000, 20_000, 0.30),
+        ("powered", 50_000, 5_000, 0.74),
+        ("powered", 50_000, 50_000, 0.74),
+        ("powered_dac", 20_000, 20_000, 0.30),
+        ("powered_dac", 50_000, 5_000, 0.743),
+    ],
 )
 def test_the_worst_tick_with_the_law_on_the_device(
-    powered: Powered, position_rate: int, velocity_rate: int, share: float
+    request: pytest.FixtureRequest, output: str, position_rate: int, velocity_rate: int, share: float
 ) -> None:
-    session = powered(position=0.0)
+    session = request.getfixturevalue(output)(position=0.0)
     # To the start in 20 ms, so that homing, settling, contact and a STATE are all among the ticks.
     values = session.configure_law(position_rate, velocity_rate)
     session.configure(

@@ -177,7 +177,7 @@ def test_a_cable_that_is_pulled_in_a_session_ends_with_no_current(
     pico.run(60_000.0)
     look = pico.look()
     assert not look["enabled"]
-    assert look["duty"] == 0
+    assert look["share"] == 0
     host.line = UsbLine(pico)
     host.identify()
     assert host.states[-1].state == State.FAULT
@@ -201,6 +201,6 @@ def test_a_whole_hit_by_rig_itself(built: BuildResult, tmp_path: Path) -> None:
     assert result.verdict.kind.value == "stable"
     assert recording.trailer["device_host_agreement"]["holds"]
     assert recording.trailer["device_host_agreement"]["compared"] > 0.9 * len(rows)
-    assert (look["enabled"], look["duty"]) == (False, 0)
+    assert (look["enabled"], look["share"]) == (False, 0)
     assert np.array_equal(np.diff(rows["sample_index"]), np.ones(len(rows) - 1))
     assert look["truth"] == rows["count"][-1]

@@ -10,33 +10,45 @@ import pytest
 
 import rig.cli
 from rig.bench.firmware import boards
-from rig.bench.firmware.wiring import Part, svg, wiring
+from rig.bench.firmware.wiring import Part, Wiring, svg, wiring
 from rig.core.errors import ConfigError
 
 BOARD = boards.load("rp2040")
 SETTINGS = boards.settings_of(BOARD, {})
 FOUND = wiring(BOARD, SETTINGS)
+CHOSEN = {output: boards.settings_of(BOARD, {"output": output}) for output in ("pwm", "dac")}
 ALONE = {"SYNC IN", "TRIAL", "INSIDE"}  # for whoever has something to connect there
 
 
-def part(name: str) -> Part:
-    return next(one for one in FOUND.parts if one.name == name)
+def part(name: str, found: Wiring = FOUND) -> Part:
+    return next(one for one in found.parts if one.name == name)
 
 
-def pins(name: str) -> dict[str, str]:
-    return {pin.name: pin.net for pin in (*part(name).left, *part(name).right)}
+def pins(name: str, found: Wiring = FOUND) -> dict[str, str]:
+    return {pin.name: pin.net for pin in (*part(name, found).left, *part(name, found).right)}
 
 
-def test_every_net_joins_something_and_every_pin_of_the_board_is_wired() -> None:
-    assert {net for net, joined in FOUND.nets().items() if len(joined) == 1} == ALONE
-    used = {name.split()[0] for name in pins("U1") if name.startswith("GPIO")}
+@pytest.mark.parametrize("output", CHOSEN)
+def test_every_net_joins_something_and_every_pin_of_the_board_is_wired(output: str) -> None:
+    settings = CHOSEN[output]
+    found = wiring(BOARD, settings)
+    assert {net for net, joined in found.nets().items() if len(joined) == 1} == ALONE
+    used = {name.split()[0] for name in pins("U1", found) if name.startswith("GPIO")}
     wanted = {
-        int(SETTINGS[name]) + next_one
+        int(settings[name]) + next_one
         for name, setting in BOARD.settings.items()
         for next_one in range(setting.pins)
+        if setting.where.get("output", output) == output
         if name != "pwm_pin" or next_one == 0  # the amplifier of an offset set-point has no direction
     }
     assert used == {f"GPIO{number}" for number in (*wanted, 26)}
+
+
+def test_whatever_switches_the_amplifier_off_holds_the_converter_in_reset_too() -> None:
+    """Behind monostable and dead-man contact, where the resistor to ground is: not at the board's own end."""
+    nets = wiring(BOARD, CHOSEN["dac"]).nets()
+    assert {"U5.RESET", "AMP.DigIN2 (enable)", "R1.2"} <= set(nets["ENABLE HELD"])
+    assert set(nets["SET POINT"]) == {"U5.VOUT", "AMP.AnIN1+"}
 
 
 def test_no_five_volts_reach_a_pin_of_the_board() -> None:

@@ -1,4 +1,4 @@
-/* The amplifier: a set-point as a pulse width, the current that flows, and the wire that switches it on. */
+/* The amplifier: the set-point, the current that flows, and the wire that switches it on. */
 #ifndef RP2040_AMPLIFIER_H
 #define RP2040_AMPLIFIER_H
 

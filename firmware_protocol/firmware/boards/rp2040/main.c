@@ -5,6 +5,7 @@
 #include "encoder.h"
 #include "flash.h"
 #include "link.h"
+#include "output.h"
 #include "pins.h"
 #include "poll.h"
 #include "registers.h"
@@ -133,6 +134,8 @@ static const struct hal hal = {
 void tick_interrupt(void)
 {
     tick_taken();
+    if (output_stalled())
+        device_fault(&device, HR_FAULT_OUTPUT_STALLED);
     device_tick(&device);
     link_pump();
 }

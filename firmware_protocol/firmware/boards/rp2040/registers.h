@@ -19,6 +19,7 @@
 #define RESET_IO_BANK0 (1u << 5)
 #define RESET_PADS_BANK0 (1u << 8)
 #define RESET_PIO0 (1u << 10)
+#define RESET_PIO1 (1u << 11)
 #define RESET_PLL_SYS (1u << 12)
 #define RESET_PLL_USB (1u << 13)
 #define RESET_PWM (1u << 14)
@@ -80,6 +81,7 @@
 #define GPIO_UART 2u
 #define GPIO_PWM 4u
 #define GPIO_SIO 5u
+#define GPIO_PIO1 7u
 #define GPIO_NONE 31u
 #define PAD(pin) REGISTER(0x4001C004u + 4u * (pin))
 #define PAD_SCHMITT (1u << 1)
@@ -140,6 +142,20 @@
 #define PIO_SHIFT_IN_RIGHT (1u << 18)
 #define PIO_SHIFT_OUT_RIGHT (1u << 19)
 #define PIO_IN_FROM(pin) ((pin) << 15)
+#define PIO_SIDE_SET_FROM(pin, count) ((count) << 29 | (pin) << 10)
+#define PIO_SET_FROM(pin, count) ((count) << 26 | (pin) << 5)
+#define PIO_OUT_FROM(pin, count) ((count) << 20 | (pin))
+#define PIO1 0x50300000u /* its first machine alone */
+#define PIO1_CONTROL REGISTER(PIO1 + 0x0u)
+#define PIO1_DEBUG REGISTER(PIO1 + 0x8u) /* write one to clear */
+#define PIO1_NOTHING_TO_SEND (1u << 24)
+#define PIO1_SEND REGISTER(PIO1 + 0x10u)
+#define PIO1_MEMORY(index) REGISTER(PIO1 + 0x48u + 4u * (index))
+#define PIO1_DIVIDER REGISTER(PIO1 + 0xC8u)
+#define PIO1_EXECUTION REGISTER(PIO1 + 0xCCu)
+#define PIO1_SHIFTING REGISTER(PIO1 + 0xD0u)
+#define PIO1_INSTRUCTION REGISTER(PIO1 + 0xD8u)
+#define PIO1_PINS REGISTER(PIO1 + 0xDCu)
 
 /* 4.2.7 UART */
 #define UART0 0x40034000u
