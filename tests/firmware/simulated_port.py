@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import ctypes
 import re
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from rig.devices.device import DeviceUrl
 from rig.realtime.clock import VirtualClock
@@ -14,6 +16,7 @@ HERE = Path(__file__).parent
 SIMULATED = FIRMWARE / "port_check" / "simulated"
 WRONG = HERE / "wrong_ports.c"
 SLICE_US = 500
+Run = Callable[[int, bytes], bytes]  # let time pass (µs) with bytes for the board; the bytes that came
 MOST_BYTES = 1 << 18
 
 
@@ -37,6 +40,20 @@ def compile_board(directory: Path, firmware: ctypes.CDLL) -> ctypes.CDLL:
     return library
 
 
+def powered_up(library: ctypes.CDLL, spoilt: str = "") -> Run:
+    """A board in this process; with a port that a function of wrong_ports.c spoils."""
+    memory = ctypes.create_string_buffer(library.simulated_board_bytes())
+    into = ctypes.create_string_buffer(MOST_BYTES)
+    spoil = ctypes.cast(getattr(library, spoilt), ctypes.c_void_p) if spoilt else None
+    library.simulated_board_start(memory, spoil)
+
+    def run(us: int, data: bytes) -> bytes:
+        count = library.simulated_board_run(memory, us, data, len(data), into, MOST_BYTES)
+        return ctypes.string_at(into, count)
+
+    return run
+
+
 class SimulatedPort:
     """A board that has just been powered up, as a link in virtual time."""
 
@@ -44,14 +61,10 @@ class SimulatedPort:
     bytes_per_second = None
     messages: tuple[str, ...] = ()
 
-    def __init__(self, library: ctypes.CDLL, wrong: str = "") -> None:
+    def __init__(self, run: Run) -> None:
         self.clock = VirtualClock()
-        self._library = library
-        self._memory = ctypes.create_string_buffer(library.simulated_board_bytes())
-        self._into = ctypes.create_string_buffer(MOST_BYTES)
+        self._run = run
         self._to_board = b""
-        spoil = ctypes.cast(getattr(library, f"wrong_{wrong}"), ctypes.c_void_p) if wrong else None
-        library.simulated_board_start(self._memory, spoil)
 
     def write(self, data: bytes) -> None:
         self._to_board += data
@@ -62,13 +75,20 @@ class SimulatedPort:
         while (left_ns := ends_ns - self.clock.now_ns()) > 0:
             us = min(SLICE_US, -(-left_ns // 1000))
             given, self._to_board = self._to_board, b""
-            count = self._library.simulated_board_run(
-                self._memory, us, given, len(given), self._into, MOST_BYTES
-            )
+            came = self._run(us, given)
             self.clock.sleep_until(self.clock.now_ns() + us * 1000)
-            if count:
-                return self._into.raw[:count]
+            if came:
+                return came
         return b""
+
+    def failure(self) -> None:
+        return None
+
+    def truth(self) -> None:
+        return None
+
+    def port(self) -> Any:
+        raise NotImplementedError
 
     def close(self) -> None:
         pass

@@ -393,6 +393,22 @@ void wrong_inputs_bits(struct simulated_board *spoilt)
     of(spoilt)->inputs = with_the_sync_outputs;
 }
 
+/* Right, and watched: whether it was ever switched on, and whether it is. */
+bool ever_on, is_on;
+
+static void watched_enable(void *context, bool on)
+{
+    ever_on = ever_on || on;
+    is_on = on;
+    right.enable(context, on);
+}
+
+void watch_enable(struct simulated_board *watched)
+{
+    of(watched)->enable = watched_enable;
+    ever_on = is_on = false;
+}
+
 /* ------------------------------------------------------------------ link */
 
 static size_t ending_its_text(void *context, uint8_t *into, size_t capacity)

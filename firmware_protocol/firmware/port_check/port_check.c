@@ -170,7 +170,7 @@ static bool tell_board(void)
     return ANSWER(check.board->rate_initial, rate_maximum(), law_maximum(), senses,
                   senses ? (uint32_t)(sensor->lag_s * UNITS_PER_SECOND) : 0u,
                   senses ? (uint32_t)(sensor->noise * 1000.0) : 0u, check.hal->enter_bootloader != NULL, check.was_reset,
-                  check.stopped_at);
+                  check.stopped_at, check.board->over_current);
 }
 
 static bool tell_summary(void)

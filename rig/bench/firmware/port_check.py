@@ -21,7 +21,7 @@ from firmware_protocol.faults import Input
 from firmware_protocol.framing import HEADER_BYTES, FrameSplitter, encode_frame
 from rig.core import check
 from rig.core.check import Check, Outcome
-from rig.core.errors import DeviceRefusedError, LinkLostError, RigError
+from rig.core.errors import ConfigError, DeviceRefusedError, LinkLostError, RigError
 from rig.core.present import Item, reported
 from rig.devices.device import Link
 
@@ -42,6 +42,7 @@ BATCH_S, BATCH_BYTES = 0.1, 5  # what there must be room for: so long, so many b
 FILL_FRAMES, FILL_S = 2_000, 10.0
 BITES_US = (40_000, 5_000)
 ANSWER_S, RETURNS_S, TRIES = 2.0, 0.5, 5
+EMULATED = 5.0  # times as long
 QUIET_S = 0.05  # of a board that gives a sign of life each millisecond
 
 _HEAD = struct.Struct("<HH")
@@ -83,7 +84,7 @@ class PortCheckRequest:
     bootloader
         Whether to end in the boot loader.
     real_time
-        Whether the board keeps the time of the link's clock; an emulator may not.
+        Whether the board keeps the time of the link's clock; an emulator may not, and gets more of it to answer.
     """
 
     current: int = 0
@@ -129,6 +130,7 @@ class Board:
     """The program on the board, at the far end of a link that may be opened anew."""
 
     open_link: Callable[[], Link]
+    patience: float = 1.0  # of a wait for an answer
     link: Link = field(init=False)
     counted: list[int] = field(default_factory=list)  # numbers of the counting frames since the last question
     statistics: LinkStatistics = field(default_factory=LinkStatistics)
@@ -149,8 +151,8 @@ class Board:
         self.link.write(b"\0" + encode_frame(header + _HEAD.pack(self._nonce, probe) + numbers))
         clock = self.link.clock
         heard = clock.now_ns()
-        deadline = heard + round(wait_s * 1e9)
-        while clock.now_ns() < min(deadline, heard + round(quiet_s * 1e9)):
+        deadline = heard + round(self.patience * wait_s * 1e9)
+        while clock.now_ns() < min(deadline, heard + round(self.patience * quiet_s * 1e9)):
             data = self.link.read(0.01)
             heard = clock.now_ns() if data else heard
             for raw in self._splitter.feed(data):
@@ -218,7 +220,12 @@ class Trial:
     @classmethod
     def begin(cls, board: Board, request: PortCheckRequest) -> Trial:
         """Meet the board."""
-        rate, maximum, law, senses, lag, noise, bootloader, *_ = board.meet()
+        rate, maximum, law, senses, lag, noise, bootloader, _told, _place, limit = board.meet()
+        if abs(request.current) > limit:
+            raise ConfigError(
+                f"current = {request.current} quanta is above the rig's over-current limit",
+                remedy=f"give -{limit} to {limit}",
+            )
         return cls(board, request, rate, maximum, law, bool(senses), lag, noise, bool(bootloader))
 
     def distrust(self) -> None:
@@ -254,8 +261,10 @@ def check_port(
         Nobody answers.
     DeviceRefusedError
         The firmware itself runs there.
+    ConfigError
+        A current that the rig's amplifier must not give.
     """
-    board = Board(open_link)
+    board = Board(open_link, 1.0 if request.real_time else EMULATED)
     try:
         try:
             trial = Trial.begin(board, request)
@@ -296,8 +305,8 @@ def _answers(board: Board) -> bool:
 
 TIME = ("time_steps_back", "time_width", "time_unit")
 BY_TIME = (
-    *("time_of_timer", "tick_rate", "tick_grid", "rate_kept", "edge_time", "sync_time", "measured_flows"),
-    *("zero_at_once", "off_at_once", "read_waits_not", "write_waits_not", "watchdog_time"),
+    *("time_of_timer", "tick_rate", "tick_grid", "rate_kept", "edge_time", "sync_time"),
+    *("read_waits_not", "write_waits_not", "watchdog_time"),
 )
 SILENT = ""  # no duty has this name
 NO_ANSWER: Mapping[str, Any] = {}  # broken, and no number is known
@@ -423,36 +432,6 @@ def _wires(trial: Trial) -> Iterator[tuple[str, Verdict]]:
 NOTHING_MOVES: Mapping[str, Any] = {"moved": 0}
 
 
-def _current(trial: Trial) -> Iterator[tuple[str, Verdict]]:
-    names, quanta = STEPS[_current], trial.request.current
-    if not trial.senses or not quanta:
-        why = "free the handle or put a resistor in the motor's place, and say --current"
-        yield from dict.fromkeys(names, why if trial.senses else "it measures no current").items()
-        return
-    off, last, started = trial.ask_signed(Probe.OFF, quanta)
-    first, mean, zero_units = trial.ask_signed(Probe.ON, quanta)
-    (off_units,) = trial.ask_signed(Probe.DISABLE, quanta)
-    echo = first == last == quanta
-    near = max(
-        MEASURED_SHARE * abs(quanta), MEASURED_NOISES * 1e-3 * trial.noise_milliquanta + MEASURED_QUANTA
-    )
-    flows = abs(quanta) / 4.0
-    if echo:
-        said = {"quanta": quanta, "wanted": 0, "echo": ", with the amplifier off: it is the set-point"}
-        yield "measured_flows", said
-        yield from dict.fromkeys(names[1:], "measured_current does not say what flows").items()
-        return
-    yield (
-        "measured_flows",
-        {"quanta": mean, "wanted": quanta, "echo": ""} if abs(mean - quanta) > near else None,
-    )
-    yield "off_until_enabled", {"quanta": off} if off > flows else None
-    yield "starts_from_zero", {"quanta": started} if started > flows >= off else None
-    limit = GONE_LAGS * trial.lag_units + GONE_S * UNITS_A_SECOND
-    for name, units in (("zero_at_once", zero_units), ("off_at_once", off_units)):
-        yield name, {"ms": units / UNITS_PER_US * 1e-3} if units > limit else None
-
-
 # ------------------------------------------------------------------ link
 
 
@@ -530,6 +509,53 @@ def _starved(board: Board, bite_us: int) -> tuple[int, bool]:
     return lived_ms, False
 
 
+# ------------------------------------------------------------------ amplifier
+
+
+def _current(trial: Trial) -> Iterator[tuple[str, Verdict]]:
+    names, quanta = STEPS[_current], trial.request.current
+    why = _why_no_current(trial)
+    if why:
+        yield from dict.fromkeys(names, why).items()
+        return
+    off, last, started = trial.ask_signed(Probe.OFF, quanta)
+    first, mean, zero_units = trial.ask_signed(Probe.ON, quanta)
+    (off_units,) = trial.ask_signed(Probe.DISABLE, quanta)
+    if first == last == quanta:
+        said = {"quanta": quanta, "wanted": 0, "echo": ", with the amplifier off: it is the set-point"}
+        yield "measured_flows", said
+        yield from dict.fromkeys(names[1:], "measured_current does not say what flows").items()
+        return
+    near = max(
+        MEASURED_SHARE * abs(quanta), MEASURED_NOISES * 1e-3 * trial.noise_milliquanta + MEASURED_QUANTA
+    )
+    wrong = {"quanta": mean, "wanted": quanta, "echo": ""}
+    yield "measured_flows", wrong if abs(mean - quanta) > near else None
+    flows = abs(quanta) / 4.0
+    if off > flows:
+        yield "off_until_enabled", {"quanta": off}
+        yield "starts_from_zero", "it is on before"
+    else:
+        yield "off_until_enabled", None
+        yield "starts_from_zero", {"quanta": started} if started > flows else None
+    limit = GONE_LAGS * trial.lag_units + GONE_S * UNITS_A_SECOND
+    for name, units in (("zero_at_once", zero_units), ("off_at_once", off_units)):
+        yield name, {"ms": units / UNITS_PER_US * 1e-3} if units > limit else None
+
+
+def _why_no_current(trial: Trial) -> str:
+    if not trial.senses:
+        return "it measures no current"
+    if not trial.request.current:
+        return "free the handle or put a resistor in the motor's place, and say --current"
+    if any(isinstance(trial.verdicts[name], Mapping) for name in (*TIME, "tick_rate", "watchdog_bites")):
+        return "no current before time, tick and watchdog are right"
+    return ""
+
+
+# ------------------------------------------------------------------ the way out
+
+
 def _leaving(trial: Trial) -> Iterator[tuple[str, Verdict]]:
     if not trial.has_bootloader:
         yield "bootloader", "it has none"
@@ -550,16 +576,16 @@ def _stays(board: Board) -> bool:
 
 
 Step = Callable[[Trial], Iterator[tuple[str, Verdict]]]
-# In the order in which they are tried: what stops the board comes last.
+# In the order in which they are tried: no current before time and watchdog are right, and the way out last.
 STEPS: dict[Step, tuple[str, ...]] = {
     _time: ("time_unit",),
     _ticks: ("tick_rate", "time_of_timer", "tick_grid"),
     _refusal: ("rate_refused", "rate_kept"),
     _nesting: ("not_nested",),
     _wires: ("sync_bits", "encoder_count", "edge_time", "encoder_failed", "sync_time"),
-    _current: ("measured_flows", "off_until_enabled", "starts_from_zero", "zero_at_once", "off_at_once"),
     _writing: ("write_whole", "write_waits_not", "write_room"),
     _meanwhile: ("time_steps_back", "time_width", "read_room", "read_waits_not", "inputs_bits"),
     _bites: ("watchdog_bites", "watchdog_time", "reset_told"),
+    _current: ("measured_flows", "off_until_enabled", "starts_from_zero", "zero_at_once", "off_at_once"),
     _leaving: ("bootloader",),
 }

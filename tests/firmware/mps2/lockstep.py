@@ -107,10 +107,10 @@ class Partner:
         os.close(self._replies)
 
 
-def emulator(board: str) -> list[str]:
+def emulator(board: str, serial: str = "none") -> list[str]:
     """The emulator with the machine of a board; its time is counted in instructions."""
     machine = MACHINES[board.partition("-")[2] or "an386"]
-    command = [cross.need_qemu(), "-M", machine, "-display", "none", "-monitor", "none", "-serial", "none"]
+    command = [cross.need_qemu(), "-M", machine, "-display", "none", "-monitor", "none", "-serial", serial]
     return [*command, "-semihosting-config", "enable=on,target=native", "-icount", "shift=5,sleep=off"]
 
 

@@ -1,4 +1,5 @@
-/* The image for tests: golden vectors where there is a file of them, else lock-step with a plant. */
+/* The image for tests: golden vectors where there is a file of them, the port tried out where a file says so, else lock-step with
+ * a plant. */
 #include "tests.h"
 
 #include "mps2.h"
@@ -13,6 +14,9 @@ int main(void)
         semihosting_exit(law_vectors(vectors));
     const int32_t requests = semihosting_open_to_read("requests");
     const int32_t replies = semihosting_open_to_write("replies");
-    semihosting_exit(requests < 0 || replies < 0 ? NO_FILES : lockstep(requests, replies));
+    if (requests < 0 || replies < 0)
+        semihosting_exit(NO_FILES);
+    const bool simulates = semihosting_open_to_read("simulate") >= 0;
+    semihosting_exit(simulates ? simulated_port(requests, replies) : lockstep(requests, replies));
     return 0;
 }

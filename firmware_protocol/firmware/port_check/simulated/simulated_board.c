@@ -4,12 +4,14 @@
 
 #define UNITS_PER_US HR_TIME_UNITS_PER_US
 #define UNITS_PER_SECOND (UNITS_PER_US * 1000000u)
-#define STARTS_AT (UINT64_C(0x100000000) - UNITS_PER_SECOND) /* so that 32 bits are soon too few */
+#define STARTS_AT (UINT64_C(0x100000000) - UNITS_PER_SECOND / 4u) /* so that 32 bits are soon too few */
 #define LOOK_UNITS 8u                                        /* that a look at the clock takes */
 #define IDLE_UNITS 64u                                       /* that a poll takes besides */
 #define LINE_BYTES_A_SECOND 300000u
 #define ROOM_BYTES 28672u
 #define LAG_S 1e-4
+#define LAG_UNITS ((float)(LAG_S * UNITS_PER_SECOND))
+#define OVER_CURRENT 2000u
 #define RATE_INITIAL 1000u
 #define RATE_MAXIMUM 50000u
 
@@ -23,10 +25,10 @@ size_t port_check_poll(struct device *device);
 
 static void move_motor(struct simulated_board *board, uint64_t units)
 {
-    const double wanted = board->host.enabled ? board->host.current : 0.0;
-    const double share = (double)units / (LAG_S * UNITS_PER_SECOND); /* steps are short against the lag */
-    board->flows += (wanted - board->flows) * (share < 1.0 ? share : 1.0);
-    board->host.measured = (int16_t)(board->flows < 0.0 ? board->flows - 0.5 : board->flows + 0.5);
+    const float wanted = board->host.enabled ? board->host.current : 0.0f;
+    const float share = (float)units / LAG_UNITS; /* steps are short against the lag */
+    board->flows += (wanted - board->flows) * (share < 1.0f ? share : 1.0f);
+    board->host.measured = (int16_t)(board->flows < 0.0f ? board->flows - 0.5f : board->flows + 0.5f);
 }
 
 static void move_line(struct simulated_board *board)
@@ -126,6 +128,7 @@ void simulated_board_start(struct simulated_board *board, void (*spoil)(struct s
     const struct host_setup setup = {
         .rate_initial = RATE_INITIAL,
         .encoder_sign = 1,
+        .over_current = OVER_CURRENT,
         .current_sensor = {.noise = 0.5, .lag_s = LAG_S},
     };
     memset(board, 0, sizeof *board);

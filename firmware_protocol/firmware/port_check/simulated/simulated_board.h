@@ -15,7 +15,7 @@ struct simulated_board {
     struct device device;
     uint64_t tick_at, bites_at, taken_at, ends;
     uint32_t feeds, rate; /* as last seen of the port */
-    double flows;         /* quanta */
+    float flows;          /* quanta */
     uint8_t wires;        /* what the sync outputs have shown */
     bool tells_reset;     /* after the watchdog has bitten */
     size_t line_count;
