@@ -61,9 +61,9 @@ class SimulatedPort:
     bytes_per_second = None
     messages: tuple[str, ...] = ()
 
-    def __init__(self, run: Run) -> None:
+    def __init__(self, run: Run, slice_us: int = SLICE_US) -> None:
         self.clock = VirtualClock()
-        self._run = run
+        self._run, self._slice_us = run, slice_us
         self._to_board = b""
 
     def write(self, data: bytes) -> None:
@@ -73,7 +73,7 @@ class SimulatedPort:
         """Let time pass until bytes are there, or the time is out."""
         ends_ns = self.clock.now_ns() + round(timeout_s * 1e9)
         while (left_ns := ends_ns - self.clock.now_ns()) > 0:
-            us = min(SLICE_US, -(-left_ns // 1000))
+            us = min(self._slice_us, -(-left_ns // 1000))
             given, self._to_board = self._to_board, b""
             came = self._run(us, given)
             self.clock.sleep_until(self.clock.now_ns() + us * 1000)

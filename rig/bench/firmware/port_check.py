@@ -30,6 +30,11 @@ QUESTION, ANSWER, COUNTED = 0x3C, 0x3D, 0x3F
 UNITS_PER_US = 1_000 / m.TIME_UNIT_NS
 UNITS_A_SECOND = 1e6 * UNITS_PER_US
 UNDOABLE_RATE = 0xFFFF_FFFF
+TICKS_LEAST, TICKS_S, TICKS_SHARE = (
+    20,
+    0.1,
+    0.1,
+)  # counted at a rate: at least; for so long, or of the time watched
 ODD_RATE = 7_001  # a prime: no timer has it by chance
 RATE_SHARE, CLOCKS_PPM = 0.01, 300.0  # of two rates that are the same; of two clocks of one crystal
 GRID_SHARE = 0.05  # of a period, as in the self test
@@ -43,6 +48,7 @@ FILL_FRAMES, FILL_S = 2_000, 10.0
 BITES_US = (40_000, 5_000)
 ANSWER_S, RETURNS_S, TRIES = 2.0, 0.5, 5
 EMULATED = 5.0  # times as long
+GONE_BY_S = 0.2
 QUIET_S = 0.05  # of a board that gives a sign of life each millisecond
 
 _HEAD = struct.Struct("<HH")
@@ -173,12 +179,20 @@ class Board:
             self.counted.append(numbers[0])
         return numbers if kind == ANSWER and _HEAD.unpack_from(body)[0] == self._nonce else None
 
-    def meet(self, tries: int = TRIES) -> tuple[int, ...]:
+    def meet(self) -> tuple[int, ...]:
         """Return what it says of itself, as soon as it answers."""
-        for _ in range(tries - 1):
+        for _ in range(TRIES - 1):
             with suppress(NoAnswerError):
                 return self.ask(Probe.BOARD, wait_s=ANSWER_S / TRIES)
         return self.ask(Probe.BOARD)
+
+    def answers(self, wait_s: float) -> bool:
+        """Whether it answers in time."""
+        try:
+            self.ask(Probe.BOARD, wait_s=wait_s)
+        except (NoAnswerError, LinkLostError):
+            return False
+        return True
 
     def meet_again(self) -> tuple[int, ...]:
         """Return what it says behind a reset, which may have taken its port along."""
@@ -215,7 +229,8 @@ class Trial:
     has_bootloader: bool
     verdicts: dict[str, Verdict] = field(default_factory=dict)
     time_ratio: float = 1.0  # by which device time is too fast
-    times: list[int] = field(default_factory=list)
+    times: list[int] = field(default_factory=list)  # before and behind the watch
+    silent: bool = False
 
     @classmethod
     def begin(cls, board: Board, request: PortCheckRequest) -> Trial:
@@ -285,22 +300,13 @@ def check_port(
 
 
 def _tried(step: Step, names: tuple[str, ...], trial: Trial) -> dict[str, Verdict]:
-    if SILENT in trial.verdicts:
-        return dict.fromkeys(names, str(trial.verdicts[SILENT]))
+    if trial.silent:
+        return dict.fromkeys(names, "it answers no longer")
     try:
         return dict(step(trial))
     except NoAnswerError:
-        answers = _answers(trial.board)
-        after = {} if answers else {SILENT: "it answers no longer"}
-        return {**dict.fromkeys(names, NO_ANSWER), **after}
-
-
-def _answers(board: Board) -> bool:
-    try:
-        board.meet()
-    except NoAnswerError:
-        return False
-    return True
+        trial.silent = not trial.board.answers(ANSWER_S)
+        return dict.fromkeys(names, NO_ANSWER)
 
 
 TIME = ("time_steps_back", "time_width", "time_unit")
@@ -308,8 +314,7 @@ BY_TIME = (
     *("time_of_timer", "tick_rate", "tick_grid", "rate_kept", "edge_time", "sync_time"),
     *("read_waits_not", "write_waits_not", "watchdog_time"),
 )
-SILENT = ""  # no duty has this name
-NO_ANSWER: Mapping[str, Any] = {}  # broken, and no number is known
+NO_ANSWER: Mapping[str, Any] = {}  # broken, and why is not known: this very object
 
 
 def _check(duty: Duty, verdict: Verdict) -> Check:
@@ -372,7 +377,7 @@ def _ticks(trial: Trial) -> Iterator[tuple[str, Verdict]]:
 
 def _ticked(trial: Trial, rate: int, expected: int) -> tuple[float, bool, float]:
     """Ticks a second (by device time, made right), whether the rate was taken, distance from the grid (s)."""
-    wanted = max(20, round(0.1 * trial.request.seconds * expected))
+    wanted = max(TICKS_LEAST, round(min(TICKS_S, TICKS_SHARE * trial.request.seconds) * expected))
     accepted, count, passed, *off = trial.ask_signed(Probe.TICKS, rate, wanted)
     least, most, newest = off
     found = count * UNITS_A_SECOND / (passed % 2**32) * trial.time_ratio if count and passed else 0.0
@@ -411,7 +416,7 @@ def _wires(trial: Trial) -> Iterator[tuple[str, Verdict]]:
         Probe.WIRES
     )
     nothing = not moved and not rose
-    yield "sync_bits", NOTHING_MOVES if nothing else None
+    yield "sync_bits", {} if nothing else None
     if nothing:
         yield from dict.fromkeys(("sync_time", *encoder), "the sync outputs show nothing").items()
         return
@@ -427,9 +432,6 @@ def _wires(trial: Trial) -> Iterator[tuple[str, Verdict]]:
     sync_us = sync_off % 2**32 / UNITS_PER_US
     late = {"us": sync_us, "fell": str(bool(fell)).lower()}
     yield "sync_time", late if sync_us > EDGE_OFF_S * 1e6 or fell else None
-
-
-NOTHING_MOVES: Mapping[str, Any] = {"moved": 0}
 
 
 # ------------------------------------------------------------------ link
@@ -490,7 +492,7 @@ def _bites(trial: Trial) -> Iterator[tuple[str, Verdict]]:
         return
     yield "watchdog_bites", None
     told = bool(trial.board.meet_again()[7])
-    yield "reset_told", None if told else {"told": told}
+    yield "reset_told", None if told else {}
     found = [(lived_ms, slow_us * 1e-3)]
     lived_ms, bitten = _starved(trial.board, fast_us)
     found.append((lived_ms, fast_us * 1e-3))
@@ -563,16 +565,8 @@ def _leaving(trial: Trial) -> Iterator[tuple[str, Verdict]]:
         yield "bootloader", "--bootloader ends in it"
     else:
         with suppress(NoAnswerError, LinkLostError):
-            trial.board.ask(Probe.LEAVE, wait_s=0.2)
-        yield "bootloader", {"left": False} if _stays(trial.board) else None
-
-
-def _stays(board: Board) -> bool:
-    try:
-        board.ask(Probe.BOARD)
-    except (NoAnswerError, LinkLostError):
-        return False
-    return True
+            trial.board.ask(Probe.LEAVE, wait_s=GONE_BY_S)
+        yield "bootloader", {} if trial.board.answers(GONE_BY_S) else None
 
 
 Step = Callable[[Trial], Iterator[tuple[str, Verdict]]]

@@ -25,6 +25,7 @@ BOARD = "mps2-an386"
 LACKS = {"sync bits", "watchdog bites"}
 REQUEST = struct.Struct("<IB3x64s")
 REPLY = struct.Struct("<I")
+SLICE_US = 2_000  # each is an exchange with another process
 
 
 def test_the_port_to_a_uart_lacks_what_it_says_and_no_more() -> None:
@@ -58,7 +59,7 @@ def test_the_port_of_lockstep_keeps_every_duty_on_the_processor_too(tmp_path: Pa
     (tmp_path / "simulate").touch()
     partner = SimulatedPartner([*emulator(BOARD), "-kernel", str(built.elf)], tmp_path)
     try:
-        link = SimulatedPort(partner.run)
+        link = SimulatedPort(partner.run, SLICE_US)
         found = check_port(
             lambda: link, PortCheckRequest(current=400, wired=True, seconds=0.5, bootloader=True)
         )

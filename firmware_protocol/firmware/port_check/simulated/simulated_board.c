@@ -8,6 +8,7 @@
 #define LOOK_UNITS 8u                                        /* that a look at the clock takes */
 #define IDLE_UNITS 64u                                       /* that a poll takes besides */
 #define LINE_BYTES_A_SECOND 300000u
+#define LINE_UNITS (200u * UNITS_PER_US) /* it takes bytes in pieces, as a packet does */
 #define ROOM_BYTES 28672u
 #define LAG_S 1e-4
 #define LAG_UNITS ((float)(LAG_S * UNITS_PER_SECOND))
@@ -33,9 +34,9 @@ static void move_motor(struct simulated_board *board, uint64_t units)
 
 static void move_line(struct simulated_board *board)
 {
-    const uint64_t bytes = (board->host.time - board->taken_at) * LINE_BYTES_A_SECOND / UNITS_PER_SECOND;
-    if (bytes == 0)
+    if (board->host.time - board->taken_at < LINE_UNITS)
         return;
+    const uint64_t bytes = (board->host.time - board->taken_at) * LINE_BYTES_A_SECOND / UNITS_PER_SECOND;
     board->taken_at += bytes * UNITS_PER_SECOND / LINE_BYTES_A_SECOND;
     const size_t room = sizeof board->line - board->line_count;
     board->line_count += host_take(&board->host, board->line + board->line_count, bytes < room ? (size_t)bytes : room);
