@@ -42,7 +42,7 @@ static struct {
     bool held;                                   /* the next tick is to take three periods */
     uint32_t ticks_in_poll, polls_in_tick, ticks_in_tick;
     uint32_t longest_read, overruns, reads;      /* of link_read: without bytes; beyond its capacity */
-    uint8_t inputs_ever, inputs_always;
+    uint8_t inputs_ever;
 
     bool feeds;
     uint32_t last_meal_us; /* the next tick feeds so much, and is the last to; 0: it goes on */
@@ -130,7 +130,7 @@ static bool answer(const uint32_t *numbers, size_t count)
 }
 #define ANSWER(...) answer((const uint32_t[]){__VA_ARGS__}, sizeof((const uint32_t[]){__VA_ARGS__}) / 4u)
 
-/* A frame as long as any but BATCH, with a number. */
+/* A frame of COUNTED_BYTES, with a number. */
 static bool send_counted(uint32_t number, uint32_t *longest)
 {
     struct packet packet;
@@ -175,8 +175,8 @@ static bool tell_board(void)
 
 static bool tell_summary(void)
 {
-    return ANSWER((uint32_t)check.farthest_back, (uint32_t)(check.farthest_back >> 32), check.reads, check.longest_read,
-                  check.overruns, check.inputs_ever, check.inputs_always);
+    return ANSWER((uint32_t)check.farthest_back, (uint32_t)(check.farthest_back >> 32), check.longest_read, check.overruns,
+                  check.inputs_ever);
 }
 
 /* ------------------------------------------------------------------ ticks */
@@ -574,7 +574,6 @@ void device_start(struct device *device, const struct hal *hal, const struct boa
     switch_off();
     hal->sync(hal->context, 0);
     set_rate(board->rate_initial);
-    check.inputs_always = 0xFF;
     check.feeds = true;
     look();
 }
@@ -606,9 +605,7 @@ void device_tick(struct device *device)
     check.ticks_in_tick += check.in_tick;
     check.in_tick = true;
     const uint64_t now = look();
-    const uint8_t inputs = check.hal->inputs(context());
-    check.inputs_ever |= inputs;
-    check.inputs_always &= inputs;
+    check.inputs_ever |= check.hal->inputs(context());
     feed(now);
     count_tick(now);
     if (check.held) {

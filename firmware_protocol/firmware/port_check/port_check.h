@@ -12,7 +12,7 @@
 
 /* Times are in 1/16 µs, currents in quanta. */
 enum port_check_probe {
-    PROBE_BOARD,    /* -> what the port is: see tell_board */
+    PROBE_BOARD,    /* -> what it was built for: see tell_board */
     PROBE_TIME,     /* -> time (low, high) */
     PROBE_TICKS,    /* rate or 0: as it is, ticks -> accepted, ticks, from first to last, distance from the grid: least, most, last */
     PROBE_RATE,     /* rate -> accepted; the old one is back behind it */

@@ -463,7 +463,7 @@ def _damaged(statistics: LinkStatistics) -> int:
 
 
 def _meanwhile(trial: Trial) -> Iterator[tuple[str, Verdict]]:
-    low, high, _reads, read_units, overruns, ever, _always = trial.board.ask(Probe.SUMMARY)
+    low, high, read_units, overruns, ever = trial.board.ask(Probe.SUMMARY)
     back = high << 32 | low
     begins_again = back > UNITS_A_SECOND
     yield "time_steps_back", {"us": back / UNITS_PER_US} if back and not begins_again else None
