@@ -126,8 +126,8 @@ def on_this_computer(model: RigModel, board: str, directory: Path) -> Partner:
         made = configure(kind, model, {}, package=package_version(), sources=sources_hash(kind))
         (output / "board_config.h").write_text(made.header)
         (output / "board_config.c").write_text(made.source)
-        own = [kind.directory / name for name in ("tests.c", "lockstep.c", "law_vectors.c")]
-        sources = [*SOURCES, *own, output / "board_config.c", HERE / "on_this_computer.c"]
+        own = [path for path in kind.sources("tests") if path.name not in ("start.c", "semihosting.c")]
+        sources = [*dict.fromkeys((*SOURCES, *own)), output / "board_config.c", HERE / "on_this_computer.c"]
         include = [f"-I{path}" for path in (output, FIRMWARE / "core", FIRMWARE / "law", kind.directory)]
         compile_c(output / "program", sources, [*include, *UNDEFINED])
 

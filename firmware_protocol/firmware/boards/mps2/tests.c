@@ -12,11 +12,11 @@ int main(void)
     const int32_t vectors = semihosting_open_to_read("vectors");
     if (vectors >= 0)
         semihosting_exit(law_vectors(vectors));
+    const bool simulates = semihosting_open_to_read("simulate") >= 0;
     const int32_t requests = semihosting_open_to_read("requests");
     const int32_t replies = semihosting_open_to_write("replies");
     if (requests < 0 || replies < 0)
         semihosting_exit(NO_FILES);
-    const bool simulates = semihosting_open_to_read("simulate") >= 0;
     semihosting_exit(simulates ? simulated_port(requests, replies) : lockstep(requests, replies));
     return 0;
 }
