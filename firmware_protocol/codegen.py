@@ -1,6 +1,6 @@
 """Print the tables of its pages and of the firmware from the tables that run.
 
-``python -m firmware_protocol.codegen`` rewrites what stands between the markers of PROTOCOL.md, FMEA.md and
+``python -m firmware_protocol.codegen`` rewrites what stands between the markers of PROTOCOL.md, PORTING.md, FMEA.md and
 HARDWARE.md, and the firmware's ``protocol.h`` and ``protocol.c``; with ``--check`` it changes nothing and ends with 1
 when one of them is stale. The prose around the markers is written by hand.
 """
@@ -16,6 +16,7 @@ from typing import Any
 
 from firmware_protocol import messages as m
 from firmware_protocol.connection import REPLIES, TRANSITIONS, UNASKED, State
+from firmware_protocol.duties import PORTING, duties
 from firmware_protocol.faults import Described, DescribedFlag, Fault, Input, LimitFlag, Status
 from firmware_protocol.fmea import FMEA, single_faults
 from firmware_protocol.framing import CRC_BYTES, HEADER_BYTES
@@ -26,7 +27,7 @@ from firmware_protocol.wire import FORMATS, Wire, record_struct, wire_fields
 
 PROTOCOL = Path(__file__).with_name("PROTOCOL.md")
 HARDWARE = FMEA.with_name("HARDWARE.md")
-PAGES = PROTOCOL, FMEA, HARDWARE
+PAGES = PROTOCOL, PORTING, FMEA, HARDWARE
 WIRING = FMEA.parent / "boards" / "rp2040" / "wiring.toml"
 _SECTION = re.compile(r"<!-- generated: (\w+) -->\n.*?<!-- end -->", re.DOTALL)
 
@@ -151,6 +152,14 @@ def faults_of_a_rig() -> str:
     return table(("part", "fault", "found by", "reaction", "what remains", "shown by"), rows)
 
 
+def duties_of_a_port() -> str:
+    """What a port owes the core, and how the check sees it."""
+    rows = (
+        (f"`{one.call}`" if one.call.isidentifier() else one.call, one.duty, one.seen) for one in duties()
+    )
+    return table(("call", "duty", "how the check sees it"), rows)
+
+
 def parts_list() -> str:
     """Parts of the reference rig, and where what is known of them is from."""
     parts = tomllib.loads(WIRING.read_text(encoding="utf-8"))["part"]
@@ -183,6 +192,7 @@ SECTIONS: dict[str, Callable[[], str]] = {
     "inputs": lambda: _codes(Input),
     "picture": picture,
     "states": states,
+    "duties": duties_of_a_port,
     "single_faults": faults_of_a_rig,
     "parts_list": parts_list,
 }

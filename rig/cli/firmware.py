@@ -10,10 +10,13 @@ import click
 
 from rig import config
 from rig.bench.firmware import boards
-from rig.bench.firmware.build import BuildRequest
+from rig.bench.firmware.build import DEVICE, PORT_CHECK, BuildRequest
 from rig.bench.firmware.build import build as build_image
 from rig.bench.firmware.flash import flash as copy_image
 from rig.bench.firmware.info import info as look
+from rig.bench.firmware.port_check import PortCheckRequest
+from rig.bench.firmware.port_check import check_port as try_port
+from rig.bench.firmware.port_check import failure as broken_duties
 from rig.bench.firmware.selftest import SelfTestRequest, failure
 from rig.bench.firmware.selftest import selftest as run
 from rig.bench.firmware.wiring import draw
@@ -21,7 +24,7 @@ from rig.bench.firmware.wiring import wiring as wired
 from rig.cli import options, output
 from rig.config import amplifiers
 from rig.core.errors import ConfigError, IncompatibleDeviceError
-from rig.devices import open_device
+from rig.devices import open_device, open_link
 
 DEFAULT_BOARD = "rp2040"
 _LISTED = ("name", "description", "rate_maximum", "settings")
@@ -69,6 +72,12 @@ def firmware() -> None:
     "--amplifier",
     help="In place of the rig's rig.amplifier.profile; rig firmware amplifiers lists them.",
 )
+@click.option(
+    "--check-port",
+    "for_check",
+    is_flag=True,
+    help="Build the program that tries the board's port out, in place of the firmware.",
+)
 @options.json_option
 def build(
     preset: str,
@@ -77,6 +86,7 @@ def build(
     directory: Path,
     sets: tuple[str, ...],
     settings_file: Path | None,
+    for_check: bool,
     as_json: bool,
 ) -> None:
     """Build the firmware of a board for one rig: ELF, BIN, UF2 where the board takes it, and a description as JSON.
@@ -100,6 +110,7 @@ def build(
         board=board,
         output=directory,
         settings=chosen,
+        application=PORT_CHECK if for_check else DEVICE,
     )
     with output.Status(quiet=as_json) as status:
         built = build_image(request, status.on_progress)
@@ -238,6 +249,48 @@ def selftest(
     else:
         output.show(found.items())
     error = failure(found)
+    if error is not None:
+        error.reported = as_json
+        raise error
+
+
+@firmware.command("check-port")
+@click.argument("url")
+@click.option(
+    "--wired",
+    is_flag=True,
+    help="Sync outputs tick and trial are wired to encoder A and B, inside to the sync input.",
+)
+@click.option(
+    "--current",
+    type=click.IntRange(-32768, 32767),
+    default=0,
+    show_default=True,
+    help="Current (quanta) to switch on for some milliseconds. THE MOTOR GETS IT: free the handle, let nobody hold it.",
+)
+@click.option(
+    "--seconds",
+    type=click.FloatRange(0.05, 600.0),
+    default=1.0,
+    show_default=True,
+    help="How long the board's time is watched; 280 from power-up on sees bit 32 change.",
+)
+@click.option("--bootloader", is_flag=True, help="Try the way into the boot loader, last of all.")
+@options.json_option
+def check_port(url: str, wired: bool, current: int, seconds: float, bootloader: bool, as_json: bool) -> None:
+    """Try the port of the board at URL, duty by duty; rig firmware build --check-port makes the program for it.
+
+    Without --current nothing is switched on. The board is reset by its watchdog twice. Exits with 5 when a duty is
+    broken.
+    """
+    request = PortCheckRequest(wired=wired, current=current, seconds=seconds, bootloader=bootloader)
+    with output.Status(quiet=as_json) as status:
+        found = try_port(lambda: open_link(url), request, status.on_progress)
+    if as_json:
+        output.print_json(found)
+    else:
+        output.show(found.items())
+    error = broken_duties(found)
     if error is not None:
         error.reported = as_json
         raise error

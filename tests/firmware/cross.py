@@ -70,7 +70,8 @@ def image(board: str, application: str = "device", rig: str = RIG) -> BuildResul
 
 def sources_of(board: str) -> str:
     """Fingerprint of all C files that an image for tests may have."""
-    host = b"".join(path.read_bytes() for path in sorted((FIRMWARE / "host").iterdir()))
+    beside = (path for part in ("host", "port_check") for path in sorted((FIRMWARE / part).rglob("*.[ch]")))
+    host = b"".join(path.read_bytes() for path in beside)
     return sources_hash(boards.load(board)) + hashlib.sha256(host).hexdigest()[:12]
 
 

@@ -56,6 +56,12 @@ def test_the_law_of_the_firmware_streams_without_a_current(run: Any) -> None:
     assert "0 gaps; no current" in out
 
 
+def test_a_port_is_tried_by_its_own_program_not_by_the_firmware(run: Any) -> None:
+    code, _, err = run("firmware", "check-port", "sim://koul-rigid")
+    assert code == 5
+    assert "rig firmware build --check-port" in err
+
+
 def test_info_of_a_simulated_device(run: Any) -> None:
     code, out, _ = run("firmware", "info", "sim://koul-rigid", "--json")
     assert code == 0

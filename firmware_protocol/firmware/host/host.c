@@ -52,7 +52,9 @@ static int16_t hal_measured_current(void *context)
 static void hal_enable(void *context, bool on)
 {
     struct host *host = host_of(context);
-    if (!on)
+    if (on)
+        host->current = 0;
+    else
         host->cuts++;
     host->enabled = on;
 }
@@ -65,7 +67,7 @@ static uint8_t hal_inputs(void *context)
 static bool hal_set_rate(void *context, uint32_t rate)
 {
     struct host *host = host_of(context);
-    if (rate == host->refused_rate)
+    if (rate == host->refused_rate || rate > HR_TIME_UNITS_PER_US * 1000000u)
         return false;
     host->rate = rate;
     return true;

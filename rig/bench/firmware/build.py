@@ -49,6 +49,10 @@ LINK = (
 )
 SHARED = ("core", "law")  # directories whose C files belong to every image
 DEVICE = "device"  # the program that is the firmware
+PORT_CHECK = (
+    "port_check"  # the one that tries the device's port out, in place of the core: every board has it
+)
+PORT_CHECK_SOURCES = ("port_check/port_check.c", "core/frame.c", "core/protocol.c")
 
 Progress = Callable[[str, float], None]
 
@@ -68,7 +72,7 @@ class BuildRequest:
     settings
         Pins and scales that are neither the rig's (`RigModel.board`) nor the board's defaults.
     application
-        Which of the board's programs.
+        Which of the board's programs, or `PORT_CHECK`.
     """
 
     model: RigModel
@@ -164,7 +168,8 @@ def build(request: BuildRequest, on_progress: Progress = lambda _what, _share: N
         The files cannot be written.
     """
     board = load(request.board)
-    if request.application not in board.applications:
+    ports = DEVICE if request.application == PORT_CHECK else request.application  # whose files of the port
+    if ports not in board.applications:
         raise ConfigError(
             f"board {board.name} has no program {request.application!r}",
             remedy=f"its programs: {', '.join(board.applications)}",
@@ -175,7 +180,7 @@ def build(request: BuildRequest, on_progress: Progress = lambda _what, _share: N
     usual = {name: value for name, value in profile.settings.items() if name in board.settings}
     settings = settings_of(board, {**usual, **dict(request.model.board), **request.settings})
     step_a = check_scales(board, request.model, settings)
-    sources = (*shared_sources(), *board.sources(request.application))
+    sources = (*shared_sources(request.application), *board.sources(ports))
     config = configure(board, request.model, settings, package=package_version(), sources=sources_hash(board))
     with tempfile.TemporaryDirectory(prefix="haptic-rig-") as scratch:
         content = _compiled(compiler, board, sources, config, Path(scratch), on_progress)
@@ -183,8 +188,10 @@ def build(request: BuildRequest, on_progress: Progress = lambda _what, _share: N
     return _written(request, board, compiler, config, content, segments, step_a)
 
 
-def shared_sources() -> tuple[Path, ...]:
-    """C files that every image has."""
+def shared_sources(application: str = DEVICE) -> tuple[Path, ...]:
+    """C files that every image of a program has, whatever the board."""
+    if application == PORT_CHECK:
+        return tuple(FIRMWARE / name for name in PORT_CHECK_SOURCES)
     return tuple(path for part in SHARED for path in sorted((FIRMWARE / part).glob("*.c")))
 
 

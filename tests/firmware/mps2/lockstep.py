@@ -107,10 +107,10 @@ class Partner:
         os.close(self._replies)
 
 
-def emulator(board: str) -> list[str]:
+def emulator(board: str, serial: str = "none") -> list[str]:
     """The emulator with the machine of a board; its time is counted in instructions."""
     machine = MACHINES[board.partition("-")[2] or "an386"]
-    command = [cross.need_qemu(), "-M", machine, "-display", "none", "-monitor", "none", "-serial", "none"]
+    command = [cross.need_qemu(), "-M", machine, "-display", "none", "-monitor", "none", "-serial", serial]
     return [*command, "-semihosting-config", "enable=on,target=native", "-icount", "shift=5,sleep=off"]
 
 
@@ -126,8 +126,8 @@ def on_this_computer(model: RigModel, board: str, directory: Path) -> Partner:
         made = configure(kind, model, {}, package=package_version(), sources=sources_hash(kind))
         (output / "board_config.h").write_text(made.header)
         (output / "board_config.c").write_text(made.source)
-        own = [kind.directory / name for name in ("tests.c", "lockstep.c", "law_vectors.c")]
-        sources = [*SOURCES, *own, output / "board_config.c", HERE / "on_this_computer.c"]
+        own = [path for path in kind.sources("tests") if path.name not in ("start.c", "semihosting.c")]
+        sources = [*dict.fromkeys((*SOURCES, *own)), output / "board_config.c", HERE / "on_this_computer.c"]
         include = [f"-I{path}" for path in (output, FIRMWARE / "core", FIRMWARE / "law", kind.directory)]
         compile_c(output / "program", sources, [*include, *UNDEFINED])
 

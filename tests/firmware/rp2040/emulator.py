@@ -22,7 +22,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rig.bench.firmware.build import BuildRequest, BuildResult, build
+from rig.bench.firmware.build import DEVICE, BuildRequest, BuildResult, build
 from rig.bench.firmware.toolchain import ToolchainError
 from rig.core.model import RigModel
 from rig.realtime.clock import VirtualClock
@@ -51,12 +51,18 @@ PINS = {
 }
 
 
-def image(model: RigModel, directory: Path, /, **settings: Any) -> BuildResult:
+def image(
+    model: RigModel, directory: Path, /, *, application: str = DEVICE, **settings: Any
+) -> BuildResult:
     """Build the firmware for a rig, with a current monitor; skips the test without a cross compiler."""
     if shutil.which("arm-none-eabi-gcc") is None:
         pytest.skip("arm-none-eabi-gcc is not installed (package gcc-arm-none-eabi)")
     request = BuildRequest(
-        model=model, board="rp2040", output=directory, settings={"current_monitor": "adc", **settings}
+        model=model,
+        board="rp2040",
+        output=directory,
+        settings={"current_monitor": "adc", **settings},
+        application=application,
     )
     try:
         return build(request)

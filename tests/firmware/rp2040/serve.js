@@ -43,6 +43,18 @@ const commands = {
     pico.edges.push({ at: movesUntil() + 1000, way: 2 });
     return {};
   },
+  /* Wire sync outputs tick and trial to channels A and B, inside to the sync input, until the next reset. */
+  loop() {
+    const { sync_out: out, encoder, sync_in: input } = pico.pins;
+    const ends = [encoder, encoder + 1, input];
+    const show = () => {
+      ends.forEach((end, i) => pico.setPin(end, pico.level(out + i)));
+      pico.wake();
+    };
+    ends.forEach((_, i) => pico.chip.gpio[out + i].addListener(show));
+    show();
+    return {};
+  },
   /* Break wires of the encoder, or pull its plug. */
   wires({ unplugged = false, broken = [false, false] }) {
     Object.assign(pico, { unplugged, broken });

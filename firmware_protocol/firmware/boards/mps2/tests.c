@@ -1,4 +1,5 @@
-/* The image for tests: golden vectors where there is a file of them, else lock-step with a plant. */
+/* The image for tests: golden vectors where there is a file of them, the port tried out where a file says so, else lock-step with
+ * a plant. */
 #include "tests.h"
 
 #include "mps2.h"
@@ -11,8 +12,11 @@ int main(void)
     const int32_t vectors = semihosting_open_to_read("vectors");
     if (vectors >= 0)
         semihosting_exit(law_vectors(vectors));
+    const bool simulates = semihosting_open_to_read("simulate") >= 0;
     const int32_t requests = semihosting_open_to_read("requests");
     const int32_t replies = semihosting_open_to_write("replies");
-    semihosting_exit(requests < 0 || replies < 0 ? NO_FILES : lockstep(requests, replies));
+    if (requests < 0 || replies < 0)
+        semihosting_exit(NO_FILES);
+    semihosting_exit(simulates ? simulated_port(requests, replies) : lockstep(requests, replies));
     return 0;
 }

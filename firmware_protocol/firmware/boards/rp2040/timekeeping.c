@@ -6,6 +6,7 @@
 /* To 16 MHz, in sixteenths: 7 13/16 or 12 1/2 exactly (4.5.2.4, fractional division is exact on average). */
 #define TIME_DIVIDER (CLOCK_HZ / 1000000u)
 #define TICK_LONGEST 65536u
+#define TICK_SHORTEST 2u /* counts: it alternates between two neighbours */
 #define TICK_DIVIDER_LIMIT 255u
 
 static struct {
@@ -87,7 +88,7 @@ static uint32_t next_top(void)
 bool tick_set_rate(uint32_t rate)
 {
     const uint32_t divider = (CLOCK_HZ / TICK_LONGEST) / rate + 1u;
-    if (rate == 0 || divider > TICK_DIVIDER_LIMIT)
+    if (rate == 0 || rate > CLOCK_HZ / TICK_SHORTEST || divider > TICK_DIVIDER_LIMIT)
         return false;
     tick.divider = divider;
     tick.rate = rate * divider;

@@ -1,0 +1,43 @@
+/* The port to a computer (host/) as a board of its own: the world around it in simulated time, so that what tries a port out
+ * (port_check.h) can be run on it, and on ports that are wrong in one thing.
+ *
+ * Time moves on as the program looks at its clock. A tick comes between two polls, as on a board that masks it meanwhile. A
+ * motor's current follows the set-point with a lag, a line takes bytes at its pace, sync outputs are wired to the encoder and
+ * the sync input, a watchdog bites. */
+#ifndef HR_SIMULATED_BOARD_H
+#define HR_SIMULATED_BOARD_H
+
+#include "../../host/host.h"
+
+struct simulated_board {
+    struct host host;     /* the port: its functions and its constants */
+    struct hal hal;       /* what the program is given: the port's, spoilt or not */
+    struct device device;
+    uint64_t tick_at, bites_at, taken_at, ends;
+    uint32_t feeds, rate; /* as last seen of the port */
+    float flows;          /* quanta */
+    uint8_t wires;        /* what the sync outputs have shown */
+    bool tells_reset;     /* after the watchdog has bitten */
+    size_t line_count;
+    uint8_t line[4u * HR_HOST_OUTPUT_BYTES]; /* what has left, for a host that reads now and then */
+};
+
+/* Power up, with a port that `spoil` has changed; NULL: as it is. */
+void simulated_board_start(struct simulated_board *board, void (*spoil)(struct simulated_board *board));
+
+/* Hand the port some bytes, let time pass (µs), and take what came; returns how many. */
+size_t simulated_board_run(struct simulated_board *board, uint32_t us, const uint8_t *bytes, size_t count, uint8_t *into,
+                           size_t capacity);
+
+/* As time passes; a port's clock calls it. */
+uint64_t simulated_board_time(void *context);
+
+/* A tick, if one is due. */
+void simulated_board_tick(struct simulated_board *board);
+
+/* A poll. */
+void simulated_board_poll(struct simulated_board *board);
+
+size_t simulated_board_bytes(void);
+
+#endif

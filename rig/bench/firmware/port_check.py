@@ -1,0 +1,585 @@
+"""The duties of a port, tried on its board, each by its name: what `firmware_protocol.duties` lists.
+
+On the board runs `firmware/port_check/port_check.c` in place of the core, with the port's own files unchanged. It calls
+the port's functions and sends what it sees; here that is judged. A duty that is broken has its own sentence; one that
+could not be seen says what is missing.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import Any
+
+from firmware_protocol import messages as m
+from firmware_protocol.counters import LinkStatistics
+from firmware_protocol.duties import Duty, duties
+from firmware_protocol.faults import Input
+from firmware_protocol.framing import HEADER_BYTES, FrameSplitter, encode_frame
+from rig.core import check
+from rig.core.check import Check, Outcome
+from rig.core.errors import ConfigError, DeviceRefusedError, LinkLostError, RigError
+from rig.core.present import Item, reported
+from rig.devices.device import Link
+
+# port_check.h has the same numbers.
+QUESTION, ANSWER, COUNTED = 0x3C, 0x3D, 0x3F
+UNITS_PER_US = 1_000 / m.TIME_UNIT_NS
+UNITS_A_SECOND = 1e6 * UNITS_PER_US
+UNDOABLE_RATE = 0xFFFF_FFFF
+TICKS_LEAST, TICKS_S, TICKS_SHARE = (
+    20,
+    0.1,
+    0.1,
+)  # counted at a rate: at least; for so long, or of the time watched
+ODD_RATE = 7_001  # a prime: no timer has it by chance
+RATE_SHARE, CLOCKS_PPM = 0.01, 300.0  # of two rates that are the same; of two clocks of one crystal
+GRID_SHARE = 0.05  # of a period, as in the self test
+WAITS_S = 1e-4
+EDGE_OFF_S = 1e-5
+SYNC_EDGES = 128
+GONE_LAGS, GONE_S = 3.0, 1e-4  # a quarter of a current is left after ln 4 = 1.4 lags
+MEASURED_SHARE, MEASURED_NOISES, MEASURED_QUANTA = 0.1, 4.0, 3.0
+BATCH_S, BATCH_BYTES = 0.1, 5  # what there must be room for: so long, so many bytes a tick
+FILL_FRAMES, FILL_S = 2_000, 10.0
+BITES_US = (40_000, 5_000)
+ANSWER_S, RETURNS_S, TRIES = 2.0, 0.5, 5
+EMULATED = 5.0  # times as long
+GONE_BY_S = 0.2
+QUIET_S = 0.05  # of a board that gives a sign of life each millisecond
+
+_HEAD = struct.Struct("<HH")
+Progress = Callable[[str, float], None]
+Verdict = Mapping[str, Any] | str | None  # broken: the numbers of its sentence; not seen: why; kept
+
+
+class Probe(IntEnum):
+    """What the program on the board can be asked: enum port_check_probe."""
+
+    BOARD = 0
+    TIME = 1
+    TICKS = 2
+    RATE = 3
+    HOLD = 4
+    OFF = 5
+    ON = 6
+    DISABLE = 7
+    FILL = 8
+    WIRES = 9
+    BITE = 10
+    SUMMARY = 11
+    LEAVE = 12
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PortCheckRequest:
+    """What to try.
+
+    Attributes
+    ----------
+    current
+        A current (quanta) that the amplifier may give for some milliseconds: the handle is free, or a resistor is in
+        the motor's place. 0: none, and nothing is switched on.
+    wired
+        Whether the sync outputs tick and trial are wired to the encoder's A and B, and inside to the sync input.
+    seconds
+        How long the board's time is watched.
+    bootloader
+        Whether to end in the boot loader.
+    real_time
+        Whether the board keeps the time of the link's clock; an emulator may not, and gets more of it to answer.
+    """
+
+    current: int = 0
+    wired: bool = False
+    seconds: float = 1.0
+    bootloader: bool = False
+    real_time: bool = True
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PortCheck:
+    """What came of it: a check for each duty, in the order of the table."""
+
+    url: str
+    checks: tuple[Check, ...]
+
+    @reported
+    def passed(self) -> bool:
+        """Whether no duty is broken."""
+        return not check.refused(self.checks)
+
+    def items(self) -> list[Item]:
+        """Return it for people."""
+        return list(self.checks)
+
+
+def failure(found: PortCheck) -> DeviceRefusedError | None:
+    """Return the error of a port that breaks duties."""
+    broken = check.refused(found.checks)
+    if not broken:
+        return None
+    return DeviceRefusedError(
+        "; ".join(f"duty broken: {one.text}" for one in broken), remedy=broken[0].remedy
+    )
+
+
+class NoAnswerError(Exception):
+    """A probe has no answer."""
+
+
+@dataclass
+class Board:
+    """The program on the board, at the far end of a link that may be opened anew."""
+
+    open_link: Callable[[], Link]
+    patience: float = 1.0  # of a wait for an answer
+    link: Link = field(init=False)
+    counted: list[int] = field(default_factory=list)  # numbers of the counting frames since the last question
+    statistics: LinkStatistics = field(default_factory=LinkStatistics)
+    _nonce: int = 0
+
+    def __post_init__(self) -> None:
+        self.link = self.open_link()
+        self._splitter = FrameSplitter(self.statistics)
+
+    def ask(
+        self, probe: Probe, *arguments: int, wait_s: float = ANSWER_S, quiet_s: float = ANSWER_S
+    ) -> tuple[int, ...]:
+        """Return the numbers of a probe; raises `NoAnswerError` when none come in time, or no bytes for so long."""
+        self._nonce = (self._nonce + 1) % 0x10000
+        self.counted.clear()
+        header = bytes([m.MAJOR, QUESTION]).ljust(HEADER_BYTES, b"\0")
+        numbers = struct.pack(f"<{len(arguments)}I", *(one % 2**32 for one in arguments))
+        self.link.write(b"\0" + encode_frame(header + _HEAD.pack(self._nonce, probe) + numbers))
+        clock = self.link.clock
+        heard = clock.now_ns()
+        deadline = heard + round(self.patience * wait_s * 1e9)
+        while clock.now_ns() < min(deadline, heard + round(self.patience * quiet_s * 1e9)):
+            data = self.link.read(0.01)
+            heard = clock.now_ns() if data else heard
+            for raw in self._splitter.feed(data):
+                answer = self._answer(raw)
+                if answer is not None:
+                    return answer
+        raise NoAnswerError
+
+    def _answer(self, raw: bytes) -> tuple[int, ...] | None:
+        kind, body = raw[1], raw[HEADER_BYTES:]
+        if m.MESSAGES.get(kind) in (m.Ack, m.State):
+            raise DeviceRefusedError(
+                f"the firmware runs at {self.link.url.text}, not the program that tries its port out",
+                remedy="flash the image of: rig firmware build --check-port --board …",
+            )
+        numbers = struct.unpack_from(f"<{(len(body) - _HEAD.size) // 4}I", body, _HEAD.size)
+        if kind == COUNTED:
+            self.counted.append(numbers[0])
+        return numbers if kind == ANSWER and _HEAD.unpack_from(body)[0] == self._nonce else None
+
+    def meet(self) -> tuple[int, ...]:
+        """Return what it says of itself, as soon as it answers."""
+        for _ in range(TRIES - 1):
+            with suppress(NoAnswerError):
+                return self.ask(Probe.BOARD, wait_s=ANSWER_S / TRIES)
+        return self.ask(Probe.BOARD)
+
+    def answers(self, wait_s: float) -> bool:
+        """Whether it answers in time."""
+        try:
+            self.ask(Probe.BOARD, wait_s=wait_s)
+        except (NoAnswerError, LinkLostError):
+            return False
+        return True
+
+    def meet_again(self) -> tuple[int, ...]:
+        """Return what it says behind a reset, which may have taken its port along."""
+        for _ in range(TRIES):
+            try:
+                return self.meet()
+            except (RigError, NoAnswerError):
+                clock = self.link.clock
+                clock.sleep_until(clock.now_ns() + round(RETURNS_S * 1e9))
+            with suppress(RigError):
+                self.link.close()
+                self.link = self.open_link()
+        raise NoAnswerError
+
+    def pause(self, seconds: float) -> None:
+        """Let time pass."""
+        ends = self.link.clock.now_ns() + round(seconds * 1e9)
+        while (left := ends - self.link.clock.now_ns()) > 0:
+            self._splitter.feed(self.link.read(left * 1e-9))
+
+
+@dataclass
+class Trial:
+    """A board, what to try on it, and what was found so far."""
+
+    board: Board
+    request: PortCheckRequest
+    rate_initial: int
+    rate_maximum: int
+    law_maximum: int
+    senses: bool
+    lag_units: int
+    noise_milliquanta: int
+    has_bootloader: bool
+    verdicts: dict[str, Verdict] = field(default_factory=dict)
+    time_ratio: float = 1.0  # by which device time is too fast
+    times: list[int] = field(default_factory=list)  # before and behind the watch
+    silent: bool = False
+
+    @classmethod
+    def begin(cls, board: Board, request: PortCheckRequest) -> Trial:
+        """Meet the board."""
+        rate, maximum, law, senses, lag, noise, bootloader, _told, _place, limit = board.meet()
+        if abs(request.current) > limit:
+            raise ConfigError(
+                f"current = {request.current} quanta is above the rig's over-current limit",
+                remedy=f"give -{limit} to {limit}",
+            )
+        return cls(board, request, rate, maximum, law, bool(senses), lag, noise, bool(bootloader))
+
+    def distrust(self) -> None:
+        """Take back what was found by a time that is itself wrong."""
+        if any(isinstance(self.verdicts[name], Mapping) for name in TIME):
+            wrong = [name for name in BY_TIME if isinstance(self.verdicts[name], Mapping)]
+            self.verdicts |= dict.fromkeys(wrong, "time is wrong, by which it is judged")
+
+    def ask_signed(self, probe: Probe, *arguments: int) -> list[int]:
+        """Return the numbers of a probe, which may be negative."""
+        return [(one + 2**31) % 2**32 - 2**31 for one in self.board.ask(probe, *arguments)]
+
+
+def check_port(
+    open_link: Callable[[], Link],
+    request: PortCheckRequest,
+    on_progress: Progress = lambda _what, _share: None,
+) -> PortCheck:
+    """Try the duties of the port behind a link.
+
+    Parameters
+    ----------
+    open_link
+        Opens it; more than once where a reset of the board takes its port along. It is closed here.
+    request
+        What to try.
+    on_progress
+        Called with what is tried and the share of all that is done.
+
+    Raises
+    ------
+    LinkLostError
+        Nobody answers.
+    DeviceRefusedError
+        The firmware itself runs there.
+    ConfigError
+        A current that the rig's amplifier must not give.
+    """
+    board = Board(open_link, 1.0 if request.real_time else EMULATED)
+    try:
+        try:
+            trial = Trial.begin(board, request)
+        except NoAnswerError:
+            raise LinkLostError(
+                f"nobody answers at {board.link.url.text}",
+                remedy="flash the image of rig firmware build --check-port; check port and baud rate",
+            ) from None
+        for number, (step, names) in enumerate(STEPS.items()):
+            on_progress(step.__name__.strip("_").replace("_", " "), number / len(STEPS))
+            trial.verdicts |= _tried(step, names, trial)
+        trial.distrust()
+        return PortCheck(
+            url=board.link.url.text, checks=tuple(_check(one, trial.verdicts[one.name]) for one in duties())
+        )
+    finally:
+        board.link.close()
+
+
+def _tried(step: Step, names: tuple[str, ...], trial: Trial) -> dict[str, Verdict]:
+    if trial.silent:
+        return dict.fromkeys(names, "it answers no longer")
+    try:
+        return dict(step(trial))
+    except NoAnswerError:
+        trial.silent = not trial.board.answers(ANSWER_S)
+        return dict.fromkeys(names, NO_ANSWER)
+
+
+TIME = ("time_steps_back", "time_width", "time_unit")
+BY_TIME = (
+    *("time_of_timer", "tick_rate", "tick_grid", "rate_kept", "edge_time", "sync_time"),
+    *("read_waits_not", "write_waits_not", "watchdog_time"),
+)
+NO_ANSWER: Mapping[str, Any] = {}  # broken, and why is not known: this very object
+
+
+def _check(duty: Duty, verdict: Verdict) -> Check:
+    name = duty.name.replace("_", " ")
+    if verdict is None:
+        return Check(name, Outcome.OK, f"{duty.call}: {duty.duty}")
+    if isinstance(verdict, str):
+        return Check(name, Outcome.SKIPPED, verdict)
+    if verdict is NO_ANSWER:
+        return Check(
+            name, Outcome.REFUSED, f"no answer comes while {duty.call} is tried: {duty.duty}", duty.remedy
+        )
+    return Check(name, Outcome.REFUSED, duty.broken.format(**verdict), duty.remedy)
+
+
+# ------------------------------------------------------------------ time and ticks
+
+
+def _time(trial: Trial) -> Iterator[tuple[str, Verdict]]:
+    clock = trial.board.link.clock
+    looks = []
+    for pause_s in (0.0, trial.request.seconds):
+        trial.board.pause(pause_s)
+        before = clock.now_ns()
+        low, high = trial.board.ask(Probe.TIME)
+        looks.append((before, clock.now_ns(), high << 32 | low))
+    (begun, heard, first), (asked, ended, second) = looks
+    trial.times = [first, second]
+    passed_s = ((second - first) % (2**32 if second < first else 2**64)) / UNITS_A_SECOND
+    least, most = passed_s / ((ended - begun) * 1e-9), passed_s / ((asked - heard) * 1e-9)
+    if not trial.request.real_time:
+        yield "time_unit", "the board does not keep this computer's time"
+    elif least > 1.0 + RATE_SHARE or most < 1.0 - RATE_SHARE:
+        trial.time_ratio = (least + most) / 2.0
+        yield "time_unit", {"ratio": trial.time_ratio}
+    else:
+        yield "time_unit", None
+
+
+def _ticks(trial: Trial) -> Iterator[tuple[str, Verdict]]:
+    rates = dict.fromkeys((trial.rate_initial, min(ODD_RATE, trial.rate_maximum), trial.rate_maximum))
+    drift_ppm, wrong, grid = 0.0, None, None
+    for rate in [*rates, trial.rate_initial]:
+        found, accepted, off_s = _ticked(trial, rate, rate)
+        away = found / rate - 1.0
+        if abs(away) > RATE_SHARE and (accepted or rate != ODD_RATE):
+            wrong = wrong or {
+                "wanted": rate,
+                "found": found,
+                "answer": "accepted" if accepted else "refused",
+            }
+        elif accepted and abs(away) * 1e6 > abs(drift_ppm):
+            drift_ppm = away * 1e6
+        if rate == trial.rate_initial and off_s * rate > GRID_SHARE and wrong is None:
+            grid = {"us": off_s * 1e6, "rate": rate}
+    yield "tick_rate", wrong
+    yield "time_of_timer", {"ppm": drift_ppm} if abs(drift_ppm) > CLOCKS_PPM else None
+    yield "tick_grid", grid if wrong is None else "it does not tick at the rate that was set"
+
+
+def _ticked(trial: Trial, rate: int, expected: int) -> tuple[float, bool, float]:
+    """Ticks a second (by device time, made right), whether the rate was taken, distance from the grid (s)."""
+    wanted = max(TICKS_LEAST, round(min(TICKS_S, TICKS_SHARE * trial.request.seconds) * expected))
+    accepted, count, passed, *off = trial.ask_signed(Probe.TICKS, rate, wanted)
+    least, most, newest = off
+    found = count * UNITS_A_SECOND / (passed % 2**32) * trial.time_ratio if count and passed else 0.0
+    return found, bool(accepted), (most - least - abs(newest)) / UNITS_A_SECOND
+
+
+def _refusal(trial: Trial) -> Iterator[tuple[str, Verdict]]:
+    (accepted,) = trial.board.ask(Probe.RATE, UNDOABLE_RATE)
+    yield "rate_refused", {"wanted": UNDOABLE_RATE} if accepted else None
+    rate = trial.rate_initial
+    found = rate if accepted else _ticked(trial, 0, rate)[0]
+    broken = {"wanted": UNDOABLE_RATE, "found": found, "rate": rate}
+    if accepted:
+        yield "rate_kept", "no rate was refused"
+    else:
+        yield "rate_kept", broken if abs(found / rate - 1.0) > RATE_SHARE else None
+    trial.board.ask(Probe.TICKS, rate, 1)
+
+
+def _nesting(trial: Trial) -> Iterator[tuple[str, Verdict]]:
+    names = ("ticks_in_poll", "polls_in_tick", "ticks_in_tick")
+    seen = dict(zip(names, trial.board.ask(Probe.HOLD), strict=True))
+    yield "not_nested", seen if any(seen.values()) else None
+
+
+# ------------------------------------------------------------------ pins
+
+
+def _wires(trial: Trial) -> Iterator[tuple[str, Verdict]]:
+    encoder = ("encoder_count", "edge_time", "encoder_failed")
+    if not trial.request.wired:
+        why = "wire the sync outputs tick and trial to A and B, inside to the sync input, and say --wired"
+        yield from dict.fromkeys(STEPS[_wires], why).items()
+        return
+    moved, wrong, missed, edge_off, alarmed, failed, again, rose, sync_off, fell = trial.ask_signed(
+        Probe.WIRES
+    )
+    nothing = not moved and not rose
+    yield "sync_bits", {} if nothing else None
+    if nothing:
+        yield from dict.fromkeys(("sync_time", *encoder), "the sync outputs show nothing").items()
+        return
+    counted = {"wrong": wrong, "edges": SYNC_EDGES, "missed": missed}
+    yield "encoder_count", counted if wrong or missed else None
+    said = {
+        name: str(bool(one)).lower()
+        for name, one in (("alarmed", alarmed), ("failed", failed), ("again", again))
+    }
+    yield "encoder_failed", said if (alarmed, failed, again) != (0, 1, 0) else None
+    edge_us = edge_off % 2**32 / UNITS_PER_US
+    yield "edge_time", {"us": edge_us} if edge_us > EDGE_OFF_S * 1e6 else None
+    sync_us = sync_off % 2**32 / UNITS_PER_US
+    late = {"us": sync_us, "fell": str(bool(fell)).lower()}
+    yield "sync_time", late if sync_us > EDGE_OFF_S * 1e6 or fell else None
+
+
+# ------------------------------------------------------------------ link
+
+
+def _writing(trial: Trial) -> Iterator[tuple[str, Verdict]]:
+    board, before = trial.board, _damaged(trial.board.statistics)
+    taken, room, refused, longest, total = board.ask(Probe.FILL, FILL_FRAMES, wait_s=FILL_S)
+    came, torn = board.counted, _damaged(board.statistics) - before
+    broken = {"taken": taken, "came": len(came), "torn": torn, "others": ""}
+    if len(came) == taken and sum(came) % 2**32 != total:
+        broken["others"] = ", among them some that it dropped"
+    yield "write_whole", broken if torn or broken["others"] or len(came) != taken else None
+    waits_s = longest / UNITS_A_SECOND
+    yield "write_waits_not", {"ms": waits_s * 1e3} if waits_s > WAITS_S else None
+    wanted = round(BATCH_S * BATCH_BYTES * trial.rate_maximum)
+    short = {"bytes": room, "wanted": wanted, "rate": trial.rate_maximum}
+    if trial.law_maximum == 0:
+        yield "write_room", "it runs no law, and sends no BATCH"
+    else:
+        yield "write_room", short if refused and room < wanted else None
+
+
+def _damaged(statistics: LinkStatistics) -> int:
+    return statistics.framing_errors + statistics.crc_errors
+
+
+# ------------------------------------------------------------------ what was seen on the way
+
+
+def _meanwhile(trial: Trial) -> Iterator[tuple[str, Verdict]]:
+    low, high, read_units, overruns, ever = trial.board.ask(Probe.SUMMARY)
+    back = high << 32 | low
+    begins_again = back > UNITS_A_SECOND
+    yield "time_steps_back", {"us": back / UNITS_PER_US} if back and not begins_again else None
+    crossed = trial.times[0] >> 32 != trial.times[1] >> 32
+    unseen = "it was not watched for long enough: --seconds 280 from power-up on"
+    yield (
+        "time_width",
+        {"s": back / UNITS_A_SECOND} if begins_again else None if crossed else unseen,
+    )
+    yield "read_room", {"overruns": overruns} if overruns else None
+    waits_s = read_units / UNITS_A_SECOND
+    yield "read_waits_not", {"ms": waits_s * 1e3} if waits_s > WAITS_S else None
+    foreign = ever & ~int(Input.EMERGENCY_STOP | Input.HOLD_TO_RUN | Input.SYNC)
+    yield "inputs_bits", {"bits": foreign} if foreign else None
+
+
+# ------------------------------------------------------------------ resets
+
+
+def _bites(trial: Trial) -> Iterator[tuple[str, Verdict]]:
+    slow_us, fast_us = BITES_US
+    lived_ms, bitten = _starved(trial.board, slow_us)
+    if not bitten:
+        yield "watchdog_bites", {"ms": lived_ms, "bite": slow_us * 1e-3}
+        yield from dict.fromkeys(("watchdog_time", "reset_told"), "it does not bite").items()
+        return
+    yield "watchdog_bites", None
+    told = bool(trial.board.meet_again()[7])
+    yield "reset_told", None if told else {}
+    found = [(lived_ms, slow_us * 1e-3)]
+    lived_ms, bitten = _starved(trial.board, fast_us)
+    found.append((lived_ms, fast_us * 1e-3))
+    if bitten:
+        trial.board.meet_again()
+    wrong = [(ms, bite) for ms, bite in found if not 0.5 * bite <= ms <= 1.5 * bite]
+    yield "watchdog_time", {"ms": wrong[0][0], "bite": wrong[0][1]} if wrong else None
+
+
+def _starved(board: Board, bite_us: int) -> tuple[int, bool]:
+    """How long it lived unfed (ms), and whether it was bitten."""
+    try:
+        (lived_ms,) = board.ask(Probe.BITE, bite_us, wait_s=8e-6 * bite_us + 0.2, quiet_s=QUIET_S)
+    except (NoAnswerError, LinkLostError):
+        return max(board.counted, default=0), True
+    return lived_ms, False
+
+
+# ------------------------------------------------------------------ amplifier
+
+
+def _current(trial: Trial) -> Iterator[tuple[str, Verdict]]:
+    names, quanta = STEPS[_current], trial.request.current
+    why = _why_no_current(trial)
+    if why:
+        yield from dict.fromkeys(names, why).items()
+        return
+    off, last, started = trial.ask_signed(Probe.OFF, quanta)
+    first, mean, zero_units = trial.ask_signed(Probe.ON, quanta)
+    (off_units,) = trial.ask_signed(Probe.DISABLE, quanta)
+    if first == last == quanta:
+        said = {"quanta": quanta, "wanted": 0, "echo": ", with the amplifier off: it is the set-point"}
+        yield "measured_flows", said
+        yield from dict.fromkeys(names[1:], "measured_current does not say what flows").items()
+        return
+    near = max(
+        MEASURED_SHARE * abs(quanta), MEASURED_NOISES * 1e-3 * trial.noise_milliquanta + MEASURED_QUANTA
+    )
+    wrong = {"quanta": mean, "wanted": quanta, "echo": ""}
+    yield "measured_flows", wrong if abs(mean - quanta) > near else None
+    flows = abs(quanta) / 4.0
+    if off > flows:
+        yield "off_until_enabled", {"quanta": off}
+        yield "starts_from_zero", "it is on before"
+    else:
+        yield "off_until_enabled", None
+        yield "starts_from_zero", {"quanta": started} if started > flows else None
+    limit = GONE_LAGS * trial.lag_units + GONE_S * UNITS_A_SECOND
+    for name, units in (("zero_at_once", zero_units), ("off_at_once", off_units)):
+        yield name, {"ms": units / UNITS_PER_US * 1e-3} if units > limit else None
+
+
+def _why_no_current(trial: Trial) -> str:
+    if not trial.senses:
+        return "it measures no current"
+    if not trial.request.current:
+        return "free the handle or put a resistor in the motor's place, and say --current"
+    if any(isinstance(trial.verdicts[name], Mapping) for name in (*TIME, "tick_rate", "watchdog_bites")):
+        return "no current before time, tick and watchdog are right"
+    return ""
+
+
+# ------------------------------------------------------------------ the way out
+
+
+def _leaving(trial: Trial) -> Iterator[tuple[str, Verdict]]:
+    if not trial.has_bootloader:
+        yield "bootloader", "it has none"
+    elif not trial.request.bootloader:
+        yield "bootloader", "--bootloader ends in it"
+    else:
+        with suppress(NoAnswerError, LinkLostError):
+            trial.board.ask(Probe.LEAVE, wait_s=GONE_BY_S)
+        yield "bootloader", {} if trial.board.answers(GONE_BY_S) else None
+
+
+Step = Callable[[Trial], Iterator[tuple[str, Verdict]]]
+# In the order in which they are tried: no current before time and watchdog are right, and the way out last.
+STEPS: dict[Step, tuple[str, ...]] = {
+    _time: ("time_unit",),
+    _ticks: ("tick_rate", "time_of_timer", "tick_grid"),
+    _refusal: ("rate_refused", "rate_kept"),
+    _nesting: ("not_nested",),
+    _wires: ("sync_bits", "encoder_count", "edge_time", "encoder_failed", "sync_time"),
+    _writing: ("write_whole", "write_waits_not", "write_room"),
+    _meanwhile: ("time_steps_back", "time_width", "read_room", "read_waits_not", "inputs_bits"),
+    _bites: ("watchdog_bites", "watchdog_time", "reset_told"),
+    _current: ("measured_flows", "off_until_enabled", "starts_from_zero", "zero_at_once", "off_at_once"),
+    _leaving: ("bootloader",),
+}

@@ -1,0 +1,45 @@
+"""The duties of the Raspberry Pi Pico's port, tried on the whole image: wired to itself, with a current that flows."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rig.bench.firmware.build import PORT_CHECK
+from rig.bench.firmware.port_check import PortCheckRequest, check_port
+from rig.config.derive import rig_model
+from rig.config.presets import load
+from rig.core.check import Outcome
+from rig.devices.device import DeviceUrl
+from tests.firmware.rp2040 import emulator
+from tests.firmware.rp2040.conftest import PRESET
+
+# A tenth of a second of an emulated board takes seconds: 268 s, until bit 32 of its time changes, are not for a test.
+REQUEST = PortCheckRequest(current=400, wired=True, seconds=0.1, bootloader=True)
+UNSEEN = {"time width"}
+
+
+class Link(emulator.PicoLink):
+    """The line, which outlives the board's resets."""
+
+    url = DeviceUrl("emulated", "pico", {}, "emulated://pico")  # type: ignore[assignment]
+
+    def failure(self) -> None:
+        return None
+
+    def close(self) -> None:
+        pass
+
+
+def test_the_pico_keeps_every_duty_that_can_be_seen(tmp_path: Path) -> None:
+    model = rig_model(load(PRESET))
+    built = emulator.image(model, tmp_path, PORT_CHECK)
+    with emulator.Pico(model, built.bin) as pico:
+        pico.ask("loop")
+        link = Link(pico)
+        found = check_port(lambda: link, REQUEST)  # type: ignore[arg-type, return-value]
+        look = pico.look()
+    not_ok = {one.name: one.text for one in found.checks if one.outcome is not Outcome.OK}
+    assert set(not_ok) == UNSEEN, not_ok
+    assert look["resets"] == 3  # two bites, and the way into the boot loader
+    assert look["bootloader"]
+    assert not look["enabled"]

@@ -1,0 +1,94 @@
+"""The port to this computer as a board in simulated time, right or wrong in one thing, and the link to it."""
+
+from __future__ import annotations
+
+import ctypes
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from rig.devices.device import DeviceUrl
+from rig.realtime.clock import VirtualClock
+from tests.firmware.build import FIRMWARE, UNDEFINED, compile_c
+
+HERE = Path(__file__).parent
+SIMULATED = FIRMWARE / "port_check" / "simulated"
+WRONG = HERE / "wrong_ports.c"
+SLICE_US = 500
+Run = Callable[[int, bytes], bytes]  # let time pass (µs) with bytes for the board; the bytes that came
+MOST_BYTES = 1 << 18
+
+
+def wrong_ports() -> list[str]:
+    """Names of the ports that are wrong: ``duty`` or ``duty__how``."""
+    return re.findall(r"^void wrong_(\w+)\(", WRONG.read_text(), re.MULTILINE)
+
+
+def compile_board(directory: Path, firmware: ctypes.CDLL) -> ctypes.CDLL:
+    """The board as a library of this computer, beside the firmware's; undefined behaviour ends the process."""
+    core = Path(firmware._name)
+    include = [f"-I{FIRMWARE / part}" for part in ("core", "law")] + [f"-I{SIMULATED}"]
+    sources = [*sorted(SIMULATED.glob("*.c")), WRONG, core]
+    flags = ["-fPIC", "-shared", f"-Wl,-rpath,{core.parent}", *include, *UNDEFINED]
+    library = ctypes.CDLL(str(compile_c(directory / "board.so", sources, flags)))
+    library.simulated_board_bytes.restype = library.simulated_board_run.restype = ctypes.c_size_t
+    library.simulated_board_start.argtypes = [ctypes.c_void_p, ctypes.c_void_p]
+    library.simulated_board_run.argtypes = [
+        ctypes.c_void_p, ctypes.c_uint32, ctypes.c_char_p, ctypes.c_size_t, ctypes.c_void_p, ctypes.c_size_t,
+    ]  # fmt: skip
+    return library
+
+
+def powered_up(library: ctypes.CDLL, spoilt: str = "") -> Run:
+    """A board in this process; with a port that a function of wrong_ports.c spoils."""
+    memory = ctypes.create_string_buffer(library.simulated_board_bytes())
+    into = ctypes.create_string_buffer(MOST_BYTES)
+    spoil = ctypes.cast(getattr(library, spoilt), ctypes.c_void_p) if spoilt else None
+    library.simulated_board_start(memory, spoil)
+
+    def run(us: int, data: bytes) -> bytes:
+        count = library.simulated_board_run(memory, us, data, len(data), into, MOST_BYTES)
+        return ctypes.string_at(into, count)
+
+    return run
+
+
+class SimulatedPort:
+    """A board that has just been powered up, as a link in virtual time."""
+
+    url = DeviceUrl("test", "", {}, "test://")
+    bytes_per_second = None
+    messages: tuple[str, ...] = ()
+
+    def __init__(self, run: Run, slice_us: int = SLICE_US) -> None:
+        self.clock = VirtualClock()
+        self._run, self._slice_us = run, slice_us
+        self._to_board = b""
+
+    def write(self, data: bytes) -> None:
+        self._to_board += data
+
+    def read(self, timeout_s: float) -> bytes:
+        """Let time pass until bytes are there, or the time is out."""
+        ends_ns = self.clock.now_ns() + round(timeout_s * 1e9)
+        while (left_ns := ends_ns - self.clock.now_ns()) > 0:
+            us = min(self._slice_us, -(-left_ns // 1000))
+            given, self._to_board = self._to_board, b""
+            came = self._run(us, given)
+            self.clock.sleep_until(self.clock.now_ns() + us * 1000)
+            if came:
+                return came
+        return b""
+
+    def failure(self) -> None:
+        return None
+
+    def truth(self) -> None:
+        return None
+
+    def port(self) -> Any:
+        raise NotImplementedError
+
+    def close(self) -> None:
+        pass

@@ -1,0 +1,149 @@
+"""The port to this computer keeps its duties, and each wrong one is found by the duty that it breaks, in its words."""
+
+from __future__ import annotations
+
+import ctypes
+import re
+
+import pytest
+
+import rig.cli
+from firmware_protocol.duties import Duty, duties
+from rig.bench.firmware.port_check import STEPS, PortCheck, PortCheckRequest, check_port, failure
+from rig.core.check import Check, Outcome
+from rig.core.errors import ConfigError, LinkLostError
+from tests.firmware import simulated_port
+from tests.firmware.simulated_port import Run, SimulatedPort, powered_up, wrong_ports
+
+REQUEST = PortCheckRequest(current=400, wired=True, seconds=0.5, bootloader=True)
+DUTIES = {duty.name: duty for duty in duties()}
+
+
+@pytest.fixture(scope="module")
+def board(tmp_path_factory: pytest.TempPathFactory, library: ctypes.CDLL) -> ctypes.CDLL:
+    return simulated_port.compile_board(tmp_path_factory.mktemp("board"), library)
+
+
+def checked(board: ctypes.CDLL, spoilt: str = "", request: PortCheckRequest = REQUEST) -> PortCheck:
+    link = SimulatedPort(powered_up(board, spoilt))
+    return check_port(lambda: link, request)
+
+
+def broken(found: PortCheck) -> dict[str, Check]:
+    return {one.name.replace(" ", "_"): one for one in found.checks if one.outcome is Outcome.REFUSED}
+
+
+def test_every_duty_has_a_check_and_a_port_that_breaks_it() -> None:
+    assert sorted(name for names in STEPS.values() for name in names) == sorted(DUTIES)
+    assert {name.partition("__")[0] for name in wrong_ports()} == set(DUTIES)
+
+
+def test_the_port_to_this_computer_keeps_every_duty(board: ctypes.CDLL) -> None:
+    found = checked(board)
+    assert [one for one in found.checks if one.outcome is not Outcome.OK] == []
+    assert len(found.checks) == len(DUTIES)
+    assert found.passed
+    assert failure(found) is None
+
+
+def said(duty: Duty, text: str) -> bool:
+    """Whether a sentence is the duty's own, with numbers in it."""
+    pieces = map(re.escape, re.split(r"\{[^}]*\}", duty.broken))
+    return re.fullmatch(".*".join(pieces), text) is not None
+
+
+@pytest.mark.parametrize("wrong", wrong_ports())
+def test_a_wrong_port_is_found_by_the_duty_that_it_breaks(board: ctypes.CDLL, wrong: str) -> None:
+    found = checked(board, f"wrong_{wrong}")
+    duty = DUTIES[wrong.partition("__")[0]]
+    reasons = broken(found)
+    assert list(reasons) == [duty.name], {name: one.text for name, one in reasons.items()}
+    assert said(duty, reasons[duty.name].text)
+    error = failure(found)
+    assert error is not None
+    assert error.message == f"duty broken: {reasons[duty.name].text}"
+    assert error.remedy == duty.remedy
+
+
+def was_on(board: ctypes.CDLL) -> tuple[bool, bool]:
+    """Whether the amplifier was ever switched on, and whether it is."""
+    ever, now = (ctypes.c_bool.in_dll(board, name).value for name in ("ever_on", "is_on"))
+    return ever, now
+
+
+def test_without_consent_nothing_is_switched_on_and_what_is_not_seen_says_what_it_wants(
+    board: ctypes.CDLL,
+) -> None:
+    found = checked(board, "watch_enable", PortCheckRequest(seconds=0.1))
+    assert was_on(board) == (False, False)
+    unseen = {one.name: one.text for one in found.checks if one.outcome is not Outcome.OK}
+    assert found.passed
+    for name, option in (
+        ("time width", "--seconds"),
+        ("edge time", "--wired"),
+        ("zero at once", "--current"),
+        ("bootloader", "--bootloader"),
+    ):
+        assert option in unseen[name]
+
+
+def test_behind_a_check_with_a_current_the_amplifier_is_off(board: ctypes.CDLL) -> None:
+    checked(board, "watch_enable")
+    assert was_on(board) == (True, False)
+
+
+@pytest.mark.parametrize("wrong", ["time_unit", "tick_rate", "watchdog_bites__never"])
+def test_no_current_flows_before_time_tick_and_watchdog_are_right(board: ctypes.CDLL, wrong: str) -> None:
+    found = checked(board, f"wrong_{wrong}")
+    current = [one for one in found.checks if one.name in ("zero at once", "measured flows")]
+    assert [one.outcome for one in current] == [Outcome.SKIPPED] * 2
+
+
+def test_a_current_above_the_rigs_limit_is_refused(board: ctypes.CDLL) -> None:
+    with pytest.raises(ConfigError, match="current = 2001"):
+        checked(board, "watch_enable", PortCheckRequest(current=2_001))
+    assert was_on(board) == (False, False)
+
+
+class Silent(SimulatedPort):
+    """A board of which nothing comes any longer behind so many questions."""
+
+    def __init__(self, run: Run, questions: int) -> None:
+        super().__init__(run)
+        self._left = questions
+
+    def write(self, data: bytes) -> None:
+        self._left -= 1
+        super().write(data)
+
+    def read(self, timeout_s: float) -> bytes:
+        data = super().read(timeout_s)
+        return data if self._left >= 0 else b""
+
+
+def test_a_board_that_falls_silent_breaks_what_was_tried_and_the_rest_is_not_seen(board: ctypes.CDLL) -> None:
+    link = Silent(powered_up(board), 3)
+    found = check_port(lambda: link, PortCheckRequest(seconds=0.1))
+    texts = {one.name: one.text for one in found.checks}
+    assert list(broken(found)) == ["time_of_timer", "tick_rate", "tick_grid"]
+    assert texts["tick rate"].startswith("no answer comes while set_rate is tried")
+    assert texts["write whole"] == "it answers no longer"
+
+
+def test_where_nobody_answers_it_says_what_to_flash(board: ctypes.CDLL) -> None:
+    link = Silent(powered_up(board), 0)
+    with pytest.raises(LinkLostError, match="nobody answers") as caught:
+        check_port(lambda: link, PortCheckRequest())
+    assert "--check-port" in caught.value.remedy
+
+
+def test_the_command_says_the_duty_that_is_broken(
+    board: ctypes.CDLL, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    link = SimulatedPort(powered_up(board, "wrong_zero_at_once"))
+    monkeypatch.setattr("rig.cli.firmware.open_link", lambda _url: link)
+    code = rig.cli.run(["firmware", "check-port", "test://", "--current", "400", "--seconds", "0.5"])
+    out, err = capfd.readouterr()
+    assert code == 5
+    assert "ok off at once" in out
+    assert "duty broken: set_current(0) does not act at once: 2 ms" in err
