@@ -249,20 +249,25 @@ class Statistics(Message):
 
 @dataclass(frozen=True, slots=True)
 class GetReference(Message):
-    """Ask where the device has seen its encoder's index."""
+    """Ask what position zero is, and where the device has seen its encoder's index."""
 
     nonce: Nonce
 
 
 @dataclass(frozen=True, slots=True)
 class Reference(Message):
-    """The encoder's index as the device has seen it since it started; and whether position zero is known."""
+    """What position zero is, and the encoder's index, as the device has seen it since it started."""
 
     nonce: Nonce
-    homed: Annotated[
+    zero: Annotated[
         int,
-        Wire("u8", "", "1: reference_count was set since the start, and the encoder has not failed since"),
+        Wire(
+            "u8",
+            "",
+            "0: not set since the start, or the encoder has failed since; else parameter reference + 1",
+        ),
     ]
+    reference_count: Annotated[int, Wire("i32", "count", "the parameter of this name")]
     index_edges: Annotated[
         int, Wire("u32", "", "index pulses that have begun; 0: none yet, or no such input")
     ]

@@ -355,9 +355,10 @@ class SimulatedDevice:
         return m.Statistics(request.nonce, **values, stopped_at=0)
 
     def _reference(self, request: m.GetReference) -> m.Reference:
-        words = self.board.words
-        homed = int(self._configuration.homed)
-        return m.Reference(request.nonce, homed, int(words[INDEX_EDGES]), int(words[INDEX_COUNT]))
+        words, configuration = self.board.words, self._configuration
+        zero = int(configuration.values["reference"]) + 1 if configuration.homed else 0
+        count = int(configuration.values["reference_count"])
+        return m.Reference(request.nonce, zero, count, int(words[INDEX_EDGES]), int(words[INDEX_COUNT]))
 
     def _arm(self, request: m.Arm) -> tuple[Status, int]:
         configuration = self._configuration

@@ -381,7 +381,7 @@ class FramedDevice:
         return reply
 
     def reference(self) -> m.Reference:
-        """Return what the device has seen of its encoder's index, and whether it knows position zero."""
+        """Return what position zero is, and what the device has seen of its encoder's index."""
         reply: m.Reference = self._ask(m.GetReference(self._next_nonce()), m.Reference)
         return reply
 

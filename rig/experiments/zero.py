@@ -6,6 +6,8 @@ from rig.config import Experiment
 from rig.core.errors import DeviceRefusedError
 from rig.devices.framed import FramedDevice
 
+BY_INDEX = 2  # of `firmware_protocol.messages.Reference.zero`
+
 
 def position_zero(device: FramedDevice, x: Experiment) -> int:
     """Count at position zero of an open device.
@@ -22,9 +24,9 @@ def position_zero(device: FramedDevice, x: Experiment) -> int:
     if not x.rig.reference.index:
         return 0 if simulated else device.count()
     if device.reference_count is None:
-        active = device.active_parameters()
-        if active.get("reference") and device.reference().homed:
-            device.reference_count = int(active["reference_count"])
+        held = device.reference()
+        if held.zero == BY_INDEX:
+            device.reference_count = held.reference_count
         elif simulated:
             return 0
         else:

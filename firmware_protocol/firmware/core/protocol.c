@@ -20,7 +20,7 @@ const struct hr_message hr_messages[HR_MESSAGES] = {
     {HR_TYPE_STATISTICS, 56, 56, 0},
     {HR_TYPE_ENTER_BOOTLOADER, 8, 56, 0},
     {HR_TYPE_GET_REFERENCE, 8, 56, 0},
-    {HR_TYPE_REFERENCE, 17, 56, 0},
+    {HR_TYPE_REFERENCE, 21, 56, 0},
     {HR_TYPE_COMMAND, 16, 56, 0},
     {HR_TYPE_STATE, 45, 56, 0},
     {HR_TYPE_BATCH, 19, 248, 0},

@@ -188,10 +188,11 @@ enum hr_index {
 #define HR_BYTES_GET_REFERENCE 8u
 
 #define HR_AT_REFERENCE_NONCE 6u /* u16 */
-#define HR_AT_REFERENCE_HOMED 8u /* u8 */
-#define HR_AT_REFERENCE_INDEX_EDGES 9u /* u32 */
-#define HR_AT_REFERENCE_INDEX_COUNT 13u /* i32, count */
-#define HR_BYTES_REFERENCE 17u
+#define HR_AT_REFERENCE_ZERO 8u /* u8 */
+#define HR_AT_REFERENCE_REFERENCE_COUNT 9u /* i32, count */
+#define HR_AT_REFERENCE_INDEX_EDGES 13u /* u32 */
+#define HR_AT_REFERENCE_INDEX_COUNT 17u /* i32, count */
+#define HR_BYTES_REFERENCE 21u
 
 #define HR_AT_COMMAND_STATE_SEQUENCE 6u /* u16 */
 #define HR_AT_COMMAND_LIFETIME_US 8u /* u32, µs */

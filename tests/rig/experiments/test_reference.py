@@ -205,6 +205,25 @@ def test_the_switch_ends_a_run_when_it_is_reached_and_when_its_wire_is_broken(
         assert seen["effort_sent"][-1] == 0.0
 
 
+def test_the_switch_ends_a_law_on_the_device_too(tmp_path: Path) -> None:
+    """By the host, which sees a STATE every 5 ms: some ticks later than where the law runs on the host."""
+    law = {
+        "controller.loop": "device",
+        "controller.estimator": "fdm-butterworth-fixed",
+        "controller.parameters.cutoff_hz": 200.0,
+    }
+    x = config.override(MARKED, law)
+    with devices.open_device("sim://?firmware=1", config.rig_model(x)) as device:
+        hardware_of(device).marks |= {"switch_count": round(-0.005 / x.rig.encoder.resolution)}
+        with pytest.raises(GuardError, match="limit switch") as error:
+            list(hit(HitRequest(experiment=x, device=device, output=tmp_path)))
+        seen = open_recording(error.value.recording).rows  # type: ignore[attr-defined]
+        pressed = (seen["inputs"] & int(Input.LIMIT_SWITCH)) != 0
+        assert pressed[-1]
+        assert not pressed[:-1].any()
+        assert seen["effort_sent"][-1] == 0.0
+
+
 class Hand:
     """Moves the handle of a device that is looked at, turning back at the switch: a push over viscous damping."""
 
