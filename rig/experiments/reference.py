@@ -30,7 +30,7 @@ from rig.analysis.identification.quality import IdentificationError
 from rig.config import Experiment
 from rig.config.controller import resolution
 from rig.core.check import refuse
-from rig.core.errors import ConfigError, GuardError
+from rig.core.errors import ConfigError, DeviceFaultError, GuardError
 from rig.core.present import Row
 from rig.core.same_rig import check_rig
 from rig.core.sample import Motion, unit_of
@@ -275,21 +275,25 @@ class _Search:
     def _name(self, what: str) -> Path:
         return free_name(self._output, f"{self._x.rig.name}-reference-{what}")
 
-    def _go(
-        self, count: int, what: str, *, margin: float | None = None, zero: int | None = None
-    ) -> NDArray[np.void]:
+    def _go(self, count: int, what: str, *, zero: int | None = None) -> NDArray[np.void]:
         """Move to a count, and return the rows of the way."""
         device, zero = self._device, self._zero if zero is None else zero
         at, to = self._scale * (device.count() - zero), self._scale * (count - zero)
-        rows, recording = run_motion(
-            device,
-            way_motion(self._x, at, to, MARGIN * self._travel if margin is None else margin),
-            self._name(what),
-            verified=self._verified,
-            reference_count=zero,
-            extra={"reference": what},
-            leaves_switch=what != "switch",
-        )
+        try:
+            rows, recording = run_motion(
+                device,
+                way_motion(self._x, at, to, MARGIN * self._travel),
+                self._name(what),
+                verified=self._verified,
+                reference_count=zero,
+                extra={"reference": what},
+                leaves_switch=what != "switch",
+            )
+        except DeviceFaultError as error:  # a handle that stands still under effort is a fault of its own
+            error.remedy = (
+                f"see that nothing stands in the travel, a stop before the switch or a hand; {error.remedy}"
+            )
+            raise
         self.recordings.append(recording)
         short = abs(to - float(rows["position"][-1]))
         if what != "switch" and short > FOLLOWS * self._every * abs(self._scale):

@@ -15,7 +15,7 @@ from rig import config, devices
 from rig.analysis.identification.quality import IdentificationError
 from rig.cli import run
 from rig.config import Experiment, presets
-from rig.core.errors import ConfigError, DeviceRefusedError, GuardError, RigError
+from rig.core.errors import ConfigError, DeviceFaultError, DeviceRefusedError, GuardError, RigError
 from rig.devices.framed import FramedDevice
 from rig.experiments.hit import HitRequest, hit
 from rig.experiments.identify_motions import still
@@ -23,6 +23,7 @@ from rig.experiments.reference import FoundReference, reference
 from rig.experiments.zero import position_zero
 from rig.recording.reader import open_recording
 from sim_backend.hardware import Hardware
+from sim_backend.plant import COULOMB
 
 FAST = {"controller.position_rate": 2000, "controller.velocity_rate": 2000, "homing.speed": 0.5}
 MARKED = config.override(
@@ -186,6 +187,30 @@ def test_a_handle_that_somebody_pushes_in_the_search_ends_it_by_its_speed(tmp_pa
             find(device, MARKED, tmp_path, tell=push)
         (search,) = tmp_path.glob("*switch*.parquet")
         assert last_effort(search) == 0.0
+
+
+def test_a_handle_that_is_held_in_the_search_is_let_go_at_once(tmp_path: Path) -> None:
+    """As by a brake that bears more than the servo gives: no edge comes, and the device ends it."""
+    with powered_up(MARKED) as device:
+        device.configure(
+            {"position_rate": 2000}
+        )  # as the search will: the plant of these ticks, shared by all tests
+        parameters = hardware_of(device)._plant.parameters
+
+        def hold(text: str) -> None:
+            if "limit switch" in text:
+                parameters[COULOMB] = 2.0 * MARKED.homing.effort
+
+        try:
+            with pytest.raises(DeviceFaultError, match="no encoder edge") as error:
+                find(device, MARKED, tmp_path, tell=hold)
+        finally:
+            parameters[COULOMB] = MARKED.rig.mechanics.motor_coulomb
+        assert "a stop before the switch or a hand" in error.value.remedy
+        (search,) = tmp_path.glob("*switch*.parquet")
+        rows = open_recording(search).rows
+        assert rows["effort_sent"][-1] == 0.0
+        assert abs(rows["effort_sent"]).max() <= MARKED.homing.effort * (1.0 + 1e-9)
 
 
 @pytest.mark.parametrize(("at", "rows"), [(-0.005, range(2, 10**6)), (1.0, range(1, 2))])
