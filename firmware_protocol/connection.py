@@ -70,6 +70,7 @@ _QUESTIONS: tuple[type[Message], ...] = (
     m.GetTime,
     m.GetFaultLog,
     m.GetStatistics,
+    m.GetReference,
 )
 _SETTING: tuple[type[Message], ...] = (m.SetBegin, m.SetChunk)
 
@@ -113,6 +114,7 @@ REPLIES: dict[type[Message], type[Message]] = {
     m.GetTime: m.Time,
     m.GetFaultLog: m.FaultLog,
     m.GetStatistics: m.Statistics,
+    m.GetReference: m.Reference,
 }
 
 # State → what the device may send unasked. With session 0 STATE only shows the rig to a host that has

@@ -218,10 +218,15 @@ class Status(Described):
 
 
 class Input(DescribedFlag):
-    """Pins as STATE reports them; 1 means active. The last two are the device's own outputs."""
+    """Pins as STATE reports them; 1 means active. The two of the sync outputs are the device's own."""
 
     EMERGENCY_STOP = 1, "the wired emergency stop is pressed", "release it when the rig is safe"
     HOLD_TO_RUN = 2, "the hold-to-run switch is held", ""
     SYNC = 4, "the sync input is high", ""
     SYNC_TRIAL = 8, "the sync output of the trial was high up to the sample", ""
     SYNC_INSIDE = 16, "the sync output of the wall was high up to the sample", ""
+    LIMIT_SWITCH = (
+        32,
+        "the limit switch is pressed, or its wire is broken",
+        "move the handle back into its travel; if that changes nothing, mend the wire",
+    )

@@ -19,7 +19,7 @@ from typing import Annotated
 from firmware_protocol.wire import Wire
 
 MAJOR = 2
-MINOR = 0
+MINOR = 1
 TIME_UNIT_NS = 62.5  # one unit of every u32 and u64 device time: 1/16 µs; u32 wraps after 268 s
 # pid.codes keeps 1209:0001 … 1209:0010 for tests and private use: a product that is sold needs its own pair.
 USB_VENDOR, USB_PRODUCT = 0x1209, 0x0001
@@ -248,6 +248,33 @@ class Statistics(Message):
 
 
 @dataclass(frozen=True, slots=True)
+class GetReference(Message):
+    """Ask what position zero is, and where the device has seen its encoder's index."""
+
+    nonce: Nonce
+
+
+@dataclass(frozen=True, slots=True)
+class Reference(Message):
+    """What position zero is, and the encoder's index, as the device has seen it since it started."""
+
+    nonce: Nonce
+    zero: Annotated[
+        int,
+        Wire(
+            "u8",
+            "",
+            "0: not set since the start, or the encoder has failed since; else parameter reference + 1",
+        ),
+    ]
+    reference_count: Annotated[int, Wire("i32", "count", "the parameter of this name")]
+    index_edges: Annotated[
+        int, Wire("u32", "", "index pulses that have begun; 0: none yet, or no such input")
+    ]
+    index_count: Annotated[int, Wire("i32", "count", "encoder count where the last of them began")]
+
+
+@dataclass(frozen=True, slots=True)
 class EnterBootloader(Message):
     """Reset into the boot loader, which takes another program, shortly after the answer."""
 
@@ -341,6 +368,8 @@ MESSAGES: dict[int, type[Message]] = {
     0x14: GetStatistics,
     0x15: Statistics,
     0x16: EnterBootloader,
+    0x18: GetReference,
+    0x19: Reference,
     0x40: Command,
     0x41: State,
     0x61: Batch,

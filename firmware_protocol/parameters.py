@@ -160,6 +160,16 @@ PARAMETERS: tuple[Parameter, ...] = (
         "effort for longer than this while the count stays on two neighbours fades out, until none is wanted: the "
         "position is not confirmed; 0: never",
     ),
+    Parameter(
+        18,
+        "reference",
+        "u8",
+        "",
+        0,
+        1,
+        0,
+        "what reference_count is: 0 the place where somebody had put the handle, 1 an index of the encoder",
+    ),
     *LAW_PARAMETERS,
 )
 

@@ -39,7 +39,19 @@ from rig.core.model import RigModel
 from rig.realtime.codec import STATE
 from sim_backend.configuration import Configuration, describe
 from sim_backend.hardware import Hardware
-from sim_backend.lockstep import COUNT, CUTS, DUE, EDGE_AGE, INPUTS, MEASURED, SAMPLE_INDEX, SESSION, TIME
+from sim_backend.lockstep import (
+    COUNT,
+    CUTS,
+    DUE,
+    EDGE_AGE,
+    INDEX_COUNT,
+    INDEX_EDGES,
+    INPUTS,
+    MEASURED,
+    SAMPLE_INDEX,
+    SESSION,
+    TIME,
+)
 from sim_backend.safety import (
     AT,
     UNITS_PER_SECOND,
@@ -162,6 +174,7 @@ class SimulatedDevice:
         self.board.words[OWN.sync_time] = 0
         self._faults.forget()
         self.hardware.reset()
+        self.hardware.power_up(self.board.words)
         self._configuration = Configuration(self._dictionary, self._apply)
         self._truth = self.hardware.new_truth() if self._keep_truth else None
         self._note_protocol()
@@ -217,6 +230,7 @@ class SimulatedDevice:
         if words[OWN.found] or words[CUTS]:
             self._heed()
         hardware.advance(current)
+        hardware.sense(words)
         words[COUNT], words[MEASURED] = hardware.count, hardware.measured
         words[EDGE_AGE] = round(min(hardware.edge_age_s * UNITS_PER_SECOND, words[DUE]))
         sample(board)
@@ -315,6 +329,7 @@ class SimulatedDevice:
             m.GetTime: lambda request, _: self._stamps(request),
             m.GetFaultLog: lambda request, _: self._faults.page(request),
             m.GetStatistics: lambda request, _: self._statistics(request),
+            m.GetReference: lambda request, _: self._reference(request),
             m.SetBegin: lambda request, event: self._ack(event, self._configuration.begin(request)),
             m.SetChunk: lambda request, event: self._ack(
                 event, self._configuration.chunk(request), request.offset
@@ -338,6 +353,12 @@ class SimulatedDevice:
         counted = self.connection.statistics
         values = {field.name: getattr(counted, field.name) & _U32 for field in fields(m.Statistics)[1:-1]}
         return m.Statistics(request.nonce, **values, stopped_at=0)
+
+    def _reference(self, request: m.GetReference) -> m.Reference:
+        words, configuration = self.board.words, self._configuration
+        zero = int(configuration.values["reference"]) + 1 if configuration.homed else 0
+        count = int(configuration.values["reference_count"])
+        return m.Reference(request.nonce, zero, count, int(words[INDEX_EDGES]), int(words[INDEX_COUNT]))
 
     def _arm(self, request: m.Arm) -> tuple[Status, int]:
         configuration = self._configuration

@@ -33,6 +33,8 @@ from sim_backend.firmware_library import CurrentSensor, Mechanics, Setup, Status
 from sim_backend.hardware import Hardware, World
 from sim_backend.lockstep import (
     DUE,
+    INDEX_COUNT,
+    INDEX_EDGES,
     INPUTS,
     RATE_CHANGED,
     SWITCHED_ON,
@@ -186,6 +188,7 @@ class FirmwareDevice:
         self._epoch_ns = 0
         self._words = np.zeros(WORDS, np.int64)
         self._lockstep = self.core.lockstep(self._words)
+        self._look_around()
         self._show_world()
         self.core.start()
         self._start()
@@ -273,6 +276,7 @@ class FirmwareDevice:
         if ticks:
             self._seen = self.core.status
             self.time = int(self._seen.time)
+            self.inputs = self._words.item(INPUTS)
         return said, ticks
 
     def compiled(self) -> tuple[Lockstep, World]:
@@ -284,7 +288,7 @@ class FirmwareDevice:
     def passed(self, world: World) -> None:
         """Take note of what has happened to what `compiled` returned."""
         self.hardware.passed(self._lockstep, world, self._truth)
-        self.time = self._words.item(TIME)
+        self.time, self.inputs = self._words.item(TIME), self._words.item(INPUTS)
         self._seen = self.core.status
         if self._words[RATE_CHANGED]:
             self.hardware.set_rate(self._seen.rate)
@@ -300,6 +304,8 @@ class FirmwareDevice:
         self._act()
         self.hardware.advance(current)
         self.time = int(self._seen.due)
+        self.hardware.sense(self._words)
+        self.inputs = self._words.item(INPUTS)
         self._show_world()
         library.host_sample(address)
         library.host_tell(address)
@@ -351,6 +357,7 @@ class FirmwareDevice:
         self.time = 0
         self.hardware.cut()
         self.hardware.reset()
+        self._look_around()
         self._show_world()
         self.core.library.host_set_sync_time(self.core.address, 0)
         self.core.library.host_restart(self.core.address)
@@ -376,12 +383,18 @@ class FirmwareDevice:
         self._words[INPUTS] = self.inputs
         self.core.library.host_set_inputs(self.core.address, self.inputs)
 
+    def _look_around(self) -> None:
+        self._words[INPUTS] = self.inputs
+        self.hardware.power_up(self._words)
+        self.inputs = self._words.item(INPUTS)
+
     def _show_world(self) -> None:
         hardware = self.hardware
         edge_age = round(min(hardware.edge_age_s * UNITS_PER_SECOND, self.time))
         self.core.library.host_set_world(
             self.core.address, self.time, hardware.count, self.time - edge_age, hardware.measured, self.inputs
         )
+        self.core.library.host_set_index(self.core.address, *self._words[[INDEX_EDGES, INDEX_COUNT]].tolist())
 
     def _act(self) -> None:
         """Do to the plant what the device has done to its amplifier and its timer."""

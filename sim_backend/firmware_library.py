@@ -112,6 +112,7 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "host_fail_encoder": (None, [_P]),
     "host_refuse_rate": (None, [_P, _U32]),
     "host_set_sync_time": (None, [_P, _U64]),
+    "host_set_index": (None, [_P, _U32, ctypes.c_int32]),
     "host_set_room": (None, [_P, _N]),
     "host_drive": (ctypes.c_int16, [_P]),
     "host_sample": (None, [_P]),

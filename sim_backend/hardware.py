@@ -18,19 +18,24 @@ from sim_backend.driven_hand import DrivenHand
 from sim_backend.inner import Vector
 from sim_backend.lockstep import (
     COUNT,
+    INDEX_COUNT,
+    INDEX_EDGES,
     MEASURED,
     NOISE_LEFT,
     PLACES,
     ROW,
+    TRUE_COUNT,
     TRUTH_ROWS,
     Lockstep,
     Supplies,
     Wires,
+    Words,
     run_ticks,
+    sense,
 )
 from sim_backend.operator import Script
 from sim_backend.plant import PLANT_TYPE, DiscretePlant, PlantArguments, advance
-from sim_backend.sensors import CURRENT_QUANTA_LIMIT, current_quanta
+from sim_backend.sensors import CURRENT_QUANTA_LIMIT, current_quanta, encoder_count
 from sim_backend.truth import TruthLog
 
 _NOISE_BLOCK = 4096
@@ -78,9 +83,12 @@ class Hardware:
     external_effort
         Effort of the world on the link (N·m or N), from the next tick on.
     slip
-        Counts that the encoder has gained or lost against the truth, from the next sample on.
+        Counts that the encoder has gained or lost against the truth, from the next sample on; or that it never had,
+        because it begins at 0 wherever the handle stands.
     leak
         Current that the sensor shows beside the motor's (quanta): a short circuit, a drifted sensor.
+    marks
+        Where index and limit switch are, by the fields of `sim_backend.lockstep.Wires`.
     drive, gain
         What the amplifier makes of a command, and the sensor of the motor's current, as a share: 0 for a lead that came
         off or a sensor that is dead, negative for one that is reversed. With both at −1 the motor's leads are swapped.
@@ -98,6 +106,7 @@ class Hardware:
         self._ampere_per_effort = 1.0 / model.amplifier.effort_per_ampere
         self._quantum_a = model.amplifier.current_quantum_a
         self._noise = Noise(model.amplifier.current_noise_a, seed)
+        self.marks = marks_of(model)
         self._script, self._row = Script.silent(), 0
         self._sessions = 0
         self._hand: DrivenHand | None = None  # and whether its blocks are being played
@@ -195,16 +204,30 @@ class Hardware:
         indices, states, rows = truth.room() if truth is not None else (_NO_INDICES, _NO_STATES, 0)
         places = np.zeros(PLACES, np.int64)
         places[ROW], places[NOISE_LEFT], places[TRUTH_ROWS] = self._row, noise.left, rows
-        wires = Wires(
+        supplies = Supplies(noise=noise.drawn, places=places, indices=indices, states=states)
+        return self._moving, self._script, self._wires(), supplies
+
+    def _wires(self) -> Wires:
+        return Wires(
             effort_quantum=self._effort_quantum * self.drive,
             ampere_per_effort=self._ampere_per_effort * self.gain,
             quantum_a=self._quantum_a,
             external_effort=self.external_effort,
             slip=self.slip,
             leak=self.leak,
+            **self.marks,
         )
-        supplies = Supplies(noise=noise.drawn, places=places, indices=indices, states=states)
-        return self._moving, self._script, wires, supplies
+
+    def sense(self, words: Words) -> None:
+        """Let index and limit switch, if there are any, see the last sample; compiled ticks do it by themselves."""
+        if self.marks["index_counts"] or self.marks["switch_way"]:
+            sense(words, self.count - self.slip, self._wires())
+
+    def power_up(self, words: Words) -> None:
+        """Forget the index that was seen, as a port does that starts anew, and look where the handle stands."""
+        words[TRUE_COUNT] = self.count - self.slip
+        words[INDEX_EDGES] = words[INDEX_COUNT] = 0
+        self.sense(words)
 
     def passed(self, software: Lockstep, world: World, truth: TruthLog | None) -> None:
         """Take note of ticks that have passed in what `world` returned."""
@@ -239,6 +262,23 @@ class Hardware:
     def log(self, truth: TruthLog, sample_index: int) -> None:
         """Write the present state into a log."""
         truth.add(sample_index, self._state)
+
+
+def marks_of(model: RigModel) -> dict[str, int]:
+    """Where index and limit switch are, in true counts: fields of `Wires`.
+
+    The switch closes half the way between two indices before the first one, which is where it should be mounted.
+    """
+    encoder, reference = model.encoder, model.reference
+    every = reference.index_counts(encoder)
+    first = encoder_count(reference.position, encoder.resolution, encoder.offset, encoder.sign)
+    way = -encoder.sign * reference.away
+    return {
+        "index_first": first,
+        "index_counts": every,
+        "switch_count": first + way * (every // 2),
+        "switch_way": way,
+    }
 
 
 class Noise:

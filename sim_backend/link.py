@@ -44,6 +44,7 @@ OPTIONS: dict[str, Callable[[str], Any]] = {
     "offset": float,
     "position_rate_default": int,
     "position_rate_maximum": int,
+    "incremental": int,
     "clock_ppm": float,
     "firmware": int,
     "sync": _times,
@@ -112,9 +113,10 @@ def open_link(url: DeviceUrl, model: RigModel | None = None) -> MemoryLink:
     """Open ``sim://name?seed=3&offset=0.25``: a fresh simulated device, at rest, powered up at this moment.
 
     Options: `seed` of the sensor noise; `initial_position` of the handle (rad or m); `offset` of the encoder (count,
-    0 ≤ offset < 1) instead of the model's; `position_rate_default` and `position_rate_maximum` (Hz); `clock_ppm`, by
-    which the device's clock runs fast; `sync` = 0.5,0.75 for pulses on the sync input that begin so many seconds after
-    power-up; `firmware` = 1 for a device that can run the law, the firmware itself, compiled for this machine.
+    0 ≤ offset < 1) instead of the model's; `incremental` = 1 for an encoder that begins at 0 wherever the handle
+    stands; `position_rate_default` and `position_rate_maximum` (Hz); `clock_ppm`, by which the device's clock runs
+    fast; `sync` = 0.5,0.75 for pulses on the sync input that begin so many seconds after power-up; `firmware` = 1 for a
+    device that can run the law, the firmware itself, compiled for this machine.
 
     Unless `firmware` is given the device runs no law, and its ticks pass no Python: it is the firmware too where this
     machine can compile it, else `sim_backend.compiled_device`. Both say what the readable one says
@@ -133,7 +135,11 @@ def open_link(url: DeviceUrl, model: RigModel | None = None) -> MemoryLink:
     clock_ppm = options.pop("clock_ppm", 0.0)
     sync_s = options.pop("sync", ())
     firmware = options.pop("firmware", None)
+    incremental = options.pop("incremental", 0)
     device = device_for(model, None if firmware is None else bool(firmware), **options)
+    if incremental:
+        device.hardware.slip, device.hardware.count = -device.hardware.count, 0
+        device.reset()
     return MemoryLink(device, url=url, clock_ppm=clock_ppm, sync_s=sync_s)
 
 
@@ -164,6 +170,7 @@ def _check(url: DeviceUrl, options: Mapping[str, Any]) -> None:
         "position_rate_default": lambda value: 50 <= value <= 50_000,
         "position_rate_maximum": lambda value: 50 <= value <= 50_000,
         "clock_ppm": lambda value: abs(value) <= CLOCK_PPM_MAXIMUM,
+        "incremental": lambda value: value in (0, 1),
         "firmware": lambda value: value in (0, 1),
         "sync": lambda times: all(0.0 < one < other < np.inf for one, other in pairwise((*times, 1e9))),
     }
@@ -172,7 +179,7 @@ def _check(url: DeviceUrl, options: Mapping[str, Any]) -> None:
             raise ConfigError(
                 f"{url.text}: {name} = {value} is out of range",
                 remedy="offset lies in 0 … 1, rates in 50 … 50000 Hz, clock_ppm in ±1000, "
-                "firmware is 0 or 1, a seed is not negative, the times of sync (s) rise from above 0",
+                "firmware and incremental are 0 or 1, a seed is not negative, the times of sync (s) rise from above 0",
             )
 
 

@@ -12,9 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import types
+from numpy.typing import NDArray
 
+from firmware_protocol.faults import Input
 from rig.realtime.groups import Float, FloatRows, Floats, Int, Ints, group, type_of
-from rig.realtime.kernel import kernel
+from rig.realtime.kernel import kernel, rule
 from rig.realtime.native import native_call
 from sim_backend.coupled_hand import want
 from sim_backend.operator import Script
@@ -25,13 +27,17 @@ from sim_backend.sensors import CURRENT_QUANTA_LIMIT, current_quanta
 # Words of struct lockstep in firmware/host/lockstep.h.
 COUNT, EDGE_AGE, MEASURED, INPUTS, CUTS, DUE, SAMPLE_INDEX, SESSION, TIME = range(9)
 BYTES, BYTE_COUNT, RECEIVED_AT, RATE_CHANGED, SWITCHED_ON = range(9, 14)
-WORDS = 14
+INDEX_EDGES, INDEX_COUNT = range(14, 16)
+TRUE_COUNT = 16  # the simulation's own: of the last sample, without what the encoder has lost
+WORDS = 17
 
 # What changes from tick to tick beside the plant's state: row of the script, unused noise, rows of truth.
 ROW, NOISE_LEFT, TRUTH_ROWS = range(3)
 PLACES = 3
 
 _PEAK = int(CURRENT_QUANTA_LIMIT)
+_U32 = 0xFFFFFFFF
+_SWITCH = int(Input.LIMIT_SWITCH)
 
 _call = native_call(2)  # half a tick: (device, words), both by address
 
@@ -59,6 +65,10 @@ class Wires(NamedTuple):
         Scales of command (N·m or N), sensor (A for one of them) and its quanta (A).
     external_effort, slip, leak
         Of `sim_backend.hardware.Hardware`.
+    index_first, index_counts
+        True count of an index, and counts to the next one; 0: there is none.
+    switch_count, switch_way
+        True count from which on the limit switch is pressed, and in which direction of counting; 0: there is none.
     """
 
     effort_quantum: Float
@@ -67,6 +77,34 @@ class Wires(NamedTuple):
     external_effort: Float
     slip: Int
     leak: Int
+    index_first: Int
+    index_counts: Int
+    switch_count: Int
+    switch_way: Int
+
+
+Words = NDArray[np.int64] | memoryview
+
+
+@rule
+def sense(words: Words, count: int, wires: Wires) -> None:
+    """Let index and limit switch see that the true count is now this one.
+
+    An index is as wide as a count, and is latched where it begins, from either side.
+    """
+    before, first, every = words[TRUE_COUNT], wires.index_first, wires.index_counts
+    words[TRUE_COUNT] = count
+    if every and count != before:
+        back = (
+            1 if count < before else 0
+        )  # from above an index begins with its own count, from below behind the last
+        place, left = (count - back - first) // every, (before - back - first) // every
+        if place != left:
+            words[INDEX_EDGES] = (words[INDEX_EDGES] + abs(place - left)) & _U32
+            words[INDEX_COUNT] = first + every * (place + back) + wires.slip
+    words[INPUTS] &= ~_SWITCH
+    if wires.switch_way and wires.switch_way * (count - wires.switch_count) >= 0:
+        words[INPUTS] |= _SWITCH
 
 
 @group
@@ -132,6 +170,7 @@ def run_ticks(
         effort = quanta * wires.effort_quantum
         count = advance(plant, effort, wires.external_effort)
         words[COUNT] = count + wires.slip
+        sense(words, count, wires)
         measured_a = state[plant.effort] * wires.ampere_per_effort
         if noisy:
             places[NOISE_LEFT] -= 1

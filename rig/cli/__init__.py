@@ -68,6 +68,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "rig.cli.check:check",
         "Send a rig a torque pulse: does it move as it is described, with nobody holding it?",
     ),
+    "reference": (
+        "rig.cli.reference:reference",
+        "Find position zero by the encoder's index and a limit switch, once after power-up.",
+    ),
     "devices": ("rig.cli.devices:devices", "List device backends and ports, or ask one device who it is."),
     "doctor": (
         "rig.cli.doctor:doctor",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from rig.experiments import identify as identifying
 from rig.experiments.identified_file import file_text
 from rig.experiments.identify import Identification, IdentifyRequest
 from rig.experiments.planned import Plan
+from rig.experiments.weigh import WeighRequest, weigh
 from rig.views.plots.identify import draw_identification
 
 
@@ -48,6 +50,14 @@ from rig.views.plots.identify import draw_identification
     show_default=True,
     help="Directory of recordings and picture.",
 )
+@click.option(
+    "--weight",
+    "mass_kg",
+    type=float,
+    metavar="KG",
+    help="Calibrate the effort instead: slow strokes without and with this mass hung on the rig.",
+)
+@click.option("--arm", "arm_m", type=float, metavar="M", help="Lever arm of the mass. [radius of the handle]")
 @options.plot_options("Draw data, fit and residual.")
 @click.option(
     "--plan", "only_plan", is_flag=True, help="List and check what would be done; touches no device."
@@ -65,6 +75,8 @@ def identify(
     seed: int,
     file_out: Path | None,
     recordings: Path,
+    mass_kg: float | None,
+    arm_m: float | None,
     plot: str,
     only_plan: bool,
     as_json: bool,
@@ -75,12 +87,31 @@ def identify(
     strokes at constant speeds, and excitation by random-phase multisines. FILE or --rig describes the rig as far as it
     is known; limits of effort, speed and window in it are kept, and checked before anything moves. Every motion is
     recorded. Keep hands off the handle.
+
+    With --weight it measures effort_per_ampere alone, by a known mass that a person hangs on the rig when told.
     """
     experiment = options.chosen_experiment(file, preset or options.preset_of(url, file))
     changes = options.changes(rate, sets)
     if file_out is not None and file_out.exists() and file_out.is_dir():
         raise ConfigError(f"{file_out} is a directory", remedy="give the name of a file, such as rig.toml")
     load_backend(url or "sim://")
+    if mass_kg is not None or arm_m is not None:
+        if mass_kg is None or only_plan or file_out is not None:
+            raise ConfigError(
+                "--weight KG with --arm M weighs; it has no --plan, and writes no file",
+                remedy="put the effort_per_ampere that it names into your file",
+            )
+        weighing = WeighRequest(
+            experiment=experiment,
+            url=url,
+            changes=changes,
+            verified=verified,
+            output=recordings,
+            mass_kg=mass_kg,
+            arm_m=arm_m,
+        )
+        _weigh(weighing, as_json)
+        return
     request = identifying.IdentifyRequest(
         experiment=experiment,
         url=url,
@@ -108,6 +139,21 @@ def identify(
         output.print_json({**plain(found), **more, "plan": plan})
         return
     _print(found, picture, written)
+
+
+def _weigh(request: WeighRequest, as_json: bool) -> None:
+    found = weigh(request, _ask)
+    if as_json:
+        output.print_json(found)
+    else:
+        output.show(found.rows())
+
+
+def _ask(text: str) -> None:
+    """Have a person do something, and wait for Enter."""
+    click.echo(f"  {text}; then press Enter", err=True)
+    if not sys.stdin.readline():
+        raise ConfigError("nobody pressed Enter: the input has ended", remedy="run it in a terminal")
 
 
 def _plan(request: IdentifyRequest) -> Plan:

@@ -101,6 +101,59 @@ def experiment_options(command: F) -> F:
     return command
 
 
+def free_rig_options(command: F) -> F:
+    """Add the options of a rig that nobody holds; the command receives the arguments of a `FreeRigRequest`."""
+    options = [
+        click.argument("file", required=False, type=click.Path(path_type=Path)),
+        click.option("--rig", "preset", metavar="NAME", help="Built-in rig, when no FILE is given."),
+        click.option(
+            "--set",
+            "sets",
+            multiple=True,
+            metavar="KEY=VALUE",
+            help="Any other key: --set rig.limits.speed=5.",
+        ),
+        click.option(
+            "--url", help="Device: serial:///dev/ttyACM0, sim://. [simulates the rig in this process]"
+        ),
+        click.option(
+            "--verified", is_flag=True, help="On a real rig: a push of the wrong sign can hurt nothing."
+        ),
+        click.option(
+            "-o",
+            "--output",
+            type=click.Path(path_type=Path),
+            default=Path("recordings"),
+            show_default=True,
+            help="Directory of the recordings.",
+        ),
+    ]
+
+    @wraps(command)
+    def called(
+        *,
+        file: Path | None,
+        preset: str | None,
+        sets: tuple[str, ...],
+        url: str | None,
+        verified: bool,
+        output: Path,
+        **others: Any,
+    ) -> Any:
+        asked = {
+            "experiment": chosen_experiment(file, preset or preset_of(url, file)),
+            "url": url,
+            "changes": changes(None, sets),
+            "verified": verified,
+            "output": output,
+        }
+        return command(asked=asked, **others)
+
+    for option in reversed(options):
+        called = option(called)
+    return called  # type: ignore[return-value]
+
+
 def compare_options(command: F) -> F:
     """Add the options of `rig hit --compare`."""
     options = [

@@ -43,6 +43,7 @@ def show(recording: Path, marks: bool, plot: Path | None, as_json: bool) -> None
     rows = [
         Row("created", header.get("created")),
         Row("device", f"{header['identity'].get('device', '?')} at {header['identity'].get('url', '?')}"),
+        Row("position zero", header["identity"].get("reference", "?")),
         Row("law ran on", _where(header)),
         Row("ended", trailer.get("reason", "not cleanly: the writer died")),
         Row("rows", len(opened.rows), note="" if opened.complete else "incomplete"),

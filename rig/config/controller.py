@@ -226,6 +226,7 @@ def prepared(
     *,
     current_quantum_a: float | None = None,
     reference_count: int = 0,
+    referenced: bool = False,
     verified: bool = False,
     law: Law | None = None,
 ) -> Run:
@@ -239,6 +240,8 @@ def prepared(
         What the device declares (A); None for the one that the experiment gives its amplifier.
     reference_count
         Count at position zero.
+    referenced
+        It follows from the encoder's index, not from where somebody put the handle.
     verified
         The polarity of motor and encoder is verified, or nothing can move.
     law
@@ -262,7 +265,10 @@ def prepared(
         current_quantum_a=quantum,
         reference_count=reference_count,
         controller=controller,
-        parameters=device_parameters(experiment, controller, current_quantum_a=quantum, verified=verified),
+        parameters={
+            **device_parameters(experiment, controller, current_quantum_a=quantum, verified=verified),
+            "reference": int(referenced),
+        },
         own_law=law is not None,
     )
 

@@ -35,6 +35,7 @@ def rig_model(described: Experiment | Rig) -> RigModel:
         amplifier=rig.amplifier,
         encoder=rig.encoder,
         simulation=rig.simulation,
+        reference=rig.reference,
         board=tuple(sorted(rig.board.items())),
     )
     if isinstance(described, Rig) or described.trial.kind != "human":

@@ -18,6 +18,9 @@ from rig.core.sample import Motion, unit_of
 
 LARGEST_CURRENT = 32767  # quanta; a command carries the current as i16
 SHORTEST_HEARTBEAT_S = 0.1  # five times `rig.loop.run.POLL_S`
+LEAST_INDEX_COUNTS = (
+    16  # between two indices: fewer, and one count is too large a share to judge where one lies
+)
 LARGEST_DISC = 10_000_000  # lines of an encoder; no disc has more
 
 
@@ -76,6 +79,54 @@ def _wrong_encoder(x: Experiment, given: str, wanted: str, other: Motion) -> Pro
         f"{parameter.expected(x.rig.motion)} ({parameter.meaning})",
         f'give {wanted} in its place, or set rig.motion = "{other}"',
     )
+
+
+def reference(x: Experiment) -> Iterator[Problem]:
+    """An index names a place of the mechanism where the travel holds one of them, or behind a limit switch."""
+    given, key, unit = x.rig.reference, "rig.reference", _unit(x, "position")
+    if not given.index:
+        if given.limit_switch != "none":
+            yield _problem(
+                x,
+                f"{key}.limit_switch",
+                'must be "none" without an index',
+                f"set {key}.index = true, or remove it",
+            )
+        return
+    counts, window = (
+        given.index_counts(x.rig.encoder),
+        x.rig.limits.position_maximum - x.rig.limits.position_minimum,
+    )
+    distance = counts * x.rig.encoder.resolution
+    if counts < LEAST_INDEX_COUNTS:
+        yield _problem(
+            x,
+            f"{key}.index_distance",
+            f"must be at least {LEAST_INDEX_COUNTS} counts, {LEAST_INDEX_COUNTS * x.rig.encoder.resolution:.3g} {unit}",
+            "give it: the encoder's data sheet has it",
+        )
+    elif given.travel is None or given.travel < window:
+        yield _problem(
+            x,
+            f"{key}.travel",
+            f"must be given with an index, and not be less than the position window, {window:.4g} {unit}",
+            "measure the way of the handle from stop to stop",
+        )
+    elif given.limit_switch == "none" and given.travel >= distance:
+        yield _problem(
+            x,
+            f"{key}.limit_switch",
+            f"must name an end: a travel of {given.travel:.4g} {unit} may hold more than one index, which come every "
+            f"{distance:.4g} {unit}, and nothing else tells which one is found",
+            "wire a limit switch at one end; or put the encoder where it turns less than once",
+        )
+    elif given.travel <= 1.25 * distance and given.limit_switch != "none":
+        yield _problem(
+            x,
+            f"{key}.travel",
+            f"must hold an index behind the switch for certain: more than {1.25 * distance:.4g} {unit}",
+            'leave the switch out: limit_switch = "none" is enough where the travel holds one index',
+        )
 
 
 def handle(x: Experiment) -> Iterator[Problem]:
@@ -385,6 +436,7 @@ RULES: tuple[Callable[[Experiment], Iterator[Problem]], ...] = (
     rates,
     slow_rate,
     encoder,
+    reference,
     handle,
     current,
     profile,

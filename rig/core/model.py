@@ -178,6 +178,49 @@ class Encoder:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class Reference:
+    """What ties position zero to the mechanism: the encoder's index, and a limit switch that tells which index it is.
+
+    An incremental encoder counts from where the handle stood at power-up. Its index comes once a turn, so that it names
+    a place only where the travel holds one of them, or behind a switch.
+    """
+
+    index: Annotated[bool, Quantity("", "the encoder has an index, and it is wired")] = False
+    position: Annotated[
+        float, Quantity("position", "of the index; with a limit switch, of the first one on the way from it")
+    ] = 0.0
+    limit_switch: Annotated[
+        Literal["none", "minimum", "maximum"],
+        Quantity(
+            "", "end of the travel at which there is one; normally closed, so that a broken wire is pressed"
+        ),
+    ] = "none"
+    travel: Annotated[
+        float | None, Gt(0), Quantity("position", "way of the handle from stop to stop; needed with an index")
+    ] = None
+    index_distance: Annotated[
+        float | None,
+        Gt(0),
+        Quantity("position", "from an index to the next; left out: one turn of a rotary encoder"),
+    ] = None
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
+
+    @property
+    def away(self) -> int:
+        """Direction of the position on the way from the switch; 0 without one."""
+        return {"none": 0, "minimum": 1, "maximum": -1}[self.limit_switch]
+
+    def index_counts(self, encoder: Encoder) -> int:
+        """Counts from an index to the next; 0 where there is none, or nobody has said how many."""
+        if not self.index:
+            return 0
+        if self.index_distance is not None:
+            return round(self.index_distance / encoder.resolution)
+        return (encoder.counts_per_revolution or 0) * encoder.decoding
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class Simulation:
     """What only the simulated rig has: where it starts, and what the far end may do."""
 
@@ -260,6 +303,7 @@ class RigModel:
     amplifier: Amplifier
     encoder: Encoder
     simulation: Simulation = field(default_factory=Simulation)
+    reference: Reference = field(default_factory=Reference)
     operator: Operator | None = None
     reach: Reach | None = None
     board: tuple[tuple[str, bool | int | float | str], ...] = ()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from firmware_protocol.dictionary import Dictionary
+from firmware_protocol.dictionary import Dictionary, SettingValue
 from rig.core.board import describe
 from rig.core.check import Check, Outcome
 from rig.core.model import RigModel
@@ -64,11 +64,19 @@ def check_rig(model: RigModel, device: Dictionary) -> Check:
 def _other_settings(model: RigModel, device: Dictionary) -> list[str]:
     """Pins and scales that the experiment names and the board was not built with; a simulated device has no board."""
     told = {info.name: info.value for info in device.settings}
+    wanted = {**{name: value for name, value in _inputs(model).items() if name in told}, **dict(model.board)}
     return [
         f"{name} of its board is {told.get(name, 'not told')} there and {value} here"
-        for name, value in model.board
+        for name, value in wanted.items()
         if told.get(name) != value
     ]
+
+
+def _inputs(model: RigModel) -> dict[str, SettingValue]:
+    """Inputs of the board that the rig's reference needs, as the Pico's settings name them."""
+    given = model.reference
+    needed = {"encoder_index": given.index, "limit_switch": given.limit_switch != "none"}
+    return {name: "wired" for name, wanted in needed.items() if wanted}
 
 
 def _agree(name: str, theirs: float, ours: float, effort_limit: float) -> bool:

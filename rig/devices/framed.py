@@ -89,6 +89,7 @@ class FramedDevice:
         self._known: dict[str, Value] = {}  # the last values that were seen active
         self.cleared_fault: FaultReport | None = None  # what an earlier run had left latched
         self.moved_as_described = False  # under the last torque pulse (`rig.experiments.pulse`)
+        self.reference_count: int | None = None  # position zero by its index (`rig.experiments.reference`)
         self._session = 0  # used last
         self._said_ns = self._heard_ns = (
             0  # host time of the last request's first frame, and of the last bytes read
@@ -377,6 +378,11 @@ class FramedDevice:
     def statistics(self) -> m.Statistics:
         """Return what the device has counted on its end of the link since it started."""
         reply: m.Statistics = self._ask(m.GetStatistics(self._next_nonce()), m.Statistics)
+        return reply
+
+    def reference(self) -> m.Reference:
+        """Return what position zero is, and what the device has seen of its encoder's index."""
+        reply: m.Reference = self._ask(m.GetReference(self._next_nonce()), m.Reference)
         return reply
 
     def states(self, seconds: float) -> list[m.State]:

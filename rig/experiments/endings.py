@@ -104,6 +104,12 @@ ENDINGS: dict[EndReason, tuple[type[RigError], str, str]] = {
         "check motor leads, amplifier, its supply and the current sensor with its sign and scale; rig.amplifier says "
         "what is expected (current_monitor = false: nothing is measured)",
     ),
+    EndReason.LIMIT_SWITCH: (
+        GuardError,
+        "the limit switch was pressed at position {position}, or its wire is broken; the effort went to zero",
+        "move the handle back into its travel; if the switch stood where none should be reached, find the reference "
+        "again (`rig reference`), else mend the wire",
+    ),
     EndReason.HOMING_FAILED: (
         GuardError,
         "the start was not reached in time; the effort went to zero",

@@ -27,6 +27,7 @@ from rig.experiments.judgement import Judgement, judge
 from rig.experiments.plan import device_checks, link_checks, plan_of
 from rig.experiments.pulse import NO_HANDS, pulse
 from rig.experiments.trial import TrialEnd, TrialRequest, prepared_on, run_trial
+from rig.experiments.zero import position_zero
 from rig.recording.data import Recording
 from rig.recording.files import free_name, plain_errors
 from rig.recording.reader import open_recording
@@ -57,7 +58,7 @@ class HitRequest:
     device
         Open device to use instead of `url`; it stays open.
     reference_count
-        Count at position zero of a real rig. None: its handle is at zero now.
+        Count at position zero of a real rig. None: see `rig.experiments.zero.position_zero`.
     arm_anyway
         Arm a wall that the link, as measured, makes dangerous (`rig.bench.doctor.gate`); it is said and recorded.
     measuring
@@ -236,7 +237,7 @@ def vetted(request: HitRequest, device: FramedDevice, experiment: Experiment) ->
         device,
         experiment,
         verified=request.verified or device.dictionary.simulated,
-        reference_count=_reference_count(request, device),
+        reference_count=_reference_count(request, device, experiment),
         law=law,
     )
     refuse(plan_of(run).checks)
@@ -298,10 +299,13 @@ def _opened(request: HitRequest) -> Iterator[tuple[FramedDevice, Experiment]]:
         yield device, experiment if as_simulated else in_effect(experiment, device, request.changes)
 
 
-def _reference_count(request: HitRequest, device: FramedDevice) -> int:
-    if device.dictionary.simulated or not request.verified:  # then nothing moves
+def _reference_count(request: HitRequest, device: FramedDevice, experiment: Experiment) -> int:
+    simulated = device.dictionary.simulated
+    if not simulated and not request.verified:  # then nothing moves
         return 0
-    return device.count() if request.reference_count is None else request.reference_count
+    if simulated or request.reference_count is None:
+        return position_zero(device, experiment)
+    return request.reference_count
 
 
 def _check_it_moves(request: HitRequest, device: FramedDevice, run: Run) -> None:

@@ -56,6 +56,7 @@ from rig.experiments.motion_run import (
 )
 from rig.experiments.plan import link_checks
 from rig.experiments.planned import Plan
+from rig.experiments.zero import position_zero
 from rig.recording.files import free_name, plain_errors
 
 Tell = Callable[[str], None]
@@ -160,7 +161,7 @@ def identify(request: IdentifyRequest, tell: Tell | None = None) -> Identificati
         output = Path(request.output)
         with plain_errors("make", output):
             output.mkdir(parents=True, exist_ok=True)
-        session = _Session(device, request)
+        session = _Session(device, base, request)
         say(f"signs: {PUSHES} small pushes, at most {most_push(base):.3g} {_unit(base, 'effort')}")
         signs = session.signs(base)
         _check_signs(signs)
@@ -206,10 +207,10 @@ def plan_of(free: Experiment, request: IdentifyRequest) -> Plan:
 class _Session:
     """Trials on an open device, and what was recorded."""
 
-    def __init__(self, device: FramedDevice, request: IdentifyRequest) -> None:
+    def __init__(self, device: FramedDevice, x: Experiment, request: IdentifyRequest) -> None:
         self._device, self._request = device, request
         self._stem = f"identify-{datetime.now():%Y%m%d-%H%M%S}"
-        self._reference = 0 if device.dictionary.simulated else device.count()
+        self._reference = position_zero(device, x)
         self.recordings: dict[str, tuple[Path, ...]] = {}
 
     def signs(self, x: Experiment) -> SignCheck:

@@ -40,6 +40,8 @@ BRAKE_S = 0.02  # time constant of the brake after a push
 
 # Strokes: half their travel as a share of the window, lengths, and most speed as a share of its limit.
 TRAVEL_SHARE, STROKES_S, STROKE_SPEED = 0.2, (0.4, 0.8, 1.6), 0.3
+WAY_SPEED, WAY_REST_S = 5.0, 0.3  # a slow way: speed that ends the run, over that of the way; rest at its end
+HANG_S, WEIGHING_SHARES = 2.0, (1.0, 0.5)  # weighing: time to let go of the load; speeds, over that of homing
 CUTOFF_SHARE = 0.2  # cut-off of the velocity filter over its rate
 FILTER_DELAY = 0.225  # of that filter: its delay times its cut-off, √2/(2π)
 SERVO_TICKS, SERVO_PHASE = 3.0, 0.5  # delay that a servo must bear besides, and phase (rad) that it may cost
@@ -140,6 +142,61 @@ def strokes_motion(x: Experiment) -> Motion:
     stiffness, damping = servo_of(x, rate)
     law = tracing(path, stiffness=stiffness, damping=damping, limit=limit, rate_hz=rate)
     return Motion(_moved(x, path[0][1], path[-1][0], rate, _homing(x, rate)), law)
+
+
+def way_motion(x: Experiment, at: float, to: float, margin: float) -> Motion:
+    """A slow way between two positions by the homing servo, at homing's speed and with no more effort than homing has.
+
+    The window is that way with a margin at both ends, whatever the description says.
+    """
+    rate, way_s = slow_rate(x), abs(to - at) / x.homing.speed
+    stiffness, damping = servo_of(x, rate)
+    effort = min(x.homing.effort, x.rig.limits.nominal_effort)
+    law = tracing([(0.0, at), (way_s, to)], stiffness=stiffness, damping=damping, limit=effort, rate_hz=rate)
+    low, high = min(at, to) - margin, max(at, to) + margin
+    changes = {
+        **_homing(x, rate),
+        "homing.effort": effort,
+        "rig.limits.effort": effort,
+        "rig.limits.speed": min(
+            x.rig.limits.speed, max(WAY_SPEED * x.homing.speed, PUSH_SPEED * push_way(x))
+        ),
+        "rig.limits.position_minimum": low,
+        "rig.limits.position_maximum": high,
+        "rig.simulation.initial_position": at,  # which must lie in the window, wherever the device now is
+        "rig.reference.travel": max(high - low, x.rig.reference.travel or 0.0),
+    }
+    return Motion(_moved(x, at, way_s + WAY_REST_S, rate, changes), law)
+
+
+def weighing_motion(x: Experiment) -> Motion:
+    """Slow strokes under a steady load, which the servo carries with as much effort as the motor gives for hours."""
+    rate, limit = slow_rate(x), min(x.rig.limits.effort, x.rig.limits.nominal_effort)
+    stiffness, damping = servo_of(x, rate)
+    path, _ = weighing_strokes(x)
+    law = tracing(path, stiffness=stiffness, damping=damping, limit=limit, rate_hz=rate)
+    hangs = (
+        limit / stiffness / x.rig.encoder.resolution
+    )  # so far below its set point the servo holds the load
+    changes = {
+        **_homing(x, rate),
+        "homing.effort": limit,
+        "homing.tolerance_counts": min(1e6, x.homing.tolerance_counts + hangs),
+    }
+    return Motion(_moved(x, path[0][1], path[-1][0], rate, changes), law)
+
+
+def weighing_strokes(x: Experiment) -> tuple[list[tuple[float, float]], list[Stroke]]:
+    """Path of slow strokes about the middle of the window, at homing's speed and at half of it, and each of them."""
+    travel = TRAVEL_SHARE * (x.rig.limits.position_maximum - x.rig.limits.position_minimum)
+    start, time_s = _middle(x) - travel, HANG_S
+    path, strokes = [(0.0, start), (time_s, start)], []
+    for speed in WEIGHING_SHARES:
+        for way in (travel, -travel):
+            begin_s, time_s = time_s, time_s + 2.0 * travel / (speed * x.homing.speed)
+            strokes.append(Stroke(begin_s, time_s, math.copysign(speed * x.homing.speed, way)))
+            path.append((time_s, _middle(x) + way))
+    return path, strokes
 
 
 def excitation_motion(x: Experiment, multisine: Multisine, inertia: float) -> Motion:

@@ -259,7 +259,7 @@ def measure_on_device(
         )
     refuse_excitations(asked)
     total, done = sum(one.excitation.realisations for one in asked), 0
-    with kept_open(device) as trials:
+    with kept_open(device, experiment) as trials:
         for one in asked:
             if agrees is not None and not agrees(one):
                 return

@@ -80,6 +80,7 @@ def run_motion(
     verified: bool,
     reference_count: int,
     extra: Mapping[str, Any],
+    leaves_switch: bool = False,
 ) -> tuple[NDArray[np.void], Path]:
     """Run a motion, and return the rows of the trial proper, without a gap, and the sealed recording.
 
@@ -95,6 +96,8 @@ def run_motion(
         As in `rig.experiments.hit.HitRequest`.
     extra
         For the recording's header.
+    leaves_switch
+        As in `rig.experiments.trial.TrialRequest`.
 
     Raises
     ------
@@ -111,7 +114,12 @@ def run_motion(
         reference_count=reference_count,
         law=motion.law,
     )
-    end = run_trial(device, TrialRequest(run=run, recording=recording, seed=x.trial.seed, extra=dict(extra)))
+    end = run_trial(
+        device,
+        TrialRequest(
+            run=run, recording=recording, seed=x.trial.seed, extra=dict(extra), leaves_switch=leaves_switch
+        ),
+    )
     assert end.sealed is not None
     return trial_rows(end.sealed), end.recording
 

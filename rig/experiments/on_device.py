@@ -19,6 +19,7 @@ from rig.core.errors import DeviceFaultError, GuardError
 from rig.devices.framed import FramedDevice
 from rig.devices.local import opened
 from rig.experiments.hit import HitRequest, Recorded, hit, left_by
+from rig.experiments.zero import position_zero
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -96,13 +97,13 @@ class Trials:
 
 
 @contextmanager
-def kept_open(where: OnDevice) -> Iterator[Trials]:
-    """Keep a real device open, with its position zero, from trial to trial."""
+def kept_open(where: OnDevice, experiment: Experiment) -> Iterator[Trials]:
+    """Keep a real device open, with its position zero in an experiment, from trial to trial."""
     if where.simulated:
         yield Trials(where, None, None)
         return
     with devices.open_device(where.url) as device:
-        yield Trials(where, device, device.count() if where.verified else 0)
+        yield Trials(where, device, position_zero(device, experiment) if where.verified else 0)
 
 
 @contextmanager
@@ -115,7 +116,7 @@ def examined(where: OnDevice, experiment: Experiment) -> Iterator[tuple[FramedDe
         seed=experiment.trial.seed,
         realtime=experiment.host.realtime,
     ) as device:
-        zero = device.count() if where.verified and not where.simulated else 0
+        zero = position_zero(device, experiment) if where.verified and not where.simulated else 0
         yield device, Trials(where, None if where.simulated else device, zero)
 
 

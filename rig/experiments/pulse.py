@@ -50,6 +50,7 @@ from rig.experiments.motion_run import (
 )
 from rig.experiments.plan import link_checks
 from rig.experiments.trial import TrialEnd
+from rig.experiments.zero import position_zero
 from rig.recording.files import free_name, plain_errors
 
 PUSHES = 4
@@ -104,7 +105,6 @@ def check_rig_moves(request: FreeRigRequest) -> Pulse:
     """Open a device, and send it a pulse. Errors as `pulse`, and those of opening it."""
     x = config.override(request.experiment, request.changes)
     with devices.open_device(request.url or "sim://", config.rig_model(still(x))) as device:
-        reference = 0 if device.dictionary.simulated else device.count()
         output = Path(request.output)
         with plain_errors("make", output):
             output.mkdir(parents=True, exist_ok=True)
@@ -113,7 +113,7 @@ def check_rig_moves(request: FreeRigRequest) -> Pulse:
             x,
             recording=free_name(output, f"{x.rig.name}-pulse"),
             verified=request.verified,
-            reference_count=reference,
+            reference_count=position_zero(device, x),
         )
 
 
@@ -145,7 +145,7 @@ def pulse(
     device.moved_as_described = False
     refuse_unverified(device, verified=verified)
     refuse([check_rig(config.rig_model(still(experiment)), device.dictionary)])
-    changes = {"controller.loop": "host", **_at_own_rate(experiment, device)}
+    changes = {"controller.loop": "host", **at_own_rate(experiment, device)}
     if experiment.trial.kind == "human":  # an end mass belongs to automated trials
         changes["rig.mechanics.end_mass"] = 0.0
     x = config.override(experiment, changes, "the torque pulse")
@@ -160,6 +160,7 @@ def pulse(
             verified=verified,
             reference_count=reference_count,
             extra={"pulse": {"pushes": PUSHES, "most_effort": most_push(x), "way": push_way(x)}},
+            leaves_switch=True,
         )
     except DeviceFaultError as error:
         ended = error
@@ -189,8 +190,8 @@ def _stalled(error: DeviceFaultError) -> tuple[NDArray[np.void], Path]:
     return trial_rows(sealed), sealed.path
 
 
-def _at_own_rate(x: Experiment, device: FramedDevice) -> dict[str, Any]:
-    """In real time the loop runs at the device's own rate: pushes need no more."""
+def at_own_rate(x: Experiment, device: FramedDevice) -> dict[str, Any]:
+    """In real time the loop runs at the device's own rate: slow motions need no more."""
     if device.link.clock.virtual:
         return {}
     rate = min(device.dictionary.position_rate_default, slow_rate(x))

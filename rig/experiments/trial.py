@@ -6,6 +6,7 @@ depends on what went wrong before it.
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -51,8 +52,12 @@ from rig.recording.seal import seal
 BLACK_BOX_ROWS = 100
 LOST_AFTER_S = 0.05  # silence that ends a run: the device has ramped down long before
 LOST_AFTER_PERIODS = 3
+BOUNCE_S = (
+    0.02  # a limit switch that is left counts as open after this: contacts bounce for some milliseconds
+)
 RING_SECONDS = 5.0
 RING_ROWS_MINIMUM = 4096
+REFERENCES = ("where the handle was put", "an index of the encoder")  # values of the parameter `reference`
 SPIN_SHARE = (
     0.6  # of a period; a thread that never sleeps is throttled by the kernel, for tens of milliseconds
 )
@@ -69,6 +74,9 @@ class TrialRequest:
     seed: int
     progress: Progress | None = None
     judge: Callable[[Recording], Judgement] | None = None
+    leaves_switch: bool = (
+        False  # it may begin at the limit switch, which ends it only when it is reached again
+    )
     sealed: bool = True  # False leaves the capture as it is, for callers that run thousands of trials
     extra: dict[str, Any] = field(default_factory=dict)
 
@@ -110,12 +118,16 @@ def prepared_on(
     reference_count: int = 0,
     law: Law | None = None,
 ) -> Run:
-    """Prepare a run for an open device; see `rig.config.controller.prepared`."""
+    """Prepare a run for an open device; see `rig.config.controller.prepared`.
+
+    A reference count that is the device's own (`rig.experiments.reference`) is said to be one.
+    """
     return controllers.prepared(
         experiment,
         current_quantum_a=device.dictionary.current_quantum_a,
         verified=verified,
         reference_count=reference_count,
+        referenced=device.reference_count == reference_count,
         law=law,
     )
 
@@ -149,7 +161,7 @@ def run_trial(device: FramedDevice, request: TrialRequest) -> TrialEnd:
             try:
                 if request.progress is not None:  # a STOP that came while the link was measured
                     request.progress(0, Phase.WAIT)
-                loop = _arm(device, run, thread, controller, ring, realtime, signals)
+                loop = _arm(device, request, thread, controller, ring, realtime, signals)
             except BaseException:
                 request.recording.unlink(missing_ok=True)  # nothing moved: no empty recording stays behind
                 raise
@@ -220,7 +232,7 @@ def _ring(device: FramedDevice, request: TrialRequest) -> Ring:
 
 def _arm(
     device: FramedDevice,
-    run: Run,
+    request: TrialRequest,
     thread: Callable[..., LoopThread],
     controller: Controller,
     ring: Ring,
@@ -228,7 +240,8 @@ def _arm(
     signals: Signals,
 ) -> LoopThread:
     """Arm the device, and make the loop that goes with where the law runs."""
-    experiment, virtual, model = run.experiment, device.link.clock.virtual, rig_model(run.experiment)
+    run, virtual = request.run, device.link.clock.virtual
+    experiment, model = run.experiment, rig_model(run.experiment)
     period_s = 1.0 / experiment.controller.position_rate
     realtime.prefault(ring.buffer)  # before arming: an armed device waits for half a second only
     settings = LoopSettings(
@@ -244,6 +257,7 @@ def _arm(
         spin_ns=0 if virtual else round(min(experiment.host.spin_s, SPIN_SHARE * period_s) * 1e9),
         wake_descriptor=signals.descriptor,
         exchange_every_ns=exchange.EVERY_NS,
+        limit_switch=_switch_rule(experiment, leaves=request.leaves_switch),
     )
     if experiment.controller.loop == "device":
         settings = _supervising(settings, experiment, run.parameters)
@@ -258,6 +272,13 @@ def _arm(
         sensor=current_sensor(model) if device.dictionary.current_measured else None,
         encoder_sign=model.encoder.sign,
     )
+
+
+def _switch_rule(experiment: Experiment, *, leaves: bool) -> int:
+    """When a pressed limit switch ends the run: `limit_switch` of `rig.loop.layout.SETTINGS`."""
+    if experiment.rig.reference.limit_switch == "none":
+        return 0
+    return 1 + math.ceil(BOUNCE_S * experiment.controller.position_rate) if leaves else 1
 
 
 def _loop_of(run: Run, link: Link) -> Callable[..., LoopThread]:
@@ -371,6 +392,7 @@ def _header(
             "device": dictionary.device,
             "firmware": dictionary.firmware,
             "simulated": dictionary.simulated,
+            "reference": REFERENCES[int(echo.values.get("reference", 0))],
             "current_quantum_a": dictionary.current_quantum_a,
             "parameters": echo.values,
             "parameters_crc": echo.crc,

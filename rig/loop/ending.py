@@ -32,6 +32,7 @@ _NONFINITE, _WINDOW, _HOMING = (int(EndReason[n]) for n in ("NONFINITE", "OUT_OF
 CONTRADICTS, RESTARTED = int(EndReason.DEVICE_CONTRADICTS), int(EndReason.DEVICE_RESTARTED)
 _ENERGY, _VIOLENT = int(EndReason.ENERGY), int(EndReason.VIOLENT)
 _ARMED, _RUNNING, _EMERGENCY = int(State.ARMED), int(State.RUNNING), int(Input.EMERGENCY_STOP)
+_SWITCH, _LIMIT_SWITCH = int(Input.LIMIT_SWITCH), int(EndReason.LIMIT_SWITCH)
 _ANEW = int(Contradiction.RESTARTED)
 _CURRENT, _FLAG_CURRENT = int(EndReason.CURRENT_DIFFERS), int(RowFlag.CURRENT_DIFFERS)
 
@@ -55,6 +56,23 @@ def ended_by_device(state: Any, progress: Any) -> int:
     if state[STATE.fault] != 0 or not armed or state[STATE.inputs] & _EMERGENCY != 0:
         return FAULT
     return int(contradicted(progress))
+
+
+@kernel(types.int64(INTS, SETTINGS_TYPE, PROGRESS_TYPE))
+def ended_at_the_switch(state: Any, settings: Any, progress: Any) -> int:
+    """Reason to end that the limit switch gives in a STATE, or 0.
+
+    It stands outside of the position window: where it is reached position zero is wrong or the guard has failed, and a
+    broken wire says the same, because nobody would notice the end any more.
+    """
+    s, p = settings[0], progress[0]
+    if state[STATE.inputs] & _SWITCH == 0:
+        p["switch_open"] += 1
+        return 0
+    if s["limit_switch"] != 0 and p["switch_open"] >= s["limit_switch"] - 1:
+        return _LIMIT_SWITCH
+    p["switch_open"] = 0
+    return 0
 
 
 @kernel(types.int64(PORT_TYPE, SETTINGS_TYPE, types.uintp))

@@ -29,6 +29,7 @@ from rig.loop.ending import (
     SILENT,
     STOPPED,
     contradicted,
+    ended_at_the_switch,
     ended_by_device,
     ended_by_law,
     told_to_end,
@@ -71,6 +72,8 @@ def _overran(settings: Any, memory: Any, progress: Any) -> bool:
 def _outcome(state: Any, settings: Any, memory: Any, progress: Any) -> int:
     """End reason that follows from this tick, 0 to continue."""
     reason = ended_by_device(state, progress)
+    if reason == 0:
+        reason = ended_at_the_switch(state, settings, progress)
     if reason == 0:
         reason = ended_by_law(memory)
     if reason == 0 and settings[0]["stop_when_late"] != 0 and _overran(settings, memory, progress):

@@ -40,6 +40,7 @@ class EndReason(IntEnum):
     CURRENT_DIFFERS = 16  # the measured current did not follow the active one
     DEVICE_CONTRADICTS = 17  # what the device says cannot be (rig.loop.contradictions)
     DEVICE_RESTARTED = 18  # the device counts its samples anew
+    LIMIT_SWITCH = 19  # the end of the travel was reached, or the switch's wire is broken
 
 
 SETTINGS = np.dtype(
@@ -55,6 +56,8 @@ SETTINGS = np.dtype(
         ("host_paced", "<i8"),  # 1: wake on the host's own grid; 0: on each sample
         ("stop_when_late", "<i8"),  # 1: a tick more than one period late ends the run
         ("spin_ns", "<i8"),  # host-paced: the last part of each wait, awake
+        # n > 0: a limit switch that was open for n - 1 samples ends the run when it is pressed; 0: there is none
+        ("limit_switch", "<i8"),
         ("wake_descriptor", "<i8"),  # where signals are written (signal.set_wakeup_fd), or -1
         ("exchange_every_ns", "<i8"),  # time between clock exchanges, or 0 for none
         ("supervise_every_ns", "<i8"),  # law on the device: time between two COMMANDs; 0: the law runs here
@@ -92,6 +95,7 @@ PROGRESS = np.dtype(
         ("sync_time", "<i8"),  # the same extended to 64 bits (device ticks); 0 for none
         ("clock_error", "<i8"),  # device's clock ahead of its sample index (device ticks)
         ("contradiction", "<i8"),  # of the device (rig.loop.contradictions), 0 for none
+        ("switch_open", "<i8"),  # samples for which the limit switch has been open
     ],
     align=True,
 )

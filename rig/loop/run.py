@@ -51,6 +51,7 @@ class LoopSettings:
     host_paced: bool = False
     stop_when_late: bool = False
     spin_ns: int = 0
+    limit_switch: int = 0
     wake_descriptor: int = -1
     exchange_every_ns: int = 0
     supervise_every_ns: int = 0

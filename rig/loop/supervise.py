@@ -42,6 +42,7 @@ from rig.loop.ending import (
     SILENT,
     STOPPED,
     contradicted,
+    ended_at_the_switch,
     ended_by_device,
     ended_by_law,
     told_to_end,
@@ -227,6 +228,8 @@ def _run_law(
             add(words, ring.LOST, elapsed - 1)
         compare_measured(buffers, controller.memory, elapsed)
         reason = ended_by_device(state, buffers.progress)
+        if reason == 0:
+            reason = ended_at_the_switch(state, settings, buffers.progress)
         if reason == 0:
             reason = ended_by_law(controller.memory)
         if reason != 0:

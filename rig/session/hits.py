@@ -31,6 +31,7 @@ from rig.experiments.judgement import THREW_OUT, THROWN_OUT
 from rig.experiments.plan import device_checks, link_checks
 from rig.experiments.pulse import Pulse, pulse
 from rig.experiments.trial import prepared_on
+from rig.experiments.zero import position_zero
 from rig.recording.data import Recording
 from rig.recording.files import free_name, plain_errors
 from rig.recording.header import host_facts
@@ -281,7 +282,7 @@ class DeviceRunner:
         if not self.simulated:
             if self._open is None:
                 self._open = self._stack.enter_context(devices.open_device(self.url or ""))
-                self._zero = 0 if self._open.dictionary.simulated else self._open.count()
+                self._zero = position_zero(self._open, experiment)
             return self._open
         x = config.with_realtime(experiment, changes)
         model = config.rig_model(x)

@@ -228,7 +228,7 @@ def _other(message: Message, name: str, chance: random.Random) -> Any:
 
 ANSWERS = [
     (cls, field.name)
-    for cls in (m.Identity, m.Ack, m.Parameters, m.Time, m.FaultLog, m.Statistics)
+    for cls in (m.Identity, m.Ack, m.Parameters, m.Time, m.FaultLog, m.Statistics, m.Reference)
     for field in fields(cls)  # type: ignore[arg-type]
 ]
 

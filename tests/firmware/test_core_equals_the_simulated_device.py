@@ -11,10 +11,10 @@ import random
 import struct
 from collections import deque
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Any
+from typing import Any, Literal
 from zlib import crc32
 
 import pytest
@@ -23,7 +23,7 @@ from hypothesis import strategies as st
 
 from firmware_protocol import messages as m
 from firmware_protocol.connection import State
-from firmware_protocol.faults import Fault
+from firmware_protocol.faults import Fault, Input
 from firmware_protocol.framing import encode_frame
 from firmware_protocol.messages import DisarmFlag, Message, Mode
 from firmware_protocol.packing import HEADER, LAYOUT_OF, LAYOUTS, data_limit
@@ -31,12 +31,22 @@ from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import PARAMETERS, block_crc, encode_block
 from firmware_protocol.transfer import set_parameters
 from firmware_protocol.wire import wire_fields
-from rig.core.model import RigModel
+from rig.core.model import Reference, RigModel
 from sim_backend.compiled_device import SAID, CompiledDevice
 from sim_backend.device import SimulatedDevice
 from sim_backend.firmware import FirmwareDevice
 from sim_backend.hardware import Hardware
-from sim_backend.lockstep import BYTE_COUNT, BYTES, COUNT, CUTS, DUE, EDGE_AGE, MEASURED, RECEIVED_AT
+from sim_backend.lockstep import (
+    BYTE_COUNT,
+    BYTES,
+    COUNT,
+    CUTS,
+    DUE,
+    EDGE_AGE,
+    INDEX_EDGES,
+    MEASURED,
+    RECEIVED_AT,
+)
 from sim_backend.safety import UNITS_PER_SECOND
 from tests.conformance.host import RUN_PARAMETERS
 from tests.conformance.rigs import linear_rig, rotary_rig, unmeasured
@@ -88,6 +98,7 @@ class ByAddress(CompiledDevice):
         if words[CUTS]:
             hardware.cut()
         hardware.advance(current)
+        hardware.sense(words)
         words[COUNT], words[MEASURED] = hardware.count, hardware.measured
         words[EDGE_AGE] = round(min(hardware.edge_age_s * UNITS_PER_SECOND, words[DUE]))
         self._call(SAMPLE)
@@ -214,6 +225,7 @@ class Pair:
         for first in (*range(0, logged + 2, 2), 254, 255, 256, 0xFFFF):
             self.send(m.GetFaultLog(self.next_nonce(), first))
         self.send(m.GetTime(self.next_nonce(), 2**64 - 1))
+        self.send(m.GetReference(self.next_nonce()))
         self.send(m.GetStatistics(self.next_nonce()))
         counted, ours = self.python.connection.statistics, self.c.core.status.counters
         assert {name: getattr(ours, name) for name in COUNTERS} == {
@@ -579,6 +591,29 @@ def test_chunks_in_any_order_fill_the_same_bytes(
         pair.send(m.SetChunk(9, offset, content[offset : min(offset + 46, length)]))
     pair.send(m.SetCommit(9))
     pair.send(m.SetCommit(10))
+
+
+@pytest.mark.parametrize("end", ["minimum", "maximum"])
+def test_index_and_limit_switch_are_seen_alike(
+    library: ctypes.CDLL, end: Literal["minimum", "maximum"]
+) -> None:
+    """While the handle swings over both, in each tick; a count that was lost is lost to the index too."""
+    away = 1.0 if end == "minimum" else -1.0
+    place = Reference(index=True, limit_switch=end, position=-0.01 * away, travel=1.0, index_distance=0.05)
+    pair = Pair(library, replace(rotary_rig(damping=0.01), reference=place))
+    pair.send(m.Identify(pair.next_nonce(), 0))
+    edges, pressed = set(), set()
+    for tick in range(160):
+        for hardware in pair.hardware:
+            hardware.external_effort = 0.1 * away * (1.0 if tick // 40 % 2 else -1.0)
+            hardware.slip = tick // 100
+        pair.tick()
+        pair.send(m.GetReference(pair.next_nonce()))
+        edges.add(int(pair.python.board.words[INDEX_EDGES]))
+        pressed.add(pair.python.inputs & Input.LIMIT_SWITCH)
+    assert pressed == {0, Input.LIMIT_SWITCH}
+    assert edges == set(range(max(edges) + 1))
+    assert max(edges) >= 3
 
 
 def test_what_comes_behind_a_question_in_one_piece_is_not_in_its_answer(library: ctypes.CDLL) -> None:

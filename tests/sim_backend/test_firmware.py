@@ -171,7 +171,7 @@ def test_the_words_are_those_of_the_header() -> None:
         if "int64_t" in line
         for name in line.split("int64_t")[1].split(";")[0].split(",")
     ]
-    assert [getattr(lockstep, name.upper()) for name in names] == list(range(lockstep.WORDS))
+    assert [getattr(lockstep, name.upper()) for name in names] == list(range(lockstep.TRUE_COUNT))
 
 
 # ---------------------------------------------------------------------- many ticks are those ticks

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.control.guard import current_quanta as command_quanta
+from sim_backend.lockstep import INDEX_COUNT, INDEX_EDGES, INPUTS, WORDS, Wires, sense
 from sim_backend.sensors import cell, current_quanta, encoder_count
 
 RESOLUTION = 2.0 * math.pi / 40_000.0
@@ -76,3 +78,29 @@ def test_the_sensor_rounds_like_the_command(current_a: float) -> None:
 )
 def test_current_at_halves_limits_and_beyond(current_a: float, quanta: int) -> None:
     assert current_quanta(current_a, 1.0) == quanta
+
+
+@given(
+    st.lists(st.integers(-60, 60), min_size=2, max_size=8),
+    st.integers(-9, 9),
+    st.integers(2, 17),
+    st.sampled_from([-1, 1]),
+)
+def test_an_index_is_latched_where_it_begins_however_far_a_tick_goes(
+    counts: list[int], first: int, every: int, way: int
+) -> None:
+    """Against the handle that passes count by count: each index cell that is entered, from either side, is one edge."""
+    wires = Wires(
+        effort_quantum=1.0, ampere_per_effort=1.0, quantum_a=1.0, external_effort=0.0, slip=100, leak=0,
+        index_first=first, index_counts=every, switch_count=5, switch_way=way,
+    )  # fmt: skip
+    words = np.zeros(WORDS, np.int64)
+    edges, last, at = 0, 0, 0
+    for count in counts:
+        while at != count:
+            at += 1 if count > at else -1
+            if (at - first) % every == 0:
+                edges, last = edges + 1, at + 100
+        sense(words, count, wires)
+        assert (words[INDEX_EDGES], words[INDEX_COUNT]) == (edges, last)
+        assert (words[INPUTS] != 0) == (way * (count - 5) >= 0)

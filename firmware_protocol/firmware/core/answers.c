@@ -113,6 +113,23 @@ static void tell_statistics(struct device *device, const uint8_t *request)
     device_send(device, &packet);
 }
 
+static void tell_reference(struct device *device, const uint8_t *request)
+{
+    struct packet packet;
+    const struct hal *hal = device->hal;
+    const struct configuration *configuration = &device->configuration;
+    const uint32_t *values = configuration->values;
+    int32_t count = 0;
+    const uint32_t edges = hal->index_edges != NULL ? hal->index_edges(hal->context, &count) : 0;
+    uint8_t *raw = connection_begin(&device->connection, &packet, HR_INDEX_REFERENCE, HR_BYTES_REFERENCE);
+    put_u16(raw + AT_NONCE, nonce_of(request));
+    raw[HR_AT_REFERENCE_ZERO] = (uint8_t)(configuration->homed ? values[HR_PARAMETER_REFERENCE] + 1u : 0u);
+    put_u32(raw + HR_AT_REFERENCE_REFERENCE_COUNT, values[HR_PARAMETER_REFERENCE_COUNT]);
+    put_u32(raw + HR_AT_REFERENCE_INDEX_EDGES, edges);
+    put_u32(raw + HR_AT_REFERENCE_INDEX_COUNT, (uint32_t)count);
+    device_send(device, &packet);
+}
+
 /* ------------------------------------------------------------------ what changes the device */
 
 static struct refusal set_begin(struct device *device, const uint8_t *raw)
@@ -392,6 +409,9 @@ static bool tell(struct device *device, const uint8_t *raw)
         return true;
     case HR_TYPE_GET_STATISTICS:
         tell_statistics(device, raw);
+        return true;
+    case HR_TYPE_GET_REFERENCE:
+        tell_reference(device, raw);
         return true;
     default:
         return false;

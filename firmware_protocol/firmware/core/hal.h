@@ -21,6 +21,10 @@ struct hal {
     uint64_t (*edge_time)(void *context);
     bool (*encoder_failed)(void *context);
 
+    /* The encoder's index: how many of its pulses have begun since power-up, modulo 2³², and the count where the last of
+     * them did; NULL: there is none. Asked for between two ticks. */
+    uint32_t (*index_edges)(void *context, int32_t *count);
+
     /* The amplifier: set-point and measurement (quanta), enable. Switched on, it starts from a set-point of zero. */
     void (*set_current)(void *context, int16_t quanta);
     int16_t (*measured_current)(void *context);

@@ -5,7 +5,7 @@
 #include <stdint.h>
 
 #define HR_MAJOR 2u
-#define HR_MINOR 0u
+#define HR_MINOR 1u
 #define HR_TIME_UNITS_PER_US 16u /* of device time */
 #define HR_HEADER_BYTES 6u
 #define HR_CRC_BYTES 4u
@@ -41,6 +41,8 @@ enum hr_type {
     HR_TYPE_GET_STATISTICS = 0x14,
     HR_TYPE_STATISTICS = 0x15,
     HR_TYPE_ENTER_BOOTLOADER = 0x16,
+    HR_TYPE_GET_REFERENCE = 0x18,
+    HR_TYPE_REFERENCE = 0x19,
     HR_TYPE_COMMAND = 0x40,
     HR_TYPE_STATE = 0x41,
     HR_TYPE_BATCH = 0x61,
@@ -65,6 +67,8 @@ enum hr_index {
     HR_INDEX_GET_STATISTICS,
     HR_INDEX_STATISTICS,
     HR_INDEX_ENTER_BOOTLOADER,
+    HR_INDEX_GET_REFERENCE,
+    HR_INDEX_REFERENCE,
     HR_INDEX_COMMAND,
     HR_INDEX_STATE,
     HR_INDEX_BATCH,
@@ -180,6 +184,16 @@ enum hr_index {
 #define HR_AT_ENTER_BOOTLOADER_NONCE 6u /* u16 */
 #define HR_BYTES_ENTER_BOOTLOADER 8u
 
+#define HR_AT_GET_REFERENCE_NONCE 6u /* u16 */
+#define HR_BYTES_GET_REFERENCE 8u
+
+#define HR_AT_REFERENCE_NONCE 6u /* u16 */
+#define HR_AT_REFERENCE_ZERO 8u /* u8 */
+#define HR_AT_REFERENCE_REFERENCE_COUNT 9u /* i32, count */
+#define HR_AT_REFERENCE_INDEX_EDGES 13u /* u32 */
+#define HR_AT_REFERENCE_INDEX_COUNT 17u /* i32, count */
+#define HR_BYTES_REFERENCE 21u
+
 #define HR_AT_COMMAND_STATE_SEQUENCE 6u /* u16 */
 #define HR_AT_COMMAND_LIFETIME_US 8u /* u32, µs */
 #define HR_AT_COMMAND_MODE 12u /* u8 */
@@ -289,6 +303,7 @@ enum hr_input {
     HR_INPUT_SYNC = 4,
     HR_INPUT_SYNC_TRIAL = 8,
     HR_INPUT_SYNC_INSIDE = 16,
+    HR_INPUT_LIMIT_SWITCH = 32,
 };
 
 enum hr_mode {
@@ -329,6 +344,7 @@ enum hr_parameter_index {
     HR_PARAMETER_SUPERVISE_LIFETIME_US,
     HR_PARAMETER_ENCODER_SIGN,
     HR_PARAMETER_CONFIRM_MS,
+    HR_PARAMETER_REFERENCE,
     HR_PARAMETER_LAW,
     HR_PARAMETER_BATCH_LAYOUT,
     HR_PARAMETER_BATCH_SAMPLES,

@@ -36,6 +36,12 @@ static bool hal_encoder_failed(void *context)
     return failed;
 }
 
+static uint32_t hal_index_edges(void *context, int32_t *count)
+{
+    *count = host_of(context)->index_count;
+    return host_of(context)->index_edges;
+}
+
 static void hal_set_current(void *context, int16_t quanta)
 {
     struct host *host = host_of(context);
@@ -136,6 +142,7 @@ void host_setup(struct host *host, const struct host_setup *setup)
         .encoder_count = hal_encoder_count,
         .edge_time = hal_edge_time,
         .encoder_failed = hal_encoder_failed,
+        .index_edges = hal_index_edges,
         .set_current = hal_set_current,
         .measured_current = hal_measured_current,
         .enable = hal_enable,
@@ -215,6 +222,12 @@ void host_fail_encoder(struct host *host)
 void host_set_sync_time(struct host *host, uint64_t time)
 {
     host->sync_time = time;
+}
+
+void host_set_index(struct host *host, uint32_t edges, int32_t count)
+{
+    host->index_edges = edges;
+    host->index_count = count;
 }
 
 void host_set_room(struct host *host, size_t bytes)

@@ -27,6 +27,8 @@ struct host {
     int16_t measured;
     uint8_t inputs;
     bool encoder_failed;
+    uint32_t index_edges;
+    int32_t index_count;
     uint32_t refused_rate; /* that the timer cannot do */
 
     /* What the device did to it. */
@@ -93,6 +95,7 @@ void host_set_clock(struct host *host, uint64_t time, uint64_t step);
 void host_set_inputs(struct host *host, uint8_t inputs);
 void host_fail_encoder(struct host *host);
 void host_set_sync_time(struct host *host, uint64_t time);
+void host_set_index(struct host *host, uint32_t edges, int32_t count);
 void host_set_room(struct host *host, size_t bytes); /* of the output: what does not fit is dropped */
 void host_refuse_rate(struct host *host, uint32_t rate);
 

@@ -16,6 +16,7 @@ int lockstep_sample(struct host *host, struct lockstep *lockstep)
     const uint64_t age = (uint64_t)lockstep->edge_age;
     host_set_world(host, time, (int32_t)lockstep->count, age < time ? time - age : 0, (int16_t)lockstep->measured,
                    (uint8_t)lockstep->inputs);
+    host_set_index(host, (uint32_t)lockstep->index_edges, (int32_t)lockstep->index_count);
     host_sample(host);
     host_tell(host);
     lockstep->cuts = host->cuts - cuts;

@@ -21,6 +21,9 @@ struct lockstep {
     /* Bytes of the host, by address, when they came (device time), and what they changed. */
     int64_t bytes, byte_count, received_at;
     int64_t rate_changed, switched_on;
+
+    /* The encoder's index, as struct hal has it. */
+    int64_t index_edges, index_count;
 };
 
 /* First half: the current for the coming tick. */

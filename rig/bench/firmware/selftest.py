@@ -300,7 +300,8 @@ def _inputs(device: FramedDevice, _request: SelfTestRequest) -> Check:
     inputs = states[-1].inputs
     stop = "pressed" if inputs & Input.EMERGENCY_STOP else "not pressed"
     held = "held" if inputs & Input.HOLD_TO_RUN else "released"
-    return ok(f"emergency stop {stop}, hold-to-run switch {held}")
+    end = ", limit switch pressed" if inputs & Input.LIMIT_SWITCH else ""
+    return ok(f"emergency stop {stop}, hold-to-run switch {held}{end}")
 
 
 def _encoder(device: FramedDevice, request: SelfTestRequest) -> Check:

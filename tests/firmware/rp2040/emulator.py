@@ -46,6 +46,8 @@ PINS = {
     "enable": 10,
     "hold_to_run": 11,
     "emergency_stop": 12,
+    "encoder_index": 20,
+    "limit_switch": 13,
     "sync_in": 4,
     "sync_out": 5,
 }

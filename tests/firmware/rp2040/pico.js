@@ -60,6 +60,8 @@ class Pico {
     this.elapsed = 0; // ns, over all resets
     this.unplugged = false; // the encoder: the pull-ups hold all lines high
     this.broken = [false, false]; // lines A and B, which the pull-ups hold high then
+    this.marks = { every: 0, pressed: null }; // counts between two indices; count up to which the limit switch is pressed
+    this.indexed = false;
     this.edges = []; // { at, way }: to come, rising
     this.contact = true; // of the dead-man switch, in the wire from enable to the converter's RESET
     this.onReset = () => {};
@@ -98,6 +100,7 @@ class Pico {
     this.watchConverter();
     this.showSwitches();
     this.showEncoder();
+    this.showMarks();
     this.born = this.elapsed;
     this.cycles = 0;
     this.clear();
@@ -207,6 +210,16 @@ class Pico {
     this.phase = (this.phase + way) & 3;
     this.truth += way;
     this.showEncoder();
+    this.showMarks();
+  }
+
+  /* The index is as wide as a count, and one of them is count zero. The switch's contact to ground opens when it is pressed. */
+  showMarks() {
+    const { every, pressed } = this.marks;
+    const indexed = every > 0 && this.truth % every === 0;
+    if (indexed !== this.indexed) this.setPin(this.pins.encoder_index, indexed);
+    this.indexed = indexed;
+    this.setPin(this.pins.limit_switch, pressed !== null && this.truth <= pressed);
   }
 
   watchPads() {

@@ -61,6 +61,12 @@ const commands = {
     pico.showEncoder();
     return {};
   },
+  /* Where index and limit switch are. */
+  marks(marks) {
+    Object.assign(pico.marks, marks);
+    pico.showMarks();
+    return {};
+  },
   set(switches) {
     Object.assign(pico.switches, switches);
     pico.showSwitches();

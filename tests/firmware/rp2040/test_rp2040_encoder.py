@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from firmware_protocol import messages as m
 from firmware_protocol.connection import State
-from firmware_protocol.faults import Fault
+from firmware_protocol.faults import Fault, Input
 from rig.bench.firmware.build import BuildResult
 from rig.config.derive import rig_model
 from rig.config.presets import load
@@ -141,3 +142,67 @@ def test_an_edge_is_dated_within_a_quarter_of_a_microsecond(powered: Powered) ->
     # The pin shows the tick some cycles before the sample is dated: the same for all.
     assert np.ptp(late_ns) < 250.0, late_ns
     assert np.all(np.abs(late_ns) < 1_000.0), late_ns
+
+
+MARKS = {"encoder_index": "wired", "limit_switch": "wired"}
+EVERY = 400  # counts between two indices
+# What PICO.md claims for the count at an index: no more counts a second than this.
+INDEX_SPEED = 20_000
+
+
+@pytest.fixture(scope="module")
+def marked(tmp_path_factory: pytest.TempPathFactory) -> BuildResult:
+    return emulator.image(rig_model(load(PRESET)), tmp_path_factory.mktemp("marked"), **MARKS)
+
+
+def test_the_count_at_an_index_is_exact_up_to_the_speed_that_is_claimed(marked: BuildResult) -> None:
+    """While the device runs its law: the index is looked for between ticks. From above it begins at the same count."""
+    with emulator.Pico(rig_model(load(PRESET)), marked.bin) as pico:
+        session = Session(pico, marked)
+        pico.ask("marks", every=EVERY)
+        session.configure_law(20_000, 2_000, **OPEN)
+        session.arm()
+        session.supervise(0.01)
+
+        def seen() -> tuple[int, int]:
+            answer = session.host.ask(m.GetReference(session.host.nonce()))
+            return answer.index_edges, answer.index_count
+
+        edges, at = seen()[0], 0
+        for way in (500, 500, -350, -450, -800, 2 * EVERY):
+            passed = [
+                count
+                for count in range(min(at, at + way), max(at, at + way) + 1)
+                if count % EVERY == 0 and count != at
+            ]
+            pico.move((way, 1e9 / INDEX_SPEED))
+            session.supervise(abs(way) / INDEX_SPEED + 0.001)
+            at += way
+            edges += len(passed)
+            assert seen() == (edges, passed[-1 if way > 0 else 0])
+        assert session.host.next_state().fault == Fault.NONE
+
+
+def test_an_index_that_is_passed_at_the_highest_speed_is_seen(marked: BuildResult) -> None:
+    """Where it began is then as late as the look is: some ten microseconds."""
+    with emulator.Pico(rig_model(load(PRESET)), marked.bin) as pico:
+        session = Session(pico, marked)
+        pico.ask("marks", every=EVERY)
+        before = session.host.ask(m.GetReference(session.host.nonce())).index_edges
+        pico.move((EVERY + EVERY // 2, NANOS))
+        session.listen(0.002)
+        answer = session.host.ask(m.GetReference(session.host.nonce()))
+        assert answer.index_edges == before + 1
+        assert EVERY <= answer.index_count <= EVERY + 60e-6 * HIGHEST_SPEED
+
+
+def test_a_limit_switch_is_shown_and_a_broken_wire_of_it_is_pressed(marked: BuildResult) -> None:
+    with emulator.Pico(rig_model(load(PRESET)), marked.bin) as pico:
+        session = Session(pico, marked)
+        session.configure(**OPEN)
+        for pressed in (-1, 0, -1):
+            pico.ask("marks", pressed=pressed)
+            session.host.states.clear()
+            session.listen(0.025)
+            shown = session.host.states[-1].inputs & Input.LIMIT_SWITCH
+            assert bool(shown) == (pressed == 0)

@@ -32,7 +32,7 @@ class Link(emulator.PicoLink):
 
 def test_the_pico_keeps_every_duty_that_can_be_seen(tmp_path: Path) -> None:
     model = rig_model(load(PRESET))
-    built = emulator.image(model, tmp_path, PORT_CHECK)
+    built = emulator.image(model, tmp_path, application=PORT_CHECK)
     with emulator.Pico(model, built.bin) as pico:
         pico.ask("loop")
         link = Link(pico)

@@ -10,7 +10,7 @@ from rig import config
 from rig.config import presets
 from rig.core.board import describe
 from rig.core.check import Outcome
-from rig.core.model import RigModel
+from rig.core.model import Reference, RigModel
 from rig.core.same_rig import FRICTION_SHARE, check_rig
 
 MODEL = config.rig_model(presets.load("koul-compliant"))
@@ -96,3 +96,24 @@ def test_pins_and_scales_that_the_experiment_names_are_those_of_the_board() -> N
     assert "enable_pin of its board is 10 there and 6 here" in other.text
     assert "full_scale of its board is not told there and 12.0 here" in other.text
     assert check_rig(model, replace(told, settings=(), simulated=True)).outcome == Outcome.OK
+
+
+def test_a_board_without_the_index_or_the_switch_that_the_rig_counts_on_is_another_rigs() -> None:
+    model = replace(MODEL, reference=Reference(index=True, limit_switch="minimum", travel=1.0))
+    bare = describe(
+        MODEL,
+        firmware="1",
+        simulated=False,
+        rate_default=1_000,
+        rate_maximum=50_000,
+        settings={"encoder_index": "none", "limit_switch": "none"},
+    )
+    refused = check_rig(model, bare)
+    assert refused.outcome == Outcome.REFUSED
+    assert "encoder_index of its board is none there and wired here" in refused.text
+    assert "limit_switch of its board is none there and wired here" in refused.text
+    wired = replace(bare, settings=tuple(SettingInfo(info.name, "wired") for info in bare.settings))
+    assert check_rig(model, wired).outcome == Outcome.OK
+    assert (
+        check_rig(model, replace(bare, settings=())).outcome == Outcome.OK
+    )  # a board that tells no such setting

@@ -146,6 +146,9 @@ void encoder_start(void)
     start_stamps(DMA_EDGE, MACHINE_GUARD, &edge);
     start_stamps(DMA_SYNC, MACHINE_SYNC, &sync);
     PIO_CONTROL = 0xFu;
+#if defined(BOARD_ENCODER_INDEX_WIRED)
+    GPIO_EVENTS(BOARD_ENCODER_INDEX_PIN) = GPIO_ROSE(BOARD_ENCODER_INDEX_PIN); /* what its pad's start looked like */
+#endif
 }
 
 int32_t encoder_count(void)
@@ -189,6 +192,30 @@ bool encoder_failed(void)
     PIO_FLAGS = raised;
     return raised != 0 || wire_is_broken();
 }
+
+#if defined(BOARD_ENCODER_INDEX_WIRED)
+static struct {
+    uint32_t edges;
+    int32_t count;
+} index_seen;
+
+/* The pin remembers a rise until it is told to forget it, so that none is too short to be seen. */
+void encoder_look_for_index(void)
+{
+    const uint32_t rose = GPIO_ROSE(BOARD_ENCODER_INDEX_PIN);
+    if (!(GPIO_EVENTS(BOARD_ENCODER_INDEX_PIN) & rose))
+        return;
+    GPIO_EVENTS(BOARD_ENCODER_INDEX_PIN) = rose;
+    index_seen.count = encoder_count();
+    index_seen.edges++;
+}
+
+uint32_t encoder_index_edges(int32_t *count)
+{
+    *count = index_seen.count;
+    return index_seen.edges;
+}
+#endif
 
 /* A stamp means what it says for an hour; so it is turned into device time when it is new. */
 static uint64_t time_of_last(struct watched *watched)

@@ -43,6 +43,14 @@ static bool hal_encoder_failed(void *context)
     return encoder_failed();
 }
 
+#if defined(BOARD_ENCODER_INDEX_WIRED)
+static uint32_t hal_index_edges(void *context, int32_t *count)
+{
+    (void)context;
+    return encoder_index_edges(count);
+}
+#endif
+
 static void hal_set_current(void *context, int16_t quanta)
 {
     (void)context;
@@ -116,6 +124,9 @@ static const struct hal hal = {
     .encoder_count = hal_encoder_count,
     .edge_time = hal_edge_time,
     .encoder_failed = hal_encoder_failed,
+#if defined(BOARD_ENCODER_INDEX_WIRED)
+    .index_edges = hal_index_edges,
+#endif
     .set_current = hal_set_current,
     .measured_current = hal_measured_current,
     .enable = hal_enable,
@@ -159,6 +170,9 @@ static void converse(void)
     if (*unpolled == 0 && tick_cycles_left() < POLL_CYCLES)
         return;
     mask();
+#if defined(BOARD_ENCODER_INDEX_WIRED)
+    encoder_look_for_index();
+#endif
     time_look();
     device_poll(&device);
     link_pump();

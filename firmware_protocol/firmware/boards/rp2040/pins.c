@@ -44,6 +44,12 @@ void pins_start(void)
     input(BOARD_HOLD_TO_RUN_PIN, PAD_PULL_UP);
     input(BOARD_EMERGENCY_STOP_PIN, PAD_PULL_UP);
     input(BOARD_SYNC_IN_PIN, PAD_PULL_DOWN);
+#if defined(BOARD_ENCODER_INDEX_WIRED)
+    input(BOARD_ENCODER_INDEX_PIN, PAD_PULL_UP);
+#endif
+#if defined(BOARD_LIMIT_SWITCH_WIRED)
+    input(BOARD_LIMIT_SWITCH_PIN, PAD_PULL_UP);
+#endif
     for (uint32_t i = 0; i < 3u; i++)
         pin_output(BOARD_SYNC_OUT_PIN + i);
 }
@@ -58,6 +64,10 @@ uint8_t pins_inputs(void)
         bits |= HR_INPUT_EMERGENCY_STOP;
     if (levels & 1u << BOARD_SYNC_IN_PIN)
         bits |= HR_INPUT_SYNC;
+#if defined(BOARD_LIMIT_SWITCH_WIRED)
+    if (levels & 1u << BOARD_LIMIT_SWITCH_PIN)
+        bits |= HR_INPUT_LIMIT_SWITCH;
+#endif
     return (uint8_t)bits;
 }
 

@@ -8,7 +8,7 @@
 /* Inputs of switches, encoder and sync; outputs of sync. Everything else stays as reset left it: pulled down. */
 void pins_start(void);
 
-/* Bits of enum hr_input. A wire that has come off says "stop" and "not held". */
+/* Bits of enum hr_input. A wire that has come off says "stop", "not held" and "end of the travel". */
 uint8_t pins_inputs(void);
 
 /* Show bits of enum hr_sync. */

@@ -78,6 +78,8 @@
 
 /* 2.19.6 GPIO */
 #define GPIO_CONTROL(pin) REGISTER(0x40014004u + 8u * (pin))
+#define GPIO_EVENTS(pin) REGISTER(0x400140F0u + 4u * ((pin) / 8u)) /* also without an interrupt; write one to clear */
+#define GPIO_ROSE(pin) (8u << 4u * ((pin) % 8u))
 #define GPIO_UART 2u
 #define GPIO_PWM 4u
 #define GPIO_SIO 5u

@@ -1,0 +1,34 @@
+"""``rig reference``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from rig.cli import options
+from rig.cli.output import print_json, show
+from rig.devices import load_backend
+from rig.experiments.reference import ReferenceRequest, find_reference
+
+
+@click.command()
+@options.free_rig_options
+@click.option("--by-hand", is_flag=True, help="Somebody moves the handle; the motor stays off.")
+@options.json_option
+def reference(asked: dict[str, Any], by_hand: bool, as_json: bool) -> None:
+    """Find position zero by the encoder's index, which rig.reference of FILE describes.
+
+    After a torque pulse the handle moves to the limit switch, at the speed and with the effort of [homing], and back
+    over two indices. The first one is rig.reference.position from then on, until the device restarts or loses counts:
+    walls stand at the same place of the mechanism every day, and each recording names the reference. Ends with 12 when
+    the switch, an index or the distance between two is not as described; with 10 or 7 when a limit ended a motion.
+    """
+    load_backend(asked["url"] or "sim://")
+    found = find_reference(
+        ReferenceRequest(**asked, by_hand=by_hand), lambda text: click.echo(text, err=True)
+    )
+    if as_json:
+        print_json(found)
+    else:
+        show(found.rows())

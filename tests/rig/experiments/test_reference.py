@@ -1,0 +1,327 @@
+"""The reference: position zero is found in the mechanism wherever the handle was, or it is said why not, at rest."""
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import sim_backend.configuration
+from firmware_protocol.faults import Fault, Input
+from rig import config, devices
+from rig.analysis.identification.quality import IdentificationError
+from rig.cli import run
+from rig.config import Experiment, presets
+from rig.core.errors import ConfigError, DeviceFaultError, DeviceRefusedError, GuardError, RigError
+from rig.devices.framed import FramedDevice
+from rig.experiments.hit import HitRequest, hit
+from rig.experiments.identify_motions import still
+from rig.experiments.reference import FoundReference, reference
+from rig.experiments.zero import position_zero
+from rig.recording.reader import open_recording
+from sim_backend.hardware import Hardware
+from sim_backend.plant import COULOMB
+
+FAST = {"controller.position_rate": 2000, "controller.velocity_rate": 2000, "homing.speed": 0.5}
+MARKED = config.override(
+    presets.load("koul-rigid"),
+    {
+        **FAST,
+        "rig.reference.index": True,
+        "rig.reference.limit_switch": "minimum",
+        "rig.reference.position": -0.3,
+        "rig.reference.travel": 1.6,
+    },
+)
+EVERY = 4000  # counts of a turn of its encoder, 0.63 rad of the link
+
+
+@contextmanager
+def powered_up(x: Experiment, at: float = 0.1, **options: Any) -> Iterator[FramedDevice]:
+    named = "&".join(f"{key}={value}" for key, value in {"initial_position": at, **options}.items())
+    with devices.open_device(f"sim://?incremental=1&{named}", config.rig_model(still(x))) as device:
+        yield device
+
+
+def hardware_of(device: FramedDevice) -> Hardware:
+    hardware: Hardware = device.link.device.hardware  # type: ignore[attr-defined]
+    return hardware
+
+
+def find(device: FramedDevice, x: Experiment, output: Path, **changes: Any) -> FoundReference:
+    return reference(device, x, output=output, verified=False, **changes)
+
+
+def last_effort(recording: Path) -> float:
+    return float(open_recording(recording).rows["effort_sent"][-1])
+
+
+@pytest.mark.parametrize(
+    ("end", "position", "sign", "at", "firmware"),
+    [("minimum", -0.3, 1, 0.1, 1), ("maximum", 0.35, 1, -0.2, 0), ("minimum", -0.3, -1, 0.3, 1)],
+)
+def test_zero_is_at_the_same_place_wherever_the_handle_was_at_power_up(
+    end: str, position: float, sign: int, at: float, firmware: int, tmp_path: Path
+) -> None:
+    """By the readable device and by the firmware: count zero of the truth is the reference count, to the count."""
+    changes = {"limit_switch": end, "position": position}
+    x = config.override(
+        MARKED, {"rig.encoder.sign": sign, **{f"rig.reference.{name}": one for name, one in changes.items()}}
+    )
+    with powered_up(x, at, firmware=firmware) as device:
+        assert device.count() == 0
+        found = find(device, x, tmp_path)
+        assert found.reference_count == hardware_of(device).slip
+        assert found.index_counts == EVERY
+        assert found.switch_position is not None
+        # The simulated switch stands half of the way between two indices before the index.
+        away = 1.0 if end == "minimum" else -1.0
+        resolution = x.rig.encoder.resolution
+        assert away * (position - found.switch_position) == pytest.approx(
+            0.5 * EVERY * resolution, abs=3 * resolution
+        )
+        limits = x.rig.limits
+        assert limits.position_minimum < found.position < limits.position_maximum
+        assert all(last_effort(path) == 0.0 for path in found.recordings)
+
+
+def test_a_run_behind_it_has_its_wall_in_the_mechanism_and_names_the_reference(tmp_path: Path) -> None:
+    with powered_up(MARKED) as device:
+        find(device, MARKED, tmp_path)
+        (result,) = hit(HitRequest(experiment=MARKED, device=device, output=tmp_path))
+        recording = result.recorded.recording
+        assert recording.header["identity"]["reference"] == "an index of the encoder"
+        assert recording.header["identity"]["parameters"]["reference"] == 1
+        rows = recording.rows
+        resolution = MARKED.rig.encoder.resolution
+        assert np.abs(rows["position"] - rows["position_true"]).max() < 1.5 * resolution
+        plain = config.override(MARKED, {"rig.reference.index": False, "rig.reference.limit_switch": "none"})
+        (other,) = hit(HitRequest(experiment=plain, device=device, output=tmp_path))
+        assert other.recorded.recording.header["identity"]["reference"] == "where the handle was put"
+
+
+def test_a_new_host_takes_the_reference_from_the_device_until_it_is_lost(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    described = sim_backend.configuration.board.describe
+    monkeypatch.setattr(
+        sim_backend.configuration.board,
+        "describe",
+        lambda *args, **named: described(*args, **{**named, "simulated": False}),
+    )
+    with powered_up(MARKED) as device:
+        with pytest.raises(DeviceRefusedError, match="does not know where it is") as refused:
+            position_zero(device, MARKED)
+        assert "rig reference" in refused.value.remedy
+        found = reference(device, MARKED, output=tmp_path, verified=True)
+        assert position_zero(FramedDevice(device.link), MARKED) == found.reference_count
+        device.link.device.inject_fault(Fault.ENCODER)  # type: ignore[attr-defined]
+        other = FramedDevice(device.link)
+        other.configure({})  # clears the fault
+        with pytest.raises(DeviceRefusedError, match="does not know where it is"):
+            position_zero(other, MARKED)
+
+
+def test_a_real_rig_whose_polarity_nobody_vouches_for_does_not_search(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    described = sim_backend.configuration.board.describe
+    monkeypatch.setattr(
+        sim_backend.configuration.board,
+        "describe",
+        lambda *args, **named: described(*args, **{**named, "simulated": False}),
+    )
+    with powered_up(MARKED) as device:
+        before = hardware_of(device).count
+        with pytest.raises(ConfigError, match="polarity"):
+            reference(device, MARKED, output=tmp_path, verified=False)
+        assert hardware_of(device).count == before
+
+
+def test_swapped_motor_leads_end_it_before_the_search(tmp_path: Path) -> None:
+    with powered_up(MARKED) as device:
+        hardware_of(device).drive = hardware_of(device).gain = -1.0
+        with pytest.raises(IdentificationError, match="direction"):
+            find(device, MARKED, tmp_path)
+        (pulse,) = tmp_path.glob("*.parquet")
+        assert last_effort(pulse) == 0.0
+        assert abs(hardware_of(device).count) < 0.1 * EVERY
+
+
+BROKEN = {
+    "no switch": ({"switch_way": 0}, "no limit switch within"),
+    "a broken wire of the switch": ({"switch_count": 10**9}, "stays pressed"),
+    "no index": ({"index_counts": 0}, "no index came"),
+    "noise on the index": ({"index_counts": EVERY // 4}, "indices came where one must be"),
+    "a lost count": ({"index_counts": EVERY - 40}, f"{EVERY - 40} counts, and {EVERY} are described"),
+    "a switch beside the index": (
+        {"switch_count": -int(0.31 / (2 * np.pi / 40000))},
+        "from the limit switch",
+    ),
+}
+
+
+@pytest.mark.parametrize("what", BROKEN)
+def test_what_is_wrong_with_switch_or_index_is_said_at_rest(what: str, tmp_path: Path) -> None:
+    marks, said = BROKEN[what]
+    with powered_up(MARKED) as device:
+        hardware_of(device).marks |= marks
+        with pytest.raises(IdentificationError, match=said) as error:
+            find(device, MARKED, tmp_path)
+        assert error.value.remedy
+        assert device.reference_count is None
+        assert device.active_parameters()["reference"] == 0
+        assert all(last_effort(path) == 0.0 for path in tmp_path.glob("*.parquet"))
+
+
+def test_a_handle_that_somebody_pushes_in_the_search_ends_it_by_its_speed(tmp_path: Path) -> None:
+    with powered_up(MARKED) as device:
+
+        def push(text: str) -> None:
+            hardware_of(device).external_effort = -0.5 if "limit switch" in text else 0.0
+
+        with pytest.raises(RigError, match=r"speed|window"):
+            find(device, MARKED, tmp_path, tell=push)
+        (search,) = tmp_path.glob("*switch*.parquet")
+        assert last_effort(search) == 0.0
+
+
+def test_a_handle_that_is_held_in_the_search_is_let_go_at_once(tmp_path: Path) -> None:
+    """As by a brake that bears more than the servo gives: no edge comes, and the device ends it."""
+    with powered_up(MARKED) as device:
+        device.configure(
+            {"position_rate": 2000}
+        )  # as the search will: the plant of these ticks, shared by all tests
+        parameters = hardware_of(device)._plant.parameters
+
+        def hold(text: str) -> None:
+            if "limit switch" in text:
+                parameters[COULOMB] = 2.0 * MARKED.homing.effort
+
+        try:
+            with pytest.raises(DeviceFaultError, match="no encoder edge") as error:
+                find(device, MARKED, tmp_path, tell=hold)
+        finally:
+            parameters[COULOMB] = MARKED.rig.mechanics.motor_coulomb
+        assert "a stop before the switch or a hand" in error.value.remedy
+        (search,) = tmp_path.glob("*switch*.parquet")
+        rows = open_recording(search).rows
+        assert rows["effort_sent"][-1] == 0.0
+        assert abs(rows["effort_sent"]).max() <= MARKED.homing.effort * (1.0 + 1e-9)
+
+
+@pytest.mark.parametrize(("at", "rows"), [(-0.005, range(2, 10**6)), (1.0, range(1, 2))])
+def test_the_switch_ends_a_run_when_it_is_reached_and_when_its_wire_is_broken(
+    at: float, rows: range, tmp_path: Path
+) -> None:
+    """It stands within the window here, which it must not; at 1 rad it is pressed from the first sample on."""
+    with devices.open_device("sim://", config.rig_model(MARKED)) as device:
+        hardware_of(device).marks |= {"switch_count": round(at / MARKED.rig.encoder.resolution)}
+        with pytest.raises(GuardError, match="limit switch") as error:
+            list(hit(HitRequest(experiment=MARKED, device=device, output=tmp_path)))
+        seen = open_recording(error.value.recording).rows  # type: ignore[attr-defined]
+        assert len(seen) in rows
+        pressed = (seen["inputs"] & int(Input.LIMIT_SWITCH)) != 0
+        assert pressed[-1]
+        assert not pressed[:-1].any()
+        assert seen["effort_sent"][-1] == 0.0
+
+
+def test_the_switch_ends_a_law_on_the_device_too(tmp_path: Path) -> None:
+    """By the host, which sees a STATE every 5 ms: some ticks later than where the law runs on the host."""
+    law = {
+        "controller.loop": "device",
+        "controller.estimator": "fdm-butterworth-fixed",
+        "controller.parameters.cutoff_hz": 200.0,
+    }
+    x = config.override(MARKED, law)
+    with devices.open_device("sim://?firmware=1", config.rig_model(x)) as device:
+        hardware_of(device).marks |= {"switch_count": round(-0.005 / x.rig.encoder.resolution)}
+        with pytest.raises(GuardError, match="limit switch") as error:
+            list(hit(HitRequest(experiment=x, device=device, output=tmp_path)))
+        seen = open_recording(error.value.recording).rows  # type: ignore[attr-defined]
+        pressed = (seen["inputs"] & int(Input.LIMIT_SWITCH)) != 0
+        assert pressed[-1]
+        assert not pressed[:-1].any()
+        assert seen["effort_sent"][-1] == 0.0
+
+
+class Hand:
+    """Moves the handle of a device that is looked at, turning back at the switch: a push over viscous damping."""
+
+    def __init__(self, device: FramedDevice, effort: float) -> None:
+        self._hardware, self._states = hardware_of(device), device.states
+        self._hardware.external_effort = effort
+        device.states = self.states  # type: ignore[method-assign]
+
+    def states(self, seconds: float) -> Any:
+        found = self._states(seconds)
+        if found and found[-1].inputs & Input.LIMIT_SWITCH:
+            self._hardware.external_effort = abs(self._hardware.external_effort)
+        return found
+
+
+HEAVY = config.override(MARKED, {"rig.mechanics.motor_damping": 0.5})
+
+
+def test_by_hand_it_finds_the_same_zero_with_the_motor_off(tmp_path: Path) -> None:
+    with powered_up(HEAVY) as device:
+        Hand(device, -0.5)
+        found = find(device, HEAVY, tmp_path, by_hand=True)
+        assert found.reference_count == hardware_of(device).slip
+        assert found.index_counts == EVERY
+        assert found.recordings == ()
+        assert device.active_parameters()["reference"] == 1
+
+
+def test_an_index_alone_is_enough_where_the_travel_holds_one(tmp_path: Path) -> None:
+    alone = {"limit_switch": "none", "travel": 0.6, "position": 0.2}
+    x = config.override(
+        HEAVY,
+        {
+            **{f"rig.reference.{name}": one for name, one in alone.items()},
+            "rig.limits.position_minimum": -0.3,
+            "rig.limits.position_maximum": 0.3,
+        },
+    )
+    with powered_up(x) as device:
+        with pytest.raises(ConfigError, match="no limit switch to move to"):
+            find(device, x, tmp_path)
+        Hand(device, 0.3)
+        assert find(device, x, tmp_path, by_hand=True).reference_count == hardware_of(device).slip
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "said"),
+    [
+        ("limit_switch", "none", "may hold more than one index"),
+        ("index", False, 'must be "none" without an index'),
+        ("travel", 0.7, "must hold an index behind the switch for certain"),
+        ("travel", 0.5, "not be less than the position window"),
+        ("index_distance", 1e-4, "must be at least 16 counts"),
+    ],
+)
+def test_what_a_description_cannot_mean_is_refused_by_name(key: str, value: Any, said: str) -> None:
+    narrow = {"rig.limits.position_minimum": -0.3, "rig.limits.position_maximum": 0.3}
+    with pytest.raises(ConfigError, match=said):
+        config.override(MARKED, {**narrow, f"rig.reference.{key}": value})
+
+
+def test_the_command_tells_it_to_machines_and_names_what_is_missing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "rig.toml"
+    path.write_text(
+        'preset = "koul-rigid"\n[rig.reference]\n'
+        'index = true\nlimit_switch = "minimum"\nposition = -0.3\ntravel = 1.1\n'
+    )
+    asked = ["reference", "--url", "sim://?incremental=1", "-o", str(tmp_path), "--set", "homing.speed=0.5"]
+    assert run([*asked[:1], str(path), *asked[1:], "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["reference_count"] == 0
+    assert told["index_counts"] is None
+    assert run(["reference", "--rig", "koul-rigid"]) == 2
+    assert "rig.reference.index" in capsys.readouterr().err

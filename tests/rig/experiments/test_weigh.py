@@ -1,0 +1,138 @@
+"""Weighing: the effort of an ampere by a known mass equals the truth, whatever the friction, or it is refused."""
+
+import io
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rig import config, devices
+from rig.analysis.identification.quality import IdentificationError
+from rig.cli import run
+from rig.config import presets
+from rig.core.errors import ConfigError, PlanError
+from rig.devices.framed import FramedDevice
+from rig.experiments.weigh import STANDARD_GRAVITY, Weighing, WeighRequest, weigh
+from rig.recording.reader import open_recording
+
+RIGID = config.override(
+    presets.load("koul-rigid"),
+    {"controller.position_rate": 2000, "controller.velocity_rate": 2000, "homing.speed": 0.5},
+)
+MASS, ARM = 0.1, 0.08
+WEIGHT = MASS * ARM * STANDARD_GRAVITY
+
+
+def nobody(text: str) -> None:
+    pytest.fail(f"a simulated rig asks nobody: {text}")
+
+
+def weighed(output: Path, **changes: Any) -> Weighing:
+    wanted: dict[str, Any] = {"experiment": RIGID, "mass_kg": MASS, "arm_m": ARM, **changes}
+    return weigh(WeighRequest(output=output, **wanted), nobody)
+
+
+def disturbed(monkeypatch: pytest.MonkeyPatch, disturb: Callable[[FramedDevice], None]) -> None:
+    opened = devices.open_device
+
+    def open_device(*args: Any, **named: Any) -> FramedDevice:
+        device = opened(*args, **named)
+        disturb(device)
+        return device
+
+    monkeypatch.setattr(devices, "open_device", open_device)
+
+
+def test_a_described_rig_agrees_with_its_weight(tmp_path: Path) -> None:
+    found = weighed(tmp_path)
+    assert found.weight == pytest.approx(WEIGHT)
+    assert found.measured.holds(WEIGHT)
+    assert found.agrees
+    assert found.bare.coulomb.value == pytest.approx(RIGID.rig.mechanics.motor_coulomb, rel=0.01)
+    assert [open_recording(path).rows["effort_sent"][-1] for path in found.recordings] == [0.0, 0.0]
+
+
+@pytest.mark.parametrize("true", [0.9, 1.15])
+def test_a_wrong_constant_is_measured_beside_a_bent_cable(
+    true: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The motor gives `true` times the described effort for each ampere, and a steady effort acts besides."""
+
+    def disturb(device: FramedDevice) -> None:
+        hardware = device.link.device.hardware  # type: ignore[attr-defined]
+        hardware.drive, hardware.gain, hardware.external_effort = true, 1.0 / true, 0.015
+
+    disturbed(monkeypatch, disturb)
+    found = weighed(tmp_path)
+    assert found.effort_per_ampere.value == pytest.approx(true * found.described, rel=2e-3)
+    assert not found.agrees
+    assert abs(found.bare.bias.value) == pytest.approx(0.015 / true, rel=0.02)
+
+
+def test_a_person_hangs_the_mass_between_two_runs_of_one_device(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened = devices.open_device
+    held: list[FramedDevice] = []
+    asked: list[str] = []
+
+    def open_device(url: str, *args: Any) -> FramedDevice:
+        held.append(opened("sim://", *args))
+        return held[-1]
+
+    def hang(text: str) -> None:
+        asked.append(text)
+        held[0].link.device.hardware.external_effort = -WEIGHT  # type: ignore[attr-defined]
+
+    monkeypatch.setattr(devices, "open_device", open_device)
+    request = WeighRequest(experiment=RIGID, url="usb://1209:0001", output=tmp_path, mass_kg=MASS, arm_m=ARM)
+    assert weigh(request, hang).agrees
+    assert len(held) == 1
+    (text,) = asked
+    assert "hang 0.1 kg on it at 0.08 m" in text
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"mass_kg": 0.5}, "rig.limits.nominal_effort"),
+        ({"mass_kg": 0.31}, "a fifth of rig.limits.effort"),
+        ({"mass_kg": 0.0}, "the mass is 0"),
+        ({"arm_m": -1.0}, "the arm is -1"),
+    ],
+)
+def test_a_load_that_the_motor_does_not_bear_is_refused(
+    changes: dict[str, Any], said: str, tmp_path: Path
+) -> None:
+    with pytest.raises((PlanError, ConfigError), match=said):
+        weighed(tmp_path, **changes)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_weight_that_friction_hides_is_no_calibration(tmp_path: Path) -> None:
+    with pytest.raises(IdentificationError, match="lost in the friction"):
+        weighed(tmp_path, mass_kg=1e-6)
+
+
+def test_the_command_names_the_key_and_tells_it_to_machines(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = ["identify", "--rig", "koul-rigid", "--rate", "2k", "--set", "homing.speed=0.5"]
+    weight = ["--weight", "0.1", "--recordings", str(tmp_path)]
+    assert run([*asked, *weight, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["agrees"] is True
+    assert told["arm_m"] == 0.1
+    assert told["effort_per_ampere"]["value"] == pytest.approx(0.234, rel=1e-3)
+    assert run([*asked, *weight]) == 0
+    assert "rig.amplifier.effort_per_ampere" in capsys.readouterr().out
+    assert run([*asked, "--arm", "0.1"]) == 2
+    assert run([*asked, *weight, "--plan"]) == 2
+    capsys.readouterr()
+    monkeypatch.setattr("sys.stdin", io.StringIO(""))
+    from rig.cli.identify import _ask  # noqa: PLC0415
+
+    with pytest.raises(ConfigError, match="nobody pressed Enter"):
+        _ask("hang it")
