@@ -123,6 +123,7 @@ def test_the_scope_pauses_zooms_triggers_and_saves(console_page: Any) -> None:
 
 
 def stop_by_mouse(page: Any, console: Any) -> None:
+    page.mouse.up()
     page.get_by_role("button", name="STOP").click()
 
 
