@@ -21,6 +21,7 @@ from rig.core.quantity import STRICT
 Name = Annotated[str, MaxLen(4096)]
 Scalar = float | int | bool | str
 Changes = Annotated[dict[Annotated[str, MaxLen(200)], Scalar], MaxLen(200)]
+RESERVED = ("wall.law",)  # a page chooses no program
 MOST_BYTES = 1 << 16  # of a message
 
 
@@ -154,6 +155,13 @@ def request_of(text: str | bytes, kinds: Mapping[str, type[Request]]) -> Request
         where = ".".join(str(part) for part in first["loc"])
         raise ConfigError(f"{do}: {where}: {first['msg']}", remedy="correct it") from None
     return found
+
+
+def refuse_reserved(changes: Mapping[str, Any]) -> None:
+    """Raise `ConfigError` for a key that no page may change."""
+    for key in RESERVED:
+        if key in changes:
+            raise ConfigError(f"{key} is not changed from a page", remedy="name a file that says it")
 
 
 def json_of(text: str | bytes) -> dict[str, Any]:

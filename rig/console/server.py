@@ -32,7 +32,9 @@ from rig.console.client import Client
 from rig.console.jobs import Job, Jobs
 from rig.console.lease import Lease
 from rig.console.live import Live
-from rig.console.service import Download, Service, Shared
+from rig.console.maps import Maps
+from rig.console.recordings import Recordings
+from rig.console.service import LATER, Download, Service, Shared
 from rig.console.terminal import Terminal
 from rig.core.errors import RigError
 from rig.core.sample import COLUMNS, unit_of
@@ -43,10 +45,10 @@ STATE_S = 0.1
 SEARCH_S = 0.25
 GREETING_S = 5.0  # in which a socket shows the token
 MOST_CLIENTS = 16
+DOWNLOAD_S = 600.0  # a download is part of a connection's opening, and may have to be computed
 TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
 SOCKETS = ("/live", "/hold")
 UTF8 = "; charset=utf-8"
-RESERVED = ("wall.law",)  # a page chooses no program
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -83,7 +85,7 @@ class Console:
     def __init__(self, settings: Settings, hand: SharedHand, terminal: Terminal) -> None:
         self._shared = Shared(set(), Lease(), Jobs(self._job_says), settings.output)
         self.live = Live(self._shared, hand, terminal, verified=settings.verified, own=settings.own)
-        self.services: tuple[Service, ...] = (self.live,)
+        self.services: tuple[Service, ...] = (self.live, Maps(self._shared), Recordings(self._shared))
         self._handlers = {do: found for service in self.services for do, found in service.handlers().items()}
         self._kinds = {do: kind for do, (kind, _) in self._handlers.items()}
 
@@ -155,7 +157,7 @@ class Console:
         except RigError as error:
             client.reply(number, error=error)
         else:
-            if number:
+            if number and result is not LATER:
                 client.reply(number, result)
 
     def _job_says(self, job: Job, message: Mapping[str, Any]) -> None:
@@ -180,6 +182,7 @@ class Console:
         await self._shared.jobs.close()
         for service in self.services:
             await service.close()
+        await self._shared.errands.close()
 
 
 def _facts() -> dict[str, Any]:
@@ -222,6 +225,7 @@ async def run(settings: Settings, terminal: Terminal) -> None:
                 max_size=asked.MOST_BYTES,
                 compression=None,
                 server_header=None,
+                open_timeout=DOWNLOAD_S,
                 ping_interval=5.0,
                 ping_timeout=10.0,
                 max_queue=64,

@@ -3,6 +3,8 @@
 import { make, written } from "./dom.js";
 import { Handle } from "./handle.js";
 import { Link } from "./link.js";
+import { Maps } from "./maps.js";
+import { Recordings } from "./recordings.js";
 import { Scope } from "./scope.js";
 import { Sound } from "./sound.js";
 import { Wall } from "./wall.js";
@@ -85,5 +87,12 @@ link.addEventListener("hello", ({ detail: facts }) => {
     globalThis.rigConsole = { scope, written };
     return make("div", {}, scope.element, side);
   });
+  const recordings = new Recordings(link);
+  const open = (which) => {
+    show("recordings");
+    recordings.open(which);
+  };
+  addView("maps", "Maps", () => new Maps(link, facts, open).element);
+  addView("recordings", "Recordings", () => recordings.element);
   show("live");
 });
