@@ -20,6 +20,7 @@ MODULE_BY_NAME = re.compile(r"(rig|sim_backend|firmware_protocol)(\.\w+)+(:\w+)?
 # Folders and files that may name any module of ours by string; registries may name those of their own room.
 ANY = ("rig/cli/", "rig/devices/", "rig/__init__.py")
 REGISTRIES = {
+    "rig/console/errands.py": "rig.console.errand_worker",  # its own process
     "rig/control/laws.py": "rig.control.",
     "rig/control/estimators/family.py": "rig.control.estimators.",
     "rig/control/estimators/__init__.py": "rig.control.estimators.",

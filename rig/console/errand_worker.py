@@ -9,25 +9,26 @@ from __future__ import annotations
 import json
 import os
 import sys
-from importlib import import_module
+from collections.abc import Callable
 from typing import Any, BinaryIO
 
+from rig.console import map_errands, recording_errands
 from rig.core.errors import RigError
 from rig.core.present import plain
 from rig.realtime import compiling
 
-# Errand → module:function; each takes its content by name and returns a result, or one and bytes.
-ERRANDS = {
-    "maps": "rig.console.map_errands:directories",
-    "map": "rig.console.map_errands:described",
-    "map growth": "rig.console.map_errands:growth",
-    "map theory": "rig.console.map_errands:theory",
-    "map hit": "rig.console.map_errands:recorded",
-    "recordings": "rig.console.recording_errands:listed",
-    "recording": "rig.console.recording_errands:described",
-    "cut": "rig.console.recording_errands:cut",
-    "picture": "rig.console.recording_errands:picture",
-    "export": "rig.console.recording_errands:exported",
+# Each takes its content by name and returns a result, or one and bytes.
+ERRANDS: dict[str, Callable[..., Any]] = {
+    "maps": map_errands.directories,
+    "map": map_errands.described,
+    "map growth": map_errands.growth,
+    "map theory": map_errands.theory,
+    "map hit": map_errands.recorded,
+    "recordings": recording_errands.listed,
+    "recording": recording_errands.described,
+    "cut": recording_errands.cut,
+    "picture": recording_errands.picture,
+    "export": recording_errands.exported,
 }
 
 
@@ -39,7 +40,7 @@ def main() -> None:
     for line in sys.stdin.buffer:
         asked = json.loads(line)
         try:
-            result = _done(asked["errand"], asked["content"])
+            result = ERRANDS[asked["errand"]](**asked["content"])
         except RigError as error:
             _tell(answers, error.as_mapping())
         except Exception as error:  # a defect of ours: the page is told, and the next errand is done
@@ -47,11 +48,6 @@ def main() -> None:
         else:
             found, data = result if isinstance(result, tuple) else (result, b"")
             _tell(answers, {"result": plain(found), "bytes": len(data)}, data)
-
-
-def _done(errand: str, content: dict[str, Any]) -> Any:
-    module, _, name = ERRANDS[errand].partition(":")
-    return getattr(import_module(module), name)(**content)
 
 
 def _tell(answers: BinaryIO, message: dict[str, Any], data: bytes = b"") -> None:

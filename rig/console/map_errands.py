@@ -15,6 +15,7 @@ from rig.experiments.sweep.journal import read_on
 from rig.experiments.zwidth import TRUE, MapPlan
 from rig.experiments.zwidth_frequency import TOGETHER, FrequencyPlan
 from rig.experiments.zwidth_rig import RECORDING
+from rig.recording.files import plain_errors
 from rig.recording.lines import being_written
 
 KINDS = tuple(str(kind) for kind in (Kind.STABLE, Kind.LIMIT_CYCLE, Kind.UNSTABLE, Kind.INVALID))
@@ -60,7 +61,8 @@ def _state(path: Path) -> str:
 
 
 def _plan(path: Path) -> tuple[MapPlan | FrequencyPlan, str]:
-    return _read(path, (path / maps.PLAN).stat().st_mtime_ns)
+    with plain_errors("read", path / maps.PLAN):
+        return _read(path, (path / maps.PLAN).stat().st_mtime_ns)
 
 
 @lru_cache(maxsize=64)

@@ -27,10 +27,14 @@ def zwidth(content: Mapping[str, Any], talk: Talk) -> Any:
     plan.check()
     name = "zwidth-frequency" if frequency else "zwidth"
     place = maps.directory_for(plan, Path(content["output"]), name)
-    talk.tell("mapping", map=place.name)
+    said = False
 
     def watch(progress: Progress) -> None:
-        talk.progress(map=place.name, stopping=progress.stopping, running=progress.running)
+        nonlocal said
+        if not said:  # the directory is there
+            talk.tell("mapping", map=place.name)
+            said = True
+        talk.progress(stage="stopping" if progress.stopping else "mapping", map=place.name)
 
     maps.map_into(plan, place, watch=watch)
     return {"map": place.name}

@@ -110,7 +110,8 @@ class Watched:
     def take(self, grown: Mapping[str, Any], now_s: float) -> None:
         """Take over what an errand has read."""
         self.columns += grown["columns"]
-        self.place, self.state = grown["place"], grown["state"]
+        self.place = grown["place"]
+        self.state = "finished" if len(self.columns) >= self.total else grown["state"]
         if self.begun_s is None and self.columns:
             self.begun_s, self.begun_weight = now_s, self._weight()
 

@@ -18,7 +18,7 @@ export class Maps {
     this.told = make("p", { className: "quiet", role: "status" });
     this.bar = make("progress", { max: 1, value: 0, hidden: true, ariaLabel: "Share of the map that is done" });
     this.title = make("h2", { textContent: "Choose a map, or start one" });
-    this.schemes = make("div", { className: "bar", role: "group", ariaLabel: "Scheme" });
+    this.schemes = make("div", { className: "bar schemes", role: "group", ariaLabel: "Scheme" });
     this.limits = make("table", { className: "limits" });
     this.plane = new Plane((cell) => this.#open(cell));
     this.plane.onchosen = () => this.#table();
@@ -98,7 +98,7 @@ export class Maps {
       this.made = told.map;
       this.#watch(told.map);
     }
-    const said = { compiling: told.busy ? "compiling what this map needs, once for this version and machine …" : "", mapping: "planning is done", done: "",
+    const said = { compiling: told.busy ? "compiling what this map needs, once for this version and machine …" : "", mapping: "", done: "",
       failed: `The map ended: ${told.error}${told.remedy ? `; ${told.remedy}` : ""}` };
     if (told.say in said) this.busy.textContent = said[told.say];
     if (told.say === "ended") this.#load();

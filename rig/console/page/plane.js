@@ -47,6 +47,7 @@ export class Plane {
   choose(scheme) {
     this.scheme = scheme;
     this.chosen = this.hovered = null;
+    this.#read(null);
     this.draw();
   }
 
@@ -103,7 +104,7 @@ export class Plane {
     const grid = this.map.stiffnesses ?? [];
     const measured = Math.max(...tried, ...grid, 0);
     const top = (Math.max(measured, Math.min(Math.max(...curves, 0), 2.5 * (measured || Infinity))) || 1) * 1.04; // theory may lie far above
-    const lowest = Math.min(...tried, ...grid, top / 10);
+    const lowest = Math.min(...tried, ...grid, top / 10) / (this.map.ratio ?? 1);
     const [first, last] = [this.borders[0], this.borders.at(-1)];
     const high = height - PLACE.bottom;
     this.x = (value) => PLACE.left + (value - first) / (last - first) * (width - PLACE.left - PLACE.right);
@@ -261,7 +262,7 @@ export class Plane {
     const { units, dampings, stripes } = this.map;
     const wall = `K ${written(cell[0], 4)} ${units.stiffness}, B ${written(dampings[column.damping], 3)} ${units.damping}`;
     const verdict = this.frequency ? `${cell[1] ? "passive" : "not passive"}${cell[2] === null ? "" : `, true to ${written(cell[2], 3)} ${units.damping}`}${cell[3] ? `: ${cell[3]}` : ""}`
-      : `${WORDS[cell[1]]}; ${this.map.criteria.map((name, i) => `${name === "any" ? "all" : `not ${name}`}: ${["passes", "fails", "fails", "invalid"][cell[2 + i]]}`).join(", ")}`;
+      : `${WORDS[cell[1]]}; passes: ${this.map.criteria.filter((_, i) => cell[2 + i] === 0).join(", ") || "none"}`;
     this.readout.textContent = [wall, stripes[column.stripe], verdict].filter(Boolean).join(" · ");
   }
 }
