@@ -106,7 +106,9 @@ export class Maps {
 
   async #load() {
     const found = await this.link.ask("maps").catch(() => null);
-    if (found === null) return;
+    const now = JSON.stringify([found, this.map?.name]);
+    if (found === null || now === this.listed) return; // what has the focus keeps it
+    this.listed = now;
     const rows = found.map((map) => make("tr", {},
       make("td", {}, make("button", { type: "button", className: "name", textContent: map.name, disabled: map.problem !== null, ariaPressed: String(map.name === this.map?.name), onclick: () => this.#watch(map.name) })),
       make("td", { textContent: map.problem ?? `${map.state}${map.device ? ", on a device" : ""}` })));
@@ -126,6 +128,8 @@ export class Maps {
     if (this.late?.map === name) this.#take(this.late);
     this.plane.show(facts);
     this.scheme = 0;
+    this.schemes.replaceChildren(...facts.schemes.map((scheme, number) => make("button", { type: "button", textContent: scheme.label, title: scheme.text,
+      onclick: () => { this.scheme = number; this.#choose(); } })));
     this.#choose();
     this.#load();
     this.plane.theory = [];
@@ -137,8 +141,7 @@ export class Maps {
   }
 
   #choose() {
-    this.schemes.replaceChildren(...this.map.schemes.map((scheme, number) => make("button", { type: "button", textContent: scheme.label, title: scheme.text,
-      ariaPressed: String(number === this.scheme), onclick: () => { this.scheme = number; this.#choose(); } })));
+    [...this.schemes.children].forEach((button, number) => { button.ariaPressed = String(number === this.scheme); });
     this.plane.choose(this.scheme);
     this.#table();
   }
@@ -181,7 +184,7 @@ export class Maps {
   }
 
   async #open({ key, stiffness }) {
-    this.busy.textContent = "hitting that wall again …";
+    this.busy.textContent = this.map.device ? "" : "hitting that wall again …";
     const which = await this.#ask("map-hit", { map: this.map.name, key, stiffness });
     this.busy.textContent = "";
     if (which) this.open(which);

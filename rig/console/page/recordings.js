@@ -37,8 +37,7 @@ export class Recordings {
 
   // Show one, by its name, and its map where that has recordings of its own.
   async open(which) {
-    this.chosen = null;
-    this.#again();
+    if (!which.map && ![...this.rows.children].some((row) => row.dataset.name === which.name)) this.#again(); // it is new
     try {
       const facts = await this.link.ask("recording", { name: which.name, map: which.map ?? "" });
       this.chosen = facts;

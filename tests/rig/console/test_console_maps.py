@@ -19,9 +19,10 @@ from rig.config.schemes import Scheme
 from rig.console import map_errands, map_jobs
 from rig.console.maps import Maps, Watched
 from rig.console.requests import request_of
-from rig.core.errors import ConfigError, RigError
+from rig.core.errors import ConfigError, RecordingError, RigError
 from rig.experiments import maps
 from rig.experiments.searches import Search
+from rig.experiments.sweep import Task, run_here
 from rig.experiments.sweep.journal import Journal, read_on
 from rig.experiments.zwidth import MapPlan
 from rig.recording.reader import open_recording
@@ -158,6 +159,20 @@ def test_a_click_on_a_cell_makes_that_hit_a_recording_where_the_others_are(root:
     assert which["map"] == ""
     opened = open_recording(root / "recordings" / which["name"])
     assert (opened.trailer or {})["verdict"]["peak_penetration"] == rows[-1]["peak_penetration"]
+
+
+def test_a_hit_of_a_device_is_the_recording_that_it_left(tmp_path: Path) -> None:
+    place, series = tmp_path / "maps" / "of-a-rig", PLAN.series()[0]
+    maps._write_plan(PLAN, place, "serial:///dev/rig")
+    row = {"stiffness": 10.0, "recording": "koul-1.parquet", "kind": "stable"}
+    run_here("serial:///dev/rig", lambda task: [row], [Task(series.key, {})], journal=place / maps.JOURNAL)
+    with pytest.raises(RecordingError, match=r"koul-1\.parquet is no longer there"):
+        map_errands.recorded(str(place), series.key, 10.0, str(tmp_path / "out"))
+    (place / maps.RECORDINGS).mkdir()
+    (place / maps.RECORDINGS / "koul-1.parquet").touch()
+    found = map_errands.recorded(str(place), series.key, 10.0, str(tmp_path / "out"))
+    assert found == {"name": "koul-1.parquet", "map": "of-a-rig"}
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize(("key", "stiffness"), [("9/0.0/0.1/0", 10.0), ("0/0.0/0.1/0", 10.5), ("../x", 10.0)])
