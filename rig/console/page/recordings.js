@@ -89,7 +89,7 @@ export class Recordings {
     const show = one.problem === null && !this.trash.checked;
     const name = make("button", { type: "button", className: "name", textContent: one.name.replace(/\.(parquet|rigcap)$/, ""), disabled: !show, onclick: () => this.open({ name: one.name }) });
     const back = this.trash.checked && make("button", { type: "button", textContent: "Restore", onclick: () => this.#restore(one.name) });
-    const when = one.created ? new Date(one.created).toLocaleString() : "";
+    const when = one.created ? new Date(one.created).toLocaleString([], { dateStyle: "short", timeStyle: "short" }) : "";
     return make("tr", { dataset: { name: one.name } },
       make("td", {}, make("span", { className: "verdict", dataset: { kind }, textContent: kind.replaceAll("_", " ") })),
       make("td", {}, name, make("div", { className: "quiet", textContent: when }), ...(back ? [back] : [])),
