@@ -65,7 +65,7 @@ def _plan(path: Path) -> tuple[MapPlan | FrequencyPlan, str]:
         return _read(path, (path / maps.PLAN).stat().st_mtime_ns)
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=MOST)
 def _read(path: Path, changed_ns: int) -> tuple[MapPlan | FrequencyPlan, str]:
     return maps.read_plan(path)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -53,7 +54,11 @@ def listed(directory: str, search: str, first: int) -> dict[str, Any]:
 def _newest(directory: Path) -> list[tuple[Path, int]]:
     if not directory.is_dir():
         return []
-    found = [(path, path.lstat().st_mtime_ns) for path in directory.iterdir() if path.suffix in SUFFIXES]
+    found = []
+    for path in directory.iterdir():
+        if path.suffix in SUFFIXES:
+            with suppress(OSError):  # a capture that has just been sealed
+                found.append((path, path.lstat().st_mtime_ns))
     return sorted(found, key=lambda one: -one[1])
 
 

@@ -93,6 +93,6 @@ link.addEventListener("hello", ({ detail: facts }) => {
     recordings.open(which);
   };
   addView("maps", "Maps", () => new Maps(link, facts, open).element);
-  addView("recordings", "Recordings", () => recordings.element);
+  addView("recordings", "Recordings", () => recordings.begin());
   show("live");
 });

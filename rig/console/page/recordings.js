@@ -32,7 +32,12 @@ export class Recordings {
         make("table", {}, make("thead", {}, make("tr", {}, ...["verdict", "recording", "wall and scheme"].map((textContent) => make("th", { scope: "col", textContent })))), this.rows), this.more)),
       make("section", { className: "scope", ariaLabel: "Recording" }, this.title, this.settings, this.actions, this.recorded.element, this.picture));
     link.addEventListener("job", ({ detail }) => { if (detail.told.say === "ended" && this.element.isConnected) this.#again(); });
+  }
+
+  // Its element, when it is first shown: before that, nothing is read.
+  begin() {
     this.#again();
+    return this.element;
   }
 
   // Show one, by its name, and its map where that has recordings of its own.
