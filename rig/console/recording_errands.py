@@ -29,6 +29,7 @@ SUFFIXES = (SEALED_SUFFIX, CAPTURE)
 PICTURES = {".png": "image/png", ".svg": "image/svg+xml"}
 PAGE = 50  # recordings that are told at once
 POINTS = 1500  # of a cut
+GREATEST = 1e300  # number of a setting
 COMPARED = ("velocity", "effort_sent")  # what a replay is shown of
 MIME = {"csv": "text/csv; charset=utf-8", "json": "application/json"}
 
@@ -78,34 +79,46 @@ def _entry(path: Path, changed_ns: int) -> dict[str, Any]:
 
 
 def _settings(facts: Recording) -> dict[str, Any]:
-    header, trailer, experiment = facts.header, facts.trailer or {}, facts.experiment
-    wall, rates, trial = (experiment.get(name) or {} for name in ("wall", "controller", "trial"))
+    """What the list says of one; a header that another program wrote may hold anything in its experiment."""
+    header, trailer = facts.header, facts.trailer or {}
+    parts = {name: part for name, part in facts.experiment.items() if isinstance(part, dict)}
+    wall, rates, trial, operator = (
+        parts.get(name, {}) for name in ("wall", "controller", "trial", "operator")
+    )
     motion, verdict = header["motion"], trailer.get("verdict") or {}
-    kind = trial.get("kind")
+    kind = _words(trial.get("kind"))
     return {
         "rig": header["rig"],
         "motion": motion,
-        "created": header.get("created"),
+        "created": _words(header.get("created")),
         "url": header["identity"].get("url"),
         "kind": verdict.get("kind"),
         "reasons": verdict.get("reasons") or [],
         "ended": trailer.get("reason"),
-        "stiffness": wall.get("stiffness"),
-        "damping": wall.get("damping"),
+        "stiffness": _number(wall.get("stiffness")),
+        "damping": _number(wall.get("damping")),
         "units": {name: unit_of(name, motion) for name in ("stiffness", "damping")},
-        "position_rate": rates.get("position_rate"),
-        "velocity_rate": rates.get("velocity_rate"),
-        "estimator": rates.get("estimator"),
-        "trial": kind if kind != "human" else f"human, {(experiment.get('operator') or {}).get('grip')}",
+        "position_rate": _number(rates.get("position_rate")),
+        "velocity_rate": _number(rates.get("velocity_rate")),
+        "estimator": _words(rates.get("estimator")),
+        "trial": kind if kind != "human" else f"human, {_words(operator.get('grip'))}",
     }
+
+
+def _words(value: Any) -> str | None:
+    return value if isinstance(value, str) else None
+
+
+def _number(value: Any) -> float | None:
+    fits = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < GREATEST
+    return float(value) if fits else None
 
 
 def _text(entry: Mapping[str, Any]) -> str:
     """What a search looks at: every value, and numbers as K=100."""
     words = [str(value) for value in entry.values()]
-    words += [
-        f"{sign}={entry[name]:g}" for sign, name in (("k", "stiffness"), ("b", "damping")) if entry.get(name)
-    ]
+    numbers = {"k": entry.get("stiffness"), "b": entry.get("damping")}
+    words += [f"{sign}={value:g}" for sign, value in numbers.items() if value is not None]
     return " ".join(words).lower()
 
 

@@ -137,6 +137,21 @@ def test_a_capture_that_was_cut_off_is_listed_by_its_header(output: Path, record
     assert (one["problem"], one["kind"], one["rig"]) == (None, None, "koul-compliant")
 
 
+@pytest.mark.parametrize(
+    "odd",
+    [{}, {"wall": [1], "controller": None, "trial": 3}, {"wall": {"stiffness": "soft", "damping": 10**400}}],
+)
+def test_a_header_that_another_program_wrote_does_not_keep_the_list_from_the_others(
+    output: Path, recorded: Path, odd: dict[str, Any]
+) -> None:
+    whole = open_recording(recorded)
+    with open(output / "odd.parquet", "wb") as file:
+        write_parquet(file, replace(whole, header={**whole.header, "experiment": odd}))
+    told = {one["name"]: one for one in listed(output, search="koul")["recordings"]}
+    assert set(told) == {"one.parquet", "odd.parquet"}
+    assert told["odd.parquet"]["stiffness"] is None
+
+
 # One recording --------------------------------------------------------------------------------------
 
 
