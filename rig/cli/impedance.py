@@ -12,7 +12,6 @@ import click
 
 from rig import config
 from rig.cli import options, output
-from rig.cli.map_options import numbers
 from rig.config import Experiment
 from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError, GuardError
@@ -21,6 +20,7 @@ from rig.experiments import impedance as measuring
 from rig.experiments.impedance import ImpedanceResult, Wall
 from rig.experiments.on_device import OnDevice
 from rig.experiments.plan import STANDS_FOR_DEVICE
+from rig.experiments.searches import numbers_of
 from rig.views.plots.impedance import draw_impedance
 
 DEFAULT_PRESET = "chawda-linear"
@@ -174,8 +174,8 @@ def _walls(experiment: Experiment, stiffness: str | None, damping: str | None, b
     own = experiment.wall
     if stiffness is None and damping is None:
         return [(0.0, 0.0)] if bare else [(0.0, 0.0), (own.stiffness, own.damping)]
-    k = (own.stiffness,) if stiffness is None else numbers(stiffness, "--stiffness")
-    b = (own.damping,) if damping is None else numbers(damping, "--damping")
+    k = (own.stiffness,) if stiffness is None else numbers_of(stiffness, "--stiffness")
+    b = (own.damping,) if damping is None else numbers_of(damping, "--damping")
     if len(k) != len(b) and 1 not in (len(k), len(b)):
         raise ConfigError(
             f"{len(k)} stiffnesses and {len(b)} dampings do not pair",

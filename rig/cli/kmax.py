@@ -15,7 +15,8 @@ from rig.core.sample import unit_of
 from rig.experiments import maps
 from rig.experiments.kmax import KMax, kmax_plan
 from rig.experiments.ranges import kmax_theory
-from rig.experiments.zwidth import Boundary
+from rig.experiments.searches import numbers_of
+from rig.experiments.zwidth import OFFSETS, Boundary
 from rig.views.plots.zwidth import draw_kmax
 
 SPAN = 500.0  # highest stiffness over the lowest: at slow rates only soft walls are stable
@@ -51,7 +52,7 @@ def kmax(
         experiment,
         map_options.search(experiment, stiffness, way, ratio, SPAN),
         rates=map_options.rates(rates),
-        offsets=map_options.numbers(map_options.OFFSETS if offsets is None else offsets, "--offsets"),
+        offsets=OFFSETS if offsets is None else numbers_of(offsets, "--offsets"),
         repeats=repeats,
     )
     plan = replace(plan, judged=judged or "true")

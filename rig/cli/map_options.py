@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import click
-import numpy as np
 
 from rig import config
 from rig.cli import options
@@ -15,13 +14,11 @@ from rig.config import Experiment
 from rig.config.schemes import parse_rates
 from rig.core.errors import ConfigError
 from rig.experiments.ranges import search_for
-from rig.experiments.searches import Search
+from rig.experiments.searches import Search, bounds_of
 
 F = TypeVar("F", bound=Callable[..., Any])
 
 WAYS = ("ladder", "bisection", "grid")
-OFFSETS = "0.1,0.6"
-MOST = 10_000  # numbers of a range
 
 
 def map_options(command: F) -> F:
@@ -121,34 +118,8 @@ def search(
     device: bool = False,
 ) -> Search:
     """The rungs that the options mean."""
-    low, high = (None, None) if stiffness is None else _bounds(stiffness)
+    low, high = (None, None) if stiffness is None else bounds_of(stiffness, "--stiffness")
     return search_for(experiment, way, ratio=ratio, lowest=low, highest=high, span=span, on_device=device)
-
-
-def numbers(text: str, option: str) -> tuple[float, ...]:
-    """Numbers of ``0,0.5,1`` or, equally spaced, ``0:3.6:17``."""
-    try:
-        if ":" not in text:
-            return tuple(float(part) for part in text.split(","))
-        first, last, count = text.split(":")
-        if 1 <= int(count) <= MOST:
-            return tuple(np.linspace(float(first), float(last), int(count)).tolist())
-    except ValueError:
-        pass
-    raise ConfigError(
-        f"{option} {text!r} is not a list of numbers",
-        remedy=f"write them as 0,0.5,1 or as first:last:count, like 0:3.6:17, with a count of 1 to {MOST}",
-    )
-
-
-def _bounds(text: str) -> tuple[float, float]:
-    try:
-        low, high = (float(part) for part in text.split(":"))
-    except ValueError:
-        raise ConfigError(
-            f"--stiffness {text}: no range", remedy="write it as LOW:HIGH, like 10:1000"
-        ) from None
-    return low, high
 
 
 def rates(text: str) -> tuple[int, ...]:

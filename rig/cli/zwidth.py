@@ -8,7 +8,6 @@ from typing import Any
 import click
 
 from rig import config
-from rig.analysis import theory
 from rig.cli import hit_output, map_options, options, output
 from rig.cli.progress import SweepBar
 from rig.cli.zwidth_frequency import FREQUENCY_ONLY, frequency_options, map_frequency, refuse_of_the_other
@@ -20,8 +19,9 @@ from rig.core.present import Table
 from rig.core.sample import unit_of
 from rig.experiments import maps
 from rig.experiments.plan import STANDS_FOR_DEVICE
-from rig.experiments.ranges import SPAN, dampings_for, theory_curves
-from rig.experiments.zwidth import MapPlan, Width, ZWidth
+from rig.experiments.ranges import SPAN, hit_plan, theory_curves
+from rig.experiments.searches import numbers_of
+from rig.experiments.zwidth import Width, ZWidth
 from rig.views.plots.zwidth import draw_zwidth
 
 
@@ -109,15 +109,15 @@ def zwidth(
         load_device(url)
     if realtime or (url is not None and not url.startswith("sim:")):
         experiment = _in_real_time(experiment)
-    place_of_zero = f"{experiment.rig.encoder.offset!r}" if device else map_options.OFFSETS
-    plan = _plan(
+    plan = hit_plan(
         experiment,
-        schemes,
-        damping,
+        [Scheme.parse(text) for text in schemes],
+        dampings=None if damping is None else numbers_of(damping, "--damping"),
         search=map_options.search(experiment, stiffness, way, ratio, _span(), device=device),
-        offsets=map_options.numbers(place_of_zero if offsets is None else offsets, "--offsets"),
+        offsets=None if offsets is None else numbers_of(offsets, "--offsets"),
         repeats=repeats,
-        judged=judged or ("recorded" if device else "true"),
+        judged=judged,
+        on_device=device,
     )
     if url is None:
         place = maps.directory_for(plan, directory, "zwidth")
@@ -140,14 +140,6 @@ def zwidth(
         ("summary", str(place / maps.SUMMARY)),
     ]
     output.print_pairs([*pairs, ("picture", picture)] if picture else pairs)
-
-
-def _plan(experiment: Experiment, schemes: tuple[str, ...], damping: str | None, **others: Any) -> MapPlan:
-    parsed = tuple(Scheme.parse(text) for text in schemes) or theory.default_schemes(experiment)
-    dampings = (
-        dampings_for(experiment, parsed) if damping is None else map_options.numbers(damping, "--damping")
-    )
-    return MapPlan(experiment=experiment, schemes=parsed, dampings=dampings, **others)
 
 
 def _span() -> float:

@@ -11,7 +11,7 @@ import click
 from click.core import ParameterSource
 
 from rig import config
-from rig.cli import map_options, options, output
+from rig.cli import options, output
 from rig.cli.progress import SweepBar
 from rig.config import Experiment
 from rig.config.schemes import Scheme
@@ -21,7 +21,7 @@ from rig.core.sample import unit_of
 from rig.experiments import maps
 from rig.experiments.impedance import Judging
 from rig.experiments.ranges import frequency_plan, linear_curves
-from rig.experiments.searches import GridSearch
+from rig.experiments.searches import GridSearch, numbers_of
 from rig.experiments.table_one import FrequencyWidth, SchemeRow, Spread, TableOne, table_one
 from rig.experiments.zwidth_frequency import FrequencyMap, FrequencyPlan
 from rig.views.plots.zwidth_frequency import draw_frequency_map
@@ -158,8 +158,8 @@ def _plan(
     return frequency_plan(
         experiment,
         [Scheme.parse(text) for text in schemes],
-        stiffnesses=None if stiffness is None else map_options.numbers(stiffness, "--stiffness"),
-        dampings=None if damping is None else map_options.numbers(damping, "--damping"),
+        stiffnesses=None if stiffness is None else numbers_of(stiffness, "--stiffness"),
+        dampings=None if damping is None else numbers_of(damping, "--damping"),
         **others,
     )
 

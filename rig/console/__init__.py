@@ -4,6 +4,9 @@
 * `follow`, `history`, `trigger`, `view`: from a loop's rows to what one scope shows;
 * `lease`: who operates, and what happens when they are gone;
 * `jobs`, `worker`: runs, in a process of their own, through the functions of the commands;
+* `errands`, `errand_worker`: what is read, drawn and computed for a page, apart from the server;
+* `maps`, `map_jobs`, `map_errands`: maps that fill in, and the hits of one;
+* `recordings`, `recording_errands`, `place`, `trash`: what the runs left;
 * `regions`: which walls theory finds stable and passive;
 * `requests`: what a page may ask for;
 * `server`: sockets and the page;

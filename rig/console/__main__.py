@@ -1,8 +1,10 @@
-"""``python -m rig.console`` is the process that a job runs in (`rig.console.worker`)."""
+"""The processes that a console starts, ``python -P -m rig.console job`` for a job and ``… errands`` for errands."""
 
 import sys
 
-from rig.console.worker import main
+from rig.console import errand_worker, worker
+
+PROCESSES = {"job": worker.main, "errands": errand_worker.main}
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(PROCESSES[sys.argv[1]]())

@@ -66,6 +66,10 @@ class Client:
         self._newest[str(message["say"])] = json.dumps(message)
         self._wake.set()
 
+    def compiles(self, busy: bool) -> None:
+        """Machine code that an answer to this page needs is being made, or is made."""
+        self.put_newest({"say": "compiling", "busy": busy})
+
     def show(
         self, followed: Followed | None, shown: Shown | None = None, *, paused: bool | None = None
     ) -> None:

@@ -123,12 +123,12 @@ class Jobs:
             raise ConfigError(f"a {self.running.name} runs", remedy="stop it first")
         try:
             process = await asyncio.create_subprocess_exec(
-                *(sys.executable, "-P", "-m", "rig.console"),
+                *(sys.executable, "-P", "-m", "rig.console", "job"),
                 stdin=asyncio.subprocess.PIPE,
                 stdout=asyncio.subprocess.PIPE,
                 stderr=asyncio.subprocess.PIPE,
                 limit=LINE_BYTES,
-                env=_environment(),
+                env=environment(),
                 start_new_session=True,  # Ctrl-C on the terminal is the console's to answer
             )
         except OSError as error:
@@ -158,7 +158,7 @@ class Jobs:
             self._tell(job, {"say": "ended"})
 
 
-def _environment() -> dict[str, str]:
+def environment() -> dict[str, str]:
     """What the process finds around it: this package."""
     paths = (str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH", ""))
     return {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in paths if path)}

@@ -30,7 +30,6 @@ from rig.realtime.running import RunningLoop
 FRAME_S = 1.0 / 60.0
 STATE_S = 0.1
 SEARCH_S = 0.25
-RESERVED = ("wall.law",)  # a page chooses no program
 
 
 class Live(Service):
@@ -97,7 +96,7 @@ class Live(Service):
 
     async def _run(self, client: Client, request: asked.Run) -> dict[str, Any]:
         self._shared.must_operate(client)
-        _refuse_reserved(request.changes)
+        asked.refuse_reserved(request.changes)
         content: dict[str, Any] = {
             "rig": request.rig, "url": request.url, "changes": request.changes, "output": str(self._shared.output),
             "duration_s": request.duration_s, "hand": str(self._hand.path), "verified": self._verified,
@@ -160,7 +159,7 @@ class Live(Service):
         )
 
     def _experiment(self, name: str, changes: Mapping[str, Any]) -> config.Experiment:
-        _refuse_reserved(changes)
+        asked.refuse_reserved(changes)
         return config.with_realtime(experiment_of({"rig": name}), changes)
 
     def _looked_at(self) -> Followed:
@@ -266,9 +265,3 @@ class Live(Service):
         """End what runs."""
         if self._followed is not None:
             self._followed.close()
-
-
-def _refuse_reserved(changes: Mapping[str, Any]) -> None:
-    for key in RESERVED:
-        if key in changes:
-            raise ConfigError(f"{key} is not changed from a page", remedy="name a file that says it")

@@ -21,6 +21,7 @@ from rig.core.quantity import STRICT
 Name = Annotated[str, MaxLen(4096)]
 Scalar = float | int | bool | str
 Changes = Annotated[dict[Annotated[str, MaxLen(200)], Scalar], MaxLen(200)]
+RESERVED = ("wall.law",)  # a page chooses no program
 MOST_BYTES = 1 << 16  # of a message
 
 
@@ -160,6 +161,13 @@ def number_of(text: str | bytes) -> int:
     """The number that a page gave its message, right or wrong; 0: none."""
     number = json_of(text).get("number")
     return number if isinstance(number, int) and not isinstance(number, bool) else 0
+
+
+def refuse_reserved(changes: Mapping[str, Any]) -> None:
+    """Raise `ConfigError` for a key that no page may change."""
+    for key in RESERVED:
+        if key in changes:
+            raise ConfigError(f"{key} is not changed from a page", remedy="name a file that says it")
 
 
 def json_of(text: str | bytes) -> dict[str, Any]:

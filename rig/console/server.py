@@ -26,7 +26,9 @@ from rig.console.devices import Devices
 from rig.console.jobs import Job, Jobs
 from rig.console.lease import Lease
 from rig.console.live import Live
-from rig.console.service import Download, Service, Shared
+from rig.console.maps import Maps
+from rig.console.recordings import Recordings
+from rig.console.service import LATER, Download, Service, Shared
 from rig.console.sockets import (
     ConnectionClosed,
     Headers,
@@ -45,10 +47,10 @@ STATE_S = 0.1
 SEARCH_S = 0.25
 GREETING_S = 5.0  # in which a socket shows the token
 MOST_CLIENTS = 16
+DOWNLOAD_S = 600.0  # a download is part of a connection's opening, and may have to be computed
 TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
 SOCKETS = ("/live", "/hold")
 UTF8 = "; charset=utf-8"
-RESERVED = ("wall.law",)  # a page chooses no program
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -85,7 +87,12 @@ class Console:
     def __init__(self, settings: Settings, hand: SharedHand, terminal: Terminal) -> None:
         self._shared = Shared(set(), Lease(), Jobs(self._job_says), settings.output)
         self.live = Live(self._shared, hand, terminal, verified=settings.verified, own=settings.own)
-        self.services: tuple[Service, ...] = (self.live, Devices(self._shared))
+        self.services: tuple[Service, ...] = (
+            self.live,
+            Maps(self._shared),
+            Recordings(self._shared),
+            Devices(self._shared),
+        )
         self._handlers = {do: found for service in self.services for do, found in service.handlers().items()}
         self._kinds = {do: kind for do, (kind, _) in self._handlers.items()}
 
@@ -156,7 +163,7 @@ class Console:
         except RigError as error:
             client.reply(number, error=error)
         else:
-            if number:
+            if number and result is not LATER:
                 client.reply(number, result)
 
     def _job_says(self, job: Job, message: Mapping[str, Any]) -> None:
@@ -181,6 +188,7 @@ class Console:
         await self._shared.jobs.close()
         for service in self.services:
             await service.close()
+        await self._shared.errands.close()
 
 
 def _facts() -> dict[str, Any]:
@@ -219,6 +227,7 @@ async def run(settings: Settings, terminal: Terminal, ended: asyncio.Event) -> N
                 max_size=asked.MOST_BYTES,
                 compression=None,
                 server_header=None,
+                open_timeout=DOWNLOAD_S,
                 ping_interval=5.0,
                 ping_timeout=10.0,
                 max_queue=64,

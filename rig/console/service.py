@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import asyncio
 from abc import ABC, abstractmethod
-from collections.abc import Awaitable, Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Awaitable, Callable, Coroutine, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from rig.console.client import Client
+from rig.console.errands import Errands
 from rig.console.jobs import Job, Jobs
 from rig.console.lease import Lease
 from rig.console.requests import Request
-from rig.core.errors import ConfigError
+from rig.core.errors import ConfigError, RigError
 
 Handler = Callable[[Client, Any], Awaitable[Any]]
 
@@ -37,12 +40,15 @@ class Shared:
         Who operates, and what they have started.
     output
         Directory of the recordings.
+    errands
+        What is read, drawn and computed elsewhere.
     """
 
     clients: set[Client]
     lease: Lease
     jobs: Jobs
     output: Path
+    errands: Errands = field(default_factory=Errands)
 
     def must_operate(self, client: Client) -> None:
         """Refuse whoever only looks on; whoever asks while nobody operates does from now on."""
@@ -50,8 +56,34 @@ class Shared:
             raise ConfigError("another page operates", remedy="let it release first, or close it")
 
 
+LATER = object()  # what a handler returns that will answer by itself
+
+
 class Service(ABC):
     """The server's side of a view."""
+
+    @cached_property
+    def _working(self) -> set[asyncio.Task[None]]:
+        return set()
+
+    def answer_later(self, client: Client, request: Request, work: Coroutine[Any, Any, Any]) -> object:
+        """Answer a request when some work is done, and meanwhile hear the page's next ones; returns `LATER`."""
+
+        async def answered() -> None:
+            try:
+                client.reply(request.number, await work)
+            except RigError as error:
+                client.reply(request.number, error=error)
+
+        self.go_on(answered())
+        return LATER
+
+    def go_on(self, work: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
+        """Do something beside; it ends with the service at the latest."""
+        task = asyncio.create_task(work)
+        self._working.add(task)
+        task.add_done_callback(self._working.discard)
+        return task
 
     @abstractmethod
     def handlers(self) -> Mapping[str, tuple[type[Request], Handler]]:
@@ -67,5 +99,8 @@ class Service(ABC):
         """Return the file of a path, or None where it is not of this service."""
         return None
 
-    async def close(self) -> None:  # noqa: B027
+    async def close(self) -> None:
         """End what goes on."""
+        for task in self._working:
+            task.cancel()
+        await asyncio.gather(*self._working, return_exceptions=True)

@@ -1,6 +1,6 @@
 """The process that a job runs in, so that no loop shares a process with the page's server.
 
-``python -P -m rig.console``: the first line of standard input is the job; each further one an answer to what it
+``python -P -m rig.console job``: the first line of standard input is the job; each further one an answer to what it
 asks, or empty; the end of input means that the console is gone, and 2 s of silence that it hangs. Each line of standard
 output is one message:
 
@@ -26,13 +26,18 @@ import threading
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from rig.console import devices, hits
+from rig.console import devices, hits, map_jobs
 from rig.console.talk import Talk
 from rig.core.errors import RigError, StoppedError
 from rig.realtime import compiling
 
 Work = Callable[[Mapping[str, Any], Talk], Any]
-JOBS: Mapping[str, Work] = {"doctor": devices.doctor, "hit": hits.hit, "play": hits.play}
+JOBS: Mapping[str, Work] = {
+    "doctor": devices.doctor,
+    "hit": hits.hit,
+    "map": map_jobs.zwidth,
+    "play": hits.play,
+}
 
 
 def main() -> int:

@@ -48,10 +48,17 @@ class HitSimulator:
         self._rig = devices.simulated_rig()(
             config.rig_model(experiment), tick_s, self.limits, round(longest_s / tick_s)
         )
-        spread = homing.tolerance_counts * experiment.rig.encoder.resolution / 2.0
-        self.start = trial.start + spread * float(np.random.default_rng(trial.seed).uniform(-1.0, 1.0))
+        self.start = start_of(experiment)
 
     def hit(self, stiffness: float, damping: float) -> SimulatedHit:
         """Hit one wall."""
         wall = asdict(replace(self._wall, stiffness=stiffness, damping=damping))
         return self._rig.hit(self._template.fresh(wall), self.start)
+
+
+def start_of(experiment: Experiment) -> float:
+    """Where a hit begins (rad or m): somewhere within homing's tolerance, by the seed."""
+    spread = experiment.homing.tolerance_counts * experiment.rig.encoder.resolution / 2.0
+    return experiment.trial.start + spread * float(
+        np.random.default_rng(experiment.trial.seed).uniform(-1.0, 1.0)
+    )

@@ -1,9 +1,9 @@
 """A map of walls: a plan's tasks run as one sweep, and everything kept in one directory for one plan.
 
-``journal`` holds the finished tasks while the map grows, so that the same command resumes what was stopped;
-``hits.parquet`` or ``walls.parquet`` every trial with its units; ``map.json`` the plan and what came out of it. A map
-of a device has its recordings in ``hits``. The plan is one of hits (`rig.experiments.zwidth`) or of impedances
-(`rig.experiments.zwidth_frequency`).
+``plan.json`` says from the beginning on what is mapped; ``journal`` holds the finished tasks while the map grows, so
+that the same command resumes what was stopped, and others can watch; ``hits.parquet`` or ``walls.parquet`` every trial
+with its units; ``map.json`` the plan and what came out of it. A map of a device has its recordings in ``hits``. The
+plan is one of hits (`rig.experiments.zwidth`) or of impedances (`rig.experiments.zwidth_frequency`).
 """
 
 from __future__ import annotations
@@ -14,16 +14,23 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, TypeVar
 
+from rig import config
 from rig.config import Experiment
+from rig.core.errors import RecordingError, RigError
 from rig.core.present import plain
 from rig.experiments import sweep
+from rig.experiments.hit import HitRequest, Recorded, hit, left_by
+from rig.experiments.hit_simulator import start_of
 from rig.experiments.results import make_directory, write_document, write_table
 from rig.experiments.table_one import table_one
-from rig.experiments.zwidth import MapPlan, ZWidth
-from rig.experiments.zwidth_frequency import FrequencyMap
+from rig.experiments.zwidth import MapPlan, Series, ZWidth
+from rig.experiments.zwidth_frequency import FrequencyMap, FrequencyPlan
 from rig.experiments.zwidth_rig import Session, zwidth_on_rig
+from rig.recording.files import plain_errors
+from rig.recording.seal import SEALED_SUFFIX
 
-JOURNAL, SUMMARY, RECORDINGS = "journal", "map.json", "hits"
+JOURNAL, SUMMARY, RECORDINGS, PLAN = "journal", "map.json", "hits", "plan.json"
+VERSION = 1  # of `PLAN`
 
 
 class Map(Protocol):
@@ -65,6 +72,10 @@ class Plan(Protocol[M_co]):
 
     def check(self) -> None:
         """Raise `PlanError` for what must not run."""
+        ...
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Plain values, for `PLAN`."""
         ...
 
     def found(self, results: Sequence[Any]) -> M_co:
@@ -132,7 +143,7 @@ def map_into(
     watch: Callable[[sweep.Progress], None] | None = None,
 ) -> M:
     """Map a simulated rig and keep everything in a directory; a finished map is read. Errors as `zwidth`."""
-    make_directory(directory)
+    _write_plan(plan, directory)
     found = zwidth(plan, journal=directory / JOURNAL, scheduler=scheduler, workers=workers, watch=watch)
     write_map(found, directory)
     return found
@@ -140,10 +151,71 @@ def map_into(
 
 def map_on_rig(plan: MapPlan, directory: Path, session: Session) -> ZWidth:
     """Map a device and keep everything in a directory; errors as `rig.experiments.zwidth_rig.zwidth_on_rig`."""
-    make_directory(directory)
+    _write_plan(plan, directory, session.where.url)
     found = zwidth_on_rig(plan, session, journal=directory / JOURNAL)
     write_map(found, directory)
     return found
+
+
+def _write_plan(plan: Plan[Any], directory: Path, device: str = "") -> None:
+    make_directory(directory)
+    told = {"version": VERSION, "work": plan.work, "device": device, "plan": plan.as_mapping()}
+    write_document(directory / PLAN, told)
+
+
+def read_plan(directory: Path) -> tuple[MapPlan | FrequencyPlan, str]:
+    """What a directory maps, finished or not, and the device that is mapped: empty for the simulation.
+
+    Raises
+    ------
+    RecordingError
+        It is no map, or one of another version.
+    ConfigError
+        This version cannot read the experiment.
+    """
+    path = directory / PLAN
+    with plain_errors("read", path):
+        text = path.read_bytes()
+    try:
+        told = json.loads(text)
+        if told["version"] == VERSION:
+            kind = FrequencyPlan if told["work"] == FrequencyPlan.work else MapPlan
+            return kind.from_mapping(told["plan"], str(path)), str(told["device"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise RecordingError(f"{path} is damaged: {error!r}", remedy="run the map's command again") from None
+    raise RecordingError(
+        f"{path} is of version {told['version']}, and this haptic-rig reads {VERSION}",
+        remedy="read it with the version that wrote it",
+    )
+
+
+def recorded_hit(plan: MapPlan, series: Series, stiffness: float, output: Path) -> Path:
+    """One simulated hit of a map as a recording: the same rows over the byte link, to the last bit.
+
+    Its name says which hit it is, so that a hit that was asked for before is only found again.
+
+    Raises
+    ------
+    PlanError
+        A wall that a trial may not hit, though a map may: in a soft one the handle would go beyond its window.
+    """
+    experiment = config.override(plan.experiment_of(series), {"wall.stiffness": stiffness}, "the map")
+    experiment = config.override(experiment, {"rig.simulation.initial_position": start_of(experiment)})
+    described = json.dumps([sweep.code_version(), config.as_mapping(experiment)], sort_keys=True)
+    digest = sha256(described.encode()).hexdigest()[:8]
+    name = f"{experiment.rig.name}-K{stiffness:.4g}-B{series.damping:.4g}-{digest}"
+    there = output / f"{name}{SEALED_SUFFIX}"
+    if there.exists():
+        return there
+    request = HitRequest(experiment=experiment, output=output, name=name, changes={"trial.repeats": 1})
+    try:
+        (result,) = hit(request)
+    except RigError as error:
+        left: Recorded | None = left_by(error)  # thrown out by the wall: that is what the map has found
+        if left is None:
+            raise
+        return left.path
+    return result.recording
 
 
 def write_map(found: Map, directory: Path) -> None:

@@ -27,7 +27,7 @@ from rig.experiments.impedance import Judging
 from rig.experiments.kmax import KMax
 from rig.experiments.plan import make_plan
 from rig.experiments.searches import Search, Way
-from rig.experiments.zwidth import MapPlan
+from rig.experiments.zwidth import OFFSETS, Judged, MapPlan
 from rig.experiments.zwidth_frequency import FrequencyPlan
 
 T = TypeVar("T")
@@ -156,6 +156,55 @@ def _range(experiment: Experiment, scheme: Scheme) -> float:
 
 def _with_estimator(scheme: Scheme, estimator: str) -> Scheme:
     return replace(scheme, estimator=estimator, parameters={}, slow_velocity_rate=None, slow_below=None)
+
+
+def hit_plan(
+    experiment: Experiment,
+    schemes: Sequence[Scheme] = (),
+    *,
+    dampings: Sequence[float] | None = None,
+    search: Search | None = None,
+    offsets: Sequence[float] | None = None,
+    repeats: int = 1,
+    judged: Judged | None = None,
+    on_device: bool = False,
+) -> MapPlan:
+    """A plan with everything said.
+
+    Parameters
+    ----------
+    experiment
+        Rig, trial and thresholds.
+    schemes
+        The experiment's own and the uniform ones of its rates if empty.
+    dampings, search
+        `dampings_for` and `search_for` if None.
+    offsets
+        `rig.experiments.zwidth.OFFSETS` if None; a device has one.
+    repeats
+        As in `MapPlan`.
+    judged
+        Whose signals decide; by the truth if None, on a device by what it records.
+    on_device
+        Whether a device will be hit.
+
+    Raises
+    ------
+    ConfigError, PlanError
+        A scheme or a range that cannot be.
+    """
+    chosen = tuple(schemes) or theory.default_schemes(experiment)
+    if offsets is None:
+        offsets = (experiment.rig.encoder.offset,) if on_device else OFFSETS
+    return MapPlan(
+        experiment=experiment,
+        schemes=chosen,
+        dampings=dampings_for(experiment, chosen) if dampings is None else tuple(dampings),
+        search=search or search_for(experiment, on_device=on_device),
+        offsets=tuple(offsets),
+        repeats=repeats,
+        judged=judged or ("recorded" if on_device else "true"),
+    )
 
 
 def theory_curves(plan: MapPlan) -> dict[int, tuple[list[float], list[float]]]:

@@ -21,7 +21,7 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.core.errors import PlanError
+from rig.core.errors import ConfigError, PlanError
 
 Way = Literal["ladder", "bisection", "grid"]
 Passes = bool | None  # None: the trial is invalid
@@ -29,6 +29,8 @@ Outcomes = Mapping[str, Passes]  # by criterion
 Cell = tuple[int, int]  # index of the damping, index of the stiffness
 Flags = NDArray[np.bool_]
 Ending = Literal["no stiffness left", "last damping", "start not passive"]
+
+MOST_NUMBERS = 10_000  # of a range that is written as a text
 
 Wall = TypeVar("Wall")
 Answer = TypeVar("Answer")
@@ -53,6 +55,31 @@ def check_values(
         )
     if rising and list(values) != sorted(values):
         raise PlanError(f"{name} (`{option}`) are not in rising order", remedy="give the lowest first")
+
+
+def numbers_of(text: str, name: str) -> tuple[float, ...]:
+    """Numbers of ``0,0.5,1`` or, equally spaced, ``0:3.6:17`` (first, last, count); `ConfigError` calls them `name`."""
+    try:
+        if ":" not in text:
+            return tuple(float(part) for part in text.split(","))
+        first, last, count = text.split(":")
+        if 1 <= int(count) <= MOST_NUMBERS:
+            return tuple(np.linspace(float(first), float(last), int(count)).tolist())
+    except ValueError:
+        pass
+    raise ConfigError(
+        f"{name} {text!r} is not a list of numbers",
+        remedy=f"write them as 0,0.5,1 or as first:last:count, like 0:3.6:17, with a count of 1 to {MOST_NUMBERS}",
+    )
+
+
+def bounds_of(text: str, name: str) -> tuple[float, float]:
+    """Lowest and highest of ``10:1000``; `ConfigError` calls them `name`."""
+    try:
+        low, high = (float(part) for part in text.split(":"))
+    except ValueError:
+        raise ConfigError(f"{name} {text}: no range", remedy="write it as LOW:HIGH, like 10:1000") from None
+    return low, high
 
 
 def drive(search: Generator[Wall, Answer, Found], test: Callable[[Wall], Answer]) -> Found:

@@ -35,6 +35,7 @@ from rig.experiments.plan import STANDS_FOR_DEVICE
 from rig.experiments.searches import Outcomes, Search, StiffnessLimit, check_values, drive, limit_of
 
 Judged = Literal["true", "recorded"]
+OFFSETS = (0.1, 0.6)  # places of zero that a map takes unless told otherwise
 TRUE = "_true"  # how columns of the simulation's truth end, as in recordings
 _BEFORE = "guard tripped before the wall"  # what the numbers of a hit do not show
 
@@ -80,7 +81,7 @@ class MapPlan:
     schemes: tuple[Scheme, ...]
     dampings: tuple[float, ...]
     search: Search
-    offsets: tuple[float, ...] = (0.1, 0.6)
+    offsets: tuple[float, ...] = OFFSETS
     repeats: int = 1
     judged: Judged = "true"
 
@@ -130,6 +131,25 @@ class MapPlan:
             )
             for series in self.series()
         ]
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Plain values, which `from_mapping` turns into an equal plan."""
+        own = {"search": asdict(self.search), "schemes": [scheme.text for scheme in self.schemes]}
+        named = {name: getattr(self, name) for name in ("dampings", "offsets", "repeats", "judged")}
+        return {**plain(named), **own, "experiment": config.as_mapping(self.experiment)}
+
+    @classmethod
+    def from_mapping(cls, mapping: Mapping[str, Any], where: str) -> MapPlan:
+        """The plan of plain values; `ConfigError` names `where`."""
+        return cls(
+            experiment=config.experiment_from_mapping(mapping["experiment"], where),
+            schemes=tuple(Scheme.parse(text) for text in mapping["schemes"]),
+            dampings=tuple(mapping["dampings"]),
+            search=Search(**mapping["search"]),
+            offsets=tuple(mapping["offsets"]),
+            repeats=mapping["repeats"],
+            judged=mapping["judged"],
+        )
 
     def check(self) -> None:
         """Hits are judged whatever they do: nothing to refuse."""

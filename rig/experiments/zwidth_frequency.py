@@ -28,6 +28,7 @@ from rig import config
 from rig.analysis.impedance.signals import Floats
 from rig.config import Experiment
 from rig.config.schemes import Scheme
+from rig.core.present import plain
 from rig.core.sample import unit_of
 from rig.experiments import sweep
 from rig.experiments.excitation_run import ExcitedRig, Run, Signal
@@ -114,6 +115,24 @@ class FrequencyPlan:
             )
             for number, damping in self.columns()
         ]
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Plain values, which `from_mapping` turns into an equal plan."""
+        own = {"judging": asdict(self.judging), "schemes": [scheme.text for scheme in self.schemes]}
+        named = {name: getattr(self, name) for name in ("stiffnesses", "dampings", "signal")}
+        return {**plain(named), **own, "experiment": config.as_mapping(self.experiment)}
+
+    @classmethod
+    def from_mapping(cls, mapping: Mapping[str, Any], where: str) -> FrequencyPlan:
+        """The plan of plain values; `ConfigError` names `where`."""
+        return cls(
+            experiment=config.experiment_from_mapping(mapping["experiment"], where),
+            schemes=tuple(Scheme.parse(text) for text in mapping["schemes"]),
+            stiffnesses=tuple(mapping["stiffnesses"]),
+            dampings=tuple(mapping["dampings"]),
+            judging=_judging(mapping["judging"]),
+            signal=mapping["signal"],
+        )
 
     def check(self) -> None:
         """Raise `PlanError` when the excitation is too large for the rig at the softest wall of some scheme."""

@@ -33,6 +33,7 @@ from rig.experiments.zwidth import TRUE, MapPlan, ZWidth, outcomes_of, row_of
 from rig.recording.data import Recording
 
 ATTEMPTS = 3  # at an invalid hit
+RECORDING = "recording"  # column of a device's map: the file of the hit
 CALM_S = 0.5  # pause between hits, whatever the motor's heat
 
 
@@ -191,7 +192,7 @@ class _Hits:
             self.session.report(asked, recorded)
             self.session.pause(CALM_S + _cooling_of(left.recording, experiment))
             if recorded.passes("any") is not None:
-                row = {"stiffness": asked.stiffness} | row_of(recorded, "")
+                row = {"stiffness": asked.stiffness, RECORDING: left.path.name} | row_of(recorded, "")
                 return row if true is None else row | row_of(true, TRUE)
         _, reasons = decide(recorded.numbers, recorded.thresholds)
         error = RigError(

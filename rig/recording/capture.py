@@ -40,6 +40,7 @@ import mmap
 import struct
 import zlib
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
@@ -144,23 +145,34 @@ def read_capture(path: Path) -> Recording:
     RecordingError
         No such file, not a capture, a damaged header, or another format version.
     """
+    with _opened(path) as data:
+        header, start = _read_header(path, data)
+        dtype = dtype_of(header.get("schema", {}))
+        found = _walk(data, start, dtype.itemsize)
+        rows = np.empty(sum(count for _, count in found.blocks), dtype)
+        filled = 0
+        for place, count in found.blocks:
+            rows[filled : filled + count] = np.frombuffer(data[place : place + count * dtype.itemsize], dtype)
+            filled += count
+    return Recording(header, rows, found.trailer, found.trailer is not None, tuple(found.lost), path)
+
+
+def read_capture_header(path: Path) -> Recording:
+    """A capture without rows and trailer; errors as `read_capture`."""
+    with _opened(path) as data:
+        header, _ = _read_header(path, data)
+    return Recording(header, np.empty(0, dtype_of(header.get("schema", {}))), None, complete=False, path=path)
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[mmap.mmap]:
     with plain_errors("read", path), open(path, "rb") as file:
         if not file.read(1):
             raise RecordingError(
                 f"{path} is empty", remedy="its writer ended before it wrote anything; record again"
             )
         with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-            header, start = _read_header(path, data)
-            dtype = dtype_of(header.get("schema", {}))
-            found = _walk(data, start, dtype.itemsize)
-            rows = np.empty(sum(count for _, count in found.blocks), dtype)
-            filled = 0
-            for place, count in found.blocks:
-                rows[filled : filled + count] = np.frombuffer(
-                    data[place : place + count * dtype.itemsize], dtype
-                )
-                filled += count
-    return Recording(header, rows, found.trailer, found.trailer is not None, tuple(found.lost), path)
+            yield data
 
 
 def _read_header(path: Path, data: mmap.mmap) -> tuple[dict[str, Any], int]:

@@ -107,6 +107,17 @@ class LineFile:
                 raise disk_error("lock", self.path, error.errno or errno.EIO) from error
 
 
+def being_written(path: Path) -> bool:
+    """Whether some process has a file of lines open to write it, without touching its lock."""
+    try:
+        there = path.stat()
+        locks = Path("/proc/locks").read_text()
+    except OSError:
+        return False
+    name = f"{os.major(there.st_dev):02x}:{os.minor(there.st_dev):02x}:{there.st_ino}"
+    return any(name in line.split() for line in locks.splitlines() if " FLOCK " in line)
+
+
 def line_of(text: str) -> bytes:
     """Line of a JSON object's text, which must be ASCII."""
     body = text.encode("ascii")

@@ -8,8 +8,9 @@ columns. pyarrow is loaded when a function here is called.
 from __future__ import annotations
 
 import zlib
-from collections.abc import Mapping
-from dataclasses import asdict
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -90,18 +91,33 @@ def _encodings(columns: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
 
 def read_parquet(path: Path) -> Recording:
     """Read a sealed recording; raises `RecordingError` when it is none, or when a bit of it has changed."""
+    with _opened(path) as file:
+        table = file.read()
+        return _recording(path, table, _metadata(path, table.schema))
+
+
+def read_parquet_facts(path: Path) -> Recording:
+    """A sealed recording without its rows, from the end of the file; raises `RecordingError` when it is none."""
+    with _opened(path) as file:
+        metadata = _metadata(path, file.schema_arrow)
+        return _facts(path, metadata)
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
     _check_pyarrow()
     with plain_errors("read", path), open(path, "rb") as file:
         try:
-            table = parquet.ParquetFile(file).read()
-            metadata = table.schema.metadata or {}
-            if not any(key in metadata for key in KEYS):
-                raise RecordingError(
-                    f"{path} is not a recording", remedy="it is Parquet that another program wrote"
-                )
-            return _recording(path, table, metadata)
+            yield parquet.ParquetFile(file)
         except (pyarrow.ArrowException, OSError, ValueError, KeyError, TypeError, AttributeError) as error:
             raise RecordingError(f"{path} is damaged", remedy=f"{error}".partition("\n")[0]) from error
+
+
+def _metadata(path: Path, schema: Any) -> dict[bytes, bytes]:
+    metadata: dict[bytes, bytes] = schema.metadata or {}
+    if not any(key in metadata for key in KEYS):
+        raise RecordingError(f"{path} is not a recording", remedy="it is Parquet that another program wrote")
+    return metadata
 
 
 def _to_numpy(column: Any) -> NDArray[Any]:
@@ -121,9 +137,15 @@ def _recording(path: Path, table: Any, metadata: dict[bytes, bytes]) -> Recordin
     columns = {name: _to_numpy(table.column(name)) for name in table.column_names}
     if _checksum(metadata, columns) != metadata[CHECKSUM_KEY]:
         raise ValueError("its checksum does not match")
+    facts = _facts(path, metadata)
+    rows = np.empty(table.num_rows, facts.rows.dtype)
+    for name in facts.names:
+        rows[name] = columns[name]
+    return replace(facts, rows=rows)
+
+
+def _facts(path: Path, metadata: dict[bytes, bytes]) -> Recording:
     header, trailer, complete, lost = (parsed(metadata[key]) for key in KEYS)
     check_version(path, header.get("version"))
-    rows = np.empty(table.num_rows, dtype_of(header["schema"]))
-    for name in rows.dtype.names or ():
-        rows[name] = columns[name]
+    rows = np.empty(0, dtype_of(header["schema"]))
     return Recording(header, rows, trailer, complete is True, tuple(Loss(**loss) for loss in lost), path)

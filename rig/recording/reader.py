@@ -6,10 +6,10 @@ from pathlib import Path
 
 from rig.core.errors import RecordingError
 from rig.core.sample import COLUMNS
-from rig.recording.capture import read_capture
+from rig.recording.capture import read_capture, read_capture_header
 from rig.recording.data import Recording
 from rig.recording.files import plain_errors
-from rig.recording.parquet import read_parquet
+from rig.recording.parquet import read_parquet, read_parquet_facts
 from rig.recording.shape import HEADER, TRAILER, misfit
 
 _PARQUET_MAGIC = b"PAR1"
@@ -26,9 +26,25 @@ def open_recording(path: str | Path) -> Recording:
         and `Recording.complete`.
     """
     path = Path(path)
+    return _checked(path, read_parquet(path) if _is_parquet(path) else read_capture(path))
+
+
+def open_facts(path: str | Path) -> Recording:
+    """A recording without its rows: header and trailer, from a few kilobytes of the file.
+
+    A capture has its header alone: how it ended stands behind its rows. What a checksum would say is not known. Errors
+    as `open_recording`.
+    """
+    path = Path(path)
+    return _checked(path, read_parquet_facts(path) if _is_parquet(path) else read_capture_header(path))
+
+
+def _is_parquet(path: Path) -> bool:
     with plain_errors("read", path), open(path, "rb") as file:
-        magic = file.read(len(_PARQUET_MAGIC))
-    recording = read_parquet(path) if magic == _PARQUET_MAGIC else read_capture(path)
+        return file.read(len(_PARQUET_MAGIC)) == _PARQUET_MAGIC
+
+
+def _checked(path: Path, recording: Recording) -> Recording:
     missing = [column.name for column in COLUMNS if column.name not in recording.names]
     if missing:
         raise RecordingError(

@@ -37,8 +37,8 @@ def chromium() -> Iterator[Any]:
 
 @pytest.fixture
 def console(tmp_path: Path) -> Iterator[Any]:
-    """A console as a process, which writes its recordings into `tmp_path`; its URL is `url`."""
-    command = (sys.executable, "-P", "-m", "rig", "console", "--own", "--json", "-o", tmp_path)
+    """A console as a process, which writes into `tmp_path / "recordings"`; its URL is `url`."""
+    command = (sys.executable, "-P", "-m", "rig", "console", "--own", "--json", "-o", tmp_path / "recordings")
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     with started(*command, cwd=tmp_path, text=True, stdout=-1, env=environment) as process:
         assert process.stdout is not None

@@ -19,8 +19,8 @@ SCOPE = "rigConsole.scope"
 
 def recorded(place: Path) -> Recording:
     deadline = time.monotonic() + 60.0
-    while not (found := sorted(place.glob("*.parquet"))):
-        assert time.monotonic() < deadline, f"nothing was sealed: {list(place.iterdir())}"
+    while not (found := sorted((place / "recordings").glob("*.parquet"))):
+        assert time.monotonic() < deadline, f"nothing was sealed: {list(place.rglob('*'))}"
         time.sleep(0.05)
     return open_recording(found[-1])
 

@@ -45,7 +45,7 @@ def test_a_map_is_a_table_a_picture_and_files(run: Any, tmp_path: Path) -> None:
     assert out.startswith("koul-compliant, pushed by 0.15 N·m: K in N·m/rad, B in N·m·s/rad\n")
     assert [line.split()[:3] for line in out.splitlines()[2:3]] == [["uniform", "10", "kHz,"]]
     files = {path.name for path in the_map(tmp_path / "maps").iterdir()}
-    assert files == {"journal", "hits.parquet", "map.json", "zwidth.png"}
+    assert files == {"plan.json", "journal", "hits.parquet", "map.json", "zwidth.png"}
 
 
 def test_json_is_one_document_with_everything(run: Any, tmp_path: Path) -> None:

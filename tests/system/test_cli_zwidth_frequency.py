@@ -26,7 +26,8 @@ def test_the_papers_four_estimators_stand_beside_the_paper(run: Any, tmp_path: P
         assert text in out
     (place,) = (tmp_path / "maps").iterdir()
     assert place.name.startswith("zwidth-frequency-chawda-linear-")
-    assert {file.name for file in place.iterdir()} == {"journal", "walls.parquet", "map.json", "zwidth.png"}
+    files = {file.name for file in place.iterdir()}
+    assert files == {"plan.json", "journal", "walls.parquet", "map.json", "zwidth.png"}
     assert (place / "zwidth.png").stat().st_size > 30_000
 
 

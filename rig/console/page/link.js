@@ -94,7 +94,7 @@ export class Link extends EventTarget {
 }
 
 // Header, times, and for each column its least and greatest values (the same array where each point is one row).
-function frameOf(buffer) {
+export function frameOf(buffer) {
   const length = new DataView(buffer).getUint32(0, true);
   const header = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, length)));
   const numbers = new Float64Array(buffer, 4 + length);

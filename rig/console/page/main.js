@@ -4,6 +4,8 @@ import { devicesView } from "./devices.js";
 import { make, written } from "./dom.js";
 import { Handle } from "./handle.js";
 import { Link } from "./link.js";
+import { Maps } from "./maps.js";
+import { Recordings } from "./recordings.js";
 import { Scope } from "./scope.js";
 import { Sound } from "./sound.js";
 import { Wall } from "./wall.js";
@@ -86,6 +88,13 @@ link.addEventListener("hello", ({ detail: facts }) => {
     globalThis.rigConsole = { scope, written };
     return make("div", {}, scope.element, side);
   });
+  const recordings = new Recordings(link);
+  const open = (which) => {
+    show("recordings");
+    recordings.open(which);
+  };
+  addView("maps", "Maps", () => new Maps(link, facts, open).element);
+  addView("recordings", "Recordings", () => recordings.begin());
   addView("devices", "Devices", () => devicesView(link, facts));
   show("live");
 });

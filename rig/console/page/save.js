@@ -5,7 +5,7 @@ import { colour, make } from "./dom.js";
 const WIDTH = 1000;
 const HEIGHT = 220; // of a panel
 
-function offer(blob, name) {
+export function offer(blob, name) {
   const url = URL.createObjectURL(blob);
   make("a", { href: url, download: name }).click();
   setTimeout(() => URL.revokeObjectURL(url), 1000);

@@ -1,5 +1,6 @@
 // The oscilloscope: charts over time, or effort over penetration; pause, zoom, cursors, trigger; what is seen is saved.
 
+import { NAMES, chartOptions, inside, line, nameSeries, selected, shadeWall, upright } from "./charts.js";
 import { cleared, colour, make, written } from "./dom.js";
 import { saveCsv, savePng, saveSvg } from "./save.js";
 import { Traces } from "./traces.js";
@@ -16,7 +17,6 @@ const TRUTH = [
   { title: "velocity", name: "true", place: 3, key: "true" },
 ];
 const ALWAYS = ["position", "velocity", "effort_wanted", "effort_sent", "effort_applied", "penetration"];
-const NAMES = { effort_wanted: "wanted", effort_sent: "sent", effort_applied: "active", position: "measured", velocity: "estimated" };
 
 export class Scope {
   constructor(link, facts) {
@@ -184,24 +184,13 @@ export class Scope {
   }
 
   #options(title, series) {
-    const grid = { stroke: colour("grid"), width: 1 };
-    const axis = { stroke: colour("quiet"), grid, ticks: grid, font: "12px system-ui" };
-    const last = title === this.#shown().at(-1).title;
-    return {
-      width: 400, height: 160, legend: { show: false },
-      cursor: { sync: { key: "rig" }, drag: { x: true, y: false, setScale: false } },
-      scales: { x: { time: false, auto: false, range: () => this.#range() }, y: { range: (_, low, high) => this.#height(title, low, high) } },
-      axes: [
-        { ...axis, ...(last ? { label: "s since the first sample", labelSize: 18, size: 36 } : { size: 26 }) },
-        { ...axis, size: 78, values: (_, ticks) => ticks.map((tick) => written(tick, 6)), label: `${title} (${this.unit(series[0][0])})`, labelSize: 18 },
-      ],
-      series: [{}, ...series.map(([, key]) => ({ stroke: colour(key), width: 1.25, points: { show: false } }))],
-      hooks: {
-        draw: [(plot) => this.#marks(plot, title, series)],
-        setSelect: [(plot) => this.#zoom(plot)],
-        ready: [(plot) => plot.over.addEventListener("click", () => this.#cursor(plot))],
-      },
-    };
+    return chartOptions({
+      title, series, unit: this.unit(series[0][0]), last: title === this.#shown().at(-1).title, group: "rig",
+      range: () => this.#range(), height: (low, high) => this.#height(title, low, high),
+      marks: (plot) => this.#marks(plot, title, series),
+      zoom: (plot) => this.#zoom(plot),
+      click: (plot) => this.#cursor(plot),
+    });
   }
 
   #size() {
@@ -238,36 +227,14 @@ export class Scope {
 
   // What is true, the wall, the trigger, the cursors and a legend, over a chart.
   #marks(plot, title, series) {
-    const { ctx, bbox } = plot;
-    ctx.save();
-    ctx.beginPath();
-    ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
-    ctx.clip();
-    if (title === "position" && this.wall) {
-      const y = plot.valToPos(this.wall.position, "y", true);
-      const inside = this.wall.side > 0 ? [bbox.top, y - bbox.top] : [y, bbox.top + bbox.height - y];
-      ctx.globalAlpha = 0.15;
-      ctx.fillStyle = colour("wall");
-      ctx.fillRect(bbox.left, inside[0], bbox.width, inside[1]);
-      ctx.globalAlpha = 1;
-      line(ctx, bbox.left, y, bbox.left + bbox.width, y, colour("wall"));
-    }
-    const known = this.truth.length && !(this.zoomed instanceof Traces) ? TRUTH.filter((one) => one.title === title) : [];
-    for (const { place, key } of known) this.#truth(plot, place, key);
-    let left = bbox.left + 6 * devicePixelRatio;
-    ctx.font = `${12 * devicePixelRatio}px system-ui`;
-    ctx.textAlign = "left";
-    ctx.textBaseline = "alphabetic";
-    for (const [name, key] of [...series.map(([name, key]) => [NAMES[name] ?? name, key]), ...known.map(({ name, key }) => [name, key])]) {
-      ctx.fillStyle = colour(key);
-      ctx.fillText(name, left, bbox.top + 13 * devicePixelRatio);
-      left += ctx.measureText(name).width + 10 * devicePixelRatio;
-    }
-    for (const at of [...(this.triggered ? [this.triggered] : []), ...this.cursors]) {
-      const x = plot.valToPos(at, "x", true);
-      line(ctx, x, bbox.top, x, bbox.top + bbox.height, colour(at === this.triggered ? "other" : "ink"));
-    }
-    ctx.restore();
+    inside(plot, () => {
+      if (title === "position" && this.wall) shadeWall(plot, this.wall);
+      const known = this.truth.length && !(this.zoomed instanceof Traces) ? TRUTH.filter((one) => one.title === title) : [];
+      for (const { place, key } of known) this.#truth(plot, place, key);
+      nameSeries(plot, [...series.map(([name, key]) => [NAMES[name] ?? name, key]), ...known.map(({ name, key }) => [name, key])]);
+      if (this.triggered) upright(plot, this.triggered, colour("other"));
+      for (const at of this.cursors) upright(plot, at, colour("ink"));
+    });
   }
 
   // A column of what the simulated handle truly did.
@@ -339,10 +306,9 @@ export class Scope {
   // Zoom and cursors.
 
   #zoom(plot) {
-    const { left, width } = plot.select;
-    if (width < 4) return;
-    const [first_s, last_s] = [plot.posToVal(left, "x"), plot.posToVal(left + width, "x")];
-    plot.setSelect({ left: 0, width: 0, top: 0, height: 0 }, false);
+    const times = selected(plot);
+    if (times === null) return;
+    const [first_s, last_s] = times;
     if (!this.paused) this.pause(true);
     this.zoomed = this.zoomed ?? true;
     this.link.ask("zoom", { columns: this.#columns(), first_s, last_s }).catch(() => { this.zoomed = null; });
@@ -380,13 +346,4 @@ export class Scope {
     if (kind === "svg") saveSvg(this.#shown(), from, (column) => this.unit(column), this.#range(), name);
     for (const select of this.element.querySelectorAll("select")) if (select.options[0].textContent === "…") select.value = "";
   }
-}
-
-function line(context, x0, y0, x1, y1, stroke) {
-  context.strokeStyle = stroke;
-  context.lineWidth = 1;
-  context.beginPath();
-  context.moveTo(x0, y0);
-  context.lineTo(x1, y1);
-  context.stroke();
 }

@@ -2,9 +2,9 @@
 
 import { cleared, colour, make, written } from "./dom.js";
 
-const JOBS = ["hit", "play"];
 const ASK_MS = 250; // between two questions to theory while a slider moves
 const SET_MS = 100;
+const JOBS = ["hit", "play"]; // those of this view
 const ESTIMATORS = ["fdm-butterworth", "fdm", "foaw", "kalman", "levant"];
 
 export class Wall {
@@ -23,8 +23,8 @@ export class Wall {
     this.element = make("div", {}, this.#run(facts), this.#wall());
     link.addEventListener("loop", ({ detail }) => this.#another(detail));
     link.addEventListener("state", ({ detail }) => this.#state(detail));
-    link.addEventListener("job", ({ detail }) => this.#job(detail));
-    link.addEventListener("progress", ({ detail }) => { if (JOBS.includes(detail.job)) this.#progress(detail.told); });
+    link.addEventListener("job", ({ detail }) => JOBS.includes(detail.job) && this.#job(detail));
+    link.addEventListener("progress", ({ detail }) => JOBS.includes(detail.job) && this.#progress(detail.told));
     this.rig.value = facts.rigs.includes("koul-compliant") ? "koul-compliant" : facts.rigs[0];
     this.#load();
   }

@@ -159,6 +159,25 @@ class Journal:
         return end
 
 
+def read_on(path: Path, place: int = 0) -> tuple[list[tuple[str, Any]], int]:
+    """Key and result of each task whose line begins at `place` or later, and where the next line will begin.
+
+    Of a journal that another process may be writing: nothing is locked, a line that is still being written is left for
+    the next call, and a damaged one is left out. Raises `RecordingError` when it cannot be read.
+    """
+    found = []
+    with plain_errors("read", path), open(path, "rb") as file:
+        file.seek(place)
+        for line in file:
+            if not line.endswith(b"\n"):
+                break
+            place += len(line)
+            told = object_of(line)
+            if told is not None and "key" in told:
+                found.append((told["key"], told["result"]))
+    return found, place
+
+
 def _refuse_another(path: Path, there: dict[str, Any], here: dict[str, Any]) -> None:
     """Raise `ConfigError` that says what differs when a journal's header is not ours."""
     if (there["sweep"], there.get("plan")) == (here["sweep"], here["plan"]):

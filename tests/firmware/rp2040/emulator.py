@@ -53,9 +53,7 @@ PINS = {
 }
 
 
-def image(
-    model: RigModel, directory: Path, /, *, application: str = DEVICE, **settings: Any
-) -> BuildResult:
+def image(model: RigModel, directory: Path, /, *, application: str = DEVICE, **settings: Any) -> BuildResult:
     """Build the firmware for a rig, with a current monitor; skips the test without a cross compiler."""
     if shutil.which("arm-none-eabi-gcc") is None:
         pytest.skip("arm-none-eabi-gcc is not installed (package gcc-arm-none-eabi)")

@@ -21,7 +21,9 @@ from rig.core.errors import RecordingError
 from rig.experiments import maps, zwidth
 from rig.experiments.searches import Search
 from rig.experiments.sweep import executors
+from rig.experiments.sweep.journal import read_on
 from rig.experiments.zwidth import MapPlan
+from rig.recording.reader import open_recording
 
 SHORT = {"trial.duration_s": 0.3, "verdict.tail_s": 0.1, "homing.settle_s": 0.02}
 PLAN = MapPlan(
@@ -88,3 +90,35 @@ def test_a_place_that_cannot_be_made_is_one_clear_error(tmp_path: Path) -> None:
     (tmp_path / "maps").write_text("in the way")
     with pytest.raises(RecordingError, match="cannot make"):
         maps.map_into(PLAN, tmp_path / "maps" / "zwidth")
+
+
+def test_the_directory_says_what_is_mapped_while_the_map_grows(place: Any, tmp_path: Path) -> None:
+    assert maps.read_plan(place) == (PLAN, "")
+    told, end = read_on(place / maps.JOURNAL)
+    assert [key for key, _ in told] == [series.key for series in PLAN.series()]
+    assert read_on(place / maps.JOURNAL, end) == ([], end)
+    torn = tmp_path / "journal"
+    torn.write_bytes((place / maps.JOURNAL).read_bytes()[:-5])
+    first, place_of_second = read_on(torn)
+    assert [key for key, _ in first] == [PLAN.series()[0].key]
+    torn.write_bytes((place / maps.JOURNAL).read_bytes())
+    assert read_on(torn, place_of_second) == (told[1:], end)
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"version": 1, "work": "x"}', '{"version": 2}'])
+def test_what_is_no_plan_is_refused_by_name(tmp_path: Path, text: str) -> None:
+    (tmp_path / maps.PLAN).write_text(text)
+    with pytest.raises(RecordingError, match=r"plan\.json"):
+        maps.read_plan(tmp_path)
+
+
+def test_a_hit_of_a_map_is_recorded_again_to_the_last_bit(place: Any, tmp_path: Path) -> None:
+    ((key, rows), *_), _ = read_on(place / maps.JOURNAL)
+    series = next(one for one in PLAN.series() if one.key == key)
+    path = maps.recorded_hit(PLAN, series, rows[-1]["stiffness"], tmp_path)
+    trailer = open_recording(path).trailer or {}
+    for suffix in ("", "_true"):
+        verdict = trailer[f"verdict{suffix}"]
+        same = ("peak_penetration", "heard", "moved", "contact_s")
+        assert [verdict[name] for name in same] == [rows[-1][name + suffix] for name in same]
+    assert maps.recorded_hit(PLAN, series, rows[-1]["stiffness"], tmp_path) == path

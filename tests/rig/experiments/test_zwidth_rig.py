@@ -228,6 +228,9 @@ def test_a_real_device_stays_open_and_its_zero_where_it_was(tmp_path: Path, real
     assert len(real_devices) == 1
     recordings = [open_recording(path) for path in sorted((tmp_path / "hits").glob("*.parquet"))]
     assert len(recordings) == found.hits > 3
+    assert {row["recording"] for row in found.table()} == {
+        one.path.name for one in recordings if one.path is not None
+    }
     zeros = {recording.header["identity"]["parameters"]["reference_count"] for recording in recordings}
     assert len(zeros) == 1
     assert zeros != {0}

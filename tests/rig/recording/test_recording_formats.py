@@ -19,7 +19,7 @@ from rig.recording.capture import write_capture
 from rig.recording.data import Recording
 from rig.recording.export import export
 from rig.recording.header import VERSION, dtype_of
-from rig.recording.reader import open_recording
+from rig.recording.reader import open_facts, open_recording
 from tests.conformance.recording import Limits, check_recording_format, example_header, example_rows
 
 
@@ -96,3 +96,29 @@ def test_a_change_of_the_columns_is_another_format_version() -> None:
     """Whoever changes a column raises `rig.recording.header.VERSION`, and then this number."""
     described = [(column.name, column.dtype, column.unit) for column in COLUMNS]
     assert (VERSION, len(COLUMNS), zlib.crc32(repr(described).encode())) == (2, 36, 1874533501)
+
+
+@pytest.mark.parametrize("ending", ["rigcap", "parquet"])
+def test_the_facts_of_a_recording_are_those_of_the_whole_without_its_rows(
+    ending: str, tmp_path: Path
+) -> None:
+    path = tmp_path / f"one.{ending}"
+    whole = Recording(example_header(), example_rows(5), {"reason": "finished"})
+    FORMATS[ending][0](whole, path)
+    facts, opened = open_facts(path), open_recording(path)
+    assert (facts.header, facts.names, len(facts)) == (opened.header, opened.names, 0)
+    if ending == "parquet":  # of a capture the trailer stands behind its rows
+        assert (facts.trailer, facts.complete) == (opened.trailer, True)
+    else:
+        assert (facts.trailer, facts.complete) == (None, False)
+
+
+@pytest.mark.parametrize("ending", ["rigcap", "parquet"])
+def test_facts_are_refused_as_the_whole_is(ending: str, tmp_path: Path) -> None:
+    path = tmp_path / f"one.{ending}"
+    FORMATS[ending][0](Recording(example_header(), example_rows(5), {}), path)
+    whole = path.read_bytes()
+    for data in (b"", whole[:40], b"text", whole[:4] + bytes(100)):
+        path.write_bytes(data)
+        with pytest.raises(RecordingError):
+            open_facts(path)

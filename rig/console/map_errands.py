@@ -1,0 +1,206 @@
+"""What a page is shown of a map: its plan, the cells that its journal has gained, theory, and single hits of it."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from rig.control.verdict import CRITERIA, Kind
+from rig.core.errors import ConfigError, RecordingError, RigError
+from rig.core.sample import unit_of
+from rig.experiments import maps
+from rig.experiments.ranges import linear_curves, theory_curves
+from rig.experiments.sweep.journal import read_on
+from rig.experiments.zwidth import TRUE, MapPlan
+from rig.experiments.zwidth_frequency import TOGETHER, FrequencyPlan
+from rig.experiments.zwidth_rig import RECORDING
+from rig.recording.files import plain_errors
+from rig.recording.lines import being_written
+
+KINDS = tuple(str(kind) for kind in (Kind.STABLE, Kind.LIMIT_CYCLE, Kind.UNSTABLE, Kind.INVALID))
+STABLE, LIMIT_CYCLE, UNSTABLE, INVALID = range(4)  # places in `KINDS`: a verdict on its way to the page
+MOST = 500  # maps of a list
+
+
+def directories(directory: str) -> list[dict[str, Any]]:
+    """The maps of a directory, the newest first: their names, what they map, and how they stand."""
+    found = [path.parent for path in Path(directory).glob(f"*/{maps.PLAN}")]
+    found.sort(key=lambda path: -_changed_s(path))
+    return [_headline(path) for path in found[:MOST]]
+
+
+def _changed_s(path: Path) -> float:
+    try:
+        return (path / maps.JOURNAL).stat().st_mtime
+    except OSError:
+        return 0.0
+
+
+def _headline(path: Path) -> dict[str, Any]:
+    told: dict[str, Any] = {"name": path.name, "changed_s": _changed_s(path)}
+    try:
+        plan, device = _plan(path)
+    except RigError as error:
+        return {**told, "problem": str(error)}
+    return {
+        **told,
+        "problem": None,
+        "rig": plan.experiment.rig.name,
+        "domain": "frequency" if isinstance(plan, FrequencyPlan) else "time",
+        "device": device,
+        "schemes": len(plan.schemes),
+        "state": _state(path),
+    }
+
+
+def _state(path: Path) -> str:
+    if being_written(path / maps.JOURNAL):
+        return "running"
+    return "finished" if (path / maps.SUMMARY).exists() else "stopped"
+
+
+def _plan(path: Path) -> tuple[MapPlan | FrequencyPlan, str]:
+    with plain_errors("read", path / maps.PLAN):
+        return _read(path, (path / maps.PLAN).stat().st_mtime_ns)
+
+
+@lru_cache(maxsize=MOST)
+def _read(path: Path, changed_ns: int) -> tuple[MapPlan | FrequencyPlan, str]:
+    return maps.read_plan(path)
+
+
+def described(directory: str) -> dict[str, Any]:
+    """What is mapped: axes, schemes, and how many tasks of which weight there are."""
+    path = Path(directory)
+    plan, _ = _plan(path)
+    experiment = plan.experiment
+    motion = experiment.rig.motion
+    told: dict[str, Any] = {
+        **_headline(path),
+        "schemes": [
+            {"text": scheme.text, "label": scheme.label(experiment), "weight": scheme.position_rate}
+            for scheme in plan.schemes
+        ],
+        "dampings": list(plan.dampings),
+        "units": {name: unit_of(name, motion) for name in ("stiffness", "damping")},
+    }
+    if isinstance(plan, FrequencyPlan):
+        return {**told, "criteria": [], "stripes": [""], "stiffnesses": list(plan.stiffnesses)}
+    return {
+        **told,
+        "criteria": list(CRITERIA),
+        "kinds": KINDS,
+        "judged": plan.judged,
+        "stripes": [
+            f"zero at {offset:g} count" + (f", repeat {repeat + 1}" if plan.repeats > 1 else "")
+            for offset in plan.offsets
+            for repeat in range(plan.repeats)
+        ],
+        "ratio": plan.search.ratio,
+    }
+
+
+def growth(directory: str, place: int) -> dict[str, Any]:
+    """What the journal has gained since a place in it: one entry for each column of cells; and how the map stands."""
+    path = Path(directory)
+    plan, _ = _plan(path)
+    state = _state(path)  # before the journal: of a finished map all is read
+    found: list[tuple[str, Any]] = []
+    if (path / maps.JOURNAL).exists():
+        found, place = read_on(path / maps.JOURNAL, place)
+    columns = [
+        _impedances(plan, key, rows) if isinstance(plan, FrequencyPlan) else _hits(plan, key, rows)
+        for key, rows in found
+    ]
+    return {"columns": columns, "place": place, "state": state}
+
+
+def _hits(plan: MapPlan, key: str, rows: list[dict[str, Any]]) -> dict[str, Any]:
+    series = next(one for one in plan.series() if one.key == key)
+    suffix = TRUE if plan.judged == "true" else ""
+    return {
+        "key": key,
+        "scheme": series.scheme,
+        "damping": plan.dampings.index(series.damping),
+        "stripe": plan.offsets.index(series.offset) * plan.repeats + series.repeat,
+        "cells": [
+            [
+                row["stiffness"],
+                KINDS.index(row[f"kind{suffix}"]),
+                *(_code(row, name, suffix) for name in CRITERIA),
+            ]
+            for row in rows
+        ],
+    }
+
+
+def _code(row: dict[str, Any], criterion: str, suffix: str) -> int:
+    """A hit under one criterion: stable, failed slowly or at once, or invalid."""
+    passes = row[f"passes_{criterion}{suffix}"]
+    if passes is None:
+        return INVALID
+    if passes:
+        return STABLE
+    return UNSTABLE if row[f"kind{suffix}"] == KINDS[UNSTABLE] else LIMIT_CYCLE
+
+
+def _impedances(plan: FrequencyPlan, key: str, rows: list[dict[str, Any]]) -> dict[str, Any]:
+    scheme, _, damping = key.partition("/")
+    return {
+        "key": key,
+        "scheme": int(scheme),
+        "damping": plan.dampings.index(float(damping)),
+        "stripe": 0,
+        "cells": [
+            [row["stiffness"], row["passive"], row["fidelity"], row["reason"]]
+            for row in rows
+            if row["realisation"] == TOGETHER
+        ],
+    }
+
+
+def theory(directory: str) -> list[dict[str, Any]]:
+    """Curves of linear theory over the map: by scheme, name, dampings and stiffnesses."""
+    plan, _ = _plan(Path(directory))
+    if isinstance(plan, FrequencyPlan):
+        return [
+            {"scheme": number, "name": name, "damping": dampings, "stiffness": stiffness}
+            for number, (dampings, stable, passive) in linear_curves(plan).items()
+            for name, stiffness in (("linearly stable", stable), ("passive in band", passive))
+        ]
+    return [
+        {"scheme": number, "name": "linear theory, no friction", "damping": dampings, "stiffness": stiffness}
+        for number, (dampings, stiffness) in theory_curves(plan).items()
+    ]
+
+
+def recorded(directory: str, key: str, stiffness: float, output: str) -> dict[str, Any]:
+    """The recording of one hit: of a device's map the one that it left, of the simulation the same hit again.
+
+    Raises
+    ------
+    ConfigError
+        The map has no such hit, or only impedances.
+    """
+    path = Path(directory)
+    plan, device = _plan(path)
+    if isinstance(plan, FrequencyPlan):
+        raise ConfigError("a wall that was excited has no hit", remedy="rig impedance measures a single wall")
+    row = next(
+        (
+            row
+            for name, rows in read_on(path / maps.JOURNAL)[0]
+            for row in rows
+            if name == key and row["stiffness"] == stiffness
+        ),
+        None,
+    )
+    if row is None:
+        raise ConfigError(f"the map has no hit at K = {stiffness:g} there", remedy="choose one of its cells")
+    if device:
+        if not (path / maps.RECORDINGS / row[RECORDING]).exists():
+            raise RecordingError(f"{row[RECORDING]} is no longer there", remedy="restore it from a copy")
+        return {"name": row[RECORDING], "map": path.name}
+    series = next(one for one in plan.series() if one.key == key)
+    return {"name": maps.recorded_hit(plan, series, stiffness, Path(output)).name, "map": ""}

@@ -1,0 +1,220 @@
+// Maps of walls: a form that starts one, the list of all, and the plane of stiffness over damping that fills in.
+
+import { make, written } from "./dom.js";
+import { Plane } from "./plane.js";
+
+const LIST_MS = 5000;
+const HANDS = [["a normal hand", "normal"], ["a relaxed hand", "relaxed"], ["a firm hand", "firm"], ["the motor, with the end mass", "none"]];
+const DEFAULTS = { time: "koul-compliant", frequency: "chawda-linear" };
+
+export class Maps {
+  // `open` is told which recording to show.
+  constructor(link, facts, open) {
+    this.link = link;
+    this.open = open;
+    this.map = null;
+    this.columns = [];
+    this.list = make("tbody");
+    this.told = make("p", { className: "quiet", role: "status" });
+    this.bar = make("progress", { max: 1, value: 0, hidden: true, ariaLabel: "Share of the map that is done" });
+    this.title = make("h2", { textContent: "Choose a map, or start one" });
+    this.schemes = make("div", { className: "bar schemes", role: "group", ariaLabel: "Scheme" });
+    this.limits = make("table", { className: "limits" });
+    this.plane = new Plane((cell) => this.#open(cell));
+    this.plane.onchosen = () => this.#table();
+    this.plane.element.hidden = true;
+    this.element = make("div", {}, this.#side(facts), make("section", { className: "scope", ariaLabel: "Map" },
+      make("div", { className: "bar" }, this.title, this.end), this.schemes, this.bar, this.told, this.plane.element), make("div", { className: "side limits" }, this.limits));
+    link.addEventListener("cells", ({ detail }) => this.#take(detail));
+    link.addEventListener("hello", () => this.map && this.#watch(this.map.name)); // connected again
+    link.addEventListener("state", ({ detail }) => this.#state(detail));
+    link.addEventListener("job", ({ detail }) => this.#job(detail));
+    link.addEventListener("compiling", ({ detail }) => { this.busy.textContent = detail.busy ? "compiling what this hit needs, once for this version and machine …" : ""; });
+    this.#fields();
+    this.#load();
+    setInterval(() => this.element.offsetParent !== null && this.#load(), LIST_MS);
+  }
+
+  // What starts a map, and which there are.
+
+  #side(facts) {
+    const select = (options, onchange) => make("select", { onchange }, ...options.map(([text, value]) => make("option", { textContent: text, value })));
+    const text = (placeholder) => make("input", { type: "text", placeholder });
+    this.form = {
+      domain: select([["hits", "time"], ["impedances", "frequency"]], () => this.#fields()),
+      rig: select(facts.rigs.map((name) => [name, name])),
+      hand: select(HANDS),
+      schemes: make("textarea", { rows: 3, placeholder: "own and uniform; or one a line: dual:20k/2k", ariaLabel: "Schemes, one a line" }),
+      damping: text("auto, or 0:3.6:17"),
+      stiffness: text(""),
+      way: select([["ladder", "ladder"], ["bisection", "bisection"], ["grid", "grid"]]),
+      offsets: text("0.1,0.6"),
+      repeats: make("input", { type: "number", min: 1, value: 1 }),
+      changes: make("textarea", { rows: 2, placeholder: "key = value, one a line", ariaLabel: "Other settings, one a line" }),
+    };
+    this.goesOn = make("input", { type: "checkbox", checked: true });
+    this.start = make("button", { type: "button", className: "first", textContent: "Start the map", onclick: () => this.#run() });
+    this.end = make("button", { type: "button", textContent: "End this map", hidden: true, onclick: () => this.#ask("map-end") });
+    this.busy = make("p", { className: "quiet", role: "status" });
+    const labels = { domain: "of", rig: "rig", hand: "pushed by", schemes: "schemes", damping: "dampings B", stiffness: "stiffness K", way: "search", offsets: "zeros (count)", repeats: "repeats", changes: "settings" };
+    this.rows = Object.fromEntries(Object.entries(labels).map(([name, label]) =>
+      [name, make("label", { className: "field" }, make("span", { textContent: label }), this.form[name])]));
+    return make("div", { className: "side" },
+      make("section", { className: "panel" }, make("h2", { textContent: "Maps, also those that commands make" }), make("div", { className: "list" }, make("table", {}, this.list))),
+      make("section", { className: "panel" }, make("h2", { textContent: "New map of a simulated rig" }), ...Object.values(this.rows),
+        make("label", { className: "quiet", title: "it ends at its end, not when this page closes" }, this.goesOn, " goes on when this page closes"),
+        make("p", {}, this.start), this.busy));
+  }
+
+  // The domain decides what may be said.
+  #fields() {
+    const domain = this.form.domain.value;
+    for (const name of ["hand", "way", "offsets", "repeats"]) this.rows[name].hidden = domain === "frequency";
+    this.form.stiffness.placeholder = domain === "time" ? "auto, or 10:1000" : "auto, or 500:30000:60";
+    if (!this.touched && [...this.form.rig.options].some(({ value }) => value === DEFAULTS[domain])) this.form.rig.value = DEFAULTS[domain];
+    this.form.rig.onchange = () => { this.touched = true; };
+  }
+
+  async #run() {
+    const { domain, rig, hand, schemes, changes, damping, stiffness, way, offsets, repeats } = this.form;
+    const lines = (area) => area.value.split("\n").map((line) => line.trim()).filter(Boolean);
+    const pushed = domain.value === "frequency" ? {} : hand.value === "none" ? { "trial.kind": "constant-effort" } : { "trial.kind": "human", "operator.grip": hand.value };
+    const content = { domain: domain.value, rig: rig.value, schemes: lines(schemes), damping: damping.value.trim(), stiffness: stiffness.value.trim(), goes_on: this.goesOn.checked,
+      changes: { ...pushed, ...Object.fromEntries(lines(changes).map(setting)) } };
+    if (domain.value === "time") Object.assign(content, { way: way.value, offsets: offsets.value.trim(), repeats: Number(repeats.value) || 1 });
+    this.busy.textContent = "starting …";
+    if (!(await this.#ask("map-run", content))) this.busy.textContent = "";
+  }
+
+  #state({ job, operated, operates }) {
+    this.running = job === "map";
+    this.start.disabled = job !== null || (operated && !operates);
+    this.end.hidden = !(this.running && this.map !== null && this.map.name === this.made);
+  }
+
+  #job({ job, told }) {
+    if (job !== "map") return;
+    if (told.say === "mapping") {
+      this.made = told.map;
+      this.#watch(told.map);
+    }
+    const said = { compiling: told.busy ? "compiling what this map needs, once for this version and machine …" : "", mapping: "", done: "",
+      failed: `The map ended: ${told.error}${told.remedy ? `; ${told.remedy}` : ""}` };
+    if (told.say in said) this.busy.textContent = said[told.say];
+    if (told.say === "ended") this.#load();
+  }
+
+  async #load() {
+    const found = await this.link.ask("maps").catch(() => null);
+    const now = JSON.stringify([found, this.map?.name]);
+    if (found === null || now === this.listed) return; // what has the focus keeps it
+    this.listed = now;
+    const rows = found.map((map) => make("tr", {},
+      make("td", {}, make("button", { type: "button", className: "name", textContent: map.name, disabled: map.problem !== null, ariaPressed: String(map.name === this.map?.name), onclick: () => this.#watch(map.name) })),
+      make("td", { textContent: map.problem ?? `${map.state}${map.device ? ", on a device" : ""}` })));
+    this.list.replaceChildren(...(rows.length ? rows : [make("tr", {}, make("td", { textContent: "none yet" }))]));
+  }
+
+  // One map.
+
+  async #watch(name) {
+    const facts = await this.#ask("map-watch", { map: name });
+    if (!facts) return;
+    const another = this.map?.name !== facts.name;
+    this.map = facts;
+    this.title.textContent = `${facts.rig}: ${facts.domain === "time" ? "which walls stay stable" : "which walls are passive"}`;
+    this.plane.element.hidden = false;
+    if (!another) return;
+    if (this.late?.map === name) this.#take(this.late);
+    this.plane.show(facts);
+    this.scheme = 0;
+    this.schemes.replaceChildren(...facts.schemes.map((scheme, number) => make("button", { type: "button", textContent: scheme.label, title: scheme.text,
+      onclick: () => { this.scheme = number; this.#choose(); } })));
+    this.#choose();
+    this.#load();
+    this.plane.theory = [];
+    const curves = await this.#ask("map-theory", { map: name });
+    if (this.map.name !== name || !curves) return;
+    this.plane.theory = curves;
+    this.plane.draw();
+    this.#table();
+  }
+
+  #choose() {
+    [...this.schemes.children].forEach((button, number) => { button.ariaPressed = String(number === this.scheme); });
+    this.plane.choose(this.scheme);
+    this.#table();
+  }
+
+  #take(told) {
+    if (told.map !== this.map?.name) { // its facts are on their way
+      this.late = told.anew ? told : this.late;
+      return;
+    }
+    if (told.anew) this.columns = [];
+    this.columns.push(...told.columns);
+    this.plane.columns = this.columns;
+    const cells = this.columns.reduce((sum, column) => sum + column.cells.length, 0);
+    const left = told.state === "running" && told.left_s !== null ? `, about ${duration(told.left_s)} left` : "";
+    const text = `${told.state}: ${told.done} of ${told.total} columns, ${cells} cells${left}`;
+    if (this.told.textContent !== text) this.told.textContent = text;
+    this.bar.hidden = told.state !== "running";
+    this.bar.value = told.total ? told.done / told.total : 0;
+    if (told.columns.length || told.anew) {
+      this.plane.draw();
+      this.#table();
+    }
+  }
+
+  // The limits as a table: what the picture shows, for those who do not see it.
+  #table() {
+    if (this.map === null) return;
+    const { dampings, units } = this.map;
+    const curves = this.plane.theory.filter((curve) => curve.scheme === this.scheme);
+    const head = [`B (${units.damping})`, `K up to (${units.stiffness})`, ...curves.map(({ name }) => name)];
+    const rows = dampings.map((damping, number) => {
+      const limits = this.columns.filter((column) => column.scheme === this.scheme && column.damping === number).map((column) => this.plane.limit(column));
+      const [low, high] = [Math.min(...limits), Math.max(...limits)];
+      const said = limits.length === 0 ? "–" : low === high ? written(low, 3) : `${written(low, 3)} to ${written(high, 3)}`;
+      return make("tr", {}, make("th", { scope: "row", textContent: written(damping, 3) }), make("td", { textContent: said }),
+        ...curves.map((curve) => make("td", { textContent: written(at(curve, damping), 3) })));
+    });
+    this.limits.replaceChildren(make("caption", { textContent: "Stiffest wall up to which all pass" }),
+      make("thead", {}, make("tr", {}, ...head.map((text) => make("th", { scope: "col", textContent: text })))), make("tbody", {}, ...rows));
+  }
+
+  async #open({ key, stiffness }) {
+    this.busy.textContent = this.map.device ? "" : "hitting that wall again …";
+    const which = await this.#ask("map-hit", { map: this.map.name, key, stiffness });
+    this.busy.textContent = "";
+    if (which) this.open(which);
+  }
+
+  // Ask; trouble is said, and null.
+  #ask(what, content) {
+    return this.link.ask(what, content).then((answer) => answer ?? true, (error) => {
+      this.link.dispatchEvent(new CustomEvent("trouble", { detail: error }));
+      return null;
+    });
+  }
+}
+
+// A line `key = value`: numbers and truths as such.
+function setting(line) {
+  const [key, ...rest] = line.split("=");
+  const text = rest.join("=").trim().replace(/^"(.*)"$/, "$1");
+  const value = text === "true" ? true : text === "false" ? false : text !== "" && Number.isFinite(Number(text)) ? Number(text) : text;
+  return [key.trim(), value];
+}
+
+function at({ damping, stiffness }, wanted) {
+  const place = damping.findIndex((one) => one >= wanted - 1e-12);
+  if (place <= 0) return place === 0 ? stiffness[0] : stiffness.at(-1);
+  const share = (wanted - damping[place - 1]) / (damping[place] - damping[place - 1]);
+  return stiffness[place - 1] + share * (stiffness[place] - stiffness[place - 1]);
+}
+
+function duration(seconds) {
+  if (seconds < 60) return `${Math.ceil(seconds)} s`;
+  return seconds < 3600 ? `${Math.ceil(seconds / 60)} min` : `${(seconds / 3600).toFixed(1)} h`;
+}
