@@ -33,6 +33,7 @@ from rig.console.jobs import Job, Jobs
 from rig.console.lease import Lease
 from rig.console.live import Live
 from rig.console.service import Download, Service, Shared
+from rig.console.sessions import Sessions
 from rig.console.terminal import Terminal
 from rig.core.errors import RigError
 from rig.core.sample import COLUMNS, unit_of
@@ -83,7 +84,8 @@ class Console:
     def __init__(self, settings: Settings, hand: SharedHand, terminal: Terminal) -> None:
         self._shared = Shared(set(), Lease(), Jobs(self._job_says), settings.output)
         self.live = Live(self._shared, hand, terminal, verified=settings.verified, own=settings.own)
-        self.services: tuple[Service, ...] = (self.live,)
+        sessions = Sessions(self._shared, hand, terminal, verified=settings.verified)
+        self.services: tuple[Service, ...] = (self.live, sessions)
         self._handlers = {do: found for service in self.services for do, found in service.handlers().items()}
         self._kinds = {do: kind for do, (kind, _) in self._handlers.items()}
 
@@ -159,14 +161,15 @@ class Console:
                 client.reply(number, result)
 
     def _job_says(self, job: Job, message: Mapping[str, Any]) -> None:
+        kept = [service.job_says(job, message) for service in self.services]
+        if any(kept):
+            return
         told = {"say": "job", "job": job.name, "pid": job.pid, "told": message}
         for client in self._shared.clients:
             if message["say"] == "progress":
                 client.put_newest({**told, "say": "progress"})
             else:
                 client.put(json.dumps(told))
-        for service in self.services:
-            service.job_says(job, message)
 
     async def download(self, path: str) -> Download | None:
         """Return the file of a path, of whichever service has it."""

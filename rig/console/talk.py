@@ -6,7 +6,8 @@ import json
 import os
 import sys
 import threading
-from queue import SimpleQueue
+import time
+from queue import Empty, SimpleQueue
 from typing import Any
 
 from rig.core.errors import StoppedError
@@ -27,6 +28,7 @@ class Talk:
         self._lock = threading.Lock()
         self._answers: SimpleQueue[Any] = SimpleQueue()
         self._gone = threading.Event()
+        self._heard_s = time.monotonic()
 
     def tell(self, say: str, /, **content: Any) -> None:
         """Say something; a console that is gone does not hear it."""
@@ -54,9 +56,26 @@ class Talk:
             raise StoppedError("nobody is there to answer", remedy="start the console again: rig console")
         return answer
 
+    def hear(self, patience_s: float) -> Any:
+        """What the console says next, within so long; None for nothing. Raises `StoppedError` when it has gone."""
+        try:
+            said = self._answers.get(timeout=patience_s) if patience_s else self._answers.get_nowait()
+        except Empty:
+            return None
+        if said is None:
+            self._answers.put(None)
+            raise StoppedError("the console has gone", remedy="start it again: rig console")
+        return said
+
+    @property
+    def silent_s(self) -> float:
+        """For how long the console has said nothing (s)."""
+        return time.monotonic() - self._heard_s
+
     def listen(self) -> None:
         """Hear answers until the console goes."""
         for line in sys.stdin:
+            self._heard_s = time.monotonic()
             self._answers.put(json.loads(line))
         self._gone.set()
         self._answers.put(None)

@@ -34,6 +34,7 @@ from rig.realtime import compiling
 JOBS = {
     "hit": "rig.console.hits:hit",
     "play": "rig.console.hits:play",
+    "session": "rig.console.session_desk:session",
 }
 
 

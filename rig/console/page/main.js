@@ -4,6 +4,7 @@ import { make, written } from "./dom.js";
 import { Handle } from "./handle.js";
 import { Link } from "./link.js";
 import { Scope } from "./scope.js";
+import { Sessions } from "./sessions.js";
 import { Sound } from "./sound.js";
 import { Wall } from "./wall.js";
 
@@ -44,11 +45,11 @@ function say(text) {
 }
 
 link.addEventListener("state", ({ detail }) => {
-  const { loop, operates, operated, job } = detail;
+  const { loop, operates, operated, job, blinded } = detail;
   $("operate").hidden = operates;
   $("operate").disabled = operated;
   $("operate").textContent = operated ? "Another page operates" : "Operate";
-  if (loop === null) say(job ? `${job}: starting` : "no loop runs");
+  if (loop === null) say(job ? `${job}: ${blinded ? "blind, its loops are not shown" : "starting"}` : "no loop runs");
   else if (loop.ended !== null) say(`ended: ${loop.ended}`);
   else {
     const lost = loop.counters.lost + loop.counters.skipped;
@@ -85,5 +86,6 @@ link.addEventListener("hello", ({ detail: facts }) => {
     globalThis.rigConsole = { scope, written };
     return make("div", {}, scope.element, side);
   });
+  addView("sessions", "Sessions", () => new Sessions(link).element);
   show("live");
 });
