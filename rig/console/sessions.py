@@ -37,6 +37,8 @@ from rig.session.protocol import VERDICTS
 from rig.session.run import rehearsed, took_place
 
 JOB = "session"
+OPERATORS = ("starting", "stopped", "trouble", "ready to end")  # states that are no participant's matter
+PLEASE_WAIT = "please wait"
 ROUND_S = 0.08  # between two looks at a loop that runs
 
 Key = Annotated[str, MaxLen(40)]
@@ -338,7 +340,7 @@ def _participant(seat: Seat) -> dict[str, Any]:
     item = _item(talk)
     return {
         "asked": talk.asked,
-        "state": view.state,
+        "state": PLEASE_WAIT if view.state in OPERATORS else view.state,
         "saying": view.say,
         "left_s": math.ceil(talk.left_s(time.monotonic())),
         "verdicts": talk.keymap.verdicts if verdict else [],

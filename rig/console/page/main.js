@@ -86,6 +86,8 @@ link.addEventListener("hello", ({ detail: facts }) => {
     globalThis.rigConsole = { scope, written };
     return make("div", {}, scope.element, side);
   });
-  addView("sessions", "Sessions", () => new Sessions(link).element);
+  const sessions = new Sessions(link); // now: a page that comes back hears at once where a session stands
+  addView("sessions", "Sessions", () => sessions.element);
   show("live");
+  link.addEventListener("session", ({ detail }) => { if (detail.runs) show("sessions"); }, { once: true });
 });

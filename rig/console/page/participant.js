@@ -26,9 +26,9 @@ addEventListener("keyup", (event) => { if (event.key === " " && !event.target.cl
 
 link.addEventListener("participant", ({ detail: told }) => {
   const there = told.state !== undefined;
-  setText(cue, !there ? "Please wait." : told.left_s > 0 ? `${told.state}: ${told.left_s} s` : told.state);
+  setText(cue, !there ? "please wait" : told.left_s > 0 ? `${told.state}: ${told.left_s} s` : told.state);
   setText(saying, there ? told.saying : "");
   cue.dataset.moving = ["go", "hold"].includes(told.state);
   answering.show({ asked: told.asked ?? 0, text: "", offered: told.runs ? told.verdicts ?? [] : [], entry: told.runs && told.item ? "item" : null, item: told.item, notice: told.notice ?? "", moving: false });
 });
-link.addEventListener("closed", ({ detail }) => { setText(cue, "Please wait."); setText(saying, detail ?? ""); });
+link.addEventListener("closed", ({ detail }) => { setText(cue, "please wait"); setText(saying, detail ?? ""); });
