@@ -69,10 +69,9 @@ class Job:
             self._process.stdin.write(json.dumps(value).encode() + b"\n")
 
     def beat(self) -> None:
-        """Say that the console is there, unless it has not read what was said before."""
-        assert self._process.stdin is not None
-        if self._process.stdin.transport.get_write_buffer_size() == 0:
-            self.answer({"kind": "alive"})
+        """Say that the console is there."""
+        if self._process.stdin is not None and self._process.stdin.transport.get_write_buffer_size() == 0:
+            self._process.stdin.write(b"\n")
 
     async def follow(self, tell: Callable[[Mapping[str, Any]], None]) -> int:
         """Hand on its messages until it has ended; its exit code."""
@@ -154,6 +153,11 @@ class Jobs:
         job.answer({"job": name, "content": content, "goes_on": goes_on})
         self._task = asyncio.create_task(self._follow(job))
         return job
+
+    def beat(self) -> None:
+        """Say to what runs that the console is there."""
+        if self.running is not None:
+            self.running.beat()
 
     async def close(self) -> None:
         """End what runs, unless it goes on without a console."""

@@ -232,6 +232,7 @@ class Live(Service):
     async def every_beat(self) -> None:
         """End what moves when its operator has gone."""
         while True:
+            self._shared.jobs.beat()
             if self._shared.lease.expire() is not None:
                 job = self._shared.jobs.running
                 if job is not None and not job.goes_on:

@@ -5,7 +5,7 @@ server's (`rig.console.sessions`). Between them, besides what every job says (`r
 
 ======  ===========================================================================
 to it   ``setup`` process, keys, hand; ``view``; ``ask`` number, question
-from    ``reply`` number, action, value, shown_s; ``stop``; ``alive`` again and again
+from    ``reply`` number, action, value, shown_s; ``stop``
 ======  ===========================================================================
 """
 

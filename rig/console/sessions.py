@@ -159,7 +159,7 @@ class Sessions(Service):
         job = self._job = await self._shared.jobs.start(JOB, content, asks=not person)
         self._shared.blinded = True  # until the session says that nobody has to be
         self._seat, self._end, self._compiling = None, None, False
-        self._rounds = asyncio.create_task(self._every_round(job))
+        self._rounds = asyncio.create_task(self._every_round())
         self._tell()
         return {"pid": job.pid}
 
@@ -262,10 +262,9 @@ class Sessions(Service):
             self._rounds.cancel()
             self._rounds = None
 
-    async def _every_round(self, job: Job) -> None:
-        """Look, and say that somebody is there: in a silence a hit ends."""
+    async def _every_round(self) -> None:
+        """Look at the loop and the clock, and say so."""
         while True:
-            job.beat()
             if self._seat is not None:
                 self._seat.look(time.monotonic())
                 self._tell()

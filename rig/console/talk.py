@@ -28,7 +28,7 @@ class Talk:
         self._lock = threading.Lock()
         self._answers: SimpleQueue[Any] = SimpleQueue()
         self._gone = threading.Event()
-        self._heard_s = time.monotonic()
+        self._heard = time.monotonic()
 
     def tell(self, say: str, /, **content: Any) -> None:
         """Say something; a console that is gone does not hear it."""
@@ -70,12 +70,13 @@ class Talk:
     @property
     def silent_s(self) -> float:
         """For how long the console has said nothing (s)."""
-        return time.monotonic() - self._heard_s
+        return time.monotonic() - self._heard
 
     def listen(self) -> None:
-        """Hear answers until the console goes."""
+        """Hear answers until the console goes; an empty line says that it is there."""
         for line in sys.stdin:
-            self._heard_s = time.monotonic()
-            self._answers.put(json.loads(line))
+            self._heard = time.monotonic()
+            if line.strip():
+                self._answers.put(json.loads(line))
         self._gone.set()
         self._answers.put(None)

@@ -157,8 +157,9 @@ class Line(Talk):
         message = json.loads(json.dumps({"say": say, **plain(content)}))
         self._page.in_loop(self._page.told(message))
 
-    def beat(self) -> None:
-        self._heard_s = time.monotonic()
+    @property
+    def silent_s(self) -> float:
+        return time.monotonic() - self._page.hung_s if self._page.hung_s else 0.0
 
 
 class FakeJob:
@@ -171,10 +172,6 @@ class FakeJob:
 
     def answer(self, value: Any) -> None:
         self._page.line_.heard.put(json.loads(json.dumps(value)))
-
-    def beat(self) -> None:
-        if not self._page.hung:
-            self._page.line_.beat()
 
 
 class FakeClient:
@@ -198,7 +195,7 @@ class AtPage(Place):
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._loop.run_forever)
         self._thread.start()
-        self.hung = False
+        self.hung_s = 0.0  # since when nothing is heard
         self.client, self.participant = FakeClient("operator"), FakeClient("participant")
         self._place = TemporaryDirectory()
         self.hand = SharedHand.create(hand[1] if hand is not None else Path(self._place.name) / "hand")
@@ -275,7 +272,7 @@ class AtPage(Place):
         self.ask("session_hand", share=share)
 
     def hang(self) -> None:
-        self.hung = True
+        self.hung_s = time.monotonic()
 
     def leave(self) -> None:
         self.line_.heard.put(None)
