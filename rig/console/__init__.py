@@ -6,6 +6,7 @@
 * `jobs`, `worker`: runs, in a process of their own, through the functions of the commands;
 * `regions`: which walls theory finds stable and passive;
 * `requests`: what a page may ask for;
+* `sessions`, `session_desk`, `session_lists`: the operator's seat, the session's side of it, and what may be begun;
 * `server`: sockets and the page;
 * `page/`: the page itself, plain modules and one vendored library.
 """

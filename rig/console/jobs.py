@@ -53,7 +53,10 @@ class Job:
         return self._process.pid
 
     def end(self) -> None:
-        """Zero effort by the stop word of its loop, or an interrupt where no loop runs yet. Never waits."""
+        """Zero effort by the stop word of its loop, or an interrupt where no loop runs yet. Never waits.
+
+        One that asks is told instead of interrupted: it goes on, and somebody says how.
+        """
         self._told_to_end = True
         loops = ask_to_stop(self.pid)
         if self.asks:
