@@ -14,8 +14,11 @@ from tests.conformance.tolerance import too_busy
 from tests.system.test_session_console import PROTOCOL
 
 PATIENCE_S = 120.0  # a first run compiles
+REACH = (
+    5  # large steps from the start into the wall, with a third of the hand's press: no effort at its limit
+)
 QUESTIONS = 40  # before this machine has no time for a loop
-SECRETS = ("hidden-name", '"stiffness"', '"say": "loop"', '"kind": "live"')
+SECRETS = ("hidden-name", '"say": "loop"', '"kind": "live"')
 
 
 def events(place: Path, kind: str) -> list[Event]:
@@ -45,7 +48,8 @@ def press_the_wall(page: Any) -> None:
     page.keyboard.press("g")
     until(page, lambda: question(page) != before, f"no more: {before}")
     until(page, lambda: page.locator(".cue").inner_text() == "go" or offers(page, "go"), "the cue")
-    page.keyboard.press("End")
+    for _ in range(REACH):
+        page.keyboard.press("ArrowUp")
 
 
 def test_a_short_blind_session_by_keys(console_page: Any, tmp_path: Path) -> None:
@@ -101,6 +105,8 @@ def test_a_short_blind_session_by_keys(console_page: Any, tmp_path: Path) -> Non
             page.keyboard.press("g")
             page.get_by_text("session of P01: complete").wait_for()
             break
+        elif "cools" in asked:
+            until(page, lambda: "cools" not in question(page), "a motor that is cool")
         else:
             press_the_wall(page)
             until(page, lambda: offers(page, "go", "stable") or page.locator(".line").is_visible(), "the end")
