@@ -28,6 +28,7 @@ from rig.realtime import ring as words
 from rig.realtime.hand import SharedHand
 from rig.realtime.ring import STOP, Ring
 from rig.session.desk import Question, Reply, View
+from rig.session.place import Place
 from rig.session.protocol import Keys
 from rig.session.template_files import template_names, write_template
 from tests.conformance.terminal import PATIENCE_S
@@ -213,11 +214,21 @@ def test_nothing_of_a_blinded_loop_reaches_a_page(tmp_path: Path) -> None:
             live._looked_at()  # nor is its wall changed
 
 
-def test_a_real_rig_needs_a_word_at_the_terminal(page: AtPage) -> None:
-    page.in_loop(page.told({"say": "ended"}))
+@pytest.mark.parametrize(
+    "given",
+    [{"protocol": "a.toml", "code": "P01", "url": "serial:///dev/ttyACM0"}, {"directory": "sessions/a/P01"}],
+    ids=["begun", "resumed"],
+)
+def test_a_real_rig_needs_a_word_at_the_terminal(
+    given: dict[str, Any], page: AtPage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where only the log says that it is one."""
+    before = Place(url="serial:///dev/ttyACM0", realtime=True, simulated=False)
+    monkeypatch.setattr("rig.console.sessions.took_place", lambda _: before)
+    monkeypatch.setattr("rig.console.sessions.rehearsed", lambda _: None)
     page.jobs.started = {}
-    with pytest.raises(ConfigError, match="is a real rig, and nobody at the terminal") as caught:
-        page.ask("session", protocol="a.toml", code="P01", url="serial:///dev/ttyACM0")
+    with pytest.raises(ConfigError, match="ttyACM0 is a real rig, and nobody at the terminal") as caught:
+        page.ask("session", **given)
     assert caught.value.remedy
     assert page.jobs.started == {}
 
