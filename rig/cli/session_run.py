@@ -140,7 +140,7 @@ def run(
             "--hand and --plain belong to a session with a person",
             remedy="leave them out; a rehearsal has no console",
         )
-    person = rehearsal.Person(thresholds=_thresholds(thresholds), **known) if rehearse else None
+    person = rehearsal.Person(thresholds=rehearsal.thresholds_of(thresholds), **known) if rehearse else None
     runner = _runner(url, realtime or not rehearse, verified, arm_anyway, lossy_anyway)
     with Rehearsed(quiet=as_json or person is None) as seen:
         desk = _desk(person, seen, hand=hand, plain=plain)
@@ -324,40 +324,13 @@ def _console(*, hand: str, plain: bool) -> DeskFor:
     return desk
 
 
-def _thresholds(given: tuple[str, ...]) -> dict[str, float]:
-    found: dict[str, float] = {}
-    for text in given:
-        name, equals, value = text.rpartition("=")
-        try:
-            found[name] = float(value)
-        except ValueError:
-            equals = ""
-        if not name or not equals:
-            raise ConfigError(
-                f"--threshold {text}: write CONDITION=STIFFNESS", remedy="like --threshold dual=430"
-            )
-    return found
-
-
 def _print(result: SessionResult, *, as_json: bool) -> None:
     if as_json:
         output.print_json(result)
         return
     for message in result.messages:
         click.echo(f"rig: {message}", err=True)
-    stands = result.ended or (f"left: {result.stopped}" if result.stopped else "running")
-    click.echo(f"session of {result.code}: {stands}")
-    output.print_pairs(
-        [
-            (
-                "trials",
-                f"{result.trials}, {result.counted} count, {result.invalid} invalid "
-                f"({result.by_machine} by the machine), {result.aborted} cut off"
-                + (f", {result.outside} outside the bands" if result.outside else ""),
-            ),
-            ("blocks", f"{result.blocks_done} of {result.blocks} done"),
-            ("directory", str(result.directory)),
-        ]
-    )
+    click.echo(result.stands)
+    output.print_pairs(result.pairs)
     if result.ended is None:
         click.echo(f"  resume it with: {result.resume}")

@@ -9,6 +9,7 @@
 * `recordings`, `recording_errands`, `place`, `trash`: what the runs left;
 * `regions`: which walls theory finds stable and passive;
 * `requests`: what a page may ask for;
+* `sessions`, `session_desk`, `session_lists`: the operator's seat, the session's side of it, and what may be begun;
 * `server`: sockets and the page;
 * `page/`: the page itself, plain modules and one vendored library.
 """

@@ -27,14 +27,22 @@ class Job:
         What it is, and what it was given.
     goes_on
         Whether it goes on when its operator has gone.
+    asks
+        Whether it asks somebody what follows a STOP, which then does not end it.
     said
         The newest message of each kind.
     """
 
     def __init__(
-        self, name: str, content: Mapping[str, Any], process: asyncio.subprocess.Process, *, goes_on: bool
+        self,
+        name: str,
+        content: Mapping[str, Any],
+        process: asyncio.subprocess.Process,
+        *,
+        goes_on: bool,
+        asks: bool = False,
     ) -> None:
-        self.name, self.content, self.goes_on = name, content, goes_on
+        self.name, self.content, self.goes_on, self.asks = name, content, goes_on, asks
         self.said: dict[str, Mapping[str, Any]] = {}
         self._process = process
         self._told_to_end = False
@@ -45,16 +53,23 @@ class Job:
         return self._process.pid
 
     def end(self) -> None:
-        """Zero effort by the stop word of its loop, or an interrupt where no loop runs yet. Never waits."""
+        """Zero effort by the stop word of its loop, or an interrupt where no loop runs yet. Never waits.
+
+        One that asks is told instead of interrupted: it goes on, and somebody says how.
+        """
         self._told_to_end = True
-        if ask_to_stop(self.pid) == 0:
+        loops = ask_to_stop(self.pid)
+        if self.asks:
+            self.answer({"kind": "stop"})
+        elif loops == 0:
             with suppress(ProcessLookupError):
                 self._process.send_signal(2)
 
     def answer(self, value: Any) -> None:
         """Answer what it asks."""
         assert self._process.stdin is not None
-        self._process.stdin.write(json.dumps(value).encode() + b"\n")
+        if not self._process.stdin.is_closing():
+            self._process.stdin.write(json.dumps(value).encode() + b"\n")
 
     def beat(self) -> None:
         """Say that the console is there."""
@@ -82,6 +97,8 @@ class Job:
         """Let it end, or make it."""
         if self._process.returncode is None:
             self.end()
+            if self.asks and self._process.stdin is not None:
+                self._process.stdin.close()  # nobody will answer any more
             try:
                 async with asyncio.timeout(END_S):
                     await self._process.wait()
@@ -109,7 +126,9 @@ class Jobs:
         self._task: asyncio.Task[int] | None = None
         self.running: Job | None = None
 
-    async def start(self, name: str, content: Mapping[str, Any], *, goes_on: bool = False) -> Job:
+    async def start(
+        self, name: str, content: Mapping[str, Any], *, goes_on: bool = False, asks: bool = False
+    ) -> Job:
         """Start a job, one of `rig.console.worker.JOBS`.
 
         Raises
@@ -133,7 +152,7 @@ class Jobs:
             )
         except OSError as error:
             raise RigError(f"no process for a {name}: {error.strerror}", remedy="free some memory") from error
-        job = self.running = Job(name, content, process, goes_on=goes_on)
+        job = self.running = Job(name, content, process, goes_on=goes_on, asks=asks)
         job.answer({"job": name, "content": content, "goes_on": goes_on})
         self._task = asyncio.create_task(self._follow(job))
         return job

@@ -194,14 +194,17 @@ class Live(Service):
             await asyncio.sleep(SEARCH_S)
 
     async def search(self) -> None:
-        """Look at the loop that is wanted, if it is another one."""
+        """Look at the loop that is wanted, if it is another one; at none that nobody here may know."""
+        if self._shared.blinded:
+            self._withhold()
+            return
         pid = self._pid
         if self._shared.jobs.running is not None:
             pid = self._shared.jobs.running.pid
         elif self._own:
             return
         found = await asyncio.to_thread(newest, pid)
-        if found is None or self._is_looked_at(found):
+        if found is None or self._shared.blinded or self._is_looked_at(found):
             return
         made = attached(found, self._history)
         if made is None:
@@ -212,6 +215,14 @@ class Live(Service):
         for client in self._shared.clients:
             client.show(made)
             self._tell_loop(client)
+
+    def _withhold(self) -> None:
+        if self._followed is not None:
+            self._followed.close()
+            self._followed = None
+            self._history.clear()
+            for client in self._shared.clients:
+                client.show(None)
 
     def _is_looked_at(self, loop: RunningLoop) -> bool:
         followed = self._followed
@@ -241,6 +252,7 @@ class Live(Service):
                     "overdue": held.overdue,
                     "loop": state,
                     "job": None if job is None else job.name,
+                    "blinded": self._shared.blinded,
                     "pages": len(self._shared.clients),
                 }
             )

@@ -29,6 +29,7 @@ from rig.console.live import Live
 from rig.console.maps import Maps
 from rig.console.recordings import Recordings
 from rig.console.service import LATER, Download, Service, Shared
+from rig.console.sessions import Sessions
 from rig.console.sockets import (
     ConnectionClosed,
     Headers,
@@ -89,6 +90,7 @@ class Console:
         self.live = Live(self._shared, hand, terminal, verified=settings.verified, own=settings.own)
         self.services: tuple[Service, ...] = (
             self.live,
+            Sessions(self._shared, hand, terminal, verified=settings.verified),
             Maps(self._shared),
             Recordings(self._shared),
             Devices(self._shared),
@@ -167,14 +169,15 @@ class Console:
                 client.reply(number, result)
 
     def _job_says(self, job: Job, message: Mapping[str, Any]) -> None:
+        kept = [service.job_says(job, message) for service in self.services]
+        if any(kept):
+            return
         told = {"say": "job", "job": job.name, "pid": job.pid, "told": message}
         for client in self._shared.clients:
             if message["say"] == "progress":
                 client.put_newest({**told, "say": "progress"})
             else:
                 client.put(json.dumps(told))
-        for service in self.services:
-            service.job_says(job, message)
 
     async def download(self, path: str) -> Download | None:
         """Return the file of a path, of whichever service has it."""

@@ -42,6 +42,8 @@ class Shared:
         Directory of the recordings.
     errands
         What is read, drawn and computed elsewhere.
+    blinded
+        Whether whoever sits here must not know the wall of the run that goes on: its loop is looked at by nobody.
     """
 
     clients: set[Client]
@@ -49,6 +51,7 @@ class Shared:
     jobs: Jobs
     output: Path
     errands: Errands = field(default_factory=Errands)
+    blinded: bool = False
 
     def must_operate(self, client: Client) -> None:
         """Refuse whoever only looks on; whoever asks while nobody operates does from now on."""
@@ -92,8 +95,9 @@ class Service(ABC):
     def greet(self, client: Client) -> None:  # noqa: B027  (most have nothing to say)
         """A page has come."""
 
-    def job_says(self, job: Job, message: Mapping[str, Any]) -> None:  # noqa: B027
-        """A job has said something; all pages are told already."""
+    def job_says(self, job: Job, message: Mapping[str, Any]) -> bool:
+        """A job has said something; whether it was said to this service alone, and not to the pages."""
+        return False
 
     async def download(self, path: str) -> Download | None:
         """Return the file of a path, or None where it is not of this service."""

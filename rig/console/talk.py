@@ -7,7 +7,7 @@ import os
 import sys
 import threading
 import time
-from queue import SimpleQueue
+from queue import Empty, SimpleQueue
 from typing import Any
 
 from rig.core.errors import StoppedError
@@ -59,6 +59,22 @@ class Talk:
         if answer is None:
             raise StoppedError("nobody is there to answer", remedy="start the console again: rig console")
         return answer
+
+    def hear(self, patience_s: float) -> Any:
+        """What the console says next, within so long; None for nothing. Raises `StoppedError` when it has gone."""
+        try:
+            said = self._answers.get(timeout=patience_s) if patience_s else self._answers.get_nowait()
+        except Empty:
+            return None
+        if said is None:
+            self._answers.put(None)
+            raise StoppedError("the console has gone", remedy="start it again: rig console")
+        return said
+
+    @property
+    def silent_s(self) -> float:
+        """For how long the console has said nothing (s)."""
+        return time.monotonic() - self._heard
 
     def listen(self) -> None:
         """Hear answers until the console goes; an empty line says that it is there."""

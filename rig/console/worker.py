@@ -26,7 +26,7 @@ import threading
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from rig.console import devices, hits, map_jobs
+from rig.console import devices, hits, map_jobs, session_desk
 from rig.console.talk import Talk
 from rig.core.errors import RigError, StoppedError
 from rig.realtime import compiling
@@ -37,6 +37,7 @@ JOBS: Mapping[str, Work] = {
     "hit": hits.hit,
     "map": map_jobs.zwidth,
     "play": hits.play,
+    "session": session_desk.session,
 }
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import random
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -74,6 +74,22 @@ class Person:
         if observer.judge(trial.stiffness, drawn):
             return "stable"
         return "unstable" if automatic == "unstable" else "buzz"
+
+
+def thresholds_of(given: Iterable[str]) -> dict[str, float]:
+    """Thresholds from texts like ``dual=430``; raises `ConfigError` for one that is none."""
+    found: dict[str, float] = {}
+    for text in given:
+        name, equals, value = text.rpartition("=")
+        try:
+            found[name] = float(value)
+        except ValueError:
+            equals = ""
+        if not name or not equals:
+            raise ConfigError(
+                f"`threshold` {text}: write CONDITION=STIFFNESS", remedy="like `threshold` dual=430"
+            )
+    return found
 
 
 def refuse_nobody(person: Person, protocol: Protocol) -> None:

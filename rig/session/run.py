@@ -101,6 +101,26 @@ class SessionResult:
     messages: tuple[str, ...] = ()
     invalid_trials: tuple[str, ...] = ()
 
+    @property
+    def stands(self) -> str:
+        """Whether it is over, in a sentence."""
+        why = self.ended or (f"left: {self.stopped}" if self.stopped else "running")
+        return f"session of {self.code}: {why}"
+
+    @property
+    def pairs(self) -> list[tuple[str, str]]:
+        """What there is of it: names and values to show."""
+        outside = f", {self.outside} outside the bands" if self.outside else ""
+        trials = (
+            f"{self.trials}, {self.counted} count, {self.invalid} invalid ({self.by_machine} by the machine), "
+            f"{self.aborted} cut off{outside}"
+        )
+        return [
+            ("trials", trials),
+            ("blocks", f"{self.blocks_done} of {self.blocks} done"),
+            ("directory", str(self.directory)),
+        ]
+
 
 def run_session(
     protocol_file: Path,

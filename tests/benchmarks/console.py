@@ -1,6 +1,6 @@
 """What a console costs a loop, and how long STOP takes through it: nothing that a loop would notice, and a blink.
 
-    python tests/benchmarks/console.py                     10 pairs of hits each, 10 kHz on the device, 4 kHz on the host
+    python tests/benchmarks/console.py                       10 pairs of hits each: a device at 10 kHz, a host at 4
     python tests/benchmarks/console.py --pairs 40 --seconds 10
 
 Each pair is one hit with a console that four pages look through, one of which reads nothing, and one hit without, in

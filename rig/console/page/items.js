@@ -27,6 +27,6 @@ function table({ table: caption, head, rows, words }) {
 }
 
 function check({ check: name, outcome, text, remedy }) {
-  return make("p", { className: "check", dataset: { outcome } }, make("strong", { textContent: `${outcome}: ${name}` }), ` ${text}`,
+  return make("p", { className: "finding", dataset: { outcome } }, make("strong", { textContent: `${outcome}: ${name}` }), ` ${text}`,
     remedy ? make("span", { className: "remedy", textContent: ` ${remedy}` }) : null);
 }

@@ -7,6 +7,7 @@ import { Link } from "./link.js";
 import { Maps } from "./maps.js";
 import { Recordings } from "./recordings.js";
 import { Scope } from "./scope.js";
+import { Sessions } from "./sessions.js";
 import { Sound } from "./sound.js";
 import { Wall } from "./wall.js";
 
@@ -47,11 +48,11 @@ function say(text) {
 }
 
 link.addEventListener("state", ({ detail }) => {
-  const { loop, operates, operated, job } = detail;
+  const { loop, operates, operated, job, blinded } = detail;
   $("operate").hidden = operates;
   $("operate").disabled = operated;
   $("operate").textContent = operated ? "Another page operates" : "Operate";
-  if (loop === null) say(job ? `${job}: starting` : "no loop runs");
+  if (loop === null) say(job ? `${job}: ${blinded ? "blind, its loops are not shown" : "starting"}` : "no loop runs");
   else if (loop.ended !== null) say(`ended: ${loop.ended}`);
   else {
     const lost = loop.counters.lost + loop.counters.skipped;
@@ -88,6 +89,8 @@ link.addEventListener("hello", ({ detail: facts }) => {
     globalThis.rigConsole = { scope, written };
     return make("div", {}, scope.element, side);
   });
+  const sessions = new Sessions(link); // now: a page that comes back hears at once where a session stands
+  addView("sessions", "Sessions", () => sessions.element);
   const recordings = new Recordings(link);
   const open = (which) => {
     show("recordings");
@@ -97,4 +100,5 @@ link.addEventListener("hello", ({ detail: facts }) => {
   addView("recordings", "Recordings", () => recordings.begin());
   addView("devices", "Devices", () => devicesView(link, facts));
   show("live");
+  link.addEventListener("session", ({ detail }) => { if (detail.runs) show("sessions"); }, { once: true });
 });

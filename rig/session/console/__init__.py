@@ -7,13 +7,15 @@ the running loop in shared memory, and sets its stop word.
 
 ===============  ===================================================================================================
 `messages`       lines between the two
-`desk`           the session's side: what `rig.session.desk.Desk` wants, and the watch over the child
+`asking`         the session's side over any line: questions with numbers, and what answers one
+`desk`           that side here: the watch over the child
 `child`          the child as a process: started, heard, ended
 `terminal`       how a terminal is taken and given back
 `keyboard`       bytes from it → keys and motions of the mouse
 `keymap`         keys → what they mean, from the protocol's ``[keys]``
 `conversation`   what is shown and asked, and what a key does then; touches nothing
 `live`           the running loop's newest rows → numbers
+`seat`           all that a key, a message and the time come to, whatever shows it
 `screen`         all of this as a picture of the terminal's size
 `plain`          or as one line for each thing that changes
 `pointer`        mouse or arrow keys → the simulated hand

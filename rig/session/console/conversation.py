@@ -151,6 +151,13 @@ class Conversation:
             return self._type(key, self.entry)
         return self._mean(self.keymap.meaning(key), key)
 
+    def line(self, text: str) -> list[Decision]:
+        """A line that was typed as a whole, where one is wanted."""
+        if self.entry is None:
+            return []
+        self.entry.text = "".join(one for one in text if one.isprintable())[:MOST_TEXT]
+        return self._typed(self.entry)
+
     def _mean(self, meaning: str, key: str) -> list[Decision]:
         if meaning == "help":
             self.help = True

@@ -8,30 +8,27 @@ import tempfile
 import time
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import Any, cast
+from typing import Any
 
 from rig.core.errors import ConfigError, StoppedError
 from rig.core.present import plain as plain_of
 from rig.realtime.hand import SharedHand
 from rig.session.console import terminal
+from rig.session.console.asking import SILENCE_S, AskingDesk
 from rig.session.console.child import Child, Message
-from rig.session.console.pointer import KEYS, HandKind
-from rig.session.desk import Action, Desk, Question, Reply, View
-from rig.session.keymap import KeyMap
-from rig.session.protocol import VERDICTS, Keys, Protocol
+from rig.session.console.pointer import HandKind
+from rig.session.console.seat import full_press, keymap_for, refuse_a_hand
+from rig.session.desk import Desk
+from rig.session.protocol import Keys, Protocol
 from rig.session.runner import TrialRunner
 
-SILENCE_S = 2.0  # of the console while a hit runs; then the hit ends
 HUNG_S = 10.0  # of a console while nothing moves; then it is started anew
 START_S = 30.0  # that a console may take to come up on a loaded machine
 RESTARTS = 3  # of the console in one session
-POLL_S = 0.1
-SHORTEST_S = 1e-3  # of a rest that is as good as over
 TERMINAL = Path("/dev/tty")
-PRESS_N = 4.0  # of a hand whose experiment does not say: that of a normal grip (`rig.core.operators`)
 REMEDY = "continue with `rig session resume`; with `plain` it needs next to nothing of the terminal"
 
 
@@ -47,7 +44,7 @@ class MovedHand:
     press: float
 
 
-class ConsoleDesk(Desk):
+class ConsoleDesk(AskingDesk):
     """A console in the terminal, with what happens when it hangs, dies, or loses its terminal.
 
     Parameters
@@ -83,9 +80,8 @@ class ConsoleDesk(Desk):
         silence_s: float = SILENCE_S,
         hung_s: float = HUNG_S,
     ) -> None:
-        self._keymap = KeyMap.of(keys or Keys())
-        if hand is not None and hand.kind == "keyboard":
-            _refuse_keys_of_the_hand(self._keymap)
+        super().__init__()
+        self._keymap = keymap_for(keys or Keys(), None if hand is None else hand.kind)
         self._silence_s, self._hung_s = silence_s, hung_s
         with ExitStack() as opened:
             self._place = _opened(place)
@@ -110,12 +106,7 @@ class ConsoleDesk(Desk):
             )
         self._hand = hand
         self._inbox: SimpleQueue[tuple[Child, Message]] = SimpleQueue()
-        self._view: View | None = None
-        self._question: Question | None = None
-        self._began_s = 0.0
-        self._number = 0
         self._restarts = 0
-        self._stop_asked = False
         self._closed = False
         self._child = self._started()
 
@@ -123,44 +114,6 @@ class ConsoleDesk(Desk):
     def pid(self) -> int:
         """Of the console's process."""
         return self._child.pid
-
-    def show(self, view: View) -> None:
-        """Show how things stand; returns at once, also when the console hangs."""
-        self._view = view
-        self._child.say("view", view=plain_of(view))
-
-    def ask(self, question: Question) -> Reply:
-        """Ask, and wait for the answer; a console that hangs or died meanwhile is started anew.
-
-        Raises
-        ------
-        StoppedError
-            The terminal is gone, standard input has ended, or the console died too often.
-        """
-        if (
-            question.kind != "rest" or question != self._question
-        ):  # a rest continues while somebody writes a note
-            self._began_s = time.monotonic()
-        self._question = question
-        self._number += 1
-        self._ask(question)
-        while True:
-            message = self._next(POLL_S)
-            took_s = time.monotonic() - self._began_s
-            reply = None if message is None else self._reply(message, question, took_s)
-            if reply is not None:
-                self._stop_asked = False  # what is stopped from now on is what follows
-                if reply.action != "note":
-                    self._question = None
-                return reply
-            self._child.flush()
-            if self._child.dead or self._child.silent_s > self._patience_s:
-                self._restart()
-                self._ask(question)
-
-    def watch(self) -> Callable[[int, int], None] | None:
-        """Watch the console while a hit runs: STOP, and a silent console, end it."""
-        return self._watch
 
     def close(self) -> None:
         """Give the terminal back as it was."""
@@ -172,11 +125,22 @@ class ConsoleDesk(Desk):
             if self._hand is not None:
                 shutil.rmtree(self._hand.path.parent, ignore_errors=True)
 
-    def _watch(self, ticks: int, phase: int) -> None:
-        while (message := self._next(0.0)) is not None:
-            self._check_there(message)
-        if self._stop_asked:
-            raise StoppedError("stopped at the console; the effort is zero")
+    def _say(self, kind: str, **content: Any) -> None:
+        self._child.say(kind, **content)
+
+    def _take(self, patience_s: float) -> Message | None:
+        """The next message of the console that is; what an earlier one said is over."""
+        try:
+            child, message = self._inbox.get(timeout=patience_s) if patience_s else self._inbox.get_nowait()
+        except Empty:
+            return None
+        if child is not self._child:
+            return None
+        if message["kind"] == "gone":
+            raise StoppedError(str(message.get("why", "the console is gone")), remedy=REMEDY)
+        return message
+
+    def _check_there(self) -> None:
         if self._child.dead:
             heard_s = self._child.heard_s
             self._restart()
@@ -188,45 +152,15 @@ class ConsoleDesk(Desk):
                 remedy=REMEDY,
             )
 
-    @property
-    def _patience_s(self) -> float:
-        return self._hung_s if self._child.greeted else START_S
-
-    def _ask(self, question: Question) -> None:
-        """Send a question; of a rest, what is left of it."""
-        seconds = question.seconds
-        if seconds:
-            seconds = max(SHORTEST_S, seconds - (time.monotonic() - self._began_s))
-        asked = replace(question, seconds=seconds)
-        self._child.say("ask", number=self._number, question=plain_of(asked))
-
-    def _next(self, patience_s: float) -> Message | None:
-        """The next message of the console that is; what an earlier one said is over."""
-        try:
-            child, message = self._inbox.get(timeout=patience_s) if patience_s else self._inbox.get_nowait()
-        except Empty:
-            return None
-        if child is not self._child:
-            return None
-        if message["kind"] == "stop":
-            self._stop_asked = True
-        return message
-
-    def _reply(self, message: Message, question: Question, took_s: float) -> Reply | None:
-        """The reply in a message; None when it is not one to this question."""
-        self._check_there(message)
-        if message["kind"] != "reply" or message.get("number") != self._number:
-            return None
-        action, value = message.get("action"), str(message.get("value", ""))
-        over = action == "go" and question.kind == "rest" and took_s > question.seconds - POLL_S
-        if (action not in question.actions and not over) or (action == "judge" and value not in VERDICTS):
-            return None
-        return Reply(action=cast("Action", action), value=value, took_s=took_s)
-
-    @staticmethod
-    def _check_there(message: Message) -> None:
-        if message["kind"] == "gone":
-            raise StoppedError(str(message.get("why", "the console is gone")), remedy=REMEDY)
+    def _renewed(self) -> bool:
+        """Start a console anew that died, or hangs."""
+        self._child.flush()
+        renewed = self._child.dead or self._child.silent_s > (
+            self._hung_s if self._child.greeted else START_S
+        )
+        if renewed:
+            self._restart()
+        return renewed
 
     def _started(self) -> Child:
         return Child(self._place, self._before, self._setup, self._inbox)
@@ -267,34 +201,20 @@ def at_console(
 
     def make(protocol: Protocol, experiment: Mapping[str, Any], runner: TrialRunner) -> Desk:
         moved: MovedHand | None = None
-        if hand is not None and not runner.simulated:
-            raise ConfigError(
-                f"`hand` {hand} moves a simulated rig, and this one is real",
-                remedy="leave it out, or `url`",
-            )
+        refuse_a_hand(hand, runner)
         with ExitStack() as made:
             if hand is not None:
                 directory = Path(tempfile.mkdtemp(prefix="rig-hand-"))
                 made.callback(shutil.rmtree, directory, ignore_errors=True)
                 path = directory / "hand"
                 SharedHand.create(path).close()  # before a device looks for it
-                press = experiment.get("operator", {}).get("press", PRESS_N)
-                moved = MovedHand(kind=hand, path=path, press=float(press))
+                moved = MovedHand(kind=hand, path=path, press=full_press(experiment))
             desk = ConsoleDesk(protocol.keys, plain=plain, hand=moved, place=place)
             made.pop_all()
         runner.hand = runner.hand if moved is None else moved.path
         return desk
 
     return make
-
-
-def _refuse_keys_of_the_hand(keymap: KeyMap) -> None:
-    for meaning, key in keymap.keys.items():
-        if key in KEYS:
-            raise ConfigError(
-                f"[keys] {meaning} = {key!r}: that key moves the hand",
-                remedy="give another key, or leave `hand` keyboard out",
-            )
 
 
 def _opened(place: Path) -> int:

@@ -63,6 +63,11 @@ class Pointer:
         return True
 
     @property
+    def share(self) -> float:
+        """How far."""
+        return self._share
+
+    @property
     def intention(self) -> tuple[float, float] | None:
         """Position (rad or m) and press (N); None before anybody said where start and wall are."""
         if "start" not in self._scale or "wall" not in self._scale:

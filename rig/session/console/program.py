@@ -21,17 +21,16 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from rig.realtime import running
 from rig.realtime.hand import SharedHand
 from rig.session.console import terminal
-from rig.session.console.conversation import Conversation, Decision, Stop
+from rig.session.console.conversation import Conversation, Stop
 from rig.session.console.keyboard import Event, Key, Keyboard, Mode, Mouse
-from rig.session.console.live import Live, Snapshot
+from rig.session.console.live import Snapshot
 from rig.session.console.messages import Lines, line_of
 from rig.session.console.plain import PlainLines
-from rig.session.console.pointer import START_SHARE, Hand, Pointer
 from rig.session.console.screen import picture
-from rig.session.keymap import STOP, KeyMap
+from rig.session.console.seat import Seat, SeatHand
+from rig.session.keymap import STOP
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -88,22 +87,19 @@ class _Console:
         self._from, self._to, self._woken = from_session, to_session, woken
         self._lines = Lines()
         setup, self._early = self._setup()
-        self._session_pid = int(setup["pid"])
         hand = setup.get("hand")
-        self._talk = Conversation(KeyMap.from_mapping(setup["keys"]), hand["kind"] if hand else None)
+        self._hand = None if hand is None else _MovedHand(hand)
+        self._seat = Seat(setup, self._say, self._hand)
+        self._talk = self._seat.talk
         self._attributes = setup["attributes"]
         self._bell = self._talk.keymap.bell
-        self._live = Live(self._session_pid)
-        self._snapshot: Snapshot | None = None
         self._keyboard = Keyboard()
         self._read_s = 0.0  # when bytes came last
         self._is_terminal = terminal.is_terminal(IN)
         self._typed: list[Event] = []  # of a script, which may be ahead of the questions
         self._script_over = False
-        self._number = 0  # of the question
         self._over = False
         self._drawn_s = 0.0
-        self._hand = None if hand is None else _MovedHand(hand)
         self._face: _Face = _Lines() if setup["plain"] or not self._is_terminal else _Screen(self._hand)
 
     def _setup(self) -> tuple[dict[str, Any], list[dict[str, Any]]]:
@@ -120,7 +116,7 @@ class _Console:
         """Rounds until it is over."""
         before = None if self._attributes is None else terminal.from_plain(self._attributes)
         if before is not None and Key(STOP) in Keyboard().feed(terminal.take(IN, before)):
-            self._do([Stop()])  # what was typed while nobody sat here is no answer, but STOP is STOP
+            self._seat.do([Stop()])  # what was typed while nobody sat here is no answer, but STOP is STOP
         try:
             with self._face:
                 for message in self._early:
@@ -133,7 +129,7 @@ class _Console:
             self._over = True
             raise
         finally:
-            self._live.close()
+            self._seat.live.close()
             if self._hand is not None:
                 self._hand.close()
             if before is not None:
@@ -164,39 +160,16 @@ class _Console:
         if self._keyboard.waiting and time.monotonic() - self._read_s >= ESCAPE_S:
             self._take(self._keyboard.flush())
         self._run_script()
-        self._do(self._talk.pass_time(time.monotonic()))
-        self._snapshot = self._live.look()
-        self._talk.live = self._snapshot is not None
-        if self._hand is not None:
-            self._hand.hold()
+        self._seat.look(time.monotonic())
         if ready or self._talk.moving or time.monotonic() - self._drawn_s > REDRAW_S:
-            self._face.show(self._talk, self._snapshot)
+            self._face.show(self._talk, self._seat.snapshot)
             self._drawn_s = time.monotonic()
         return True
 
     def _hear(self, message: dict[str, Any]) -> None:
-        kind = message["kind"]
-        if kind == "view":
-            before = self._talk.view.state
-            self._talk.see(message["view"])
-            if self._hand is not None:
-                self._hand.scale(self._talk.view.scale)
-            if self._talk.view.state != before and self._talk.view.state == "go":
-                self._ring()
-        elif kind == "ask":
-            self._number = message["number"]
-            answered = self._talk.ask(message["question"], time.monotonic())
-            if message["question"]["kind"] == "ready":
-                self._ring()
-                if self._hand is not None:
-                    self._hand.begin()
-            self._do(answered)
-        elif kind == "end":
-            self._over = True
-
-    def _ring(self) -> None:
-        if self._bell and self._is_terminal:
+        if self._seat.hear(message["kind"], message, time.monotonic()) and self._bell and self._is_terminal:
             os.write(OUT, b"\a")
+        self._over = self._over or message["kind"] == "end"
 
     def _read(self) -> bool:
         """What was typed; False when there will be no more and somebody must still answer."""
@@ -232,21 +205,10 @@ class _Console:
 
     def _event(self, event: Event) -> None:
         if isinstance(event, Key):
-            if self._hand is not None and self._talk.entry is None and self._hand.key(event.name):
-                return
             self._face.typed(self._talk, event.name)
-            self._do(self._talk.press(event.name))
+            self._seat.key(event.name)
         elif self._hand is not None:
             self._hand.mouse(event)
-
-    def _do(self, outcomes: list[Decision]) -> None:
-        for outcome in outcomes:
-            if isinstance(outcome, Stop):
-                running.ask_to_stop(self._session_pid)  # before anything that may take time
-                if self._talk.moving:
-                    self._say("stop")
-            else:
-                self._say("reply", number=self._number, action=outcome.action, value=outcome.value)
 
     def _say(self, kind: str, **content: Any) -> None:
         os.write(self._to, line_of(kind, **content))  # short: a pipe takes it whole
@@ -342,27 +304,12 @@ class _Screen(_Face):
         self._shown, self._size = lines, size
 
 
-class _MovedHand:
-    """The simulated hand that somebody moves at this terminal."""
+class _MovedHand(SeatHand):
+    """The simulated hand, moved at this terminal."""
 
-    def __init__(self, talk: dict[str, Any]) -> None:
-        self.kind = talk["kind"]
-        self._hand: Hand = SharedHand.create(Path(talk["path"]))
-        self._pointer = Pointer(float(talk["press"]))
+    def __init__(self, told: dict[str, Any]) -> None:
+        super().__init__(told["kind"], float(told["press"]), SharedHand.create(Path(told["path"])))
         self._pixels = False
-
-    def scale(self, scale: Any) -> None:
-        """Take start and wall from a view."""
-        self._pointer.scale(scale)
-
-    def key(self, name: str) -> bool:
-        """Whether the key moved the hand."""
-        return self.kind == "keyboard" and self._pointer.key(name)
-
-    def begin(self) -> None:
-        """Be back at the start: keys that led into the last wall would touch the next one in free space."""
-        if self.kind == "keyboard":
-            self._pointer.point(START_SHARE, held=False)
 
     def mouse(self, event: Event) -> None:
         """Take a motion of the mouse, or the terminal's word that it can tell pixels."""
@@ -376,17 +323,7 @@ class _MovedHand:
             _write(terminal.PIXELS_ON)
         elif isinstance(event, Mouse) and self.kind == "mouse":
             width = max(2, _width(pixels=self._pixels))
-            self._pointer.point((event.x - 1) / (width - 1), held=event.held)
-
-    def hold(self) -> None:
-        """Say the intention again: a hand that nobody speaks for rests."""
-        intention = self._pointer.intention
-        if intention is not None:
-            self._hand.move(*intention)
-
-    def close(self) -> None:
-        """Let go."""
-        self._hand.close()
+            self.pointer.point((event.x - 1) / (width - 1), held=event.held)
 
 
 def _width(*, pixels: bool) -> int:

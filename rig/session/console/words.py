@@ -149,17 +149,22 @@ def entry(talk: Conversation) -> str:
     return f"{purpose}> {talk.entry.text}_   (enter: done, escape: not now)"
 
 
+def offered(talk: Conversation) -> list[tuple[str, str]]:
+    """What answers now: key, and what it says."""
+    keymap, allowed = talk.keymap, talk.allowed
+    if talk.twice is not None:
+        return [("y", "yes"), ("escape", "no")]
+    found = list(keymap.verdicts) if "judge" in allowed else []
+    if talk.question is not None and talk.question.kind == "item":
+        found.append(("enter", "answer"))
+    return found + [(keymap.key_of(action), action) for action in ORDER if action in allowed]
+
+
 def choices(talk: Conversation) -> str:
     """Keys that answer what is asked."""
-    keymap = talk.keymap
     if talk.twice is not None:
-        return f"[y] yes, or {keymap.key_of(talk.twice)} again; any other key: no"
-    allowed = talk.allowed
-    parts = [f"[{key}] {verdict}" for key, verdict in keymap.verdicts] if "judge" in allowed else []
-    if talk.question is not None and talk.question.kind == "item":
-        parts.append("[enter] answer")
-    parts += [f"[{keymap.key_of(action)}] {action}" for action in ORDER if action in allowed]
-    return "  ".join(parts)
+        return f"[y] yes, or {talk.keymap.key_of(talk.twice)} again; any other key: no"
+    return "  ".join(f"[{key}] {text}" for key, text in offered(talk))
 
 
 def always(talk: Conversation) -> str:
@@ -176,14 +181,14 @@ def hand(talk: Conversation) -> str:
     return "hand: [left] [right] a step  [down] [up] more  [home] back  [end] into the wall"
 
 
-def help_pairs(talk: Conversation) -> list[tuple[str, str]]:
-    """All keys and what they do."""
+def help_pairs(talk: Conversation, *, interrupts: bool = True) -> list[tuple[str, str]]:
+    """All keys and what they do; `interrupts`: also the kernel's of a terminal."""
     keymap = talk.keymap
     return [
         ("SPACE", "STOP: zero effort now"),
         *((key, f"verdict: {verdict}") for key, verdict in keymap.verdicts),
         *((keymap.key_of(action), MEANINGS[action]) for action in ORDER),
-        ("^C", "stop, and leave the session; works also when this screen hangs"),
+        *([("^C", "stop, and leave the session; works also when this screen hangs")] if interrupts else []),
         *(HANDS[talk.hand] if talk.hand else []),
         ("?, enter, escape", "back; any other key does what it says here"),
     ]

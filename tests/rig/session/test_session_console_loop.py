@@ -57,7 +57,7 @@ def test_stop_is_in_the_loops_memory_before_the_session_hears_of_it(
     assert one._talk.moving
     with Ring.allocate(16, info={}, shared=True) as ring:
         with pytest.raises(BlockingIOError):
-            one._do([Stop()])
+            one._seat.do([Stop()])
         assert ring.peek(STOP) != 0
 
 
@@ -96,7 +96,7 @@ def test_pictures_come_ten_to_twenty_times_a_second_while_the_handle_moves(
         one._hear({"kind": "ask", "number": 1, "question": plain(question)})
     monkeypatch.setattr(program, "select", SimpleNamespace(select=wait))
     monkeypatch.setattr(program, "time", SimpleNamespace(monotonic=lambda: clock[0]))
-    monkeypatch.setattr(one._live, "look", look)
+    monkeypatch.setattr(one._seat.live, "look", look)
     while clock[0] < 110.0:
         assert one._round()
         os.read(ends.from_console, 65536)  # that it is alive

@@ -12,17 +12,15 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from rig.core.errors import ConfigError, RigError, StoppedError
-from rig.realtime.hand import SharedHand, Wish
 from rig.session.conduct import conduct
 from rig.session.console.desk import ConsoleDesk, MovedHand, at_console
 from rig.session.desk import Action, Question, Reply, View
@@ -101,70 +99,15 @@ def test_a_session_on_the_screen(terminal: Terminal) -> None:
         screen = terminal.wait("ready?", "Push.", "[g] go", "[SPACE] STOP")
         assert screen.startswith(" P03 · block 2 of 5 · trial 34 of about 120")
         assert terminal.screen.modes & {1049, 25} == {1049}  # its own screen, no cursor
-        assert terminal.screen.bells == 1
         terminal.type("n")
         terminal.wait("note>")
-        terminal.type("a b\x7fc\r")
-        assert answered(reply) == ("note", "a c")
-        reply = asking(desk, asker, replace(READY_QUESTION, text="ready now?"))
-        terminal.wait("ready now?")  # what is pressed before it stands there is about something else
-        terminal.type("x")
-        terminal.wait("x: no such key")
-        terminal.type("?")
-        terminal.wait("verdict: unsure")
-        terminal.type("?")  # back to the question, and nothing else
-        terminal.wait("ready now?")
-        terminal.type("?")
-        terminal.wait("verdict: unsure")
-        terminal.type("a")  # acts there as it would without the page
-        terminal.wait("leave the session")
-        terminal.type("g")
-        terminal.wait("abort: no")
+        terminal.type("a b\x7fc")
+        terminal.wait("note> a c_")
         terminal.resize(30, 100)
         terminal.until(lambda: len(terminal.screen.text.split("\n")[0]) > 90, "the new width")
-        terminal.type("g")
-        assert answered(reply) == ("go", "")
-        desk.show(View(state="go"))
-        terminal.wait("go")
-        reply = asking(desk, asker, VERDICT)
-        terminal.wait("[1] stable")
-        terminal.type("2")
-        assert answered(reply) == ("judge", "buzz")
-        reply = asking(desk, asker, Question(kind="rest", text="Rest.", actions=("go",), seconds=0.3))
-        assert answered(reply) == ("go", "")
-        assert reply.result().took_s >= 0.2
-    assert_given_back(terminal)
-    assert terminal.screen.bells == 3  # twice for ready, once for the hit
-
-
-def test_a_pedal_and_no_bell(terminal: Terminal) -> None:
-    with console(terminal, keys=Keys(stable="f5", bell=False)) as (desk, asker):
-        reply = asking(desk, asker, VERDICT)
-        terminal.wait("[f5] stable")
-        terminal.type("\x1b[15~")
-        assert answered(reply) == ("judge", "stable")
-        answered_ready = asking(desk, asker, READY_QUESTION)
-        terminal.wait("ready?")
         terminal.type("\r")
-        assert answered(answered_ready) == ("go", "")
-    assert terminal.screen.bells == 0
-
-
-def test_space_stops_the_hit_that_runs_and_not_the_next_one(terminal: Terminal) -> None:
-    with console(terminal) as (desk, asker):
-        desk.show(View(state="hold"))
-        terminal.wait("hold")
-        terminal.type(" ")
-        assert "stopped at the console" in str(watched(desk))
-        reply = asking(desk, asker, READY_QUESTION)
-        terminal.wait("ready?")
-        terminal.type(" ")
-        terminal.wait("nothing moves")
-        terminal.type("g")
-        assert answered(reply) == ("go", "")
-        watch = desk.watch()
-        assert watch is not None
-        watch(0, 3)
+        assert answered(reply) == ("note", "a c")
+    assert_given_back(terminal)
 
 
 def test_escape_then_space_stops_a_hit(terminal: Terminal) -> None:
@@ -300,17 +243,15 @@ def test_a_reason_is_a_plain_line(terminal: Terminal) -> None:
     assert printed.count(LONG) == 1
 
 
-@pytest.mark.parametrize("plain", [False, True])
-def test_a_blinded_console_says_at_once_why_a_trial_is_invalid_and_names_no_wall(
-    plain: bool, terminal: Terminal, tmp_path: Path
+def test_blinded_lines_say_at_once_why_a_trial_is_invalid_and_name_no_wall(
+    terminal: Terminal, tmp_path: Path
 ) -> None:
     slew = ["the slew limit bound in 41792 ticks", "saturated in the tail without ripple or motion"]
     runner = FakeRunner({1: ({**INVALID, "reasons": [LOST]}, None), 2: ({**INVALID, "reasons": slew}, None)})
     said = 0  # what was printed before the last key
 
     def reads(text: str) -> None:
-        seen = terminal.screen
-        terminal.until(lambda: contains(seen.printed[said:] if plain else seen.text, text), text)
+        terminal.until(lambda: contains(terminal.screen.printed[said:], text), text)
 
     def types(key: str) -> None:
         nonlocal said
@@ -319,7 +260,7 @@ def test_a_blinded_console_says_at_once_why_a_trial_is_invalid_and_names_no_wall
 
     with (
         started(tmp_path / "P01", protocol_of(stop={"trials": 3})) as session,
-        console(terminal, plain=plain) as (desk, asker),
+        console(terminal, plain=True) as (desk, asker),
     ):
         state = asker.submit(conduct, session, runner, desk)
         reads("ready? [g] go")
@@ -338,74 +279,18 @@ def test_a_blinded_console_says_at_once_why_a_trial_is_invalid_and_names_no_wall
         assert secret not in terminal.screen.printed, secret
 
 
-@pytest.mark.parametrize("kind", ["keyboard", "mouse"])
-def test_the_hand_follows(kind: Any, terminal: Terminal, tmp_path: Path) -> None:
+def test_the_mouse_is_asked_for_and_given_back(terminal: Terminal, tmp_path: Path) -> None:
     path = tmp_path / "of" / "hand"
     path.parent.mkdir()
-    with (
-        SharedHand.create(path) as hand,
-        console(terminal, hand=MovedHand(kind=kind, path=path, press=4.0)) as (desk, _),
-    ):
-        desk.show(View(state="hold", scale={"start": 0.1, "wall": 0.5}))
-        terminal.wait("hold")
-        if kind == "mouse":
-            terminal.until(lambda: terminal.screen.modes >= {1003, 1006}, "reports of the mouse")
-            assert 1016 in terminal.screen.asked
-
-        def wish(key: str, right: Callable[[Wish], bool]) -> Wish:
-            deadline = time.monotonic() + PATIENCE_S
-            terminal.type(key)
-            while (found := hand.read()) is None or not right(found):
-                assert time.monotonic() < deadline, found
-                threading.Event().wait(0.005)
-            return found
-
-        keys = {"keyboard": ("\x1b[F", "\x1b[H"), "mouse": ("\x1b[<35;80;5M", "\x1b[<35;1;5M")}[kind]
-        assert wish(keys[0], lambda one: one.position > 0.7).position == pytest.approx(0.8)
-        assert wish("", lambda one: one.press > 3.9).press == pytest.approx(4.0)
-        again = wish(keys[1], lambda one: one.position < 0.1)
-        assert (again.position, again.press) == (pytest.approx(0.0), 0.0)
-        wish("", lambda one: one.sequence > again.sequence + 2)  # said again and again: else it would rest
-        assert "hand:" in terminal.screen.text
+    with console(terminal, hand=MovedHand(kind="mouse", path=path, press=4.0)):
+        terminal.until(lambda: terminal.screen.modes >= {1003, 1006}, "reports of the mouse")
+        assert 1016 in terminal.screen.asked
     assert terminal.screen.modes & {1003, 1006, 1016} == set()
     assert not path.exists()
 
 
-def test_the_hand_of_the_keys_is_back_before_a_trial_and_keys_in_a_note_do_not_move_it(
-    terminal: Terminal, tmp_path: Path
-) -> None:
-    path = tmp_path / "of" / "hand"
-    path.parent.mkdir()
-    moved = MovedHand(kind="keyboard", path=path, press=4.0)
-    with SharedHand.create(path) as hand, console(terminal, hand=moved) as (desk, asker):
-        desk.show(View(state="hit", scale={"start": 0.1, "wall": 0.5}))
-        terminal.wait("hit")
-        terminal.type("\x1b[F")
-        terminal.until(lambda: (found := hand.read()) is not None and found.press == 4.0, "a full press")
-        reply = asking(desk, asker, READY_QUESTION)
-        terminal.wait("ready?")
-        terminal.until(
-            lambda: (found := hand.read()) is not None and found.press == 0.0, "a hand that is back"
-        )
-        terminal.type("n")
-        terminal.wait("note>")
-        terminal.type(
-            "ab\x1b[F\x1b[Dc"
-        )  # end, left: of the line that is typed, as far as somebody thinks of it
-        terminal.wait("note> abc_")
-        found = hand.read()
-        assert found is not None
-        assert (found.position, found.press) == (pytest.approx(0.1), 0.0)
-        terminal.type("\r")
-        assert answered(reply) == ("note", "abc")
-
-
 def test_a_hand_that_this_console_cannot_move_is_refused(terminal: Terminal, tmp_path: Path) -> None:
-    keyboard, mouse = (
-        MovedHand(kind=kind, path=tmp_path / "hand", press=4.0) for kind in ("keyboard", "mouse")
-    )
-    with pytest.raises(ConfigError, match=r"go = 'right': that key moves the hand"):
-        ConsoleDesk(Keys(go="right"), hand=keyboard, place=Path(terminal.path))
+    mouse = MovedHand(kind="mouse", path=tmp_path / "hand", press=4.0)
     with pytest.raises(ConfigError, match="prints lines"):
         ConsoleDesk(hand=mouse, plain=True, place=Path(terminal.path))
     assert terminal.attributes_are_back()

@@ -1,0 +1,96 @@
+// What is asked, and how it is answered: by buttons, by their keys, or in a line; for the operator and the participant.
+
+import { make } from "./dom.js";
+
+const MOST_BUTTONS = 11; // of a scale: a longer one is typed
+
+// A key as a protocol names it.
+export function nameOf(key) {
+  return key === " " ? "space" : key.length > 1 ? key.replace(/^Arrow/, "").toLowerCase() : key;
+}
+
+// Set a text only where it is another one: what is said aloud is said once.
+export function setText(element, text) {
+  if (element.textContent !== text) element.textContent = text;
+}
+
+export class Answering {
+  constructor(link, { participant }) {
+    this.link = link;
+    this.participant = participant;
+    this.asked = 0;
+    this.shown = 0;
+    this.question = make("p", { className: "question", role: "status", ariaLive: "assertive" });
+    this.buttons = make("p", { className: "answers" });
+    this.input = make("input", { type: "text", autocomplete: "off", maxLength: 500, ariaLabel: "Answer" });
+    this.line = make("form", { className: "line", hidden: true, onsubmit: (event) => { event.preventDefault(); this.say(this.input.value); } },
+      this.input, make("button", { type: "submit", textContent: "Done" }),
+      participant ? null : make("button", { type: "button", textContent: "Not now", onclick: () => this.press("escape") }));
+    this.notice = make("p", { className: "notice", role: "status" });
+    this.element = make("div", { className: "answering" }, this.question, this.buttons, this.line, this.notice);
+    this.input.addEventListener("keydown", (event) => this.#inLine(event));
+  }
+
+  // `told`: the number of the question, its text, keys that answer it, the line that is wanted, the item, a notice.
+  show(told) {
+    if (told.asked !== this.asked) {
+      this.asked = told.asked;
+      this.shown = performance.now();
+      this.input.value = "";
+    }
+    this.moving = told.moving;
+    setText(this.question, told.text);
+    setText(this.notice, told.notice);
+    this.#offer(told);
+    const wanted = Boolean(told.entry);
+    if (wanted === this.line.hidden) {
+      this.line.hidden = !wanted;
+      this.input.value = "";
+      if (wanted) this.input.focus();
+      else this.input.blur();
+    }
+    this.input.ariaLabel = told.entry === "note" ? "Note" : "Answer";
+    this.input.placeholder = told.entry === "note" ? "a note for the log" : "";
+  }
+
+  press(key) {
+    this.#say("session_key", { key });
+  }
+
+  say(text) {
+    this.#say("session_line", { text });
+    this.input.value = "";
+  }
+
+  #say(what, content) {
+    const shown_s = (performance.now() - this.shown) / 1000;
+    this.link.ask(what, { ...content, asked: this.asked, shown_s, participant: this.participant })
+      .catch((error) => this.link.dispatchEvent(new CustomEvent("trouble", { detail: error })));
+  }
+
+  #offer({ offered, item, entry }) {
+    const values = entry === "item" ? valuesOf(item) : [];
+    const text = JSON.stringify([offered, values]);
+    if (this.offered === text) return;
+    this.offered = text;
+    const focused = this.buttons.contains(document.activeElement);
+    this.buttons.replaceChildren(
+      ...values.map(([value, label]) => make("button", { type: "button", textContent: label, onclick: () => this.say(value) })),
+      ...offered.filter(([key]) => key !== "enter").map(([key, name]) => make("button", { type: "button", ariaKeyShortcuts: key, onclick: () => this.press(key) }, make("kbd", { textContent: key }), ` ${name}`)));
+    if (focused) document.activeElement?.blur(); // Space is STOP again
+  }
+
+  #inLine(event) {
+    if (event.key === "Escape" && !this.participant) this.press("escape");
+    if (event.key === " " && this.moving) {
+      event.preventDefault();
+      this.link.stop();
+    }
+  }
+}
+
+function valuesOf(item) {
+  if (item?.kind === "choice") return item.choices.map((choice, i) => [choice, `${i + 1} ${choice}`]);
+  if (item?.kind !== "scale" || item.highest - item.lowest >= MOST_BUTTONS) return [];
+  return Array.from({ length: item.highest - item.lowest + 1 }, (_, i) => String(item.lowest + i)).map((value) => [value, value]);
+}

@@ -1,0 +1,67 @@
+"""Which sessions a page may begin, and which it may resume: what lies in the working directory, and the templates."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import suppress
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from rig.config.files import read_toml
+from rig.core.errors import RigError
+from rig.session.directory import LOG, REHEARSALS, SESSIONS
+from rig.session.run import session_state
+from rig.session.template_files import template_names, template_subject
+
+MOST = 100  # of each
+
+
+def protocols() -> list[dict[str, str]]:
+    """Protocol files here, and the templates: name, and what it is about."""
+    found = []
+    for path in sorted(Path().glob("*.toml"))[:MOST]:
+        with suppress(RigError):
+            table = read_toml(path, "a protocol")
+            if "study" in table and "condition" in table:
+                title = table["study"].get("title") if isinstance(table["study"], dict) else None
+                found.append({"name": str(path), "about": str(title or "")})
+    return found + [{"name": name, "about": template_subject(name)} for name in template_names()]
+
+
+def resumable() -> list[dict[str, Any]]:
+    """Sessions here that are not over, the newest first: directory, whose, and where it stands."""
+    return [told for log in _logs()[:MOST] if (told := _unfinished(log)) is not None]
+
+
+def protocol_file(name: str) -> Path:
+    """The file of a protocol: of the package, where the name is that of a template."""
+    if name in template_names():
+        return Path(str(files("rig.session") / "templates" / f"{name}.toml"))
+    return Path(name)
+
+
+def _logs() -> list[Path]:
+    def found() -> Iterator[tuple[float, Path]]:
+        for place in (SESSIONS, REHEARSALS):
+            for log in place.glob(f"*/*/{LOG}"):
+                with suppress(OSError):
+                    yield log.stat().st_mtime, log
+
+    return [log for _, log in sorted(found(), reverse=True)]
+
+
+def _unfinished(log: Path) -> dict[str, Any] | None:
+    """None for one that is over, or whose log cannot be read: `rig session resume` says what to do about that."""
+    with suppress(RigError):
+        state, events = session_state(log.parent)
+        if state.ended is None:
+            return {
+                "directory": str(log.parent),
+                "code": state.code,
+                "title": state.protocol.study.title,
+                "trials": len(state.trials),
+                "stopped": state.stopped or "",
+                "rehearsal": bool(events[0].content.get("rehearsal")),
+            }
+    return None

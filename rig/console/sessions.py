@@ -1,0 +1,348 @@
+"""The sessions' view: begins and resumes sessions, and is the seat of whoever operates one, as a terminal is.
+
+What a page shows comes as texts (`rig.session.console.words`), and what it says are keys and lines, so that a page is a
+terminal of another kind: one conversation, one set of rules. A key names the question that stood there when it was
+pressed; about an earlier one it says nothing. The participant's screen is told what a participant may see, and answers
+verdicts and items alone.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from annotated_types import Ge, Le, MaxLen
+
+from rig.console import session_lists
+from rig.console.client import Client
+from rig.console.jobs import Job
+from rig.console.requests import Name, Request
+from rig.console.service import Handler, Service, Shared
+from rig.console.terminal import Terminal
+from rig.core.errors import ConfigError, RigError
+from rig.core.quantity import STRICT
+from rig.realtime.hand import SharedHand
+from rig.session.console import words
+from rig.session.console.conversation import LATER, Conversation
+from rig.session.console.pointer import START_SHARE, WALL_SHARE
+from rig.session.console.seat import Seat, SeatHand
+from rig.session.keymap import STOP
+from rig.session.protocol import VERDICTS
+from rig.session.run import rehearsed, took_place
+
+JOB = "session"
+OPERATORS = ("starting", "stopped", "trouble", "ready to end")  # states that are no participant's matter
+PLEASE_WAIT = "please wait"
+ROUND_S = 0.08  # between two looks at a loop that runs
+
+Key = Annotated[str, MaxLen(40)]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ListSessions(Request):
+    """What may be begun and resumed."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SessionPerson:
+    """Who is rehearsed (`rig.session.rehearsal.Person`)."""
+
+    __pydantic_config__ = STRICT
+
+    thresholds: Annotated[tuple[Name, ...], MaxLen(50)] = ()
+    spread: float = 15.0
+    lapse_rate: float = 0.0
+    people_sd: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class BeginSession(Request):
+    """Begin a session of a protocol, or resume that of a directory; as `rig session run` and `resume`."""
+
+    protocol: Name = ""
+    code: Name = ""
+    directory: Name = ""
+    row: Annotated[int, Ge(0)] | None = None
+    person: SessionPerson | None = None
+    realtime: bool = False
+    again: bool = False
+    at: Literal["trial", "block"] = "trial"
+    other_device: bool = False
+    url: Name = ""
+    hand: Literal["simulated", "mouse", "keyboard"] = "simulated"
+    arm_anyway: bool = False
+    lossy_anyway: bool = False
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PressKey(Request):
+    """A key at the desk, `shown_s` after question `asked` could be read."""
+
+    key: Key
+    asked: int = 0
+    shown_s: Annotated[float, Ge(0)] | None = None
+    participant: bool = False
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TypeLine(Request):
+    """A line where one is wanted: a note, or the answer to an item."""
+
+    text: Annotated[str, MaxLen(2000)]
+    asked: int = 0
+    shown_s: Annotated[float, Ge(0)] | None = None
+    participant: bool = False
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Reach(Request):
+    """How far the dragged hand reaches, as a share of its way, and whether it presses with full force."""
+
+    share: Annotated[float, Ge(0), Le(1)]
+    held: bool = False
+
+
+class Sessions(Service):
+    """See the module."""
+
+    def __init__(self, shared: Shared, hand: SharedHand, terminal: Terminal, *, verified: bool) -> None:
+        self._shared, self._hand, self._terminal = shared, hand, terminal
+        self._verified = verified
+        self._job: Job | None = None
+        self._seat: Seat | None = None
+        self._rounds: asyncio.Task[None] | None = None
+        self._end: Mapping[str, Any] | None = None  # how the last one ended
+        self._compiling = False
+        self._rings = 0
+        self._told: dict[str, Any] = {}
+
+    def handlers(self) -> Mapping[str, tuple[type[Request], Handler]]:
+        """See `Service.handlers`."""
+        return {
+            "sessions": (ListSessions, self._list),
+            "session": (BeginSession, self._begin),
+            "session_key": (PressKey, self._key),
+            "session_line": (TypeLine, self._line),
+            "session_hand": (Reach, self._reach),
+        }
+
+    def greet(self, client: Client) -> None:
+        """A page that comes, or comes back, sees what stands there."""
+        for message in self._messages():
+            client.put_newest(message)
+
+    async def _list(self, client: Client, request: ListSessions) -> dict[str, Any]:
+        return await asyncio.to_thread(
+            lambda: {"protocols": session_lists.protocols(), "resumable": session_lists.resumable()}
+        )
+
+    async def _begin(self, client: Client, request: BeginSession) -> dict[str, Any]:
+        self._shared.must_operate(client)
+        if not request.directory and not (request.protocol and request.code):
+            raise ConfigError("a session needs a protocol and a participant's code", remedy="give both")
+        person, url, realtime = await asyncio.to_thread(self._known, request)
+        if url and not url.startswith("sim:"):
+            await self._consent(request, url)
+        content = asdict(request) | {
+            "url": url,
+            "realtime": realtime,
+            "verified": self._verified,
+            "hand": str(self._hand.path),
+            "hand_kind": None if request.hand == "simulated" or person else request.hand,
+        }
+        job = self._job = await self._shared.jobs.start(JOB, content, asks=not person)
+        self._shared.blinded = True  # until the session says that nobody has to be
+        self._seat, self._end, self._compiling = None, None, False
+        self._rounds = asyncio.create_task(self._every_round())
+        self._tell()
+        return {"pid": job.pid}
+
+    @staticmethod
+    def _known(request: BeginSession) -> tuple[bool, str, bool]:
+        """Whether somebody is rehearsed, the device, and whether time is real: those of the log, if it goes on."""
+        if not request.directory:
+            return request.person is not None, request.url, request.realtime
+        place = took_place(Path(request.directory))
+        return rehearsed(Path(request.directory)) is not None, request.url or place.url or "", place.realtime
+
+    async def _consent(self, request: BeginSession, url: str) -> None:
+        whose = request.directory or f"{request.code} with {request.protocol}"
+        walls = ", also the walls that `rig session check` says it refuses" if request.arm_anyway else ""
+        if not await self._terminal.consents(f"{url} for the session of {whose}{walls}"):
+            raise ConfigError(
+                f"{url} is a real rig, and nobody at the terminal of this console let it be armed",
+                remedy="run `rig console` in a terminal beside the rig, and type there what it asks for",
+            )
+
+    # At the desk.
+
+    async def _key(self, client: Client, request: PressKey) -> None:
+        seat = self._seat
+        if seat is None or self._job is None:
+            return
+        if request.key != STOP:  # which any page may say, whatever is asked
+            if not self._may(client, seat, request, "verdict"):
+                return
+            if request.participant and seat.talk.keymap.meaning(request.key) not in VERDICTS:
+                return
+        seat.key(request.key, request.shown_s)
+        self._tell()
+
+    async def _line(self, client: Client, request: TypeLine) -> None:
+        seat = self._seat
+        if seat is None or self._job is None or not self._may(client, seat, request, "item"):
+            return
+        seat.do(seat.talk.line(request.text), request.shown_s)
+        self._tell()
+
+    async def _reach(self, client: Client, request: Reach) -> None:
+        self._shared.must_operate(client)
+        if self._seat is not None and self._seat.hand is not None:
+            self._seat.hand.pointer.point(request.share, held=request.held)
+
+    def _may(self, client: Client, seat: Seat, request: PressKey | TypeLine, kind: str) -> bool:
+        """Whether this page may say something now: about the question that stands there, a participant its answer."""
+        talk = seat.talk
+        if request.asked != talk.asked:
+            return False
+        if not request.participant:
+            self._shared.must_operate(client)
+            return True
+        purpose = None if talk.entry is None else talk.entry.purpose
+        return (
+            talk.question is not None
+            and talk.question.kind == kind
+            and talk.twice is None
+            and purpose == ("item" if kind == "item" else None)
+        )
+
+    # What the session says, and what a page is told.
+
+    def job_says(self, job: Job, message: Mapping[str, Any]) -> bool:
+        """See `Service.job_says`."""
+        if job.name != JOB:
+            return False
+        said = message["say"]
+        match said:
+            case "setup":
+                self._seat = Seat(message, partial(_say, job), self._seat_hand(message["hand"]))
+            case "view" | "ask":
+                assert self._seat is not None
+                self._rings += self._seat.hear(said, message, time.monotonic())
+                self._shared.blinded = self._seat.talk.view.blinded
+            case "done":
+                self._end = message["result"]
+            case "failed":
+                why = RigError(message["error"], remedy=message["remedy"])
+                self._end = {"stands": str(why), "pairs": [], "over": False}
+            case "compiling":
+                self._compiling = bool(message["busy"])
+            case "ended":
+                self._leave()
+            case _:
+                return False
+        self._tell()
+        return said not in ("compiling", "ended")
+
+    def _seat_hand(self, told: Mapping[str, Any] | None) -> SeatHand | None:
+        return None if told is None else SeatHand(told["kind"], float(told["press"]), self._hand)
+
+    def _leave(self) -> None:
+        self._job = None
+        self._shared.blinded = False
+        if self._seat is not None:
+            self._seat.live.close()
+        if self._rounds is not None:
+            self._rounds.cancel()
+            self._rounds = None
+
+    async def _every_round(self) -> None:
+        """Look at the loop and the clock, and say so."""
+        while True:
+            if self._seat is not None:
+                self._seat.look(time.monotonic())
+                self._tell()
+            await asyncio.sleep(ROUND_S)
+
+    def _tell(self) -> None:
+        for message in self._messages():
+            if message != self._told.get(message["say"]):
+                self._told[message["say"]] = message
+                for client in self._shared.clients:
+                    client.put_newest(message)
+
+    def _messages(self) -> list[dict[str, Any]]:
+        runs, seat = self._job is not None, self._seat
+        desk: dict[str, Any] = {
+            "say": "session",
+            "runs": runs,
+            "compiling": self._compiling,
+            "end": self._end,
+        }
+        participant: dict[str, Any] = {"say": "participant", "runs": runs}
+        if seat is not None:
+            desk |= self._desk(seat)
+            participant |= _participant(seat)
+        return [desk, participant]
+
+    def _desk(self, seat: Seat) -> dict[str, Any]:
+        talk, view, now_s = seat.talk, seat.talk.view, time.monotonic()
+        asks = self._job is not None and self._job.asks
+        later = [(talk.keymap.key_of(one), one) for one in LATER] if asks and talk.question is None else []
+        return {
+            "asked": talk.asked,
+            "place": words.place(view),
+            "state": words.state(talk),
+            "saying": view.say,
+            "moving": talk.moving,
+            "question": words.question(talk, now_s),
+            "offered": words.offered(talk) or later,
+            "entry": None if talk.entry is None else talk.entry.purpose,
+            "item": _item(talk),
+            "notice": talk.notice,
+            "facts": words.facts(view),
+            "heat": view.heat,
+            "gauges": [(one.name, one.share, one.text) for one in words.gauges(view, seat.snapshot)],
+            "last": view.last,
+            "lines": [line for line in view.lines if line != view.last],
+            "help": talk.help,
+            "keys": words.help_pairs(talk, interrupts=False),
+            "hand": words.hand(talk),
+            "way": None if seat.hand is None else [seat.hand.pointer.share, START_SHARE, WALL_SHARE],
+            "drags": talk.hand == "mouse",
+            "rings": self._rings if talk.keymap.bell else 0,
+        }
+
+    async def close(self) -> None:
+        """See `Service.close`."""
+        self._leave()
+
+
+def _say(job: Job, kind: str, **content: Any) -> None:
+    job.answer({"kind": kind, **content})
+
+
+def _item(talk: Conversation) -> Mapping[str, Any] | None:
+    return talk.question.item if talk.question is not None and talk.question.kind == "item" else None
+
+
+def _participant(seat: Seat) -> dict[str, Any]:
+    """What a participant may see: the cue, what to do, and what is asked of them."""
+    talk, view = seat.talk, seat.talk.view
+    verdict = talk.question is not None and talk.question.kind == "verdict"
+    item = _item(talk)
+    return {
+        "asked": talk.asked,
+        "state": PLEASE_WAIT if view.state in OPERATORS else view.state,
+        "saying": view.say,
+        "left_s": math.ceil(talk.left_s(time.monotonic())),
+        "verdicts": talk.keymap.verdicts if verdict else [],
+        "item": item,
+        "notice": talk.notice if item is not None else "",
+    }

@@ -1,0 +1,310 @@
+"""A session's desk with somebody at it: a terminal, or a page of the console; what stands there, and what is pressed.
+
+The page's desk, seat and service are the real ones; between them, in place of processes and sockets, are queues.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import signal
+import threading
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Coroutine
+from pathlib import Path
+from queue import SimpleQueue
+from tempfile import TemporaryDirectory
+from typing import Any, cast
+
+from rig.console.client import Client
+from rig.console.jobs import Job, Jobs
+from rig.console.lease import Lease
+from rig.console.requests import request_of
+from rig.console.service import Shared
+from rig.console.session_desk import PageDesk
+from rig.console.sessions import JOB, Sessions
+from rig.console.talk import Talk
+from rig.console.terminal import Terminal as Consents
+from rig.core.present import plain
+from rig.realtime.hand import SharedHand
+from rig.session.console.asking import AskingDesk
+from rig.session.console.desk import ConsoleDesk, MovedHand
+from rig.session.console.pointer import HandKind
+from rig.session.console.seat import keymap_for
+from rig.session.protocol import Keys
+from tests.conformance.terminal import PATIENCE_S, Terminal
+from tests.rig.session.test_session_console import contains
+
+_BYTES = {"space": " ", "enter": "\r", "f5": "\x1b[15~", "end": "\x1b[F", "home": "\x1b[H", "left": "\x1b[D"}
+
+
+def until(condition: Callable[[], bool], what: str) -> None:
+    deadline = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < deadline, f"it never came: {what}"
+        threading.Event().wait(0.005)
+
+
+class Place(ABC):
+    """A desk, and somebody who sits there."""
+
+    desk: AskingDesk
+
+    def sees(self, *texts: str) -> None:
+        """Wait until they stand there."""
+        until(
+            lambda: all(contains(self.screen, text) for text in texts),
+            f"{texts} on the screen:\n{self.screen}",
+        )
+
+    @property
+    @abstractmethod
+    def screen(self) -> str:
+        """All that stands there; keys as ``[g] go``."""
+
+    @property
+    @abstractmethod
+    def all_shown(self) -> str:
+        """All that was ever sent there."""
+
+    @property
+    @abstractmethod
+    def rings(self) -> int:
+        """How often somebody was rung for."""
+
+    @abstractmethod
+    def press(self, key: str) -> None:
+        """Press a key, by its name."""
+
+    @abstractmethod
+    def line(self, text: str) -> None:
+        """Type a line, once one is wanted."""
+
+    @abstractmethod
+    def point(self, share: float) -> None:
+        """Take the mouse to a share of the way."""
+
+    @abstractmethod
+    def hang(self) -> None:
+        """From now on nothing is heard of it."""
+
+    @abstractmethod
+    def leave(self) -> None:
+        """There is nobody any more."""
+
+    def close(self) -> None:
+        self.desk.close()
+
+
+class AtTerminal(Place):
+    def __init__(self, keys: Keys, hand: tuple[HandKind, Path] | None, silence_s: float) -> None:
+        self.terminal = Terminal()
+        moved = None if hand is None else MovedHand(kind=hand[0], path=hand[1], press=4.0)
+        try:
+            self._console = ConsoleDesk(
+                keys, hand=moved, place=Path(self.terminal.path), silence_s=silence_s, hung_s=60.0
+            )
+        except BaseException:
+            self.terminal.close()
+            raise
+        self.desk = self._console
+
+    @property
+    def screen(self) -> str:
+        return self.terminal.screen.text
+
+    @property
+    def all_shown(self) -> str:
+        return self.terminal.screen.printed
+
+    @property
+    def rings(self) -> int:
+        return self.terminal.screen.bells
+
+    def press(self, key: str) -> None:
+        self.terminal.type(_BYTES.get(key, key))
+
+    def line(self, text: str) -> None:
+        until(lambda: "> _" in self.screen, "a line to type")
+        self.terminal.type(text + "\r")
+
+    def point(self, share: float) -> None:
+        until(lambda: self.terminal.screen.modes >= {1003, 1006}, "reports of the mouse")
+        self.terminal.type(f"\x1b[<35;{1 + round(share * 79)};5M")
+
+    def hang(self) -> None:
+        os.kill(self._console.pid, signal.SIGSTOP)
+
+    def leave(self) -> None:
+        self.terminal.close()
+
+    def close(self) -> None:
+        super().close()
+        self.terminal.close()
+
+
+class Line(Talk):
+    """A job's line whose other end is in this process."""
+
+    def __init__(self, page: AtPage) -> None:
+        super().__init__(goes_on=False)
+        self._page = page
+        self.heard: SimpleQueue[Any] = self._answers
+
+    def tell(self, say: str, /, **content: Any) -> None:
+        message = json.loads(json.dumps({"say": say, **plain(content)}))
+        self._page.in_loop(self._page.told(message))
+
+    @property
+    def silent_s(self) -> float:
+        return time.monotonic() - self._page.hung_s if self._page.hung_s else 0.0
+
+
+class FakeJob:
+    """What the service has of a job: its process is this one."""
+
+    name, asks, goes_on, pid = JOB, True, False, os.getpid()
+
+    def __init__(self, page: AtPage) -> None:
+        self._page = page
+
+    def answer(self, value: Any) -> None:
+        self._page.line_.heard.put(json.loads(json.dumps(value)))
+
+
+class FakeClient:
+    """A page: what it was told last, and everything."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.newest: dict[str, dict[str, Any]] = {}
+        self.all = ""
+
+    def put_newest(self, message: Any) -> None:
+        text = json.dumps(message, ensure_ascii=False)
+        self.newest[message["say"]] = json.loads(text)
+        self.all += text + "\n"
+
+
+class AtPage(Place):
+    """The service of the page in a thread, as the console's server has it."""
+
+    def __init__(self, keys: Keys, hand: tuple[HandKind, Path] | None, silence_s: float) -> None:
+        self._loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self._loop.run_forever)
+        self._thread.start()
+        self.hung_s = 0.0  # since when nothing is heard
+        self.client, self.participant = FakeClient("operator"), FakeClient("participant")
+        self._place = TemporaryDirectory()
+        self.hand = SharedHand.create(hand[1] if hand is not None else Path(self._place.name) / "hand")
+        self.job, self.line_ = FakeJob(self), Line(self)
+        self.jobs = FakeJobs(self.job)
+        clients = cast("set[Client]", {self.client, self.participant})
+        self.shared = Shared(clients, Lease(), cast("Jobs", self.jobs), Path())
+        self.service = Sessions(self.shared, self.hand, Consents(), verified=False)
+        try:
+            self.ask("session", protocol="a.toml", code="P01", hand=hand[0] if hand else "simulated")
+            self.desk = PageDesk(
+                self.line_, keymap_for(keys, hand and hand[0]), hand and (hand[0], 4.0), silence_s=silence_s
+            )
+        except BaseException:
+            self._end()
+            raise
+
+    def in_loop(self, work: Coroutine[Any, Any, Any]) -> Any:
+        return asyncio.run_coroutine_threadsafe(work, self._loop).result(PATIENCE_S)
+
+    async def told(self, message: Any) -> bool:
+        return self.service.job_says(cast("Job", self.job), message)
+
+    def ask(self, do: str, client: FakeClient | None = None, **content: Any) -> Any:
+        """A request of a page, as its socket brings it."""
+        handlers = self.service.handlers()
+        request = request_of(
+            json.dumps({"do": do, **content}), {name: kind for name, (kind, _) in handlers.items()}
+        )
+        return self.in_loop(self._answered(handlers[do][1](cast("Client", client or self.client), request)))
+
+    async def _answered(self, answer: Any) -> Any:
+        return await answer
+
+    @property
+    def session(self) -> dict[str, Any]:
+        """What the operator's page shows."""
+        return self.client.newest["session"]
+
+    @property
+    def screen(self) -> str:
+        told = self.session
+        if "asked" not in told:
+            return ""
+        parts = [told["place"], told["state"], told["saying"], told["question"]]
+        parts.append("  ".join(f"[{key}] {text}" for key, text in told["offered"]))
+        parts += [
+            "" if told["entry"] is None else f"{told['entry']}>",
+            told["notice"],
+            told["hand"],
+            told["last"],
+        ]
+        parts += [f"{name} {text}" for name, text in told["facts"]]
+        parts += [f"{name} {text}" for name, _, text in told["gauges"]]
+        parts += [f"{key} {meaning}" for key, meaning in told["keys"]] if told["help"] else []
+        return "\n".join([*parts, *told["lines"]])
+
+    @property
+    def all_shown(self) -> str:
+        return self.client.all + self.participant.all
+
+    @property
+    def rings(self) -> int:
+        return int(self.session["rings"])
+
+    def press(self, key: str) -> None:
+        self.ask("session_key", key=key, asked=self.session["asked"])
+
+    def line(self, text: str) -> None:
+        until(lambda: self.session["entry"] is not None, "a line to type")
+        self.ask("session_line", text=text, asked=self.session["asked"])
+
+    def point(self, share: float) -> None:
+        self.ask("session_hand", share=share)
+
+    def hang(self) -> None:
+        self.hung_s = time.monotonic()
+
+    def leave(self) -> None:
+        self.line_.heard.put(None)
+
+    def close(self) -> None:
+        super().close()
+        self._end()
+
+    def _end(self) -> None:
+        self.in_loop(self._closed())
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join(PATIENCE_S)
+        self._loop.close()
+        self.hand.close()
+        self._place.cleanup()
+
+    async def _closed(self) -> None:
+        await self.service.close()
+        await asyncio.sleep(0)  # what was cancelled ends
+
+
+class FakeJobs:
+    """Starts the one job."""
+
+    def __init__(self, job: FakeJob) -> None:
+        self.job, self.running = job, None
+        self.started: dict[str, Any] = {}
+
+    async def start(self, name: str, content: Any, *, asks: bool = False, goes_on: bool = False) -> FakeJob:
+        assert name == JOB
+        self.job.asks, self.started = asks, dict(content)
+        return self.job
+
+
+PLACES: dict[str, type[AtTerminal] | type[AtPage]] = {"terminal": AtTerminal, "page": AtPage}

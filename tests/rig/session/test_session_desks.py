@@ -1,0 +1,272 @@
+"""What a session's desk does for whoever sits there, at a terminal and at a page of the console alike."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from rig.core.errors import ConfigError, StoppedError
+from rig.realtime.hand import SharedHand, Wish
+from rig.session.conduct import conduct
+from rig.session.console.pointer import HandKind
+from rig.session.desk import Action, Question, Reply, View
+from rig.session.protocol import Keys
+from tests.conformance.terminal import PATIENCE_S
+from tests.rig.session.session_desks import PLACES, Place, until
+from tests.rig.session.session_fakes import INVALID, LOST, FakeRunner, protocol_of
+from tests.rig.session.test_session_conduct import started
+from tests.rig.session.test_session_console import LONG
+
+READY: tuple[Action, ...] = ("go", "pause", "skip", "redo", "note", "abort")
+VERDICT = Question(kind="verdict", text="the verdict?", actions=("judge", "redo", "note", "abort"), trial=3)
+READY_QUESTION = Question(kind="ready", text="ready?", actions=READY)
+ITEM = {"name": "tired", "text": "How tired?", "kind": "scale", "lowest": 1, "highest": 7, "choices": []}
+
+Sit = Callable[..., Place]
+
+
+@pytest.fixture
+def asker() -> Iterator[ThreadPoolExecutor]:
+    with ThreadPoolExecutor(1) as one:
+        yield one
+
+
+@pytest.fixture(params=PLACES)
+def sit(
+    request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch, asker: ThreadPoolExecutor
+) -> Iterator[Sit]:
+    """Makes a desk, and somebody who sits there; ends before `asker`, who may be asking."""
+    monkeypatch.setenv("TERM", "xterm-256color")
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    places: list[Place] = []
+
+    def make(
+        keys: Keys | None = None, hand: tuple[HandKind, Path] | None = None, silence_s: float = 20.0
+    ) -> Place:
+        places.append(PLACES[request.param](keys or Keys(), hand, silence_s))
+        return places[-1]
+
+    yield make
+    for place in places:
+        place.leave()  # who still asks, asks nobody
+        place.close()
+
+
+def answered(reply: Future[Reply]) -> tuple[str, str]:
+    found = reply.result(PATIENCE_S)
+    return found.action, found.value
+
+
+def watched(place: Place) -> StoppedError:
+    """What ends a hit that this desk watches."""
+    watch, deadline = place.desk.watch(), time.monotonic() + PATIENCE_S
+    assert watch is not None
+    try:
+        while time.monotonic() < deadline:
+            watch(0, 3)
+            threading.Event().wait(0.005)  # it is called as often as that by who supervises a loop
+    except StoppedError as error:
+        return error
+    raise AssertionError("nothing ended the hit")
+
+
+def test_a_session_is_shown_and_answered_by_keys(sit: Sit, asker: ThreadPoolExecutor) -> None:
+    place = sit()
+    place.desk.show(View(state="ready", say="Push.", code="P03", block=2, blocks=5, trial=34, trials=120))
+    reply = asker.submit(place.desk.ask, READY_QUESTION)
+    place.sees("P03 · block 2 of 5 · trial 34 of about 120", "ready?", "Push.", "[g] go")
+    place.press("n")
+    place.line("a b")
+    assert answered(reply) == ("note", "a b")
+    reply = asker.submit(place.desk.ask, replace(READY_QUESTION, text="ready now?"))
+    place.sees("ready now?")
+    place.press("x")
+    place.sees("x: no such key")
+    place.press("?")
+    place.sees("verdict: unsure")
+    place.press("a")  # acts there as it would without the page of the keys
+    place.sees("leave the session")
+    place.press("g")
+    place.sees("abort: no")
+    place.press("g")
+    assert answered(reply) == ("go", "")
+    place.desk.show(View(state="go"))
+    place.sees("the rig moves" if place.screen.count("the rig moves") else "wait")
+    reply = asker.submit(place.desk.ask, VERDICT)
+    place.sees("[1] stable")
+    place.press("2")
+    assert answered(reply) == ("judge", "buzz")
+    reply = asker.submit(place.desk.ask, Question(kind="rest", text="Rest.", actions=("go",), seconds=0.3))
+    assert answered(reply) == ("go", "")
+    assert reply.result().took_s >= 0.2
+    assert place.rings == 3  # twice for ready, once for the hit
+
+
+def test_a_pedal_and_no_bell(sit: Sit, asker: ThreadPoolExecutor) -> None:
+    place = sit(Keys(stable="f5", bell=False))
+    reply = asker.submit(place.desk.ask, VERDICT)
+    place.sees("[f5] stable")
+    place.press("f5")
+    assert answered(reply) == ("judge", "stable")
+    reply = asker.submit(place.desk.ask, READY_QUESTION)
+    place.sees("ready?")
+    place.press("enter")
+    assert answered(reply) == ("go", "")
+    assert place.rings == 0
+
+
+def test_an_item_takes_only_what_is_an_answer(sit: Sit, asker: ThreadPoolExecutor) -> None:
+    place = sit()
+    asked = Question(kind="item", text="How tired?", actions=("answer", "note", "abort"), item=ITEM)
+    reply = asker.submit(place.desk.ask, asked)
+    place.sees("How tired?")
+    place.line("9")
+    place.sees("a number from 1 to 7")
+    place.line("5")
+    assert answered(reply) == ("answer", "5")
+
+
+def test_space_stops_the_hit_that_runs_and_not_the_next_one(sit: Sit, asker: ThreadPoolExecutor) -> None:
+    place = sit()
+    place.desk.show(View(state="hold"))
+    place.sees("hold")
+    place.press("space")
+    assert "stopped at the console" in str(watched(place))
+    reply = asker.submit(place.desk.ask, READY_QUESTION)
+    place.sees("ready?")
+    place.press("space")
+    place.sees("nothing moves")
+    place.press("g")
+    assert answered(reply) == ("go", "")
+    watch = place.desk.watch()
+    assert watch is not None
+    watch(0, 3)
+
+
+def test_pause_waits_for_the_next_question(sit: Sit, asker: ThreadPoolExecutor) -> None:
+    place = sit()
+    place.desk.show(View(state="hold"))
+    place.sees("hold")
+    place.press("p")
+    place.sees("hold (pause next)", "pause: when this is over")
+    assert answered(asker.submit(place.desk.ask, READY_QUESTION)) == ("pause", "")
+
+
+def test_a_hit_ends_when_nothing_is_heard_of_who_shows_it(sit: Sit) -> None:
+    place = sit(silence_s=0.5)
+    place.desk.show(View(state="hold", code="P07"))
+    place.sees("P07")
+    place.hang()
+    error = watched(place)
+    assert "was silent for 0.5 s" in error.message
+    assert "resume" in error.remedy
+
+
+def test_a_question_ends_when_nobody_can_answer(sit: Sit, asker: ThreadPoolExecutor) -> None:
+    place = sit()
+    reply = asker.submit(place.desk.ask, VERDICT)
+    place.sees("the verdict?")
+    place.leave()
+    with pytest.raises(StoppedError, match="gone") as caught:
+        reply.result(PATIENCE_S)
+    assert caught.value.remedy
+
+
+def test_a_reason_stands_whole(sit: Sit, asker: ThreadPoolExecutor) -> None:
+    place = sit()
+    place.desk.show(View(state="ready", say="Again. Push.", last=LONG, lines=("trial 6: stable", LONG)))
+    reply = asker.submit(place.desk.ask, READY_QUESTION)
+    place.sees(LONG, "Again. Push.", "trial 6: stable", "ready?")
+    place.press("g")
+    assert answered(reply) == ("go", "")
+
+
+def test_a_blinded_desk_says_at_once_why_a_trial_is_invalid_and_names_no_wall(
+    sit: Sit, asker: ThreadPoolExecutor, tmp_path: Path
+) -> None:
+    slew = ["the slew limit bound in 41792 ticks", "saturated in the tail without ripple or motion"]
+    runner = FakeRunner({1: ({**INVALID, "reasons": [LOST]}, None), 2: ({**INVALID, "reasons": slew}, None)})
+    with started(tmp_path / "P01", protocol_of(stop={"trials": 3})) as session:
+        place = sit()
+        state = asker.submit(conduct, session, runner, place.desk)
+        place.sees("ready?", "[g] go")
+        for trial, why in ((1, LOST), (2, "rig limit")):
+            place.press("g")
+            place.sees(f"trial {trial}: invalid, it is repeated: {why}")
+            place.sees(f"Again. {session.state.protocol.trial.say}", "ready?", "[g] go")
+        place.press("g")
+        place.sees("the verdict?")
+        place.press("1")
+        place.sees("end the session?")
+        place.press("g")
+        assert state.result(PATIENCE_S).ended == "3 trials"
+    for secret in ("4179", "slew", "saturated", "0.37", "-hidden", *(f"{hit[1]:g}" for hit in runner.hits)):
+        assert secret not in place.all_shown, secret
+
+
+def wished(hand: SharedHand, right: Callable[[Wish], bool]) -> Wish:
+    """What the hand is to do, once it is that."""
+    found: list[Wish] = []
+
+    def is_there() -> bool:
+        wish = hand.read()
+        found[:] = [wish] if wish is not None else []
+        return bool(found) and right(found[0])
+
+    until(is_there, "the wish")
+    return found[0]
+
+
+@pytest.fixture
+def hand(tmp_path: Path) -> Iterator[SharedHand]:
+    path = tmp_path / "of" / "hand"
+    path.parent.mkdir()
+    with SharedHand.create(path) as one:
+        yield one
+
+
+@pytest.mark.parametrize("kind", ["keyboard", "mouse"])
+def test_the_hand_follows(kind: HandKind, sit: Sit, hand: SharedHand) -> None:
+    place = sit(hand=(kind, hand.path))
+    place.desk.show(View(state="hold", scale={"start": 0.1, "wall": 0.5}))
+    place.sees("hold", "hand:")
+    move = place.point if kind == "mouse" else lambda share: place.press("end" if share else "home")
+    move(1.0)
+    assert wished(hand, lambda one: one.position > 0.7).position == pytest.approx(0.8)
+    assert wished(hand, lambda one: one.press > 3.9).press == pytest.approx(4.0)
+    move(0.0)
+    again = wished(hand, lambda one: one.position < 0.1)
+    assert (again.position, again.press) == (pytest.approx(0.0), 0.0)
+    wished(hand, lambda one: one.sequence > again.sequence + 2)  # said again and again: else it would rest
+
+
+def test_the_hand_of_the_keys_is_back_before_a_trial_and_keys_in_a_note_do_not_move_it(
+    sit: Sit, asker: ThreadPoolExecutor, hand: SharedHand
+) -> None:
+    place = sit(hand=("keyboard", hand.path))
+    place.desk.show(View(state="hit", scale={"start": 0.1, "wall": 0.5}))
+    place.sees("hit")
+    place.press("end")
+    wished(hand, lambda one: one.press == 4.0)
+    reply = asker.submit(place.desk.ask, READY_QUESTION)
+    place.sees("ready?")
+    wished(hand, lambda one: one.press == 0.0)
+    place.press("n")
+    place.sees("note>")
+    for key in ("end", "left"):  # of the line that is typed, as far as somebody thinks of it
+        place.press(key)
+    place.line("abc")
+    assert answered(reply) == ("note", "abc")
+    found = wished(hand, lambda one: True)
+    assert (found.position, found.press) == (pytest.approx(0.1), 0.0)
+
+
+def test_a_key_that_moves_the_hand_means_nothing_else(sit: Sit, hand: SharedHand) -> None:
+    with pytest.raises(ConfigError, match=r"go = 'right': that key moves the hand"):
+        sit(Keys(go="right"), hand=("keyboard", hand.path))
