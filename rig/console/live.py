@@ -51,6 +51,7 @@ class Live(Service):
         self._history = History()
         self._followed: Followed | None = None
         self._pid: int | None = None  # whose loop is wanted while no job runs; None: whichever began last
+        self._withheld = False  # whether that loop may be shown to nobody
         self._regions = asyncio.Lock()
 
     def handlers(self) -> Mapping[str, tuple[type[asked.Request], Handler]]:
@@ -204,7 +205,13 @@ class Live(Service):
         elif self._own:
             return
         found = await asyncio.to_thread(newest, pid)
+        if found is None:
+            self._withheld = False
         if found is None or self._shared.blinded or self._is_looked_at(found):
+            return
+        self._withheld = bool(found.info.get("blinded"))  # a session of another terminal
+        if self._withheld:
+            self._withhold()
             return
         made = attached(found, self._history)
         if made is None:
@@ -252,7 +259,7 @@ class Live(Service):
                     "overdue": held.overdue,
                     "loop": state,
                     "job": None if job is None else job.name,
-                    "blinded": self._shared.blinded,
+                    "blinded": self._shared.blinded or self._withheld,
                     "pages": len(self._shared.clients),
                 }
             )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import suppress
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,7 @@ from rig.config.files import read_toml
 from rig.core.errors import RigError
 from rig.session.directory import LOG, REHEARSALS, SESSIONS
 from rig.session.run import session_state
-from rig.session.template_files import template_names, template_subject
+from rig.session.template_files import template_names, template_path, template_subject
 
 MOST = 100  # of each
 
@@ -37,7 +36,7 @@ def resumable() -> list[dict[str, Any]]:
 def protocol_file(name: str) -> Path:
     """The file of a protocol: of the package, where the name is that of a template."""
     if name in template_names():
-        return Path(str(files("rig.session") / "templates" / f"{name}.toml"))
+        return template_path(name)
     return Path(name)
 
 

@@ -67,6 +67,8 @@ class HitRequest:
         Told before arming what the measured link says for and against it.
     hands_off
         Told before a torque pulse what to do: a real rig is pushed before it is armed for a person.
+    blinded
+        Somebody must not know the wall: whoever shows the running loop to people shows nothing of it.
     """
 
     experiment: Experiment
@@ -83,6 +85,7 @@ class HitRequest:
     measuring: Callable[[float], None] | None = None
     judged_link: Callable[[Gate], None] | None = None
     hands_off: Callable[[str], None] | None = None
+    blinded: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,6 +202,7 @@ def hit(request: HitRequest, watch: Watch | None = None) -> Iterator[HitResult]:
                 recording=free_name(output, request.name or f"{stem}-{repeat + 1}"),
                 seed=experiment.trial.seed,
                 progress=watch(repeat, experiment) if watch else None,
+                blinded=request.blinded,
                 judge=partial(judge, experiment=experiment),
                 extra={"repeat": repeat + 1, **({} if gate is None else {"gate": plain(gate)})},
             )

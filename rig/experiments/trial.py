@@ -79,6 +79,7 @@ class TrialRequest:
     )
     sealed: bool = True  # False leaves the capture as it is, for callers that run thousands of trials
     extra: dict[str, Any] = field(default_factory=dict)
+    blinded: bool = False  # told to whoever looks at the loop, see `rig.experiments.hit.HitRequest`
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,6 +226,7 @@ def _ring(device: FramedDevice, request: TrialRequest) -> Ring:
         "reference_count": run.reference_count,
         "law": run.own_law,  # the caller's own: its parameters are nobody else's to compute
         "gate": {name: gate[name] for name in ("delay_ticks", "simulated", "forced")} if gate else None,
+        "blinded": request.blinded,
     }
     rows = max(RING_ROWS_MINIMUM, round(RING_SECONDS * run.experiment.controller.position_rate))
     return Ring.allocate(rows, info=info, shared=not device.link.clock.virtual)

@@ -340,7 +340,15 @@ class _Engine:
             self._marks.push("begins", **presented.marked)
         try:
             done = self._runner.hit(
-                experiment, changes, trials, f"t{wall.trial:04d}", lambda x: self._watch(wall, x), state.heat
+                *(
+                    experiment,
+                    changes,
+                    trials,
+                    f"t{wall.trial:04d}",
+                    lambda x: self._watch(wall, x),
+                    state.heat,
+                ),
+                state.protocol.study.blind != "none",
             )
         except StoppedError as stop:
             if stop.recording is not None or stop.signal is not None or self._desk.who == "simulated":

@@ -221,6 +221,7 @@ class DeviceRunner:
         name: str,
         watch: Callable[[Experiment], Watch | None],
         heat: float,
+        blinded: bool = False,
     ) -> Done:
         """Run one trial.
 
@@ -234,6 +235,8 @@ class DeviceRunner:
             Given the experiment in effect, returns what is called while the hit runs.
         heat
             Share of the winding's budget before.
+        blinded
+            As in `rig.experiments.hit.HitRequest`.
 
         Raises
         ------
@@ -253,6 +256,7 @@ class DeviceRunner:
             device=device,
             reference_count=self._zero,
             arm_anyway=self.arm_anyway or self.simulated,
+            blinded=blinded,
         )
         error: Exception | None = None
         try:

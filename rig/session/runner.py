@@ -100,6 +100,7 @@ class TrialRunner(Protocol):
         name: str,
         watch: Callable[[Experiment], Watch | None],
         heat: float,
+        blinded: bool = False,
     ) -> Done:
         """Run one trial; see `DeviceRunner.hit`."""
         ...

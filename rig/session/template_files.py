@@ -31,6 +31,11 @@ def template_text(name: str) -> str:
     return (files("rig.session") / "templates" / f"{name}.toml").read_text(encoding="utf-8")
 
 
+def template_path(name: str) -> Path:
+    """Where a template lies."""
+    return Path(str(files("rig.session") / "templates" / f"{name}.toml"))
+
+
 def template_subject(name: str) -> str:
     """What a template is about: its first line."""
     return template_text(name).partition("\n")[0].removeprefix("# ")

@@ -52,7 +52,7 @@ link.addEventListener("state", ({ detail }) => {
   $("operate").hidden = operates;
   $("operate").disabled = operated;
   $("operate").textContent = operated ? "Another page operates" : "Operate";
-  if (loop === null) say(job ? `${job}: ${blinded ? "blind, its loops are not shown" : "starting"}` : "no loop runs");
+  if (loop === null) say(blinded ? "a blinded session: its loops are not shown" : job ? `${job}: starting` : "no loop runs");
   else if (loop.ended !== null) say(`ended: ${loop.ended}`);
   else {
     const lost = loop.counters.lost + loop.counters.skipped;

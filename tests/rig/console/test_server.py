@@ -222,3 +222,23 @@ def test_what_theory_says_of_a_wall(tmp_path: Path) -> None:
             assert experiment["wall"]["stiffness"] == 33
 
     play(tmp_path, scenario)
+
+
+def test_a_blinded_session_of_another_terminal_shows_nothing_and_is_stopped(tmp_path: Path) -> None:
+    loop = HandTurnedLoop(64, shared=True, info={**INFO, "blinded": True})
+
+    async def scenario(console: Served) -> None:
+        async with console.page() as page:
+            await page.ask("look", pid=os.getpid())
+            loop.leave(50)
+            state = await page.until(
+                lambda page: (page.newest("state") or {}).get("blinded") and page.newest("state")
+            )
+            assert state["loop"] is None
+            assert page.newest("loop") is None
+            assert not [frame for frame in page.frames if frame["points"]]
+            await page.ask("stop")
+            assert loop.ring.get(words.STOP) == 1
+
+    with loop.ring:
+        play(tmp_path, scenario)

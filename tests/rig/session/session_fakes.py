@@ -106,6 +106,7 @@ class FakeRunner:
         name: str,
         watch: Callable[[Experiment], Callable[[int, int], None] | None],
         heat: float,
+        blinded: bool = False,
     ) -> Done:
         number, stiffness = int(name[1:]), experiment.wall.stiffness
         self.hits.append((number, stiffness))
