@@ -40,6 +40,9 @@ class EndReason(IntEnum):
     CURRENT_DIFFERS = 16  # the measured current did not follow the active one
     DEVICE_CONTRADICTS = 17  # what the device says cannot be (rig.loop.contradictions)
     DEVICE_RESTARTED = 18  # the device counts its samples anew
+    LINK_DELAYED = (
+        19  # nothing but commands older than their lifetime came, for a lifetime (rig.loop.link_delay)
+    )
 
 
 SETTINGS = np.dtype(
@@ -92,6 +95,8 @@ PROGRESS = np.dtype(
         ("sync_time", "<i8"),  # the same extended to 64 bits (device ticks); 0 for none
         ("clock_error", "<i8"),  # device's clock ahead of its sample index (device ticks)
         ("contradiction", "<i8"),  # of the device (rig.loop.contradictions), 0 for none
+        ("active", "<i8"),  # sequence of the command that was active last, -1 for none
+        ("too_old_from", "<i8"),  # sample from which on no command came in time (rig.loop.link_delay), or -1
     ],
     align=True,
 )
@@ -134,7 +139,7 @@ class Buffers(NamedTuple):
     sets
         Each set that became active: its number, the tick, its values.
     sent
-        Sequence and current of the newest `COMMANDS_KEPT` COMMANDs.
+        Sequence and current of the newest `COMMANDS_KEPT` COMMANDs, and the index of the sample that each answers.
     currents
         Settings and memory of `rig.control.current`; zeros: nothing is compared.
     progress
@@ -163,6 +168,7 @@ class Buffers(NamedTuple):
         """Make them, zeroed, before the first sample."""
         progress, mail = np.zeros(1, PROGRESS), np.zeros(MOST_BYTES, np.uint8)
         progress["earliest"] = 1 << 62
+        progress["active"] = progress["too_old_from"] = -1
         return cls(
             received=np.zeros(RECEIVE_BYTES, np.uint8),
             raw=np.zeros(codec.RAW_BYTES, np.uint8),
@@ -177,7 +183,7 @@ class Buffers(NamedTuple):
             mail=mail,
             waiting=mail.view(np.float64),
             sets=np.zeros((SETS_KEPT, 2 + SET_FLOATS), np.float64),
-            sent=np.full(2 * COMMANDS_KEPT, -1, np.int64),
+            sent=np.full(3 * COMMANDS_KEPT, -1, np.int64),
             currents=np.zeros(len(CURRENT), np.int64),
             progress=progress,
         )
