@@ -251,6 +251,13 @@ def test_late_commands_with_one_in_time_behind_them_end_nothing(
     assert run.flagged() == (looks and delay > LIFETIME)
 
 
+def test_a_silence_long_after_a_late_command_is_a_silence(tmp_path: Path) -> None:
+    run = ran(tmp_path, lambda frame: 8 if frame == 0 else LONGEST if frame > 15 else 0)
+    assert run.flagged() == 1
+    assert isinstance(run.error, DeviceFaultError)
+    assert run.recording.trailer["reason"] == "device_fault"
+
+
 def test_its_verdict_is_invalid(tmp_path: Path) -> None:
     run = behind(steady(8))
     with FramedDevice(run.link) as device, pytest.raises(LinkLostError) as caught:
