@@ -518,6 +518,12 @@ class Connection:
         """Sequence that the next frame of this class will carry: where a compiled loop begins to count."""
         return self._to_send.get(LAYOUT_OF[cls].type_id, 0)
 
+    @property
+    def answered(self) -> int:
+        """Host: sequence of the newest STATE of the session, which a COMMAND answers; 0 before the first."""
+        self._only(Role.HOST, "answered")
+        return self._received.get(_STATE, 0)
+
     def resume(self, *, next_command: int, newest_state: int, state: State) -> None:
         """Host: take the stream back from a compiled loop that read from and wrote to the link in between.
 

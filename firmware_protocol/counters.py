@@ -22,7 +22,7 @@ class LinkStatistics:
     out_of_state: int = 0  # messages that the state table forbids
     lost: int = 0  # stream frames missing between two that came, those that came too late included
     duplicated: int = 0  # stream frames that came twice
-    reordered: int = 0  # stream frames older than one already delivered
+    reordered: int = 0  # stream frames older than one already delivered; COMMANDs older than their lifetime
     overrun: int = 0  # frames dropped unread because the events were not taken
 
     @property

@@ -50,7 +50,7 @@ class Fault(Described):
     LINK_LOST = (
         1,
         "the host fell silent: no valid command within its lifetime, the effort was ramped to zero",
-        "look for a busy host, a cable or a lower rate; then clear the fault",
+        "look for a busy host, a cable, a hub that delays, or a lower rate; then clear the fault",
     )
     OVER_SPEED = (
         2,
@@ -150,6 +150,11 @@ class LimitFlag(DescribedFlag):
         256,
         "more than ten ticks missed within a second",
         "lower position_rate, or find what keeps the board's processor",
+    )
+    COMMAND_TOO_OLD = (
+        512,
+        "a command came that was older than its lifetime: it was not activated",
+        "LINK_LOST follows unless younger ones come; look for a hub or a cable that delays (rig doctor)",
     )
 
 

@@ -241,7 +241,7 @@ class Statistics(Message):
     out_of_state: Annotated[int, Wire("u32", "", "messages forbidden in their state")]
     lost: Annotated[int, Wire("u32", "", "COMMANDs missing between two that came")]
     duplicated: Annotated[int, Wire("u32", "", "COMMANDs that came twice")]
-    reordered: Annotated[int, Wire("u32", "", "COMMANDs older than one applied")]
+    reordered: Annotated[int, Wire("u32", "", "COMMANDs older than one applied, or than their lifetime")]
     stopped_at: Annotated[
         int, Wire("u32", "", "address at which the processor stopped before its last reset; 0: it did not")
     ]
@@ -285,9 +285,17 @@ class EnterBootloader(Message):
 class Command(Message):
     """What the host wants in this tick; feeds the watchdog."""
 
-    state_sequence: Annotated[int, Wire("u16", "", "sequence of the STATE that this answers")]
+    state_sequence: Annotated[
+        int, Wire("u16", "", "sequence of the STATE that this answers; 0 before the first")
+    ]
     lifetime_us: Annotated[
-        int, Wire("u32", "µs", "the effort ramps to zero unless another COMMAND comes within this time")
+        int,
+        Wire(
+            "u32",
+            "µs",
+            "the effort ramps to zero unless another COMMAND comes within this time; "
+            "what answers an older STATE is not activated",
+        ),
     ]
     mode: Annotated[int, Wire("u8", "", "Mode")]
     flags: Annotated[

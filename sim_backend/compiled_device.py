@@ -50,7 +50,7 @@ from sim_backend.lockstep import (
     Lockstep,
     run_ticks,
 )
-from sim_backend.ticks import OWN, Board, drive, obey, report, sample
+from sim_backend.ticks import OWN, Board, drive, is_too_old, obey, report, sample
 
 OUTPUT_BYTES = 1 << 16  # that wait for the host; a STATE without room is lost
 
@@ -152,12 +152,13 @@ def _obeyed(ends: Ends) -> bool:
     if ends.header[HEAD.session] != words[SESSION] or sequence != (counters[NEWEST_COMMAND] + 1) & 0xFFFF:
         return False
     mode = command[COMMAND.mode]
-    if mode > _LAST_MODE:
+    lifetime_us, answered = command[COMMAND.lifetime_us], command[COMMAND.state_sequence]
+    if mode > _LAST_MODE or is_too_old(board, mode, lifetime_us, counters[NEXT_STATE], answered):
         return False
     counters[NEWEST_COMMAND] = sequence
     counters[FRAMES] += 1
     flags, current = command[COMMAND.flags], command[COMMAND.current]
-    obey(board, sequence, mode, flags, current, command[COMMAND.lifetime_us])
+    obey(board, sequence, mode, flags, current, lifetime_us)
     return True
 
 

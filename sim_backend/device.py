@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from firmware_protocol import messages as m
 from firmware_protocol.connection import Connection, Event, Received, Refused, State
-from firmware_protocol.faults import Fault, Input, Status
+from firmware_protocol.faults import Fault, Input, LimitFlag, Status
 from firmware_protocol.messages import Message, Mode, Role
 from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import BY_NAME, ParameterError
@@ -63,7 +63,7 @@ from sim_backend.safety import (
     in_window,
     overheated,
 )
-from sim_backend.ticks import BOARD_WORDS, OWN, Board, drive, obey, report, sample, time_of
+from sim_backend.ticks import BOARD_WORDS, OWN, Board, drive, is_too_old, obey, report, sample, time_of
 
 _U32 = 0xFFFFFFFF
 _NS_NUMERATOR, _NS_DENOMINATOR = 125, 2  # a unit of device time is 62.5 ns
@@ -306,6 +306,11 @@ class SimulatedDevice:
     def _command(self, command: m.Command, sequence: int) -> None:
         if command.mode not in MODES:
             self.connection.statistics.malformed += 1
+            return
+        to_come = self.connection.sequence_to_send(m.State)
+        if is_too_old(self.board, command.mode, command.lifetime_us, to_come, command.state_sequence):
+            self.connection.statistics.reordered += 1
+            self._safety.rules[AT.flags] |= LimitFlag.COMMAND_TOO_OLD
             return
         obey(self.board, sequence, command.mode, command.flags, command.current, command.lifetime_us)
         if self.board.words[CUTS]:

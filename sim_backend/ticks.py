@@ -184,6 +184,27 @@ def report(board: Board) -> bool:
 
 
 @rule
+def lifetime_of(words: Ints, mode: int, lifetime_us: int) -> int:
+    """How long a COMMAND counts: the shorter of what it wants and what the parameters allow (device time)."""
+    cap = words[OWN.supervise_lifetime] if mode == _SUPERVISE else words[OWN.command_lifetime]
+    return int(min(lifetime_us * UNITS_PER_US, cap))
+
+
+@rule
+def is_too_old(board: Board, mode: int, lifetime_us: int, to_come: int, answered: int) -> bool:
+    """Whether a COMMAND was under way for longer than its lifetime, by the STATEs since the one that it answers.
+
+    `to_come` is the sequence of the next STATE. Before the first one a host answers that. STOP is never too old.
+    """
+    words = board.words
+    ticks = ((to_come - answered) & _U16) - 1
+    return bool(
+        mode != _STOP
+        and ticks * (UNITS_PER_SECOND // words[OWN.rate]) > lifetime_of(words, mode, lifetime_us)
+    )
+
+
+@rule
 def obey(board: Board, sequence: int, mode: int, flags: int, current: int, lifetime_us: int) -> None:
     """Take a COMMAND."""
     words = board.words
@@ -194,9 +215,8 @@ def obey(board: Board, sequence: int, mode: int, flags: int, current: int, lifet
         board.rules[AT.current] = 0
         words[CUTS] = 1
         return
-    lifetime = lifetime_us * UNITS_PER_US
     if mode == _SUPERVISE:
-        feed(board.rules, words[TIME], 0, min(lifetime, words[OWN.supervise_lifetime]), words[OWN.ramp])
+        current = 0
     else:
         words[OWN.command_sync] = flags & _SYNC_OF_COMMANDS
-        feed(board.rules, words[TIME], current, min(lifetime, words[OWN.command_lifetime]), words[OWN.ramp])
+    feed(board.rules, words[TIME], current, lifetime_of(words, mode, lifetime_us), words[OWN.ramp])

@@ -315,7 +315,9 @@ class FramedDevice:
         received: list[m.Message] = []
         end_ns = self.link.clock.now_ns() + math.ceil(seconds * 1e9)
         while (left_ns := end_ns - self.link.clock.now_ns()) > 0 and self.connection.state != State.FAULT:
-            self.link.write(self.connection.send(m.Command(0, lifetime_us, int(m.Mode.SUPERVISE), 0, 0)))
+            answered = self.connection.answered
+            command = m.Command(answered, lifetime_us, int(m.Mode.SUPERVISE), 0, 0)
+            self.link.write(self.connection.send(command))
             received += [event.message for event in self._events(min(SUPERVISE_EVERY_S, left_ns * 1e-9))]
         return [message for message in received if isinstance(message, m.State | m.Batch)]
 

@@ -43,6 +43,11 @@ ENDINGS: dict[EndReason, tuple[type[RigError], str, str]] = {
         "the device at {url} fell silent during the run; it cuts the effort by itself",
         "check cable, power and the load of this computer, or lower the rate",
     ),
+    EndReason.LINK_DELAYED: (
+        LinkLostError,
+        "the link to {url} held commands back for longer than they live; the effort went to zero",
+        "look for a hub, a cable or other traffic on the bus: rig doctor --url {url} measures the way there and back",
+    ),
     EndReason.DEVICE_FAULT: (DeviceFaultError, "device fault: {fault}", "{fault_remedy}"),
     EndReason.DEVICE_CONTRADICTS: (
         DeviceFaultError,

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_protocol.faults import Fault
+from firmware_protocol.faults import Fault, LimitFlag
 from firmware_protocol.messages import MAJOR, MINOR
 from firmware_protocol.parameter import Value
 from rig.config import Experiment, as_mapping, device_law, rig_model
@@ -369,11 +369,19 @@ def _conclude(
         device.disarm(clear_fault=True)
         # At rest nothing delays an answer: with those before the run these hold the line that the run's scatter about.
         exchanges.append(device.exchange_clock())
+    if end.reason == EndReason.DEVICE_FAULT and loop.fault == Fault.LINK_LOST and _too_old_since(rows):
+        end = replace(end, reason=EndReason.LINK_DELAYED)  # the host was not silent
     error: Exception | None = error_of(end, device.link.url.text, fault, rows)
     if stopped is not None and end.reason == EndReason.STOPPED:
         error = stopped
     recorder.finish(_trailer(loop, end, fault, error, realtime, np.concatenate(exchanges)))
     return end, error
+
+
+def _too_old_since(rows: NDArray[np.void]) -> bool:
+    """Whether commands came behind the active one of the last row, and were too old."""
+    since = rows[rows["command_active"] == rows["command_active"][-1:]]
+    return bool((since["limits"] & int(LimitFlag.COMMAND_TOO_OLD)).any())
 
 
 def _header(

@@ -14,7 +14,7 @@ from rig.devices.port import PORT_TYPE, LoopPort
 from rig.loop.currents import keep_command
 from rig.loop.layout import BUFFERS_TYPE, SETTINGS_TYPE, Buffers
 from rig.realtime import codec
-from rig.realtime.codec import COMMAND
+from rig.realtime.codec import COMMAND, STATE
 from rig.realtime.kernel import kernel
 
 MODE_CURRENT, MODE_SUPERVISE, MODE_STOP = int(Mode.CURRENT), int(Mode.SUPERVISE), int(Mode.STOP)
@@ -45,7 +45,7 @@ def send_command(port: LoopPort, settings: Any, buffers: Buffers, mode: int, cur
     command[COMMAND.mode] = mode
     command[COMMAND.flags] = sync
     command[COMMAND.current] = current
-    keep_command(buffers.sent, p["sequence"], current)
+    keep_command(buffers.sent, p["sequence"], current, buffers.state[STATE.sample_index])
     size = codec.encode_command(settings[0]["session"], p["sequence"], command, transmit)
     p["sequence"] = (p["sequence"] + 1) % 65536
     if size < 0:  # a value that no field of the wire holds: nothing leaves

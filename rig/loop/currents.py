@@ -31,17 +31,24 @@ _RUNNING = int(State.RUNNING)
 OLDER = 8
 
 
-@kernel(types.void(INTS, types.int64, types.int64), inline=True)
-def keep_command(sent: Any, sequence: int, current: int) -> None:
-    """Remember the current of a COMMAND, to be compared with what the device makes of it."""
-    place = 2 * (sequence % COMMANDS_KEPT)
-    sent[place], sent[place + 1] = sequence, current
+@kernel(types.void(INTS, types.int64, types.int64, types.int64), inline=True)
+def keep_command(sent: Any, sequence: int, current: int, answers: int) -> None:
+    """Remember the current of a COMMAND and the sample that it answers, for what the device says of it."""
+    place = 3 * (sequence % COMMANDS_KEPT)
+    sent[place], sent[place + 1], sent[place + 2] = sequence, current, answers
+
+
+@kernel(types.int64(INTS, types.int64), inline=True)
+def answered_by(sent: Any, sequence: int) -> int:
+    """Index of the sample that a COMMAND answers, -1 of one that is forgotten."""
+    place = 3 * (sequence % COMMANDS_KEPT)
+    return int(sent[place + 2]) if sent[place] == sequence else -1
 
 
 @kernel(types.boolean(INTS, types.int64, types.int64), inline=True)
 def _was_sent(sent: Any, sequence: int, current: int) -> bool:
     """Whether a COMMAND had a current; also true of one that is forgotten."""
-    place = 2 * (sequence % 65536 % COMMANDS_KEPT)
+    place = 3 * (sequence % 65536 % COMMANDS_KEPT)
     return bool(sent[place] != sequence % 65536 or sent[place + 1] == current)
 
 

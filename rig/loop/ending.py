@@ -34,6 +34,7 @@ _ENERGY, _VIOLENT = int(EndReason.ENERGY), int(EndReason.VIOLENT)
 _ARMED, _RUNNING, _EMERGENCY = int(State.ARMED), int(State.RUNNING), int(Input.EMERGENCY_STOP)
 _SWITCH, _LIMIT_SWITCH = int(Input.LIMIT_SWITCH), int(EndReason.LIMIT_SWITCH)
 _ANEW = int(Contradiction.RESTARTED)
+DELAYED = int(EndReason.LINK_DELAYED)
 _CURRENT, _FLAG_CURRENT = int(EndReason.CURRENT_DIFFERS), int(RowFlag.CURRENT_DIFFERS)
 
 

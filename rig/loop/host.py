@@ -25,6 +25,7 @@ from rig.loop.commands import MODE_CURRENT, MODE_STOP, NO_SYNC, send_command, sy
 from rig.loop.currents import compare_command, compare_measured
 from rig.loop.ending import (
     CLOSED,
+    DELAYED,
     OVERRUN,
     SILENT,
     STOPPED,
@@ -37,7 +38,6 @@ from rig.loop.ending import (
 from rig.loop.exchange import ask_time
 from rig.loop.layout import (
     BUFFERS_TYPE,
-    INTS,
     PROGRESS_TYPE,
     SETTINGS_TYPE,
     SHARED_TYPE,
@@ -45,6 +45,7 @@ from rig.loop.layout import (
     Buffers,
     Shared,
 )
+from rig.loop.link_delay import is_delayed
 from rig.loop.parameters import renew_parameters
 from rig.loop.receive import add, drain, newest_state
 from rig.loop.rows import FLAG_GAP, FLAG_LATE, edge_age_ns, flag_timing, lateness, leave_row
@@ -68,10 +69,13 @@ def _overran(settings: Any, memory: Any, progress: Any) -> bool:
     return bool(behind or flags & FLAG_LATE != 0)
 
 
-@kernel(types.int64(INTS, SETTINGS_TYPE, MEMORY_TYPE, PROGRESS_TYPE))
-def _outcome(state: Any, settings: Any, memory: Any, progress: Any) -> int:
+@kernel(types.int64(SETTINGS_TYPE, BUFFERS_TYPE, MEMORY_TYPE))
+def _outcome(settings: Any, buffers: Buffers, memory: Any) -> int:
     """End reason that follows from this tick, 0 to continue."""
-    reason = ended_by_device(state, progress)
+    progress = buffers.progress
+    reason = ended_by_device(buffers.state, progress)
+    if reason == 0 and is_delayed(settings, buffers):
+        reason = DELAYED
     if reason == 0:
         reason = ended_at_the_switch(state, settings, progress)
     if reason == 0:
@@ -192,7 +196,7 @@ def run(
         compare_command(buffers, memory)
         compare_measured(buffers, memory, elapsed)
         mode, sync = MODE_CURRENT, sync_of(memory)
-        reason = _outcome(state, settings, memory, buffers.progress)
+        reason = _outcome(settings, buffers, memory)
         if reason != 0:
             mode, sync = MODE_STOP, NO_SYNC
             current = 0

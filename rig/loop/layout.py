@@ -41,6 +41,9 @@ class EndReason(IntEnum):
     DEVICE_CONTRADICTS = 17  # what the device says cannot be (rig.loop.contradictions)
     DEVICE_RESTARTED = 18  # the device counts its samples anew
     LIMIT_SWITCH = 19  # the end of the travel was reached, or the switch's wire is broken
+    LINK_DELAYED = (
+        20  # nothing but commands older than their lifetime came, for a lifetime (rig.loop.link_delay)
+    )
 
 
 SETTINGS = np.dtype(
@@ -96,6 +99,8 @@ PROGRESS = np.dtype(
         ("clock_error", "<i8"),  # device's clock ahead of its sample index (device ticks)
         ("contradiction", "<i8"),  # of the device (rig.loop.contradictions), 0 for none
         ("switch_open", "<i8"),  # samples for which the limit switch has been open
+        ("active", "<i8"),  # sequence of the command that was active last, -1 for none
+        ("too_old_from", "<i8"),  # sample from which on no command came in time (rig.loop.link_delay), or -1
     ],
     align=True,
 )
@@ -138,7 +143,7 @@ class Buffers(NamedTuple):
     sets
         Each set that became active: its number, the tick, its values.
     sent
-        Sequence and current of the newest `COMMANDS_KEPT` COMMANDs.
+        Sequence and current of the newest `COMMANDS_KEPT` COMMANDs, and the index of the sample that each answers.
     currents
         Settings and memory of `rig.control.current`; zeros: nothing is compared.
     progress
@@ -167,6 +172,7 @@ class Buffers(NamedTuple):
         """Make them, zeroed, before the first sample."""
         progress, mail = np.zeros(1, PROGRESS), np.zeros(MOST_BYTES, np.uint8)
         progress["earliest"] = 1 << 62
+        progress["active"] = progress["too_old_from"] = -1
         return cls(
             received=np.zeros(RECEIVE_BYTES, np.uint8),
             raw=np.zeros(codec.RAW_BYTES, np.uint8),
@@ -181,7 +187,7 @@ class Buffers(NamedTuple):
             mail=mail,
             waiting=mail.view(np.float64),
             sets=np.zeros((SETS_KEPT, 2 + SET_FLOATS), np.float64),
-            sent=np.full(2 * COMMANDS_KEPT, -1, np.int64),
+            sent=np.full(3 * COMMANDS_KEPT, -1, np.int64),
             currents=np.zeros(len(CURRENT), np.int64),
             progress=progress,
         )

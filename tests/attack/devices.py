@@ -24,6 +24,7 @@ from tests.attack.area import Outcome, require
 from tests.attack.frames import any_message, frame_of, mangled
 from tests.attack.protocol import raw_frames
 from tests.firmware.test_core_equals_the_simulated_device import (
+    AGES,
     CHOICES,
     HOST_MESSAGES,
     RATES,
@@ -139,7 +140,11 @@ class Watched(Pair):
                 current = chance.choice((0, 60, -300, 501, 32_767, -32_768))
                 mode = chance.choice((0, 0, 0, 0, 1, 2, 9))
                 frame = frame_of(
-                    m.Command(0, chance.choice((1_000, 20_000)), mode, 0, current), session, self.sequence
+                    m.Command(
+                        self.answered(chance.choice(AGES)), chance.choice((1_000, 20_000)), mode, 0, current
+                    ),
+                    session,
+                    self.sequence,
                 )
                 self.sequence = (self.sequence + 1) & 0xFFFF
             else:

@@ -1,6 +1,7 @@
 """A device that lies: of currents, clock, index, count, limits, faults, identity, and of anything in any answer.
 
-It obeys like an honest one and says something else, in frames with a right CRC. Whatever it says, the run ends with no
+It obeys like an honest one and says something else, in frames with a right CRC; or the link lies, which delivers as new
+what it has held back. Whatever it says, the run ends with no
 effort and, unless it went well, a reason; and what contradicts itself is never called a stable wall. `KNOWN` has the
 lies that a host cannot see, each with its reason: they are counted apart.
 """
@@ -24,12 +25,12 @@ from firmware_protocol.packing import HEADER, LAYOUTS
 from firmware_protocol.wire import wire_fields
 from rig import config
 from rig.config import presets
-from rig.control.verdict import Kind
+from rig.control.verdict import Kind as Verdict
 from rig.core.errors import RigError
 from rig.devices import framed
 from rig.devices.framed import FramedDevice
 from rig.experiments.hit import HitRequest, hit
-from sim_backend.channel import Faults
+from sim_backend.channel import Direction, Faults, FrameFault, Kind
 from sim_backend.device import SimulatedDevice
 from sim_backend.link import MemoryLink
 from sim_backend.safety import IDLE_LIFETIME_S
@@ -42,6 +43,7 @@ EXPERIMENT = config.override(
     {"trial.duration_s": 0.6, "trial.release_s": 0.02, "homing.settle_s": 0.02, "verdict.tail_s": 0.2},
 )
 MODEL = config.rig_model(EXPERIMENT)
+LIFETIME, LONGEST = 5, 40  # of a command, and by how much a link holds it back (ticks)
 START = -0.015
 REST_S = 0.05  # lifetime and ramp, and some
 TICKS = 700  # about what a run takes
@@ -153,6 +155,8 @@ class Script:
     dictionary: dict[str, Any] | None = None  # what it says of itself, under a hash that is right
     session: int = 0  # added to that of each frame
     sequence: int = 0
+    late: tuple[FrameFault, ...] = ()  # what the link holds back
+    looks: bool = True  # at the age of a command
 
 
 class Liar(SimulatedDevice):
@@ -189,6 +193,12 @@ class Liar(SimulatedDevice):
         if self._answers > ANSWERS_MOST:
             raise EndlessError
         return self._frames(said, self._answered) if said and self._script.answer else said
+
+    def _command(self, command: m.Command, sequence: int) -> None:
+        if not self._script.looks:
+            newest = (self.connection.sequence_to_send(m.State) - 1) & U16
+            command = replace(command, state_sequence=newest)
+        super()._command(command, sequence)
 
     def _frames(self, said: bytes, change: Callable[[Message], Message]) -> bytes:
         return b"".join(self._frame(raw, change) for raw in raw_frames(said))
@@ -240,18 +250,19 @@ class Liars:
         self._place = place
         self._numbers = 0
         kind, reasons, _ = self._hit(Script(after=1 << 30), random.Random(0))
-        require(kind == Kind.STABLE, "an honest device: ", kind, reasons)
+        require(kind == Verdict.STABLE, "an honest device: ", kind, reasons)
 
     def attack(self, case: int, chance: random.Random) -> Outcome:
         """One lie."""
         name, script = self._drawn(case, chance)
         kind, reasons, lied = self._hit(script, chance)
         figures = Counter({"runs": 1, "lies": lied, f"ended: {kind}": 1})
-        require(kind == Kind.STABLE or reasons, name, "ended without a reason:", kind)
-        if name in CONTRADICTIONS and kind == Kind.STABLE and lied > 0:
+        require(kind == Verdict.STABLE or reasons, name, "ended without a reason:", kind)
+        if name in CONTRADICTIONS and kind == Verdict.STABLE and lied > 0:
             if name in KNOWN:
                 return Outcome(figures, Counter({f"{name}: {KNOWN[name]}": 1}))
             require(False, name, f"after {script.after} STATEs: a stable wall")
+        require(kind != Verdict.STABLE or not script.late, name, "a stable wall")
         return Outcome(figures)
 
     def _drawn(self, case: int, chance: random.Random) -> tuple[str, Script]:
@@ -276,17 +287,32 @@ class Liars:
             session, sequence = chance.choice(((1, 0), (0, 1), (0, 32_768), (0, 65_535)))
             honest: Lie = lambda state, told, chance: state  # noqa: E731
             return "header", Script(after=after, lie=honest, session=session, sequence=sequence)
+        if chance.random() < 0.2:
+            return self._delayed(chance)
         cls, field = chance.choice(ANSWERS)
         return f"{cls.__name__}.{field}", Script(
             after, answer=cls, field=field, share=chance.choice((1.0, 0.3, 0.05))
         )
+
+    def _delayed(self, chance: random.Random) -> tuple[str, Script]:
+        """A link that delivers one frame each tick, from some in mid-run on each as late as the others."""
+        ticks, looks = chance.randrange(LIFETIME + 1, LONGEST + 1), chance.random() < 0.5
+        direction, first = chance.choice(tuple(Direction)), chance.randrange(TICKS // 3, TICKS // 2)
+        late = tuple(
+            FrameFault(kind=Kind.DELAY, direction=direction, frame=frame, ticks=ticks)
+            for frame in range(first, 2 * TICKS)
+        )
+        name = (
+            f"link: {direction.value} {ticks} ticks late, the device {'looks' if looks else 'does not look'}"
+        )
+        return name, Script(after=1 << 30, late=late, looks=looks)
 
     def _hit(self, script: Script, chance: random.Random) -> tuple[str, tuple[str, ...], int]:
         """How a hit ends on a liar: verdict or error, reasons, lies; always without effort."""
         self._numbers += 1
         framed._dictionaries.clear()
         liar = Liar(script, chance)
-        link = MemoryLink(liar, Faults())
+        link = MemoryLink(liar, Faults(script.late))
         output = self._place / str(self._numbers)
         if chance.random() < 0.3:
             liar.inject_fault(chance.choice((Fault.OVER_SPEED, Fault.ENCODER)))

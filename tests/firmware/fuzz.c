@@ -292,6 +292,8 @@ static void command(struct fuzz *fuzz)
 {
     struct packet packet;
     uint8_t *raw = begin(fuzz, &packet, HR_TYPE_COMMAND, HR_BYTES_COMMAND);
+    const uint16_t newest = (uint16_t)(fuzz->host->device.connection.to_send[HR_INDEX_STATE] - 1u);
+    put(raw + HR_AT_COMMAND_STATE_SEQUENCE, 2, below(8) ? newest : chance());
     put(raw + HR_AT_COMMAND_LIFETIME_US, 4, below(2) ? 20000u : chance());
     const bool runs_law = fuzz->host->device.renderer.there;
     const uint8_t usual = runs_law && below(8) ? HR_MODE_SUPERVISE : HR_MODE_CURRENT;

@@ -141,7 +141,9 @@ class Supervisor:
         return self.ask(m.Disarm(self.nonce, flags))
 
     def command(self, mode: Mode = Mode.SUPERVISE, current: int = 0, lifetime_us: int = 20_000) -> None:
-        self.take(self.receive(self.host.send(m.Command(0, lifetime_us, int(mode), 0, current))))
+        self.take(
+            self.receive(self.host.send(m.Command(self.host.answered, lifetime_us, int(mode), 0, current)))
+        )
 
     def supervise(self) -> None:
         """One tick, and SUPERVISE before it when it is time."""

@@ -50,7 +50,7 @@ class Board:
     def tick(self, current: int | None = None, missed: int = 0) -> m.State | None:
         """Let the timer strike, once more for each missed tick; a COMMAND comes before, if one is given."""
         if current is not None:
-            self.core.receive(self.host.send(m.Command(0, 20_000, 0, 0, current)))
+            self.core.receive(self.host.send(m.Command(self.host.answered, 20_000, 0, 0, current)))
         time = self.core.status.due + self.late + missed * UNITS_PER_SECOND // self.core.status.rate
         self.library.host_set_world(
             self.core.address, time, self.count, self.edge_time, self.measured, self.inputs

@@ -56,6 +56,7 @@ WALKS = int(os.environ.get("HAPTIC_RIG_WALKS", "30"))
 WALK_STEPS = 120
 RATES = [50, 99, 300, 500, 700, 1_000, 1_100, 2_000, 3_000, 7_777, 20_000, 50_000]
 LIFETIMES_US = [0, 1_000, 3_000, 20_000, 2**32 - 1]
+AGES = [0, 0, 0, 1, 4, 61, 0xFFFF]  # STATEs since the one that a COMMAND answers
 HOST_MESSAGES = [cls for type_id, cls in m.MESSAGES.items() if m.sender_of(type_id) is m.Role.HOST]
 HALF = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_size_t, ctypes.c_size_t)
 DRIVE, SAMPLE, RECEIVE = range(3)
@@ -208,11 +209,22 @@ class Pair:
             self.both(lambda device: device.inject_fault(Fault.INTERNAL))
         assert self.c.state is state
 
+    def answered(self, age: int = 0) -> int:
+        """Sequence of the STATE that came before so many others."""
+        return (self.python.connection.sequence_to_send(m.State) - 1 - age) & 0xFFFF
+
     def command(
-        self, current: int, lifetime_us: int = 20_000, mode: int = Mode.CURRENT, skip: int = 0, flags: int = 0
+        self,
+        current: int,
+        lifetime_us: int = 20_000,
+        mode: int = Mode.CURRENT,
+        skip: int = 0,
+        flags: int = 0,
+        age: int = 0,
     ) -> None:
         self.sequence = (self.sequence + skip) & 0xFFFF
-        self.send(m.Command(0, lifetime_us, int(mode), flags, current), sequence=self.sequence)
+        command = m.Command(self.answered(age), lifetime_us, int(mode), flags, current)
+        self.send(command, sequence=self.sequence)
         self.sequence = (self.sequence + 1) & 0xFFFF
 
     def ask_everything(self) -> None:
@@ -255,11 +267,9 @@ class Step:
     def _tick(self, pair: Pair, ticks: int) -> None:
         pair.tick(ticks)
 
-    def _drive(
-        self, pair: Pair, ticks: int, current: int, lifetime_us: int, mode: int, skip: int, flags: int
-    ) -> None:
+    def _drive(self, pair: Pair, ticks: int, *said: int) -> None:
         for _ in range(ticks):
-            pair.command(current, lifetime_us, mode, skip, flags)
+            pair.command(*said)
             pair.tick()
 
     def _configure(self, pair: Pair, values: dict[str, Value]) -> None:
@@ -333,6 +343,7 @@ currents = st.sampled_from([0, 1, 60, 300, 501, 5_000, 32_767]).flatmap(
     lambda size: st.sampled_from([size, -size])
 )
 sync_flags = st.sampled_from([0, 2, 4, 6, 0xFF])
+ages = st.sampled_from(AGES)
 CHOICES: dict[str, list[Value]] = {
     "current_limit": [0, 100, 3_000, 10_000],
     "continuous_current": [0, 50, 200, 10_000],
@@ -356,7 +367,7 @@ any_step = st.one_of(
     steps("tick", st.integers(1, 40)),
     steps(
         "drive", st.integers(1, 40), currents, st.sampled_from(LIFETIMES_US),
-        st.sampled_from([0, 0, 0, 0, 1, 2, 9]), st.sampled_from([0, 0, 0, 1, 0x7FFE, 0x8000, 0xFFFF]), sync_flags,
+        st.sampled_from([0, 0, 0, 0, 1, 2, 9]), st.sampled_from([0, 0, 0, 1, 0x7FFE, 0x8000, 0xFFFF]), sync_flags, ages,
     ),
     steps("run", u8, run_values),
     steps("configure", parameter_sets()),
@@ -379,7 +390,7 @@ any_step = st.one_of(
 run_step = st.one_of(
     steps("tick", st.integers(1, 400)),
     steps("drive", st.integers(1, 400), currents, st.sampled_from(LIFETIMES_US), st.sampled_from([0, 0, 0, 1, 2]),
-          st.sampled_from([0, 0, 0, 1, 0xFFFF]), sync_flags),
+          st.sampled_from([0, 0, 0, 1, 0xFFFF]), sync_flags, ages),
     steps("push", st.sampled_from([0.0, 0.02, -0.5, 3.0])),
     steps("hold", st.booleans()),
 )  # fmt: skip
@@ -407,7 +418,7 @@ def random_step(rng: random.Random) -> Step:
     current = choose([1, -1]) * choose([0, 1, 60, 300, 501, 5_000, 32_767])
     mode, skip = choose([0, 0, 0, 0, 1, 2, 9]), choose([0, 0, 0, 1, 0x8000])
     kinds: list[tuple[int, str, tuple[Any, ...]]] = [
-        (14, "drive", (draw(60), current, choose(LIFETIMES_US), mode, skip, choose([0, 2, 4, 6, 0xFF]))),
+        (14, "drive", (draw(60), current, choose(LIFETIMES_US), mode, skip, choose([0, 2, 4, 6, 0xFF]), choose(AGES))),
         (8, "tick", (draw(40),)),
         (10, "run", (draw(4), values)),
         (6, "disarm", (choose([0, clear, clear, clear]),)),
@@ -687,9 +698,31 @@ def test_the_circle_of_sequences_is_halved_at_the_same_place(
     pair = Pair(library, rig_of())
     pair.begin()
     for sequence, current in ((start, 10), ((start + step) & 0xFFFF, 20)):
-        pair.send(m.Command(0, 20_000, 0, 0, current), sequence=sequence)
+        pair.send(m.Command(pair.answered(), 20_000, 0, 0, current), sequence=sequence)
         pair.tick()
     pair.ask_everything()
+
+
+@pytest.mark.parametrize("rate", [700, 1_000, 7_777, 20_000])
+def test_a_command_that_was_longer_under_way_than_its_lifetime_is_not_activated(
+    library: ctypes.CDLL, rate: int
+) -> None:
+    """Whatever its age: on the circle of sequences too, where all from the middle of the session on lies behind."""
+    pair = Pair(library, rig_of())
+    pair.begin(position_rate=rate)
+    oldest = 3_000 * rate // 1_000_000
+    for age in (oldest, oldest + 1, 0, 2 * oldest + 1, 0x7FFF, 0, 0x8000, 0xFFFE):
+        pair.command(50)
+        pair.tick()
+        current = 50 if age > oldest else 60
+        pair.command(60, lifetime_us=3_000, age=age)
+        pair.tick()
+        assert pair.c.core.status.current == current, age
+    pair.ask_everything()
+    assert pair.c.core.status.counters.reordered == 5
+    pair.command(60, mode=Mode.STOP, age=0x8000)
+    pair.tick()
+    assert pair.c.core.status.current == 0, "STOP is never too old"
 
 
 @pytest.mark.parametrize("seed", range(40))

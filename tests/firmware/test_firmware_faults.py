@@ -294,6 +294,24 @@ def test_a_host_that_comes_back_in_the_ramp_finds_the_law_going_on(library: ctyp
     assert indices == list(range(indices[0], indices[0] + len(indices))), "BATCH went on all the time"
 
 
+def test_a_word_that_was_under_way_for_longer_than_it_holds_feeds_nothing(library: ctypes.CDLL) -> None:
+    """As if the host were silent, however often such words come."""
+    far, silent = (Far(library).into_the_wall() for _ in range(2))
+    answered = far.host.answered
+    for end in (far, silent):
+        end.run(LIFETIME + SPEAK_EVERY)
+    far.states.clear()
+    while far.device.fault is Fault.NONE:
+        old = m.Command(answered, 20_000, int(m.Mode.SUPERVISE), 0, 0)
+        far.take(far.receive(far.host.send(old)))
+        for end in (far, silent):
+            end.pass_ticks(SPEAK_EVERY)
+        assert far.device.current == silent.device.current
+    assert far.device.fault is silent.device.fault is Fault.LINK_LOST
+    assert all(state.limits & LimitFlag.COMMAND_TOO_OLD for state in far.states[:-1])
+    far.check_at_rest(Fault.LINK_LOST)
+
+
 def test_garbage_on_the_line_changes_nothing(library: ctypes.CDLL) -> None:
     far, twin = (Far(library).into_the_wall() for _ in range(2))
     noise = random.Random(3)

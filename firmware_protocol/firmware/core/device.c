@@ -586,12 +586,35 @@ static void stop(struct device *device)
     device_end_supervision(device);
 }
 
+/* The shorter of what the host wants and what the parameters allow, in device time. */
+static uint32_t lifetime_of(const struct device *device, const uint8_t *raw)
+{
+    const uint32_t wanted_us = get_u32(raw + HR_AT_COMMAND_LIFETIME_US);
+    const bool supervises = raw[HR_AT_COMMAND_MODE] == HR_MODE_SUPERVISE;
+    const uint32_t cap_us = supervises ? device->supervise_lifetime_us : device->command_lifetime_us;
+    return (wanted_us < cap_us ? wanted_us : cap_us) * HR_TIME_UNITS_PER_US;
+}
+
+/* Whether the STATE that a command answers was sent more than a lifetime ago, by the STATEs sent since: it was under way
+ * too long. Before the first STATE a host answers the one to come. */
+static bool is_too_old(const struct device *device, const uint8_t *raw, uint32_t lifetime)
+{
+    const uint16_t to_come = device->connection.to_send[HR_INDEX_STATE];
+    const uint16_t behind = (uint16_t)(to_come - get_u16(raw + HR_AT_COMMAND_STATE_SEQUENCE));
+    return behind > 1u && (uint64_t)((behind - 1u) * device->state_every) * device->period > lifetime;
+}
+
 void device_command(struct device *device, const uint8_t *raw)
 {
     const uint8_t mode = raw[HR_AT_COMMAND_MODE];
-    const uint32_t wanted_us = get_u32(raw + HR_AT_COMMAND_LIFETIME_US);
+    const uint32_t lifetime = lifetime_of(device, raw);
     if (mode != HR_MODE_CURRENT && mode != HR_MODE_SUPERVISE && mode != HR_MODE_STOP) {
         device->connection.counters.malformed++;
+        return;
+    }
+    if (mode != HR_MODE_STOP && is_too_old(device, raw, lifetime)) {
+        device->connection.counters.reordered++;
+        device->limits.flags |= HR_LIMIT_COMMAND_TOO_OLD;
         return;
     }
     device->command_sequence = get_u16(raw + HR_AT_HEADER_SEQUENCE);
@@ -605,9 +628,7 @@ void device_command(struct device *device, const uint8_t *raw)
         device_end_supervision(device);
     else if (!device->supervised)
         begin_supervision(device);
-    const uint32_t cap_us = device->supervised ? device->supervise_lifetime_us : device->command_lifetime_us;
-    const uint32_t lifetime_us = wanted_us < cap_us ? wanted_us : cap_us;
     const int16_t current = device->supervised ? 0 : signed_16(get_u16(raw + HR_AT_COMMAND_CURRENT));
     device->command_sync = device->supervised ? 0 : raw[HR_AT_COMMAND_FLAGS] & COMMANDED_PINS;
-    watchdog_feed(&device->watchdog, device->time, current, lifetime_us * HR_TIME_UNITS_PER_US, device->ramp);
+    watchdog_feed(&device->watchdog, device->time, current, lifetime, device->ramp);
 }

@@ -273,6 +273,7 @@ enum hr_limit {
     HR_LIMIT_HOLD_TO_RUN_RELEASED = 64,
     HR_LIMIT_NOT_CONFIRMED = 128,
     HR_LIMIT_MISSED_TICKS = 256,
+    HR_LIMIT_COMMAND_TOO_OLD = 512,
 };
 
 enum hr_status {

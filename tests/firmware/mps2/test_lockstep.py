@@ -61,7 +61,11 @@ def hit(partner: Partner, experiment: Experiment, ticks: int) -> Rig:
     first = len(rig.trace)
     for tick in range(ticks):
         if tick % SUPERVISE_EVERY == 0:
-            rig.write(device.connection.send(m.Command(0, 20_000, int(m.Mode.SUPERVISE), 0, 0)))
+            rig.write(
+                device.connection.send(
+                    m.Command(device.connection.answered, 20_000, int(m.Mode.SUPERVISE), 0, 0)
+                )
+            )
         if tick == LIVE_AT:
             wall = config.override(experiment, {"wall.stiffness": 200.0})
             prepared = controller.for_experiment(wall, **told)

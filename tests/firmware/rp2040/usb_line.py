@@ -61,6 +61,8 @@ class UsbSupervisor(Supervisor):
     def watch(self, us: float) -> None:
         """Supervise for so long, a word every 5 ms."""
         while us > 0.0:
-            self.line.send(self.host.send(m.Command(0, LIFETIME_US, int(m.Mode.SUPERVISE), 0, 0)))
+            self.line.send(
+                self.host.send(m.Command(self.host.answered, LIFETIME_US, int(m.Mode.SUPERVISE), 0, 0))
+            )
             self.take(self.line.run(min(us, WORD_US)))
             us -= WORD_US

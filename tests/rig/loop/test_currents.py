@@ -38,7 +38,7 @@ def test_what_was_sent_is_known_and_what_was_not_is_marked(
 ) -> None:
     buffers = Buffers.allocate()
     for number, current in enumerate(currents):
-        keep_command(buffers.sent, (first + number) % 65536, current)
+        keep_command(buffers.sent, (first + number) % 65536, current, number)
     newest = first + len(currents) - 1
     assert told(buffers, newest, currents[-1] + wrong) == (wrong != 0)
     assert not told(buffers, newest, currents[-1 - back], age=1), "it drove the tick in which the newest came"
@@ -50,7 +50,7 @@ def test_what_was_sent_is_known_and_what_was_not_is_marked(
 @pytest.mark.parametrize("limit", list(LimitFlag))
 def test_a_limit_explains_another_current_and_a_warning_does_not(limit: LimitFlag) -> None:
     buffers = Buffers.allocate()
-    keep_command(buffers.sent, 7, 100)
+    keep_command(buffers.sent, 7, 100, 0)
     warns = limit in (LimitFlag.SPEED, LimitFlag.POSITION)
     assert told(buffers, 7, 50, limits=int(limit)) == warns
 
@@ -58,7 +58,7 @@ def test_a_limit_explains_another_current_and_a_warning_does_not(limit: LimitFla
 def test_a_command_that_is_forgotten_or_did_not_come_proves_nothing() -> None:
     buffers = Buffers.allocate()
     for number in range(COMMANDS_KEPT + 1):
-        keep_command(buffers.sent, number, 100)
+        keep_command(buffers.sent, number, 100, number)
     assert not told(buffers, 0, 3)
     assert told(buffers, 1, 3)
     assert not told(Buffers.allocate(), 5, 3)

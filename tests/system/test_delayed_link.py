@@ -1,0 +1,267 @@
+"""A link that holds frames back and delivers one each tick: up to a command's lifetime it drives, and no longer.
+
+In virtual time at 1 kHz, on the readable device and the core in C.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from firmware_protocol import messages as m
+from firmware_protocol.faults import Fault, LimitFlag
+from firmware_protocol.packing import HEADER, LAYOUTS
+from rig import config
+from rig.config import presets
+from rig.control.verdict import Kind as Verdict
+from rig.core.errors import DeviceFaultError, LinkLostError, RigError
+from rig.devices.framed import FramedDevice
+from rig.experiments.hit import HitRequest, hit, left_by
+from rig.recording.reader import open_recording
+from sim_backend import device as readable
+from sim_backend.channel import Direction, Faults, FrameFault, Kind
+from sim_backend.compiled_device import CompiledDevice
+from sim_backend.device import SimulatedDevice
+from sim_backend.firmware import FirmwareDevice
+from sim_backend.link import MemoryLink
+from tests.attack.protocol import raw_frames
+from tests.conformance.trials import trial_on
+
+LIFETIME, RAMP = 5, 10  # ticks
+LONGEST = 40  # delay
+IN_THE_WALL = 49  # command of a run that is sent when the handle presses into the wall
+START = -0.015
+EXPERIMENT = config.override(
+    config.with_realtime(presets.load("koul-compliant")),
+    {
+        "wall.stiffness": 20.0,
+        "trial.duration_s": 0.08,
+        "trial.release_s": 0.003,
+        "homing.settle_s": 0.003,
+        "verdict.tail_s": 0.01,
+    },
+)
+MODEL = config.rig_model(EXPERIMENT)
+FRAMES = 60  # that are late: all of a run, and little of the conversation behind it
+Delays = Callable[[int], int]  # frame behind the first that is late → ticks
+
+
+def steady(delay: int) -> Delays:
+    """A buffer that was filled in a pause."""
+    return lambda frame: delay
+
+
+def growing(delay: int) -> Delays:
+    """A buffer that fills by and by: the device hears something in most ticks."""
+    return lambda frame: min(frame // 2, delay)
+
+
+def once(delay: int) -> Delays:
+    """One frame that waits, and with it all behind it; then they come at once."""
+    return lambda frame: delay if frame == 0 else 0
+
+
+@dataclass
+class Run:
+    """A device behind a link that is late from one command on, and what went over it."""
+
+    link: MemoryLink
+    delays: Delays
+    first: int  # number of that command
+    directions: tuple[Direction, ...]
+    commands: list[tuple[int, int, int]] = field(default_factory=list)  # tick, sequence, current
+    states: list[tuple[int, m.State]] = field(default_factory=list)  # of the session, with their ticks
+    frames: list[bytes] = field(default_factory=list)  # the same from their sequence on
+    error: RigError | None = None
+    recording: Any = None
+
+    def listen(self) -> None:
+        """Hear what the two ends send, when they send it."""
+        assert self.link.line is not None
+        line, send = self.link.line, self.link.line.send
+
+        def heard(direction: Direction, data: bytes, tick: int) -> None:
+            for raw in raw_frames(data):
+                _, type_id, _, session, sequence = HEADER.unpack_from(raw)
+                message = LAYOUTS[type_id].unpack(raw)
+                if isinstance(message, m.Command):
+                    if len(self.commands) == self.first:
+                        line.add(self._faults(line.frames))
+                    self.commands.append((tick, sequence, message.current))
+                elif isinstance(message, m.State) and session:
+                    self.states.append((tick, message))
+                    self.frames.append(raw[4:])
+            send(direction, data, tick)
+
+        line.send = heard  # type: ignore[method-assign]
+
+    def _faults(self, begin: Mapping[Direction, int]) -> Iterator[FrameFault]:
+        for direction, frame in product(self.directions, range(FRAMES)):
+            ticks = self.delays(frame)
+            yield FrameFault(
+                kind=Kind.DELAY, direction=direction, frame=begin[direction] + frame, ticks=ticks
+            )
+
+    @property
+    def onset(self) -> int:
+        """Tick of the first command that is late."""
+        return self.commands[self.first][0]
+
+    def flagged(self) -> int:
+        """STATEs that say that a command was too old."""
+        return sum(bool(state.limits & LimitFlag.COMMAND_TOO_OLD) for _, state in self.states)
+
+    def assert_told(self) -> None:
+        """It ended as the link's fault, and says what to do."""
+        assert isinstance(self.error, LinkLostError)
+        assert "hub" in self.error.remedy
+        assert self.recording.trailer["reason"] == "link_delayed"
+
+
+def behind(
+    delays: Delays,
+    make: Callable[..., Any] = SimulatedDevice,
+    *,
+    first: int = IN_THE_WALL,
+    directions: tuple[Direction, ...] = (Direction.TO_DEVICE,),
+) -> Run:
+    run = Run(MemoryLink(make(MODEL, initial_position=START), Faults()), delays, first, directions)
+    run.listen()
+    return run
+
+
+def ran(directory: Path, delays: Delays, make: Callable[..., Any] = SimulatedDevice, **options: Any) -> Run:
+    run = behind(delays, make, **options)
+    path = directory / f"{make.__name__}.rigcap"
+    path.unlink(missing_ok=True)
+    try:
+        with FramedDevice(run.link) as device:
+            trial_on(device, EXPERIMENT, path, sealed=False)
+    except RigError as error:
+        run.error = error
+    run.recording = open_recording(path)
+    return run
+
+
+@pytest.fixture(autouse=True)
+def _git_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rig.recording.header.git_revision", lambda directory: None)
+
+
+@pytest.fixture
+def not_looking(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A device that takes each command as it comes, however long it was under way."""
+    monkeypatch.setattr(readable, "is_too_old", lambda *command: False)
+
+
+@pytest.mark.parametrize("delay", range(LIFETIME + 1))
+def test_up_to_a_lifetime_the_device_takes_what_comes(
+    delay: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run, core = (ran(tmp_path, steady(delay), make) for make in (SimulatedDevice, FirmwareDevice))
+    assert run.error is core.error is None
+    monkeypatch.setattr(readable, "is_too_old", lambda *command: False)
+    assert run.frames == core.frames == ran(tmp_path, steady(delay)).frames
+
+
+@pytest.mark.parametrize("delay", range(LIFETIME + 1, LONGEST + 1))
+def test_beyond_it_nothing_late_drives_the_motor_and_the_effort_ramps_to_zero(
+    delay: int, tmp_path: Path
+) -> None:
+    run, core = (ran(tmp_path, steady(delay), make) for make in (SimulatedDevice, FirmwareDevice))
+    assert core.frames == run.frames
+    before = run.commands[: run.first]
+    commanded = max(abs(current) for _, _, current in before[-LIFETIME:])
+    assert commanded > 100, "in the wall"
+    after = [(tick - run.onset, state) for tick, state in run.states if tick > run.onset]
+    driven = [abs(state.current_commanded) for _, state in after]
+    assert max(driven) <= commanded
+    assert {state.command_sequence for _, state in after if state.current_commanded} == {before[-1][1]}
+    assert driven[LIFETIME - 1 :] == sorted(driven[LIFETIME - 1 :], reverse=True), "the ramp only falls"
+    assert not any(state.current_commanded for passed, state in after if passed >= LIFETIME + RAMP)
+    if delay < LIFETIME + RAMP - 1:
+        run.assert_told()
+    else:
+        assert isinstance(run.error, DeviceFaultError), "nothing at all came until the end"
+        assert run.link.device.fault is Fault.NONE
+        assert Fault.LINK_LOST.text in run.error.message
+        assert "hub" in run.error.remedy
+
+
+@pytest.mark.parametrize("make", [SimulatedDevice, CompiledDevice, FirmwareDevice])
+def test_a_buffer_that_fills_by_and_by_drives_no_longer_than_a_lifetime(
+    make: Callable[..., Any], tmp_path: Path
+) -> None:
+    run = ran(tmp_path, growing(LONGEST), make)
+    run.assert_told()
+    late = 2 * (LIFETIME + 1)  # frames, until one is late by more than a lifetime
+    newest = run.commands[run.first + late - 1]
+    assert all(state.command_sequence <= newest[1] for _, state in run.states if state.current_commanded != 0)
+    ended = newest[0] + LIFETIME + LIFETIME + RAMP  # under way, alive, fading
+    assert not any(state.current_commanded for tick, state in run.states if tick >= ended)
+
+
+@pytest.mark.parametrize("delay", [LIFETIME + 1, LONGEST])
+def test_a_link_that_is_late_from_the_first_command_on_never_moves_the_motor(
+    delay: int, tmp_path: Path
+) -> None:
+    run = ran(tmp_path, steady(delay), first=0)
+    assert not any(state.current_commanded for _, state in run.states)
+    run.assert_told()
+    assert len(run.recording.rows) <= delay + LIFETIME + 2, "long before a silent host's half second"
+
+
+@pytest.mark.usefixtures("not_looking")
+@pytest.mark.parametrize("directions", [(Direction.TO_DEVICE,), (Direction.TO_HOST,), tuple(Direction)])
+@pytest.mark.parametrize(
+    "delays", [steady(6), steady(12), growing(8), growing(LONGEST)], ids=["6", "12", "up to 8", "up to 40"]
+)
+def test_the_host_ends_it_when_the_device_does_not_look(
+    delays: Delays, directions: tuple[Direction, ...], tmp_path: Path
+) -> None:
+    run = ran(tmp_path, delays, directions=directions)
+    run.assert_told()
+    assert run.flagged() == 0
+    assert run.recording.rows["effort_sent"][-1] == 0.0
+    run.link.elapse(1e-3 * (LIFETIME + RAMP + LONGEST))
+    assert run.link.device.current == 0
+
+
+@pytest.mark.usefixtures("not_looking")
+@pytest.mark.parametrize("delay", [LIFETIME + 1, 12, LONGEST])
+def test_the_host_needs_a_lifetime_of_late_commands(delay: int, tmp_path: Path) -> None:
+    """The first of them is active after the delay and shows a sample later."""
+    run = ran(tmp_path, steady(delay), first=0)
+    run.assert_told()
+    assert len(run.recording.rows) == delay + 2 + LIFETIME
+
+
+@pytest.mark.parametrize("looks", [True, False])
+@pytest.mark.parametrize("delay", [1, 4, 8, 12])
+def test_late_commands_with_one_in_time_behind_them_end_nothing(
+    looks: bool, delay: int, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    if not looks:
+        request.getfixturevalue("not_looking")
+    run = ran(tmp_path, once(delay))
+    assert run.error is None
+    assert run.flagged() == (looks and delay > LIFETIME)
+
+
+def test_a_silence_long_after_a_late_command_is_a_silence(tmp_path: Path) -> None:
+    run = ran(tmp_path, lambda frame: 8 if frame == 0 else LONGEST if frame > 15 else 0)
+    assert run.flagged() == 1
+    assert isinstance(run.error, DeviceFaultError)
+    assert run.recording.trailer["reason"] == "device_fault"
+
+
+def test_its_verdict_is_invalid(tmp_path: Path) -> None:
+    run = behind(steady(8))
+    with FramedDevice(run.link) as device, pytest.raises(LinkLostError) as caught:
+        list(hit(HitRequest(experiment=EXPERIMENT, device=device, output=tmp_path)))
+    left = left_by(caught.value)
+    assert left is not None
+    assert left.judgement.verdict.kind is Verdict.INVALID
