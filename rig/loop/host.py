@@ -77,7 +77,7 @@ def _outcome(settings: Any, buffers: Buffers, memory: Any) -> int:
     if reason == 0 and is_delayed(settings, buffers):
         reason = DELAYED
     if reason == 0:
-        reason = ended_at_the_switch(state, settings, progress)
+        reason = ended_at_the_switch(buffers.state, settings, progress)
     if reason == 0:
         reason = ended_by_law(memory)
     if reason == 0 and settings[0]["stop_when_late"] != 0 and _overran(settings, memory, progress):
