@@ -72,12 +72,13 @@ def test_each_tick_arrives_as_it_was_or_shows_as_a_gap(
 @pytest.mark.parametrize("layout", [0, 1, 2])
 def test_a_frame_takes_as_many_samples_as_fit_or_as_it_is_told(library: ctypes.CDLL, layout: int) -> None:
     board = board_of(library, layout)
-    board.run([2] * (2 * FULL[layout] + 5))  # a handle that stood still under this push would be a fault
+    ticks = 2 * FULL[layout] + 5
+    board.run(range(0, 2 * ticks, 2))  # a handle that stood still under this push would be a fault
     assert [len(frame.samples) for frame in board.frames] == [FULL[layout]] * 2
     raw = 6 + 13 + len(board.frames[0].message.data) + 4
     assert raw <= RAW_LIMIT < raw + {0: 5, 1: 3, 2: 6}[layout]
     few = board_of(library, layout, 7)
-    few.run([2] * 23)
+    few.run(range(0, 46, 2))
     assert [len(frame.samples) for frame in few.frames] == [7, 7, 7]
 
 
