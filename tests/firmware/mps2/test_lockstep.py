@@ -61,6 +61,9 @@ def hit(partner: Partner, experiment: Experiment, ticks: int) -> Rig:
     first = len(rig.trace)
     for tick in range(ticks):
         if tick % SUPERVISE_EVERY == 0:
+            device.connection.receive_data(rig.read(0.0))  # a command answers the newest STATE
+            while device.connection.next_event() is not None:
+                continue
             rig.write(
                 device.connection.send(
                     m.Command(device.connection.answered, 20_000, int(m.Mode.SUPERVISE), 0, 0)
