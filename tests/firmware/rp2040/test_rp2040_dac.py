@@ -202,6 +202,7 @@ def test_the_next_run_begins_at_zero_and_gives_its_current(powered_dac: Powered)
     session.host.disarm()
     session.arm(session=2)
     assert session.pico.look()["volts"] == 0.0
+    session.listen(0.001)  # a command answers a STATE of its session
     session.host.command(-400)
     session.listen(0.002)
     assert session.pico.look()["current"] == pytest.approx(-0.4, abs=STEP_A)
