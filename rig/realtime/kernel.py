@@ -114,8 +114,8 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
         return self._parts[args][1] if args in self._parts else super().get_overload(sig)
 
     def get_compile_result(self, sig: Any) -> Any:
-        """Machine code for a plug point."""
-        self.prepare()
+        """Machine code for a plug point: asked for at each call with one, so that it takes no lock once prepared."""
+        prepare(self)
         return super().get_compile_result(sig)
 
     def get_function_type(self) -> Any:

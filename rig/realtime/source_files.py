@@ -4,20 +4,21 @@ A kernel freezes what it finds when it is compiled: the code of the helpers that
 (flags, phases, offsets of a message) of every module that it names. So machine code is fresh only while no file
 changed that holds a kernel or that such a file imports, directly or not. Editing anything else compiles nothing.
 
-Read as text, without importing anything: a command that compiles nothing asks too.
+Read as text, without importing anything, and quickly: each process asks when it starts.
 """
 
 from __future__ import annotations
 
 import importlib.util
+import os
 import re
 from collections.abc import Iterable
 from pathlib import Path
 
 PACKAGES = ("firmware_protocol", "rig", "sim_backend")
-_KERNEL = re.compile(rb"^@kernel\(", re.MULTILINE)
+_KERNEL = b"\n@kernel("  # in a text whose first line begins like any other
 _IMPORT = re.compile(
-    rb"^[ \t]*(?:from[ \t]+([\w.]+)[ \t]+import[ \t]+(\([^)]*\)|[^\n]*)|import[ \t]+([\w.]+))", re.MULTILINE
+    rb"\n[ \t]*(?:from[ \t]+([\w.]+)[ \t]+import[ \t]+(\([^)]*\)|[^\n]*)|import[ \t]+([\w.]+))"
 )
 _NAME = re.compile(rb"(\w+)(?:[ \t]+as[ \t]+\w+)?")
 
@@ -32,18 +33,22 @@ def source_files(packages: Iterable[str] = PACKAGES) -> dict[str, Path]:
             continue
         if spec is None or not spec.submodule_search_locations:
             continue
-        for root in map(Path, spec.submodule_search_locations):
-            for path in sorted(root.rglob("*.py")):
-                parts = path.relative_to(root).with_suffix("").parts
-                files[".".join((package, *parts)).removesuffix(".__init__")] = path
+        for root in spec.submodule_search_locations:
+            for place, below, names in os.walk(root):
+                below.sort()
+                parts = (package, *Path(place).relative_to(root).parts)
+                for name in sorted(names):
+                    if name.endswith(".py"):
+                        module = ".".join((*parts, name.removesuffix(".py")))
+                        files[module.removesuffix(".__init__")] = Path(place, name)
     return files
 
 
 def compiled_files(packages: Iterable[str] = PACKAGES) -> list[Path]:
     """The files with kernels and all that they import, transitively, in a fixed order."""
     files = source_files(packages)
-    texts = {module: path.read_bytes() for module, path in files.items()}
-    waiting = [module for module, text in texts.items() if _KERNEL.search(text)]
+    texts = {module: b"\n" + path.read_bytes() for module, path in files.items()}
+    waiting = [module for module, text in texts.items() if _KERNEL in text]
     reached: set[str] = set()
     while waiting:
         module = waiting.pop()

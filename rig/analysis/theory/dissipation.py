@@ -30,7 +30,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +45,7 @@ SLOWEST = 1e-3  # θ/π of a scan; slower motions have a formula
 LOW, EVEN = 200, 500  # phases of a scan: in equal ratios from the slowest up, and in equal steps
 NEARER, REFINEMENTS = 60, 3  # phases around the worst one, and how often it is looked for anew
 BISECTIONS = 40
+NO_SPRING = np.zeros(1)
 SINGULAR = 1e-12  # a determinant this small is that of rounding
 
 
@@ -116,6 +117,10 @@ class Waves:
             np.asarray(estimate[:, None] * held, complex),
         )
 
+    def at(self, which: NDArray[np.intp]) -> Waves:
+        """Waves of some of the phases."""
+        return Waves(*(getattr(self, each.name)[which] for each in fields(self)))
+
     def needed(self, sign: float) -> Vector:
         """Share of the rig's damping that a damper of ±1 asks for, without a spring, at each phase."""
         reading = self.read.sum(axis=1)
@@ -123,18 +128,18 @@ class Waves:
         both = sign * (self.heard * self.along).sum(axis=1)
         return np.asarray(0.5 * (np.sqrt(np.maximum(reading * heard - both.imag**2, 0.0)) - both.real))
 
-    def passive(self, stiffness: float, damping: float) -> Flags:
-        """Whether rig and wall are passive, at each phase."""
-        k = 0.5 * stiffness
+    def passive(self, stiffness: Vector, damping: Vector) -> Flags:
+        """Whether rig and wall are passive, at each phase; a K and a B for each, or one for all."""
+        k = 0.5 * stiffness[:, None]
         det = 1.0 + 2.0 * k * self.along.real - k**2 * self.aside
         failing = (det < 0.0).sum(axis=1)
-        if damping == 0.0:
-            return np.asarray(failing == 0)
         det = np.copysign(np.maximum(np.abs(det), SINGULAR), det)
         reading = (self.read / det).sum(axis=1)
         heard = (np.abs(self.heard) ** 2 * self.given / det).sum(axis=1)
         both = (self.heard * (self.along - k * self.aside) / det).sum(axis=1)
-        saddle = reading * heard <= np.abs(2.0 / damping + both) ** 2  # one positive eigenvalue, one negative
+        with np.errstate(divide="ignore"):  # without a damper C alone counts
+            lift = 2.0 / damping + both
+        saddle = reading * heard <= np.abs(lift) ** 2  # one positive eigenvalue, one negative
         return np.asarray(np.where(saddle, failing == 0, (failing == 1) & (reading < 0.0)))
 
 
@@ -157,27 +162,33 @@ def passive_stiffness(loop: LinearLoop, dampings: Sequence[float], rig: Damping)
     """Largest K with which a wall of each B is passive on a rigid rig of damping `rig`; 0 where B alone is not."""
     if not rig.passive(loop):
         return [0.0] * len(dampings)
-    waves = Waves.of(loop, _phases(), rig)
-    return [_largest(loop, waves, damping, rig) for damping in dampings]
+    b, phases = np.asarray(dampings, float), _phases()
+    waves = Waves.of(loop, phases, rig)
+    highest = np.maximum((rig.slow + b) / (0.5 * loop.tick_s + loop.late_s), 0.0)  # of slow motion
+    stiffness = np.where([waves.passive(NO_SPRING, one).all() for one in b[:, None]], highest, 0.0)
 
-
-def _largest(loop: LinearLoop, waves: Waves, damping: float, rig: Damping) -> float:
-    highest = (rig.slow + damping) / (0.5 * loop.tick_s + loop.late_s)  # of slow motion
-    if highest <= 0.0 or not waves.passive(0.0, damping).all():
-        return 0.0
-    stiffness = highest
+    # All dampings at once: of each that is left phases of its own, one after the other.
+    left = np.flatnonzero(stiffness > 0.0)
+    theta = np.tile(phases, (len(left), 1))
+    waves = waves.at(np.tile(np.arange(len(phases)), len(left)))
     for _ in range(REFINEMENTS):
-        failing = ~waves.passive(stiffness, damping)
-        if not failing.any():
+        of = np.repeat(left, theta.shape[1])
+        failing = np.flatnonzero(~waves.passive(stiffness[of], b[of]))
+        if not len(failing):
             break
-        low, high = 0.0, stiffness
+        low, high = np.zeros(len(b)), stiffness
         for _ in range(BISECTIONS):
             middle = 0.5 * (low + high)
-            now = ~waves.passive(middle, damping)
-            low, high, failing = (low, middle, now) if now.any() else (middle, high, failing)
-        stiffness = low
-        waves = Waves.of(loop, _nearer(waves.theta, int(np.flatnonzero(failing)[0])), rig)
-    return stiffness
+            now = ~waves.at(failing).passive(middle[of[failing]], b[of[failing]])
+            worse = np.isin(np.arange(len(b)), of[failing[now]])
+            low, high = np.where(worse, low, middle), np.where(worse, middle, high)
+            failing = failing[now | ~worse[of[failing]]]  # a phase that is passive at a K is so below
+        left, first = np.unique(of[failing], return_index=True)
+        stiffness[left] = low[left]
+        rows, worst = np.divmod(failing[first], theta.shape[1])
+        theta = np.array([_nearer(theta[row], one) for row, one in zip(rows, worst, strict=True)])
+        waves = Waves.of(loop, theta.ravel(), rig)
+    return [float(k) for k in stiffness]
 
 
 def _phases() -> Vector:

@@ -1,13 +1,15 @@
-"""Fits of an identification on data of an independent integrator (scipy's), whose parameters they must find."""
+"""Fits of an identification on data that scipy integrates, not the simulation, whose parameters they must find."""
 
 from __future__ import annotations
 
 import math
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.linalg import expm
 
 from rig.analysis.identification.dynamics import fit_dynamics
 from rig.analysis.identification.interval import Interval, from_scatter
@@ -28,6 +30,15 @@ def friction(v: Any) -> Any:
     return 0.5 * (UP - DOWN) + 0.5 * (UP + DOWN) * np.tanh(
         (v - SLIP * math.atanh((DOWN - UP) / (UP + DOWN))) / SLIP
     )
+
+
+def linear(efforts: Any, derivative: Any, state: Any) -> Any:
+    """As `integrate`, of a linear derivative: the step is a matrix exponential, exactly."""
+    size = len(state)
+    a = np.array([derivative(one, 0.0) for one in np.eye(size)]).T
+    b = np.array(derivative(np.zeros(size), 1.0))
+    step = expm(np.block([[a, b[:, None]], [np.zeros((1, size + 1))]]) / RATE)
+    return np.array(list(accumulate(efforts, lambda x, u: step[:size] @ [*x, u], initial=state)))[:-1]
 
 
 def integrate(efforts: Any, derivative: Any, state: Any) -> Any:
@@ -251,14 +262,21 @@ def multisine(realisation: Any, top: float = 150.0) -> Any:
 
 
 def record(
-    derivative: Any, state: Any, realisation: Any, *, late: int = 0, periods: int = 1, settle: int = 2
+    derivative: Any,
+    state: Any,
+    realisation: Any,
+    *,
+    states: Any = linear,
+    late: int = 0,
+    periods: int = 1,
+    settle: int = 2,
 ) -> Any:
     """One realisation, `late` ticks after it was sent, the settling periods cut."""
     played = multisine(realisation)
     n = round(RATE * played.period_s)
     sent = np.tile(played.period(RATE), settle + periods)
     acting = np.concatenate([np.zeros(late), sent])[: len(sent)]
-    position = counted(integrate(acting, derivative, state)[:, 0])
+    position = counted(states(acting, derivative, state)[:, 0])
     kept = slice(settle * n, None)
     return ExcitedRun(
         RATE, n, periods, sent[kept], sent[kept], position[kept], played.lines_hz, effort_hold_s=1.0 / RATE
@@ -277,7 +295,7 @@ def rubbing() -> Any:
 
     runs = []
     for realisation in range(3):
-        run = record(derivative, (0.0, 0.0), realisation, late=2, settle=3)
+        run = record(derivative, (0.0, 0.0), realisation, states=integrate, late=2, settle=3)
         effort = run.effort - centring * np.roll(run.position, -2)
         runs.append(
             ExcitedRun(**{**{f: getattr(run, f) for f in run.__dataclass_fields__}, "effort": effort})

@@ -40,6 +40,8 @@ PERSON = config.override(
         "rig.limits.effort": 0.28,
         "operator.press": 2.0,
         "homing.tolerance_counts": 200.0,
+        "trial.duration_s": 0.55,
+        "verdict.tail_s": 0.1,
     },
 )
 

@@ -207,9 +207,11 @@ def test_catch_trials_among_any_rule_leave_it_as_it_is(name: Any) -> None:
 
 @pytest.mark.parametrize("share", [0.1, 0.3, 0.5])
 def test_so_many_of_the_trials_are_catch_trials(share: float) -> None:
-    long = Staircase(levels=LEVELS, turns=1000, most=3000)
-    answers = run(catching(long, share), Observer(threshold=430.0, spread=15.0), seed=1, most=3000)
-    assert np.mean([answer.probe.catch for answer in answers]) == pytest.approx(share, abs=0.03)
+    many = 1000
+    long = Staircase(levels=LEVELS, turns=many, most=many)
+    answers = run(catching(long, share), Observer(threshold=430.0, spread=15.0), seed=1, most=many)
+    scatter = math.sqrt(share * (1.0 - share) / many)
+    assert np.mean([answer.probe.catch for answer in answers]) == pytest.approx(share, abs=3.0 * scatter)
 
 
 def test_a_catch_trial_that_said_nothing_comes_again_and_so_does_any_other() -> None:
