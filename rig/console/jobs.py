@@ -45,7 +45,6 @@ class Job:
         self.name, self.content, self.goes_on, self.asks = name, content, goes_on, asks
         self.said: dict[str, Mapping[str, Any]] = {}
         self._process = process
-        self._told_to_end = False
 
     @property
     def pid(self) -> int:
@@ -57,7 +56,6 @@ class Job:
 
         One that asks is told instead of interrupted: it goes on, and somebody says how.
         """
-        self._told_to_end = True
         loops = ask_to_stop(self.pid)
         if self.asks:
             self.answer({"kind": "stop"})
@@ -124,6 +122,9 @@ class Jobs:
     def __init__(self, tell: Callable[[Job, Mapping[str, Any]], None]) -> None:
         self._tell = tell
         self._task: asyncio.Task[int] | None = None
+        self._starts = ""  # name of a job whose process is being made
+        self._stops = 0
+        self._closed = False
         self.running: Job | None = None
 
     async def start(
@@ -138,8 +139,12 @@ class Jobs:
         RigError
             No process for it.
         """
-        if self.running is not None:
-            raise ConfigError(f"a {self.running.name} runs", remedy="stop it first")
+        busy = self._starts if self.running is None else self.running.name
+        if busy:
+            raise ConfigError(f"a {busy} runs", remedy="stop it first")
+        if self._closed:
+            raise ConfigError("the console ends", remedy="start it again: rig console")
+        self._starts, stops = name, self._stops
         try:
             process = await asyncio.create_subprocess_exec(
                 *(sys.executable, "-P", "-m", "rig.console", "job"),
@@ -152,10 +157,20 @@ class Jobs:
             )
         except OSError as error:
             raise RigError(f"no process for a {name}: {error.strerror}", remedy="free some memory") from error
+        finally:
+            self._starts = ""
         job = self.running = Job(name, content, process, goes_on=goes_on, asks=asks)
         job.answer({"job": name, "content": content, "goes_on": goes_on})
         self._task = asyncio.create_task(self._follow(job))
+        if stops != self._stops:
+            job.end()
         return job
+
+    def end(self) -> None:
+        """End what runs, or what is just being started; as `Job.end`."""
+        self._stops += 1
+        if self.running is not None:
+            self.running.end()
 
     def beat(self) -> None:
         """Say to what runs that the console is there."""
@@ -163,7 +178,9 @@ class Jobs:
             self.running.beat()
 
     async def close(self) -> None:
-        """End what runs, unless it goes on without a console."""
+        """End what runs, unless it goes on without a console, and start nothing more."""
+        self._closed = True
+        self._stops += 1
         if self.running is not None and not self.running.goes_on:
             await self.running.close()
             if self._task is not None:
