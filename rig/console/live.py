@@ -94,6 +94,7 @@ class Live(Service):
         for memory in ask_to_stop():
             memory.close()
         self._shared.jobs.end()
+        self._terminal.withdraw()
 
     async def _run(self, client: Client, request: asked.Run) -> dict[str, Any]:
         self._shared.must_operate(client)
@@ -111,6 +112,7 @@ class Live(Service):
                     f"{request.url} is a real rig, and nobody at the terminal of this console let it be armed",
                     remedy="run `rig console` in a terminal beside the rig, and type there what it asks for",
                 )
+            self._shared.must_operate(client)  # still: a person takes their time
         goes_on = request.goes_on and request.job != "play"
         job = await self._shared.jobs.start(request.job, content, goes_on=goes_on)
         self._pid = None
@@ -244,9 +246,11 @@ class Live(Service):
             job = self._shared.jobs.running
             if self._shared.lease.held().by is not None:
                 told = None
-            elif job is not None and job is not told and not job.goes_on:
-                told = job
-                job.end()
+            else:
+                self._terminal.withdraw()
+                if job is not None and job is not told and not job.goes_on:
+                    told = job
+                    job.end()
             await asyncio.sleep(LOOK_S)
 
     def _tell_state(self) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from rig.console.jobs import Job, Jobs
+from rig.console.jobs import Jobs
 from rig.console.lease import Lease
 from rig.console.live import Live
 from rig.console.service import Shared
