@@ -28,7 +28,7 @@ from rig.console.lease import Lease
 from rig.console.live import Live
 from rig.console.maps import Maps
 from rig.console.recordings import Recordings
-from rig.console.service import LATER, Download, Service, Shared
+from rig.console.service import LATER, Download, Service, Shared, defect
 from rig.console.sessions import Sessions
 from rig.console.sockets import (
     ConnectionClosed,
@@ -164,6 +164,8 @@ class Console:
             result = await self._handlers[request.do][1](client, request)
         except RigError as error:
             client.reply(number, error=error)
+        except Exception as error:  # it costs the page an answer, not its socket
+            client.reply(number, error=defect(str(asked.json_of(text).get("do")), error))
         else:
             if number and result is not LATER:
                 client.reply(number, result)

@@ -14,6 +14,8 @@ from typing import Any
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
+from rig.console.errands import Errands
+from rig.console.live import Live
 from rig.core.sample import Phase, RowFlag
 from rig.realtime import ring as words
 from tests.conformance.console import Served, served
@@ -188,6 +190,23 @@ def test_what_is_no_request_is_answered_and_too_much_is_cut_off(tmp_path: Path) 
             await page.socket.send("x" * (1 << 17))
             with pytest.raises(ConnectionClosed):
                 await page.until(lambda _: False)
+
+    play(tmp_path, scenario)
+
+
+def test_a_defect_costs_an_answer_and_no_socket(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def broken(*_: object, **content: object) -> None:
+        raise KeyError("a defect")
+
+    monkeypatch.setattr(Live, "_experiment", lambda *_: 1 / 0)
+    monkeypatch.setattr(Errands, "run", broken)
+
+    async def scenario(console: Served) -> None:
+        async with console.page() as page:
+            for do, told in (("experiment", "ZeroDivision"), ("maps", "a defect")):  # at once, and later
+                answer = await page.ask(do)
+                assert told in answer["error"]["error"]
+                assert "report it" in answer["error"]["remedy"]
 
     play(tmp_path, scenario)
 
