@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import asyncio
 import sys
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from rig.console.jobs import Jobs
+from rig.console.jobs import Job, Jobs
 from rig.console.lease import Lease
 from rig.console.live import Live
 from rig.console.service import Shared
@@ -102,3 +102,38 @@ def test_a_job_without_an_operator_ends_unless_it_goes_on(
             beats.cancel()
 
     play(WAITS, monkeypatch, body)
+
+
+def test_what_is_no_message_is_not_heard(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever a library prints, on either stream and however much of it, the job is followed to its end."""
+    noise = "print('42'); print('null'); print('[]'); print('{}'); print('{\"say\": 1}')"
+    program = (
+        f"import sys; {noise}; sys.stderr.write('x' * 1_000_000 + '\\nthe last word\\n');"
+        'print(\'{"say": "up"}\', flush=True)'
+    )
+
+    async def body(here: Here) -> None:
+        await here.jobs.start("hit", {})
+        await here.ended()
+        up, failed, ended = here.told
+        assert (up, ended) == ({"say": "up"}, {"say": "ended"})
+        assert failed["remedy"] == "the last word"
+
+    play(program, monkeypatch, body)
+
+
+def test_a_job_that_cannot_be_followed_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def body(here: Here) -> None:
+        def tell(job: Job, message: Mapping[str, Any]) -> None:
+            here.told.append(dict(message))
+            if message["say"] == "up":
+                raise KeyError("a defect")
+
+        here.jobs = Jobs(tell)
+        job = await here.jobs.start("hit", {}, goes_on=True)
+        await here.ended()
+        assert [one["say"] for one in here.told] == ["up", "failed", "ended"]
+        assert "a defect" in here.told[1]["error"]
+        assert not Path(f"/proc/{job.pid}").exists()
+
+    play('import time; print(\'{"say": "up"}\', flush=True); time.sleep(60)', monkeypatch, body)
