@@ -8,12 +8,14 @@ import os
 import urllib.error
 import urllib.request
 from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
+from rig.console.client import MOST_REPLIES, Client
 from rig.console.errands import Errands
 from rig.console.live import Live
 from rig.core.sample import Phase, RowFlag
@@ -226,6 +228,27 @@ def test_a_page_that_reads_nothing_delays_nobody(tmp_path: Path) -> None:
             assert (page.newest("state") or {})["loop"]["unseen"] == 0
 
     with loop.ring:
+        play(tmp_path, scenario)
+
+
+def test_a_page_that_reads_nothing_takes_no_more_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clients: list[Client] = []
+    monkeypatch.setattr(Live, "greet", lambda _, client: clients.append(client))
+
+    async def scenario(console: Served) -> None:
+        async with console.page():
+            (client,) = clients
+            for _ in range(MOST_REPLIES + 100):  # before anything can leave
+                client.put("x" * 10_000)
+            assert len(client._replies) <= MOST_REPLIES
+        async with console.page("a-page-that-reads") as page:
+            clients[1].put_newest({"say": "state", "loop": {"values": {"velocity": float("nan")}}})
+            state = await page.until(lambda page: next((one for one in page.told if one.get("loop")), None))
+            assert state["loop"]["values"]["velocity"] is None, "what a browser reads"
+
+    with suppress(ConnectionClosed):
         play(tmp_path, scenario)
 
 
