@@ -289,6 +289,7 @@ class Live(Service):
                 client.put(told)
 
     async def close(self) -> None:
-        """End what runs."""
+        """See `Service.close`."""
+        self._terminal.withdraw()
         if self._followed is not None:
             self._followed.close()

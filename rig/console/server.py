@@ -218,7 +218,6 @@ async def run(settings: Settings, terminal: Terminal, ended: asyncio.Event) -> N
         place = stack.enter_context(TemporaryDirectory(prefix="rig-console-"))
         hand = stack.enter_context(SharedHand.create(Path(place) / "hand"))
         console = Console(settings, hand, terminal)
-        stack.push_async_callback(console.close)
 
         async def respond(socket: ServerConnection, request: HttpRequest) -> Response | None:
             return await _respond(console, static, request)
@@ -238,6 +237,7 @@ async def run(settings: Settings, terminal: Terminal, ended: asyncio.Event) -> N
                 max_queue=64,
             )
         )
+        stack.push_async_callback(console.close)  # before the server waits for its pages: what moves, ends
         console.access = Access(next(iter(server.sockets)).getsockname()[1], settings.hosts)
         settings.announce(console.access.url)
         tasks = [

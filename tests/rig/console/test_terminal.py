@@ -20,6 +20,7 @@ from rig.console.service import Shared
 from rig.console.terminal import LONGEST, Terminal
 from rig.core.errors import ConfigError
 from rig.realtime.hand import SharedHand
+from tests.conformance.console import served
 from tests.rig.console.console_fakes import Page
 
 REAL = "serial:///dev/ttyACM0"
@@ -113,6 +114,16 @@ def test_a_word_arms_nothing_for_a_page_that_stopped_or_went(
             with pytest.raises(ConfigError, match=r"real rig|another page operates"):
                 await wanted
             assert shared.jobs.running is None
+
+    at_a_terminal(monkeypatch, body)
+
+
+def test_a_console_ends_though_it_waits_for_a_word(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def body(terminal: Terminal, person: int) -> None:
+        async with served(tmp_path, terminal) as console, console.page() as page:
+            await page.say("run", job="hit", url=REAL)
+            while terminal._asked is None:
+                await asyncio.sleep(0.01)
 
     at_a_terminal(monkeypatch, body)
 
