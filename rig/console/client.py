@@ -57,13 +57,16 @@ class Client:
         self.put(json.dumps(told))
 
     def put(self, message: str | bytes) -> None:
-        """Send a message that may not be left out."""
-        self._replies.append(message)
+        """Send a message that may not be left out; a page that leaves too many waiting is cut off."""
+        if len(self._replies) < MOST_REPLIES:
+            self._replies.append(message)
+        else:
+            self._socket.transport.abort()
         self._wake.set()
 
     def put_newest(self, message: Mapping[str, Any]) -> None:
         """Send a message unless a newer one of its kind comes before it can leave."""
-        self._newest[str(message["say"])] = json.dumps(message)
+        self._newest[str(message["say"])] = json.dumps(plain(message))
         self._wake.set()
 
     def compiles(self, busy: bool) -> None:
@@ -84,7 +87,7 @@ class Client:
 
     async def send(self) -> None:
         """Send what there is, as fast as the page takes it, until its socket closes."""
-        while len(self._replies) <= MOST_REPLIES:
+        while True:
             await self._wake.wait()
             self._wake.clear()
             replies, self._replies = self._replies, []
@@ -94,4 +97,3 @@ class Client:
             if self._view is not None and not self.paused:
                 for frame in self._view.frames():
                     await self._socket.send(frame)
-        await self._socket.close(1008, "too slow")

@@ -6,6 +6,7 @@ import asyncio
 import json
 import os
 import sys
+import traceback
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -15,6 +16,7 @@ from rig.core.errors import ConfigError, RigError
 from rig.realtime.running import ask_to_stop
 
 END_S = 10.0  # how long a job may take to bring its recording to rest once it was told to end
+TAIL_BYTES = 4096
 LINE_BYTES = 1 << 24  # of a message: a result with all its numbers
 
 
@@ -45,7 +47,9 @@ class Job:
         self.name, self.content, self.goes_on, self.asks = name, content, goes_on, asks
         self.said: dict[str, Mapping[str, Any]] = {}
         self._process = process
-        self._told_to_end = False
+        self._complaint = asyncio.create_task(
+            self._complaints()
+        )  # read at once: a full pipe stops its writer
 
     @property
     def pid(self) -> int:
@@ -57,7 +61,6 @@ class Job:
 
         One that asks is told instead of interrupted: it goes on, and somebody says how.
         """
-        self._told_to_end = True
         loops = ask_to_stop(self.pid)
         if self.asks:
             self.answer({"kind": "stop"})
@@ -80,17 +83,15 @@ class Job:
         """Hand on its messages until it has ended; its exit code."""
         assert self._process.stdout is not None
         async for line in self._process.stdout:
-            with suppress(ValueError):
-                message: dict[str, Any] = json.loads(line)
+            if (message := _message(line)) is not None:
                 self.said[message["say"]] = message
                 tell(message)
         code = await self._process.wait()
         if not {"done", "failed"} & self.said.keys():
             error = RigError(
-                f"the process of the {self.name} ended with {code}", remedy=await self._complaint()
+                f"the process of the {self.name} ended with {code}", remedy=await self._complaint
             )
-            self.said["failed"] = message = {"say": "failed", **error.as_mapping()}
-            tell(message)
+            tell({"say": "failed", **error.as_mapping()})
         return code
 
     async def close(self) -> None:
@@ -106,10 +107,23 @@ class Job:
                 self._process.kill()
                 await self._process.wait()
 
-    async def _complaint(self) -> str:
+    async def _complaints(self) -> str:
+        """The last line that it leaves on its standard error."""
         assert self._process.stderr is not None
-        lines = (await self._process.stderr.read()).decode(errors="replace").strip().splitlines()
+        kept = b""
+        while data := await self._process.stderr.read(TAIL_BYTES):
+            kept = (kept + data)[-TAIL_BYTES:]
+        lines = kept.decode(errors="replace").strip().splitlines()
         return lines[-1] if lines else "it does not say why"
+
+
+def _message(line: bytes) -> dict[str, Any] | None:
+    """What a line says; None for what some library has printed."""
+    try:
+        found = json.loads(line)
+    except (ValueError, RecursionError):
+        return None
+    return found if isinstance(found, dict) and isinstance(found.get("say"), str) else None
 
 
 class Jobs:
@@ -123,7 +137,10 @@ class Jobs:
 
     def __init__(self, tell: Callable[[Job, Mapping[str, Any]], None]) -> None:
         self._tell = tell
-        self._task: asyncio.Task[int] | None = None
+        self._task: asyncio.Task[None] | None = None
+        self._starts = ""  # name of a job whose process is being made
+        self._stops = 0
+        self._closed = False
         self.running: Job | None = None
 
     async def start(
@@ -138,8 +155,12 @@ class Jobs:
         RigError
             No process for it.
         """
-        if self.running is not None:
-            raise ConfigError(f"a {self.running.name} runs", remedy="stop it first")
+        busy = self._starts if self.running is None else self.running.name
+        if busy:
+            raise ConfigError(f"a {busy} runs", remedy="stop it first")
+        if self._closed:
+            raise ConfigError("the console ends", remedy="start it again: rig console")
+        self._starts, stops = name, self._stops
         try:
             process = await asyncio.create_subprocess_exec(
                 *(sys.executable, "-P", "-m", "rig.console", "job"),
@@ -152,10 +173,20 @@ class Jobs:
             )
         except OSError as error:
             raise RigError(f"no process for a {name}: {error.strerror}", remedy="free some memory") from error
+        finally:
+            self._starts = ""
         job = self.running = Job(name, content, process, goes_on=goes_on, asks=asks)
         job.answer({"job": name, "content": content, "goes_on": goes_on})
         self._task = asyncio.create_task(self._follow(job))
+        if stops != self._stops:
+            job.end()
         return job
+
+    def end(self) -> None:
+        """End what runs, or what is just being started; as `Job.end`."""
+        self._stops += 1
+        if self.running is not None:
+            self.running.end()
 
     def beat(self) -> None:
         """Say to what runs that the console is there."""
@@ -163,15 +194,22 @@ class Jobs:
             self.running.beat()
 
     async def close(self) -> None:
-        """End what runs, unless it goes on without a console."""
+        """End what runs, unless it goes on without a console, and start nothing more."""
+        self._closed = True
+        self._stops += 1
         if self.running is not None and not self.running.goes_on:
             await self.running.close()
             if self._task is not None:
                 await self._task
 
-    async def _follow(self, job: Job) -> int:
+    async def _follow(self, job: Job) -> None:
         try:
-            return await job.follow(lambda message: self._tell(job, message))
+            await job.follow(lambda message: self._tell(job, message))
+        except Exception as error:  # a defect of ours: what nobody follows must not move
+            traceback.print_exception(error)
+            told = RigError(f"the {job.name} could not be followed: {error!r}", remedy="report it")
+            self._tell(job, {"say": "failed", **told.as_mapping()})
+            await job.close()
         finally:
             self.running = None
             self._tell(job, {"say": "ended"})

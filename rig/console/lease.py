@@ -65,7 +65,7 @@ class Lease:
         To be called every `LOOK_S`. Who calls late did not listen either, and counts no silence for that time.
         """
         now = self._now()
-        self._heard += max(0.0, now - self._looked - 2.0 * LOOK_S)
+        self._heard = min(now, self._heard + max(0.0, now - self._looked - 2.0 * LOOK_S))
         self._looked = now
         if self._by is None or now - self._heard <= LOST_S:
             return None

@@ -14,6 +14,7 @@ from rig.console.client import Client
 from rig.console.follow import Followed, attached, newest
 from rig.console.history import History
 from rig.console.hits import experiment_of
+from rig.console.jobs import Job
 from rig.console.lease import LOOK_S
 from rig.console.regions import regions
 from rig.console.service import Handler, Service, Shared
@@ -92,8 +93,8 @@ class Live(Service):
             self._followed.stop()
         for memory in ask_to_stop():
             memory.close()
-        if self._shared.jobs.running is not None:
-            self._shared.jobs.running.end()
+        self._shared.jobs.end()
+        self._terminal.withdraw()
 
     async def _run(self, client: Client, request: asked.Run) -> dict[str, Any]:
         self._shared.must_operate(client)
@@ -111,6 +112,7 @@ class Live(Service):
                     f"{request.url} is a real rig, and nobody at the terminal of this console let it be armed",
                     remedy="run `rig console` in a terminal beside the rig, and type there what it asks for",
                 )
+            self._shared.must_operate(client)  # still: a person takes their time
         goes_on = request.goes_on and request.job != "play"
         job = await self._shared.jobs.start(request.job, content, goes_on=goes_on)
         self._pid = None
@@ -236,12 +238,18 @@ class Live(Service):
         return followed is not None and (followed.pid, followed.since) == (loop.pid, loop.since)
 
     async def every_beat(self) -> None:
-        """End what moves when its operator has gone."""
+        """End what moves while nobody operates: its operator has gone, or let go."""
+        told: Job | None = None  # since nobody operates
         while True:
             self._shared.jobs.beat()
-            if self._shared.lease.expire() is not None:
-                job = self._shared.jobs.running
-                if job is not None and not job.goes_on:
+            self._shared.lease.expire()
+            job = self._shared.jobs.running
+            if self._shared.lease.held().by is not None:
+                told = None
+            else:
+                self._terminal.withdraw()
+                if job is not None and job is not told and not job.goes_on:
+                    told = job
                     job.end()
             await asyncio.sleep(LOOK_S)
 
@@ -281,6 +289,7 @@ class Live(Service):
                 client.put(told)
 
     async def close(self) -> None:
-        """End what runs."""
+        """See `Service.close`."""
+        self._terminal.withdraw()
         if self._followed is not None:
             self._followed.close()

@@ -28,7 +28,7 @@ from rig.console.lease import Lease
 from rig.console.live import Live
 from rig.console.maps import Maps
 from rig.console.recordings import Recordings
-from rig.console.service import LATER, Download, Service, Shared
+from rig.console.service import LATER, Download, Service, Shared, defect
 from rig.console.sessions import Sessions
 from rig.console.sockets import (
     ConnectionClosed,
@@ -164,6 +164,8 @@ class Console:
             result = await self._handlers[request.do][1](client, request)
         except RigError as error:
             client.reply(number, error=error)
+        except Exception as error:  # it costs the page an answer, not its socket
+            client.reply(number, error=defect(str(asked.json_of(text).get("do")), error))
         else:
             if number and result is not LATER:
                 client.reply(number, result)
@@ -216,7 +218,6 @@ async def run(settings: Settings, terminal: Terminal, ended: asyncio.Event) -> N
         place = stack.enter_context(TemporaryDirectory(prefix="rig-console-"))
         hand = stack.enter_context(SharedHand.create(Path(place) / "hand"))
         console = Console(settings, hand, terminal)
-        stack.push_async_callback(console.close)
 
         async def respond(socket: ServerConnection, request: HttpRequest) -> Response | None:
             return await _respond(console, static, request)
@@ -236,6 +237,7 @@ async def run(settings: Settings, terminal: Terminal, ended: asyncio.Event) -> N
                 max_queue=64,
             )
         )
+        stack.push_async_callback(console.close)  # before the server waits for its pages: what moves, ends
         console.access = Access(next(iter(server.sockets)).getsockname()[1], settings.hosts)
         settings.announce(console.access.url)
         tasks = [

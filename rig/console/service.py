@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import traceback
 from abc import ABC, abstractmethod
 from collections.abc import Awaitable, Callable, Coroutine, Mapping
 from dataclasses import dataclass, field
@@ -59,6 +60,12 @@ class Shared:
             raise ConfigError("another page operates", remedy="let it release first, or close it")
 
 
+def defect(do: str, error: Exception) -> RigError:
+    """What a page is told of a defect of ours; its traceback goes to where the console runs."""
+    traceback.print_exception(error)
+    return RigError(f"{do}: {error!r}", remedy="report it with what stands where the console runs")
+
+
 LATER = object()  # what a handler returns that will answer by itself
 
 
@@ -77,6 +84,8 @@ class Service(ABC):
                 client.reply(request.number, await work)
             except RigError as error:
                 client.reply(request.number, error=error)
+            except Exception as error:
+                client.reply(request.number, error=defect(request.do, error))
 
         self.go_on(answered())
         return LATER

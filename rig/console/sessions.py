@@ -149,6 +149,7 @@ class Sessions(Service):
         person, url, realtime = await asyncio.to_thread(self._known, request)
         if url and not url.startswith("sim:"):
             await self._consent(request, url)
+            self._shared.must_operate(client)  # still: a person takes their time
         content = asdict(request) | {
             "url": url,
             "realtime": realtime,

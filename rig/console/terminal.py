@@ -6,11 +6,16 @@ Through a tunnel every page looks local, and whoever drives a browser need not s
 from __future__ import annotations
 
 import asyncio
+import os
 import sys
+import termios
+from contextlib import suppress
 
 import click
 
 WORD = "arm"
+LINE_BYTES = 4096
+LONGEST = 2000  # characters that a person can be expected to read
 
 
 class Terminal:
@@ -21,22 +26,41 @@ class Terminal:
         self._asked: asyncio.Future[str] | None = None
 
     async def consents(self, text: str) -> bool:
-        """Whether the person at the terminal lets a real rig be armed; False where there is nobody to ask."""
-        if not self.there or self._asked is not None:
+        """Whether the person at the terminal lets a real rig be armed.
+
+        False where there is nobody to ask, who is asked something else, or could not see all that they agree to.
+        """
+        if not self.there or self._asked is not None or len(text) > LONGEST:
             return False
-        loop = asyncio.get_running_loop()
+        loop, terminal = asyncio.get_running_loop(), sys.stdin.fileno()
         self._asked = loop.create_future()
+        termios.tcflush(terminal, termios.TCIFLUSH)  # what was typed before this was shown is no answer to it
         click.echo(
-            f"\nrig: a page wants to arm {text}\nrig: is everybody clear of the handle? type {WORD}, or Enter: ",
+            f"\nrig: a page wants to arm {_shown(text)}\n"
+            f"rig: is everybody clear of the handle? type {WORD}, or Enter: ",
             nl=False,
         )
-        loop.add_reader(sys.stdin.fileno(), self._read)
+        loop.add_reader(terminal, self._read)
         try:
             return (await self._asked).strip() == WORD
         finally:
-            loop.remove_reader(sys.stdin.fileno())
+            loop.remove_reader(terminal)
             self._asked = None
 
-    def _read(self) -> None:
+    def withdraw(self) -> None:
+        """Take back what is asked: a STOP came, or whoever wanted it has gone."""
         if self._asked is not None and not self._asked.done():
-            self._asked.set_result(sys.stdin.readline())
+            self._asked.set_result("")
+            click.echo("\nrig: the page takes that back; nothing is armed")
+
+    def _read(self) -> None:
+        line = b""
+        with suppress(OSError):  # it was hung up
+            line = os.read(sys.stdin.fileno(), LINE_BYTES)  # one read, which waits for no end of a line
+        if self._asked is not None and not self._asked.done():
+            self._asked.set_result(line.decode(errors="replace"))
+
+
+def _shown(text: str) -> str:
+    """A page's text without what a terminal would obey: escapes, new lines, changes of direction."""
+    return "".join(one if one.isprintable() else "�" for one in text)

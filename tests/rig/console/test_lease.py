@@ -61,3 +61,20 @@ def test_a_server_that_did_not_listen_counts_no_silence() -> None:
     clock.now += LOOK_S
     assert lease.expire() is None
     assert lease.held().by == "one"
+
+
+def test_a_beat_before_the_server_listened_again_buys_no_silence() -> None:
+    clock = Clock()
+    lease = Lease(clock)
+    lease.take("one")
+    clock.now += (
+        60.0  # stopped, as with SIGSTOP; then a beat that waited is heard before the lease is looked at
+    )
+    lease.beat("one")
+    assert lease.expire() is None
+    silent_s = 0.0
+    while lease.expire() is None:
+        clock.now += LOOK_S
+        silent_s += LOOK_S
+        assert silent_s < LOST_S + 2 * LOOK_S
+    assert lease.held().by is None

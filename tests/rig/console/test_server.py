@@ -8,12 +8,16 @@ import os
 import urllib.error
 import urllib.request
 from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
+from rig.console.client import MOST_REPLIES, Client
+from rig.console.errands import Errands
+from rig.console.live import Live
 from rig.core.sample import Phase, RowFlag
 from rig.realtime import ring as words
 from tests.conformance.console import Served, served
@@ -192,6 +196,23 @@ def test_what_is_no_request_is_answered_and_too_much_is_cut_off(tmp_path: Path) 
     play(tmp_path, scenario)
 
 
+def test_a_defect_costs_an_answer_and_no_socket(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def broken(*_: object, **content: object) -> None:
+        raise KeyError("a defect")
+
+    monkeypatch.setattr(Live, "_experiment", lambda *_: 1 / 0)
+    monkeypatch.setattr(Errands, "run", broken)
+
+    async def scenario(console: Served) -> None:
+        async with console.page() as page:
+            for do, told in (("experiment", "ZeroDivision"), ("maps", "a defect")):  # at once, and later
+                answer = await page.ask(do)
+                assert told in answer["error"]["error"]
+                assert "report it" in answer["error"]["remedy"]
+
+    play(tmp_path, scenario)
+
+
 def test_a_page_that_reads_nothing_delays_nobody(tmp_path: Path) -> None:
     loop = HandTurnedLoop(1 << 12, shared=True)
 
@@ -207,6 +228,27 @@ def test_a_page_that_reads_nothing_delays_nobody(tmp_path: Path) -> None:
             assert (page.newest("state") or {})["loop"]["unseen"] == 0
 
     with loop.ring:
+        play(tmp_path, scenario)
+
+
+def test_a_page_that_reads_nothing_takes_no_more_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clients: list[Client] = []
+    monkeypatch.setattr(Live, "greet", lambda _, client: clients.append(client))
+
+    async def scenario(console: Served) -> None:
+        async with console.page():
+            (client,) = clients
+            for _ in range(MOST_REPLIES + 100):  # before anything can leave
+                client.put("x" * 10_000)
+            assert len(client._replies) <= MOST_REPLIES
+        async with console.page("a-page-that-reads") as page:
+            clients[1].put_newest({"say": "state", "loop": {"values": {"velocity": float("nan")}}})
+            state = await page.until(lambda page: next((one for one in page.told if one.get("loop")), None))
+            assert state["loop"]["values"]["velocity"] is None, "what a browser reads"
+
+    with suppress(ConnectionClosed):
         play(tmp_path, scenario)
 
 

@@ -1,0 +1,139 @@
+"""Jobs and who answers for them: STOP in every phase, an operator who goes, and processes that say what is no message.
+
+A job here is a small program in place of `rig.console.worker`.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+from collections.abc import Awaitable, Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rig.console.jobs import Job, Jobs
+from rig.console.lease import Lease
+from rig.console.live import Live
+from rig.console.service import Shared
+from rig.console.terminal import Terminal
+from rig.core.errors import ConfigError
+from rig.realtime.hand import SharedHand
+
+PATIENCE_S = 30.0
+WAITS = "import time; time.sleep(60)"
+
+
+class Here:
+    """Jobs of this test's program, and what they said."""
+
+    def __init__(self, program: str, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.told: list[dict[str, Any]] = []
+        self.jobs = Jobs(lambda job, message: self.told.append(dict(message)))
+        self.begun = asyncio.Event()
+        start = asyncio.create_subprocess_exec
+
+        async def ours(*_: str, **options: Any) -> Any:
+            self.begun.set()
+            return await start(sys.executable, "-c", program, **options)
+
+        monkeypatch.setattr(asyncio, "create_subprocess_exec", ours)
+
+    async def ended(self) -> None:
+        async with asyncio.timeout(PATIENCE_S):
+            while {"say": "ended"} not in self.told:
+                await asyncio.sleep(0.01)
+
+
+def play(program: str, monkeypatch: pytest.MonkeyPatch, body: Callable[[Here], Awaitable[None]]) -> None:
+    async def whole() -> None:
+        here = Here(program, monkeypatch)
+        try:
+            await body(here)
+        finally:
+            await here.jobs.close()
+
+    asyncio.run(whole())
+
+
+def test_a_stop_that_comes_while_a_job_starts_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def body(here: Here) -> None:
+        starting = asyncio.create_task(here.jobs.start("hit", {}))
+        await here.begun.wait()
+        here.jobs.end()
+        await starting
+        await here.ended()
+        assert here.jobs.running is None
+
+    play(WAITS, monkeypatch, body)
+
+
+def test_of_two_jobs_at_once_one_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def body(here: Here) -> None:
+        first = asyncio.create_task(here.jobs.start("hit", {}))
+        await here.begun.wait()
+        with pytest.raises(ConfigError, match="a hit runs"):
+            await here.jobs.start("play", {})
+        job = await first
+        assert here.jobs.running is job
+
+    play(WAITS, monkeypatch, body)
+
+
+def test_a_job_without_an_operator_ends_unless_it_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def body(here: Here) -> None:
+        shared = Shared(set(), Lease(), here.jobs, tmp_path)
+        with SharedHand.create(tmp_path / "hand") as hand:
+            live = Live(shared, hand, Terminal(), verified=False, own=True)
+            beats = asyncio.create_task(live.every_beat())
+            shared.lease.take("a-page-here")
+            await here.jobs.start("play", {})
+            shared.lease.release("a-page-here")  # whoever then closes the page answers for nothing
+            await here.ended()
+            here.told.clear()
+            going = await here.jobs.start("hit", {}, goes_on=True)
+            await asyncio.sleep(0.3)
+            assert here.jobs.running is going
+            going.end()
+            await here.ended()
+            beats.cancel()
+
+    play(WAITS, monkeypatch, body)
+
+
+def test_what_is_no_message_is_not_heard(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever a library prints, on either stream and however much of it, the job is followed to its end."""
+    noise = "print('42'); print('null'); print('[]'); print('{}'); print('{\"say\": 1}')"
+    program = (
+        f"import sys; {noise}; sys.stderr.write('x' * 1_000_000 + '\\nthe last word\\n');"
+        'print(\'{"say": "up"}\', flush=True)'
+    )
+
+    async def body(here: Here) -> None:
+        await here.jobs.start("hit", {})
+        await here.ended()
+        up, failed, ended = here.told
+        assert (up, ended) == ({"say": "up"}, {"say": "ended"})
+        assert failed["remedy"] == "the last word"
+
+    play(program, monkeypatch, body)
+
+
+def test_a_job_that_cannot_be_followed_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def body(here: Here) -> None:
+        def tell(job: Job, message: Mapping[str, Any]) -> None:
+            here.told.append(dict(message))
+            if message["say"] == "up":
+                raise KeyError("a defect")
+
+        here.jobs = Jobs(tell)
+        job = await here.jobs.start("hit", {}, goes_on=True)
+        await here.ended()
+        assert [one["say"] for one in here.told] == ["up", "failed", "ended"]
+        assert "a defect" in here.told[1]["error"]
+        assert not Path(f"/proc/{job.pid}").exists()
+
+    play('import time; print(\'{"say": "up"}\', flush=True); time.sleep(60)', monkeypatch, body)
