@@ -144,7 +144,7 @@ def request_of(text: str | bytes, kinds: Mapping[str, type[Request]]) -> Request
     """
     do = json_of(text).get("do")
     if not isinstance(do, str) or do not in kinds:
-        raise ConfigError("no such request", remedy=f"`do` is one of {', '.join(kinds)}")
+        raise ConfigError("no such request", remedy=f"say one of {', '.join(kinds)}")
     kind = kinds[do]
     if kind not in _adapters:
         _adapters[kind] = pydantic.TypeAdapter(kind)
