@@ -80,9 +80,9 @@ def test_without_consent_nothing_is_switched_on_and_what_is_not_seen_says_what_i
     assert found.passed
     for name, option in (
         ("time width", "--seconds"),
-        ("edge time", "--wired"),
+        ("edge time", "`wired`"),
         ("zero at once", "--current"),
-        ("bootloader", "--bootloader"),
+        ("bootloader", "`bootloader`"),
     ):
         assert option in unseen[name]
 

@@ -409,7 +409,7 @@ def _nesting(trial: Trial) -> Iterator[tuple[str, Verdict]]:
 def _wires(trial: Trial) -> Iterator[tuple[str, Verdict]]:
     encoder = ("encoder_count", "edge_time", "encoder_failed")
     if not trial.request.wired:
-        why = "wire the sync outputs tick and trial to A and B, inside to the sync input, and say --wired"
+        why = "wire the sync outputs tick and trial to A and B, inside to the sync input, and say `wired`"
         yield from dict.fromkeys(STEPS[_wires], why).items()
         return
     moved, wrong, missed, edge_off, alarmed, failed, again, rose, sync_off, fell = trial.ask_signed(
@@ -468,7 +468,7 @@ def _meanwhile(trial: Trial) -> Iterator[tuple[str, Verdict]]:
     begins_again = back > UNITS_A_SECOND
     yield "time_steps_back", {"us": back / UNITS_PER_US} if back and not begins_again else None
     crossed = trial.times[0] >> 32 != trial.times[1] >> 32
-    unseen = "it was not watched for long enough: --seconds 280 from power-up on"
+    unseen = "it was not watched for long enough: 280 `seconds` from power-up on"
     yield (
         "time_width",
         {"s": back / UNITS_A_SECOND} if begins_again else None if crossed else unseen,
@@ -549,7 +549,7 @@ def _why_no_current(trial: Trial) -> str:
     if not trial.senses:
         return "it measures no current"
     if not trial.request.current:
-        return "free the handle or put a resistor in the motor's place, and say --current"
+        return "free the handle or put a resistor in the motor's place, and give a `current`"
     if any(isinstance(trial.verdicts[name], Mapping) for name in (*TIME, "tick_rate", "watchdog_bites")):
         return "no current before time, tick and watchdog are right"
     return ""
@@ -562,7 +562,7 @@ def _leaving(trial: Trial) -> Iterator[tuple[str, Verdict]]:
     if not trial.has_bootloader:
         yield "bootloader", "it has none"
     elif not trial.request.bootloader:
-        yield "bootloader", "--bootloader ends in it"
+        yield "bootloader", "`bootloader` ends in it"
     else:
         with suppress(NoAnswerError, LinkLostError):
             trial.board.ask(Probe.LEAVE, wait_s=GONE_BY_S)
