@@ -79,9 +79,9 @@ def test_without_consent_nothing_is_switched_on_and_what_is_not_seen_says_what_i
     unseen = {one.name: one.text for one in found.checks if one.outcome is not Outcome.OK}
     assert found.passed
     for name, option in (
-        ("time width", "--seconds"),
+        ("time width", "`seconds`"),
         ("edge time", "`wired`"),
-        ("zero at once", "--current"),
+        ("zero at once", "`current`"),
         ("bootloader", "`bootloader`"),
     ):
         assert option in unseen[name]
