@@ -8,7 +8,6 @@ import os
 import urllib.error
 import urllib.request
 from collections.abc import Awaitable, Callable
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from rig.console.client import MOST_REPLIES, Client
 from rig.console.errands import Errands
-from rig.console.live import Live
+from rig.console.live import SEARCH_S, Live
 from rig.core.sample import Phase, RowFlag
 from rig.realtime import ring as words
 from tests.conformance.console import Served, served
@@ -115,6 +114,25 @@ def test_a_running_loop_is_found_followed_and_told(tmp_path: Path) -> None:
             rows = sum(frame["points"] * frame["step"] for frame in page.frames if frame["kind"] == "live")
             assert rows == 2000, "each row once"
 
+    with loop.ring:
+        play(tmp_path, scenario)
+
+
+@pytest.mark.parametrize(
+    "experiment", [["x"], {"controller": ["x"]}, {"controller": {"position_rate": "fast"}},
+                   {"controller": {"position_rate": 1e999}}, {"controller": {"position_rate": -1}}],
+)  # fmt: skip
+def test_a_loop_that_says_nonsense_of_itself_ends_no_console(experiment: Any, tmp_path: Path) -> None:
+    async def scenario(console: Served) -> None:
+        async with console.page() as page:
+            for _ in range(2):
+                assert "result" in await page.ask("look", pid=os.getpid())
+                await asyncio.sleep(SEARCH_S)
+            assert page.newest("loop") is None
+            await page.ask("stop")
+            assert loop.ring.get(words.STOP) == 1
+
+    loop = HandTurnedLoop(64, shared=True, info={"experiment": experiment})
     with loop.ring:
         play(tmp_path, scenario)
 
@@ -248,8 +266,7 @@ def test_a_page_that_reads_nothing_takes_no_more_memory(
             state = await page.until(lambda page: next((one for one in page.told if one.get("loop")), None))
             assert state["loop"]["values"]["velocity"] is None, "what a browser reads"
 
-    with suppress(ConnectionClosed):
-        play(tmp_path, scenario)
+    play(tmp_path, scenario)
 
 
 def test_what_theory_says_of_a_wall(tmp_path: Path) -> None:
