@@ -88,13 +88,13 @@ class Live(Service):
         self.stop_all()
 
     def stop_all(self) -> None:
-        """Set the stop word of every loop of this user: first of the one that is looked at, which is open."""
+        """Set the stop word of every loop of this user, first of those that are at hand without a search."""
         if self._followed is not None and not self._followed.ended:
             self._followed.stop()
-        for memory in ask_to_stop():
-            memory.close()
         self._shared.jobs.end()
         self._terminal.withdraw()
+        for memory in ask_to_stop():
+            memory.close()
 
     async def _run(self, client: Client, request: asked.Run) -> dict[str, Any]:
         self._shared.must_operate(client)
