@@ -6,6 +6,7 @@ import asyncio
 import json
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 
 from rig import config
@@ -193,7 +194,10 @@ class Live(Service):
     async def every_search(self) -> None:
         """Look for another loop."""
         while True:
-            await self.search()
+            with suppress(
+                OSError
+            ):  # no descriptor left, which connections of anybody may use up: it is tried again
+                await self.search()
             await asyncio.sleep(SEARCH_S)
 
     async def search(self) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import json
 import os
 import urllib.error
@@ -135,6 +136,27 @@ def test_a_loop_that_says_nonsense_of_itself_ends_no_console(experiment: Any, tm
     loop = HandTurnedLoop(64, shared=True, info={"experiment": experiment})
     with loop.ring:
         play(tmp_path, scenario)
+
+
+def test_a_search_that_finds_no_descriptor_left_is_tried_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    searched = 0
+
+    def no_descriptor_left(pid: int | None) -> None:
+        nonlocal searched
+        searched += 1
+        raise OSError(errno.EMFILE, "Too many open files")
+
+    monkeypatch.setattr("rig.console.live.newest", no_descriptor_left)
+
+    async def scenario(console: Served) -> None:
+        async with console.page() as page:
+            while searched < 2:
+                await asyncio.sleep(0.01)
+            assert "result" in await page.ask("operate", take=True)
+
+    play(tmp_path, scenario)
 
 
 def test_stop_reaches_the_loop_by_either_socket(tmp_path: Path) -> None:
