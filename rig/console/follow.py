@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
 
@@ -36,14 +38,13 @@ class Followed:
     """
 
     def __init__(self, loop: RunningLoop, history: History) -> None:
+        self.rate = _rate_of(loop.info)
         self.pid, self.since = loop.pid, loop.since
         self._ring = Ring.attach(loop.path)
         self._reader = RowReader(self._ring)
         self._info_word = -1
         self.info: dict[str, Any] = {}
         self._look_at_info()
-        rates = (self.info.get("experiment") or {}).get("controller") or {}
-        self.rate = float(rates.get("position_rate") or 1000.0)
         history.clear()
         self.history = history
         self.ended = False
@@ -116,6 +117,17 @@ def attached(loop: RunningLoop, history: History) -> Followed | None:
     with suppress(OSError, RigError):
         return Followed(loop, history) if loop.version == LAYOUT_VERSION else None
     return None
+
+
+def _rate_of(info: Mapping[str, Any]) -> float:
+    """Rows a second; `RigError` where another program left what is no rate."""
+    try:
+        rate = float(((info.get("experiment") or {}).get("controller") or {}).get("position_rate") or 1000.0)
+    except (AttributeError, TypeError, ValueError):
+        rate = math.nan
+    if not 0.0 < rate < math.inf:
+        raise RigError("a loop says no rate of itself", remedy="stop it: rig stop")
+    return rate
 
 
 def newest(pid: int | None = None) -> RunningLoop | None:

@@ -6,6 +6,7 @@ import asyncio
 import json
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 
 from rig import config
@@ -88,13 +89,13 @@ class Live(Service):
         self.stop_all()
 
     def stop_all(self) -> None:
-        """Set the stop word of every loop of this user: first of the one that is looked at, which is open."""
+        """Set the stop word of every loop of this user, first of those that are at hand without a search."""
         if self._followed is not None and not self._followed.ended:
             self._followed.stop()
-        for memory in ask_to_stop():
-            memory.close()
         self._shared.jobs.end()
         self._terminal.withdraw()
+        for memory in ask_to_stop():
+            memory.close()
 
     async def _run(self, client: Client, request: asked.Run) -> dict[str, Any]:
         self._shared.must_operate(client)
@@ -193,7 +194,10 @@ class Live(Service):
     async def every_search(self) -> None:
         """Look for another loop."""
         while True:
-            await self.search()
+            with suppress(
+                OSError
+            ):  # no descriptor left, which connections of anybody may use up: it is tried again
+                await self.search()
             await asyncio.sleep(SEARCH_S)
 
     async def search(self) -> None:

@@ -14,8 +14,7 @@ def throw_away(recording: Path, trash: Path) -> None:
 
     Raises `ConfigError` where the trash is a link to elsewhere, `RecordingError` when the disk refuses.
     """
-    if trash.is_symlink():
-        raise ConfigError(f"{trash} is a link", remedy="put a directory in its place")
+    refuse_link(trash)
     make_directories(trash)
     moved = _with_pictures(recording)
     stem, number = recording.stem, 1
@@ -26,8 +25,18 @@ def throw_away(recording: Path, trash: Path) -> None:
         _move(path, trash / f"{stem}{path.suffix}")
 
 
+def refuse_link(trash: Path) -> None:
+    """Raise `ConfigError` where the trash is a link: nothing is moved to elsewhere, or from there."""
+    if trash.is_symlink():
+        raise ConfigError(f"{trash} is a link", remedy="put a directory in its place")
+
+
 def restore(recording: Path, directory: Path) -> None:
-    """Move a recording and its pictures back; `RecordingError` where something of their name exists there."""
+    """Move a recording and its pictures back.
+
+    Raises `ConfigError` where the trash is a link to elsewhere, `RecordingError` where something of their name exists.
+    """
+    refuse_link(recording.parent)
     moved = _with_pictures(recording)
     for path in moved:
         refuse_existing(directory / path.name)

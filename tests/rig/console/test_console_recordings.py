@@ -319,8 +319,12 @@ def test_neither_way_goes_over_a_file_of_that_name(output: Path) -> None:
     assert (output / TRASH / "one-2.parquet").read_bytes() == b"another"
 
 
-def test_a_trash_that_leads_elsewhere_takes_nothing(output: Path) -> None:
+def test_a_trash_that_leads_elsewhere_takes_and_gives_nothing(output: Path) -> None:
     (output / TRASH).symlink_to(output.parent)
+    (output.parent / "of-another.parquet").write_bytes(b"elsewhere")
+    with pytest.raises(ConfigError, match="is a link"):
+        run(lambda: ask(Recordings(shared(output)), Page(), "restore", name="of-another.parquet"))
+    assert (output.parent / "of-another.parquet").exists()
     with pytest.raises(ConfigError, match="is a link"):
         run(lambda: ask(Recordings(shared(output)), Page(), "throw-away", name="one.parquet"))
     assert (output / "one.parquet").exists()

@@ -6,6 +6,7 @@ A job here is a small program in place of `rig.console.worker`.
 from __future__ import annotations
 
 import asyncio
+import errno
 import sys
 from collections.abc import Awaitable, Callable, Mapping
 from pathlib import Path
@@ -65,6 +66,25 @@ def test_a_stop_that_comes_while_a_job_starts_ends_it(monkeypatch: pytest.Monkey
         await starting
         await here.ended()
         assert here.jobs.running is None
+
+    play(WAITS, monkeypatch, body)
+
+
+def test_a_stop_ends_our_job_also_where_no_other_loop_can_be_looked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def no_descriptor_left() -> list[Any]:
+        raise OSError(errno.EMFILE, "Too many open files")
+
+    async def body(here: Here) -> None:
+        monkeypatch.setattr("rig.console.live.ask_to_stop", no_descriptor_left)
+        await here.jobs.start("hit", {})
+        with SharedHand.create(tmp_path / "hand") as hand:
+            shared = Shared(set(), Lease(), here.jobs, tmp_path)
+            live = Live(shared, hand, Terminal(), verified=False, own=True)
+            with pytest.raises(OSError, match="Too many"):
+                live.stop_all()
+        await here.ended()
 
     play(WAITS, monkeypatch, body)
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import json
 import os
 import urllib.error
 import urllib.request
 from collections.abc import Awaitable, Callable
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from rig.console.client import MOST_REPLIES, Client
 from rig.console.errands import Errands
-from rig.console.live import Live
+from rig.console.live import SEARCH_S, Live
 from rig.core.sample import Phase, RowFlag
 from rig.realtime import ring as words
 from tests.conformance.console import Served, served
@@ -117,6 +117,46 @@ def test_a_running_loop_is_found_followed_and_told(tmp_path: Path) -> None:
 
     with loop.ring:
         play(tmp_path, scenario)
+
+
+@pytest.mark.parametrize(
+    "experiment", [["x"], {"controller": ["x"]}, {"controller": {"position_rate": "fast"}},
+                   {"controller": {"position_rate": 1e999}}, {"controller": {"position_rate": -1}}],
+)  # fmt: skip
+def test_a_loop_that_says_nonsense_of_itself_ends_no_console(experiment: Any, tmp_path: Path) -> None:
+    async def scenario(console: Served) -> None:
+        async with console.page() as page:
+            for _ in range(2):
+                assert "result" in await page.ask("look", pid=os.getpid())
+                await asyncio.sleep(SEARCH_S)
+            assert page.newest("loop") is None
+            await page.ask("stop")
+            assert loop.ring.get(words.STOP) == 1
+
+    loop = HandTurnedLoop(64, shared=True, info={"experiment": experiment})
+    with loop.ring:
+        play(tmp_path, scenario)
+
+
+def test_a_search_that_finds_no_descriptor_left_is_tried_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    searched = 0
+
+    def no_descriptor_left(pid: int | None) -> None:
+        nonlocal searched
+        searched += 1
+        raise OSError(errno.EMFILE, "Too many open files")
+
+    monkeypatch.setattr("rig.console.live.newest", no_descriptor_left)
+
+    async def scenario(console: Served) -> None:
+        async with console.page() as page:
+            while searched < 2:
+                await asyncio.sleep(0.01)
+            assert "result" in await page.ask("operate", take=True)
+
+    play(tmp_path, scenario)
 
 
 def test_stop_reaches_the_loop_by_either_socket(tmp_path: Path) -> None:
@@ -248,8 +288,7 @@ def test_a_page_that_reads_nothing_takes_no_more_memory(
             state = await page.until(lambda page: next((one for one in page.told if one.get("loop")), None))
             assert state["loop"]["values"]["velocity"] is None, "what a browser reads"
 
-    with suppress(ConnectionClosed):
-        play(tmp_path, scenario)
+    play(tmp_path, scenario)
 
 
 def test_what_theory_says_of_a_wall(tmp_path: Path) -> None:
