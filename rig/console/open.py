@@ -37,10 +37,7 @@ def open_console(
     settings = Settings(
         port=port, hosts=hosts, verified=verified, own=own, output=Path(output).resolve(), announce=announce
     )
-    try:
-        asyncio.run(_until_told(lambda ended: run(settings, Terminal(), ended)))
-    except OSError as error:
-        raise ConfigError(f"port {port}: {error.strerror}", remedy="name another one, or none") from error
+    asyncio.run(_until_told(lambda ended: run(settings, Terminal(), ended)))
 
 
 async def _until_told(serve: Callable[[asyncio.Event], Coroutine[None, None, None]]) -> None:

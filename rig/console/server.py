@@ -39,7 +39,7 @@ from rig.console.sockets import (
     serve,
 )
 from rig.console.terminal import Terminal
-from rig.core.errors import RigError
+from rig.core.errors import ConfigError, RigError
 from rig.core.sample import COLUMNS, unit_of
 from rig.realtime.hand import SharedHand
 
@@ -212,7 +212,7 @@ def _facts() -> dict[str, Any]:
 
 
 async def run(settings: Settings, terminal: Terminal, ended: asyncio.Event) -> None:
-    """Serve until `ended` is set. Raises `OSError` when the port is taken."""
+    """Serve until `ended` is set. Raises `ConfigError` when the port is taken."""
     static = _page()
     async with AsyncExitStack() as stack:
         place = stack.enter_context(TemporaryDirectory(prefix="rig-console-"))
@@ -222,21 +222,25 @@ async def run(settings: Settings, terminal: Terminal, ended: asyncio.Event) -> N
         async def respond(socket: ServerConnection, request: HttpRequest) -> Response | None:
             return await _respond(console, static, request)
 
-        server = await stack.enter_async_context(
-            serve(
-                console.attend,
-                "127.0.0.1",
-                settings.port,
-                process_request=respond,
-                max_size=asked.MOST_BYTES,
-                compression=None,
-                server_header=None,
-                open_timeout=DOWNLOAD_S,
-                ping_interval=5.0,
-                ping_timeout=10.0,
-                max_queue=64,
-            )
+        served = serve(
+            console.attend,
+            "127.0.0.1",
+            settings.port,
+            process_request=respond,
+            max_size=asked.MOST_BYTES,
+            compression=None,
+            server_header=None,
+            open_timeout=DOWNLOAD_S,
+            ping_interval=5.0,
+            ping_timeout=10.0,
+            max_queue=64,
         )
+        try:
+            server = await stack.enter_async_context(served)
+        except OSError as error:
+            raise ConfigError(
+                f"port {settings.port}: {error.strerror}", remedy="name another one, or none"
+            ) from error
         stack.push_async_callback(console.close)  # before the server waits for its pages: what moves, ends
         console.access = Access(next(iter(server.sockets)).getsockname()[1], settings.hosts)
         settings.announce(console.access.url)

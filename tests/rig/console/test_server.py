@@ -6,6 +6,7 @@ import asyncio
 import errno
 import json
 import os
+import socket
 import urllib.error
 import urllib.request
 from collections.abc import Awaitable, Callable
@@ -18,6 +19,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from rig.console.client import MOST_REPLIES, Client
 from rig.console.errands import Errands
 from rig.console.live import SEARCH_S, Live
+from rig.core.errors import ConfigError
 from rig.core.sample import Phase, RowFlag
 from rig.realtime import ring as words
 from tests.conformance.console import Served, served
@@ -323,3 +325,10 @@ def test_a_blinded_session_of_another_terminal_shows_nothing_and_is_stopped(tmp_
 
     with loop.ring:
         play(tmp_path, scenario)
+
+
+def test_a_port_that_is_taken_is_an_error_that_names_it(tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        with pytest.raises(ConfigError, match=str(port)):
+            play(tmp_path, lambda console: asyncio.sleep(0), port=port)
