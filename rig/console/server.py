@@ -231,6 +231,7 @@ async def run(settings: Settings, terminal: Terminal, ended: asyncio.Event) -> N
             compression=None,
             server_header=None,
             open_timeout=DOWNLOAD_S,
+            close_timeout=1.0,  # of a page that does not answer
             ping_interval=5.0,
             ping_timeout=10.0,
             max_queue=64,
