@@ -12,30 +12,19 @@ from click.testing import CliRunner
 if numba.config.DISABLE_JIT:
     pytest.skip("plug points are function types of compiled code", allow_module_level=True)
 
-from rig import config
 from rig.cli.zwidth import zwidth
-from rig.config import presets
-from rig.config.schemes import Scheme
 from rig.console import map_errands, map_jobs
 from rig.console.maps import Maps, Watched
 from rig.console.requests import request_of
 from rig.core.errors import ConfigError, RecordingError, RigError
 from rig.experiments import maps
-from rig.experiments.searches import Search
 from rig.experiments.sweep import Task, run_here
 from rig.experiments.sweep.journal import Journal, read_on
-from rig.experiments.zwidth import MapPlan
 from rig.recording.reader import open_recording
+from tests.conformance.maps import SHORT, short_map
 from tests.rig.console.console_fakes import Page, ask, run, shared
 
-SHORT = {"trial.duration_s": 0.3, "verdict.tail_s": 0.1, "homing.settle_s": 0.02}
-PLAN = MapPlan(
-    experiment=config.override(presets.load("koul-compliant"), SHORT),
-    schemes=(Scheme.parse("uniform:20k"),),
-    dampings=(0.0, 0.3),
-    search=Search(lowest=10.0, highest=100.0, ratio=3.0),
-    offsets=(0.1, 0.6),
-)
+PLAN = short_map(0.1, 0.6)
 NAME = "zwidth-of-a-test"
 
 

@@ -15,24 +15,14 @@ import pandas as pd
 import pyarrow.parquet as pq
 
 from rig import config
-from rig.config import presets
-from rig.config.schemes import Scheme
 from rig.core.errors import RecordingError
 from rig.experiments import maps, zwidth
-from rig.experiments.searches import Search
 from rig.experiments.sweep import executors
 from rig.experiments.sweep.journal import read_on
-from rig.experiments.zwidth import MapPlan
 from rig.recording.reader import open_recording
+from tests.conformance.maps import short_map
 
-SHORT = {"trial.duration_s": 0.3, "verdict.tail_s": 0.1, "homing.settle_s": 0.02}
-PLAN = MapPlan(
-    experiment=config.override(presets.load("koul-compliant"), SHORT),
-    schemes=(Scheme.parse("uniform:20k"),),
-    dampings=(0.0, 0.3),
-    search=Search(lowest=10.0, highest=100.0, ratio=3.0),
-    offsets=(0.1,),
-)
+PLAN = short_map(0.1)
 
 
 @pytest.fixture(scope="module")

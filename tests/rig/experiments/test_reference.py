@@ -103,15 +103,21 @@ def test_a_run_behind_it_has_its_wall_in_the_mechanism_and_names_the_reference(t
         assert other.recorded.recording.header["identity"]["reference"] == "where the handle was put"
 
 
-def test_a_new_host_takes_the_reference_from_the_device_until_it_is_lost(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.fixture
+def real_rig(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Simulated devices that say that they are none."""
     described = sim_backend.configuration.board.describe
     monkeypatch.setattr(
         sim_backend.configuration.board,
         "describe",
         lambda *args, **named: described(*args, **{**named, "simulated": False}),
     )
+
+
+@pytest.mark.usefixtures("real_rig")
+def test_a_new_host_takes_the_reference_from_the_device_until_it_is_lost(
+    tmp_path: Path,
+) -> None:
     with powered_up(MARKED) as device:
         with pytest.raises(DeviceRefusedError, match="does not know where it is") as refused:
             position_zero(device, MARKED)
@@ -125,15 +131,10 @@ def test_a_new_host_takes_the_reference_from_the_device_until_it_is_lost(
             position_zero(other, MARKED)
 
 
-def test_a_real_rig_whose_polarity_nobody_vouches_for_does_not_search(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.usefixtures("real_rig")
+def test_a_real_rig_whose_polarity_is_not_verified_does_not_search(
+    tmp_path: Path,
 ) -> None:
-    described = sim_backend.configuration.board.describe
-    monkeypatch.setattr(
-        sim_backend.configuration.board,
-        "describe",
-        lambda *args, **named: described(*args, **{**named, "simulated": False}),
-    )
     with powered_up(MARKED) as device:
         before = hardware_of(device).count
         with pytest.raises(ConfigError, match="polarity"):
