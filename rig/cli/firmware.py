@@ -22,7 +22,7 @@ from rig.bench.firmware.selftest import selftest as run
 from rig.bench.firmware.wiring import draw
 from rig.bench.firmware.wiring import wiring as wired
 from rig.cli import options, output
-from rig.config import amplifiers
+from rig.config import amplifiers, presets
 from rig.core.errors import ConfigError, IncompatibleDeviceError
 from rig.devices import open_device, open_link
 
@@ -102,7 +102,7 @@ def build(
             output.show(item for one in found for item in one.items())
         return
     chosen = {**_settings(settings_file), **options.key_values(sets)}
-    experiment = options.named_experiment(preset)
+    experiment = presets.load_named(preset)
     if amplifier is not None:
         experiment = config.override(experiment, {"rig.amplifier.profile": amplifier}, "--amplifier")
     request = BuildRequest(
@@ -238,7 +238,7 @@ def selftest(
 
     Exits with 5 when a check fails.
     """
-    experiment = None if preset is None else options.named_experiment(preset)
+    experiment = None if preset is None else presets.load_named(preset)
     if move and not as_json:
         click.echo("move the handle by hand until the test has ended", err=True)
     request = SelfTestRequest(experiment=experiment, rate=rate, seconds=seconds, move=move, stream=stream)

@@ -189,12 +189,6 @@ def chosen_experiment(file: Path | None, preset: str | None) -> Experiment:
     return presets.load(preset or DEFAULT_PRESET)
 
 
-def named_experiment(name: str) -> Experiment:
-    """Load a TOML file or a built-in rig, whichever the name is."""
-    path = Path(name)
-    return chosen_experiment(path, None) if path.suffix == ".toml" else chosen_experiment(None, name)
-
-
 def preset_of(url: str | None, file: Path | None) -> str | None:
     """Return the preset that a ``sim://name`` names, when no file says what the experiment is."""
     if url is None or file is not None or not url.startswith("sim://"):

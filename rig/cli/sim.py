@@ -8,6 +8,7 @@ import click
 
 from rig import config
 from rig.cli import options, output
+from rig.config import presets
 from rig.devices.local import serve as serve_here
 from rig.realtime.scheduling import Realtime
 
@@ -36,7 +37,7 @@ def sim() -> None:
 @click.option("--json", "as_json", is_flag=True, help="Announce the port as JSON.")
 def serve(preset: str, rate: int | None, firmware: bool, seed: int, as_json: bool) -> None:
     """Run a simulated rig in real time behind a pseudo-terminal; prints the port to open. Ctrl-C ends it."""
-    experiment = options.named_experiment(preset)
+    experiment = presets.load_named(preset)
 
     def announce(port: str) -> None:
         if as_json:

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
-from rig.console.jobs import environment
+from rig.core.child import with_this_package
 from rig.core.errors import RigError
 
 MOST = 2  # processes
@@ -61,7 +61,7 @@ class Errands:
                 stdin=asyncio.subprocess.PIPE,
                 stdout=asyncio.subprocess.PIPE,
                 limit=LINE_BYTES,
-                env=environment(),
+                env=with_this_package(),
                 start_new_session=True,
             )
         except OSError as error:

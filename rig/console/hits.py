@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from rig import config
 from rig.bench.doctor.gate import Gate
 from rig.config import Experiment, presets
 from rig.console.talk import Talk
@@ -25,8 +24,7 @@ SIMULATED = "sim://"
 
 def experiment_of(content: Mapping[str, Any]) -> Experiment:
     """The experiment that a page names: a built-in rig or a file."""
-    name = str(content.get("rig") or "koul-compliant")
-    return config.load_experiment(name) if name.endswith(".toml") else presets.load(name)
+    return presets.load_named(str(content.get("rig") or "koul-compliant"))
 
 
 def hit(content: Mapping[str, Any], talk: Talk) -> Any:

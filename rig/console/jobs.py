@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import json
-import os
 import sys
 import traceback
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from pathlib import Path
 from typing import Any
 
+from rig.core.child import with_this_package
 from rig.core.errors import ConfigError, RigError
 from rig.realtime.running import ask_to_stop
 
@@ -31,8 +30,6 @@ class Job:
         Whether it goes on when its operator has gone.
     asks
         Whether it asks somebody what follows a STOP, which then does not end it.
-    said
-        The newest message of each kind.
     """
 
     def __init__(
@@ -45,7 +42,6 @@ class Job:
         asks: bool = False,
     ) -> None:
         self.name, self.content, self.goes_on, self.asks = name, content, goes_on, asks
-        self.said: dict[str, Mapping[str, Any]] = {}
         self._process = process
         self._complaint = asyncio.create_task(
             self._complaints()
@@ -82,12 +78,13 @@ class Job:
     async def follow(self, tell: Callable[[Mapping[str, Any]], None]) -> int:
         """Hand on its messages until it has ended; its exit code."""
         assert self._process.stdout is not None
+        concluded = False
         async for line in self._process.stdout:
             if (message := _message(line)) is not None:
-                self.said[message["say"]] = message
+                concluded |= message["say"] in ("done", "failed")
                 tell(message)
         code = await self._process.wait()
-        if not {"done", "failed"} & self.said.keys():
+        if not concluded:
             error = RigError(
                 f"the process of the {self.name} ended with {code}", remedy=await self._complaint
             )
@@ -168,7 +165,7 @@ class Jobs:
                 stdout=asyncio.subprocess.PIPE,
                 stderr=asyncio.subprocess.PIPE,
                 limit=LINE_BYTES,
-                env=environment(),
+                env=with_this_package(),
                 start_new_session=True,  # Ctrl-C on the terminal is the console's to answer
             )
         except OSError as error:
@@ -213,9 +210,3 @@ class Jobs:
         finally:
             self.running = None
             self._tell(job, {"say": "ended"})
-
-
-def environment() -> dict[str, str]:
-    """What the process finds around it: this package."""
-    paths = (str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH", ""))
-    return {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in paths if path)}

@@ -9,10 +9,10 @@ import sys
 import threading
 import time
 from contextlib import ExitStack, suppress
-from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
+from rig.core.child import with_this_package
 from rig.core.errors import RigError
 from rig.session.console import terminal
 from rig.session.console.messages import Lines, line_of
@@ -20,6 +20,7 @@ from rig.session.console.messages import Lines, line_of
 MOST_PENDING = 1 << 20  # bytes for a console that does not read: it hangs
 END_S = 2.0  # how long it may take to give the terminal back
 READ_BYTES = 65536
+SIZE = ("COLUMNS", "LINES")  # of a window, which is the terminal's to say
 
 Message = dict[str, Any]
 
@@ -93,7 +94,7 @@ class Child:
                 stdout=None if self._place < 0 else self._place,
                 stderr=self._complaints,
                 pass_fds=(theirs_in, theirs_out),
-                env=_environment(),
+                env=with_this_package(without=SIZE),
             )
         ours.callback(self._process.wait)
         ours.callback(self._process.kill)
@@ -171,10 +172,3 @@ class Child:
                         self._inbox.put((self, message))
         finally:
             os.close(self._from)
-
-
-def _environment() -> dict[str, str]:
-    """What the process finds around it: this package, and no size of a window, which is the terminal's to say."""
-    found = {name: value for name, value in os.environ.items() if name not in ("COLUMNS", "LINES")}
-    paths = (str(Path(__file__).parents[3]), found.get("PYTHONPATH", ""))
-    return {**found, "PYTHONPATH": os.pathsep.join(path for path in paths if path)}
