@@ -20,7 +20,6 @@ from rig.console.lease import LOOK_S
 from rig.console.regions import regions
 from rig.console.service import Handler, Service, Shared
 from rig.console.terminal import Terminal
-from rig.console.trigger import Trigger
 from rig.console.view import POINTS, Shown, packed
 from rig.core.errors import ConfigError
 from rig.core.present import plain
@@ -106,13 +105,7 @@ class Live(Service):
         }  # fmt: skip
         if not request.url.startswith("sim:"):
             said = ", ".join(f"{key} = {value}" for key, value in request.changes.items())
-            if not await self._terminal.consents(
-                f"{request.url} for a {request.job} on {request.rig}: {said}"
-            ):
-                raise ConfigError(
-                    f"{request.url} is a real rig, and nobody at the terminal of this console let it be armed",
-                    remedy="run `rig console` in a terminal beside the rig, and type there what it asks for",
-                )
+            await self._terminal.insist(request.url, f"a {request.job} on {request.rig}: {said}")
             self._shared.must_operate(client)  # still: a person takes their time
         goes_on = request.goes_on and request.job != "play"
         job = await self._shared.jobs.start(request.job, content, goes_on=goes_on)
@@ -129,11 +122,7 @@ class Live(Service):
         self._hand.move(request.position, request.press)
 
     async def _show(self, client: Client, request: asked.Show) -> None:
-        trigger = request.trigger
-        made = None if trigger is None else Trigger(
-            trigger.on, trigger.level, trigger.edge, trigger.before, trigger.single
-        )  # fmt: skip
-        shown = Shown(columns=request.columns, window_s=request.window_s, trigger=made)
+        shown = Shown(columns=request.columns, window_s=request.window_s, trigger=request.trigger)
         client.show(self._followed, shown, paused=request.paused)
 
     async def _zoom(self, client: Client, request: asked.Zoom) -> None:

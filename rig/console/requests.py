@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 
 from annotated_types import Ge, Le, MaxLen
 
-from rig.console.trigger import CONTACT, Edge
+from rig.console.trigger import Trigger
 from rig.console.view import DEFAULT
 from rig.core.deferred import pydantic
 from rig.core.errors import ConfigError
@@ -75,25 +75,12 @@ class Hand(Request):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class TriggerOn:
-    """See `rig.console.trigger.Trigger`."""
-
-    on: Name = CONTACT
-    level: float = 0.0
-    edge: Edge = "rising"
-    before: Annotated[float, Ge(0), Le(1)] = 0.2
-    single: bool = False
-
-    __pydantic_config__ = STRICT
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
 class Show(Request):
     """What the page's scope shows from now on; `paused`: nothing new."""
 
     columns: Annotated[tuple[Name, ...], MaxLen(100)] = DEFAULT
     window_s: float = 2.0
-    trigger: TriggerOn | None = None
+    trigger: Trigger | None = None
     paused: bool = False
 
 

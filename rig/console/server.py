@@ -39,13 +39,11 @@ from rig.console.sockets import (
     serve,
 )
 from rig.console.terminal import Terminal
+from rig.control import estimators
 from rig.core.errors import ConfigError, RigError
 from rig.core.sample import COLUMNS, unit_of
 from rig.realtime.hand import SharedHand
 
-FRAME_S = 1.0 / 60.0
-STATE_S = 0.1
-SEARCH_S = 0.25
 GREETING_S = 5.0  # in which a socket shows the token
 MOST_CLIENTS = 16
 DOWNLOAD_S = 600.0  # a download is part of a connection's opening, and may have to be computed
@@ -208,6 +206,7 @@ def _facts() -> dict[str, Any]:
             for column in COLUMNS
         ],
         "rigs": list(preset_names()),
+        "estimators": estimators.names(),
     }
 
 

@@ -175,11 +175,7 @@ class Sessions(Service):
     async def _consent(self, request: BeginSession, url: str) -> None:
         whose = request.directory or f"{request.code} with {request.protocol}"
         walls = ", also the walls that `rig session check` says it refuses" if request.arm_anyway else ""
-        if not await self._terminal.consents(f"{url} for the session of {whose}{walls}"):
-            raise ConfigError(
-                f"{url} is a real rig, and nobody at the terminal of this console let it be armed",
-                remedy="run `rig console` in a terminal beside the rig, and type there what it asks for",
-            )
+        await self._terminal.insist(url, f"the session of {whose}{walls}")
 
     # At the desk.
 

@@ -13,6 +13,8 @@ from contextlib import suppress
 
 import click
 
+from rig.core.errors import ConfigError
+
 WORD = "arm"
 LINE_BYTES = 4096
 LONGEST = 2000  # characters that a person can be expected to read
@@ -46,6 +48,14 @@ class Terminal:
         finally:
             loop.remove_reader(terminal)
             self._asked = None
+
+    async def insist(self, url: str, purpose: str) -> None:
+        """Raise `ConfigError` unless the person at the terminal lets a real rig be armed for that."""
+        if not await self.consents(f"{url} for {purpose}"):
+            raise ConfigError(
+                f"{url} is a real rig, and nobody at the terminal of this console let it be armed",
+                remedy="run `rig console` in a terminal beside the rig, and type there what it asks for",
+            )
 
     def withdraw(self) -> None:
         """Take back what is asked: a STOP came, or whoever wanted it has gone."""

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
+from annotated_types import Ge, Le, MaxLen
 from numpy.typing import NDArray
 
+from rig.core.quantity import STRICT
 from rig.core.sample import RowFlag
 
 Edge = Literal["rising", "falling"]
@@ -30,11 +32,13 @@ class Trigger:
         Stop after the first.
     """
 
-    on: str = CONTACT
+    on: Annotated[str, MaxLen(4096)] = CONTACT
     level: float = 0.0
     edge: Edge = "rising"
-    before: float = 0.2
+    before: Annotated[float, Ge(0), Le(1)] = 0.2
     single: bool = False
+
+    __pydantic_config__ = STRICT
 
     def first(self, rows: NDArray[np.void]) -> int | None:
         """Place of the first row at which it happens, the one before having been on the other side; None: nowhere."""

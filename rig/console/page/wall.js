@@ -5,7 +5,6 @@ import { cleared, colour, make, written } from "./dom.js";
 const ASK_MS = 250; // between two questions to theory while a slider moves
 const SET_MS = 100;
 const JOBS = ["hit", "play"]; // those of this view
-const ESTIMATORS = ["fdm-butterworth", "fdm", "foaw", "kalman", "levant"];
 
 export class Wall {
   constructor(link, facts) {
@@ -20,7 +19,7 @@ export class Wall {
     this.verdict = make("div", { role: "status", ariaLive: "polite" });
     this.play = make("button", { type: "button", className: "first", textContent: "Drag the handle", onclick: () => this.#start("play") });
     this.hit = make("button", { type: "button", textContent: "Automatic hit", onclick: () => this.#start("hit") });
-    this.element = make("div", {}, this.#run(facts), this.#wall());
+    this.element = make("div", {}, this.#run(facts), this.#wall(facts));
     link.addEventListener("loop", ({ detail }) => this.#another(detail));
     link.addEventListener("state", ({ detail }) => this.#state(detail));
     link.addEventListener("job", ({ detail }) => JOBS.includes(detail.job) && this.#job(detail));
@@ -36,9 +35,9 @@ export class Wall {
       make("p", {}, this.play, " ", this.hit), this.verdict);
   }
 
-  #wall() {
+  #wall(facts) {
     const rates = (name, label) => field(label, this.#number(name, 0));
-    const estimator = make("select", { onchange: () => this.#changed("controller.estimator") }, ...ESTIMATORS.map((one) => make("option", { value: one, textContent: one })));
+    const estimator = make("select", { onchange: () => this.#changed("controller.estimator") }, ...facts.estimators.map((one) => make("option", { value: one, textContent: one })));
     this.fields["controller.estimator"] = estimator;
     return make("section", { className: "panel" }, make("h2", { textContent: "Wall" }),
       this.#slider("wall.stiffness", "stiffness K"), make("div", { className: "field" }, make("span"), this.bands), this.#slider("wall.damping", "damping B"), this.#slider("wall.position", "position"),

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from rig.console import requests as asked
 from rig.console.requests import Request, request_of
+from rig.console.trigger import Trigger
 from rig.core.errors import ConfigError
 
 KINDS: dict[str, type[Request]] = {
@@ -33,7 +34,7 @@ def test_a_request_is_what_it_says() -> None:
     )
     request = request_of(text, KINDS)
     assert request == asked.Show(
-        do="show", number=3, columns=("position",), trigger=asked.TriggerOn(on="velocity", level=1.0)
+        do="show", number=3, columns=("position",), trigger=Trigger(on="velocity", level=1.0)
     )
 
 
