@@ -80,6 +80,7 @@ class Census:
     def changes(self, after: Census) -> dict[str, tuple[Any, Any]]:
         """Return what is not the same, before and after."""
         old, new = asdict(self), asdict(after)
+        new["frozen"] = max(old["frozen"], new["frozen"])  # what dies meanwhile leaves their number
         return {name: (old[name], new[name]) for name in old if old[name] != new[name]}
 
 

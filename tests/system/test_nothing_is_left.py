@@ -4,6 +4,7 @@ Each kind of exit runs in virtual and in real time, after one run that has impor
 good. What a kill -9 leaves is looked at from outside.
 """
 
+import gc
 import os
 import signal
 import subprocess
@@ -171,6 +172,13 @@ def run(device: Any, directory: Any, changes: Any, more: Any, allowed: Any) -> A
 
 def in_memory(faults: Any = None) -> Any:
     return FramedDevice(MemoryLink(SimulatedDevice(MODEL), faults or Faults()))
+
+
+@pytest.fixture(autouse=True)
+def little_to_look_through() -> None:
+    """Compilers leave half a million objects that live on: no collection of these tests looks at them again."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture
