@@ -1,5 +1,11 @@
 """How a claim is judged: numbers in, a ruling out.
 
+A claim is tried in cases: rigs, hands, criteria, readings. It is reproduced when it holds in all of them. It is
+reproduced only with a condition when it holds in every case under that condition; a condition is something that
+somebody can set (a cut-off, a word length, gains), and the rule names it, not the result. What holds in some other
+cases, in some readings or on some random plants is not reproduced; how many they are stands beside it. What a search
+found is known to a rung of it: rules that compare such numbers allow for that (`step`, the ratio of two rungs).
+
 Nothing here knows a rig or a result, so that a test can reach every verdict. A ruling has no words but the names of its
 cases; the sentence beside it is made by the template of the paper's claims (`rig.papers.claims`).
 """
@@ -7,10 +13,12 @@ cases; the sentence beside it is made by the template of the paper's claims (`ri
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import Any
+from typing import Any, TypeVar
+
+Words = TypeVar("Words", bound=tuple[str, ...])
 
 MOST = 0.9  # of many plants or readings: so many have to agree
 
@@ -33,6 +41,8 @@ class Ruling:
         The verdict without its condition.
     cases
         In which cases the claim was tried, and whether it held.
+    conditions
+        What somebody can set, and the cases under it.
     numbers
         What the sentence beside the verdict is made of; in a template ``ruling.name``.
     """
@@ -40,6 +50,7 @@ class Ruling:
     status: Status
     cases: Mapping[str, bool]
     numbers: Mapping[str, Any]
+    conditions: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> Any:
         return self.numbers[name]
@@ -56,8 +67,13 @@ class Ruling:
 
     @property
     def condition(self) -> str:
-        """The cases in which a claim held that did not hold in all of them."""
-        return "; ".join(self.held) if self.status is Status.ONLY_WITH else ""
+        """The conditions under which a claim held that did not hold in all cases."""
+        return "; ".join(self.sufficient) if self.status is Status.ONLY_WITH else ""
+
+    @property
+    def sufficient(self) -> list[str]:
+        """Conditions under which the claim held in every case."""
+        return [name for name, cases in self.conditions.items() if all(self.cases[case] for case in cases)]
 
     @property
     def verdict(self) -> str:
@@ -69,29 +85,47 @@ class Ruling:
         return replace(self, numbers={**self.numbers, **numbers})
 
     def only(self, **numbers: Any) -> Ruling:
-        """The same claim, reproduced only under a condition."""
+        """The same claim, reproduced only under a condition that is no case of its own."""
         return replace(self.having(**numbers), status=Status.ONLY_WITH)
 
 
-def judge(cases: Mapping[str, bool], *, decisive: Sequence[str] = (), **numbers: Any) -> Ruling:
-    """Judge a claim that was tried in several cases.
+def judge(
+    cases: Mapping[str, bool],
+    *,
+    conditions: Mapping[str, Sequence[str]] | None = None,
+    decisive: Sequence[str] = (),
+    **numbers: Any,
+) -> Ruling:
+    """Judge a claim that was tried in several cases, as the head of this file says.
 
-    Reproduced when it held in all of them (or in all of those named `decisive`, if any are named), not reproduced when
-    in none, otherwise reproduced only with those in which it held.
+    Cases named `decisive`, if any are, stand for all of them. What was not tried is not reproduced.
     """
     needed = list(decisive) or list(cases)
+    found = Ruling(status=Status.NOT, cases=cases, numbers=numbers, conditions=conditions or {})
     if cases and all(cases[name] for name in needed):
-        status = Status.REPRODUCED
-    else:
-        status = Status.ONLY_WITH if any(cases.values()) else Status.NOT
-    return Ruling(status=status, cases=cases, numbers=numbers)
+        return replace(found, status=Status.REPRODUCED)
+    return replace(found, status=Status.ONLY_WITH) if found.sufficient else found
+
+
+def each(cases: Iterable[str]) -> dict[str, list[str]]:
+    """Conditions of a claim whose every case is something that somebody can set."""
+    return {case: [case] for case in cases}
+
+
+def judge_settable(cases: Mapping[Words, bool], settable: Sequence[int], **numbers: Any) -> Ruling:
+    """Judge cases named by several words, of which those at some places can be set: each such word is a condition."""
+    conditions: dict[str, list[str]] = {}
+    for place in settable:
+        for case in cases:
+            conditions.setdefault(case[place], []).append(", ".join(case))
+    named = {", ".join(case): held for case, held in cases.items()}
+    return judge(named, conditions=conditions, **numbers)
 
 
 def judge_share(count: int, total: int, **numbers: Any) -> Ruling:
-    """Judge a claim that holds in some of many readings: reproduced in `MOST` of them, else only with some."""
+    """Judge a claim that holds in some of many readings or on some of many plants: reproduced in `MOST` of them."""
     share = count / total if total else 0.0
-    found = judge({"": total > 0 and share >= MOST}, count=count, total=total, share=share, **numbers)
-    return found.only() if 0.0 < share < MOST else found
+    return judge({"": total > 0 and share >= MOST}, count=count, total=total, share=share, **numbers)
 
 
 def over(one: float, other: float) -> float:

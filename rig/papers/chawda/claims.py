@@ -12,7 +12,7 @@ from rig.control.estimators import levant_regions
 from rig.papers.chawda import derived, rigs, rules
 from rig.papers.chawda.parts import fidelity_without_wall
 from rig.papers.chawda.results import Chawda, spread
-from rig.papers.rules import MOST, Ruling, judge, judge_share, over
+from rig.papers.rules import MOST, Ruling, each, judge, judge_share, over
 
 
 def rulings(chawda: Chawda) -> dict[str, Ruling]:
@@ -84,7 +84,8 @@ def rulings(chawda: Chawda) -> dict[str, Ruling]:
             {
                 name: over(spread(chawda.widths(name), "stiffness").mean, rigs.PRINTED[name].stiffness)
                 for name in rigs.ESTIMATORS
-            }
+            },
+            chawda.scale.rung,
         ),
         "search": _search(chawda),
         "control-undamped": rules.controlled(controls["stiffness"], 2.0 * damping * rigs.RENDERING_HZ),
@@ -128,7 +129,7 @@ def _stiffer_levant(chawda: Chawda) -> Ruling:
     }
     winner = max(best, key=lambda name: best[name])
     return judge(
-        {"": best[winner] >= rules.STIFFER * chawda.scale.hit_ratio},
+        {"": best[winner] >= rules.STIFFER * chawda.scale.hit_ratio**0.5},
         adjusted=chawda.adjusted,
         ratios=derived.over_filtered(chawda, chawda.adjusted),
         winner=winner,
@@ -161,7 +162,7 @@ def _sharp(chawda: Chawda) -> Ruling:
     falls = {name: rules.sharpness(derived.curve(chawda, name)) for name in names}
     filtered = rules.sharpness(derived.curve(chawda, rigs.FILTERED))
     cases = {name: fall >= rules.SHARP and fall > filtered for name, fall in falls.items()}
-    return judge(cases, falls=list(falls.items()), filtered=filtered)
+    return judge(cases, conditions=each(cases), falls=list(falls.items()), filtered=filtered)
 
 
 def _stiffnesses(chawda: Chawda) -> list[dict[str, float]]:
@@ -241,11 +242,13 @@ def _both(chawda: Chawda) -> Ruling:
         rigs.HIGHEST_HZ, *(derived.closed_widths(chawda, name) for name in (rigs.FDM, rigs.AKF)), strict=True
     )
     largest = max(printed.stiffness for printed in rigs.PRINTED.values())
+    cases = {
+        f"a band up to {high:g} Hz": any(widths and errors for widths, errors in of)
+        for high, of in derived.by_edge(chawda).items()
+    }
     return judge(
-        {
-            f"a band up to {high:g} Hz": any(widths and errors for widths, errors in of)
-            for high, of in derived.by_edge(chawda).items()
-        },
+        cases,
+        conditions=each(cases),
         foaw=foaw,
         edge=derived.edge_of(foaw),
         largest=largest,

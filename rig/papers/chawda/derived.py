@@ -73,7 +73,7 @@ def by_edge(chawda: Chawda) -> dict[float, list[tuple[bool, bool]]]:
     for number, of in enumerate(chawda.read):
         widths = {name: width.stiffness for name, width in of.items()}
         errors = {name: float(np.nan_to_num(width.worst_fidelity)) for name, width in of.items()}
-        near = rules.near_table(widths, stiffness), rules.near_table(errors, error)
+        near = rules.near_table(widths, stiffness, chawda.scale.rung), rules.near_table(errors, error)
         fits[rigs.READINGS[number % len(rigs.READINGS)].high_hz].append(near)
     return fits
 

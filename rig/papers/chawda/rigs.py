@@ -172,6 +172,11 @@ class Scale:
     dual_realisations: int
     theory_points: int
 
+    @property
+    def rung(self) -> float:
+        """The ratio of two neighbouring stiffnesses of the maps."""
+        return self.stiffnesses[1] / self.stiffnesses[0]
+
 
 def _rungs(lowest: float, ratio: float, count: int) -> tuple[float, ...]:
     return tuple(float(f"{lowest * ratio**i:.3g}") for i in range(count))

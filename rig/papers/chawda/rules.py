@@ -1,4 +1,7 @@
-"""Rules that judge the claims of Chawda et al., with their thresholds: plain numbers in, a ruling out."""
+"""Rules that judge the claims of Chawda et al., with their thresholds: plain numbers in, a ruling out.
+
+Gains and the band of an excitation can be set; estimators that a claim names, and readings, are cases of it.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from statistics import median
 
-from rig.papers.rules import MOST, Ruling, Status, judge, over, within
+from rig.papers.rules import MOST, Ruling, each, judge, judge_settable, over, within
 
 # What the paper says.
 DROP, DROP_ADJUSTED, FILTER_HOLDS, BETTER_UP_TO = 250.0, 300.0, 350.0, 150.0  # N·s/m, Fig. 3 and its text
@@ -34,7 +37,7 @@ def in_order(widths: Sequence[float]) -> bool:
 def stiffer(cases: Mapping[str, Sequence[float]], step: float = 1.0) -> Ruling:
     """Ratios of two limits at several dampings, by case; `step` is the ratio of two rungs of the search."""
     held = {name: mostly_stiffer(values, step) for name, values in cases.items()}
-    return judge(held, ratios=list(cases.items()))
+    return judge(held, conditions=each(held), ratios=list(cases.items()))
 
 
 def mostly_stiffer(ratios: Sequence[float], step: float = 1.0) -> bool:
@@ -83,14 +86,14 @@ def drops_at(drops: Mapping[str, tuple[float, float]], others: Sequence[float]) 
     )
 
 
-def near_table(ours: Mapping[str, float], paper: Mapping[str, float]) -> bool:
-    """Whether every number is within `NEAR_WIDTH` of the paper's."""
-    return all(within(ours[name], paper[name], NEAR_WIDTH) for name in paper)
+def near_table(ours: Mapping[str, float], paper: Mapping[str, float], step: float = 1.0) -> bool:
+    """Whether every number is within `NEAR_WIDTH` of the paper's, a rung allowed."""
+    return all(within(ours[name], paper[name], NEAR_WIDTH * step) for name in paper)
 
 
-def wider(ratios: Mapping[str, float]) -> Ruling:
+def wider(ratios: Mapping[str, float], step: float = 1.0) -> Ruling:
     """Simulated widths over the paper's measured ones, by estimator."""
-    return judge({name: ratio >= WIDER for name, ratio in ratios.items()}, ratios=list(ratios.items()))
+    return judge({name: r >= WIDER * step**0.5 for name, r in ratios.items()}, ratios=list(ratios.items()))
 
 
 def controlled(found: Mapping[str, float], theory: float) -> Ruling:
@@ -107,8 +110,9 @@ def lower(gains: Mapping[tuple[str, float], Sequence[float]]) -> Ruling:
     by_other: dict[str, list[float]] = {}
     for (other, _), values in gains.items():
         by_other.setdefault(other, []).extend(values)
-    return judge(
-        {f"{other} up to {high:g} Hz": min(v) >= BETTER_COMMON for (other, high), v in gains.items()},
+    return judge_settable(
+        {(other, f"a band up to {high:g} Hz"): min(v) >= BETTER_COMMON for (other, high), v in gains.items()},
+        [1],
         gains=[(other, min(values), max(values)) for other, values in by_other.items()],
     )
 
@@ -116,7 +120,6 @@ def lower(gains: Mapping[tuple[str, float], Sequence[float]]) -> Ruling:
 def traced(above: int, below: int, unseen: int, columns: int, **numbers: float) -> Ruling:
     """Dampings at which the boundary search ends on an island, below the edge, or never comes to."""
     wrong = above + below + unseen
-    found = judge(
+    return judge(
         {"": wrong <= (1.0 - TRACED) * columns}, above=above, below=below, unseen=unseen, columns=columns
     ).having(**numbers)
-    return found.only() if found.status is Status.NOT and wrong < columns else found

@@ -10,7 +10,7 @@ from rig.papers.koul import rigs, rules
 from rig.papers.koul.compare import FLOAT
 from rig.papers.koul.results import Koul, word_name
 from rig.papers.koul.ways import columns
-from rig.papers.rules import Ruling, judge, over, within
+from rig.papers.rules import Ruling, judge_settable, over, within
 
 RIGS = {rigs.COMPLIANT: "compliant (fitted)", rigs.RIGID: "rigid"}
 CUTOFFS = {rigs.FAST: "2 kHz", rigs.FAST_1K: "1 kHz"}  # of the uniform 20 kHz wall
@@ -25,18 +25,22 @@ def rulings(koul: Koul) -> dict[str, Ruling]:
     at_fast = koul.scale.rates.index(rules.FAST_HZ)
     panels = {f"{p.position_rate / 1e3:g} kHz, {p.arithmetic}": p.peaks for p in koul.figure_7}
     return {
-        "rises": rules.rises(k_max, koul.scale.rates),
-        "levels-off": rules.levels_off(*(_saturation(koul, lag) for lag in (rigs.WITH_LAG, rigs.WITHOUT_LAG))),
+        "rises": rules.rises(k_max, koul.scale.rates, koul.scale.kmax_ratio),
+        "levels-off": rules.levels_off(
+            _saturation(koul, rigs.WITH_LAG), _saturation(koul, rigs.WITHOUT_LAG), koul.scale.kmax_ratio
+        ),
         "level": rules.near(
             {name: curve[at_fast] for name, curve in k_max.items()},
-            rules.LEVEL, rules.LEVEL_FACTOR, unfitted=rigs.NAMES[rigs.RIGID],
+            rules.LEVEL, rules.LEVEL_FACTOR * koul.scale.kmax_ratio, unfitted=rigs.NAMES[rigs.RIGID],
         ),
         "same-range": _same_range(koul),
         "same-range-plants": rules.same_of_plants(_of_plants(koul, rigs.DUAL, rigs.SLOW)),
-        "range": rules.near(_ranges(koul), rules.DAMPING_RANGE, rules.NUMBER),
-        "half": rules.half(_halves(koul)),
+        "range": rules.near(_ranges(koul), rules.DAMPING_RANGE, rules.NUMBER * koul.scale.range_ratio),
+        "half": rules.half(_halves(koul), koul.scale.range_ratio),
         "half-plants": rules.half_of_plants(_of_plants(koul, rigs.FAST, rigs.DUAL)),
-        "higher-peak": rules.higher_peak(_peak_ratios(koul)),
+        "fast-loses": rules.loses(_curves_of_fast(koul), koul.scale.ratio),
+        "slow-first-rises": rules.first_rises(_curves_of_slow(koul), koul.scale.ratio),
+        "higher-peak": rules.higher_peak(_peak_ratios(koul), koul.scale.ratio),
         "peaks": _peaks(koul),
         "left-at-range": _left_at_range(koul),
         "penetration": rules.lower_penetration(panels),
@@ -79,33 +83,57 @@ def _same_range(koul: Koul) -> Ruling:
 
 
 def _ranges(koul: Koul) -> dict[str, float]:
+    """Of the softest wall, and of any wall: the softest is one of them."""
     values: dict[str, float] = {}
     for held in rigs.MAIN:
         rig, found = RIGS[held.preset], koul.maps[held.name]
         for criterion in ("felt", "heard"):
-            values[f"{rig}, soft wall, {criterion}"] = koul.ranges[held.name][rigs.DUAL][criterion].damping
+            soft = koul.ranges[held.name][rigs.DUAL][criterion].damping
+            values[f"{rig}, soft wall, {criterion}"] = soft
             if found.plan.search.way == "grid":
                 damped = [c.damping for c in columns(found, NUMBERS[rigs.DUAL], criterion) if c.highest > 0.0]
-                values[f"{rig}, any wall, {criterion}"] = max(damped)
+                values[f"{rig}, any wall, {criterion}"] = max(soft, *damped)
         values[f"{rig}, theory"] = koul.linear[held.name][rigs.DUAL]["range"]
     return values
 
 
-def _halves(koul: Koul) -> dict[str, float]:
-    walls = [(held, fast) for held in rigs.MAIN for fast in (rigs.FAST, rigs.FAST_1K)]
-    ratios = {
-        f"{RIGS[held.preset]}, {CUTOFFS[fast]}, {criterion}": over(
-            koul.ranges[held.name][fast][criterion].damping,
-            koul.ranges[held.name][rigs.DUAL][criterion].damping,
-        )
-        for held, fast in walls
+def _halves(koul: Koul) -> dict[tuple[str, str, str], float]:
+    ratios = {}
+    for held in rigs.MAIN:
+        simulated, linear = koul.ranges[held.name], koul.linear[held.name]
+        for fast, cutoff in CUTOFFS.items():
+            case = RIGS[held.preset], cutoff
+            for criterion in CRITERIA:
+                ranges = (simulated[key][criterion].damping for key in (fast, rigs.DUAL))
+                ratios[*case, criterion] = over(*ranges)
+            ratios[*case, "theory"] = over(linear[fast]["range"], linear[rigs.DUAL]["range"])
+    return ratios
+
+
+def _curves(koul: Koul, held: rigs.Held, key: str) -> dict[str, rules.Curve]:
+    """Largest stiffness over damping, simulated by each criterion and by linear theory."""
+    found = koul.maps[held.name]
+    simulated = {
+        criterion: [(limit.damping, limit.stiffness) for limit in found.curve(NUMBERS[key], criterion)]
         for criterion in CRITERIA
     }
-    return ratios | {
-        f"{RIGS[held.preset]}, {CUTOFFS[fast]}, theory": over(
-            koul.linear[held.name][fast]["range"], koul.linear[held.name][rigs.DUAL]["range"]
-        )
-        for held, fast in walls
+    return {**simulated, "theory": [(b, k) for b, k in koul.linear[held.name][key]["curve"]]}
+
+
+def _curves_of_fast(koul: Koul) -> dict[tuple[str, str, str], rules.Curve]:
+    return {
+        (RIGS[held.preset], cutoff, reading): curve
+        for held in rigs.MAIN
+        for fast, cutoff in CUTOFFS.items()
+        for reading, curve in _curves(koul, held, fast).items()
+    }
+
+
+def _curves_of_slow(koul: Koul) -> dict[tuple[str, str], rules.Curve]:
+    return {
+        (RIGS[held.preset], reading): curve
+        for held in rigs.MAIN
+        for reading, curve in _curves(koul, held, rigs.SLOW).items()
     }
 
 
@@ -123,13 +151,15 @@ def _peak_ratios(koul: Koul) -> dict[tuple[str, str, str, str], float]:
 def _peaks(koul: Koul) -> Ruling:
     cases, found = {}, []
     for held in rigs.MAIN:
-        for fast in (rigs.FAST, rigs.FAST_1K):
+        for fast, cutoff in CUTOFFS.items():
             wanted = {rigs.DUAL: rules.PEAK_DUAL, fast: rules.LEVEL, rigs.SLOW: rules.PEAK_SLOW}
             peaks = [koul.width(held, key).stiffness_peak for key in wanted]
-            name = f"{RIGS[held.preset]}, {CUTOFFS[fast]}"
-            cases[name] = all(map(lambda k, k0: within(k, k0, rules.LEVEL_FACTOR), peaks, wanted.values()))
-            found.append((name, *peaks))
-    return judge(cases, found=found)
+            near = rules.LEVEL_FACTOR * koul.scale.ratio
+            cases[RIGS[held.preset], cutoff] = all(
+                map(lambda k, k0: within(k, k0, near), peaks, wanted.values())
+            )
+            found.append((f"{RIGS[held.preset]}, {cutoff}", *peaks))
+    return judge_settable(cases, [1], found=found)
 
 
 def _left_at_range(koul: Koul) -> Ruling:
@@ -138,7 +168,7 @@ def _left_at_range(koul: Koul) -> Ruling:
         curve = koul.maps[held.name].curve(NUMBERS[rigs.DUAL], "any")
         at = min(curve, key=lambda boundary: abs(boundary.damping - rules.DAMPING_RANGE))
         values[f"{rigs.NAMES[held.preset]} (B = {at.damping:.2f})"] = at.stiffness
-    return rules.near(values, rules.DUAL_AT_RANGE, rules.LEVEL_FACTOR)
+    return rules.near(values, rules.DUAL_AT_RANGE, rules.LEVEL_FACTOR * koul.scale.ratio)
 
 
 def _peaks_by_word(koul: Koul) -> dict[str, tuple[Any, Any, Any]]:
