@@ -11,6 +11,7 @@ from typing import Any
 import click
 
 from rig import config
+from rig.analysis.impedance.verdict import EFFECTIVE_LINES, Fidelity
 from rig.cli import options, output
 from rig.config import Experiment
 from rig.config.schemes import Scheme
@@ -249,21 +250,28 @@ def _pairs(result: ImpedanceResult) -> list[tuple[str, str]]:
             ("damping", _with(values["damping"], doubt["damping"], damping) + ", friction's share included"),
         ]
     else:
-        pairs += [
-            (
-                "K",
-                _with(
-                    fidelity.stiffness, fidelity.stiffness_deviation, stiffness, fidelity.stiffness_percent
-                ),
-            ),
-            ("B", _with(fidelity.damping, fidelity.damping_deviation, damping, fidelity.damping_percent)),
-        ]
+        pairs += _effective(fidelity, stiffness, damping)
     return [
         *pairs,
         ("fidelity", f"{fidelity.rms:.4g} ± {fidelity.rms_deviation:.2g} {damping} rms off the ideal wall"),
         ("coherence", f"at least {judgement.least_coherence:.3f}"),
         ("off the lines", f"{measured.residual:.2%} of the motion's power"),
         *clipped,
+    ]
+
+
+def _effective(fidelity: Fidelity, stiffness: str, damping: str) -> list[tuple[str, str]]:
+    """Effective stiffness and damping with the lines that they are means over."""
+    low, high = fidelity.effective_band_hz
+    lines = f"{fidelity.effective_lines} lines, {low:g} to {high:g} Hz"
+    if fidelity.effective_lines < EFFECTIVE_LINES:
+        return [("effective K, B", f"not stated: {lines}; {EFFECTIVE_LINES} are needed")]
+    return [
+        (f"effective {name}", f"{_with(value, doubt, unit, share)}, over {lines}")
+        for name, value, doubt, unit, share in (
+            ("K", fidelity.stiffness, fidelity.stiffness_deviation, stiffness, fidelity.stiffness_percent),
+            ("B", fidelity.damping, fidelity.damping_deviation, damping, fidelity.damping_percent),
+        )
     ]
 
 

@@ -43,7 +43,7 @@ NUMBERS = (
     "coherence",  # least, of the motion
     "fidelity",  # rms of |Z| − |K/(jω) + B|
     "fidelity_deviation",
-    "stiffness_percent",  # fitted, of what was asked for
+    "stiffness_percent",  # effective, of what was asked for
     "damping_percent",
     "saturated",  # share of ticks
     "ended_s",

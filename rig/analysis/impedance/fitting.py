@@ -46,7 +46,8 @@ class Fit:
     Attributes
     ----------
     values, deviations
-        SI. Deviations are from the lines' variances or, where these are unknown, from the misfit.
+        SI. Deviations are from the lines' variances, widened by a misfit above 1 (Birge's ratio: what the model does
+        not explain is not known better than that); where variances are unknown, from the misfit alone.
     misfit
         Root mean square of the misfit per real number, in standard deviations of the lines: near 1 when the model
         holds; larger when noise is not all that is wrong. NaN without variances.
@@ -55,6 +56,11 @@ class Fit:
     values: dict[Term, float]
     deviations: dict[Term, float]
     misfit: float
+
+    @classmethod
+    def unknown(cls, *terms: Term) -> Fit:
+        """What too few lines say: NaN."""
+        return cls(dict.fromkeys(terms, math.nan), dict.fromkeys(terms, math.nan), math.nan)
 
 
 def fit(
@@ -112,7 +118,7 @@ def fit(
     misfit = math.sqrt(float(left @ left) / free) if free > 0 else math.nan
     weighted = _has_variance(part.variance)
     covariance = np.linalg.pinv((rows / size).T @ (rows / size)) / np.outer(size, size)
-    deviations = np.sqrt(np.diag(covariance)) * (1.0 if weighted else misfit)
+    deviations = np.sqrt(np.diag(covariance)) * (max(1.0, misfit) if weighted and free > 0 else misfit)
     return Fit(
         values={name: float(v) for name, v in zip(names, scaled / size, strict=True)},
         deviations={name: float(v) for name, v in zip(names, deviations, strict=True)},

@@ -10,8 +10,12 @@ The linear test is blind to what a wall does beside the lines: a chattering esti
 motion out of step with the excitation. So the residual power is a second test.
 
 *Fidelity* is the second paper's: root mean square over the lines of |Ẑ| − |K/(jω) + B|. It is dominated by the rig's
-inertia (1.886·f N·s/m for 0.52 kg up to f Hz) and depends on band and lines, both of which belong beside it. Beside
-it stand stiffness and damping as fitted, in per cent of what was asked for, and a relative error in the manner of
+inertia (1.886·f N·s/m for 0.52 kg up to f Hz) and depends on band and lines, both of which belong beside it.
+
+Beside it stand *effective stiffness* −ω·Im Z and *effective damping* Re Z of what was added to the rig, in per cent of
+what was asked for. They are functions of frequency: what delays and filters a wall turns stiffness into negative
+damping, and damping into stiffness, as the frequency rises. So they are stated over a low band, where hands act:
+weighted means over its lines, which is what least squares of K/(jω) + B gives. And a relative error in the manner of
 Colonnese.
 """
 
@@ -24,11 +28,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from rig.analysis.impedance.estimate import Impedance
-from rig.analysis.impedance.fitting import Device, fit
+from rig.analysis.impedance.fitting import Device, Fit, fit
 from rig.analysis.impedance.signals import Complexes, Floats
 
 Z_SCORE = 2.0  # standard deviations by which a real part must be below zero to count
 RESIDUAL = 0.1  # share of the motion's power off the lines above which a wall does not count as passive
+EFFECTIVE_HZ = 20.0  # up to here effective stiffness and damping are averaged
+EFFECTIVE_LINES = 3  # fewer say nothing about a misfit
 COHERENCE = 0.5  # γ² of the motion below which a line says nothing
 
 
@@ -92,12 +98,14 @@ class Fidelity:
     noise_rms
         What noise alone would make of it: compare before two walls are ranked.
     stiffness, damping
-        Fitted, the device taken away if it was given (it should be: an inertia left in makes the stiffness too
-        small).
+        Effective, over `effective_band_hz`, the device taken away if it was given (it should be: an inertia left in
+        makes the stiffness too small). NaN with fewer than `EFFECTIVE_LINES` lines there.
     stiffness_deviation, damping_deviation
-        Their standard deviations.
+        Their standard deviations, misfit included.
     stiffness_percent, damping_percent
         In per cent of what was asked for; NaN where that was zero.
+    effective_band_hz, effective_lines
+        The lines from where to where these are means over, and how many.
     distortion
         Mean over the lines of weight · |Ẑ − Z|/|Z|, Z = K/(jω) + B: the shape that the second paper gives for the
         average distortion error of Colonnese and Okamura. Their own text was not to be had, so weights and spacing of
@@ -115,6 +123,8 @@ class Fidelity:
     damping: float
     damping_deviation: float
     damping_percent: float
+    effective_band_hz: tuple[float, float]
+    effective_lines: int
     distortion: float
     lines: int
     band_hz: tuple[float, float]
@@ -207,6 +217,7 @@ def fidelity(
     band: tuple[float, float] | None = None,
     *,
     device: Device | Complexes | None = None,
+    effective_hz: float = EFFECTIVE_HZ,
     weight: Callable[[Floats], Floats] | None = None,
 ) -> Fidelity:
     """Compare a rendered wall with the ideal K/(jω) + B.
@@ -222,6 +233,8 @@ def fidelity(
     device
         The rig's own impedance, as a `Device` or at all lines of `impedance`: taken away before K and B are
         fitted. It stays in `rms` and `distortion`, as in the papers.
+    effective_hz
+        Up to which line of the band effective stiffness and damping are averaged (Hz).
     weight
         Of `distortion`, a function of frequency (Hz); 1 if left out.
 
@@ -241,19 +254,25 @@ def fidelity(
     variance = 0.5 * part.variance
     rms = math.sqrt(float(np.mean(error**2)))
     doubt = math.sqrt(float(np.mean(error**2 * variance)) / len(error)) / rms if rms > 0.0 else 0.0
-    wall = fit(impedance, ("stiffness", "damping"), band=band, subtract=device)
+    low_hz, high_hz = float(part.lines_hz[0]), min(effective_hz, float(part.lines_hz[-1]))
+    low = int((part.lines_hz <= effective_hz * (1.0 + 1e-9)).sum())
+    added = Fit.unknown("stiffness", "damping")
+    if low >= EFFECTIVE_LINES:
+        added = fit(impedance, ("stiffness", "damping"), band=(low_hz, high_hz), subtract=device)
     weights = np.ones(len(s)) if weight is None else weight(part.lines_hz)
     size = np.abs(asked)
     return Fidelity(
         rms=rms,
         rms_deviation=doubt,
         noise_rms=math.sqrt(float(np.mean(variance))),
-        stiffness=wall.values["stiffness"],
-        stiffness_deviation=wall.deviations["stiffness"],
-        stiffness_percent=100.0 * wall.values["stiffness"] / stiffness if stiffness else math.nan,
-        damping=wall.values["damping"],
-        damping_deviation=wall.deviations["damping"],
-        damping_percent=100.0 * wall.values["damping"] / damping if damping else math.nan,
+        stiffness=added.values["stiffness"],
+        stiffness_deviation=added.deviations["stiffness"],
+        stiffness_percent=100.0 * added.values["stiffness"] / stiffness if stiffness else math.nan,
+        damping=added.values["damping"],
+        damping_deviation=added.deviations["damping"],
+        damping_percent=100.0 * added.values["damping"] / damping if damping else math.nan,
+        effective_band_hz=(low_hz, high_hz),
+        effective_lines=low,
         distortion=float(np.mean(weights * np.abs(part.z - asked) / size)) if size.all() else math.nan,
         lines=len(s),
         band_hz=band or (float(part.lines_hz[0]), float(part.lines_hz[-1])),

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rig.analysis.impedance.estimate import Impedance
@@ -141,11 +141,50 @@ def test_an_inertia_left_in_makes_a_wall_seem_soft() -> None:
     with_rig = fidelity(rig_with_wall(2e4, 60.0), 2e4, 60.0, (10.0, 100.0))
     without = fidelity(rig_with_wall(2e4, 60.0), 2e4, 60.0, (10.0, 100.0), device=DEVICE)
     as_lines = fidelity(rig_with_wall(2e4, 60.0), 2e4, 60.0, (10.0, 100.0), device=DEVICE.impedance(LINES))
-    assert with_rig.stiffness_percent < 60.0
+    low, high = (2e4 - M * (2 * np.pi * hz) ** 2 for hz in (20.0, 10.0))  # −ω·Im Z of the lines averaged
+    assert low < with_rig.stiffness < high
     assert without.stiffness_percent == pytest.approx(100.0)
     assert without.damping_percent == pytest.approx(100.0)
     assert as_lines.stiffness == pytest.approx(without.stiffness)
     assert with_rig.rms == without.rms  # the paper's number keeps the rig
+
+
+@settings(max_examples=30)
+@given(delay_s=st.floats(0.0, 1e-3), damping=st.floats(0.0, 100.0), high_hz=st.sampled_from([40.0, 400.0]))
+def test_effective_numbers_are_those_of_the_low_band_whatever_is_measured_above(
+    delay_s: float, damping: float, high_hz: float
+) -> None:
+    """Behind a delay τ a wall shows B − K·τ where ω·τ is small: each to the next order of its closed form."""
+    lines = np.arange(1.0, high_hz + 1.0)
+    s, w = 2j * np.pi * lines, 2 * np.pi * lines[:20]
+    delayed = DEVICE.impedance(lines) + (2e4 / s + damping) * np.exp(-s * delay_s)
+    found = fidelity(Impedance.exact(lines, delayed), 2e4, damping, device=DEVICE)
+    assert (found.effective_band_hz, found.effective_lines) == ((1.0, 20.0), 20)
+    shift, most = w[-1] * delay_s, 2e4 * delay_s + damping
+    assert found.damping == pytest.approx(damping - 2e4 * delay_s, abs=most * shift**2 + 1e-9)
+    stiffness = 2e4 * np.cos(w * delay_s) + w * damping * np.sin(w * delay_s)  # −ω·Im Z, line by line
+    assert stiffness.min() - 1e-6 <= found.stiffness <= stiffness.max() + 1e-6
+
+
+def test_too_few_low_lines_state_nothing() -> None:
+    found = fidelity(rig_with_wall(2e4, 60.0), 2e4, 60.0, (19.0, 100.0), device=DEVICE)
+    assert found.effective_lines == 2
+    assert np.isnan([found.stiffness, found.damping, found.stiffness_deviation, found.damping_percent]).all()
+
+
+def test_what_the_model_misses_widens_the_interval() -> None:
+    """A wall that is half gone by 20 Hz: the lines are known to 0.1 N·s/m, its mean stiffness is not."""
+    low = 2e4 / (2j * np.pi * LINES) / (1.0 + (LINES / 20.0) ** 2)
+    measured = noisy(Impedance.exact(LINES, DEVICE.impedance(LINES) + low), 0.1)
+    found = fidelity(measured, 2e4, 0.0, device=DEVICE)
+    plain_fit = fit(measured, ("stiffness", "damping"), band=(1.0, 20.0), subtract=DEVICE)
+    assert plain_fit.misfit > 10.0
+    assert found.stiffness_deviation == plain_fit.deviations["stiffness"]
+    exact = fit(
+        noisy(rig_with_wall(2e4, 0.0), 0.1), ("stiffness", "damping"), band=(1.0, 20.0), subtract=DEVICE
+    )
+    ratio = plain_fit.deviations["stiffness"] / exact.deviations["stiffness"]
+    assert ratio == pytest.approx(plain_fit.misfit / max(1.0, exact.misfit), rel=1e-6)
 
 
 def test_distortion_weighs_relative_errors() -> None:
