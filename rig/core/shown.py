@@ -12,7 +12,7 @@ import rig
 from rig.core.check import Check
 from rig.core.present import Item, Row, Table
 
-LINES = 10  # of a prompt
+LINES, WIDTH = 10, 200  # at a prompt
 
 
 class Shown:
@@ -34,7 +34,8 @@ class Shown:
         lines = [
             f"  {item.label:<{width}}  {item.text}" if isinstance(item, Row) else str(item) for item in items
         ]
-        return "\n".join(lines if len(lines) <= LINES else [*lines[: LINES - 1], "  …"])
+        kept = lines if len(lines) <= LINES else [*lines[: LINES - 1], "  …"]
+        return "\n".join(line if len(line) <= WIDTH else f"{line[: WIDTH - 1]}…" for line in kept)
 
     def _repr_html_(self) -> str:
         return "".join(_html(self.detailed()))
