@@ -241,10 +241,10 @@ _REASONS: tuple[tuple[str, str, str], ...] = (
     (
         r"Only accept returning of array|NRT required but not enabled",
         "it makes an array, a list or a text, and nothing may be allocated while a rig is moved",
-        "keep single numbers, in `memory` those that must last",
+        "keep single numbers, in memory those that must last",
     ),
     (r"Cannot unify (\S+) and (\S+) for '(\w+)", "{2} is once {0} and once {1}", "let it be a number always"),
-    (r"No definition for lowering .*Parameters", "it sets a parameter", "keep what changes in `memory`"),
+    (r"No definition for lowering .*Parameters", "it sets a parameter", "keep what changes in memory"),
 )
 
 

@@ -322,5 +322,5 @@ def _refuse_what_is_not_installed(law: Law | None, estimator: Estimator | None) 
             raise ConfigError(
                 f"{part.name} is known to this program alone: no other process can run it, and no later one resume it",
                 remedy=f'install it in a package with the entry point {part.name} in the group "{group}", or leave '
-                "out `scheduler` and `directory`",
+                "out scheduler and directory",
             )

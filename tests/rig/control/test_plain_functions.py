@@ -182,7 +182,7 @@ def absent(penetration: float) -> float:
         (silent, 0, r"returns nothing on one of its ways; return a number from every way"),
         (nothing, 0, r"returns nothing on one of its ways"),
         (says, 0, r"returns .*str.*; return a number"),
-        (sets, 0, r"it sets a parameter; keep what changes in `memory`"),
+        (sets, 0, r"it sets a parameter; keep what changes in memory"),
         (imports, 1, r"unsupported opcode \(IMPORT_NAME\) found; use numbers"),
         (absent, 0, r"module 'math' has no attribute 'hypotenuse'"),
     ],
