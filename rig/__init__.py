@@ -1,53 +1,18 @@
 """Real-time control of 1-DOF haptic rigs: dual-rate virtual walls, velocity estimators, wall-hit experiments.
 
-The names below are loaded on first use, so that ``import rig`` costs nothing.
+What is public and stable is what ``__all__`` has: the list stands in ``__init__.pyi`` beside this file, for a type
+checker, an editor and this module alike, and each name is loaded on first use, so that ``import rig`` costs nothing.
+`rig.testing` has what tests of a lab's own laws and estimators call. Everything else may change with any version.
 """
 
 from __future__ import annotations
 
-from importlib import import_module
+from rig.core.lazy import loader, public_names
 
-TYPE_CHECKING = False  # `typing` would be most of what ``import rig`` costs
-if TYPE_CHECKING:
-    from typing import Any
-
-# Name → module that has it.
-_LAZY: dict[str, str] = {
-    "ESTIMATOR_SIGNATURE": "rig.realtime.plugs",
-    "HitRequest": "rig.experiments.hit",
-    "HitResult": "rig.experiments.hit",
-    "LAW_SIGNATURE": "rig.realtime.plugs",
-    "Law": "rig.control.law",
-    "NativeFunction": "rig.realtime.plugs",
-    "Plan": "rig.experiments.planned",
-    "Recording": "rig.recording.data",
-    "RigError": "rig.core.errors",
-    "Scheme": "rig.config.schemes",
-    "Verdict": "rig.control.verdict",
-    "export": "rig.recording.export",
-    "hit": "rig.experiments.hit",
-    "kernel": "rig.realtime.kernel",
-    "load_experiment": "rig.config",
-    "load_preset": "rig.config.presets",
-    "make_plan": "rig.experiments.plan",
-    "open_device": "rig.devices",
-    "open_recording": "rig.recording.reader",
-    "override": "rig.config",
-    "replay": "rig.experiments.replay",
-    "zwidth": "rig.experiments.maps",
-}
-_RENAMED = {"load_preset": "load"}
-
-
-def __getattr__(name: str) -> Any:
-    if name == "__version__":
-        return import_module("importlib.metadata").version("haptic-rig")
-    if name == "theory":
-        return import_module("rig.analysis.theory")
-    if name in _LAZY:
-        return getattr(import_module(_LAZY[name]), _RENAMED.get(name, name))
-    raise AttributeError(f"module 'rig' has no attribute {name!r}")
+_NAMES = public_names(__file__)
+__all__ = sorted(_NAMES)  # noqa: PLE0605  (a list of texts)
+__getattr__ = loader(__name__, _NAMES)
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_LAZY, "theory"})
+    return sorted({*globals(), *_NAMES})

@@ -25,6 +25,8 @@ gc.set_threshold(
     20_000, 20, 20
 )  # compilers leave a million objects behind: by default 6 % of the time goes into them
 
+collect_ignore = ["lab_package"]  # a package of its own, whose tests run where it is installed
+
 settings.register_profile("default", deadline=None)
 settings.register_profile("ci", deadline=None, derandomize=True)
 settings.load_profile("ci" if os.environ.get("CI") else "default")

@@ -98,7 +98,7 @@ def hit(
         try:
             for result in hits.hit(request, bars.watch):
                 bars.stop()
-                picture = artist.draw(result.recording)
+                picture = artist.draw(result.path)
                 done.append({**plain(result), "picture": picture})
                 if len(done) == 1:
                     for message in result.messages:

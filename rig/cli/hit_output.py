@@ -29,14 +29,7 @@ def push_text(experiment: Experiment) -> str:
 
 def headline(experiment: Experiment) -> str:
     """Rig, wall and scheme in one line."""
-    motion, wall, rates = experiment.rig.motion, experiment.wall, experiment.controller
-    scheme = "uniform" if rates.position_rate == rates.velocity_rate else "dual-rate"
-    return (
-        f"{experiment.rig.name}: K = {wall.stiffness:g} {unit_of('stiffness', motion)}, "
-        f"B = {wall.damping:g} {unit_of('damping', motion)}, "
-        f"{scheme} {rates.position_rate / 1e3:g}/{rates.velocity_rate / 1e3:g} kHz, {rates.estimator}"
-        + (", law on the device" if rates.loop == "device" else "")
-    )
+    return experiment.headline()
 
 
 class ProgressBars:

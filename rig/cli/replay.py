@@ -36,7 +36,7 @@ def replay(recording: Path, plot: Path | None, as_json: bool, **changed: Any) ->
     opened = open_recording(recording)
     result = run(opened, options.changes(**changed))
     if plot is not None:
-        draw_replay(opened, result, plot)
+        draw_replay(result, plot)
     if as_json:
         output.print_json(result)
         return

@@ -144,7 +144,7 @@ def for_experiment(
         control=control,
         memory=new_memory(),
         estimator=estimator.prepare(rates.parameters, delta, tick_s * divider),
-        law=_law(experiment, law or laws.get(wall.law)).prepare(asdict(wall)),
+        law=_law(experiment, law or laws.get(wall.law)).prepare({**asdict(wall), "tick_s": tick_s}),
     )
 
 

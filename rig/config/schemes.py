@@ -201,7 +201,8 @@ def _hertz(part: str, text: str) -> int:
     number = part.strip().removesuffix("Hz").strip()
     suffix = number[-1:] if number[-1:] in ("k", "M") else ""
     try:
-        hertz = float(number.removesuffix(suffix)) * _SUFFIXES[suffix]
+        # 16.1 · 1000 is 16100.000000000002
+        hertz = round(float(number.removesuffix(suffix)) * _SUFFIXES[suffix], 6)
     except ValueError:
         hertz = 0.5
     if hertz != hertz // 1 or hertz <= 0:

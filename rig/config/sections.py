@@ -10,8 +10,8 @@ Positions, efforts and stiffnesses are at the link, in SI units, which depend on
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Annotated, Any, ClassVar, Literal
 
 from annotated_types import Ge, Gt, Le, Lt, MinLen
@@ -19,8 +19,10 @@ from annotated_types import Ge, Gt, Le, Lt, MinLen
 from rig.core.model import Amplifier, Encoder, Mechanics, Operator, Reference, Simulation
 from rig.core.operators import GRIPS
 from rig.core.oscillation import OSCILLATION_S, OSCILLATIONS
+from rig.core.present import Item, Row, Table
 from rig.core.quantity import STRICT, Quantity
-from rig.core.sample import Motion
+from rig.core.sample import Motion, unit_of
+from rig.core.shown import Shown
 
 Setting = bool | int | float | str
 
@@ -429,8 +431,8 @@ class VerdictLimits:
     __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Experiment:
+@dataclass(frozen=True, kw_only=True, slots=True, repr=False)
+class Experiment(Shown):
     """A whole experiment, validated. `realtime` holds what `with_realtime` changes, by dotted key."""
 
     rig: Rig
@@ -447,3 +449,43 @@ class Experiment:
     ] = field(default_factory=dict)
 
     __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
+
+    def headline(self) -> str:
+        """Rig, wall and scheme in one line."""
+        motion, wall, rates = self.rig.motion, self.wall, self.controller
+        scheme = "uniform" if rates.position_rate == rates.velocity_rate else "dual-rate"
+        return (
+            f"{self.rig.name}: K = {wall.stiffness:g} {unit_of('stiffness', motion)}, "
+            f"B = {wall.damping:g} {unit_of('damping', motion)}, "
+            f"{scheme} {rates.position_rate / 1e3:g}/{rates.velocity_rate / 1e3:g} kHz, {rates.estimator}"
+            + (", law on the device" if rates.loop == "device" else "")
+        )
+
+    def brief(self) -> list[Item]:
+        """Wall, scheme, law, what pushes, for how long."""
+        trial, motion = self.trial, self.rig.motion
+        push = f"{trial.effort:g} {unit_of('effort', motion)}"
+        who = {"human": f"a hand with a {self.operator.grip} grip", "excitation": "an excitation"}
+        return [
+            self.headline(),
+            Row("rig", self.rig.description or self.rig.name),
+            Row("law", self.wall.law),
+            Row("pushed by", who.get(trial.kind, push)),
+            Row("for", trial.duration_s, "s"),
+            Row("effort limit", self.rig.limits.effort, unit_of("effort", motion)),
+        ]
+
+    def detailed(self) -> list[Item]:
+        """Every key of the file, with its value."""
+        return [self.headline(), Table(("key", "value"), list(_leaves(self, "")), words=2)]
+
+
+def _leaves(section: Any, prefix: str) -> Iterator[tuple[str, Any]]:
+    for item in fields(section):
+        value = getattr(section, item.name)
+        if is_dataclass(value):
+            yield from _leaves(value, f"{prefix}{item.name}.")
+        elif isinstance(value, Mapping):
+            yield from ((f"{prefix}{item.name}.{key}", one) for key, one in value.items())
+        else:
+            yield f"{prefix}{item.name}", value

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 class Law:
     """A force law: its compiled function, the size of its memory, and its design.
 
-    `design(wall)` receives the wall's settings by name (stiffness, damping, pull, …) and returns the
-    parameters. `floats` counts the whole memory, whose first number is the mark `rig.realtime.plugs.LAW_CLAMPED`.
-    `device` are the parameters that tell a device what this law does beside rendering the wall; empty if it does
-    nothing, or if a device cannot run it.
+    `design(wall)` receives the wall's settings by name (stiffness, damping, pull, …), with ``tick_s``, the time of one
+    tick, among them, and returns the parameters. `floats` counts the whole memory, whose first number is the mark
+    `rig.realtime.plugs.LAW_CLAMPED`. `device` are the parameters that tell a device what this law does beside rendering
+    the wall; empty if it does nothing, or if a device cannot run it.
     """
 
     name: str

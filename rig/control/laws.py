@@ -1,7 +1,7 @@
 """The family of force laws, by name, as `rig.control.estimators` is that of the estimators.
 
-A third party adds one by the entry-point group ``rig.laws``: a name and the ``module:attribute`` of a
-`rig.control.law.Law`; or passes a `Law` to a command's function.
+A third party makes one of a plain function (`rig.control.plain_law`) and passes it to a command's function, or adds it
+by the entry-point group ``rig.laws``: a name and the ``module:attribute`` of a `rig.control.law.Law`.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _COMPENSATED = "+friction"  # a wrapper around any of them: rig.control.friction
 
 def names() -> list[str]:
     """Names of all laws, built-in ones first."""
-    return [*BUILT_IN, *(point.name for point in plugins.found("rig.laws", BUILT_IN))]
+    return [*BUILT_IN, *plugins.names("rig.laws", BUILT_IN)]
 
 
 def get(name: str) -> Law:

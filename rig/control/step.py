@@ -212,7 +212,8 @@ class Controller:
 
     def fresh(self, wall: Mapping[str, Any]) -> Controller:
         """Return a copy that has seen nothing more than this one, for another wall (settings by name)."""
-        return replace(self.copy(), law=self.law.law.prepare(wall))
+        settings = {**wall, "tick_s": float(self.control[0]["tick_s"])}
+        return replace(self.copy(), law=self.law.law.prepare(settings))
 
     def as_mapping(self) -> dict[str, Any]:
         """Plain numbers and names from which `from_mapping` makes the same controller, bit for bit."""

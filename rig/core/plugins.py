@@ -1,13 +1,42 @@
-"""Parts that third parties add by entry points: estimators, laws, backends. A broken one breaks nothing else."""
+"""Parts that third parties add by entry points: estimators, laws, backends. A broken one breaks nothing else.
+
+A program that has made a part itself lends it under its name for as long as it is used (`lent`): within this process
+it is then found like an installed one.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container
+from collections.abc import Callable, Container, Iterator
+from contextlib import contextmanager
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
 from rig.core.errors import ConfigError
+
+_lent: dict[str, dict[str, Any]] = {}
+
+
+@contextmanager
+def lent(group: str, built_in: Container[str], name: str, part: Any) -> Iterator[None]:
+    """Have a part found by its name meanwhile, in all threads; `ConfigError` if a built-in one has that name."""
+    if name in built_in:
+        raise ConfigError(f"{name!r} is the name of a built-in one", remedy='give yours another: name="…"')
+    parts = _lent.setdefault(group, {})
+    before = parts.get(name)
+    parts[name] = part
+    try:
+        yield
+    finally:
+        if before is None:
+            del parts[name]
+        else:
+            parts[name] = before
+
+
+def names(group: str, built_in: Container[str]) -> list[str]:
+    """Names of the parts of a group that are no built-in ones, each once."""
+    return list(dict.fromkeys([*_lent.get(group, {}), *(point.name for point in found(group, built_in))]))
 
 
 def found(group: str, built_in: Container[str]) -> list[EntryPoint]:
@@ -25,6 +54,8 @@ def load(group: str, kind: str, name: str, fits: Callable[[Any], bool]) -> Any:
 
     Raises `ConfigError` when it does not load, or gives something that does not fit.
     """
+    if name in _lent.get(group, {}):
+        return _lent[group][name]
     point = next((point for point in _found(entry_points, group) if point.name == name), None)
     if point is None:
         return None

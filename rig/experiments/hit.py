@@ -19,8 +19,9 @@ from rig.control.law import Law
 from rig.control.verdict import Verdict
 from rig.core.check import refuse
 from rig.core.errors import ConfigError, PlanError
-from rig.core.present import plain
+from rig.core.present import Item, Row, plain
 from rig.core.same_rig import check_rig
+from rig.core.shown import Drawn, Shown
 from rig.devices.framed import FramedDevice
 from rig.devices.local import opened
 from rig.experiments.judgement import Judgement, judge
@@ -103,9 +104,9 @@ class Recorded:
         return self.recording.path
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class HitResult:
-    """One hit."""
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
+class HitResult(Shown, Drawn):
+    """One hit: its verdict, its recording, and the file of that."""
 
     recorded: Recorded
     counters: dict[str, int]
@@ -114,7 +115,12 @@ class HitResult:
     messages: tuple[str, ...] = ()  # what this computer or the port did not grant, each with its remedy
 
     @property
-    def recording(self) -> Path:
+    def recording(self) -> Recording:
+        """What was recorded, as it was read back from its file."""
+        return self.recorded.recording
+
+    @property
+    def path(self) -> Path:
         """The file of the recording."""
         return self.recorded.path
 
@@ -133,10 +139,22 @@ class HitResult:
         """What the truth says, in simulation."""
         return self.recorded.judgement.verdict_true
 
+    def brief(self) -> list[Item]:
+        """Wall, verdict with its reasons, and the three ripples that it goes by."""
+        rows = self.recorded.judgement.rows(self.experiment)
+        said = [row for row in rows if row.label in {"verdict", ""}]
+        told = [row for row in rows if row.label.startswith(("peak", "felt", "heard", "moved"))]
+        return [self.experiment.headline(), *said[:3], *told, Row("recording", str(self.path))]
+
+    def detailed(self) -> list[Item]:
+        """Everything that the verdict goes by."""
+        rows = self.recorded.judgement.rows(self.experiment)
+        return [self.experiment.headline(), *rows, Row("recording", str(self.path))]
+
     def as_mapping(self) -> dict[str, Any]:
         """What JSON says of a hit: the wall and the scheme, not the whole experiment (the recording has it)."""
         return {
-            "recording": self.recording,
+            "recording": self.path,
             "rig": self.experiment.rig.name,
             "motion": self.experiment.rig.motion,
             "stiffness": self.experiment.wall.stiffness,

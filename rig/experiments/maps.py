@@ -215,7 +215,7 @@ def recorded_hit(plan: MapPlan, series: Series, stiffness: float, output: Path) 
         if left is None:
             raise
         return left.path
-    return result.recording
+    return result.path
 
 
 def write_map(found: Map, directory: Path) -> None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from rig.config import Experiment, controller, device_law
 from rig.core.check import Check, Outcome, refused
 from rig.core.present import Item, Row, reported, written
+from rig.core.shown import Shown
 
 ARITHMETIC_WORDS = {"fixed": "integers", "float32": "float32"}
 
@@ -21,8 +22,8 @@ class Step:
     duration_s: float
 
 
-@dataclass(frozen=True, slots=True)
-class Plan:
+@dataclass(frozen=True, slots=True, repr=False)
+class Plan(Shown):
     """The steps of one trial, how often it runs, and the checks.
 
     `run` is what is executed; None where several different runs follow each other, as in an identification.
@@ -43,6 +44,16 @@ class Plan:
     def ok(self) -> bool:
         """Whether nothing is refused."""
         return not refused(self.checks)
+
+    def brief(self) -> list[Item]:
+        """The steps, and what is refused."""
+        refusals = [Row("refused", f"{check.name}: {check.text}") for check in refused(self.checks)]
+        steps = [Row(step.name, step.text) for step in self.steps]
+        return [f"plan of {self.rig}", *(refusals or [Row("refused", "nothing")]), *steps]
+
+    def detailed(self) -> list[Item]:
+        """Everything that `rig plan` prints."""
+        return [f"plan of {self.rig}", *self.items()]
 
     def items(self) -> list[Item]:
         """The steps, how long they take at most, and the checks, for people."""

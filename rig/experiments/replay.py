@@ -20,8 +20,9 @@ from rig.config import controller
 from rig.control.law import Law
 from rig.control.step import DONE, Controller
 from rig.core.errors import LawError, RecordingError
-from rig.core.present import reported
-from rig.core.sample import COLUMNS, ROW
+from rig.core.present import Item, Row, reported
+from rig.core.sample import COLUMNS, ROW, unit_of
+from rig.core.shown import Drawn, Shown
 from rig.experiments.judgement import experiment_of
 from rig.loop.replay import NO_SETS, replay_rows
 from rig.recording.data import Recording
@@ -40,14 +41,15 @@ COMPUTED = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class ReplayResult:
+@dataclass(frozen=True, slots=True, repr=False)
+class ReplayResult(Shown, Drawn):
     """Replayed rows beside the recorded ones (equal length, `rig.core.sample.ROW`), and how far they are apart.
 
     `exact` says that every computed column is equal to the last bit; the differences are rms over the rows,
-    in the units of the rig.
+    in the units of the rig. `of` is the recording.
     """
 
+    of: Recording = field(repr=False)
     recorded: NDArray[np.void] = field(repr=False)
     rows: NDArray[np.void] = field(repr=False)
     estimator: str
@@ -60,6 +62,16 @@ class ReplayResult:
     def ticks(self) -> int:
         """How many rows there are."""
         return len(self.rows)
+
+    def brief(self) -> list[Item]:
+        """What it went through, and how far that is from the recorded one."""
+        velocity, effort = (unit_of(name, self.of.header["motion"]) for name in ("velocity", "effort"))
+        return [
+            f"{self.of.path or self.of.header['rig']}: {self.ticks} ticks through {self.estimator} and {self.law}",
+            Row("equal to the last bit", self.exact),
+            Row("velocity differs by", self.velocity_difference, velocity, "rms"),
+            Row("effort differs by", self.effort_difference, effort, "rms"),
+        ]
 
 
 def replay(
@@ -98,6 +110,7 @@ def replay(
     if len(recorded):
         _as_the_loop_ended(recorded, replayed)
     return ReplayResult(
+        recording,
         recorded,
         replayed,
         bundle.estimator.estimator.name,

@@ -27,8 +27,9 @@ from rig.config.schemes import Scheme
 from rig.control.measure import NUMBERS, UNITS
 from rig.control.verdict import CRITERIA, INVALID, Measured, Objection, objections
 from rig.core.errors import PlanError
-from rig.core.present import plain
+from rig.core.present import Item, Row, Table, plain, written
 from rig.core.sample import unit_of
+from rig.core.shown import Drawn, Shown
 from rig.experiments import sweep
 from rig.experiments.hit_simulator import HitSimulator
 from rig.experiments.plan import STANDS_FOR_DEVICE
@@ -235,8 +236,8 @@ class Width:
     range_capped: bool = False  # so is the range: it reaches to the last column
 
 
-@dataclass(frozen=True, slots=True)
-class ZWidth:
+@dataclass(frozen=True, slots=True, repr=False)
+class ZWidth(Shown, Drawn):
     """A finished map: its plan, the boundaries, and every hit, series by series (read from the journal, if any)."""
 
     table_name: ClassVar[str] = "hits.parquet"
@@ -302,6 +303,29 @@ class ZWidth:
                     found = Objection(int(objections(numbers, limits))) & INVALID
                     why.update([str(reason.name).lower().replace("_", " ") for reason in found] or [_BEFORE])
         return dict(why.most_common())
+
+    def brief(self) -> list[Item]:
+        """Each scheme's width, by the criterion that every ripple counts for."""
+        x = self.plan.experiment
+        stiffness, damping = (unit_of(name, x.rig.motion) for name in ("stiffness", "damping"))
+        rows = []
+        for number, scheme in enumerate(self.plan.schemes):
+            width = self.width(number, "any")
+            least, beyond = ("≥ " if capped else "" for capped in (width.capped, width.range_capped))
+            peak = f"K up to {least}{written(width.stiffness_peak)} {stiffness}"
+            rows.append(
+                Row(scheme.label(x), f"{peak}, B up to {beyond}{written(width.damping_range)} {damping}")
+            )
+        return [f"Z-width of {x.rig.name}: {self.hits} hits, neither felt, heard nor moved", *rows]
+
+    def detailed(self) -> list[Item]:
+        """The short form, and the limit of each scheme at each damping."""
+        x = self.plan.experiment
+        stiffness, damping = (unit_of(name, x.rig.motion) for name in ("stiffness", "damping"))
+        curves = [self.curve(number, "any") for number in range(len(self.plan.schemes))]
+        head = (f"B ({damping})", *(f"K ({stiffness}), {scheme.label(x)}" for scheme in self.plan.schemes))
+        rows = [[limits[0].damping, *(b.stiffness for b in limits)] for limits in zip(*curves, strict=True)]
+        return [*self.brief(), Table(head, rows, words=0)]
 
     def table(self) -> Iterator[dict[str, Any]]:
         """Every hit as a flat row: scheme, damping, offset, repeat, stiffness, kinds and numbers."""

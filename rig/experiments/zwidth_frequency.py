@@ -28,8 +28,9 @@ from rig import config
 from rig.analysis.impedance.signals import Floats
 from rig.config import Experiment
 from rig.config.schemes import Scheme
-from rig.core.present import plain
+from rig.core.present import Item, Row, plain
 from rig.core.sample import unit_of
+from rig.core.shown import Drawn, Shown
 from rig.experiments import sweep
 from rig.experiments.excitation_run import ExcitedRig, Run, Signal
 from rig.experiments.impedance import ImpedanceResult, Judging, concluded, refuse_excitations
@@ -196,8 +197,8 @@ def _row(result: ImpedanceResult, realisation: int, runs: int) -> dict[str, Any]
     return row | {name: value if math.isfinite(value) else None for name, value in numbers.items()}
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FrequencyMap:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class FrequencyMap(Shown, Drawn):
     """A finished map.
 
     Attributes
@@ -231,6 +232,16 @@ class FrequencyMap:
             return np.ascontiguousarray(np.moveaxis(array.reshape(shape), 3, 1))
 
         return cls(plan, columns, arranged("passive", np.bool_), arranged("fidelity", np.float64))
+
+    def brief(self) -> list[Item]:
+        """How many walls of each scheme are passive."""
+        plan, (low, high) = self.plan, self.plan.band_hz
+        walls = len(plan.dampings) * len(plan.stiffnesses)
+        rows = [
+            Row(scheme.label(plan.experiment), f"{int(passive.sum())} of {walls} walls passive")
+            for scheme, passive in zip(plan.schemes, self.passive[:, -1], strict=True)
+        ]
+        return [f"impedances of {plan.experiment.rig.name}, from {low:g} to {high:g} Hz", *rows]
 
     def table(self) -> Iterator[dict[str, Any]]:
         """Every row, flat: scheme and damping before the others; realisation is None for all together."""

@@ -17,7 +17,7 @@ from numba.extending import register_jitable
 from rig.realtime import compiling
 from rig.realtime.cache import open_cache
 from rig.realtime.handlers import interrupts_later
-from rig.realtime.parts import Compiler, load_implementations
+from rig.realtime.parts import Compiler, KernelCache, load_implementations
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -68,6 +68,10 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
         pipeline = self._compiler.pipeline_class
         self._compiler = Compiler(py_func, self.targetdescr, self.targetoptions, self.locals, pipeline)
         self._parts: dict[Any, tuple[Any, Any]] = {}
+
+    def enable_caching(self) -> None:
+        """Keep its machine code on disk, by its module."""
+        self._cache = KernelCache(self.py_func)
 
     @property
     def prepared(self) -> bool:

@@ -4,7 +4,7 @@ numba makes machine code of every function that another one calls, with all that
 caller is then optimised together with copies of the same. What is only a part of something larger is optimised there,
 once: of a hundred kernels that a hit reaches, some twenty are entered from outside.
 
-This file extends numba's own code libraries; `rig.realtime.kernel` decides what is a part.
+This file extends numba's own code libraries and disk cache; `rig.realtime.kernel` decides what is a part.
 """
 
 from __future__ import annotations
@@ -12,10 +12,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import cache
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
+import numba
 from llvmlite import binding
-from numba.core import codegen, compiler, dispatcher, sigutils
+from numba.core import caching, codegen, compiler, dispatcher, sigutils
 from numba.core.compiler_lock import require_global_compiler_lock
 from numba.core.registry import cpu_target
 
@@ -152,3 +154,28 @@ class Compiler(dispatcher._FunctionCompiler):  # type: ignore[misc,name-defined]
         compiling.counted()
         interrupts_now()
         return result
+
+
+_usual: Any = caching.FunctionCache._impl_class
+_named: Any = _usual._locator_classes[0]  # in the directory that numba.config.CACHE_DIR names
+
+
+class _ByModule(_named):  # type: ignore[misc]
+    """The place of a kernel's machine code in the cache: by its module, wherever that is installed.
+
+    The cache's directory has a hash of all sources, so a wheel and a clone of the same ones share it.
+    """
+
+    def __init__(self, py_func: Any, py_file: str) -> None:
+        super().__init__(py_func, py_file)
+        self._cache_path = str(Path(numba.config.CACHE_DIR, py_func.__module__))
+
+
+class _Implementation(_usual):  # type: ignore[misc]
+    _locator_classes = (_ByModule, *_usual._locator_classes)
+
+
+class KernelCache(caching.FunctionCache):  # type: ignore[misc]
+    """numba's disk cache of one kernel, in that place."""
+
+    _impl_class = _Implementation

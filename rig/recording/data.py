@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.core.deferred import pandas
+from rig.core.deferred import pandas, xarray
 from rig.core.errors import RecordingError, RigError
+from rig.core.present import Item, Row, Table
+from rig.core.shown import Drawn, Shown
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,8 +36,38 @@ class Loss:
         return f"{self.reason}: {what} ({self.size} bytes at {self.offset})"
 
 
-@dataclass(frozen=True, eq=False)
-class Recording:
+@dataclass(frozen=True, eq=False, slots=True, repr=False)
+class Column(Shown, Drawn):
+    """One column of a recording: `values`, a row each, their SI `unit`, and `time_s` of the rows.
+
+    numpy takes it as an array of the values. It computes nothing itself: a result would need another unit.
+    """
+
+    name: str
+    values: NDArray[Any]
+    unit: str
+    description: str
+    time_s: NDArray[np.float64]
+
+    def __len__(self) -> int:
+        """Return the number of rows."""
+        return len(self.values)
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        """Return the values, for numpy."""
+        return np.array(self.values, dtype=dtype, copy=copy)
+
+    def brief(self) -> list[Item]:
+        """Name, meaning and range."""
+        rows = [Row("meaning", self.description), Row("rows", len(self))]
+        if len(self):
+            low, high = (float(value) for value in (self.values.min(), self.values.max()))
+            rows += [Row("least", low, self.unit), Row("greatest", high, self.unit)]
+        return [f"{self.name} ({self.unit})", *rows]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Recording(Shown, Drawn):
     """What one trial left: header, rows, trailer, and what is missing.
 
     Attributes
@@ -100,12 +133,17 @@ class Recording:
                     return np.asarray((time - time[0]) * 1e-9, dtype=np.float64)
         return np.zeros(len(self.rows))
 
+    def __getitem__(self, name: str) -> Column:
+        """Return one column with its unit; raises `RecordingError` for an unknown name."""
+        values = self.column(name)
+        return Column(name, values, self.units[name], self.descriptions[name], self.time_s)
+
     def column(self, name: str) -> NDArray[Any]:
         """Return one column as a contiguous array; raises `RecordingError` for an unknown name."""
         if name not in self.names:
-            raise RecordingError(
-                f"the recording has no column {name!r}", remedy=f"its columns are {', '.join(self.names)}"
-            )
+            close = get_close_matches(name, self.names, n=1)
+            remedy = f"did you mean {close[0]}?" if close else f"its columns are {', '.join(self.names)}"
+            raise RecordingError(f"the recording has no column {name!r}", remedy=remedy)
         return np.ascontiguousarray(self.rows[name])
 
     def to_numpy(self) -> dict[str, NDArray[Any]]:
@@ -120,6 +158,47 @@ class Recording:
         try:
             frame = pandas.DataFrame(self.to_numpy())
         except ImportError as error:
-            raise RigError("pandas is not installed", remedy="pip install pandas") from error
+            raise _not_installed("pandas") from error
         frame.attrs = {"units": self.units, "descriptions": self.descriptions, "header": self.header}
         return frame
+
+    def to_xarray(self) -> Any:
+        """Return a Dataset over ``time`` (s); each variable has ``units`` and ``long_name``.
+
+        Raises `RigError` when xarray is not installed.
+        """
+        try:
+            columns = {name: ("time", values) for name, values in self.to_numpy().items()}
+            found = xarray.Dataset(columns, coords={"time": ("time", self.time_s, {"units": "s"})})
+        except ImportError as error:
+            raise _not_installed("xarray") from error
+        for name, unit in self.units.items():
+            found[name].attrs.update(units=unit, long_name=self.descriptions[name])
+        return found
+
+    def brief(self) -> list[Item]:
+        """What was hit, how it ended, and how much there is of it."""
+        trailer = self.trailer or {}
+        verdict = trailer.get("verdict") or {}
+        said = "; ".join([str(verdict.get("kind") or "none"), *verdict.get("reasons", ())])
+        whole = "complete" if self.complete else "cut off"
+        rows = [
+            Row("made", str(self.header.get("created", ""))),
+            Row("file", str(self.path) if self.path else "none"),
+            Row("ended by", str(trailer.get("reason", "not known"))),
+            Row("verdict", said),
+            Row("rows", f"{len(self)} over {self.time_s[-1] if len(self) else 0.0:.4g} s, {whole}"),
+            Row("columns", f"{', '.join(self.names[:6])} … ({len(self.names)})"),
+        ]
+        if self.lost:
+            rows.append(Row("lost", "; ".join(str(loss) for loss in self.lost[:2])))
+        return [f"recording of {self.header.get('rig', 'a rig')}", *rows]
+
+    def detailed(self) -> list[Item]:
+        """The short form, and every column with unit and meaning."""
+        columns = [(name, self.units[name], self.descriptions[name]) for name in self.names]
+        return [*self.brief(), Table(("column", "unit", "meaning"), columns, words=3)]
+
+
+def _not_installed(library: str) -> RigError:
+    return RigError(f"{library} is not installed", remedy="install it: pip install 'haptic-rig[data]'")

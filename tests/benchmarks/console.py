@@ -76,13 +76,12 @@ def hit(changes: dict[str, Any], seconds: float, place: Path) -> dict[str, float
     from rig.config import presets  # noqa: PLC0415
     from rig.experiments.hit import HitRequest  # noqa: PLC0415
     from rig.experiments.hit import hit as run  # noqa: PLC0415
-    from rig.recording.reader import open_recording  # noqa: PLC0415
 
     wanted = {"trial.duration_s": seconds, "wall.stiffness": 10.0, "wall.damping": 0.02, **changes}
     request = HitRequest(experiment=presets.load("koul-rigid"), realtime=True, changes=wanted, output=place)
     (result,) = run(request)
-    rows = open_recording(result.recording).rows
-    result.recording.unlink()
+    rows = result.recording.rows
+    result.path.unlink()
     lost = sum(result.counters[name] for name in ("lost", "skipped", "dropped") if name in result.counters)
     return {"lost": lost, "late_us": float(np.percentile(rows["lateness"], 99.9)) * 1e-3, "rows": len(rows)}
 

@@ -25,8 +25,8 @@ from rig.experiments.cases import Case, signal_case
 from rig.experiments.estimators import Score, Variant, cost_ns, score
 from rig.experiments.tuning import tune
 from tests.conformance import guides
+from tests.conformance.guides import ROOT
 
-ROOT = Path(__file__).parents[2]
 TABLE = ROOT / "tests" / "rig" / "control" / "data" / "estimator_accuracy.json"
 GUIDE = ROOT / "rig" / "control" / "estimators" / "README.md"
 REGENERATE = "python -m tests.conformance.estimator_accuracy"

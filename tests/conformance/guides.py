@@ -1,4 +1,4 @@
-"""Sections of a guide that a program writes: between two comments in its Markdown, made anew from a table."""
+"""Guides in Markdown: their examples, and the sections that a program writes, between two comments, from a table."""
 
 from __future__ import annotations
 
@@ -7,7 +7,14 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
+ROOT = Path(__file__).parents[2]
+_EXAMPLE = re.compile(r"```python\n(.*?)```", re.DOTALL)
 _SECTION = re.compile(r"<!-- generated: (\w+) -->\n.*?<!-- end -->", re.DOTALL)
+
+
+def examples(guide: Path) -> list[str]:
+    """The examples of a guide in Python."""
+    return _EXAMPLE.findall(guide.read_text(encoding="utf-8"))
 
 
 def markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -72,7 +72,7 @@ def whole_hit(
             arm_anyway=True,
         )
         (result,) = hit(request)
-        return result.recording
+        return result.path
 
     return _ended(run)
 

@@ -42,7 +42,7 @@ FLOAT = config.override(
 
 def one_hit(experiment: Any, directory: Any, **changes: Any) -> Any:
     (result,) = hit(HitRequest(experiment=experiment, changes=changes, output=directory))
-    return result, open_recording(result.recording)
+    return result, result.recording
 
 
 @pytest.mark.parametrize(("experiment", "quanta"), [(BOARD, 1), (FLOAT, 2)], ids=["integers", "float32"])
@@ -91,7 +91,7 @@ def test_a_wall_that_changes_while_the_device_runs_it_replays_at_its_tick(
     patient = config.override(BOARD, {"homing.settle_s": 4.0})  # virtual time flies
     (result,) = hit(HitRequest(experiment=patient, output=tmp_path), watch)
     assert [number for number, _ in posted] == [1]
-    recording = open_recording(result.recording)
+    recording = result.recording
     (taken,) = recording.trailer["parameter_sets"]
     sets = recording.rows["parameter_set"]
     assert set(sets.tolist()) == {0, 1}

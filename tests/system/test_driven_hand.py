@@ -13,7 +13,6 @@ from rig.core.errors import DeviceFaultError, LinkLostError
 from rig.core.sample import Phase
 from rig.experiments.hit import HitRequest, hit
 from rig.realtime.hand import SharedHand
-from rig.recording.reader import open_recording
 from tests.conformance.firmware import need_compiler
 from tests.conformance.tolerance import too_busy
 
@@ -56,7 +55,7 @@ def test_the_hand_goes_where_somebody_leads_it(firmware: bool, tmp_path: Path) -
         except (LinkLostError, DeviceFaultError) as error:  # a machine that is too busy for real time
             too_busy(error)
         told = {motion.device_time_ns: motion for motion in hand.motions()}
-    rows = open_recording(result.recording).rows
+    rows = result.recording.rows
     same = [row for row in rows if int(row["device_time"]) in told]
     assert same, "what the hand did last is in the recording"
     for row in same:  # at the sample's own time, within one count

@@ -12,7 +12,6 @@ from rig.core.errors import RecordingError
 from rig.core.sample import Phase
 from rig.experiments.hit import HitRequest, hit
 from rig.experiments.lipschitz import lipschitz_of
-from rig.recording.reader import open_recording
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +23,7 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> Any:
         request = HitRequest(
             experiment=presets.load("chawda-linear"), changes=changes, output=tmp_path_factory.mktemp("hits")
         )
-        found += [open_recording(result.recording) for result in hit(request)]
+        found += [result.recording for result in hit(request)]
     return found
 
 

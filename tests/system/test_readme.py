@@ -1,70 +1,89 @@
-"""What the README shows must run as it stands."""
+"""What the README and the guides show must run as it stands; `test_public_face` checks its types."""
+
+from __future__ import annotations
 
 import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import rig
+from tests.conformance.guides import ROOT, examples
 
-README = Path(__file__).parents[2] / "README.md"
+README = ROOT / "README.md"
+GUIDES = {path.parent.name: examples(path) for path in (README, *sorted((ROOT / "rig").rglob("README.md")))}
 
 
-EXAMPLES = re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
-
-
-def said_by(example: Any, directory: Any, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> Any:
+def names_of(guide: str, number: int, directory: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """Run an example, and what it says is a test, in a directory; its names."""
     monkeypatch.chdir(directory)
-    exec(compile(example, "README.md", "exec"), {})
-    return capsys.readouterr().out.split()
+    names: dict[str, Any] = {"__name__": f"example_{number}"}
+    exec(compile(GUIDES[guide][number], f"{guide}, example {number}", "exec"), names)
+    return names
+
+
+def test_every_guide_with_an_example_is_known() -> None:
+    """Whoever adds one says here what it must show."""
+    assert {name: len(found) for name, found in GUIDES.items() if found} == {
+        README.parent.name: 3, "estimators": 2, "search": 1,
+    }  # fmt: skip
 
 
 def test_the_example_with_a_law_of_ones_own_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    said = said_by(EXAMPLES[0], tmp_path, monkeypatch, capsys)
+    names = names_of(README.parent.name, 0, tmp_path, monkeypatch)
+    said = capsys.readouterr().out.split()
     assert said[0] in {"stable", "limit"}
     assert "N·m" in said
     assert list(tmp_path.glob("recordings/*.parquet"))
+    assert (tmp_path / "hit.png").stat().st_size > 10_000
+    assert not names["again"].exact, "fdm is another estimator"
 
 
 def test_the_example_of_the_theory_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "mine.toml").write_text('preset = "koul-rigid"\n')
-    said = said_by(EXAMPLES[1], tmp_path, monkeypatch, capsys)
+    names_of(README.parent.name, 1, tmp_path, monkeypatch)
+    said = capsys.readouterr().out.split()
     assert 500.0 < float(said[0]) < 700.0
     assert 0.9 < float(said[-1]) < 1.1
 
 
-def test_the_example_of_a_labs_ci_passes(tmp_path: Path) -> None:
-    names: dict[str, Any] = {}
-    exec(compile(EXAMPLES[2], "README.md", "exec"), names)
-    (test,) = (function for name, function in names.items() if name.startswith("test_"))
-    test(tmp_path)
+def test_the_example_of_a_labs_ci_passes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    names = names_of(README.parent.name, 2, tmp_path, monkeypatch)
+    law, wall = (function for name, function in names.items() if name.startswith("test_"))
+    law()
+    wall(tmp_path)
 
 
-def test_every_public_name_of_rig_is_there() -> None:
-    for name in rig._LAZY:
-        assert getattr(rig, name) is not None
-    assert set(rig._LAZY) <= set(dir(rig))
+def test_the_estimators_of_the_guide_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    names = names_of("estimators", 0, tmp_path, monkeypatch)
+    slope = 1e-3 / 300 * np.cos(np.arange(2000) / 300) * 20_000
+    assert names["velocity"][500:] == pytest.approx(slope[500:], abs=0.03 * slope.max())
+    own = names_of("estimators", 1, tmp_path, monkeypatch)["result"]
+    assert own.experiment.controller.parameters == {"weight": 0.9}
+    assert own.recording.header["initial_state"]["estimator"]["name"] == "smoothed"
+
+
+def test_the_search_rule_of_the_guide_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    names = names_of("search", 0, tmp_path, monkeypatch)
+    assert names["probe"].level in range(100, 825, 25)
+
+
+def test_the_readme_lists_the_public_names() -> None:
+    section = (
+        README.read_text(encoding="utf-8")
+        .partition("These names are public and stable")[2]
+        .partition("\n\n#")[0]
+    )
+    rows = [line.split("|")[1] for line in section.splitlines() if line.startswith("| `")]
+    assert sorted([*re.findall(r"`(\w+)`", "".join(rows)), "__version__"]) == rig.__all__
 
 
 def test_files_that_the_readme_links_to_exist() -> None:
-    for target in re.findall(r"\]\(([^)#:]+)\)", README.read_text(encoding="utf-8")):
+    for target in re.findall(r"\]\(([^)#:]+)", README.read_text(encoding="utf-8")):
         assert (README.parent / target).exists(), target
-
-
-def test_the_public_face_takes_paths_as_text(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    experiment = rig.override(
-        rig.load_preset("koul-compliant"), {"trial.duration_s": 0.25, "verdict.tail_s": 0.1}
-    )
-    for output in ("here", Path("there")):
-        (result,) = rig.hit(rig.HitRequest(experiment=experiment, output=output))
-        assert result.recording.parent == Path(output)
-    assert rig.open_recording(str(result.recording)).complete
-    assert rig.export(str(result.recording), "hit.csv").exists()
-    Path("mine.toml").write_text('preset = "koul-rigid"\n')
-    assert rig.load_experiment("mine.toml") == rig.load_experiment(Path("mine.toml"))

@@ -115,7 +115,7 @@ def resolve(rig: RigLike, operator: str | Operator | None = None) -> Subject:
     if isinstance(rig, RigModel):
         experiment, model = None, rig
     else:
-        experiment = _experiment(rig)
+        experiment = presets.load_named(rig)
         model = config.rig_model(experiment if operator is None else experiment.rig)
     hand = _hand(operator, model)
     if hand is not None:
@@ -163,15 +163,6 @@ def linear_loop(
         extrapolate=controller.prediction == "extrapolate",
         delay_ticks=model.delay_ticks(tick_s),
     )
-
-
-def _experiment(rig: str | Path | Experiment) -> Experiment:
-    if isinstance(rig, Experiment):
-        return rig
-    named = str(rig)
-    if isinstance(rig, Path) or named.endswith(".toml") or "/" in named:
-        return config.load_experiment(named)
-    return presets.load(named)
 
 
 def _hand(operator: str | Operator | None, model: RigModel) -> Operator | None:

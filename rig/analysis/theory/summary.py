@@ -25,8 +25,9 @@ from rig.analysis.theory.passivity import PassivityBound, passive_curve, passivi
 from rig.config import Experiment
 from rig.config.schemes import Scheme
 from rig.core.model import Operator
-from rig.core.present import reported
-from rig.core.sample import Motion
+from rig.core.present import Item, Row, reported, written
+from rig.core.sample import Motion, unit_of
+from rig.core.shown import Drawn, Shown
 
 Floats = NDArray[np.float64]
 
@@ -98,8 +99,8 @@ class InHand:
     limits: tuple[Limit, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class Theory:
+@dataclass(frozen=True, slots=True, repr=False)
+class Theory(Shown, Drawn):
     """Theory of a rig.
 
     Attributes
@@ -132,6 +133,20 @@ class Theory:
     schemes: tuple[SchemeTheory, ...]
     in_hand: InHand | None = None
     not_linear: tuple[NotLinear, ...] = ()
+
+    def brief(self) -> list[Item]:
+        """The largest stable stiffness without damping, and the largest damping, of each scheme."""
+        stiffness, damping = (unit_of(name, self.motion) for name in ("stiffness", "damping"))
+        rows = [
+            Row(
+                scheme.label,
+                f"K up to {written(scheme.at_zero.limit.stiffness)} {stiffness} at B = 0, "
+                f"B up to {written(scheme.damping_limit.damping)} {damping}",
+            )
+            for scheme in self.schemes
+        ]
+        refused = [Row(scheme.label, f"not linear: {scheme.reason}") for scheme in self.not_linear]
+        return [f"linear theory of {self.rig}, hand: {self.operator}", *rows, *refused]
 
 
 def theory_of(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from rig.config.files import preset_names as names
 from rig.config.files import preset_text as text
 from rig.config.load import experiment_from_mapping, load_experiment
@@ -15,6 +17,10 @@ def load(name: str) -> Experiment:
     return experiment_from_mapping({"preset": name}, f"preset {name}")
 
 
-def load_named(name: str) -> Experiment:
-    """Load a TOML file or a built-in rig, whichever the name is."""
-    return load_experiment(name) if name.endswith(".toml") else load(name)
+def load_named(name: str | Path | Experiment) -> Experiment:
+    """Load a file or a built-in rig, whichever the name is: a path ends in .toml or has a slash; errors as theirs."""
+    if isinstance(name, Experiment):
+        return name
+    if isinstance(name, Path) or name.endswith(".toml") or "/" in name:
+        return load_experiment(name)
+    return load(name)

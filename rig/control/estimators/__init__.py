@@ -1,6 +1,7 @@
 """The family of velocity estimators, by name.
 
-A third party adds one by the entry-point group ``rig.estimators``: a name and the ``module:attribute`` of an
+A third party makes one of a plain function (`rig.control.estimators.plain_estimator`), and adds it by the entry-point
+group ``rig.estimators``: a name and the ``module:attribute`` of an
 `rig.control.estimators.estimator.Estimator`. `estimate` runs any of them over an array of counts, `quantise` makes
 counts.
 """

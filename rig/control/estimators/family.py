@@ -26,7 +26,7 @@ BUILT_IN = {
 
 def names() -> list[str]:
     """Names of all estimators, built-in ones first."""
-    return [*BUILT_IN, *(point.name for point in plugins.found("rig.estimators", BUILT_IN))]
+    return [*BUILT_IN, *plugins.names("rig.estimators", BUILT_IN)]
 
 
 def broken(name: str) -> str:

@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from rig.core.sample import unit_of
 from rig.experiments.replay import ReplayResult
-from rig.recording.data import Recording
 from rig.views.plots import style
 
 
-def draw_replay(recording: Recording, result: ReplayResult, picture: str | Path) -> Path:
+def draw_replay(result: ReplayResult, picture: str | Path) -> Path:
     """Draw velocity and effort, recorded against replayed, into a file; returns its path."""
+    return style.save(replay_figure(result), Path(picture))
+
+
+def replay_figure(result: ReplayResult) -> Any:
+    """The figure of a replay."""
+    recording = result.of
     motion, time_s = recording.header["motion"], recording.time_s
     figure = style.new_figure(height=5.0)
     top, bottom = figure.subplots(2, 1, sharex=True)
@@ -28,4 +34,4 @@ def draw_replay(recording: Recording, result: ReplayResult, picture: str | Path)
         axes.legend(loc="upper right", frameon=False, fontsize=8, ncols=2)
     bottom.set_xlabel("time (s)")
     figure.suptitle(f"{recording.header['rig']}, replayed", fontsize=11)
-    return style.save(figure, Path(picture))
+    return figure

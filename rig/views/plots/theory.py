@@ -18,7 +18,12 @@ CORNER = 1.5  # width and height of the right panel, in what passivity allows
 
 
 def draw_theory(theory: Theory, picture: str | Path) -> Path:
-    """Draw a result of `rig.analysis.theory.theory_of` into a file; returns its path.
+    """Draw a result of `rig.analysis.theory.theory_of` into a file; returns its path."""
+    return style.save(theory_figure(theory), Path(picture))
+
+
+def theory_figure(theory: Theory) -> Any:
+    """The figure of a result.
 
     Solid lines are K_max of the linear loop, connected from the lowest stiffness; islands beyond are shaded. The right
     panel shows the corner in which the wall can be passive: below the dashed lines it is, lag and delay counted, and on
@@ -46,7 +51,7 @@ def draw_theory(theory: Theory, picture: str | Path) -> Path:
     whole.set_title(f"{theory.rig}, {hand}: linear theory, no friction, no quantum", fontsize=11)
     corner.set_title(PASSIVE[theory.structure == "rigid"], fontsize=11)
     whole.legend(loc="upper right", fontsize=8)
-    return style.save(figure, Path(picture))
+    return figure
 
 
 def _draw_edge(axes: Any, scheme: SchemeTheory, colour: str) -> None:

@@ -59,6 +59,18 @@ def draw_frequency_map(
 
     Raises `rig.core.errors.RecordingError` when the file cannot be written.
     """
+    figure = frequency_figure(found, theory=theory, search=search, realisation=realisation)
+    return style.save(figure, Path(picture))
+
+
+def frequency_figure(
+    found: FrequencyMap,
+    *,
+    theory: Mapping[int, Curves] | None = None,
+    search: bool = True,
+    realisation: int = -1,
+) -> Any:
+    """The figure of a map, see `draw_frequency_map`."""
     plan = found.plan
     count = len(plan.schemes)
     columns = min(count, COLUMNS if count <= COLUMNS**2 else COLUMNS + 1)
@@ -95,7 +107,7 @@ def draw_frequency_map(
         f"{excitation.realisations} × {excitation.periods} periods of {excitation.period_s:g} s",
         fontsize=11,
     )
-    return style.save(figure, Path(picture))
+    return figure
 
 
 def _draw_cells(

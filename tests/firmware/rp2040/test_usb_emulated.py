@@ -17,7 +17,6 @@ from rig.config.derive import rig_model
 from rig.config.presets import load
 from rig.devices.framed import FramedDevice
 from rig.experiments.hit import HitRequest, hit
-from rig.recording.reader import open_recording
 from tests.firmware.rp2040 import emulator
 from tests.firmware.rp2040.conftest import PRESET
 from tests.firmware.rp2040.session import Session
@@ -196,7 +195,7 @@ def test_a_whole_hit_by_rig_itself(built: BuildResult, tmp_path: Path) -> None:
             )
         look = pico.look()
         assert line.look()["errors"] == []
-    recording = open_recording(result.recording)
+    recording = result.recording
     rows = recording.rows
     assert result.verdict.kind.value == "stable"
     assert recording.trailer["device_host_agreement"]["holds"]

@@ -32,7 +32,7 @@ def test_rates_are_read_in_hertz_or_kilohertz(text: str, rates: tuple[int, ...])
     ("rate", "text"),
     [
         (500, "500"), (1000, "1k"), (1500, "1.5k"), (12_345, "12345"), (20_000, "20k"), (1_000_000_000, "1000000k"),
-        (1_234_567_800, "1234567.8k"), (100, "100"), (10_100, "10.1k"),
+        (1_234_567_800, "1234567.8k"), (100, "100"), (10_100, "10.1k"), (16_100, "16.1k"),
     ],
 )  # fmt: skip
 def test_a_rate_is_written_in_whole_digits(rate: int, text: str) -> None:

@@ -49,7 +49,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A hit in virtual time."""
     experiment = config.override(presets.load("koul-compliant"), SHORT)
     (done,) = hit(HitRequest(experiment=experiment, output=tmp_path_factory.mktemp("hit"), name="one"))
-    return done.recording
+    return done.path
 
 
 @pytest.fixture

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
 import re
 import subprocess
@@ -22,7 +21,6 @@ from rig.control.estimators.arrays import OLDEST_EDGE_S, inputs
 from rig.control.estimators.estimator import WINDOW
 from rig.core.errors import ConfigError
 from sim_backend.sensors import encoder_count
-from tests.conformance.estimator import check_estimator
 
 GUIDE = Path(estimators.__file__).with_name("README.md")
 DT, DELTA = 5e-4, 1e-5
@@ -185,30 +183,6 @@ def test_importing_the_family_compiles_nothing() -> None:
     assert done.stdout.strip() == "[0.0, 4.0]"
     with pytest.raises(AttributeError, match="no attribute 'estimat'"):
         _ = estimators.estimat
-
-
-# --- the guide's examples ---------------------------------------------------------------------------------
-
-
-def examples() -> list[str]:
-    return re.findall(r"```python\n(.*?)```", GUIDE.read_text(encoding="utf-8"), re.DOTALL)
-
-
-def test_the_guides_first_example_runs() -> None:
-    names = {"position": 1e-3 * np.sin(np.arange(2000) / 300)}
-    exec(compile(examples()[0], str(GUIDE), "exec"), names)
-    slope = 1e-3 / 300 * np.cos(np.arange(2000) / 300) * 20_000
-    assert names["velocity"][500:] == pytest.approx(slope[500:], abs=0.03 * slope.max())
-
-
-def test_the_guides_own_estimator_keeps_the_promises_of_the_family(tmp_path: Path) -> None:
-    path = tmp_path / "lab_estimators.py"
-    path.write_text(examples()[1], encoding="utf-8")
-    module = importlib.util.module_from_spec(
-        spec := importlib.util.spec_from_file_location("lab_estimators", path)
-    )
-    spec.loader.exec_module(module)
-    check_estimator(lambda resolution, period_s: module.ESTIMATOR.prepare({}, resolution, period_s))
 
 
 def test_files_that_the_guide_names_exist() -> None:

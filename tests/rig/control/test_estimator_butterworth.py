@@ -13,7 +13,7 @@ from scipy import signal
 
 from rig.control import estimators
 from rig.core.errors import ConfigError
-from tests.conformance.estimator import check_estimator, velocities
+from rig.testing.estimators import check_estimator, velocities
 
 RESOLUTION, PERIOD = 1e-5, 5e-4
 MOTION = st.lists(st.integers(-1000, 1000), min_size=1, max_size=60)
@@ -69,8 +69,7 @@ def test_its_delay_at_rest_is_one_over_the_sine_of_the_first_pole(order: Any) ->
 
 @pytest.mark.parametrize("order", [1, 3, 8])
 def test_every_order_keeps_the_promises_of_the_family(order: int) -> None:
-    make = estimators.get("fdm-butterworth").prepare
-    check_estimator(lambda r, p: make({"order": order}, r, p))
+    check_estimator("fdm-butterworth", {"order": order})
 
 
 @settings(max_examples=30, deadline=None)

@@ -15,7 +15,7 @@ from rig.control import estimators
 from rig.control.estimators.fdm_butterworth_fixed import Y1, biquad
 from rig.control.fixed_point import ROUNDINGS, Biquad
 from rig.core.errors import ConfigError
-from tests.conformance.estimator import check_estimator, velocities
+from rig.testing.estimators import check_estimator, velocities
 from tests.conformance.fixed_law import ExactFilter, golden_vectors
 
 RESOLUTION, PERIOD = 1e-5, 5e-4
@@ -74,8 +74,7 @@ def test_it_is_exact_arithmetic_to_the_bit_over_gaps_jumps_and_saturation(
 
 @pytest.mark.parametrize("rounding", ROUNDINGS)
 def test_the_other_roundings_keep_the_promises_of_the_family_too(rounding: Any) -> None:
-    make = estimators.get("fdm-butterworth-fixed").prepare
-    check_estimator(lambda r, p: make({"rounding": rounding, "state_bits": 12}, r, p), linear=False)
+    check_estimator("fdm-butterworth-fixed", {"rounding": rounding, "state_bits": 12}, linear=False)
 
 
 def test_it_keeps_them_over_a_gap_of_days() -> None:

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from rig.control import estimators
 from rig.control.estimators.estimator import WINDOW
 from rig.core.errors import ConfigError
-from tests.conformance.estimator import KNOWN_LIMITS, check_estimator
+from rig.testing.estimators import check_estimator
+from tests.conformance.estimator import KNOWN_LIMITS
 
 RESOLUTION, PERIOD = 1e-6, 1e-3
 ONE_COUNT = RESOLUTION / PERIOD
@@ -250,7 +251,7 @@ VARIANTS = [
 
 @pytest.mark.parametrize(("name", "chosen"), VARIANTS)
 def test_every_variant_keeps_the_promises_of_the_family(name: Any, chosen: Any) -> None:
-    check_estimator(lambda r, p: estimators.get(name).prepare(chosen, r, p), **KNOWN_LIMITS[name])
+    check_estimator(name, chosen, **KNOWN_LIMITS[name])
 
 
 @settings(max_examples=60)

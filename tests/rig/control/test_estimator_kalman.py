@@ -18,7 +18,7 @@ from rig.control.estimators.estimator import PERIOD as PERIOD_INDEX
 from rig.control.estimators.kalman import GAIN1, P11, P12, P13, P22, P23, P33
 from rig.control.estimators.kalman_model import process_noise, steady_gain
 from rig.core.errors import ConfigError
-from tests.conformance.estimator import check_estimator, velocities
+from rig.testing.estimators import check_estimator, velocities
 
 RESOLUTION, PERIOD = 1e-6, 1e-3  # Chawda et al., section V
 PAPER = {"q": 2.5e4, "variance": "paper"}
@@ -343,7 +343,7 @@ VARIANTS = [
 @pytest.mark.parametrize("chosen", VARIANTS)
 def test_every_variant_keeps_the_promises_of_the_family(chosen: Any) -> None:
     linear = "fading" not in chosen and chosen.get("bandwidth_hz") is None
-    check_estimator(lambda r, p: estimators.get("kalman").prepare(chosen, r, p), linear=linear)
+    check_estimator("kalman", chosen, linear=linear)
 
 
 @settings(max_examples=100)

@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 from rig.control.estimators import arrays, levant, levant_regions
 from rig.control.estimators.levant import ALPHA, ERROR, LAMBDA, U1, step
 from rig.core.errors import ConfigError
-from tests.conformance.estimator import check_estimator, velocities
+from rig.testing.estimators import check_estimator, velocities
 
 RESOLUTION, PERIOD = 1e-6, 1e-4
 MOTION = st.lists(st.integers(-1000, 1000), min_size=1, max_size=60)
@@ -69,7 +69,8 @@ def textbook(position: Any, period_s: Any, bound: Any, gains: Any, scheme: Any) 
 def test_every_scheme_and_output_keeps_the_promises_of_the_family(scheme: Any, output: Any) -> None:
     chatter = 0.01 if scheme == "implicit" else 0.1  # 1.7·α·T against the ramp of 7 counts a period
     check_estimator(
-        lambda r, p: levant.ESTIMATOR.prepare({"discretisation": scheme, "output": output}, r, p),
+        levant.ESTIMATOR,
+        {"discretisation": scheme, "output": output},
         linear=False,
         ramp_tolerance=chatter,
     )

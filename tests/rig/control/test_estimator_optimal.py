@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from rig.control.estimators import arrays, optimal
 from rig.core.errors import ConfigError
-from tests.conformance.estimator import velocities
+from rig.testing.estimators import velocities
 
 RESOLUTION, PERIOD = 1e-6, 1e-4
 

@@ -20,7 +20,8 @@ from rig.control.estimators.estimator import Prepared, Setting
 from rig.control.estimators.fdm import count_difference
 from rig.core import plugins
 from rig.core.errors import ConfigError
-from tests.conformance.estimator import KNOWN_LIMITS, check_estimator, velocities
+from rig.testing.estimators import check_estimator, velocities
+from tests.conformance.estimator import KNOWN_LIMITS
 
 ROOT = Path(__file__).parents[3]
 RESOLUTION, PERIOD = 1e-5, 5e-4  # 10 µrad or µm; 2 kHz
@@ -45,10 +46,7 @@ def butterworth(
 
 @pytest.mark.parametrize("name", estimators.names())
 def test_every_estimator_keeps_the_promises_of_the_family(name: Any) -> None:
-    check_estimator(
-        lambda resolution, period_s: estimators.get(name).prepare({}, resolution, period_s),
-        **KNOWN_LIMITS.get(name, {}),
-    )
+    check_estimator(name, **KNOWN_LIMITS.get(name, {}))
 
 
 def test_every_estimator_keeps_them_as_plain_python_too() -> None:
@@ -57,9 +55,10 @@ def test_every_estimator_keeps_them_as_plain_python_too() -> None:
         "import numba\n"
         "assert numba.config.DISABLE_JIT\n"
         "from rig.control import estimators\n"
-        "from tests.conformance.estimator import KNOWN_LIMITS, check_estimator\n"
+        "from rig.testing import check_estimator\n"
+        "from tests.conformance.estimator import KNOWN_LIMITS\n"
         "for name in estimators.names():\n"
-        "    check_estimator(lambda r, p: estimators.get(name).prepare({}, r, p), **KNOWN_LIMITS.get(name, {}))\n"
+        "    check_estimator(name, **KNOWN_LIMITS.get(name, {}))\n"
         "    print(name)\n"
     )
     environment = {**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": str(ROOT)}

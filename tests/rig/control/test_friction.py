@@ -25,7 +25,6 @@ from rig.experiments.hit import HitRequest, hit
 from rig.realtime.groups import group_at, group_bytes
 from rig.realtime.kernel import kernel, prepare
 from rig.realtime.plugs import LAW_SIGNATURE
-from rig.recording.reader import open_recording
 from sim_backend.plant import PLANT_TYPE, DiscretePlant, PlantArguments, advance
 
 if numba.config.DISABLE_JIT:
@@ -228,7 +227,7 @@ def test_it_is_off_by_default_and_recorded_when_on(tmp_path: Path, free: Any) ->
     request = HitRequest(experiment=experiment, output=tmp_path, law=compensated(free, wanted))
     helped = next(iter(hit(request)))
     assert experiment.wall.law == "spring-damper"
-    recordings = [open_recording(result.recording) for result in (plain, helped)]
+    recordings = [result.recording for result in (plain, helped)]
     named = [recording.header["initial_state"]["law"] for recording in recordings]
     assert [law["name"] for law in named] == ["spring-damper", "spring-damper+friction"]
     assert named[1]["parameters"][:4] == [0.02, 0.018, 0.3, 0.8]
@@ -277,7 +276,7 @@ def test_an_experiment_asks_for_compensation_by_a_share_and_gets_it_in_its_trial
     for experiment in (plain, helped):
         (result,) = hit(HitRequest(experiment=experiment, output=tmp_path))
         speeds.append(result.verdict_true.impact_velocity)
-        assert open_recording(result.recording).has_truth
+        assert result.recording.has_truth
     assert speeds[1] > 1.02 * speeds[0], "less friction, faster at the wall"
 
 

@@ -633,14 +633,14 @@ def test_a_hit_gives_result_verdicts_and_plain_values(tmp_path: Path) -> None:
     virtual = config.override(SHORT, {"trial.repeats": 2})
     results = list(hit(requested(tmp_path, experiment=virtual, changes={"wall.stiffness": 50.0}), watch))
     assert seen == [0, 1]
-    assert len({result.recording for result in results}) == 2
+    assert len({result.path for result in results}) == 2
     for result in results:
         assert result.experiment.wall.stiffness == 50.0
         assert result.verdict_true is not None
         facts = result.as_mapping()
         assert facts["stiffness"] == 50.0
         assert facts["verdict"]["kind"] == result.verdict.kind
-        assert open_recording(result.recording).trailer["verdict"]["kind"] == result.verdict.kind
+        assert result.recording.trailer["verdict"]["kind"] == result.verdict.kind
 
 
 def test_what_must_not_run_is_refused_before_a_directory_is_made(tmp_path: Path) -> None:
@@ -696,7 +696,7 @@ def test_a_real_device_moves_only_when_its_polarity_is_verified(tmp_path: Path, 
     assert "`verified`" in caught.value.remedy
     assert files(tmp_path) == []
     (result,) = hit(requested(tmp_path, verified=True))
-    assert open_recording(result.recording).header["identity"]["simulated"] is False
+    assert result.recording.header["identity"]["simulated"] is False
 
 
 def test_names_of_recordings_are_free(tmp_path: Path) -> None:
@@ -749,7 +749,7 @@ def test_a_hit_over_a_port_ends_well_or_says_why(port: Any, tmp_path: Path) -> N
     experiment = presets.load("koul-compliant")
     try:
         (result,) = hit(HitRequest(experiment=experiment, url=port, changes=changes, output=tmp_path))
-        recording = open_recording(result.recording)
+        recording = result.recording
         assert result.verdict_true is None
         assert recording.header["experiment"]["controller"]["position_rate"] == 800
     except (LinkLostError, GuardError) as error:

@@ -123,6 +123,18 @@ def test_the_second_process_loads_what_the_first_compiled(project: Project) -> N
 
 
 @compiled
+def test_the_same_sources_in_another_place_and_of_another_time_load_it_too(project: Project) -> None:
+    """A wheel beside a clone, a fresh checkout in somebody's CI."""
+    first = project.run()
+    project.root = Path(shutil.copytree(project.root, project.root.with_name("elsewhere")))
+    for path in project.root.rglob("*.py"):
+        os.utime(path, (1e9, 1e9))
+    second = project.run()
+    assert (second["value"], second["hits"], second["misses"]) == (3.0, 1, 0)
+    assert second["cache"] == first["cache"]
+
+
+@compiled
 def test_an_edited_constant_of_a_file_that_only_a_helper_imports_is_seen(project: Project) -> None:
     before = project.run()
     project.write(gain=5.0)

@@ -80,7 +80,7 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> Recording:
         },
     )
     (result,) = hit(HitRequest(experiment=experiment, output=tmp_path_factory.mktemp("good")))
-    return open_recording(result.recording)
+    return open_recording(result.path)
 
 
 def changed(good: Recording, place: str, value: Any) -> dict[str, Any]:

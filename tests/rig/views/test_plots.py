@@ -260,11 +260,11 @@ def test_a_picture_that_cannot_be_written_says_so(path: Any, tmp_path: Path) -> 
 
 def test_a_replay_is_drawn_against_its_recording(recording: Any, tmp_path: Path) -> None:
     result = replay(recording, {"controller.estimator": "fdm"})
-    pictures = [draw_replay(recording, result, tmp_path / f"{n}.png").read_bytes() for n in (1, 2)]
+    pictures = [draw_replay(result, tmp_path / f"{n}.png").read_bytes() for n in (1, 2)]
     assert pictures[0] == pictures[1]
     assert size_of(pictures[0]) == (9 * style.DPI, 5 * style.DPI)
     empty = replace(recording, rows=recording.rows[:0])
-    size_of(draw_replay(empty, replay(empty), tmp_path / "empty.png").read_bytes())
+    size_of(draw_replay(replay(empty), tmp_path / "empty.png").read_bytes())
 
 
 # ---------------------------------------------------------------------- no display

@@ -1,0 +1,36 @@
+"""Real-time control of 1-DOF haptic rigs: dual-rate virtual walls, velocity estimators, wall-hit experiments."""
+
+from rig.analysis import theory as theory
+from rig.config import Experiment as Experiment
+from rig.config import override as override
+from rig.config.schemes import Scheme as Scheme
+from rig.control.estimators.arrays import estimate as estimate
+from rig.control.estimators.arrays import quantise as quantise
+from rig.control.estimators.estimator import Estimator as Estimator
+from rig.control.estimators.plain_estimator import estimator as estimator
+from rig.control.law import Law as Law
+from rig.control.plain_functions import Memory as Memory
+from rig.control.plain_functions import Parameter as Parameter
+from rig.control.plain_functions import Parameters as Parameters
+from rig.control.plain_law import law as law
+from rig.control.verdict import Verdict as Verdict
+from rig.core import errors as errors
+from rig.core.errors import RigError as RigError
+from rig.core.version import __version__ as __version__
+from rig.devices import open_device as open_device
+from rig.experiments.hit import HitResult as HitResult
+from rig.experiments.lab import hit as hit
+from rig.experiments.lab import hits as hits
+from rig.experiments.lab import load as load
+from rig.experiments.lab import plan as plan
+from rig.experiments.lab import replay as replay
+from rig.experiments.lab import zwidth as zwidth
+from rig.experiments.planned import Plan as Plan
+from rig.experiments.replay import ReplayResult as ReplayResult
+from rig.experiments.zwidth import ZWidth as ZWidth
+from rig.recording.data import Column as Column
+from rig.recording.data import Recording as Recording
+from rig.recording.export import export as export
+from rig.recording.reader import open_recording as open_recording
+from rig.views.plots.picture import Picture as Picture
+from rig.views.plots.picture import plot as plot

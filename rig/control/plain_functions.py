@@ -1,0 +1,284 @@
+"""Laws and estimators as people write them: plain functions that name what they need, compiled when they are defined.
+
+A function asks for its arguments by name, in any order: quantities of this tick, ``memory`` and ``p``. `Parameters` and
+`Memory` are what it sees of its numbers, by the names that its decorator was given; both are arrays underneath, so that
+a loop, a recording and a replay know them as those of any other law.
+
+What cannot be compiled is told in one sentence with the line of the function, never by the compiler's own report.
+"""
+
+from __future__ import annotations
+
+import inspect
+import math
+import re
+from collections import namedtuple
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+
+from rig.core.errors import ConfigError
+from rig.realtime.handlers import interrupts_later
+
+NO_NUMBERS: Mapping[str, float] = {}
+MEMORY, PARAMETERS = "memory", "p"  # arguments beside the quantities
+_NUMBERS = (
+    "use numbers, arithmetic, conditions, loops, functions of math, and helpers decorated by numba.njit"
+)
+_OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": False, "_nrt": False}
+
+
+class Parameters:
+    """What `p` is to a law or an estimator: each parameter is an attribute of that name, a number that stays."""
+
+    def __getattr__(self, name: str) -> float:
+        """Only compiled code has one."""
+        raise AttributeError(name)
+
+
+class Memory:
+    """What `memory` is to a law or an estimator: numbers by name, zero at the start and kept from call to call."""
+
+    def __getattr__(self, name: str) -> float:
+        """Only compiled code has one."""
+        raise AttributeError(name)
+
+    def __setattr__(self, name: str, value: float) -> None:
+        """Only compiled code has one."""
+        raise AttributeError(name)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Parameter:
+    """A number of a law or an estimator that a user may choose: default, range, unit and meaning."""
+
+    default: float
+    minimum: float = -math.inf
+    maximum: float = math.inf
+    unit: str = ""
+    meaning: str = ""
+
+    def checked(self, what: str, name: str, value: float) -> float:
+        """The value, if it is a number within the range; `ConfigError` calls it `name` of `what`."""
+        if (
+            not isinstance(value, int | float)
+            or not self.minimum <= value <= self.maximum
+            or math.isinf(value)
+        ):
+            span = f"{self.minimum:g} to {self.maximum:g} {self.unit}".rstrip()
+            raise ConfigError(f"{what}: {name} = {value!r} is out of range", remedy=f"give a number, {span}")
+        return float(value)
+
+
+@dataclass(frozen=True, slots=True)
+class Form:
+    """What a kind of function may ask for, what every `p` of it holds, and the text of the kernel around it.
+
+    `quantities` has, by the name of an argument, its meaning and where the kernel finds it; `around` is the kernel's
+    source, in which ``{call}`` stands for the call of the function, and `names` what that source refers to. `memory` is
+    where that finds ``{count}`` remembered numbers, `own_from` the place of the function's own first parameter.
+    """
+
+    kind: str
+    quantities: Mapping[str, tuple[str, str]]
+    given: tuple[str, ...]
+    memory: str
+    own_from: int
+    around: str
+    names: Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Compiled:
+    """A plain function inside the kernel's source, and what its decorator said."""
+
+    name: str
+    summary: str
+    kernel: Callable[..., float]  # not yet declared as one
+    parameters: Mapping[str, Parameter]
+    memory: tuple[str, ...]
+
+
+def compiled(
+    form: Form,
+    function: Callable[..., float],
+    name: str | None,
+    parameters: Mapping[str, float | Parameter],
+    memory: Sequence[str],
+) -> Compiled:
+    """Check a function against its form, compile it and put the source of a kernel around it.
+
+    Raises
+    ------
+    ConfigError
+        An argument, a parameter or a memory that cannot be, or a function that cannot be compiled.
+    """
+    what = f"{form.kind} {getattr(function, '__name__', function)!r}"
+    own = {
+        key: value if isinstance(value, Parameter) else Parameter(default=value)
+        for key, value in parameters.items()
+    }
+    for key, parameter in own.items():
+        parameter.checked(what, key, parameter.default)
+    _check_names(what, "parameter", own, taken=form.given)
+    _check_names(what, "memory", memory, taken=())
+    arguments = _arguments(form, what, function, memory)
+    seen = namedtuple("Parameters", [*form.given, *own])  # type: ignore[misc]
+    kept = np.dtype((np.record, [(one, np.float64) for one in memory]))
+    inner = _compiled(form, what, function, arguments, seen, kept)
+    numbers = ", ".join(f"parameters[{k}]" for k in _places(form, len(own)))
+    sources = {
+        **{argument: source for argument, (_, source) in form.quantities.items()},
+        MEMORY: f"{form.memory.format(count=len(memory))}.view(kept)[0]",
+        PARAMETERS: f"seen({numbers})",
+    }
+    call = f"float(function({', '.join(sources[argument] for argument in arguments)}))"
+    scope: dict[str, Any] = {**form.names, "function": inner, "seen": seen, "kept": kept}
+    exec(compile(form.around.format(call=call), f"<{what}>", "exec"), scope)
+    return Compiled(
+        name=name or function.__name__.replace("_", "-"),
+        summary=(inspect.getdoc(function) or function.__name__).partition("\n")[0],
+        kernel=scope[form.kind],
+        parameters=own,
+        memory=tuple(memory),
+    )
+
+
+def unknown_name(what: str, noun: str, name: str, known: Iterable[str]) -> ConfigError:
+    """The error of a name that is not among the known ones, with the closest of them."""
+    close = get_close_matches(name, list(known), n=1)
+    choice = f"it has {', '.join(known)}" if list(known) else "it has none"
+    return ConfigError(
+        f"{what} has no {noun} {name!r}", remedy=f"did you mean {close[0]}?" if close else choice
+    )
+
+
+def _places(form: Form, own: int) -> range:
+    return range(form.own_from - len(form.given), form.own_from + own)
+
+
+def _check_names(what: str, noun: str, names: Iterable[str], taken: Sequence[str]) -> None:
+    seen: set[str] = set(taken)
+    for name in names:
+        if not isinstance(name, str) or not name.isidentifier() or name.startswith("_"):
+            raise ConfigError(f"{what}: {noun} {name!r} is no name", remedy="use letters, digits and _")
+        if name in seen:
+            why = f"stands for what every p has: {', '.join(taken)}" if name in taken else "is there twice"
+            raise ConfigError(f"{what}: {noun} {name!r} {why}", remedy="choose another name")
+        seen.add(name)
+
+
+def _arguments(form: Form, what: str, function: Callable[..., float], memory: Sequence[str]) -> list[str]:
+    """Names of the function's arguments, each of them one that the form knows."""
+    if not inspect.isfunction(function) or inspect.iscoroutinefunction(function):
+        raise ConfigError(f"{what} is not a plain function", remedy="decorate one that is made by def")
+    known = {**{name: meaning for name, (meaning, _) in form.quantities.items()}}
+    known |= {MEMORY: "what it remembers", PARAMETERS: "its parameters"}
+    for argument in inspect.signature(function).parameters.values():
+        where = f"{what} ({_place(function)}): argument {argument.name!r}"
+        if argument.kind is not argument.POSITIONAL_OR_KEYWORD or argument.default is not argument.empty:
+            raise ConfigError(
+                f"{where} is not a plain one", remedy="write its name alone: numbers come as parameters"
+            )
+        if argument.name not in known:
+            close = get_close_matches(argument.name, known, n=1)
+            choice = "; ".join(f"{name}: {meaning}" for name, meaning in known.items())
+            raise ConfigError(
+                f"{where} is nothing that it is given",
+                remedy=f"did you mean {close[0]}?" if close else f"choose from {choice}",
+            )
+        if argument.name == MEMORY and not memory:
+            raise ConfigError(f"{where} has no names", remedy='say what it keeps: memory=("previous",)')
+    return list(inspect.signature(function).parameters)
+
+
+def _compiled(
+    form: Form,
+    what: str,
+    function: Callable[..., float],
+    arguments: Sequence[str],
+    seen: type[tuple[float, ...]],
+    kept: np.dtype[Any],
+) -> Any:
+    """The function as compiled code without a heap, so that it cannot allocate; itself where nothing is compiled."""
+    if numba.config.DISABLE_JIT:
+        return function
+    length = len(seen._fields)  # type: ignore[attr-defined]
+    others = {
+        MEMORY: numba.from_dtype(kept),
+        PARAMETERS: numba.types.NamedUniTuple(numba.float64, length, seen),
+    }
+    dispatcher = numba.njit(**_OPTIONS)(function)
+    try:
+        with interrupts_later():
+            dispatcher.compile(tuple(others.get(argument, numba.float64) for argument in arguments))
+    except Exception as error:  # whatever the compiler, or what it looks up for the function, raises
+        reason, remedy = _reason(str(error), form, seen, kept)
+        line = _line(str(error), function)
+        raise ConfigError(
+            f"{what} ({_place(function, line)}) cannot be compiled: {reason}", remedy=remedy
+        ) from None
+    returned = dispatcher.nopython_signatures[0].return_type
+    if returned not in (numba.float64, numba.float32, numba.int64, numba.int32):
+        optional = isinstance(returned, numba.types.Optional | numba.types.NoneType)
+        how = "returns nothing on one of its ways" if optional else f"returns {returned}"
+        raise ConfigError(
+            f"{what} ({_place(function)}) {how}", remedy="return a number from every way through it"
+        )
+    return dispatcher
+
+
+_FRAME = ("Failed in", "During", "raised from", "File", "- ", "There are")  # lines that say where, not what
+# What the compiler says, and what that means here: the first that is found.
+_REASONS: tuple[tuple[str, str, str], ...] = (
+    (r"NameError: name '(\w+)' is not defined", "there is no {0}", _NUMBERS),
+    (r"Untyped global name '(\w+)'", "{0} is nothing that compiled code can use", _NUMBERS),
+    (
+        r"Only accept returning of array|NRT required but not enabled",
+        "it makes an array, a list or a text, and nothing may be allocated while a rig is moved",
+        "keep single numbers, in memory those that must last",
+    ),
+    (r"Cannot unify (\S+) and (\S+) for '(\w+)", "{2} is once {0} and once {1}", "let it be a number always"),
+    (r"No definition for lowering .*Parameters", "it sets a parameter", "keep what changes in memory"),
+)
+
+
+def _reason(text: str, form: Form, seen: type[tuple[float, ...]], kept: np.dtype[Any]) -> tuple[str, str]:
+    """What is wrong, and what to do, from the compiler's report."""
+    names, remembered = list(seen._fields), list(kept.names or ())  # type: ignore[attr-defined]
+    for pattern, owner, known in (
+        (r"Unknown attribute '(\w+)' of type Parameters", PARAMETERS, names),
+        (r"^'(\w+)'$|Unknown attribute '(\w+)' of type Record", MEMORY, remembered),
+    ):
+        found = re.search(pattern, text)
+        if found:
+            missing = next(group for group in found.groups() if group)
+            error = unknown_name(owner, "number", missing, known)
+            return error.message, error.remedy
+    for pattern, reason, remedy in _REASONS:
+        found = re.search(pattern, text)
+        if found:
+            return reason.format(*found.groups()), remedy
+    told = [line.strip() for line in text.splitlines() if line.strip()]
+    plain = [line for line in told if not line.startswith(_FRAME)]
+    return plain[0].partition(" Raised from")[0].rstrip(".") if plain else "no reason is given", _NUMBERS
+
+
+def _line(text: str, function: Callable[..., float]) -> int | None:
+    """Last line of the function that the compiler's report names."""
+    code = function.__code__
+    lines = {line for _, _, line in code.co_lines() if line}
+    file = re.escape(Path(code.co_filename).name)
+    named = re.findall(rf"{file}(?:\", line | \()(\d+)", text)
+    inside = [int(number) for number in named if int(number) in lines]
+    return inside[0] if inside else None
+
+
+def _place(function: Callable[..., float], line: int | None = None) -> str:
+    code = function.__code__
+    return f"{Path(code.co_filename).name}, line {line or code.co_firstlineno}"

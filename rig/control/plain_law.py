@@ -1,0 +1,124 @@
+"""A force law from a plain function.
+
+@rig.law(parameters={"quadratic": 1e5})
+def stiffening(penetration: float, velocity: float, p: rig.Parameters) -> float:
+return p.stiffness * penetration + p.quadratic * penetration**2 + p.damping * velocity
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from rig.control.law import Law
+from rig.control.plain_functions import NO_NUMBERS, Form, Parameter, compiled, unknown_name
+from rig.realtime.kernel import kernel, prepare
+from rig.realtime.plugs import LAW_CLAMPED, LAW_SIGNATURE
+
+OWN_STATE = LAW_CLAMPED + 1  # the law's own memory begins here
+GIVEN = ("stiffness", "damping", "tick_s")  # of every `p`
+
+_INSIDE = f"""
+def law(penetration, velocity, elapsed_ticks, state, parameters):
+    state[{LAW_CLAMPED}] = 0.0
+    if penetration <= 0.0:
+        return 0.0
+    return {{call}}
+"""
+_EVERYWHERE = _INSIDE.replace("    if penetration <= 0.0:\n        return 0.0\n", "")
+
+
+def _form(everywhere: bool) -> Form:
+    return Form(
+        kind="law",
+        quantities={
+            "penetration": ("depth inside the wall (rad or m)", "penetration"),
+            "velocity": ("its rate as estimated (rad/s or m/s), positive inwards", "velocity"),
+            "elapsed_s": ("time since the call before (s)", "elapsed_ticks * parameters[2]"),
+        },
+        given=GIVEN,
+        memory=f"state[{OWN_STATE}:{OWN_STATE} + {{count}}]",
+        own_from=len(GIVEN),
+        around=_EVERYWHERE if everywhere else _INSIDE,
+        names={},
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlainLaw(Law):
+    """A law whose parameters have names.
+
+    `parameters` are those of its own, beside stiffness and damping of the wall. An experiment names the law and has
+    their defaults; `with_parameters` makes one with others.
+    """
+
+    parameters: Mapping[str, Parameter]
+    everywhere: bool
+
+    def with_parameters(self, **values: float) -> PlainLaw:
+        """Return the law with other values of its own parameters; `ConfigError` for an unknown or impossible one."""
+        changed = dict(self.parameters)
+        for name, value in values.items():
+            if name not in changed:
+                raise unknown_name(f"law {self.name!r}", "parameter", name, changed)
+            changed[name] = replace(
+                changed[name], default=changed[name].checked(f"law {self.name!r}", name, value)
+            )
+        return replace(self, parameters=changed, design=_design(changed))
+
+
+def law(
+    *,
+    parameters: Mapping[str, float | Parameter] = NO_NUMBERS,
+    memory: Sequence[str] = (),
+    name: str | None = None,
+    everywhere: bool = False,
+) -> Callable[[Callable[..., float]], PlainLaw]:
+    """Make a force law of a plain function, compiled here and now.
+
+    The function returns the reaction of the wall (N·m or N), positive towards free space. It names what it needs:
+    ``penetration`` (rad or m), ``velocity`` (of the penetration, as estimated), ``elapsed_s`` (since the call before),
+    ``memory`` and ``p``, which has ``p.stiffness``, ``p.damping`` and ``p.tick_s`` (one tick, s) beside its own.
+
+    Parameters
+    ----------
+    parameters
+        Numbers of its own by name: a default, or a `Parameter` with range, unit and meaning.
+    memory
+        Names of what it remembers; each is zero when a run begins.
+    name
+        In experiments and recordings; that of the function, with hyphens, unless given.
+    everywhere
+        Call it outside of the wall too, where penetration is negative. Else the reaction there is zero.
+
+    Raises
+    ------
+    ConfigError
+        A function that names something else, or that cannot be compiled: with its line, and what to do.
+    """
+
+    def decorate(function: Callable[..., float]) -> PlainLaw:
+        made = compiled(_form(everywhere), function, name, parameters, memory)
+        declared = kernel(LAW_SIGNATURE, cache=False, no_refcount=True)(made.kernel)
+        prepare(declared)
+        return PlainLaw(
+            name=made.name,
+            summary=made.summary,
+            function=declared,
+            floats=OWN_STATE + len(made.memory),
+            design=_design(made.parameters),
+            parameters=made.parameters,
+            everywhere=everywhere,
+        )
+
+    return decorate
+
+
+def _design(parameters: Mapping[str, Parameter]) -> Callable[[Mapping[str, Any]], list[float]]:
+    values = [parameter.default for parameter in parameters.values()]
+
+    def design(wall: Mapping[str, Any]) -> list[float]:
+        return [*(wall[name] for name in GIVEN), *values]
+
+    return design

@@ -1,0 +1,39 @@
+"""Any law on whole arrays, as `rig.control.estimators.arrays` for the estimators: what a wall would have answered."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import types
+from numpy.typing import NDArray
+
+from rig.control.law import PreparedLaw
+from rig.realtime.kernel import kernel
+from rig.realtime.plugs import LAW
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+_FLOATS, _INTS = types.float64[::1], types.int64[::1]
+
+
+def run(prepared: PreparedLaw, penetration: Floats, velocity: Floats, elapsed: Ints) -> Floats:
+    """Reactions (N·m or N) of a prepared law, whose memory changes, tick by tick, through the plug type of the loop."""
+    found = np.empty(len(penetration))
+    run_all(prepared.law.function, penetration, velocity, elapsed, prepared.state, prepared.parameters, found)
+    return found
+
+
+@kernel(types.void(LAW, _FLOATS, _FLOATS, _INTS, _FLOATS, _FLOATS, _FLOATS))
+def run_all(
+    law: Any,
+    penetration: Floats,
+    velocity: Floats,
+    elapsed: Ints,
+    state: Floats,
+    parameters: Floats,
+    found: Floats,
+) -> None:
+    """Call the law once for each tick; all arrays but memory and parameters have the same length."""
+    for k in range(len(penetration)):
+        found[k] = law(penetration[k], velocity[k], elapsed[k], state, parameters)

@@ -1,0 +1,40 @@
+"""The names of a package that people import, stated once: in the stub beside its ``__init__``, and loaded on first use.
+
+A stub (``__init__.pyi``) is what a type checker and an editor read; here its lines ``from module import name as alias``
+are the table from which the package answers. So the two cannot differ, and importing the package loads nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from importlib import import_module
+
+TYPE_CHECKING = False  # `typing` would be most of what ``import rig`` costs
+if TYPE_CHECKING:
+    from typing import Any
+
+
+def public_names(init: str) -> dict[str, tuple[str, str]]:
+    """Public name → module and name there, from the stub of the package whose ``__init__.py`` this is."""
+    table = {}
+    with open(f"{init}i", encoding="utf-8") as stub:
+        for line in stub:
+            match line.split():
+                case ["from", module, "import", name, "as", alias]:
+                    table[alias] = (module, name)
+    return table
+
+
+def loader(package: str, table: Mapping[str, tuple[str, str]]) -> Callable[[str], Any]:
+    """The ``__getattr__`` of a package with such a table."""
+
+    def loaded(name: str) -> Any:
+        if name not in table:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        module, attribute = table[name]
+        found = import_module(module)
+        if not hasattr(found, attribute):  # a module of that package
+            return import_module(f"{module}.{attribute}")
+        return getattr(found, attribute)
+
+    return loaded

@@ -1,0 +1,326 @@
+"""What people call: an experiment by a preset's name, as a file or loaded, settings by name, and one result.
+
+Everything here adapts arguments and hands them to the functions that commands call too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Annotated, Any, Unpack
+
+from rig import config
+from rig.config import Experiment, controller, presets
+from rig.config.load import DEFAULT_PRESET
+from rig.config.schemes import Scheme
+from rig.control import estimators, laws
+from rig.control.estimators.estimator import Estimator
+from rig.control.law import Law
+from rig.core import plugins
+from rig.core.errors import ConfigError
+from rig.devices.framed import FramedDevice
+from rig.experiments import hit as one_hit
+from rig.experiments import maps, sweep
+from rig.experiments import plan as planning
+from rig.experiments import replay as replaying
+from rig.experiments.hit import HitRequest, HitResult, Watch
+from rig.experiments.planned import Plan
+from rig.experiments.ranges import SPAN, hit_plan, search_for
+from rig.experiments.replay import ReplayResult
+from rig.experiments.searches import Way
+from rig.experiments.settings import Settings, WallSettings, changes_of
+from rig.experiments.zwidth import Judged, ZWidth
+from rig.recording.data import Recording
+from rig.recording.reader import open_recording
+
+ExperimentLike = str | Path | Experiment
+"""A preset's name, the path of a file, or an experiment."""
+
+
+class HitOptions(WallSettings, total=False):
+    """What `hits` takes by name, beside the settings of the wall; see `rig.experiments.hit.HitRequest`."""
+
+    law: str | Law
+    estimator: str | Estimator
+    repeats: Annotated[int, "trial.repeats"]
+    url: str
+    device: FramedDevice
+    realtime: bool
+    verified: bool
+    arm_anyway: bool
+    output: str | Path
+    name: str
+
+
+_OF_A_REQUEST = ("url", "device", "realtime", "verified", "arm_anyway", "output", "name")
+
+
+def load(experiment: ExperimentLike, **settings: Unpack[WallSettings]) -> Experiment:
+    """Load an experiment, with some of its keys changed.
+
+    Parameters
+    ----------
+    experiment
+        A preset's name (``"koul-compliant"``), the path of a file (it ends in ``.toml`` or has a slash), or an
+        experiment.
+    **settings
+        By the names of `rig.experiments.settings.WallSettings`: ``stiffness=100.0, duration_s=0.6``; any other key by
+        ``changes={"wall.position": 0.1}``.
+
+    Raises
+    ------
+    ConfigError
+        No such preset or file, no such setting, or values that cannot be: each with key, range and remedy.
+    """
+    return _changed(experiment, changes_of(settings, WallSettings))
+
+
+def hit(experiment: ExperimentLike = DEFAULT_PRESET, **options: Unpack[HitOptions]) -> HitResult:
+    """Hit a wall once: home, push into it, judge, record.
+
+    Parameters
+    ----------
+    experiment
+        As in `load`.
+    **options
+        Settings as in `load`, and: `law`, `estimator` (a name, or one of your own); `url` of a device, or an open
+        `device` (else the rig is simulated here); `realtime`; `verified` (the signs of a real rig were checked, and its
+        handle is at position zero); `arm_anyway`; `output`, the directory of the recording, and `name` in it.
+
+    Raises
+    ------
+    ConfigError, PlanError
+        Something that cannot or must not run: nothing has moved.
+    RigError
+        Whatever ended the hit early; the effort is zero, and `recording` of the error names what was recorded.
+    """
+    loaded = presets.load_named(experiment)
+    repeats = changes_of(options, HitOptions).get("trial.repeats", loaded.trial.repeats)
+    if repeats != 1:
+        raise ConfigError(
+            f"trial.repeats = {repeats!r}, and this gives one result",
+            remedy="say repeats=1, or use hits, which gives each as it comes",
+        )
+    (result,) = hits(loaded, **options)
+    return result
+
+
+def hits(
+    experiment: ExperimentLike = DEFAULT_PRESET, watch: Watch | None = None, **options: Unpack[HitOptions]
+) -> Iterator[HitResult]:
+    """Hit a wall as often as the experiment says, give each result as it comes, and let `watch` follow a running one.
+
+    Parameters
+    ----------
+    experiment, **options
+        As in `hit`, and `repeats`.
+    watch
+        Called before each hit with its number and the experiment in effect; may return a function that is told
+        (ticks, phase) while it runs.
+
+    Raises
+    ------
+    RigError
+        As `hit`.
+    """
+    changes, given = changes_of(options, HitOptions), dict[str, Any](options)
+    law, estimator = _own(given, changes)
+    request = HitRequest(
+        experiment=presets.load_named(experiment),
+        changes=changes,
+        law=law,
+        **{name: given[name] for name in _OF_A_REQUEST if name in given},
+    )
+
+    def run() -> Iterator[HitResult]:
+        with _lent(None, estimator):
+            yield from one_hit.hit(request, watch)
+
+    return run()
+
+
+def plan(
+    experiment: ExperimentLike = DEFAULT_PRESET,
+    *,
+    law: str | Law | None = None,
+    estimator: str | Estimator | None = None,
+    realtime: bool = False,
+    **settings: Unpack[WallSettings],
+) -> Plan:
+    """List what a hit would do, and check it; no device is touched, and what is refused is in the plan.
+
+    Parameters as in `hit`. Raises `ConfigError` for what cannot be.
+    """
+    changes = changes_of(settings, WallSettings)
+    own = _own({"law": law, "estimator": estimator}, changes)
+    with _lent(None, own[1]):
+        loaded = presets.load_named(experiment)
+        planned = config.with_realtime(loaded, changes) if realtime else _changed(loaded, changes)
+        config.check_plugins(planned, planned.rig.name)
+        return planning.plan_of(controller.prepared(planned, law=own[0]))
+
+
+def replay(
+    recording: str | Path | Recording,
+    *,
+    law: str | Law | None = None,
+    estimator: str | Estimator | None = None,
+    **settings: Unpack[WallSettings],
+) -> ReplayResult:
+    """Run the inputs of a recording through its law and estimator again, or through others, and compare.
+
+    Parameters
+    ----------
+    recording
+        It, or its file.
+    law, estimator
+        Others than the recorded ones: by name, or of your own. One of your own that was recorded must be given too.
+    **settings
+        As in `load`.
+
+    Raises
+    ------
+    RecordingError
+        The recording lacks its beginning, or ticks in the middle.
+    ConfigError
+        The settings are invalid, or the law or estimator of the recording is not known here.
+    LawError
+        The law or the estimator raised an exception.
+    """
+    opened = recording if isinstance(recording, Recording) else open_recording(recording)
+    changes = changes_of(settings, WallSettings)
+    own_law, own_estimator = _own({"law": law, "estimator": estimator}, changes)
+    recorded = opened.header["initial_state"]
+    if changes.get("controller.estimator") == recorded["estimator"]["name"] and len(changes) == 1:
+        changes = {}  # the recorded one: with the parameters that it had
+    if own_law is not None and own_law.name != recorded["law"]["name"]:
+        changes["wall.law"] = own_law.name
+    with _lent(own_law, own_estimator):
+        return replaying.replay(opened, changes, law=own_law)
+
+
+def zwidth(
+    experiment: ExperimentLike = DEFAULT_PRESET,
+    schemes: Sequence[str | Scheme] = (),
+    *,
+    dampings: Sequence[float] | None = None,
+    lowest: float | None = None,
+    highest: float | None = None,
+    search: Way = "ladder",
+    ratio: float = 1.06,
+    offsets: Sequence[float] | None = None,
+    repeats: int = 1,
+    judged: Judged | None = None,
+    law: str | Law | None = None,
+    estimator: str | Estimator | None = None,
+    directory: str | Path | None = None,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    watch: Callable[[sweep.Progress], None] | None = None,
+    **settings: Unpack[Settings],
+) -> ZWidth:
+    """Map the walls that a simulated rig renders stably, by hitting them (`rig zwidth`).
+
+    Parameters
+    ----------
+    experiment
+        As in `load`. A preset is held by a simulated hand with a normal grip, unless settings say who pushes.
+    schemes
+        One curve each, as ``"dual:20k/2k,estimator=kalman"``; the experiment's and the uniform ones of its rates if
+        empty.
+    dampings, offsets, repeats, judged
+        As in `rig.experiments.ranges.hit_plan`.
+    lowest, highest, search, ratio
+        Range of the stiffness, and the way through it: `rig.experiments.ranges.search_for`.
+    law, estimator
+        By name, or of your own. Other processes know yours only when a package installs it: see `directory`.
+    directory
+        Where the map is kept, and resumed when it was stopped; not kept if None.
+    workers, scheduler, watch
+        As in `rig.experiments.sweep.run`.
+
+    Raises
+    ------
+    ConfigError, PlanError
+        A scheme or a range that cannot be.
+    StoppedError
+        Ctrl-C; what is done stays in the directory.
+    """
+    changes = changes_of(settings, Settings)
+    own = _own({"law": law, "estimator": estimator}, changes)
+    if own[0] is not None:
+        changes["wall.law"] = own[0].name
+    if (scheduler, directory) != (None, None):
+        _refuse_what_is_not_installed(*own)
+    built_in = isinstance(experiment, str) and experiment in presets.names()
+    if built_in and not {"trial.kind", "trial.effort"} & set(changes):
+        changes |= changes_of({"operator": "normal"}, Settings)
+    with _lent(*own):
+        loaded = _changed(experiment, changes)
+        planned = hit_plan(
+            loaded,
+            [Scheme.parse(scheme) if isinstance(scheme, str) else scheme for scheme in schemes],
+            dampings=dampings,
+            search=search_for(loaded, search, ratio=ratio, lowest=lowest, highest=highest, span=SPAN),
+            offsets=offsets,
+            repeats=repeats,
+            judged=judged,
+        )
+        if directory is None:
+            return maps.zwidth(planned, scheduler=scheduler, workers=workers, watch=watch)
+        place = maps.directory_for(planned, Path(directory), "zwidth")
+        return maps.map_into(planned, place, scheduler=scheduler, workers=workers, watch=watch)
+
+
+def _changed(experiment: ExperimentLike, changes: Mapping[str, Any]) -> Experiment:
+    loaded = presets.load_named(experiment)
+    return config.override(loaded, changes, "the settings") if changes else loaded
+
+
+def _own(options: Mapping[str, Any], changes: dict[str, Any]) -> tuple[Law | None, Estimator | None]:
+    """A law and an estimator that are no names; names, and that of the estimator, are put into the changes."""
+    law, estimator = options.get("law"), options.get("estimator")
+    if isinstance(law, str):
+        changes["wall.law"], law = law, None
+    if estimator is not None:
+        changes["controller.estimator"] = estimator if isinstance(estimator, str) else estimator.name
+    for part, kind, decorator in ((law, Law, "law"), (estimator, Estimator | str, "estimator")):
+        if part is not None and not isinstance(part, kind):
+            raise ConfigError(
+                f"{decorator} = {part!r} is no {decorator}",
+                remedy=f"give a name, or a function under @rig.{decorator}(…)",
+            )
+    return law, None if isinstance(estimator, str) else estimator
+
+
+@contextmanager
+def _lent(law: Law | None, estimator: Estimator | None) -> Iterator[None]:
+    """Have parts of the caller's own known by their names meanwhile."""
+    with ExitStack() as stack:
+        if law is not None:
+            stack.enter_context(plugins.lent("rig.laws", laws.BUILT_IN, law.name, law))
+        if estimator is not None and not _built_in(estimator):
+            stack.enter_context(
+                plugins.lent("rig.estimators", estimators.BUILT_IN, estimator.name, estimator)
+            )
+        yield
+
+
+def _built_in(estimator: Estimator) -> bool:
+    return estimator.name in estimators.BUILT_IN and estimators.get(estimator.name) is estimator
+
+
+def _refuse_what_is_not_installed(law: Law | None, estimator: Estimator | None) -> None:
+    """Another process, or a later one, finds a part by its name in an installed package or not at all."""
+    for part, get, group in ((law, laws.get, "rig.laws"), (estimator, estimators.get, "rig.estimators")):
+        try:
+            known = part is None or get(part.name) is part
+        except ConfigError:
+            known = False
+        if part is not None and not known:
+            raise ConfigError(
+                f"{part.name} is known to this program alone: no other process can run it, and no later one resume it",
+                remedy=f'install it in a package with the entry point {part.name} in the group "{group}", or leave '
+                "out scheduler and directory",
+            )

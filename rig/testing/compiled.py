@@ -1,0 +1,38 @@
+"""What is promised of any compiled function that runs in the loop: it allocates nothing and keeps to its memory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numba
+import numpy as np
+from numba.core.runtime import _nrt_python as runtime
+from numpy.typing import NDArray
+
+GUARD = 16  # numbers beside a memory that nobody may touch
+_MARK = 12345
+
+
+def guarded(memory: NDArray[Any]) -> tuple[NDArray[Any], Callable[[], bool]]:
+    """A copy of a memory between marks, and whether they are untouched: compiled code checks no index."""
+    whole = np.full(len(memory) + 2 * GUARD, _MARK, dtype=memory.dtype)
+    inside = whole[GUARD : GUARD + len(memory)]
+    inside[:] = memory
+    outside = np.r_[0:GUARD, GUARD + len(memory) : len(whole)]
+    return inside, lambda: bool((whole[outside] == _MARK).all())
+
+
+def allocations(run: Callable[[], object]) -> int:
+    """How often compiled code asks the heap for memory during a run, once for each array that it is given.
+
+    So the same count for more ticks says that a tick asks for none. 0 where nothing is compiled.
+    """
+    if numba.config.DISABLE_JIT:
+        return 0
+    runtime.memsys_enable_stats()
+    before = runtime.memsys_get_stats_alloc()
+    run()
+    counted = int(runtime.memsys_get_stats_alloc() - before)
+    runtime.memsys_disable_stats()
+    return counted

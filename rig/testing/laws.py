@@ -1,0 +1,192 @@
+"""What every force law must do: `check_law` says the first promise that is broken.
+
+It raises AssertionError with a sentence and needs no test runner; what a law does on purpose, as acting outside of the
+wall, is said by an argument.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rig.config import Wall
+from rig.control import laws
+from rig.control import reactions as arrays
+from rig.control.law import Law, PreparedLaw
+from rig.control.plain_law import PlainLaw
+from rig.realtime.plugs import LAW_CLAMPED
+from rig.testing.compiled import allocations, guarded
+
+Floats = NDArray[np.float64]
+
+WALL: Mapping[str, Any] = asdict(Wall(stiffness=300.0, damping=0.5))
+TICK_S = 1.0 / 20_000
+DEPTH, SPEED = 0.01, 0.5  # of the motions: rad and rad/s, or m and m/s
+EXTREMES = (0.0, 5e-324, 1e-12, 1.0, 1e3, 1e6)
+TICKS = 400
+_CYCLE = np.sin(np.pi * np.arange(TICKS + 1) / TICKS) ** 2  # into the wall and out again
+
+
+def reactions(
+    law: Law | str, penetration: ArrayLike, velocity: ArrayLike | float = 0.0, **wall: Any
+) -> Floats:
+    """What a law answers, tick by tick, from a fresh memory (N·m or N).
+
+    Parameters
+    ----------
+    law
+        It, or the name of one.
+    penetration, velocity
+        In each tick (rad or m, and its rate).
+    **wall
+        Settings of the wall, as ``stiffness=300.0``, and ``tick_s``.
+    """
+    depth = np.ascontiguousarray(penetration, dtype=np.float64)
+    return _run(_prepared(law, wall), depth, np.broadcast_to(velocity, depth.shape).astype(np.float64))
+
+
+def check_law(
+    law: Law | str, *, everywhere: bool | None = None, pulls: bool = False, passive: bool = True, **wall: Any
+) -> None:
+    """Run every check.
+
+    Parameters
+    ----------
+    law
+        It, or the name of one.
+    everywhere
+        It acts outside of the wall too; None takes a decorated law's own word.
+    pulls
+        It may pull a handle at rest into the wall.
+    passive
+        Pressed in slowly and let out again, it gives back no more energy than it took. Say False for a law that plays
+        something by itself.
+    **wall
+        Settings of the wall, as ``stiffness=300.0``, and ``tick_s``.
+    """
+    acts_outside = isinstance(law, PlainLaw) and law.everywhere if everywhere is None else everywhere
+    check_memory(law, wall)
+    check_restart(law, wall)
+    check_one_by_one(law, wall)
+    check_finite(law, wall)
+    if not acts_outside:
+        check_outside(law, wall)
+    if not pulls:
+        check_at_rest(law, wall)
+    if passive:
+        check_passive(law, wall)
+
+
+def check_memory(law: Law | str, wall: Mapping[str, Any]) -> None:
+    """Memory and parameters are flat and finite, memory begins at zero, and a run keeps to it and takes no other."""
+    fresh = _prepared(law, wall)
+    for array in (fresh.parameters, fresh.state):
+        assert array.dtype == "float64", "wrong type of array"
+        assert array.ndim == 1, "not a flat array"
+    assert np.isfinite(fresh.parameters).all(), "a parameter is not finite"
+    assert not fresh.state.any(), "memory of a fresh law is not zero"
+    state, untouched = guarded(fresh.state)
+    parameters, kept = guarded(fresh.parameters)
+    watched = replace(fresh, state=state, parameters=parameters)
+    depth, speed = _motion()
+    needed = allocations(lambda: _run(watched, depth, speed))
+    twice = np.tile(depth, 2), np.tile(speed, 2)
+    assert allocations(lambda: _run(watched, *twice)) == needed, "the law allocates while it runs"
+    assert untouched(), "the law writes outside of its memory"
+    assert kept(), "the law writes outside of its parameters"
+    assert (parameters == fresh.parameters).all(), "the law changes its parameters"
+    assert state[LAW_CLAMPED] in (0.0, 1.0), "state[LAW_CLAMPED] is neither 0 nor 1"
+
+
+def check_restart(law: Law | str, wall: Mapping[str, Any]) -> None:
+    """The same motion gives the same bits: from a zeroed memory, and beside another law of its kind."""
+    one, depth, speed = _prepared(law, wall), *_motion()
+    fresh = _run(one, depth, speed)
+    one.state[:] = 0.0
+    assert (_run(one, depth, speed) == fresh).all(), "a restart differs from a fresh law"
+    one.state[:] = 0.0
+    two, both = _prepared(law, wall), np.empty(len(depth))
+    for k in range(len(depth)):
+        both[k] = _run(one, depth[k : k + 1], speed[k : k + 1])[0]
+        _run(two, depth[k : k + 1], -speed[k : k + 1])
+    assert (both == fresh).all(), "a law is disturbed by another of its kind"
+
+
+def check_one_by_one(law: Law | str, wall: Mapping[str, Any]) -> None:
+    """Called by itself it answers as it does inside a compiled loop."""
+    one, depth, speed = _prepared(law, wall), *_motion()
+    alone = [
+        one.law.function(float(d), float(v), 1, one.state, one.parameters)
+        for d, v in zip(depth, speed, strict=True)
+    ]
+    assert alone == _run(_prepared(law, wall), depth, speed).tolist(), "differs inside a compiled loop"
+
+
+def check_finite(law: Law | str, wall: Mapping[str, Any]) -> None:
+    """Whatever penetration and velocity arrive, after whatever gaps, the reaction is a finite number."""
+    random = np.random.default_rng(3)
+    values = np.array([sign * value for value in EXTREMES for sign in (-1.0, 1.0)])
+    depth, speed = random.choice(values, TICKS), random.choice(values, TICKS)
+    elapsed = random.integers(1, 5000, TICKS)
+    found = arrays.run(_prepared(law, wall), depth, speed, elapsed)
+    assert np.isfinite(found).all(), _where(
+        "gives a reaction that is not finite", ~np.isfinite(found), depth, speed
+    )
+
+
+def check_outside(law: Law | str, wall: Mapping[str, Any]) -> None:
+    """In free space nothing acts, before a contact and after it."""
+    depth, speed = _motion()
+    outside = np.concatenate([-depth, depth, -depth])
+    found = _run(_prepared(law, wall), outside, np.concatenate([speed, speed, -speed]))
+    acts = (outside <= 0.0) & (found != 0.0)
+    assert not acts.any(), _where("acts outside of the wall", acts, outside, found)
+
+
+def check_at_rest(law: Law | str, wall: Mapping[str, Any]) -> None:
+    """A handle at rest inside the wall is not pulled in."""
+    depth = np.linspace(0.0, DEPTH, TICKS)
+    found = _run(_prepared(law, wall), depth, np.zeros(TICKS))
+    assert (found >= 0.0).all(), _where("pulls a handle at rest into the wall", found < 0.0, depth, found)
+
+
+def check_passive(law: Law | str, wall: Mapping[str, Any]) -> None:
+    """Pressed in and let out it gives back no more than it took, quickly or slowly.
+
+    The work is that of the mean of two reactions over the way between them, which for a spring is exact to rounding.
+    """
+    for slower in (1.0, 1000.0):
+        tick_s = slower * TICK_S
+        depth = DEPTH * _CYCLE
+        speed = np.gradient(depth, tick_s)
+        found = _run(_prepared(law, {**wall, "tick_s": tick_s}), depth, speed)
+        work = 0.5 * (found[1:] + found[:-1]) * np.diff(depth)
+        given = -float(work.sum())
+        assert given <= 1e-9 * float(np.abs(work).sum()), (
+            f"gives {given:.3g} J in a cycle {DEPTH:g} deep that lasts {TICKS * tick_s:.3g} s: it drives the handle"
+        )
+
+
+def _prepared(law: Law | str, wall: Mapping[str, Any]) -> PreparedLaw:
+    known = laws.get(law) if isinstance(law, str) else law
+    return known.prepare({**WALL, "tick_s": TICK_S, **wall})
+
+
+def _run(prepared: PreparedLaw, depth: Floats, speed: Floats) -> Floats:
+    return arrays.run(prepared, depth, speed, np.ones(len(depth), np.int64))
+
+
+def _motion() -> tuple[Floats, Floats]:
+    """A contact with ringing, deep and shallow, in and out."""
+    time = np.linspace(0.0, 1.0, TICKS)
+    depth = DEPTH * (np.sin(3.0 * np.pi * time) + 0.2 * np.sin(40.0 * np.pi * time))
+    return depth, SPEED * np.cos(40.0 * np.pi * time)
+
+
+def _where(what: str, bad: NDArray[np.bool_], depth: Floats, other: Floats) -> str:
+    k = int(np.flatnonzero(bad)[0]) if bad.any() else 0
+    return f"{what}: penetration {depth[k]:.6g}, beside it {other[k]:.6g}"

@@ -1,0 +1,73 @@
+"""The picture of any result that has one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+from rig.analysis.theory import Theory
+from rig.core.errors import ConfigError
+from rig.experiments.hit import HitResult
+from rig.experiments.ranges import linear_curves, theory_curves
+from rig.experiments.replay import ReplayResult
+from rig.experiments.zwidth import ZWidth
+from rig.experiments.zwidth_frequency import FrequencyMap
+from rig.recording.data import Column, Recording
+from rig.views.plots import style
+from rig.views.plots.hit import hit_figure
+from rig.views.plots.replay import replay_figure
+from rig.views.plots.theory import theory_figure
+from rig.views.plots.zwidth import zwidth_figure
+from rig.views.plots.zwidth_frequency import frequency_figure
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """A picture: a notebook shows it, `save` writes it, and `figure` is a `matplotlib.figure.Figure` to go on with."""
+
+    figure: Any
+
+    def save(self, path: str | Path) -> Path:
+        """Write it as PNG, SVG or PDF, as the name ends; `RecordingError` when it cannot be."""
+        return style.save(self.figure, Path(path))
+
+    def _repr_png_(self) -> bytes:
+        buffer = BytesIO()
+        self.figure.savefig(buffer, format="png", dpi=style.DPI)
+        return buffer.getvalue()
+
+
+def plot(result: object) -> Picture:
+    """Draw a hit, a recording or a column of it, a replay, a map or a theory; `ConfigError` for anything else."""
+    for kind, figure in _FIGURES.items():
+        if isinstance(result, kind):
+            return Picture(figure(result))
+    raise ConfigError(
+        f"a {type(result).__name__} has no picture",
+        remedy="give a hit, a recording or a column of it, a replay, a map or a theory",
+    )
+
+
+def column_figure(column: Column) -> Any:
+    """The figure of one column over time."""
+    figure = style.new_figure(height=3.5)
+    axes = figure.subplots()
+    axes.plot(column.time_s, column.values, color=style.MEASURED, linewidth=0.9)
+    axes.set_xlabel("time (s)")
+    axes.set_title(column.description, fontsize=9)
+    style.tidy(axes, f"{column.name} ({column.unit})")
+    return figure
+
+
+_FIGURES: Mapping[type, Callable[[Any], Any]] = {
+    HitResult: lambda hit: hit_figure(hit.recording),
+    Recording: hit_figure,
+    Column: column_figure,
+    ReplayResult: replay_figure,
+    ZWidth: lambda found: zwidth_figure(found, theory=theory_curves(found.plan)),
+    FrequencyMap: lambda found: frequency_figure(found, theory=linear_curves(found.plan)),
+    Theory: theory_figure,
+}

@@ -1,0 +1,1 @@
+"""Walls and velocity estimators of our lab."""

@@ -1,0 +1,265 @@
+"""Laws and estimators from plain functions: what they compute, what they may ask for, how what cannot be is told."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+
+from rig.control.estimators.plain_estimator import estimator
+from rig.control.plain_functions import Memory, Parameter, Parameters
+from rig.control.plain_law import law
+from rig.core.errors import ConfigError
+from rig.testing.estimators import velocities
+from rig.testing.laws import reactions
+
+compiled = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled here")
+
+
+@law(parameters={"quadratic": Parameter(default=1e5, minimum=0.0, maximum=1e6, unit="N·m/rad²")})
+def stiffening(penetration: float, velocity: float, p: Parameters) -> float:
+    """A wall that grows harder with depth."""
+    return p.stiffness * penetration + p.quadratic * penetration**2 + p.damping * velocity
+
+
+@law(memory=("held", "calls"), everywhere=True)
+def relaxing(elapsed_s: float, memory: Memory, penetration: float, p: Parameters) -> float:
+    memory.calls += 1.0
+    memory.held += (penetration - memory.held) * elapsed_s / (elapsed_s + 10.0 * p.tick_s)
+    return p.stiffness * (penetration - memory.held)
+
+
+@estimator(parameters={"weight": Parameter(default=0.5, minimum=0.0, maximum=1.0)}, memory=("slope",))
+def blend(travel: float, elapsed_s: float, memory: Memory, p: Parameters) -> float:
+    """Two slopes, weighed."""
+    before, memory.slope = memory.slope, travel / elapsed_s
+    return p.weight * before + (1.0 - p.weight) * memory.slope
+
+
+def test_a_law_knows_its_parameters_by_name_and_acts_inside_the_wall_alone() -> None:
+    depth, speed = np.array([-0.01, 0.0, 0.01]), np.array([1.0, 1.0, -0.2])
+    found = reactions(stiffening, depth, speed, stiffness=100.0, damping=0.5)
+    assert found == pytest.approx([0.0, 0.0, 100.0 * 0.01 + 1e5 * 1e-4 - 0.1])
+    assert (stiffening.name, stiffening.summary) == ("stiffening", "A wall that grows harder with depth.")
+
+
+def test_other_parameters_make_another_law_and_leave_this_one_alone() -> None:
+    softer = stiffening.with_parameters(quadratic=0.0)
+    assert reactions(softer, [0.01], stiffness=100.0).tolist() == pytest.approx([1.0])
+    assert reactions(stiffening, [0.01], stiffness=100.0).tolist() == pytest.approx([11.0])
+    with pytest.raises(ConfigError, match=r"no parameter 'quadratc'; did you mean quadratic\?"):
+        stiffening.with_parameters(quadratc=0.0)
+    with pytest.raises(
+        ConfigError, match=r"quadratic = -1 is out of range; give a number, 0 to 1e\+06 N·m/rad²"
+    ):
+        stiffening.with_parameters(quadratic=-1)
+    with pytest.raises(ConfigError, match=r"quadratic = nan"):
+        stiffening.with_parameters(quadratic=math.nan)
+
+
+def test_memory_is_kept_and_time_is_told_in_seconds() -> None:
+    """A spring in series with a damper: ten ticks after a step a share 1/e is nearly left, the faster the tick."""
+    made = relaxing.prepare({"stiffness": 2.0, "damping": 0.0, "tick_s": 1e-3})
+    found = [made.law.function(1.0, 0.0, 1, made.state, made.parameters) for _ in range(10)]
+    assert found[-1] == pytest.approx(2.0 * (10 / 11) ** 10)
+    assert made.state.tolist() == [0.0, pytest.approx(1.0 - (10 / 11) ** 10), 10.0]
+    lost = made.law.function(1.0, 0.0, 10, made.state, made.parameters)
+    assert lost == pytest.approx(0.5 * found[-1]), "ten ticks at once: 10/(10 + 10)"
+
+
+def test_an_estimator_is_given_travel_whatever_encoder_and_link_do() -> None:
+    made = blend.prepare({"weight": 0.0}, -1e-3, 0.5)
+    counts, elapsed = [2**31 - 2, -(2**31), -(2**31) + 4], [1, 1, 2]
+    assert velocities(made, counts, elapsed).tolist() == [0.0, pytest.approx(-4e-3), pytest.approx(-4e-3)]
+    assert made.state_i[0] == 2, "the row shows how many periods the estimate spans"
+
+
+def test_an_estimators_settings_are_those_of_an_experiment() -> None:
+    slopes = velocities(blend.prepare({"weight": 0.25}, 1.0, 1.0), [0, 4, 4])
+    assert slopes.tolist() == [0.0, 3.0, 1.0]
+    with pytest.raises(ConfigError, match="weight = 2  is out of range"):
+        blend.prepare({"weight": 2.0}, 1.0, 1.0)
+
+
+def test_names_are_those_of_files_and_may_be_given() -> None:
+    assert blend.name == "blend"
+
+    @estimator(name="mine", source="a paper")
+    def two_words(travel: float, elapsed_s: float) -> float:
+        return travel / elapsed_s
+
+    assert (two_words.name, two_words.source) == ("mine", "a paper")
+
+    @law()
+    def two_more(penetration: float) -> float:
+        return penetration
+
+    assert two_more.name == "two-more"
+
+
+def helper(x: float) -> float:
+    return x
+
+
+def misspelt(penetration: float, p: Parameters) -> float:
+    return p.stifness * penetration
+
+
+def forgets(penetration: float, memory: Memory) -> float:
+    memory.depest = penetration
+    return penetration
+
+
+def recalls(penetration: float, memory: Memory) -> float:
+    return penetration * memory.depest
+
+
+def allocates(penetration: float) -> float:
+    table = np.zeros(3)
+    return float(table[0] + penetration)
+
+
+def lists(penetration: float) -> float:
+    two = [penetration, 1.0]
+    return two[0]
+
+
+def calls(penetration: float) -> float:
+    return helper(penetration)
+
+
+def undefined(penetration: float) -> float:
+    return penetration * gain  # type: ignore[name-defined]  # noqa: F821
+
+
+def silent(penetration: float) -> float:  # type: ignore[return]
+    if penetration > 1.0:
+        return 1.0
+
+
+def nothing(penetration: float) -> None:
+    penetration + 1.0
+
+
+def says(penetration: float) -> str:
+    return "hard"
+
+
+def sets(penetration: float, p: Parameters) -> float:
+    p.stiffness = 3.0
+    return penetration
+
+
+def imports(penetration: float) -> float:
+    import os  # noqa: PLC0415
+
+    return penetration * len(os.sep)
+
+
+def absent(penetration: float) -> float:
+    return math.hypotenuse(penetration)  # type: ignore[attr-defined, no-any-return]
+
+
+@compiled
+@pytest.mark.parametrize(
+    ("function", "line", "said"),
+    [
+        (misspelt, 1, r"p has no number 'stifness'; did you mean stiffness\?"),
+        (forgets, 0, r"memory has no number 'depest'; did you mean deepest\?"),
+        (recalls, 0, r"memory has no number 'depest'; did you mean deepest\?"),
+        (
+            allocates,
+            1,
+            r"it makes an array, a list or a text, and nothing may be allocated .*; keep single numbers",
+        ),
+        (lists, 1, r"it makes an array, a list or a text"),
+        (calls, 1, r"helper is nothing that compiled code can use; .* helpers decorated by numba.njit"),
+        (undefined, 0, r"there is no gain;"),
+        (silent, 0, r"returns nothing on one of its ways; return a number from every way"),
+        (nothing, 0, r"returns nothing on one of its ways"),
+        (says, 0, r"returns .*str.*; return a number"),
+        (sets, 0, r"it sets a parameter; keep what changes in memory"),
+        (imports, 1, r"unsupported opcode \(IMPORT_NAME\) found; use numbers"),
+        (absent, 0, r"module 'math' has no attribute 'hypotenuse'"),
+    ],
+)
+def test_what_cannot_be_compiled_is_told_in_a_line_with_place_reason_and_remedy(
+    function: Callable[..., float], line: int, said: str
+) -> None:
+    with pytest.raises(ConfigError, match=said) as refused:
+        law(memory=("deepest",))(function)
+    place = (
+        f"law '{function.__name__}' (test_plain_functions.py, line {function.__code__.co_firstlineno + line})"
+    )
+    assert str(refused.value).startswith(place)
+    assert "\n" not in str(refused.value)
+    error = refused.value
+    assert error.__context__ is None or error.__suppress_context__, (
+        "the compiler's own report is no part of it"
+    )
+
+
+def named(penetraton: float) -> float:
+    return penetraton
+
+
+def unknown(penetration: float, colour: float) -> float:
+    return penetration
+
+
+def defaulted(penetration: float, p: float = 3.0) -> float:
+    return penetration
+
+
+def starred(*penetration: float) -> float:
+    return penetration[0]
+
+
+def remembers(memory: Memory) -> float:
+    return 0.0
+
+
+@pytest.mark.parametrize(
+    ("function", "said"),
+    [
+        (named, r"argument 'penetraton' is nothing that it is given; did you mean penetration\?"),
+        (
+            unknown,
+            r"argument 'colour' is .*; choose from penetration: depth inside the wall \(rad or m\); velocity",
+        ),
+        (defaulted, r"argument 'p' is not a plain one; write its name alone"),
+        (starred, r"argument 'penetration' is not a plain one"),
+        (remembers, r"argument 'memory' has no names; say what it keeps: memory=\(\"previous\",\)"),
+        (math.sin, r"law 'sin' is not a plain function"),
+    ],
+)
+def test_an_argument_that_it_is_not_given_is_refused_with_those_that_it_is(function: Any, said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        law()(function)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (
+            {"parameters": {"stiffness": 1.0}},
+            r"'stiffness' stands for what every p has: stiffness, damping, tick_s",
+        ),
+        ({"parameters": {"two words": 1.0}}, r"parameter 'two words' is no name"),
+        ({"parameters": {"gain": math.inf}}, r"gain = inf is out of range"),
+        ({"parameters": {"gain": "much"}}, r"gain = 'much' is out of range"),
+        ({"memory": ("x", "x")}, r"memory 'x' is there twice"),
+        ({"memory": ("_x",)}, r"memory '_x' is no name"),
+    ],
+)
+def test_names_and_numbers_that_cannot_be_are_refused(given: dict[str, Any], said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        law(**given)(helper_law)
+
+
+def helper_law(penetration: float) -> float:
+    return penetration

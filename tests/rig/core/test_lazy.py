@@ -1,0 +1,72 @@
+"""The public names: stated once, in stubs, and loaded when they are used."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+import rig
+import rig.testing
+from rig.core.lazy import loader, public_names
+from tests.conformance.guides import ROOT
+
+IMPORT_MS = 40.0
+
+
+@pytest.mark.parametrize("package", [rig, rig.testing])
+def test_stub_table_and_package_agree(package: ModuleType) -> None:
+    """Every line of the stub that is no text is a name; each is there, and `dir` and `from … import *` have it."""
+    assert package.__file__ is not None
+    table = public_names(package.__file__)
+    stub = Path(f"{package.__file__}i").read_text(encoding="utf-8").partition('"""\n\n')[2]
+    assert len(stub.split("\n")) == len(table) + 1
+    assert package.__all__ == sorted(table)
+    assert set(table) <= set(dir(package))
+    for name in table:
+        assert getattr(package, name) is not None
+    assert {name: getattr(package, name) for name in table} == {
+        name: value for name, value in _starred(package.__name__).items() if name in table
+    }
+
+
+def _starred(package: str) -> dict[str, object]:
+    names: dict[str, object] = {}
+    exec(f"from {package} import *", names)
+    return names
+
+
+def test_a_name_that_is_not_public_is_no_attribute() -> None:
+    with pytest.raises(AttributeError, match="module 'rig' has no attribute 'hti'"):
+        _ = rig.hti  # type: ignore[attr-defined]
+
+
+def test_a_stubs_line_may_name_a_module(tmp_path: Path) -> None:
+    (tmp_path / "__init__.pyi").write_text(
+        "from rig.core import errors as errors\nfrom math import pi as tau\n"
+    )
+    table = public_names(str(tmp_path / "__init__.py"))
+    assert table == {"errors": ("rig.core", "errors"), "tau": ("math", "pi")}
+    load = loader("mine", table)
+    assert (load("errors").ConfigError.__name__, load("tau")) == ("ConfigError", 3.141592653589793)
+
+
+@pytest.mark.parametrize("package", ["rig", "rig.testing"])
+def test_importing_it_loads_nothing(package: str) -> None:
+    """A pytest plug-in of an environment imports it in every run: the best of five, and no library."""
+    script = (
+        f"import sys, time; began = time.perf_counter(); import {package}; took = time.perf_counter() - began\n"
+        "heavy = {'numpy', 'numba', 'typing', 're', 'dataclasses'} & set(sys.modules)\n"
+        "print(1e3 * took, *heavy)"
+    )
+    runs = [
+        subprocess.run(
+            [sys.executable, "-S", "-c", script], cwd=ROOT, capture_output=True, text=True, check=True
+        ).stdout.split()
+        for _ in range(5)
+    ]
+    assert [heavy for _, *heavy in runs] == [[]] * 5
+    assert min(float(took) for took, *_ in runs) < IMPORT_MS

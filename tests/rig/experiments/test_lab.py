@@ -1,0 +1,190 @@
+"""What people call: presets, files and experiments alike, settings by name, laws and estimators of their own."""
+
+from __future__ import annotations
+
+import threading
+from importlib.metadata import EntryPoint
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import rig
+from rig.core import plugins
+from rig.core.errors import ConfigError, PlanError, RecordingError
+from rig.experiments.hit import HitRequest
+from rig.experiments.hit import hit as run
+
+SHORT: dict[str, Any] = {"duration_s": 0.25, "changes": {"verdict.tail_s": 0.1}}
+
+
+@rig.law(parameters={"quadratic": 1e4})
+def stiffening(penetration: float, velocity: float, p: rig.Parameters) -> float:
+    """A wall that grows harder with depth."""
+    return p.stiffness * penetration + p.quadratic * penetration**2 + p.damping * velocity
+
+
+@rig.estimator(memory=("velocity",))
+def smoothed(travel: float, elapsed_s: float, memory: rig.Memory) -> float:
+    """Slopes, smoothed."""
+    memory.velocity += 0.2 * (travel / elapsed_s - memory.velocity)
+    return memory.velocity
+
+
+@pytest.fixture(scope="module")
+def own(tmp_path_factory: pytest.TempPathFactory) -> rig.HitResult:
+    """A hit of a law and an estimator of ours."""
+    place = tmp_path_factory.mktemp("own")
+    law = stiffening.with_parameters(quadratic=2e4)
+    return rig.hit("koul-compliant", law=law, estimator=smoothed, stiffness=100.0, output=place, **SHORT)
+
+
+def test_a_preset_a_file_and_an_experiment_give_the_same_hit(tmp_path: Path) -> None:
+    """And it is the hit that a command makes."""
+    file = tmp_path / "mine.toml"
+    file.write_text('preset = "koul-compliant"\n')
+    subjects = ("koul-compliant", str(file), file, rig.load(file))
+    results = [rig.hit(one, stiffness=200.0, output=tmp_path, name="a", **SHORT) for one in subjects]
+    changes = {"wall.stiffness": 200.0, "trial.duration_s": 0.25, "verdict.tail_s": 0.1}
+    results += run(HitRequest(experiment=rig.load("koul-compliant"), changes=changes, output=tmp_path))
+    assert all(result.experiment == results[0].experiment for result in results)
+    assert len({result.recording.rows.tobytes() for result in results}) == 1
+    assert len({result.path for result in results}) == 5, "none is overwritten"
+
+
+def test_settings_have_the_names_of_keys_and_a_wrong_one_names_those_that_are_near() -> None:
+    loaded = rig.load(
+        "koul-rigid", damping=0.25, position_rate=1000, velocity_rate=500, operator="firm", seed=7
+    )
+    assert (loaded.wall.damping, loaded.controller.position_rate, loaded.trial.seed) == (0.25, 1000, 7)
+    assert (loaded.trial.kind, loaded.operator.grip) == ("human", "firm")
+    assert rig.load(loaded, operator="none").trial.kind == "constant-effort"
+    assert rig.load(loaded, changes={"wall.position": 0.01}).wall.position == 0.01
+    for call in (rig.load, rig.hit, rig.plan):
+        with pytest.raises(ConfigError, match=r"no setting 'stifness'; did you mean stiffness\?"):
+            call("koul-rigid", stifness=1.0)  # type: ignore[operator]
+    with pytest.raises(ConfigError, match=r"no setting 'colour'; choose one of: side, pull"):
+        rig.hit(colour="red")  # type: ignore[call-arg]
+    with pytest.raises(ConfigError, match=r"wall.stiffness = -1.0: must be a number ≥ 0 N·m/rad"):
+        rig.load("koul-rigid", stiffness=-1.0)
+    with pytest.raises(ConfigError, match=r"koul-complaint.*did you mean koul-compliant\?"):
+        rig.hit("koul-complaint")
+
+
+def test_one_hit_gives_one_result_and_hits_give_each_as_it_comes(tmp_path: Path) -> None:
+    with pytest.raises(
+        ConfigError, match=r"trial.repeats = 2, and this gives one result; say repeats=1, or use hits"
+    ):
+        rig.hit(repeats=2, output=tmp_path)
+    seen: list[tuple[int, int]] = []
+
+    def watch(number: int, experiment: rig.Experiment) -> Any:
+        return lambda ticks, phase: seen.append((number, ticks))
+
+    several = rig.hits("koul-compliant", watch, repeats=2, output=tmp_path, **SHORT)
+    assert not list(tmp_path.iterdir()), "nothing runs before it is asked for"
+    assert next(several).path.exists()
+    assert {number for number, _ in seen} == {0}
+    assert len(list(several)) == 1
+    assert {number for number, _ in seen} == {0, 1}
+
+
+def test_a_law_and_an_estimator_of_ones_own_run_and_are_recorded(own: rig.HitResult) -> None:
+    inside = own.recording.rows["penetration"] > 0.0
+    rows = own.recording.rows[inside & (own.recording.rows["phase"] == 3)]
+    expected = 100.0 * rows["penetration"] + 2e4 * rows["penetration"] ** 2 + 0.5 * rows["velocity"]
+    assert rows["effort_wall"] == pytest.approx(expected, rel=1e-12)
+    header = own.recording.header["initial_state"]
+    assert (header["law"]["name"], header["estimator"]["name"]) == ("stiffening", "smoothed")
+    assert header["law"]["parameters"] == [100.0, 0.5, 1 / 20_000, 2e4]
+
+
+def test_they_replay_to_the_last_bit_with_the_parameters_that_were_recorded(own: rig.HitResult) -> None:
+    for recording in (own.recording, own.path, str(own.path)):
+        assert rig.replay(recording, law=stiffening, estimator=smoothed).exact
+    other = rig.replay(own.path, law=stiffening, estimator="fdm")
+    assert (other.exact, other.estimator, other.law) == (False, "fdm", "stiffening")
+    softer = rig.replay(own.path, law=stiffening, estimator=smoothed, stiffness=50.0)
+    assert 0.0 < softer.effort_difference < np.inf
+    walled = rig.replay(own.path, law="spring-damper", estimator=smoothed)
+    assert (walled.law, walled.velocity_difference) == ("spring-damper", 0.0)
+    with pytest.raises(ConfigError, match=r"there is no estimator 'smoothed'"):
+        rig.replay(own.path, law=stiffening)
+    with pytest.raises(RecordingError, match=r"nowhere.parquet"):
+        rig.replay("nowhere.parquet")
+
+
+def test_they_are_known_by_name_meanwhile_and_no_longer(own: rig.HitResult) -> None:
+    with pytest.raises(ConfigError, match=r'controller.estimator = "smoothed"'):
+        rig.plan("koul-compliant", estimator="smoothed")
+    planned = rig.plan("koul-compliant", estimator=smoothed, law=stiffening)
+    assert planned.ok
+    assert "by smoothed" in repr(planned)
+
+
+def test_in_a_map_they_run_in_every_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    threads: set[int] = set()
+    get = plugins.load
+
+    def spied(*arguments: Any) -> Any:
+        threads.add(threading.get_ident())
+        return get(*arguments)
+
+    monkeypatch.setattr(plugins, "load", spied)
+    found = rig.zwidth(
+        "koul-compliant", ["dual:20k/2k"], law=stiffening, estimator=smoothed, dampings=[0.0, 0.5],
+        lowest=100.0, highest=120.0, search="bisection", ratio=1.1, offsets=[0.1], workers=2,
+    )  # fmt: skip
+    assert threading.get_ident() not in threads or len(threads) > 1
+    assert found.plan.experiment.wall.law == "stiffening"
+    assert found.plan.experiment.trial.kind == "human", "a preset is held by a hand, as the command has it"
+    assert found.hits >= 2
+    assert found.curve(0, "any")[1].stiffness >= found.curve(0, "any")[0].stiffness
+
+
+def test_what_only_this_program_knows_goes_to_no_other_and_into_no_directory(tmp_path: Path) -> None:
+    """A map that is resumed, or runs elsewhere, finds a law by its name, and may find another one."""
+    with pytest.raises(ConfigError, match=r"smoothed is known to this program alone.*\"rig.estimators\""):
+        rig.zwidth("koul-compliant", estimator=smoothed, directory=tmp_path)
+    with pytest.raises(ConfigError, match=r"stiffening is known to this program alone.*\"rig.laws\""):
+        rig.zwidth("koul-compliant", law=stiffening, scheduler="tcp://127.0.0.1:1")
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_a_package_installs_is_known_by_its_name(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / "mylab.py").write_text(
+        "import rig\n\n\n@rig.law()\ndef soft(penetration: float, p: rig.Parameters) -> float:\n"
+        "    return 0.5 * p.stiffness * penetration\n"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    point = EntryPoint("soft", "mylab:soft", "rig.laws")
+    monkeypatch.setattr(plugins, "entry_points", lambda group: [point] if group == "rig.laws" else [])
+    result = rig.hit("koul-compliant", law="soft", stiffness=200.0, output=tmp_path, **SHORT)
+    assert rig.replay(result.recording).exact
+    assert result.recording.header["initial_state"]["law"]["parameters"][0] == 200.0
+
+
+def test_a_name_that_is_taken_and_a_part_that_is_none_are_refused() -> None:
+    @rig.estimator(name="fdm")
+    def impostor(travel: float) -> float:
+        return travel
+
+    with pytest.raises(ConfigError, match=r"'fdm' is the name of a built-in one"):
+        rig.plan("koul-compliant", estimator=impostor)
+    with pytest.raises(ConfigError, match=r"law = 3 is no law; give a name, or a function under @rig.law"):
+        rig.hit(law=3)  # type: ignore[arg-type]
+    with pytest.raises(ConfigError, match=r"estimator = .*stiffening.* is no estimator"):
+        rig.plan(estimator=stiffening)  # type: ignore[arg-type]
+
+
+def test_a_plan_has_what_is_refused_and_a_hit_raises_it(tmp_path: Path) -> None:
+    slow = {"rig.limits.speed": 0.5}
+    planned = rig.plan("koul-compliant", changes=slow)
+    assert not planned.ok
+    assert "impact velocity: up to" in repr(planned)
+    with pytest.raises(PlanError, match="impact velocity"):
+        rig.hit("koul-compliant", changes=slow, output=tmp_path / "none")
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,154 @@
+"""What results show of themselves: ten lines at a prompt, tables in a notebook, a picture, columns with their unit."""
+
+from __future__ import annotations
+
+import io
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import rig
+from rig.core.errors import ConfigError, RecordingError, RigError
+from rig.core.shown import LINES, WIDTH
+from rig.experiments.ranges import frequency_plan
+from rig.experiments.zwidth_frequency import FrequencyMap
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """One result of each kind."""
+    place = tmp_path_factory.mktemp("shown")
+    hit = rig.hit("koul-compliant", duration_s=0.25, changes={"verdict.tail_s": 0.1}, output=place)
+    levant = rig.Scheme.parse(
+        "uniform:1k,estimator=levant"
+    )  # which linear theory cannot take: that takes seconds
+    plan = frequency_plan(
+        rig.load("chawda-linear"), [levant], stiffnesses=[1000.0, 2000.0], dampings=[0.0, 5.0]
+    )
+    shape = (len(plan.schemes), plan.realisations + 1, 2, 2)
+    return {
+        "hit": hit,
+        "recording": hit.recording,
+        "column": hit.recording["effort_sent"],
+        "experiment": hit.experiment,
+        "plan": rig.plan("koul-compliant"),
+        "replay": rig.replay(hit.recording, estimator="fdm"),
+        "zwidth": rig.zwidth(
+            "koul-compliant", [levant], dampings=[0.0, 0.5], lowest=100.0, highest=120.0, search="bisection", ratio=1.1,
+            offsets=[0.1],
+        ),
+        "frequency": FrequencyMap(plan, [], np.ones(shape, np.bool_), np.full(shape, 3.0)),
+        "theory": rig.theory.theory_of("koul-compliant", ["dual:20k/2k", "uniform:1k,estimator=levant"]),
+    }  # fmt: skip
+
+
+class Tags(HTMLParser):
+    """Opened and closed elements of a fragment."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.seen: set[str] = set()
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: Any) -> None:
+        self.open.append(tag)
+        self.seen.add(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
+def test_a_result_takes_ten_lines_at_a_prompt(results: dict[str, Any]) -> None:
+    for name, result in results.items():
+        lines = repr(result).splitlines()
+        assert 2 <= len(lines) <= LINES, name
+        assert max(map(len, lines)) <= WIDTH, name
+
+
+def test_a_notebook_is_shown_tables_in_whole_elements(results: dict[str, Any]) -> None:
+    for name, result in results.items():
+        tags = Tags(result._repr_html_())
+        assert not tags.open, name
+        assert "table" in tags.seen, name
+    assert "estimated velocity, held between velocity samples" in results["recording"]._repr_html_()
+    assert "<td>controller.velocity_rate</td><td>2000</td>" in results["experiment"]._repr_html_()
+    assert len(repr(results["hit"].recorded.judgement)) > 0
+
+
+def test_what_a_hit_shows_first_is_the_verdict_and_where_it_is_kept(results: dict[str, Any]) -> None:
+    hit = results["hit"]
+    lines = repr(hit).splitlines()
+    assert lines[0] == hit.experiment.headline()
+    assert lines[1].split()[0] == "verdict"
+    assert hit.verdict.kind in lines[1]
+    assert lines[-1].endswith(str(hit.path))
+
+
+def test_a_text_of_a_rig_is_text_in_a_notebook() -> None:
+    odd = rig.load("koul-compliant", changes={"rig.description": "<script>1</script>"})
+    assert "<script>" not in odd._repr_html_()
+
+
+def test_a_column_has_its_unit_and_meaning_and_is_an_array_to_numpy(results: dict[str, Any]) -> None:
+    column, rows = results["column"], results["recording"].rows
+    assert (column.name, column.unit) == ("effort_sent", "N·m")
+    assert column.description.startswith("effort of the command sent")
+    assert np.abs(column).max() == np.abs(rows["effort_sent"]).max()
+    assert (np.asarray(column, dtype=np.float32) == rows["effort_sent"].astype(np.float32)).all()
+    assert len(column) == len(rows)
+    assert column.time_s[-1] == results["recording"].time_s[-1]
+    with pytest.raises(RecordingError, match=r"no column 'effort_snt'; did you mean effort_sent\?"):
+        results["recording"]["effort_snt"]
+
+
+def test_each_has_its_picture_which_is_saved_as_its_name_ends(
+    results: dict[str, Any], tmp_path: Path
+) -> None:
+    drawn = {name: result.plot() for name, result in results.items() if hasattr(result, "plot")}
+    assert set(drawn) == {"hit", "recording", "column", "replay", "zwidth", "frequency", "theory"}
+    for name, picture in drawn.items():
+        assert picture.figure.axes, name
+    assert drawn["column"]._repr_png_().startswith(b"\x89PNG")
+    assert drawn["replay"].save(tmp_path / "a.svg").read_bytes().startswith(b"<?xml")
+    assert drawn["replay"].save(str(tmp_path / "a.pdf")).read_bytes().startswith(b"%PDF")
+    with pytest.raises(ConfigError, match="a Plan has no picture; give a hit"):
+        rig.plot(results["plan"])
+
+
+def test_other_libraries_get_the_units_with_the_numbers(results: dict[str, Any]) -> None:
+    recording = results["recording"]
+    frame = recording.to_pandas()
+    assert frame.attrs["units"]["velocity"] == "rad/s"
+    xarray = pytest.importorskip("xarray")
+    found = recording.to_xarray()
+    assert isinstance(found, xarray.Dataset)
+    assert found.velocity.attrs["units"] == "rad/s"
+    assert found.velocity.attrs["long_name"] == recording.descriptions["velocity"]
+    assert (found.velocity.values == recording.rows["velocity"]).all()
+    assert (found.time.values == recording.time_s).all()
+
+
+@pytest.mark.parametrize("library", ["pandas", "xarray"])
+def test_a_library_that_is_not_there_is_named_with_what_installs_it(
+    library: str, results: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, library, None)
+    with pytest.raises(
+        RigError, match=rf"{library} is not installed; install it: pip install 'haptic-rig\[data\]'"
+    ):
+        getattr(results["recording"], f"to_{library}")()
+
+
+def test_a_recording_that_was_cut_off_shows_what_is_missing(results: dict[str, Any]) -> None:
+    whole = results["recording"]
+    cut = rig.Recording(whole.header, whole.rows[:0], complete=False)
+    assert "cut off" in repr(cut)
+    assert "none" in repr(cut)
+    assert Tags(cut._repr_html_()).open == []
+    assert "rows" in repr(cut["velocity"])
+    print(cut, file=io.StringIO())

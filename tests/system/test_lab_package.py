@@ -1,0 +1,99 @@
+"""A lab's own package, and every example, against the wheel alone: types, an entry point's law, hits, maps."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.conformance.guides import ROOT, examples
+
+pytest.importorskip("hatchling")
+
+WRONG = """
+import rig
+from rig.testing import check_lwa
+
+rig.hti
+rig.hit("koul-compliant", stifness=1.0)
+rig.hit("koul-compliant", stiffness="hard")
+rig.hit().verdict.knd
+rig.hit().recording["velocity"].units
+rig.law(parameters={"gain": "much"})
+"""
+ERRORS = [
+    ('Module "rig.testing" has no attribute "check_lwa"', "check_law"),
+    ('Module has no attribute "hti"', ""),
+    ('Unexpected keyword argument "stifness"', 'did you mean "stiffness"'),
+    ('Argument "stiffness" to "hit" has incompatible type "str"', "float"),
+    ('"Verdict" has no attribute "knd"', ""),
+    ('"Column" has no attribute "units"', "unit"),
+    ('has incompatible type "str": "str"', "Parameter"),
+]
+
+
+def done(*command: str, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-P", "-m", *command], cwd=cwd, env={**os.environ, **environment},
+        capture_output=True, text=True, timeout=100, check=False,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The package beside a directory `site`, in which it is installed with the wheel, and the examples in `guides`."""
+    place = tmp_path_factory.mktemp("lab") / "lab"
+    shutil.copytree(ROOT / "tests" / "lab_package", place)
+    built = done("hatchling", "build", "-t", "wheel", "-d", str(place / "dist"), cwd=ROOT)
+    assert built.returncode == 0, built.stderr
+    (wheel,) = (place / "dist").glob("*.whl")
+    offline = (
+        "--no-deps",
+        "--no-index",
+        "--no-build-isolation",
+        "--disable-pip-version-check",
+        "--no-compile",
+    )
+    installed = done("pip", "install", "-q", *offline, "--target", "site", str(wheel), str(place), cwd=place)
+    assert installed.returncode == 0, installed.stderr
+    guides = place / "guides"
+    guides.mkdir()
+    for guide in (ROOT / "README.md", *(ROOT / "rig").rglob("*.md")):
+        for number, text in enumerate(examples(guide)):
+            (guides / f"{guide.parent.name}_{guide.stem.lower()}_{number}.py".replace("-", "_")).write_text(
+                text
+            )
+    (place / "wrong.py").write_text(WRONG)
+    return place
+
+
+def test_it_and_every_example_pass_mypy_strict_and_what_is_wrong_is_found(lab: Path) -> None:
+    """One run for all: most of it is reading the package."""
+    shown = [str(path.relative_to(lab)) for path in sorted((lab / "guides").iterdir())]
+    assert len(shown) == 6
+    command = ("mypy", "--cache-dir=types", "mylab", "tests", *shown, "wrong.py")
+    checked = done(*command, cwd=lab, PYTHONPATH=str(lab / "site"))
+    errors = [line for line in checked.stdout.splitlines() if ": error: " in line]
+    assert [line for line in errors if not line.startswith("wrong.py:")] == []
+    assert len(errors) == len(ERRORS), checked.stdout + checked.stderr
+    for line, (said, near) in zip(errors, ERRORS, strict=True):
+        assert said in line
+        assert near in line
+    assert re.search(rf"Found {len(ERRORS)} errors in 1 file", checked.stdout)
+
+
+def test_its_tests_pass_with_the_wheel_and_without_the_sources(lab: Path) -> None:
+    where = "import rig, mylab, sim_backend; print(rig.__file__, mylab.__file__, sim_backend.__file__)"
+    environment = {"PYTHONPATH": str(lab / "site"), "PYTEST_ADDOPTS": ""}
+    found = subprocess.run(
+        [sys.executable, "-P", "-c", where],
+        cwd=lab, env={**os.environ, **environment}, capture_output=True, text=True, check=True,
+    ).stdout.split()  # fmt: skip
+    assert [Path(file).parts[: len(lab.parts) + 1] for file in found] == [(*lab.parts, "site")] * 3
+    tests = done("pytest", "-q", "-p", "no:cacheprovider", "-W", "error", "tests", cwd=lab, **environment)
+    assert "4 passed" in tests.stdout, tests.stdout + tests.stderr
