@@ -36,6 +36,13 @@ class Compiler:
             shown = "\n".join(done.stderr.strip().splitlines()[:_SHOWN_LINES])
             raise ToolchainError(f"the firmware does not build:\n{shown}\n", remedy=_remedy(done.stderr))
 
+    def tool(self, name: str, arguments: Sequence[str], directory: Path) -> str:
+        """Run a tool that came with the compiler, such as ``nm``, and return what it printed."""
+        done = _called([f"{self.path.removesuffix('gcc')}{name}", *arguments], directory)
+        if done.returncode != 0:
+            raise ToolchainError(f"{name} failed: {done.stderr.strip()}", remedy=INSTALL)
+        return done.stdout
+
 
 def find_compiler() -> Compiler:
     """Find the compiler; raises `ToolchainError` with the way to install it, or the C library that it lacks."""
