@@ -84,7 +84,7 @@ def _renamed(text: str, pieces: Iterable[_Piece], prefix: str) -> str:
     others = {name for piece in pieces if not piece.function for name in piece.names}
     patterns = [rf"\b(?:{'|'.join(sorted(functions))})\b(?=\s*\()"] if functions else []
     patterns += [rf"\b(?:{'|'.join(sorted(others))})\b"] if others else []
-    return re.sub("|".join(patterns), lambda found: renamed(found[0], prefix), text)
+    return re.sub("|".join(patterns), lambda found: renamed(str(found[0]), prefix), text)
 
 
 def _pieces(text: str) -> Iterator[_Piece]:
@@ -141,4 +141,4 @@ def _defined(code: str) -> frozenset[str]:
 
 def _last_name(code: str) -> str:
     """Of an object: the last word before its value."""
-    return re.findall(r"[A-Za-z_]\w*", code.partition("=")[0].partition("[")[0])[-1]
+    return str(_NAME.findall(code.partition("=")[0].partition("[")[0])[-1])

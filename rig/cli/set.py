@@ -5,11 +5,12 @@ from __future__ import annotations
 import click
 
 from rig.cli import options, output
+from rig.cli.command import command
 from rig.core.errors import RunEndedError
 from rig.experiments import live
 
 
-@click.command("set")
+@command("set")
 @click.argument("changes", nargs=-1, required=True, metavar="KEY=VALUE…")
 @click.option("--pid", type=click.IntRange(1), help="Process of the loop, when several run.")
 @click.option(

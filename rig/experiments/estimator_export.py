@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -173,28 +173,33 @@ def export_estimator(
     case = _case(signal, rate_hz, resolution) if case is None else _fitting(case, rate_hz, resolution)
     counts, elapsed = case.counts[:MOST_SAMPLES], case.elapsed[:MOST_SAMPLES]
     velocity = run(prepared, counts, case.arrays[1][:MOST_SAMPLES], elapsed)[0]
-    computed, unknown = (), "nobody asked"
+    computed: tuple[Cost, ...] = ()
+    unknown = "nobody asked"
     if costs:
         computed, unknown = _costs(made, _fastest(velocity, counts, elapsed), on_progress)
     si = unit_of("velocity", experiment.rig.motion)
-    facts = {
-        "estimator": variant.estimator,
-        "settings": settings,
-        "rig": experiment.rig.name,
-        "velocity_rate_hz": rate_hz,
-        "resolution": resolution,
-        "unit": si if made.returns == "float" else f"LSBs of {made.scale:.9g} {si}",
-        "motion": case.name if case.reference == "closed form" else f"{case.name} ({case.reference})",
-        "samples": len(counts),
-        "tolerance": _tolerance(prepared, velocity, si),
-        "costs": computed,
-        "cost_unknown": unknown,
-        "header": header,
-        "test": test,
-    }
-    bare = EstimatorExport(**facts, text="", test_text="")
-    text = f"{_about(bare)}{_guarded(header, made.code)}"
-    export = EstimatorExport(**facts, text=text, test_text=_test_text(bare, made, counts, elapsed, velocity))
+    export = EstimatorExport(
+        estimator=variant.estimator,
+        settings=settings,
+        rig=experiment.rig.name,
+        velocity_rate_hz=rate_hz,
+        resolution=resolution,
+        unit=si if made.returns == "float" else f"LSBs of {made.scale:.9g} {si}",
+        motion=case.name if case.reference == "closed form" else f"{case.name} ({case.reference})",
+        samples=len(counts),
+        tolerance=_tolerance(prepared, velocity, si),
+        costs=computed,
+        cost_unknown=unknown,
+        header=header,
+        test=test,
+        text="",
+        test_text="",
+    )
+    export = replace(
+        export,
+        text=f"{_about(export)}{_guarded(header, made.code)}",
+        test_text=_test_text(export, made, counts, elapsed, velocity),
+    )
     for path, content in ((header, export.text), (test, export.test_text)):
         with whole_file(path, overwrite=overwrite) as file:
             file.write(content.encode())
@@ -205,7 +210,10 @@ def _settings(variant: Variant, experiment: Experiment) -> dict[str, float | str
     """What the experiment says of its own estimator, and the variant's on top."""
     own = experiment.controller
     tuned = own.parameters if own.estimator == variant.estimator else {}
-    return {**{name: value for name, value in tuned.items() if isinstance(value, int | float | str)}, **variant.settings}
+    return {
+        **{name: value for name, value in tuned.items() if isinstance(value, int | float | str)},
+        **variant.settings,
+    }
 
 
 def _case(name: str, rate_hz: float, resolution: float) -> Case:
@@ -215,10 +223,13 @@ def _case(name: str, rate_hz: float, resolution: float) -> Case:
 
 
 def _fitting(case: Case, rate_hz: float, resolution: float) -> Case:
-    if math.isclose(case.rate_hz, rate_hz, rel_tol=1e-9) and math.isclose(case.resolution, resolution, rel_tol=1e-9):
+    if math.isclose(case.rate_hz, rate_hz, rel_tol=1e-9) and math.isclose(
+        case.resolution, resolution, rel_tol=1e-9
+    ):
         return case
+    wanted = f"{resolution:.6g} at {rate_hz:g} Hz"
     raise ConfigError(
-        f"{case.name} has {case.resolution:.6g} a count at {case.rate_hz:g} Hz, the rig {resolution:.6g} at {rate_hz:g} Hz",
+        f"{case.name} has {case.resolution:.6g} a count at {case.rate_hz:g} Hz, the rig {wanted}",
         remedy="export for the rig of the recording, or test with a signal",
     )
 
@@ -253,7 +264,15 @@ def _cost_table(costs: Sequence[Cost]) -> Table:
     return Table(
         head,
         [
-            (c.core, c.instructions, c.most_instructions, c.cycles, c.most_cycles, c.code_bytes, c.memory_bytes)
+            (
+                c.core,
+                c.instructions,
+                c.most_instructions,
+                c.cycles,
+                c.most_cycles,
+                c.code_bytes,
+                c.memory_bytes,
+            )
             for c in costs
         ],
     )
@@ -265,7 +284,9 @@ def _cost_table(costs: Sequence[Cost]) -> Table:
 def _about(export: EstimatorExport) -> str:
     """The comment at the top of the header."""
     prefix = _prefix(export)
-    chosen = ", ".join(f"{name} = {value}" for name, value in export.settings.items()) or "all at their default"
+    chosen = (
+        ", ".join(f"{name} = {value}" for name, value in export.settings.items()) or "all at their default"
+    )
     paragraphs = [
         f"Velocity by the estimator {export.estimator}, in {export.arithmetic}, for {export.rig}: "
         f"{export.velocity_rate_hz:g} samples a second, {export.resolution:.9g} a count. Settings: {chosen}.",
@@ -290,8 +311,8 @@ def _costs_in_words(export: EstimatorExport) -> str:
         for c in export.costs
     ]
     return (
-        f"A call on the fastest {COSTED_SAMPLES} samples, gcc -O2, memory without wait states, instructions counted and "
-        f"cycles estimated: {'; '.join(each)}. Memory: {export.costs[0].memory_bytes} bytes."
+        f"A call on the fastest {COSTED_SAMPLES} samples, gcc -O2, memory without wait states, instructions "
+        f"counted and cycles estimated: {'; '.join(each)}. Memory: {export.costs[0].memory_bytes} bytes."
     )
 
 
@@ -309,14 +330,22 @@ def _test_text(
 ) -> str:
     """A program that ends with 0 where the header gives the host's velocities, and prints by how much it is off."""
     whole = made.returns != "float"
-    wanted = [str(round(v / made.scale)) for v in velocity.tolist()] if whole else [c_float(v) for v in velocity.tolist()]
+    wanted = (
+        [str(round(v / made.scale)) for v in velocity.tolist()]
+        if whole
+        else [c_float(v) for v in velocity.tolist()]
+    )
     rows = [
         f"{{{_c_int(count)}, {periods}, {value}}},"
-        for count, periods, value in zip(counts.astype(np.int32).tolist(), elapsed.tolist(), wanted, strict=True)
+        for count, periods, value in zip(
+            counts.astype(np.int32).tolist(), elapsed.tolist(), wanted, strict=True
+        )
     ]
     table = "\n".join(" ".join(rows[at : at + _IN_A_LINE]) for at in range(0, len(rows), _IN_A_LINE))
     measure = "sqrt(sum / SAMPLES)" if export.tolerance.rms else "worst"
-    return f"""/* Test of {export.header.name}: {export.motion}, and what the host's estimator {export.estimator} makes of it in float64.
+    said = f"{export.estimator}: off by %.3g{' rms' if export.tolerance.rms else ''}"
+    return f"""/* Test of {export.header.name}: {export.motion},
+ * and what the host's estimator {export.estimator} makes of it in float64.
  *
  *     cc -std=c99 -ffp-contract=off {export.test.name} -lm && ./a.out
  */
@@ -339,18 +368,19 @@ int main(void)
 {{
     const double tolerance = {export.tolerance.limit!r};
     {made.prefix}_estimator e;
-    double worst = 0.0, sum = 0.0, off;
+    double worst = 0.0, sum = 0.0, found, off;
     int i;
 
     {made.prefix}_begin(&e);
     for (i = 0; i < SAMPLES; i++) {{
-        off = fabs((double){made.prefix}_velocity(&e, samples[i].count, samples[i].elapsed) - (double)samples[i].velocity);
-        if (!(off <= worst)) /* nor is what is not a number */
+        found = (double){made.prefix}_velocity(&e, samples[i].count, samples[i].elapsed);
+        off = fabs(found - (double)samples[i].velocity);
+        if (off > worst || off != off) /* what is not a number stays */
             worst = off;
         sum += off * off;
     }}
     off = {measure};
-    printf("{export.estimator}: off by %.3g{' rms' if export.tolerance.rms else ''}, {export.tolerance.limit:.3g} allowed\\n", off);
+    printf("{said}, {export.tolerance.limit:.3g} allowed\\n", off);
     return off <= tolerance ? 0 : 1;
 }}
 """

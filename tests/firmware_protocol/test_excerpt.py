@@ -66,7 +66,14 @@ def sources(tmp_path: Path) -> list[Path]:
 
 def test_a_function_brings_what_it_needs_in_the_order_of_the_sources(sources: list[Path]) -> None:
     text = excerpt(sources, ["law_go"], "mine")
-    order = ["enum { MINE_MOST = 3 };", "} mine_way;", "} mine_place;", "mine_table[2]", "mine_least(int a", "mine_go("]
+    order = [
+        "enum { MINE_MOST = 3 };",
+        "} mine_way;",
+        "} mine_place;",
+        "mine_table[2]",
+        "mine_least(int a",
+        "mine_go(",
+    ]
     places = [text.index(part) for part in order]
     assert places == sorted(places)
     assert "stay" not in text
@@ -76,7 +83,9 @@ def test_a_function_brings_what_it_needs_in_the_order_of_the_sources(sources: li
 
 
 def test_a_member_keeps_its_name_and_a_call_does_not(sources: list[Path]) -> None:
-    assert "p->least = mine_least(p->least, by) + MINE_MOST + mine_table[0];" in excerpt(sources, ["law_go"], "mine")
+    assert "p->least = mine_least(p->least, by) + MINE_MOST + mine_table[0];" in excerpt(
+        sources, ["law_go"], "mine"
+    )
 
 
 def test_comments_stay_where_they_were(sources: list[Path]) -> None:

@@ -51,15 +51,15 @@ def test_hit_prints_the_verdict_and_leaves_a_recording_and_a_picture(run: Any, t
 
 
 def test_pictures_have_the_format_that_one_asks_for(run: Any, tmp_path: Path) -> None:
-    code, out, err = run("hit", "--json", "--picture-format", "svg", *QUICK)
+    code, out, err = run("hit", "--json", "--format", "svg", *QUICK)
     assert code == 0, err
     (hit,) = json.loads(out)["hits"]
     picture = Path(hit["picture"])
     assert picture == Path(hit["recording"]).with_suffix(".svg")
     assert "position (mrad)" in picture.read_text(encoding="utf-8")
-    assert run("show", hit["recording"], "--plot", tmp_path / "a.pdf")[0] == 0
+    assert run("show", hit["recording"], "-o", tmp_path / "a.pdf")[0] == 0
     assert (tmp_path / "a.pdf").read_bytes().startswith(b"%PDF")
-    code, _, err = run("show", hit["recording"], "--plot", tmp_path / "a.jpg")
+    code, _, err = run("show", hit["recording"], "-o", tmp_path / "a.jpg")
     assert (code, "not a name for a picture" in err, "Traceback" in err) == (9, True, False)
 
 
@@ -103,7 +103,7 @@ def test_a_wall_of_three_times_the_limit_is_not_stable(run: Any) -> None:
 
 
 def test_show_says_what_a_recording_holds(run: Any, recording: Any, tmp_path: Path) -> None:
-    code, out, _ = run("show", recording, "--plot", tmp_path / "again.png")
+    code, out, _ = run("show", recording, "-o", tmp_path / "again.png")
     assert code == 0
     assert "finished" in out
     assert "position_true" in out
@@ -127,7 +127,7 @@ def test_replay_with_the_same_settings_is_bit_exact(run: Any, recording: Any) ->
 def test_replay_through_another_estimator_shows_the_difference(
     run: Any, recording: Any, tmp_path: Path
 ) -> None:
-    code, out, _ = run("replay", recording, "--estimator", "fdm", "--json", "--plot", tmp_path / "replay.png")
+    code, out, _ = run("replay", recording, "--estimator", "fdm", "--json", "-o", tmp_path / "replay.png")
     assert code == 0
     result = json.loads(out)
     assert result["estimator"] == "fdm"

@@ -74,7 +74,7 @@ def test_compare_prints_a_table_and_draws_a_picture(run: Any, tmp_path: Path) ->
 def test_compare_takes_variants_signals_and_json(run: Any, tmp_path: Path) -> None:
     code, out, _ = run(
         "estimators", "compare", "--json", "--signal", "sine", "--signal", "slow-reversal", "--rate", "2k",
-        "--estimator", "fdm-butterworth:cutoff_hz=100,order=1", "--estimator", "fdm", "--plot", "sines.png",
+        "--estimator", "fdm-butterworth:cutoff_hz=100,order=1", "--estimator", "fdm", "-o", "sines.png",
     )  # fmt: skip
     assert code == 0
     facts = json.loads(out)
@@ -97,7 +97,7 @@ def test_compare_judges_a_recording_against_its_truth(run: Any, recording: Any, 
     assert scores["fdm-butterworth"]["delay_s"] == pytest.approx(1.3e-3, rel=0.25)
     assert not list(tmp_path.glob("*.png"))
     code, out, _ = run(
-        "estimators", "compare", recording, "--rate", "20k", "--estimator", "fdm", "--plot", "one.png"
+        "estimators", "compare", recording, "--rate", "20k", "--estimator", "fdm", "-o", "one.png"
     )
     assert code == 0
     assert "rad/s" in out

@@ -5,7 +5,7 @@ an estimate from them, for code in memory without wait states. M0+ (Armv6-M, two
 Reference Manual, table 3-1): a load or store 2, one of n words 1 + n, a branch taken 2, a call 3, a return from the
 stack 3 + n, everything else 1, a product too (RP2040's multiplier). M4F and M7: a load or store 2, a branch taken 3, a
 division of integers 8, of floats and a root 14, everything else 1; the M7 issues two instructions in many a cycle, so
-that its figure is an upper bound. Of the M33 instructions are counted, and no cycles: what each costs there was not read.
+that its figure is an upper bound. Of the M33 instructions are counted, and no cycles: what each costs was not read.
 """
 
 from __future__ import annotations
@@ -103,12 +103,15 @@ def build(core: Core, directory: Path, sources: Sequence[Path], entries: Iterabl
     link = [
         "-nostartfiles",
         "--specs=nosys.specs",
-        f"-Wl,-Ttext={FLASH:#x},-Tbss={RAM:#x},-e,{names[0]},--gc-sections",
+        f"-Wl,-Ttext={FLASH:#x},-Tbss={RAM:#x},-e,{names[0]}",
+        "-Wl,--gc-sections",
     ]
     options = ["-O2", "-mthumb", "-ffunction-sections", "-fdata-sections", "-fno-math-errno", *more]
     listed = [str(path) for path in sources]
     compiler.run([*STRICT, *core.flags, *options, *link, *keep, "-o", str(elf), *listed, "-lm"], directory)
-    compiler.tool("objcopy", ["-O", "binary", "-j", ".text*", "-j", ".rodata*", str(elf), str(raw)], directory)
+    compiler.tool(
+        "objcopy", ["-O", "binary", "-j", ".text*", "-j", ".rodata*", str(elf), str(raw)], directory
+    )
     rows = [line.split() for line in compiler.tool("nm", ["-S", str(elf)], directory).splitlines()]
     symbols = {row[-1]: int(row[0], 16) for row in rows if len(row) >= 3}
     sizes = {row[-1]: int(row[1], 16) for row in rows if len(row) == 4}
@@ -142,7 +145,8 @@ class Simulator:
             self.arm = arm = unicorn.arm_const
         except ImportError as error:
             raise ToolchainError(
-                "the instruction-set simulator unicorn is not installed", remedy="pip install haptic-rig[cycles]"
+                "the instruction-set simulator unicorn is not installed",
+                remedy="pip install haptic-rig[cycles]",
             ) from error
         self.uc = uc = unicorn.Uc(unicorn.UC_ARCH_ARM, unicorn.UC_MODE_THUMB | unicorn.UC_MODE_MCLASS)
         uc.ctl_set_cpu_model(getattr(arm, self.image.core.model))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -71,10 +71,13 @@ def _cost(name: str, estimator: EstimatorC, counts: Ints, elapsed: Ints) -> Cost
     for count, periods in zip(counts.astype(np.int32).tolist(), elapsed.tolist(), strict=True):
         simulator.call("velocity", count, periods)
         spent.append((simulator.instructions, simulator.cycles))
+    instructions, cycles = zip(*spent, strict=True)
     return Cost(
         core=name,
-        **_summary("instructions", [instructions for instructions, _ in spent]),
-        **_summary("cycles", [cycles for _, cycles in spent] if core.cycles_known else None),
+        instructions=int(np.median(instructions)),
+        most_instructions=max(instructions),
+        cycles=int(np.median(cycles)) if core.cycles_known else None,
+        most_cycles=max(cycles) if core.cycles_known else None,
         code_bytes=len(image.code),
         memory_bytes=image.sizes["memory"],
     )
@@ -96,8 +99,3 @@ void begin(void)
     return {prefix}_velocity(&memory, count, elapsed);
 }}
 """
-
-
-def _summary(name: str, spent: Sequence[int] | None) -> dict[str, int | None]:
-    median, most = (None, None) if spent is None else (int(np.median(spent)), max(spent))
-    return {name: median, f"most_{name}": most}

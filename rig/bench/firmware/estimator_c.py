@@ -170,7 +170,11 @@ def c_float(value: float) -> str:
 def _functions(form: _Form, prefix: str, *, whole: bool, per_count: float) -> str:
     returns = "int32_t" if whole else "float"
     members = [f"{form.memory} memory;"] if form.memory else []
-    members += ["uint32_t window; /* velocity periods that the last estimate spans */"] if "window" in form.call else []
+    members += (
+        ["uint32_t window; /* velocity periods that the last estimate spans */"]
+        if "window" in form.call
+        else []
+    )
     members += ["int32_t previous; /* count of the last call */", "int started;"]
     body = ["const int32_t moved = e->started ? law_count_difference(count, e->previous) : 0;"]
     if "slope" in form.call:

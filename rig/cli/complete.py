@@ -1,0 +1,74 @@
+"""What a shell asks at each Tab.
+
+A shell must not wait, and most commands import numpy and a compiler. So their names, options and kinds of values stand
+in ``completion.json``, beside this file (`rig.cli.completion_table` writes it), and of that table a tree of empty
+commands is made, on which click completes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import click
+from click.shell_completion import get_completion_class
+
+from rig.cli import values
+from rig.core.errors import ConfigError
+
+ASKED = "_RIG_COMPLETE"  # variable by which a shell's script asks
+SHELLS = ("bash", "zsh", "fish")
+
+
+def script(shell: str) -> str:
+    """The script for a shell, one of `SHELLS`."""
+    known = get_completion_class(shell)
+    if known is None:
+        raise ConfigError(f"there is no completion for {shell}", remedy=f"choose one of: {', '.join(SHELLS)}")
+    asking = known(click.Group("rig"), {}, "rig", ASKED)
+    return (asking.source_template % asking.source_vars()).strip()
+
+
+def answer(instruction: str) -> int:
+    """Answer a shell's script: ``bash_complete``; the words come by its variables. Returns the exit code."""
+    shell, _, what = instruction.partition("_")
+    known = get_completion_class(shell)
+    if known is None or what != "complete":
+        return 1
+    click.echo(known(tree(values.table()), {}, "rig", ASKED).complete())
+    return 0
+
+
+def tree(table: Mapping[str, Any]) -> click.Group:
+    """Empty commands with the options of the table."""
+    return click.Group("rig", commands={name: _command(name, row) for name, row in table["commands"].items()})
+
+
+def _command(name: str, row: Mapping[str, Any]) -> click.Command:
+    if "commands" in row:
+        inner = {one: _command(one, below) for one, below in row["commands"].items()}
+        return click.Group(name, commands=inner, short_help=row["help"])
+    options_ = [_option(words, kind) for words, kind in row["options"].items()]
+    arguments = [_argument(number, *taken) for number, taken in enumerate(row["arguments"])]
+    return click.Command(name, params=[*options_, *arguments], short_help=row["help"])
+
+
+def _option(words: str, kind: Any) -> click.Option:
+    names = words.split()
+    return (
+        click.Option(names, is_flag=True)
+        if kind is None
+        else click.Option(names, type=_type(kind), multiple=True)
+    )
+
+
+def _argument(number: int, kind: Any, count: int) -> click.Argument:
+    return click.Argument([f"argument_{number}"], type=_type(kind), nargs=count, required=False)
+
+
+def _type(kind: Any) -> click.ParamType[Any]:
+    if isinstance(kind, list):
+        return click.Choice(kind)
+    if kind == "path":
+        return click.Path()
+    return values.KINDS.get(kind, click.STRING)
