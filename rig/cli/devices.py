@@ -42,8 +42,7 @@ def _dump(url: str | None, as_json: bool) -> None:
     if as_json:
         output.print_json(active)
         return
-    output.print_rows([Row("url", active.url), Row("state", active.state), Row("CRC", f"{active.crc:08x}")])
-    output.print_table(active.table())
+    output.print_rows(active.rows())
 
 
 def _identify(url: str, as_json: bool) -> None:

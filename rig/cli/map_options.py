@@ -24,7 +24,7 @@ map_options = options.added(
     options.file_argument,
     options.rig_option(),
     options.operator_option(
-        "Who pushes: a simulated hand, or none: the motor, with the end mass. "
+        "Who pushes: a simulated hand (relaxed, normal, firm), or none: the motor, with the end mass. "
         "[as FILE says; a built-in rig: normal in simulation, as it says on a device]"
     ),
     options.effort_option,

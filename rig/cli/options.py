@@ -18,7 +18,6 @@ from rig.cli.command import DEVICE, EXPERIMENT, RESULT, json_option, option
 from rig.config import Experiment, presets
 from rig.config.schemes import parse_rates
 from rig.core.errors import ConfigError
-from rig.core.operators import GRIPS
 from rig.views.plots.style import FORMATS
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -113,7 +112,7 @@ def scheme_option(default: str, group: str = EXPERIMENT) -> Callable[[F], F]:
 
 def operator_option(help: str) -> Callable[[F], F]:
     """Whose hand holds the handle."""
-    return option("--operator", group=EXPERIMENT, type=click.Choice(["none", *GRIPS]), help=help)
+    return option("--operator", group=EXPERIMENT, metavar="GRIP", type=values.GRIP, help=help)
 
 
 effort_option = option(
@@ -346,7 +345,7 @@ experiment_options = added(
         help="Where the law runs: on this computer, or on the device.",
     ),
     effort_option,
-    operator_option("Who pushes: a person's hand with this grip, or none: the motor alone."),
+    operator_option("Who pushes: a person's hand (relaxed, normal, firm), or none: the motor alone."),
     option("--start", group=EXPERIMENT, type=float, help="Where the handle is released (rad or m)."),
     option("--duration", group=EXPERIMENT, type=float, help="Length of the push (s)."),
     repeats_option("How many hits."),

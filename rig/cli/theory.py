@@ -38,7 +38,7 @@ _MEANINGS = {"exact": "exact (rigid rig)"}
     help="Wall damping to look at beside 0 (N·m·s/rad or N·s/m). [the experiment's]",
 )
 @options.scheme_option("the experiment's and the uniform ones of its rates")
-@options.operator_option("Hand on the handle. [the experiment's]")
+@options.operator_option("Hand on the handle: none, relaxed, normal or firm. [the experiment's]")
 @options.set_option
 @options.output_option(".", "Directory of the picture.", "directory")
 @options.plot_options("Draw K_max over B into theory-RIG.")

@@ -16,6 +16,7 @@ from rig.core import plugins
 TABLE = Path(__file__).with_name("completion.json")  # made by rig.cli.completion
 _PRESETS = Path(__file__).parents[1] / "config" / "presets"
 _PORTS = ("ttyACM*", "ttyUSB*", "cu.usbmodem*")
+GRIPS = ("none", "relaxed", "normal", "firm")  # rig.core.operators.GRIPS and nobody, without its imports
 _RECORDING = (".parquet", ".rigcap")
 
 
@@ -113,10 +114,11 @@ def _signals(incomplete: str) -> list[str]:
 RIG = Named("rig", _rigs)
 ESTIMATOR = Named("estimator", lambda incomplete: estimators())
 SCHEME = Named("scheme", _schemes)
+GRIP = Named("grip", lambda incomplete: GRIPS)
 URL = Named("url", _urls)
 SIGNAL = Named("signal", _signals)
 EXPERIMENT_FILE = Files("toml", ".toml")
 RECORDING = Files("recording", *_RECORDING)
 KINDS: dict[str, click.ParamType[Any]] = {
-    kind.name: kind for kind in (RIG, ESTIMATOR, SCHEME, URL, SIGNAL, EXPERIMENT_FILE, RECORDING)
+    kind.name: kind for kind in (RIG, ESTIMATOR, SCHEME, GRIP, URL, SIGNAL, EXPERIMENT_FILE, RECORDING)
 }

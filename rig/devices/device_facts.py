@@ -11,7 +11,7 @@ from firmware_protocol.dictionary import Dictionary, SettingValue
 from firmware_protocol.messages import MAJOR, MINOR
 from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import BY_NAME, block_crc, encode_block
-from rig.core.present import Row, Table
+from rig.core.present import Row
 from rig.devices.framed import FramedDevice
 
 OUR_PROTOCOL = f"{MAJOR}.{MINOR}"
@@ -108,13 +108,19 @@ class ActiveParameters:
     crc: int
     parameters: tuple[ActiveParameter, ...]
 
-    def table(self) -> Table:
-        """Return them for people; what is not at its default is marked."""
-        rows = [
-            (one.name, "*" if one.value != one.default else "", one.value, one.unit, one.meaning)
-            for one in self.parameters
+    def rows(self) -> list[Row]:
+        """Return them for people: each with its meaning, and its default where that is another value."""
+
+        def note(one: ActiveParameter) -> str:
+            default = f"default {one.default:g}" if one.value != one.default else ""
+            return "; ".join(part for part in (default, one.meaning) if part)
+
+        return [
+            Row("url", self.url),
+            Row("state", self.state),
+            Row("CRC", f"{self.crc:08x}"),
+            *(Row(one.name, one.value, one.unit, note(one)) for one in self.parameters),
         ]
-        return Table(("parameter", "", "value", "unit", "* is not the device's default"), rows)
 
 
 def active_parameters(device: FramedDevice) -> ActiveParameters:

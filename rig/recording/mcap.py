@@ -42,12 +42,12 @@ def write_mcap(file: BinaryIO, recording: Recording) -> None:
     writer.add_metadata("recording", {name: canonical_json(part).decode() for name, part in facts.items()})
     began_ns = int(datetime.fromisoformat(recording.header["created"]).timestamp() * 1e9)
     rows, happened = _channel(writer, ROWS, _columns(recording)), _channel(writer, MARKS, _MARK_SCHEMA)
-    times = np.rint(recording.time_s * 1e9).astype(np.int64) + began_ns
+    times = np.maximum(np.rint(recording.time_s * 1e9).astype(np.int64) + began_ns, 0)
     for number, (time_ns, values) in enumerate(zip(times.tolist(), recording.rows.tolist(), strict=True)):
         message = dict(zip(recording.names, map(_number, values), strict=True))
         writer.add_message(rows, time_ns, _json(message), time_ns, number)
     for mark in marks(recording) if len(recording) else ():
-        time_ns = began_ns + mark.device_time - int(recording.rows["device_time"][0])
+        time_ns = max(0, began_ns + mark.device_time - int(recording.rows["device_time"][0]))
         content = {"name": mark.name, "tick": mark.tick, "host_time": mark.host_time}
         writer.add_message(happened, time_ns, _json(content), time_ns)
     writer.finish()

@@ -1,6 +1,7 @@
 """`rig estimators` as a person meets it: the list, a comparison with its picture, a tuned fragment that runs."""
 
 import json
+import subprocess
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from rig import config
 from rig.control import estimators
 from rig.core.signals import SIGNALS
 from rig.experiments.tuning import OBJECTIVES
+from tests.firmware.build import compile_c
 
 HIT = [
     "--duration",
@@ -139,6 +141,24 @@ WRONG = [
     (["tune", "fdm-butterworth", "--rate", "1k,2k"], "one rate is needed"),
     (["tune", "fdm-butterworth", "--objective", "beauty"], f"choose one of: {', '.join(OBJECTIVES)}"),
 ]
+
+
+def test_an_estimator_is_exported_with_the_recording_it_was_tuned_on(run: Any, tmp_path: Path) -> None:
+    wall = ("--estimator", "kalman", "--set", "controller.parameters.gain=steady")
+    recorded = json.loads(run("hit", "--rig", "koul-rigid", *HIT, *wall)[1])["hits"][0]["recording"]
+    code, out, err = run("estimators", "export", "kalman", recorded, "--no-costs", "--json")
+    assert code == 0, err
+    made = json.loads(out)
+    assert made["settings"] == {"gain": "steady"}
+    assert (made["rig"], made["unit"]) == ("koul-rigid", "rad/s")
+    assert Path(recorded).stem in made["motion"]
+    program = compile_c(tmp_path / "tried", [tmp_path / made["test"]], [])
+    done = subprocess.run([program], capture_output=True, text=True, timeout=20, check=False)
+    assert done.returncode == 0, done.stdout
+    code, _, err = run("estimators", "export", "kalman:gain=steady", "--no-costs")
+    assert (code, "kalman.h" in err) == (9, True)
+    code, _, err = run("estimators", "export", "period", "--rig", "koul-rigid")
+    assert (code, "cannot be exported as C" in err) == (2, True)
 
 
 @pytest.mark.parametrize(("arguments", "text"), WRONG)

@@ -6,6 +6,7 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from rig.cli import complete, completion_table, options, values
 from rig.config import presets
 from rig.control import estimators
 from rig.control.verdict import Kind
+from rig.core.operators import GRIPS
 
 ROOT = str(Path(rig.cli.__file__).parents[2])
 TOO_HEAVY = ("numpy", "numba", "scipy", "pydantic", "matplotlib", "pyarrow", "rich")
@@ -41,12 +43,16 @@ def completed(*words: str, **more: Any) -> list[str]:
     return [line.partition(",")[2] for line in done.stdout.splitlines()]
 
 
-def cpu_s() -> float:
-    """CPU time of one answer (s)."""
-    before = os.times()
-    asked(["hit", "--estimator", "ka"])
-    after = os.times()
-    return after.children_user + after.children_system - before.children_user - before.children_system
+def cpu_s(run: Callable[[], Any]) -> float:
+    """CPU time of the processes that it starts (s), the least of three: others load the computer, too."""
+
+    def once() -> float:
+        before = os.times()
+        run()
+        after = os.times()
+        return after.children_user + after.children_system - before.children_user - before.children_system
+
+    return min(once() for _ in range(3))
 
 
 def test_the_table_is_that_of_the_commands() -> None:
@@ -56,12 +62,13 @@ def test_the_table_is_that_of_the_commands() -> None:
 
 
 def test_nothing_heavy_is_imported_and_a_line_is_answered_at_once() -> None:
-    """CPU time of the whole process, which no other load lengthens much: measured 0.09 s, at most 0.15 s."""
+    """Measured on a computer with much else to do: 0.14 s of CPU time, of which click alone takes 0.05 s."""
     done = asked(["hit", "--estimator", "ka"], options=["-X", "importtime"])
     imported = {line.rpartition("|")[2].strip().partition(".")[0] for line in done.stderr.splitlines()}
     assert "click" in imported
     assert imported.isdisjoint(TOO_HEAVY)
-    assert min(cpu_s() for _ in range(3)) <= 0.15
+    alone = cpu_s(lambda: subprocess.run([sys.executable, "-c", "import click"], check=True))
+    assert cpu_s(lambda: asked(["hit", "--estimator", "ka"])) <= 5.0 * alone
 
 
 def test_values_are_completed_by_what_they_are(tmp_path: Path) -> None:
@@ -88,7 +95,8 @@ def test_the_names_of_estimators_are_those_of_the_family() -> None:
     assert values.estimators() == estimators.names()
 
 
-def test_verdicts_are_those_of_the_law() -> None:
+def test_verdicts_and_grips_are_those_of_the_rig() -> None:
+    assert ("none", *GRIPS) == values.GRIPS
     assert tuple(kind.value.replace(" ", "-") for kind in Kind) == options.VERDICTS
 
 
