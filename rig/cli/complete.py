@@ -7,22 +7,64 @@ commands is made, on which click completes.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from typing import Any
 
 import click
-from click.shell_completion import get_completion_class
+from click.shell_completion import BashComplete, FishComplete, ShellComplete, ZshComplete, split_arg_string
 
 from rig.cli import values
 from rig.core.errors import ConfigError
 
 ASKED = "_RIG_COMPLETE"  # variable by which a shell's script asks
-SHELLS = ("bash", "zsh", "fish")
+
+
+# bash takes : and = for ends of words, as in sim://… and dual:20k/2k. So it sends the line, and of an answer it is
+# given what follows the last of them.
+_BASH = """\
+%(complete_func)s() {
+    local IFS=$'\\n' line=${COMP_LINE:0:$COMP_POINT} kind value word begun
+    word=${line##* }
+    begun=${word%%"${word##*["$COMP_WORDBREAKS"]}"}
+    [[ $begun == --*=* ]] && begun=${begun#*=}
+    for value in $(env COMP_WORDS="$line" %(complete_var)s=bash_complete $1); do
+        kind=${value%%%%,*} value=${value#*,}
+        if [[ $kind != plain ]]; then
+            compopt -o default
+        elif [[ $value == *[/:=] ]]; then
+            compopt -o nospace
+            COMPREPLY+=("${value#"$begun"}")
+        else
+            COMPREPLY+=("${value#"$begun"}")
+        fi
+    done
+}
+complete -o nosort -F %(complete_func)s %(prog_name)s
+"""
+
+
+class Bash(BashComplete):
+    """Completion for bash, of a whole line."""
+
+    source_template = _BASH
+
+    def get_completion_args(self) -> tuple[list[str], str]:
+        """Words before the last one, and what of that is typed."""
+        line = os.environ["COMP_WORDS"]
+        words = split_arg_string(line)[1:]
+        return (words, "") if line.endswith(" ") else (words[:-1], words[-1] if words else "")
+
+
+_CLASSES: dict[str, type[ShellComplete]] = {"bash": Bash, "zsh": ZshComplete, "fish": FishComplete}
+
+
+SHELLS = tuple(_CLASSES)
 
 
 def script(shell: str) -> str:
     """The script for a shell, one of `SHELLS`."""
-    known = get_completion_class(shell)
+    known = _CLASSES.get(shell)
     if known is None:
         raise ConfigError(f"there is no completion for {shell}", remedy=f"choose one of: {', '.join(SHELLS)}")
     asking = known(click.Group("rig"), {}, "rig", ASKED)
@@ -32,7 +74,7 @@ def script(shell: str) -> str:
 def answer(instruction: str) -> int:
     """Answer a shell's script: ``bash_complete``; the words come by its variables. Returns the exit code."""
     shell, _, what = instruction.partition("_")
-    known = get_completion_class(shell)
+    known = _CLASSES.get(shell)
     if known is None or what != "complete":
         return 1
     click.echo(known(tree(values.table()), {}, "rig", ASKED).complete())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import shutil
 import subprocess
 import sys
@@ -25,10 +26,7 @@ TOO_HEAVY = ("numpy", "numba", "scipy", "pydantic", "matplotlib", "pyarrow", "ri
 
 def asked(words: list[str], shell: str = "fish", **more: Any) -> subprocess.CompletedProcess[str]:
     """What the script of a shell would be answered for a line whose last word is begun."""
-    line = {
-        "COMP_WORDS": " ".join(["rig", *words]),
-        "COMP_CWORD": words[-1] if shell == "fish" else str(len(words)),
-    }
+    line = {"COMP_WORDS": " ".join(["rig", *words]), "COMP_CWORD": words[-1]}
     return subprocess.run(
         [sys.executable, *more.pop("options", []), "-m", "rig"],
         env={**os.environ, "PYTHONPATH": ROOT, **line, complete.ASKED: f"{shell}_complete"},
@@ -89,6 +87,37 @@ def test_values_are_completed_by_what_they_are(tmp_path: Path) -> None:
     assert completed("hit", "--loop", "d", **here) == ["device"]
     assert completed("hit", "--exp", **here) == ["--expect"]
     assert "sim://koul-rigid" in completed("devices", "sim://k", **here)
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("rig estimators export ka", ["kalman"]),
+        ("rig hit --url sim://koul-r", ["//koul-rigid"]),
+        ("rig hit --url=sim://koul-r", ["//koul-rigid"]),
+        ("rig zwidth --scheme dual:20k/2k,estimator=lev", ["levant"]),
+        ("rig show here/", ["here/a.parquet"]),
+    ],
+)
+def test_bash_is_given_what_it_has_to_add(line: str, expected: list[str], tmp_path: Path) -> None:
+    """Behind the last : or =, at which bash ends a word."""
+    if shutil.which("bash") is None:
+        pytest.skip("bash is not installed (package bash)")
+    (tmp_path / "here").mkdir()
+    (tmp_path / "here" / "a.parquet").write_text("")
+    program = tmp_path / "rig"
+    program.write_text(f"#!/bin/sh\nPYTHONPATH={ROOT} exec {sys.executable} -m rig\n")
+    program.chmod(0o755)
+    asking = f"""{complete.script("bash")}
+        compopt() {{ :; }}
+        COMP_LINE={shlex.quote(line)} COMP_POINT={len(line)} COMPREPLY=()
+        _rig_completion {program}
+        printf '%s\\n' "${{COMPREPLY[@]}}"
+    """
+    done = subprocess.run(
+        ["bash"], input=asking, capture_output=True, text=True, timeout=60, cwd=tmp_path, check=True
+    )
+    assert done.stdout.splitlines() == expected, done.stderr
 
 
 def test_the_names_of_estimators_are_those_of_the_family() -> None:
