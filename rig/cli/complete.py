@@ -83,13 +83,18 @@ def answer(instruction: str) -> int:
 
 def tree(table: Mapping[str, Any]) -> click.Group:
     """Empty commands with the options of the table."""
-    return click.Group("rig", commands={name: _command(name, row) for name, row in table["commands"].items()})
+    groups = {"": click.Group("rig")}
+    for name, row in table["commands"].items():
+        above, _, last = name.rpartition(" ")
+        if "options" in row:
+            groups[above].add_command(_command(last, row))
+        else:
+            groups[name] = click.Group(last, short_help=row["help"])
+            groups[above].add_command(groups[name])
+    return groups[""]
 
 
 def _command(name: str, row: Mapping[str, Any]) -> click.Command:
-    if "commands" in row:
-        inner = {one: _command(one, below) for one, below in row["commands"].items()}
-        return click.Group(name, commands=inner, short_help=row["help"])
     options_ = [_option(words, kind) for words, kind in row["options"].items()]
     arguments = [_argument(number, *taken) for number, taken in enumerate(row["arguments"])]
     return click.Command(name, params=[*options_, *arguments], short_help=row["help"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from typing import Any
 
 import click
@@ -14,29 +15,36 @@ from rig.core.signals import SIGNALS
 
 
 def made() -> str:
-    """The text of the table, as it is to be."""
-    table = {
-        "estimators": list(estimators.BUILT_IN),
-        "signals": list(SIGNALS),
-        "commands": _rows(cli.rig),
-    }
-    return json.dumps(table, indent=1, ensure_ascii=False) + "\n"
+    """The text of the table, as it is to be: a line for each command."""
+    rows = [f"{_json(name)}: {_json(row)}" for name, row in _rows(cli.rig, "")]
+    parts = [("estimators", _json(list(estimators.BUILT_IN))), ("signals", _json(list(SIGNALS)))]
+    parts.append(("commands", "{\n" + ",\n".join(rows) + "\n}"))
+    return "{\n" + ",\n".join(f"{_json(name)}: {part}" for name, part in parts) + "\n}\n"
 
 
-def _rows(group: click.Group) -> dict[str, Any]:
+def _json(part: Any) -> str:
+    return json.dumps(part, ensure_ascii=False)
+
+
+def _rows(group: click.Group, above: str) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Each command by its words, a group before those in it; a group has no options."""
     context = click.Context(group)
-    found = {name: group.get_command(context, name) for name in group.list_commands(context)}
-    return {name: _row(one) for name, one in found.items() if one is not None}
+    for last in group.list_commands(context):
+        one, name = group.get_command(context, last), f"{above} {last}".strip()
+        if isinstance(one, click.Group):
+            yield name, {"help": one.get_short_help_str(100)}
+            yield from _rows(one, name)
+        elif one is not None:
+            yield name, _row(one)
 
 
 def _row(one: click.Command) -> dict[str, Any]:
-    text = one.get_short_help_str(100)
-    if isinstance(one, click.Group):
-        return {"help": text, "commands": _rows(one)}
     taken = [parameter for parameter in one.params if isinstance(parameter, click.Option)]
-    options_ = {" ".join([*each.opts, *each.secondary_opts]): _kind(each) for each in taken}
-    arguments = [[_kind(each), each.nargs] for each in one.params if isinstance(each, click.Argument)]
-    return {"help": text, "options": options_, "arguments": arguments}
+    return {
+        "help": one.get_short_help_str(100),
+        "options": {" ".join([*each.opts, *each.secondary_opts]): _kind(each) for each in taken},
+        "arguments": [[_kind(each), each.nargs] for each in one.params if isinstance(each, click.Argument)],
+    }
 
 
 def _kind(parameter: click.Parameter) -> Any:

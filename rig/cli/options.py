@@ -13,28 +13,27 @@ from typing import Any, TypeVar
 import click
 
 from rig import config
-from rig.cli import values
-from rig.cli.command import DEVICE, EXPERIMENT, RESULT, json_option, option
+from rig.cli import command, values
+from rig.cli.command import DEVICE, EXPERIMENT, RESULT, option
 from rig.config import Experiment, presets
 from rig.config.schemes import parse_rates
 from rig.core.errors import ConfigError
 from rig.views.plots.style import FORMATS
 
 F = TypeVar("F", bound=Callable[..., Any])
-Decorator = Callable[[F], F]
-
-__all__ = ["json_option"]
 
 DEFAULT_PRESET = "koul-compliant"
+
+json_option = command.json_option
 
 
 def added(*options: Callable[[F], F]) -> Callable[[F], F]:
     """One decorator for several, shown in this order."""
 
-    def add(command: F) -> F:
+    def add(function: F) -> F:
         for one in reversed(options):
-            command = one(command)
-        return command
+            function = one(function)
+        return function
 
     return add
 
@@ -271,10 +270,10 @@ def format_option(help: str = "Of the picture.", default: str | None = _DEFAULT_
 def plot_options(help: str = "Draw a picture.", *, default: bool = True) -> Callable[[F], F]:
     """Of a picture among other files; the command receives its format as `plot`, empty where none is wanted."""
 
-    def add(command: F) -> F:
-        @wraps(command)
+    def add(function: F) -> F:
+        @wraps(function)
         def called(*, plot: bool, ending: str, **others: Any) -> Any:
-            return command(plot=ending if plot else "", **others)
+            return function(plot=ending if plot else "", **others)
 
         return added(_plot_option(help, default), format_option())(called)  # type: ignore[return-value]
 
@@ -299,14 +298,14 @@ class Picture:
 def picture_options(help: str, *, default: bool, place: str) -> Callable[[F], F]:
     """Of a picture that is all that the command writes; the command receives a `Picture` as `picture`."""
 
-    def add(command: F) -> F:
-        @wraps(command)
+    def add(function: F) -> F:
+        @wraps(function)
         def called(*, plot: bool, path: Path | None, ending: str | None, **others: Any) -> Any:
             if path is not None and ending is not None and path.suffix.lower() != f".{ending}":
                 raise ConfigError(
                     f"--output {path} and --format {ending} are two formats", remedy="leave one of them out"
                 )
-            return command(picture=Picture(plot or path is not None, path, ending), **others)
+            return function(picture=Picture(plot or path is not None, path, ending), **others)
 
         return added(
             _plot_option(help, default),
@@ -355,10 +354,10 @@ experiment_options = added(
 """Which experiment, with which changes; the command receives them as `**chosen`."""
 
 
-def free_rig_options(command: F) -> F:
+def free_rig_options(function: F) -> F:
     """Add the options of a rig that nobody holds; the command receives the arguments of a `FreeRigRequest`."""
 
-    @wraps(command)
+    @wraps(function)
     def called(
         *,
         file: Path | None,
@@ -376,7 +375,7 @@ def free_rig_options(command: F) -> F:
             "verified": verified,
             "output": output,
         }
-        return command(asked=asked, **others)
+        return function(asked=asked, **others)
 
     return added(
         file_argument,

@@ -46,6 +46,15 @@ def test_json_is_one_document_with_every_line(run: Any) -> None:
     assert first["fidelity"]["band_hz"] == [5.0, 50.0]
 
 
+def test_a_script_learns_whether_the_rig_is_passive_by_the_exit_code(run: Any) -> None:
+    bare = ("impedance", "--bare", "--no-plot", *SHORT)
+    assert run(*bare, "-q", "--expect", "passive") == (0, "", "")
+    code, out, err = run(*bare, "--expect", "not-passive")
+    assert code == 17
+    assert "every line" in out
+    assert "is passive, expected not-passive; see its lines in the table" in err
+
+
 def test_welch_and_schroeder_by_the_papers_way(run: Any) -> None:
     code, out, _ = run(
         "impedance", "--bare", "--method", "welch", "--kind", "schroeder", "--json", "--no-plot"
