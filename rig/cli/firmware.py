@@ -116,7 +116,7 @@ def build(
         if path is not None:
             click.echo(str(path))
     if built.uf2 is not None:
-        click.echo(f"rig: next: rig firmware flash {built.uf2}", err=True)
+        output.note(f"rig: next: rig firmware flash {built.uf2}")
 
 
 @firmware.command("amplifiers")

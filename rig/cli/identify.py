@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from rig.cli import options, output
-from rig.cli.command import RESULT, command, option, quiet
+from rig.cli.command import RESULT, command, option
 from rig.config import Experiment
 from rig.core.errors import ConfigError, RecordingError
 from rig.core.present import plain
@@ -119,9 +119,7 @@ def identify(
         else:
             _print_plan(plan)
         return
-    found = identifying.identify(
-        request, None if as_json or quiet() else lambda text: click.echo(f"  {text} …", err=True)
-    )
+    found = identifying.identify(request, None if as_json else lambda text: output.note(f"  {text} …"))
     picture = _draw(found, plot) if plot else None
     written = _write(found, file_out) if file_out is not None else None
     if as_json:

@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from rig.cli import options
+from rig.cli import options, output
 from rig.cli.command import command
 from rig.core.present import plain
 from rig.core.sample import Motion
@@ -57,7 +57,7 @@ def lsl(
         if as_json:
             click.echo(json.dumps(dict(news)))
         else:
-            click.echo("  ".join(f"{key} {value}" for key, value in news.items()), err=True)
+            output.note("  ".join(f"{key} {value}" for key, value in news.items()))
 
     served = serve(
         pid,

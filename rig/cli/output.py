@@ -119,6 +119,12 @@ def drawn(draw: Callable[[], Path]) -> str | None:
         return None
 
 
+def note(text: str) -> None:
+    """A remark on standard error, such as what is being done or what comes next; ``-q`` leaves it out."""
+    if not told_quiet():
+        click.echo(text, err=True)
+
+
 def on_terminal() -> bool:
     """Whether somebody looks: progress is drawn on a terminal only."""
     return not told_quiet() and sys.stderr is not None and sys.stderr.isatty()

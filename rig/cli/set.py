@@ -33,9 +33,8 @@ def set_(changes: tuple[str, ...], pid: int | None, patience_s: float, as_json: 
 
     def posted(number: int) -> None:
         if not as_json:
-            click.echo(
-                f"parameter set {number}: on its way; it becomes active when the handle is outside the wall",
-                err=True,
+            output.note(
+                f"parameter set {number}: on its way; it becomes active when the handle is outside the wall"
             )
 
     done = live.change_wall(values, pid, patience_s=patience_s, posted=posted)

@@ -42,14 +42,12 @@ def serve(preset: str, rate: int | None, firmware: bool, seed: int, as_json: boo
             output.print_json({"url": f"serial://{port}", "rig": experiment.rig.name})
         else:
             click.echo(f"serial://{port}")
-            click.echo(
-                f"{experiment.rig.name} is simulated there; try: rig hit --url serial://{port}", err=True
-            )
+            output.note(f"{experiment.rig.name} is simulated there; try: rig hit --url serial://{port}")
 
     def scheduled(granted: Realtime) -> None:
         obtained = granted.report["obtained"]
         locked = "its memory locked" if obtained["locked_bytes"] else "its memory not locked"
-        click.echo(f"scheduled as {obtained['policy']} {obtained['priority']}, {locked}", err=True)
+        output.note(f"scheduled as {obtained['policy']} {obtained['priority']}, {locked}")
         for message in granted.messages:
             click.echo(message, err=True)
 
