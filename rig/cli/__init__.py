@@ -113,7 +113,7 @@ def main(obj: object = None) -> None:
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # a file's name need not be text; \udcff is JSON
     signal.signal(signal.SIGTERM, _interrupt)
-    if not {"-q", "--quiet"} & set(sys.argv[1:]):
+    if {"-q", "--quiet"}.isdisjoint(sys.argv[1:]):
         compiling.listen(CompilingNotice(EXPECTED.get("".join(sys.argv[1:2]), 0)))
     sys.exit(run(sys.argv[1:], obj))
 

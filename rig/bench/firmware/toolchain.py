@@ -66,6 +66,8 @@ def find_compiler() -> Compiler:
 
 def _called(command: list[str], directory: Path | None) -> subprocess.CompletedProcess[str]:
     environment = {**os.environ, "LC_ALL": "C"}
+    if directory is not None:  # what an interrupted compiler leaves goes with it
+        environment["TMPDIR"] = str(directory)
     try:
         return subprocess.run(
             command,
