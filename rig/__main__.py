@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import os
 import sys
 
 from rig.realtime import memories
 
 
 def main() -> None:
-    """Entry point of the console command."""
+    """Entry point of the console command, and of the script by which a shell completes it."""
+    if "_RIG_COMPLETE" in os.environ:
+        from rig.cli import complete  # noqa: PLC0415
+
+        sys.exit(complete.answer(os.environ["_RIG_COMPLETE"]))
     asked = asked_to_stop(sys.argv[1:])
     from rig import cli  # noqa: PLC0415  (it takes many times as long)
 
@@ -19,7 +24,7 @@ def asked_to_stop(arguments: list[str]) -> list[memories.Memory] | None:
     """Do what ``rig stop`` must do at once, and return what it goes on with; of any other command line, None."""
     if arguments[:1] != ["stop"]:
         return None
-    process = [word for word in arguments[1:] if word != "--json"]
+    process = [word for word in arguments[1:] if word not in ("--json", "-q", "--quiet")]
     if process and (len(process) > 1 or not process[0].isdecimal()):
         return None
     return memories.ask_to_stop(int(process[0]) if process else None)

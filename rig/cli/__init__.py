@@ -50,7 +50,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "Show where the time of each tick of a recording went, and its worst ticks.",
     ),
     "lsl": ("rig.cli.lsl:lsl", "Stream the running loop by Lab Streaming Layer: samples and markers."),
-    "export": ("rig.cli.export:export", "Write a recording as CSV, Parquet or MAT."),
+    "export": ("rig.cli.export:export", "Write a recording as CSV, X-Y, Parquet, MAT or MCAP."),
     "theory": (
         "rig.cli.theory:theory",
         "Say which walls are stable on a rig by exact linear theory, and what binds.",
@@ -58,7 +58,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "plot": ("rig.cli.plot:plot", "Draw what the theory says: levant-regions."),
     "estimators": (
         "rig.cli.estimators:estimators",
-        "List, compare and tune velocity estimators on known motions and recordings.",
+        "List, compare and tune velocity estimators, and take one out as C.",
     ),
     "identify": (
         "rig.cli.identify:identify",
@@ -72,7 +72,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "rig.cli.reference:reference",
         "Find position zero by the encoder's index and a limit switch, once after power-up.",
     ),
-    "devices": ("rig.cli.devices:devices", "List device backends and ports, or ask one device who it is."),
+    "devices": (
+        "rig.cli.devices:devices",
+        "List device backends and ports, or ask one device who it is and what is active there.",
+    ),
     "doctor": (
         "rig.cli.doctor:doctor",
         "Report what this machine and a link can do, which walls that supports, and what fixes the rest.",
@@ -81,7 +84,14 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "rig.cli.firmware:firmware",
         "Build the firmware of a controller board for a rig, flash it, have it test itself.",
     ),
-    "preset": ("rig.cli.preset:preset", "List the built-in rigs, or print one as a file to start from."),
+    "preset": (
+        "rig.cli.preset:preset",
+        "List the built-in rigs, print one as a file to start from, or the schema of such files.",
+    ),
+    "completion": (
+        "rig.cli.completion:completion",
+        "Print the script by which a shell completes commands, rigs, estimators, schemes and recordings.",
+    ),
     "sim": ("rig.cli.sim:sim", "Serve a simulated rig on a serial port of its own."),
 }
 
@@ -103,7 +113,8 @@ def main(obj: object = None) -> None:
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # a file's name need not be text; \udcff is JSON
     signal.signal(signal.SIGTERM, _interrupt)
-    compiling.listen(CompilingNotice(EXPECTED.get("".join(sys.argv[1:2]), 0)))
+    if {"-q", "--quiet"}.isdisjoint(sys.argv[1:]):
+        compiling.listen(CompilingNotice(EXPECTED.get("".join(sys.argv[1:2]), 0)))
     sys.exit(run(sys.argv[1:], obj))
 
 

@@ -8,6 +8,7 @@ import click
 
 from rig import config
 from rig.cli import options
+from rig.cli.command import command
 from rig.cli.output import print_json, print_pairs, show
 from rig.core.sample import unit_of
 from rig.devices import load_backend
@@ -16,7 +17,7 @@ from rig.experiments.motion_run import FreeRigRequest
 from rig.experiments.pulse import NO_HANDS, PUSHES, check_rig_moves, energy_of
 
 
-@click.command()
+@command()
 @options.free_rig_options
 @options.json_option
 def check(asked: dict[str, Any], as_json: bool) -> None:

@@ -44,6 +44,14 @@ def refuse_a_device(url: str | None, realtime: bool, verified: bool, changes: Ma
         )
 
 
+def refuse_a_verdict(expected: tuple[str, ...]) -> None:
+    """Refuse an expectation: a comparison has numbers, and no verdict."""
+    if expected:
+        raise ConfigError(
+            "--compare and --expect: a comparison has no verdict", remedy="leave one of them out"
+        )
+
+
 def refuse_what_is_fixed(compare: bool, as_in_the_paper: bool, chosen: object) -> None:
     """Refuse options of a comparison without --compare, and choices that the paper's conditions leave no room for."""
     if not compare:

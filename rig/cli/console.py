@@ -8,10 +8,11 @@ from pathlib import Path
 import click
 
 from rig.cli import options
+from rig.cli.command import command
 from rig.console.open import open_console
 
 
-@click.command()
+@command(quiet=False)
 @click.option("--port", type=click.IntRange(0, 65535), default=0, help="On loopback. [any that is free]")
 @click.option(
     "--allow-host",
@@ -20,16 +21,9 @@ from rig.console.open import open_console
     metavar="NAME:PORT",
     help="Another name under which a browser reaches this page: the local end of an ssh tunnel.",
 )
-@click.option(
-    "--verified",
-    is_flag=True,
-    help="Encoder and motor signs of the real rig were checked, and its handle is at position zero.",
-)
+@options.verified_option
 @click.option("--own", is_flag=True, help="Look only at runs that are started on this page.")
-@click.option(
-    "-o", "--output", type=click.Path(path_type=Path), default=Path("recordings"), show_default=True,
-    help="Directory of the recordings.",
-)  # fmt: skip
+@options.output_option("recordings", "Directory of the recordings.")
 @options.json_option
 def console(
     port: int, hosts: tuple[str, ...], verified: bool, own: bool, output: Path, as_json: bool

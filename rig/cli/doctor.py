@@ -11,16 +11,15 @@ from rig import config
 from rig.bench.doctor.examine import Question, examine
 from rig.bench.doctor.ports import rules_for_rigs
 from rig.cli import options, output
+from rig.cli.command import command
 from rig.core.errors import PlanError
 from rig.core.present import plain
 
 
-@click.command()
+@command()
 @options.experiment_options
-@click.option(
-    "--url", help="Device to examine: serial:///dev/ttyACM0, usb://1209:0001. [machine and ports only]"
-)
-@click.option("--realtime", is_flag=True, help="Examine a simulated rig, as a process behind a port.")
+@options.url_option("machine and ports only")
+@options.realtime_option("Examine a simulated rig, as a process behind a port.")
 @click.option(
     "--seconds",
     type=click.FloatRange(0.1, 600.0),

@@ -9,7 +9,9 @@ from typing import Any
 
 import click
 
-from rig.cli import options, output
+from rig import config
+from rig.cli import options, output, values
+from rig.cli.command import Group, option
 from rig.control import estimators as family
 from rig.core.errors import ConfigError
 from rig.core.present import Row, Table, plain
@@ -17,7 +19,9 @@ from rig.core.sample import unit_of
 from rig.core.signals import SIGNALS
 from rig.experiments import estimators as experiment
 from rig.experiments.cases import Case, recording_case, signal_case
+from rig.experiments.estimator_export import export_estimator
 from rig.experiments.estimators import Score, Variant, score
+from rig.experiments.judgement import experiment_of
 from rig.experiments.lipschitz import lipschitz_of
 from rig.experiments.tuning import Tuning, shown_range
 from rig.experiments.tuning import tune as run
@@ -30,21 +34,19 @@ DEFAULT_RATES = "1k,2k,10k,20k,50k"
 DEFAULT_RATE = "2k"
 VARIANT_HELP = "NAME, or NAME:setting=value,setting=value."
 
-signal_option = click.option(
-    "--signal", "signals", multiple=True, help=f"Reference signal. [{DEFAULT_SIGNAL}]"
+resolution_option = option(
+    "--resolution", type=float, default=DEFAULT_RESOLUTION, show_default=True, help="m a count."
 )
 
 
-@click.group()
+@click.group(cls=Group)
 def estimators() -> None:
     """List the velocity estimators, compare them on motions that are known, tune one to a motion."""
 
 
 @estimators.command("list")
-@click.argument("names", nargs=-1)
-@click.option(
-    "--rate", default=DEFAULT_RATE, show_default=True, help="Velocity rate at which the delay is stated."
-)
+@click.argument("names", nargs=-1, type=values.ESTIMATOR)
+@option("--rate", default=DEFAULT_RATE, show_default=True, help="Velocity rate at which the delay is stated.")
 @options.json_option
 def list_(names: tuple[str, ...], rate: str, as_json: bool) -> None:
     """Show the estimators (or NAMES): parameters with range, unit and meaning, delay, source."""
@@ -81,19 +83,13 @@ def _facts(name: str, case: Case, hertz: int) -> dict[str, Any]:
 
 
 @estimators.command()
-@click.argument("recordings", nargs=-1, type=click.Path(path_type=Path))
-@signal_option
-@click.option("--rate", "rates", help=f"Velocity rates. [{DEFAULT_RATES}; of a recording: its own]")
-@click.option(
-    "--resolution", "resolutions", multiple=True, type=float, help=f"m a count. [{DEFAULT_RESOLUTION:g}]"
-)
-@click.option("--estimator", "chosen", multiple=True, help=f"{VARIANT_HELP} [all]")
-@click.option("--time/--no-time", "timed", default=True, help="Also measure ns a sample.")
-@click.option(
-    "--plot", type=click.Path(path_type=Path), default=Path("estimators.png"), show_default=True,
-    help=f"Picture to write; {options.PICTURE_NAME}.",
-)  # fmt: skip
-@click.option("--no-plot", is_flag=True, help="Draw nothing.")
+@click.argument("recordings", nargs=-1, type=values.RECORDING)
+@options.signal_option("signals", help=f"Reference signal. [{DEFAULT_SIGNAL}]", multiple=True)
+@option("--rate", "rates", help=f"Velocity rates. [{DEFAULT_RATES}; of a recording: its own]")
+@option("--resolution", "resolutions", multiple=True, type=float, help=f"m a count. [{DEFAULT_RESOLUTION:g}]")
+@options.estimator_option(f"{VARIANT_HELP} [all]", names=("chosen",), multiple=True)
+@option("--time/--no-time", "timed", default=True, help="Also measure ns a sample.")
+@options.picture_options("Draw them.", default=True, place="estimators.png")
 @options.json_option
 def compare(
     recordings: tuple[Path, ...],
@@ -102,8 +98,7 @@ def compare(
     resolutions: tuple[float, ...],
     chosen: tuple[str, ...],
     timed: bool,
-    plot: Path,
-    no_plot: bool,
+    picture: options.Picture,
     as_json: bool,
 ) -> None:
     """Score estimators on reference signals and RECORDINGS: raw error, delay, error without delay, noise at rest, cost.
@@ -121,37 +116,34 @@ def compare(
         cases += [_recording_case(path, rate) for rate in (_rates(rates) if rates else (None,))]
     variants = [_variant(text) for text in chosen] or list(experiment.default_variants())
     comparison = experiment.compare(cases, variants, timed=timed)
-    picture = None if no_plot else output.drawn(lambda: draw_comparison(comparison, plot))
+    target = picture.at(Path("estimators"))
+    drawn = None if target is None else output.drawn(lambda: draw_comparison(comparison, target))
     if as_json:
-        output.print_json({**plain(comparison), "picture": picture})
+        output.print_json({**plain(comparison), "picture": drawn})
         return
     names = [variant.label for variant in variants]
     for i, case in enumerate(cases):
         click.echo(_headline(case))
         _print_table(case, comparison.scores[i * len(names) : (i + 1) * len(names)], names)
-    if picture:
-        output.print_pairs([("picture", picture)])
+    if drawn:
+        output.print_pairs([("picture", drawn)])
 
 
 @estimators.command()
-@click.argument("estimator")
-@click.argument("recording", required=False, type=click.Path(path_type=Path))
-@click.option(
-    "--signal", default=DEFAULT_SIGNAL, show_default=True, help="Reference signal, without RECORDING."
-)
-@click.option("--rate", help=f"Velocity rate. [{DEFAULT_RATE}; of a recording: its own]")
-@click.option("--resolution", type=float, default=DEFAULT_RESOLUTION, show_default=True, help="m a count.")
-@click.option(
+@click.argument("estimator", type=values.ESTIMATOR)
+@click.argument("recording", required=False, type=values.RECORDING)
+@options.signal_option(default=DEFAULT_SIGNAL, show_default=True, help="Reference signal, without RECORDING.")
+@option("--rate", help=f"Velocity rate. [{DEFAULT_RATE}; of a recording: its own]")
+@resolution_option
+@option(
     "--objective",
     default="rms",
     show_default=True,
     help="rms, delay-corrected-rms or rms+delay: see the guide.",
 )
-@click.option("--free", multiple=True, help="Number to tune. [all that have an effect]")
-@click.option(
-    "-o", "--output", "target", type=click.Path(path_type=Path), help="TOML to write. [NAME-tuned.toml]"
-)
-@click.option("--overwrite", is_flag=True, help="Replace that file.")
+@option("--free", multiple=True, help="Number to tune. [all that have an effect]")
+@options.output_option(None, "TOML to write. [NAME-tuned.toml]", "target")
+@options.overwrite_option
 @options.json_option
 def tune(
     estimator: str,
@@ -186,6 +178,57 @@ def tune(
     click.echo(_headline(case))
     _print_tuning(tuning, case)
     output.print_pairs([("written", str(path))])
+
+
+@estimators.command()
+@click.argument("estimator", type=values.ESTIMATOR)
+@click.argument("recording", required=False, type=values.RECORDING)
+@options.rig_option("that of RECORDING, or koul-compliant")
+@options.set_option
+@options.signal_option(
+    default=DEFAULT_SIGNAL, show_default=True, help="Motion of the test, without RECORDING."
+)
+@option("--costs/--no-costs", default=True, help="Count what a call costs, where the tools are installed.")
+@options.output_option(None, "Header to write; its test goes beside it. [NAME.h]", "target")
+@options.overwrite_option
+@options.json_option
+def export(
+    estimator: str,
+    recording: Path | None,
+    preset: str | None,
+    sets: tuple[str, ...],
+    signal: str,
+    costs: bool,
+    target: Path | None,
+    overwrite: bool,
+    as_json: bool,
+) -> None:
+    """Write ESTIMATOR as one C99 header with the numbers that suit a rig, and a program that tests it.
+
+    ESTIMATOR is a name, or name:setting=value,…; where the rig's file uses that estimator, its settings are taken. The
+    code is the firmware's own, in float32, or in integers where it has them. The test holds the counts of RECORDING,
+    which it was tuned on, and what the estimator makes of them on this computer.
+
+    Instructions and cycles on Cortex-M are counted in a simulator: arm-none-eabi-gcc and haptic-rig[cycles].
+    """
+    opened = None if recording is None else open_recording(recording)
+    if preset is None and opened is not None:
+        experiment = experiment_of(opened)
+    else:
+        experiment = options.chosen_experiment(None, preset)
+    experiment = config.override(experiment, options.changes(None, sets))
+    case = None
+    if recording is not None:
+        case = _recording_case(recording, experiment.controller.velocity_rate)
+    with output.Status(quiet=as_json) as status:
+        made = export_estimator(
+            _variant(estimator), experiment, target, case=case, signal=signal, costs=costs, overwrite=overwrite,
+            on_progress=status.on_progress,
+        )  # fmt: skip
+    if as_json:
+        output.print_json(made)
+    else:
+        output.show(made.items())
 
 
 def _print_tuning(tuning: Tuning, case: Case) -> None:
@@ -284,8 +327,8 @@ def _variant(text: str) -> Variant:
 
 
 @estimators.command()
-@click.argument("recording", type=click.Path(path_type=Path))
-@click.option("--sines", type=click.IntRange(1, 40), default=6, show_default=True, help="Sines in the fit.")
+@click.argument("recording", type=values.RECORDING)
+@option("--sines", type=click.IntRange(1, 40), default=6, show_default=True, help="Sines in the fit.")
 @options.json_option
 def lipschitz(recording: Path, sines: int, as_json: bool) -> None:
     """Identify C, the acceleration bound of Levant's differentiator, from RECORDING of a hit.

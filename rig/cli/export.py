@@ -6,20 +6,30 @@ from pathlib import Path
 
 import click
 
-from rig.cli import options, output
+from rig.cli import options, output, values
+from rig.cli.command import RESULT, command, option
+from rig.recording.export import EXPORTERS
 from rig.recording.export import export as write
 
 
-@click.command()
-@click.argument("recording", type=click.Path(path_type=Path))
+@command()
+@click.argument("recording", type=values.RECORDING)
 @click.argument("target", type=click.Path(path_type=Path))
-@click.option(
-    "--format", "kind", type=click.Choice(["csv", "parquet", "mat"]), help="[by the ending of TARGET]"
+@option(
+    "--format",
+    "kind",
+    group=RESULT,
+    type=click.Choice(tuple(EXPORTERS)),
+    help="Of TARGET. [as its name ends]",
 )
-@click.option("--overwrite", is_flag=True, help="Replace TARGET if it exists.")
+@options.overwrite_option
 @options.json_option
 def export(recording: Path, target: Path, kind: str | None, overwrite: bool, as_json: bool) -> None:
-    """Write RECORDING to TARGET as CSV (with a JSON file of units beside it), Parquet or MAT."""
+    """Write RECORDING to TARGET for another program, in the format that its name ends in.
+
+    csv: all columns, with a JSON file of units beside it. xy: force of the wall over penetration, as CSV. parquet: for
+    data frames. mat: for MATLAB and Octave. mcap: for Foxglove and PlotJuggler (haptic-rig[mcap]).
+    """
     path = write(recording, target, kind, overwrite=overwrite)
     if as_json:
         output.print_json({"recording": str(recording), "target": str(path)})

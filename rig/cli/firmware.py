@@ -21,7 +21,8 @@ from rig.bench.firmware.selftest import SelfTestRequest, failure
 from rig.bench.firmware.selftest import selftest as run
 from rig.bench.firmware.wiring import draw
 from rig.bench.firmware.wiring import wiring as wired
-from rig.cli import options, output
+from rig.cli import options, output, values
+from rig.cli.command import Group, option
 from rig.config import amplifiers, presets
 from rig.core.errors import ConfigError, IncompatibleDeviceError
 from rig.devices import open_device, open_link
@@ -30,38 +31,30 @@ DEFAULT_BOARD = "rp2040"
 _LISTED = ("name", "description", "rate_maximum", "settings")
 
 
-@click.group()
+@click.group(cls=Group)
 def firmware() -> None:
     """The firmware of a controller board: build it for a rig, inspect it, flash it, test it."""
 
 
-@firmware.command()
-@click.option(
-    "--rig",
-    "preset",
-    default=options.DEFAULT_PRESET,
+board_option = option(
+    "--board",
+    default=DEFAULT_BOARD,
     show_default=True,
-    help="Built-in rig or TOML file: the image knows its limits.",
+    help="Name or directory of the board; list: all of them.",
 )
-@click.option(
-    "--board", default=DEFAULT_BOARD, show_default=True, help="Board to build for; list: all of them."
-)
-@click.option(
-    "-o",
-    "--output",
-    "directory",
-    type=click.Path(path_type=Path, file_okay=False),
-    default=Path("firmware"),
-    show_default=True,
-    help="Directory for the image.",
-)
-@click.option(
+pins_option = option(
     "--set",
     "sets",
     multiple=True,
     metavar="NAME=VALUE",
     help="A pin or scale of the board: --set enable_pin=6.",
 )
+
+
+@firmware.command()
+@options.rig_option(given=True)
+@board_option
+@pins_option
 @click.option(
     "--settings",
     "settings_file",
@@ -78,6 +71,7 @@ def firmware() -> None:
     is_flag=True,
     help="Build the program that tries the board's port out, in place of the firmware.",
 )
+@options.output_option("firmware", "Directory of the image.", "directory")
 @options.json_option
 def build(
     preset: str,
@@ -122,7 +116,7 @@ def build(
         if path is not None:
             click.echo(str(path))
     if built.uf2 is not None:
-        click.echo(f"rig: next: rig firmware flash {built.uf2}", err=True)
+        output.note(f"rig: next: rig firmware flash {built.uf2}")
 
 
 @firmware.command("amplifiers")
@@ -137,19 +131,9 @@ def list_amplifiers(as_json: bool) -> None:
 
 
 @firmware.command("wiring")
-@click.option("--board", default=DEFAULT_BOARD, show_default=True, help="Board to wire.")
-@click.option(
-    "--set", "sets", multiple=True, metavar="NAME=VALUE", help="A pin of the board: --set enable_pin=6."
-)
-@click.option(
-    "-o",
-    "--output",
-    "drawing",
-    type=click.Path(path_type=Path, dir_okay=False),
-    default=Path("wiring.svg"),
-    show_default=True,
-    help="Where the drawing goes.",
-)
+@board_option
+@pins_option
+@options.output_option("wiring.svg", "File of the drawing (SVG).", "drawing")
 @options.json_option
 def draw_wiring(board: str, sets: tuple[str, ...], drawing: Path, as_json: bool) -> None:
     """Draw the reference rig around a board, with the pins as they are set, and list its wires."""
@@ -164,7 +148,7 @@ def draw_wiring(board: str, sets: tuple[str, ...], drawing: Path, as_json: bool)
 
 
 @firmware.command()
-@click.argument("source", metavar="FILE|URL")
+@click.argument("source", metavar="FILE|URL", type=values.URL)
 @options.json_option
 def info(source: str, as_json: bool) -> None:
     """Show what an image, or the device at a URL, is, and whether this package can run it.
@@ -192,7 +176,7 @@ def info(source: str, as_json: bool) -> None:
     type=click.Path(path_type=Path, file_okay=False),
     help="Where the board's drive is mounted. [found]",
 )
-@click.option("--url", help="Device that shall show its drive first: it must not be armed.")
+@options.url_option("the board shows its drive already; else a device that is not armed shall show it")
 @options.json_option
 def flash(image: Path, drive: Path | None, url: str | None, as_json: bool) -> None:
     """Copy an image (.uf2) to a board that shows its drive, and wait until the board has started it.
@@ -212,10 +196,10 @@ def flash(image: Path, drive: Path | None, url: str | None, as_json: bool) -> No
 
 
 @firmware.command()
-@click.argument("url")
-@click.option("--rig", "preset", help="Built-in rig or TOML file that the image should belong to.")
+@click.argument("url", type=values.URL)
+@options.rig_option("any")
 @click.option(
-    "--rate", type=click.IntRange(50, 200_000), help="Tick rate to test (Hz). [the device's maximum]"
+    "--rate", type=options.Hertz(50, 200_000), help="Tick rate to test (Hz). [the device's maximum]"
 )
 @click.option(
     "--seconds",
@@ -255,7 +239,7 @@ def selftest(
 
 
 @firmware.command("check-port")
-@click.argument("url")
+@click.argument("url", type=values.URL)
 @click.option(
     "--wired",
     is_flag=True,

@@ -13,33 +13,39 @@ import click
 from rig.bench.doctor.gate import Gate
 from rig.cli import compare as comparing
 from rig.cli import hit_output, options, output
+from rig.cli.command import command, option
+from rig.control.verdict import Verdict
 from rig.core.errors import RigError
 from rig.core.present import Row, plain
 from rig.devices import load_backend
 from rig.experiments import hit as hits
+from rig.experiments.judgement import unexpected
+
+_COMPARISON = "Comparison"
 
 
-@click.command()
+@command()
 @options.experiment_options
-@click.option(
-    "--url",
-    help="Device: serial:///dev/ttyACM0, usb://1209:0001, sim://. [simulates the rig in this process]",
-)
-@click.option(
-    "--realtime", is_flag=True, help="In real time; a simulated rig then runs as a process of its own."
-)
-@click.option("--verified", is_flag=True, help="Encoder and motor signs of this real rig were checked.")
+@options.url_option("simulates the rig in this process")
+@options.realtime_option("In real time; a simulated rig then runs as a process of its own.")
+@options.verified_option
 @options.arm_anyway_option
-@click.option(
-    "-o",
-    "--output",
-    "directory",
-    type=click.Path(path_type=Path),
-    default=Path("recordings"),
-    show_default=True,
-)
+@options.output_option("recordings", "Directory of the recordings.", "directory")
 @options.plot_options("Draw a picture beside the recording.")
-@options.compare_options
+@options.expect_option(options.VERDICTS)
+@option(
+    "--compare",
+    group=_COMPARISON,
+    is_flag=True,
+    help="Simulate the same hit under several schemes; records nothing.",
+)
+@options.scheme_option("none, uniform and dual-rate", group=_COMPARISON)
+@option(
+    "--as-in-the-paper",
+    group=_COMPARISON,
+    is_flag=True,
+    help="Compare under the conditions of figures 7 and 8 of Koul et al., in floating and in fixed point.",
+)
 @options.json_option
 def hit(
     file: Path | None,
@@ -53,6 +59,7 @@ def hit(
     compare: bool,
     schemes: tuple[str, ...],
     as_in_the_paper: bool,
+    expected: tuple[str, ...],
     as_json: bool,
     **changed: Any,
 ) -> None:
@@ -65,11 +72,14 @@ def hit(
     The verdict goes by the last part of the trial: an oscillation is felt (velocity of the handle), heard (ripple of
     the effort) or moved (position, peak to peak) when it exceeds the threshold printed beside it.
 
+    For scripts, --expect stable ends with 17 where a hit's verdict is another one.
+
     With --compare, the same hit is simulated without damping, with uniform and with dual-rate sampling, and nothing is
     recorded.
     """
     changes = options.changes(**changed)
     if compare or schemes or as_in_the_paper:
+        comparing.refuse_a_verdict(expected)
         comparing.refuse_a_device(url, realtime, verified, changes)
         comparing.refuse_what_is_fixed(compare, as_in_the_paper, file or preset or url or changes or schemes)
         if as_in_the_paper:
@@ -94,10 +104,12 @@ def hit(
     )
     done: list[dict[str, Any]] = []
     failure: RigError | None = None
+    verdicts: list[Verdict] = []
     with Artist(plot) as artist, hit_output.ProgressBars(quiet=as_json) as bars:
         try:
             for result in hits.hit(request, bars.watch):
                 bars.stop()
+                verdicts.append(result.verdict)
                 picture = artist.draw(result.path)
                 done.append({**plain(result), "picture": picture})
                 if len(done) == 1:
@@ -111,6 +123,8 @@ def hit(
             bars.stop()
             failure = error
             _show_what_was_recorded(error, artist, quiet=as_json)
+    if failure is None:
+        failure = unexpected(verdicts, expected)
     if as_json:
         output.print_json({"hits": done, "error": None if failure is None else output.error_facts(failure)})
     if failure is not None:

@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from rig.cli import options, output
+from rig.cli.command import RESULT, command, option
 from rig.config import Experiment
 from rig.core.errors import ConfigError, RecordingError
 from rig.core.present import plain
@@ -22,46 +23,35 @@ from rig.experiments.weigh import WeighRequest, weigh
 from rig.views.plots.identify import draw_identification
 
 
-@click.command()
-@click.argument("file", required=False, type=click.Path(path_type=Path))
-@click.option("--rig", "preset", metavar="NAME", help="Built-in rig, when no FILE is given.")
-@click.option(
-    "--rate",
-    metavar="HZ",
-    help="Rate of the loop while it is excited: 20k. It bounds the band to 0.15 of it.",
-)
-@click.option(
-    "--set", "sets", multiple=True, metavar="KEY=VALUE", help="Any other key: --set rig.limits.speed=5."
-)
-@click.option("--url", help="Device: serial:///dev/ttyACM0, sim://. [simulates the rig in this process]")
-@click.option("--verified", is_flag=True, help="On a real rig: a push of the wrong sign can hurt nothing.")
-@click.option("--realisations", type=int, default=6, show_default=True, help="How often the rig is excited.")
-@click.option(
-    "--period", "period_s", type=float, default=0.5, show_default=True, help="Of the excitation (s)."
-)
-@click.option("--seed", type=int, default=0, show_default=True, help="Of the phases of the excitation.")
-@click.option(
-    "-o", "--output", "file_out", type=click.Path(path_type=Path), help="Experiment file to write (TOML)."
-)
-@click.option(
-    "--recordings",
-    type=click.Path(path_type=Path),
-    default=Path("recordings"),
-    show_default=True,
-    help="Directory of recordings and picture.",
-)
-@click.option(
+@command()
+@options.file_argument
+@options.rig_option()
+@options.rate_option("Of the loop while it is excited: 20k. It bounds the band to 0.15 of it.", "HZ")
+@options.set_option
+@options.seed_option("Of the phases of the excitation.", default=0, show_default=True)
+@option("--realisations", type=int, default=6, show_default=True, help="How often the rig is excited.")
+@option("--period", "period_s", type=float, default=0.5, show_default=True, help="Of the excitation (s).")
+@option("--plan", "only_plan", is_flag=True, help="List and check what would be done; touches no device.")
+@option(
     "--weight",
     "mass_kg",
     type=float,
     metavar="KG",
     help="Calibrate the effort instead: slow strokes without and with this mass hung on the rig.",
 )
-@click.option("--arm", "arm_m", type=float, metavar="M", help="Lever arm of the mass. [radius of the handle]")
-@options.plot_options("Draw data, fit and residual.")
-@click.option(
-    "--plan", "only_plan", is_flag=True, help="List and check what would be done; touches no device."
+@option("--arm", "arm_m", type=float, metavar="M", help="Lever arm of the mass. [radius of the handle]")
+@options.url_option("simulates the rig in this process")
+@options.free_option
+@options.output_option(None, "Experiment file to write (TOML).", "file_out")
+@option(
+    "--recordings",
+    group=RESULT,
+    type=click.Path(path_type=Path),
+    default=Path("recordings"),
+    show_default=True,
+    help="Directory of recordings and picture.",
 )
+@options.plot_options("Draw data, fit and residual.")
 @options.json_option
 def identify(
     file: Path | None,
@@ -129,9 +119,7 @@ def identify(
         else:
             _print_plan(plan)
         return
-    found = identifying.identify(
-        request, None if as_json else lambda text: click.echo(f"  {text} …", err=True)
-    )
+    found = identifying.identify(request, None if as_json else lambda text: output.note(f"  {text} …"))
     picture = _draw(found, plot) if plot else None
     written = _write(found, file_out) if file_out is not None else None
     if as_json:

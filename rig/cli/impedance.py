@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,8 @@ import click
 from rig import config
 from rig.analysis.impedance.verdict import EFFECTIVE_LINES, Fidelity
 from rig.cli import options, output
+from rig.cli.command import command, option
+from rig.cli.map_options import judging as judging_of
 from rig.config import Experiment
 from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError, GuardError
@@ -25,51 +26,44 @@ from rig.experiments.searches import numbers_of
 from rig.views.plots.impedance import draw_impedance
 
 DEFAULT_PRESET = "chawda-linear"
+CONFIRM = ("each", "no")
 
 
-@click.command()
-@click.argument("file", required=False, type=click.Path(path_type=Path))
-@click.option(
-    "--rig", "preset", metavar="NAME", help=f"Built-in rig, when no FILE is given. [{DEFAULT_PRESET}]"
+@command()
+@options.file_argument
+@options.rig_option(DEFAULT_PRESET)
+@options.walls_options(
+    "Stiffness of the walls. [the experiment's, and the bare rig]",
+    "Damping of the walls: as many, or one for all.",
 )
-@click.option(
-    "-K", "--stiffness", metavar="K,…", help="Stiffness of the walls. [the experiment's, and the bare rig]"
-)
-@click.option("-B", "--damping", metavar="B,…", help="Damping of the walls: as many, or one for all.")
-@click.option("--bare", is_flag=True, help="Measure the rig without a wall (too).")
-@click.option(
-    "--scheme", "schemes", multiple=True, metavar="SCHEME",
-    help="uniform:1k,estimator=kalman, dual:20k/2k …; repeat it. [the experiment's]",
-)  # fmt: skip
-@click.option(
+@options.scheme_option("the experiment's")
+@options.set_option
+@options.seed_option("Of the phases.")
+@option("--bare", is_flag=True, help="Measure the rig without a wall (too).")
+@option(
     "--channel",
     type=click.Choice(["external", "motor"]),
     help="Actuator that excites the rig. [external; with --url motor]",
 )
-@click.option("--kind", type=click.Choice(["schroeder", "random"]), help="Phases of the multisine. [random]")
-@click.option("--band", metavar="LOW:HIGH", help="Lines of the excitation (Hz). [1:250]")
-@click.option("--judged", metavar="LOW:HIGH", help="Lines that count for verdict and fidelity (Hz). [all]")
-@click.option(
-    "--amplitude", type=float, help="Rms effort of the excitation (N·m or N). [10 × Coulomb friction]"
+@option("--kind", type=click.Choice(["schroeder", "random"]), help="Phases of the multisine. [random]")
+@option(
+    "--method",
+    type=click.Choice(["periodic", "welch"]),
+    default="periodic",
+    show_default=True,
+    help="Of the spectra.",
 )
-@click.option("--periods", type=int, help="Analysed periods of a realisation. [4]")
-@click.option("--realisations", type=int, help="Runs with other phases. [4; with --kind schroeder 1]")
-@click.option("--method", type=click.Choice(["periodic", "welch"]), default="periodic", show_default=True)
-@click.option(
-    "--signal", type=click.Choice(["count", "truth"]), default="count", show_default=True,
-    help="Encoder counts, or the true position of the handle (simulation).",
-)  # fmt: skip
-@click.option("--seed", type=int, help="Seed of the phases.")
-@click.option("--set", "sets", multiple=True, metavar="KEY=VALUE", help="Any key of the experiment.")
-@click.option("--url", help="Measure on a device, with its own motor: serial://…, usb://…, sim://.")
-@click.option("--realtime", is_flag=True, help="With --url sim://: as a process, in real time.")
-@click.option("--verified", is_flag=True, help="Encoder and motor signs of this real rig were checked.")
+@options.judge_option
+@options.excitation_options
+@options.judging_options
+@options.url_option("simulates, with an actuator beside the motor")
+@options.realtime_option("A simulated device (sim://) as a process, in real time.")
+@options.verified_option
 @options.arm_anyway_option
-@click.option("--yes", is_flag=True, help="Do not ask before a real device is excited.")
-@click.option(
-    "-o", "--output", "directory", type=click.Path(path_type=Path), default=Path("impedances"), show_default=True
-)  # fmt: skip
+@options.confirm_option(CONFIRM, "each run; no with a simulated device")
+@options.output_option("impedances", "Directory of tables and picture.", "directory")
 @options.plot_options("Draw magnitude, phase and real part.")
+@options.expect_option(("passive", "not-passive"))
 @options.json_option
 def impedance(
     file: Path | None,
@@ -79,15 +73,18 @@ def impedance(
     bare: bool,
     schemes: tuple[str, ...],
     judged: str | None,
+    judged_band: str | None,
+    z_score: float | None,
+    residual_threshold: float | None,
     method: Any,
-    signal: Any,
     url: str | None,
     realtime: bool,
     verified: bool,
     arm_anyway: bool,
-    yes: bool,
+    confirm: str | None,
     directory: Path,
     plot: str,
+    expected: tuple[str, ...],
     as_json: bool,
     **excitation: Any,
 ) -> None:
@@ -100,7 +97,8 @@ def impedance(
     experiment = options.chosen_experiment(file, preset)
     experiment = config.override(experiment, _changes(url, **excitation))
     walls = _walls(experiment, stiffness, damping, bare)
-    judging = measuring.Judging(band_hz=None if judged is None else _band(judged, "--judged"))
+    judging = judging_of(judged_band, z_score=z_score, residual_threshold=residual_threshold)
+    signal: Any = "truth" if judged == "true" else "count"
     parsed = tuple(Scheme.parse(text) for text in schemes)
     place = directory / f"{experiment.rig.name}-{datetime.now():%Y%m%d-%H%M%S}"
     device = None
@@ -108,9 +106,9 @@ def impedance(
         device = OnDevice(
             url=url, recordings=place, verified=verified, realtime=realtime, arm_anyway=arm_anyway
         )
-    elif realtime or verified or arm_anyway:
+    elif realtime or verified or arm_anyway or confirm:
         raise ConfigError(
-            "--realtime, --verified and --arm-anyway are for a device",
+            "--realtime, --verified, --arm-anyway and --confirm are for a device",
             remedy="say --url too, or leave them out",
         )
     shared: dict[str, Any] = {
@@ -119,7 +117,8 @@ def impedance(
     if device is None:
         results = measuring.measure_impedance(experiment, signal=signal, **shared)
     else:
-        agrees = None if yes or as_json or device.simulated else _agrees
+        asks = confirm != "no" and not as_json and not (device.simulated and confirm is None)
+        agrees = _agrees if asks else None
         results = tuple(measuring.measure_on_device(experiment, device, agrees=agrees, **shared))
     table, summary = measuring.write_results(results, place)
     measured = any(result.impedance is not None for result in results)
@@ -141,6 +140,10 @@ def impedance(
         )
         error.reported = as_json
         raise error
+    unexpected = measuring.unexpected(results, expected)
+    if unexpected is not None:
+        unexpected.reported = as_json
+        raise unexpected
 
 
 def _changes(url: str | None, **excitation: Any) -> dict[str, Any]:
@@ -154,20 +157,8 @@ def _changes(url: str | None, **excitation: Any) -> dict[str, Any]:
     excitation["rms"] = excitation.pop("amplitude")
     changed |= {f"excitation.{key}": value for key, value in excitation.items() if value is not None}
     if band is not None:
-        changed["excitation.low_hz"], changed["excitation.high_hz"] = _band(band, "--band")
+        changed["excitation.low_hz"], changed["excitation.high_hz"] = options.band(band, "--band")
     return changed
-
-
-def _band(text: str, option: str) -> tuple[float, float]:
-    try:
-        low, high = (float(part) for part in text.split(":"))
-    except ValueError:
-        raise ConfigError(
-            f"{option} {text} is not a frequency band", remedy="write it as LOW:HIGH in Hz, like 1:250"
-        ) from None
-    if not 0.0 < low <= high:
-        raise ConfigError(f"{option} {text} is not a frequency band", remedy="give 0 < LOW ≤ HIGH")
-    return low, high
 
 
 def _walls(experiment: Experiment, stiffness: str | None, damping: str | None, bare: bool) -> list[Wall]:
@@ -189,7 +180,7 @@ def _walls(experiment: Experiment, stiffness: str | None, damping: str | None, b
 
 def _progress(quiet: bool) -> Any:
     """Count the runs on a terminal."""
-    if quiet or not sys.stderr.isatty():
+    if quiet or not output.on_terminal():
         return None
 
     def update(done: int, total: int) -> None:
@@ -282,7 +273,7 @@ def _no_port(result: ImpedanceResult) -> list[tuple[str, str]]:
     return [
         (
             "",
-            "encoder and handle are two places: the phase between them is no test (simulated: --signal truth)",
+            "encoder and handle are two places: the phase between them is no test (simulated: --judge true)",
         )
     ]
 

@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from rig.cli import hit_output, map_options, output
+from rig.cli.command import EXPERIMENT, command, option
 from rig.cli.progress import SweepBar
 from rig.core.present import Table
 from rig.core.sample import unit_of
@@ -23,9 +24,16 @@ SPAN = 500.0  # highest stiffness over the lowest: at slow rates only soft walls
 DEFAULT_RATES = "100,200,500,1k,2k,5k,10k,20k,50k"
 
 
-@click.command()
+@command()
 @map_options.map_options
-@click.option("--rates", default=DEFAULT_RATES, show_default=True, help="Sampling rates.")
+@option(
+    "-K",
+    "--stiffness",
+    group=EXPERIMENT,
+    metavar="FROM:TO",
+    help="Range of stiffness. [up to where the push rests trial.minimum_rest_counts deep]",
+)
+@option("--rates", group=EXPERIMENT, default=DEFAULT_RATES, show_default=True, help="Sampling rates.")
 def kmax(
     file: Path | None,
     preset: str | None,

@@ -8,8 +8,10 @@ from typing import Any, cast
 
 import click
 
+from rig.cli.command import Group
 
-class LazyGroup(click.Group):
+
+class LazyGroup(Group):
     """A group whose commands stand in a table.
 
     Parameters

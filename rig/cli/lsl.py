@@ -9,18 +9,20 @@ from typing import Any
 
 import click
 
-from rig.cli import options
+from rig.cli import options, output
+from rig.cli.command import command
 from rig.core.present import plain
 from rig.core.sample import Motion
 from rig.session.lsl.serve import serve
 
 
-@click.command()
+@command()
 @click.option("--pid", type=click.IntRange(1), help="Process whose loops to follow. [any of yours]")
-@click.option("--rate", type=float, help="Samples a second at most. [every tick]")
+@click.option("--rate", type=options.Hertz(1, 1_000_000), help="Samples a second at most. [every tick]")
 @click.option("--name", default="haptic-rig", show_default=True, help="First word of the streams' names.")
 @click.option(
-    "--expect",
+    "--open-early",
+    "expected",
     nargs=2,
     type=(click.Choice(["rotary", "linear"]), float),
     metavar="MOTION HZ",
@@ -32,9 +34,9 @@ from rig.session.lsl.serve import serve
 @options.json_option
 def lsl(
     pid: int | None,
-    rate: float | None,
+    rate: int | None,
     name: str,
-    expect: tuple[Motion, float] | None,
+    expected: tuple[Motion, float] | None,
     blind: bool,
     once: bool,
     markers: bool,
@@ -55,7 +57,7 @@ def lsl(
         if as_json:
             click.echo(json.dumps(dict(news)))
         else:
-            click.echo("  ".join(f"{key} {value}" for key, value in news.items()), err=True)
+            output.note("  ".join(f"{key} {value}" for key, value in news.items()))
 
     served = serve(
         pid,
@@ -64,7 +66,7 @@ def lsl(
         blind=blind,
         once=once,
         markers=sys.stdin.fileno() if markers else None,
-        expected=expect,
+        expected=expected,
         report=report,
     )
     if as_json:

@@ -2,85 +2,53 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import click
 
 from rig import config
 from rig.cli import options
+from rig.cli.command import option
 from rig.config import Experiment
 from rig.config.schemes import parse_rates
 from rig.core.errors import ConfigError
+from rig.experiments.impedance import Judging
 from rig.experiments.ranges import search_for
 from rig.experiments.searches import Search, bounds_of
-
-F = TypeVar("F", bound=Callable[..., Any])
 
 WAYS = ("ladder", "bisection", "grid")
 
 
-def map_options(command: F) -> F:
-    """Add the options that every map has."""
-    added = [
-        click.argument("file", required=False, type=click.Path(path_type=Path)),
-        click.option(
-            "--rig",
-            "preset",
-            metavar="NAME",
-            help=f"Built-in rig, when no FILE is given. [{options.DEFAULT_PRESET}]",
-        ),
-        click.option(
-            "--operator",
-            metavar="GRIP",
-            help="Who pushes: relaxed, normal, firm (a simulated hand), or none (the motor, with the end mass). "
-            "[as FILE says; a built-in rig: normal in simulation, as it says on a device]",
-        ),
-        click.option("--effort", type=float, help="Constant push, with --operator none (N·m or N)."),
-        click.option(
-            "-K",
-            "--stiffness",
-            metavar="LOW:HIGH",
-            help="Range of stiffness. [up to where the push rests trial.minimum_rest_counts deep]",
-        ),
-        click.option("--search", "way", type=click.Choice(WAYS), default="ladder", show_default=True),
-        click.option("--ratio", type=float, default=1.06, show_default=True, help="Between two stiffnesses."),
-        click.option(
-            "--offsets",
-            help="Places of zero in its encoder cell (count). [0.1,0.6; a device has one]",
-        ),
-        click.option(
-            "--repeats", type=click.IntRange(1, 10_000), default=1, show_default=True, help="Of each climb."
-        ),
-        click.option("--seed", type=int, help="Of everything random."),
-        click.option(
-            "--judge",
-            "judged",
-            type=click.Choice(["true", "recorded"]),
-            help="Whose signals decide: the simulation's truth, or what a rig records. [true; on a device: recorded]",
-        ),
-        click.option(
-            "--set", "sets", multiple=True, metavar="KEY=VALUE", help="Any other key of the experiment."
-        ),
-        click.option("--workers", type=click.IntRange(1, 1024), help="Threads. [one for each core]"),
-        click.option(
-            "--scheduler", metavar="tcp://HOST:PORT", help="Run on a Dask cluster (haptic-rig[cluster])."
-        ),
-        click.option(
-            "-o",
-            "--output",
-            "directory",
-            type=click.Path(path_type=Path),
-            default=Path("maps"),
-            show_default=True,
-        ),
-        options.plot_options(),
-        options.json_option,
-    ]
-    for option in reversed(added):
-        command = option(command)
-    return command
+map_options = options.added(
+    options.file_argument,
+    options.rig_option(),
+    options.operator_option(
+        "Who pushes: a simulated hand (relaxed, normal, firm), or none: the motor, with the end mass. "
+        "[as FILE says; a built-in rig: normal in simulation, as it says on a device]"
+    ),
+    options.effort_option,
+    options.set_option,
+    option(
+        "--search",
+        "way",
+        type=click.Choice(WAYS),
+        default="ladder",
+        show_default=True,
+        help="How K is searched.",
+    ),
+    option("--ratio", type=float, default=1.06, show_default=True, help="Between two stiffnesses."),
+    option("--offsets", help="Places of zero in its encoder cell (count). [0.1,0.6; a device has one]"),
+    options.repeats_option("Of each series.", default=1, show_default=True),
+    options.judge_option,
+    options.seed_option("Of everything random."),
+    options.workers_option,
+    option("--scheduler", metavar="tcp://HOST:PORT", help="Run on a Dask cluster (haptic-rig[cluster])."),
+    options.output_option("maps", "Directory of the maps.", "directory"),
+    options.plot_options(),
+    options.json_option,
+)
+"""What every map has."""
 
 
 def chosen(
@@ -120,6 +88,13 @@ def search(
     """The rungs that the options mean."""
     low, high = (None, None) if stiffness is None else bounds_of(stiffness, "--stiffness")
     return search_for(experiment, way, ratio=ratio, lowest=low, highest=high, span=span, on_device=device)
+
+
+def judging(judged_band: str | None, **thresholds: float | None) -> Judging:
+    """What `options.judging_options` mean."""
+    given: dict[str, Any] = {name: value for name, value in thresholds.items() if value is not None}
+    found = None if judged_band is None else options.band(judged_band, "--judged-band")
+    return Judging(band_hz=found, **given)
 
 
 def rates(text: str) -> tuple[int, ...]:

@@ -1,9 +1,11 @@
-"""Options that several commands share: which experiment, with which changes, and how to print."""
+"""Options that several commands share, each defined once: the same thing has the same name and values everywhere."""
 
 from __future__ import annotations
 
+import math
 import tomllib
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
 from typing import Any, TypeVar
@@ -11,6 +13,8 @@ from typing import Any, TypeVar
 import click
 
 from rig import config
+from rig.cli import command, values
+from rig.cli.command import DEVICE, EXPERIMENT, RESULT, option
 from rig.config import Experiment, presets
 from rig.config.schemes import parse_rates
 from rig.core.errors import ConfigError
@@ -20,35 +24,299 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 DEFAULT_PRESET = "koul-compliant"
 
-arm_anyway_option = click.option(
-    "--arm-anyway",
-    is_flag=True,
-    help="Arm a real rig although its link, as measured, makes this wall dangerous; `rig doctor` says why.",
-)
-json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON for machines.")
-PICTURE_NAME = "its name ends in .png, .svg or .pdf"
+json_option = command.json_option
 
 
-def picture_format_option(help: str, default: str | None) -> Callable[[F], F]:
-    """The option that chooses a format of pictures, by its ending."""
-    return click.option(
-        "--picture-format", type=click.Choice(tuple(FORMATS)), default=default, show_default=True, help=help
-    )
+def added(*options: Callable[[F], F]) -> Callable[[F], F]:
+    """One decorator for several, shown in this order."""
 
-
-def plot_options(help: str = "Draw a picture.") -> Callable[[F], F]:
-    """Add the options of a picture; the command receives its format as `plot`, empty where none is wanted."""
-
-    def add(command: F) -> F:
-        @wraps(command)
-        def called(*, plot: bool, picture_format: str, **others: Any) -> Any:
-            return command(plot=picture_format if plot else "", **others)
-
-        called = picture_format_option("Of the picture.", "png")(called)
-        return click.option("--plot/--no-plot", default=True, help=help)(called)  # type: ignore[return-value]
+    def add(function: F) -> F:
+        for one in reversed(options):
+            function = one(function)
+        return function
 
     return add
 
+
+# ------------------------------------------------------------------ the experiment
+
+file_argument = click.argument("file", required=False, type=values.EXPERIMENT_FILE)
+
+
+def rig_option(default: str = DEFAULT_PRESET, *, given: bool = False) -> Callable[[F], F]:
+    """Which rig; `given`: the command gets the default, else it knows that nothing was said."""
+    more: dict[str, Any] = {"default": default, "show_default": True} if given else {}
+    help = "Built-in rig or TOML file." + ("" if given or not default else f" [{default}]")
+    return option(
+        "--rig", "preset", group=EXPERIMENT, metavar="NAME|FILE", type=values.RIG, help=help, **more
+    )
+
+
+stiffness_option = option(
+    "-K", "--stiffness", group=EXPERIMENT, type=float, help="Wall stiffness (N·m/rad or N/m)."
+)
+damping_option = option(
+    "-B", "--damping", group=EXPERIMENT, type=float, help="Wall damping (N·m·s/rad or N·s/m)."
+)
+
+
+def walls_options(stiffness: str, damping: str) -> Callable[[F], F]:
+    """The same of several walls: lists, which both mean alike; the texts say of what."""
+    return added(
+        option("-K", "--stiffness", group=EXPERIMENT, metavar="K,…|FROM:TO[:N]", help=stiffness),
+        option("-B", "--damping", group=EXPERIMENT, metavar="B,…|FROM:TO:N", help=damping),
+    )
+
+
+class Hertz(click.ParamType[int]):
+    """A rate, written as rates are everywhere: 2000 or 2k."""
+
+    name = "rate"
+
+    def __init__(self, lowest: int, highest: int) -> None:
+        self._lowest, self._highest = lowest, highest
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        """Return it in Hz."""
+        if isinstance(value, int):
+            return value
+        try:
+            rate, _ = parse_rates(value)
+        except ConfigError:
+            rate = 0
+        if "/" in value or not self._lowest <= rate <= self._highest:
+            self.fail(f"{value!r} is no rate from {self._lowest} to {self._highest} Hz, like 2k", param, ctx)
+        return rate
+
+
+def rate_option(help: str, metavar: str = "T1[/T2]") -> Callable[[F], F]:
+    """Rates of the loop."""
+    return option("--rate", group=EXPERIMENT, metavar=metavar, help=help)
+
+
+def estimator_option(help: str = "Velocity estimator.", **more: Any) -> Callable[[F], F]:
+    """A velocity estimator."""
+    return option(
+        "--estimator", *more.pop("names", ()), group=EXPERIMENT, type=values.ESTIMATOR, help=help, **more
+    )
+
+
+def scheme_option(default: str, group: str = EXPERIMENT) -> Callable[[F], F]:
+    """Sampling schemes to look at; the text says what is taken without."""
+    return option(
+        "--scheme", "schemes", group=group, multiple=True, metavar="SCHEME", type=values.SCHEME,
+        help=f"dual:20k/2k; uniform:20k,cutoff_hz=1000; dual:20k/2k,estimator=kalman …; repeat it. [{default}]",
+    )  # fmt: skip
+
+
+def operator_option(help: str) -> Callable[[F], F]:
+    """Whose hand holds the handle."""
+    return option("--operator", group=EXPERIMENT, metavar="GRIP", type=values.GRIP, help=help)
+
+
+effort_option = option(
+    "--effort",
+    group=EXPERIMENT,
+    type=float,
+    help="Constant push of the motor, nobody at the handle (N·m or N).",
+)
+set_option = option(
+    "--set", "sets", group=EXPERIMENT, multiple=True, metavar="KEY=VALUE",
+    help="Any other key of the experiment: --set wall.pull=allow.",
+)  # fmt: skip
+
+
+def seed_option(help: str, group: str = EXPERIMENT, **more: Any) -> Callable[[F], F]:
+    """Of what is random."""
+    return option("--seed", group=group, type=click.IntRange(0), help=help, **more)
+
+
+def repeats_option(help: str, **more: Any) -> Callable[[F], F]:
+    """How often the same is done."""
+    return option("--repeats", group=EXPERIMENT, type=click.IntRange(1, 10_000), help=help, **more)
+
+
+def signal_option(*names: str, help: str, **more: Any) -> Callable[[F], F]:
+    """A reference signal of `rig.core.signals`."""
+    return option("--signal", *names, type=values.SIGNAL, help=help, **more)
+
+
+# ------------------------------------------------------------------ excitation, and what is judged
+
+_FREQUENCY = "Excitation and judgement"
+excitation_options = added(
+    option("--band", group=_FREQUENCY, metavar="LOW:HIGH", help="Lines of the excitation (Hz). [1:250]"),
+    option("--realisations", group=_FREQUENCY, type=int, help="Runs with other phases. [4; with --kind schroeder 1]"),
+    option("--periods", group=_FREQUENCY, type=int, help="Analysed periods of a realisation. [4]"),
+    option(
+        "--amplitude", group=_FREQUENCY, type=float,
+        help="Rms effort of the excitation (N·m or N). [10 × Coulomb friction]",
+    ),
+)  # fmt: skip
+judging_options = added(
+    option(
+        "--judged-band", group=_FREQUENCY, metavar="LOW:HIGH",
+        help="Lines that count for verdict and fidelity (Hz). [all]",
+    ),
+    option(
+        "--z-score", group=_FREQUENCY, type=click.FloatRange(0.0, 10.0),
+        help="Deviations by which a line's Re Z must be below zero to fail. [2]",
+    ),
+    option(
+        "--residual-threshold", group=_FREQUENCY, type=click.FloatRange(0.0, 1.0),
+        help="Share of the motion's power off the lines from which a wall fails. [0.1]",
+    ),
+)  # fmt: skip
+judge_option = option(
+    "--judge", "judged", type=click.Choice(["true", "recorded"]),
+    help="Whose signals decide: the simulation's truth, or what a rig records. "
+    "[simulated hits and maps: true; on a device, and of single impedances: recorded]",
+)  # fmt: skip
+
+
+def band(text: str, option: str) -> tuple[float, float]:
+    """Frequencies (Hz) of ``LOW:HIGH``."""
+    try:
+        low, high = (float(part) for part in text.split(":"))
+    except ValueError:
+        low = high = math.nan
+    if not 0.0 < low <= high < math.inf:
+        raise ConfigError(
+            f"{option} {text} is not a frequency band", remedy="write it as LOW:HIGH in Hz, like 1:250"
+        )
+    return low, high
+
+
+# ------------------------------------------------------------------ the device
+
+
+def url_option(default: str) -> Callable[[F], F]:
+    """Which device; the text says what is done without one."""
+    return option(
+        "--url", group=DEVICE, type=values.URL,
+        help=f"serial:///dev/ttyACM0, usb://1209:0001, sim://. [{default}]",
+    )  # fmt: skip
+
+
+def realtime_option(help: str) -> Callable[[F], F]:
+    """In real time."""
+    return option("--realtime", group=DEVICE, is_flag=True, help=help)
+
+
+verified_option = option(
+    "--verified",
+    group=DEVICE,
+    is_flag=True,
+    help="On a real rig: encoder and motor signs were checked, and the handle is at position zero.",
+)
+free_option = option(
+    "--verified", group=DEVICE, is_flag=True, help="On a real rig: a push of the wrong sign can hurt nothing."
+)
+arm_anyway_option = option(
+    "--arm-anyway",
+    group=DEVICE,
+    is_flag=True,
+    help="Arm a real rig although its link, as measured, makes this wall dangerous; `rig doctor` says why.",
+)
+
+
+def confirm_option(choices: tuple[str, ...], default: str) -> Callable[[F], F]:
+    """Whether a person is asked before something moves."""
+    return option(
+        "--confirm",
+        group=DEVICE,
+        type=click.Choice(choices),
+        help=f"When to ask before a device moves. [{default}]",
+    )
+
+
+# ------------------------------------------------------------------ what comes out
+
+
+def output_option(default: str | None, help: str, *names: str) -> Callable[[F], F]:
+    """Directory, or file, of what the command makes."""
+    more: dict[str, Any] = {} if default is None else {"default": Path(default), "show_default": True}
+    return option("-o", "--output", *names, group=RESULT, type=click.Path(path_type=Path), help=help, **more)
+
+
+workers_option = option("--workers", type=click.IntRange(1, 1024), help="Threads. [one for each core]")
+overwrite_option = option("--overwrite", group=RESULT, is_flag=True, help="Replace files that are there.")
+
+
+def expect_option(verdicts: tuple[str, ...]) -> Callable[[F], F]:
+    """For scripts: end with a code of its own unless the verdict is this one; several can be given."""
+    return option(
+        "--expect", "expected", group=RESULT, multiple=True, type=click.Choice(verdicts),
+        help="End with exit code 17 unless the verdict is this one (repeat it: one of these).",
+    )  # fmt: skip
+
+
+VERDICTS = ("stable", "limit-cycle", "unstable", "invalid")  # rig.control.verdict.Kind, without its imports
+_DEFAULT_ENDING = "png"
+
+
+def _plot_option(help: str, default: bool) -> Callable[[F], F]:
+    return option("--plot/--no-plot", group=RESULT, default=default, help=help)
+
+
+def format_option(help: str = "Of the picture.", default: str | None = _DEFAULT_ENDING) -> Callable[[F], F]:
+    """The format of pictures."""
+    return option(
+        "--format", "ending", group=RESULT, type=click.Choice(tuple(FORMATS)), default=default,
+        show_default=True, help=help,
+    )  # fmt: skip
+
+
+def plot_options(help: str = "Draw a picture.", *, default: bool = True) -> Callable[[F], F]:
+    """Of a picture among other files; the command receives its format as `plot`, empty where none is wanted."""
+
+    def add(function: F) -> F:
+        @wraps(function)
+        def called(*, plot: bool, ending: str, **others: Any) -> Any:
+            return function(plot=ending if plot else "", **others)
+
+        return added(_plot_option(help, default), format_option())(called)  # type: ignore[return-value]
+
+    return add
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """Whether a picture is wanted, and where."""
+
+    wanted: bool
+    path: Path | None
+    ending: str | None
+
+    def at(self, stem: Path) -> Path | None:
+        """Its path: the one that was given, else this one with its format as its ending; None where none is wanted."""
+        if not self.wanted:
+            return None
+        return self.path or stem.with_name(f"{stem.name}.{self.ending or _DEFAULT_ENDING}")
+
+
+def picture_options(help: str, *, default: bool, place: str) -> Callable[[F], F]:
+    """Of a picture that is all that the command writes; the command receives a `Picture` as `picture`."""
+
+    def add(function: F) -> F:
+        @wraps(function)
+        def called(*, plot: bool, path: Path | None, ending: str | None, **others: Any) -> Any:
+            if path is not None and ending is not None and path.suffix.lower() != f".{ending}":
+                raise ConfigError(
+                    f"--output {path} and --format {ending} are two formats", remedy="leave one of them out"
+                )
+            return function(picture=Picture(plot or path is not None, path, ending), **others)
+
+        return added(
+            _plot_option(help, default),
+            format_option("Of the picture. [as its name ends, or png]", None),
+            output_option(None, f"Draw it into this file. [{place}]", "path"),
+        )(called)  # type: ignore[return-value]
+
+    return add
+
+
+# ------------------------------------------------------------------ whole experiments
 
 # Option → key of the experiment.
 _KEYS = {
@@ -64,72 +332,32 @@ _KEYS = {
 }
 
 
-def experiment_options(command: F) -> F:
-    """Add the options that choose and change an experiment; the command receives them as `**chosen`."""
-    options = [
-        click.argument("file", required=False, type=click.Path(path_type=Path)),
-        click.option(
-            "--rig", "preset", metavar="NAME", help=f"Built-in rig, when no FILE is given. [{DEFAULT_PRESET}]"
-        ),
-        click.option("-K", "--stiffness", type=float, help="Wall stiffness (N·m/rad or N/m)."),
-        click.option("-B", "--damping", type=float, help="Wall damping (N·m·s/rad or N·s/m)."),
-        click.option(
-            "--rate", metavar="T1[/T2]", help="Position rate and velocity rate: 20k/2k; uniform: 1k."
-        ),
-        click.option("--estimator", help="Velocity estimator."),
-        click.option(
-            "--loop",
-            type=click.Choice(["host", "device"]),
-            help="Where the law runs: on this computer, or on the device.",
-        ),
-        click.option("--effort", type=float, help="Constant push (N·m or N)."),
-        click.option(
-            "--operator",
-            type=click.Choice(["none", "relaxed", "normal", "firm"]),
-            help="Who pushes: a person's hand with this grip, or none: the motor alone.",
-        ),
-        click.option("--start", type=float, help="Where the handle is released (rad or m)."),
-        click.option("--duration", type=float, help="Length of the push (s)."),
-        click.option("--repeats", type=int, help="How many hits."),
-        click.option("--seed", type=int, help="Seed of the simulation's sensor noise."),
-        click.option(
-            "--set", "sets", multiple=True, metavar="KEY=VALUE", help="Any other key: --set wall.pull=allow."
-        ),
-    ]
-    for option in reversed(options):
-        command = option(command)
-    return command
+experiment_options = added(
+    file_argument,
+    rig_option(),
+    stiffness_option,
+    damping_option,
+    rate_option("Position rate and velocity rate: 20k/2k; uniform: 1k."),
+    estimator_option(),
+    option(
+        "--loop", group=EXPERIMENT, type=click.Choice(["host", "device"]),
+        help="Where the law runs: on this computer, or on the device.",
+    ),
+    effort_option,
+    operator_option("Who pushes: a person's hand (relaxed, normal, firm), or none: the motor alone."),
+    option("--start", group=EXPERIMENT, type=float, help="Where the handle is released (rad or m)."),
+    option("--duration", group=EXPERIMENT, type=float, help="Length of the push (s)."),
+    repeats_option("How many hits."),
+    seed_option("Of the simulation's sensor noise."),
+    set_option,
+)  # fmt: skip
+"""Which experiment, with which changes; the command receives them as `**chosen`."""
 
 
-def free_rig_options(command: F) -> F:
+def free_rig_options(function: F) -> F:
     """Add the options of a rig that nobody holds; the command receives the arguments of a `FreeRigRequest`."""
-    options = [
-        click.argument("file", required=False, type=click.Path(path_type=Path)),
-        click.option("--rig", "preset", metavar="NAME", help="Built-in rig, when no FILE is given."),
-        click.option(
-            "--set",
-            "sets",
-            multiple=True,
-            metavar="KEY=VALUE",
-            help="Any other key: --set rig.limits.speed=5.",
-        ),
-        click.option(
-            "--url", help="Device: serial:///dev/ttyACM0, sim://. [simulates the rig in this process]"
-        ),
-        click.option(
-            "--verified", is_flag=True, help="On a real rig: a push of the wrong sign can hurt nothing."
-        ),
-        click.option(
-            "-o",
-            "--output",
-            type=click.Path(path_type=Path),
-            default=Path("recordings"),
-            show_default=True,
-            help="Directory of the recordings.",
-        ),
-    ]
 
-    @wraps(command)
+    @wraps(function)
     def called(
         *,
         file: Path | None,
@@ -147,35 +375,16 @@ def free_rig_options(command: F) -> F:
             "verified": verified,
             "output": output,
         }
-        return command(asked=asked, **others)
+        return function(asked=asked, **others)
 
-    for option in reversed(options):
-        called = option(called)
-    return called  # type: ignore[return-value]
-
-
-def compare_options(command: F) -> F:
-    """Add the options of `rig hit --compare`."""
-    options = [
-        click.option(
-            "--compare", is_flag=True, help="Simulate the same hit under several schemes; records nothing."
-        ),
-        click.option(
-            "--scheme",
-            "schemes",
-            multiple=True,
-            metavar="SCHEME",
-            help="To compare: none, uniform:20k, dual:20k/2k,estimator=kalman … [none, uniform and dual-rate]",
-        ),
-        click.option(
-            "--as-in-the-paper",
-            is_flag=True,
-            help="Compare under the conditions of figures 7 and 8 of Koul et al., in floating and in fixed point.",
-        ),
-    ]
-    for option in reversed(options):
-        command = option(command)
-    return command
+    return added(
+        file_argument,
+        rig_option(),
+        set_option,
+        url_option("simulates the rig in this process"),
+        free_option,
+        output_option("recordings", "Directory of the recordings."),
+    )(called)  # type: ignore[return-value]
 
 
 def chosen_experiment(file: Path | None, preset: str | None) -> Experiment:
@@ -186,7 +395,7 @@ def chosen_experiment(file: Path | None, preset: str | None) -> Experiment:
         )
     if file is not None:
         return config.load_experiment(file)
-    return presets.load(preset or DEFAULT_PRESET)
+    return presets.load_named(preset or DEFAULT_PRESET)
 
 
 def preset_of(url: str | None, file: Path | None) -> str | None:

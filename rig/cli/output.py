@@ -12,6 +12,7 @@ from typing import Any, Self, cast
 
 import click
 
+from rig.cli.command import quiet as told_quiet
 from rig.core.check import Check, Outcome
 from rig.core.errors import RigError
 from rig.core.present import Item, Row, Table, plain
@@ -118,9 +119,15 @@ def drawn(draw: Callable[[], Path]) -> str | None:
         return None
 
 
+def note(text: str) -> None:
+    """A remark on standard error, such as what is being done or what comes next; ``-q`` leaves it out."""
+    if not told_quiet():
+        click.echo(text, err=True)
+
+
 def on_terminal() -> bool:
     """Whether somebody looks: progress is drawn on a terminal only."""
-    return sys.stderr is not None and sys.stderr.isatty()
+    return not told_quiet() and sys.stderr is not None and sys.stderr.isatty()
 
 
 def error_facts(error: RigError) -> dict[str, Any]:
@@ -132,7 +139,7 @@ class Status:
     """What is being done, on one line of standard error; a line for each step where that is no terminal."""
 
     def __init__(self, quiet: bool) -> None:
-        self._quiet = quiet
+        self._quiet = quiet or told_quiet()
         self._shown = ""
 
     def __enter__(self) -> Self:

@@ -5,18 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import click
-
 from rig import config
 from rig.cli import hit_output, options, output
+from rig.cli.command import command
 from rig.core.check import refused
 from rig.core.errors import PlanError
 from rig.experiments.plan import make_plan
 
 
-@click.command()
+@command()
 @options.experiment_options
-@click.option("--realtime", is_flag=True, help="Plan what runs in real time: the [realtime] variant.")
+@options.realtime_option("Plan what runs in real time: the [realtime] variant.")
 @options.json_option
 def plan(file: Path | None, preset: str | None, realtime: bool, as_json: bool, **changed: Any) -> None:
     """List what an experiment will do and check it against its limits; no device is touched.

@@ -7,28 +7,28 @@ from pathlib import Path
 import click
 
 from rig.cli import options, output
+from rig.cli.command import Group
 from rig.control.estimators.levant_regions import crossing
 from rig.views.plots.levant import draw_levant_regions
 from rig.views.plots.levant import levant_regions as compute
 
 
-@click.group()
+@click.group(cls=Group)
 def plot() -> None:
     """Draw what the theory says; pictures of recordings come from `rig show` and `rig replay`."""
 
 
 @plot.command("levant-regions")
-@click.option(
-    "-o", "--output", "picture", type=click.Path(path_type=Path), default=Path("levant-regions.png"),
-    show_default=True, help=f"Picture to write; {options.PICTURE_NAME}.",
-)  # fmt: skip
+@options.picture_options("Draw it.", default=True, place="levant-regions.png")
 @options.json_option
-def levant_regions(picture: Path, as_json: bool) -> None:
+def levant_regions(picture: options.Picture, as_json: bool) -> None:
     """Draw the gains with which Levant's differentiator converges: α = μ1·C, λ = μ2·√C, by two proofs and by number."""
     computed = compute()
-    path = draw_levant_regions(computed, picture)
+    path = picture.at(Path("levant-regions"))
+    if path is not None:
+        draw_levant_regions(computed, path)
     if as_json:
-        output.print_json({"picture": str(path), **computed.as_mapping()})
+        output.print_json({"picture": path, **computed.as_mapping()})
         return
     mu1, mu2 = crossing()
-    click.echo(f"{path}: HBA and LFBA cross at mu1 = {mu1:.4f}, mu2 = {mu2:.4f}")
+    click.echo(f"{'' if path is None else f'{path}: '}HBA and LFBA cross at mu1 = {mu1:.4f}, mu2 = {mu2:.4f}")

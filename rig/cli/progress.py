@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from typing import Any, Self
 
@@ -10,6 +9,8 @@ import click
 from rich import progress as rich_progress
 from rich.console import Console
 
+from rig.cli.command import quiet
+from rig.cli.output import on_terminal
 from rig.experiments.sweep import Progress
 
 LINE_S = 10.0
@@ -21,7 +22,8 @@ class _Bar:
 
     def __init__(self, what: str, *, plain: bool = False) -> None:
         self._what = what
-        self._plain = plain or sys.stderr is None or not sys.stderr.isatty()
+        self._plain = plain or not on_terminal()
+        self._quiet = quiet()
         self._bar: Any = None
         self._task: Any = None
         self._said_s = time.monotonic()
@@ -35,6 +37,8 @@ class _Bar:
             self._bar = None
 
     def _show(self, fraction: float, text: str) -> None:
+        if self._quiet:
+            return
         if self._plain:
             now = time.monotonic()
             if now - self._said_s >= LINE_S:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,13 +10,14 @@ import click
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
-from rig.cli import options, output
+from rig.cli import options, output, values
+from rig.cli.command import command
 from rig.experiments import recover as recovering
 from rig.experiments.recover import Recovered
 
 
-@click.command()
-@click.argument("paths", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="PATH…")
+@command()
+@click.argument("paths", nargs=-1, required=True, type=values.RECORDING, metavar="PATH…")
 @options.json_option
 def recover(paths: tuple[Path, ...], as_json: bool) -> None:
     """Seal what a crash left: captures (.rigcap) at PATH, or anywhere below it, without their sealed file.
@@ -43,7 +43,7 @@ def recover(paths: tuple[Path, ...], as_json: bool) -> None:
 @contextmanager
 def _bar(*, quiet: bool) -> Iterator[Callable[[int, int, Path], None] | None]:
     """Show on a terminal which capture of how many is at work."""
-    if quiet or sys.stderr is None or not sys.stderr.isatty():
+    if quiet or not output.on_terminal():
         yield None
         return
     columns = (TextColumn("recovering"), BarColumn(), TextColumn("{task.fields[name]}"))

@@ -7,12 +7,13 @@ from typing import Any
 import click
 
 from rig.cli import options
+from rig.cli.command import command
 from rig.cli.output import print_json, show
 from rig.devices import load_backend
 from rig.experiments.reference import ReferenceRequest, find_reference
 
 
-@click.command()
+@command()
 @options.free_rig_options
 @click.option("--by-hand", is_flag=True, help="Somebody moves the handle; the motor stays off.")
 @options.json_option

@@ -7,27 +7,24 @@ from typing import Any
 
 import click
 
-from rig.cli import options, output
+from rig.cli import options, output, values
+from rig.cli.command import command
 from rig.core.sample import unit_of
 from rig.experiments.replay import replay as run
 from rig.recording.reader import open_recording
 from rig.views.plots.replay import draw_replay
 
 
-@click.command()
-@click.argument("recording", type=click.Path(path_type=Path))
-@click.option("-K", "--stiffness", type=float, help="Another wall stiffness.")
-@click.option("-B", "--damping", type=float, help="Another wall damping.")
-@click.option("--rate", metavar="T1/T2", help="Another velocity rate T2; T1 is the recording's.")
-@click.option("--estimator", help="Another velocity estimator.")
-@click.option("--set", "sets", multiple=True, metavar="KEY=VALUE", help="Any other key.")
-@click.option(
-    "--plot",
-    type=click.Path(path_type=Path),
-    help=f"Draw recorded and replayed into this file; {options.PICTURE_NAME}.",
-)
+@command()
+@click.argument("recording", type=values.RECORDING)
+@options.stiffness_option
+@options.damping_option
+@options.rate_option("Another velocity rate T2; T1 is the recording's.", "T1/T2")
+@options.estimator_option()
+@options.set_option
+@options.picture_options("Draw recorded and replayed.", default=False, place="RECORDING-replay.png")
 @options.json_option
-def replay(recording: Path, plot: Path | None, as_json: bool, **changed: Any) -> None:
+def replay(recording: Path, picture: options.Picture, as_json: bool, **changed: Any) -> None:
     """Run the inputs of RECORDING through the same law (bit-exact) or another one.
 
     The handle moves as it was recorded: this shows what another estimator or law would have commanded, not
@@ -35,8 +32,9 @@ def replay(recording: Path, plot: Path | None, as_json: bool, **changed: Any) ->
     """
     opened = open_recording(recording)
     result = run(opened, options.changes(**changed))
-    if plot is not None:
-        draw_replay(result, plot)
+    target = picture.at(recording.with_name(f"{recording.stem}-replay"))
+    if target is not None:
+        draw_replay(result, target)
     if as_json:
         output.print_json(result)
         return

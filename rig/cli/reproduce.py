@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from rig.cli import options, output
+from rig.cli.command import command, option
 from rig.cli.progress import SweepBar
 from rig.papers import reproduction
 from rig.papers.chawda.reproduction import CHAWDA
@@ -27,25 +28,17 @@ COUNTS = {
 PAPERS = {paper.name: paper for paper in (KOUL, CHAWDA)}
 
 
-@click.command()
+@command()
 @click.argument("paper", type=click.Choice(tuple(PAPERS)))
-@click.option(
-    "--quick", is_flag=True, help="Coarse grids: every section and claim, in a fraction of the time."
+@option("--quick", is_flag=True, help="Coarse grids: every section and claim, in a fraction of the time.")
+@options.workers_option
+@options.output_option(
+    "reproductions", "Directory of the report, and of the journal to resume from.", "directory"
 )
-@click.option(
-    "-o",
-    "--output",
-    "directory",
-    type=click.Path(path_type=Path, file_okay=False),
-    default=Path("reproductions"),
-    show_default=True,
-    help="Where the report goes, and the journal to resume from.",
-)
-@click.option("--workers", type=click.IntRange(1, 1024), help="Threads. [one for each core]")
-@options.picture_format_option("Write the pictures beside the report, too.", None)
+@options.plot_options("Write the pictures beside the report, too.", default=False)
 @options.json_option
 def reproduce(
-    paper: str, quick: bool, directory: Path, workers: int | None, picture_format: str | None, as_json: bool
+    paper: str, quick: bool, directory: Path, workers: int | None, plot: str, as_json: bool
 ) -> None:
     """Reproduce a paper: every figure, a verdict on every claim, its open ideas, as one HTML report.
 
@@ -65,7 +58,7 @@ def reproduce(
             watch=bar.watch,
         )
     page, numbers = write_report(found, directory)
-    pictures = draw_into(found, directory, picture_format) if picture_format else {}
+    pictures = draw_into(found, directory, plot) if plot else {}
     if as_json:
         files = {"report": page, "json": numbers, "pictures": pictures}
         output.print_json({**found.as_mapping(), **files})

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any
 import click
 
 from rig.cli import options, output
+from rig.cli.command import OWN, command
 from rig.cli.session_report import write_report
 from rig.core.present import Item, Table
 from rig.session.analysis import Analysis, Options, write_tables
@@ -23,14 +23,8 @@ _OFTEN_S = 0.2
 _FEW = 3  # participants: each is printed
 
 
-@click.command()
+@command()
 @click.argument("places", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="DIR…")
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(path_type=Path, file_okay=False),
-    help="Where tables, pictures and report go. [default: analysis, in DIR]",
-)
 @click.option(
     "--measure",
     type=click.Choice(list(MEASURES)),
@@ -40,10 +34,11 @@ _FEW = 3  # participants: each is printed
     "verdicts, whatever rule asked. All are computed.",
 )
 @click.option("--hashes/--no-hashes", default=True, help="Compare recordings with the hashes in the logs.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the bootstraps.")
+@options.seed_option("Of the bootstraps.", OWN, default=0, show_default=True)
 @click.option("--report/--no-report", default=True, help="Draw pictures and write the report, one HTML file.")
-@options.picture_format_option("Of the pictures beside the report, which has its own.", "svg")
-@click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
+@options.output_option(None, "Directory of tables, pictures and report. [analysis, in DIR]", "out")
+@options.format_option("Of the pictures beside the report, which has its own.", "svg")
+@options.json_option
 def analyse(
     places: tuple[Path, ...],
     out: Path | None,
@@ -51,7 +46,7 @@ def analyse(
     hashes: bool,
     seed: int,
     report: bool,
-    picture_format: str,
+    ending: str,
     as_json: bool,
 ) -> None:
     """Analyse a study: limits with intervals, differences, agreement, order and fatigue.
@@ -65,7 +60,7 @@ def analyse(
         found = found_in(places, chosen, watch=steps.watch)
         directory = beside(places, found) if out is None else out
         written = write_tables(found, directory)
-        drawn, page = write_report(found, directory, picture_format, steps.watch) if report else ({}, None)
+        drawn, page = write_report(found, directory, ending, steps.watch) if report else ({}, None)
     if as_json:
         output.print_json(
             {
@@ -94,7 +89,7 @@ class Steps:
     """Says on standard error what is being done, on a terminal only."""
 
     def __init__(self, *, quiet: bool) -> None:
-        self._quiet = quiet or sys.stderr is None or not sys.stderr.isatty()
+        self._quiet = quiet or not output.on_terminal()
         self._said_s = 0.0
 
     def __enter__(self) -> Steps:

@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from rig.cli import options, output
+from rig.cli.command import command
 from rig.cli.progress import CountBar
 from rig.core.errors import ConfigError
 from rig.session.analysis.study import read_study
@@ -15,7 +16,7 @@ from rig.session.bids import Options, export_bids
 from rig.session.export import export_trials
 
 
-@click.command()
+@command()
 @click.argument("paths", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option(
     "--bids",

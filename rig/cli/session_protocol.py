@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from rig.cli import options, output
+from rig.cli.command import command
 from rig.core.errors import PlanError
 from rig.core.present import plain
 from rig.core.sample import unit_of
@@ -27,7 +28,7 @@ _MARKS = {"ok": ("ok", "green"), "warning": ("!!", "yellow"), "refused": ("no", 
 MOST_ORDERS = 24  # participants whose order is printed; --json has all
 
 
-@click.command()
+@command()
 @click.argument("file", required=False, type=click.Path(path_type=Path))
 @click.option("--template", metavar="NAME", help="Which one; --list lists them. [first-steps]")
 @click.option("--list", "listed", is_flag=True, help="List the templates, and write nothing.")
@@ -57,14 +58,14 @@ def new(file: Path | None, template: str | None, listed: bool, as_json: bool) ->
     click.echo(f"  see what it will do: rig session check {path}")
 
 
-@click.command()
+@command()
 @options.json_option
 def schema(as_json: bool) -> None:
     """Print the JSON schema of protocol files, for editors that complete and check TOML (taplo, VS Code)."""
     output.print_json(json_schema())
 
 
-@click.command()
+@command()
 @click.argument("file", type=click.Path(path_type=Path))
 @click.option(
     "--participants",
@@ -76,7 +77,7 @@ def schema(as_json: bool) -> None:
     type=click.Path(path_type=Path),
     help="Directory of the participants, whose finished sessions say how long people take. [sessions/TITLE]",
 )
-@click.option("--url", help="Check rate and link of this device too: sim://, serial:///dev/ttyACM0.")
+@options.url_option("rate and link of no device are checked")
 @click.option(
     "--unblind",
     is_flag=True,

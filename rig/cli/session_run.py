@@ -10,6 +10,7 @@ from typing import Any, cast
 import click
 
 from rig.cli import options, output
+from rig.cli.command import DEVICE, command, option
 from rig.cli.session_progress import Rehearsed
 from rig.core.errors import ConfigError
 from rig.core.present import plain
@@ -32,44 +33,37 @@ from rig.session.telling import line_of_event, lost_samples, whole_line
 _VIRTUAL_S = 1e8  # since 1970: no participant sat then
 
 
-def _device_options(command: Any) -> Any:
-    """Options of a session's rig and console."""
-    for option in reversed(
-        [
-            click.option("--url", help="Device: serial:///dev/ttyACM0, usb://1209:0001. [simulates the rig]"),
-            click.option("--realtime", is_flag=True, help="A rehearsal in real time."),
-            click.option(
-                "--verified", is_flag=True, help="Signs of this real rig were checked; the handle is at zero."
-            ),
-            options.arm_anyway_option,
-            click.option(
-                "--lossy-anyway",
-                is_flag=True,
-                help="Begin although this computer or the link spoils nearly every trial.",
-            ),
-            click.option(
-                "--hand",
-                type=click.Choice(["simulated", "mouse", "keyboard"]),
-                default="simulated",
-                show_default=True,
-                help="Who moves the handle of a simulated rig: its script; the mouse (to the right: towards and into "
-                "the wall; a button held: full press); or keys (left, right: a step; down, up: five; home: back; end: "
-                "into the wall).",
-            ),
-            click.option("--plain", is_flag=True, help="One line for each change, instead of a full screen."),
-            click.option(
-                "--lsl",
-                is_flag=True,
-                help="Stream samples and markers by Lab Streaming Layer (haptic-rig[lsl]).",
-            ),
-            options.json_option,
-        ]
-    ):
-        command = option(command)
-    return command
+_device_options = options.added(
+    option(
+        "--lossy-anyway",
+        group=DEVICE,
+        is_flag=True,
+        help="Begin although this computer or the link spoils nearly every trial.",
+    ),
+    option(
+        "--hand",
+        type=click.Choice(["simulated", "mouse", "keyboard"]),
+        default="simulated",
+        show_default=True,
+        help="Who moves the handle of a simulated rig: its script; the mouse (to the right: towards and into "
+        "the wall; a button held: full press); or keys (left, right: a step; down, up: five; home: back; end: "
+        "into the wall).",
+    ),
+    option("--plain", is_flag=True, help="One line for each change, instead of a full screen."),
+    option(
+        "--lsl", is_flag=True, help="Stream samples and markers by Lab Streaming Layer (haptic-rig[lsl])."
+    ),
+    options.url_option("as the log says, or simulates the rig"),
+    options.realtime_option("A rehearsal in real time."),
+    options.verified_option,
+    options.arm_anyway_option,
+    options.json_option,
+)
+"""Of a session's rig and console."""
+_REHEARSAL = "Rehearsal"
 
 
-@click.command()
+@command(quiet=False)
 @click.argument("protocol", type=click.Path(path_type=Path))
 @click.argument("code")
 @click.option(
@@ -82,22 +76,24 @@ def _device_options(command: Any) -> Any:
     type=click.IntRange(min=0),
     help="Participant's row of the order, from 0. [the number in CODE, less one]",
 )
-@click.option("--rehearse", is_flag=True, help="With a simulated person, in virtual time.")
-@click.option(
+@option("--rehearse", group=_REHEARSAL, is_flag=True, help="With a simulated person, in virtual time.")
+@option(
     "--threshold",
     "thresholds",
+    group=_REHEARSAL,
     multiple=True,
     metavar="CONDITION=K",
-    help="Rehearsal: where half of this person's verdicts are stable. [judges as the program does]",
+    help="Where half of this person's verdicts are stable. [judges as the program does]",
 )
-@click.option("--spread", type=float, help="Rehearsal: how gradually verdicts change over stiffness. [15]")
-@click.option("--lapse-rate", type=float, help="Rehearsal: share of verdicts that are turned round. [0]")
-@click.option(
+@option("--spread", group=_REHEARSAL, type=float, help="How gradually verdicts change over stiffness. [15]")
+@option("--lapse-rate", group=_REHEARSAL, type=float, help="Share of verdicts that are turned round. [0]")
+@option(
     "--people-sd",
+    group=_REHEARSAL,
     type=float,
-    help="Rehearsal: people differ; standard deviation of ln(threshold) over codes. [0]",
+    help="People differ; standard deviation of ln(threshold) over codes. [0]",
 )
-@click.option("--again", is_flag=True, help="Rehearsal: delete the one that is there and begin anew.")
+@option("--again", group=_REHEARSAL, is_flag=True, help="Delete the one that is there and begin anew.")
 @_device_options
 def run(
     protocol: Path,
@@ -159,7 +155,7 @@ def run(
     _print(result, as_json=as_json)
 
 
-@click.command()
+@command(quiet=False)
 @click.argument("directory", type=click.Path(path_type=Path))
 @click.option(
     "--at",
@@ -215,7 +211,7 @@ def resume(
     _print(result, as_json=as_json)
 
 
-@click.command()
+@command()
 @click.argument("directory", type=click.Path(path_type=Path))
 @click.option("--log", "with_log", is_flag=True, help="List the events, numbered.")
 @click.option(
@@ -268,7 +264,7 @@ def _when(at_s: float) -> tuple[str, str]:
     return f"{when:%Y-%m-%d, UTC%z}", f"{when:%H:%M:%S}"
 
 
-@click.command()
+@command()
 @click.argument("directory", type=click.Path(path_type=Path))
 @click.argument("said", nargs=-1, required=True, metavar="[EVENT] VALUE")
 @click.option("--trial", type=int, help="Correct this trial instead of EVENT.")

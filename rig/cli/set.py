@@ -5,11 +5,12 @@ from __future__ import annotations
 import click
 
 from rig.cli import options, output
+from rig.cli.command import command
 from rig.core.errors import RunEndedError
 from rig.experiments import live
 
 
-@click.command("set")
+@command("set")
 @click.argument("changes", nargs=-1, required=True, metavar="KEY=VALUE…")
 @click.option("--pid", type=click.IntRange(1), help="Process of the loop, when several run.")
 @click.option(
@@ -32,9 +33,8 @@ def set_(changes: tuple[str, ...], pid: int | None, patience_s: float, as_json: 
 
     def posted(number: int) -> None:
         if not as_json:
-            click.echo(
-                f"parameter set {number}: on its way; it becomes active when the handle is outside the wall",
-                err=True,
+            output.note(
+                f"parameter set {number}: on its way; it becomes active when the handle is outside the wall"
             )
 
     done = live.change_wall(values, pid, patience_s=patience_s, posted=posted)

@@ -2,42 +2,69 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import click
 
-from rig.cli import hit_output, options, output
+from rig.cli import hit_output, options, output, values
+from rig.cli.command import RESULT, command, option
+from rig.config import Experiment
 from rig.core.present import Row, plain
 from rig.core.sample import unit_of
-from rig.experiments.judgement import Judgement, experiment_of, judge
+from rig.experiments.judgement import Judgement, experiment_of, judge, unexpected
 from rig.experiments.planned import ARITHMETIC_WORDS
 from rig.recording.data import Recording
 from rig.recording.marks import Mark
 from rig.recording.marks import marks as marks_of
 from rig.recording.reader import open_recording
 from rig.views.plots.hit import draw_hit
+from rig.views.plots.xy import draw_xy
 
 
-@click.command()
-@click.argument("recording", type=click.Path(path_type=Path))
-@click.option("--marks", is_flag=True, help="Also list what happened when: trial, contacts, sync edges.")
-@click.option(
-    "--plot", type=click.Path(path_type=Path), help=f"Also draw it into this file; {options.PICTURE_NAME}."
-)
+@command()
+@click.argument("recording", type=values.RECORDING)
+@option("--marks", is_flag=True, help="Also list what happened when: trial, contacts, sync edges.")
+@options.picture_options("Also draw it.", default=False, place="RECORDING.png, or RECORDING-xy.png")
+@option("--xy", group=RESULT, is_flag=True, help="Draw force over penetration instead of both over time.")
+@options.expect_option(options.VERDICTS)
 @options.json_option
-def show(recording: Path, marks: bool, plot: Path | None, as_json: bool) -> None:
+def show(
+    recording: Path, marks: bool, picture: options.Picture, xy: bool, expected: tuple[str, ...], as_json: bool
+) -> None:
     """Show what RECORDING holds: rig, wall, why it ended, verdict, losses, columns."""
     opened = open_recording(recording)
     experiment = experiment_of(opened)
     judgement = judge(opened, experiment)
-    if plot is not None:
-        draw_hit(recording, plot)
+    target = _draw(recording, replace(picture, wanted=picture.wanted or xy), xy=xy)
     happened = marks_of(opened) if marks else None
     if as_json:
         also = {} if happened is None else {"marks": happened}
-        output.print_json({**_facts(opened, judgement), **also})
-        return
+        output.print_json({**_facts(opened, judgement), "picture": target, **also})
+    else:
+        _print(opened, experiment, judgement, happened, target)
+    error = unexpected([judgement.verdict], expected)
+    if error is not None:
+        error.reported = as_json
+        raise error
+
+
+def _draw(recording: Path, picture: options.Picture, *, xy: bool) -> Path | None:
+    stem = recording.with_suffix("")
+    target = picture.at(stem.with_name(f"{stem.name}-xy") if xy else stem)
+    if target is None:
+        return None
+    return draw_xy(recording, target) if xy else draw_hit(recording, target)
+
+
+def _print(
+    opened: Recording,
+    experiment: Experiment,
+    judgement: Judgement,
+    happened: list[Mark] | None,
+    picture: Path | None,
+) -> None:
     click.echo(hit_output.headline(experiment))
     header, trailer = opened.header, opened.trailer or {}
     rows = [
@@ -53,6 +80,8 @@ def show(recording: Path, marks: bool, plot: Path | None, as_json: bool) -> None
         rows.append(Row("beside the host's law", _agreement(trailer["device_host_agreement"])))
     if trailer.get("error"):
         rows.append(Row("error", trailer["error"]))
+    if picture is not None:
+        rows.append(Row("picture", str(picture)))
     output.print_rows([*rows, *judgement.rows(experiment)])
     if happened is not None:
         click.echo("marks")

@@ -8,24 +8,22 @@ import click
 
 from rig import config
 from rig.cli import options, output
+from rig.cli.command import Group, option
 from rig.config import presets
 from rig.devices.local import serve as serve_here
 from rig.realtime.scheduling import Realtime
 
 
-@click.group()
+@click.group(cls=Group)
 def sim() -> None:
     """Simulated rigs for other programs to talk to."""
 
 
 @sim.command()
-@click.option(
-    "--rig", "preset", default=options.DEFAULT_PRESET, show_default=True, help="Built-in rig or TOML file."
-)
-@click.option(
+@options.rig_option(given=True)
+@option(
     "--rate",
-    type=int,
-    default=None,
+    type=options.Hertz(50, 20_000),
     help="Rate that the device advertises, 50 to 4000 Hz, to 20000 Hz with --firmware. [1000]",
 )
 @click.option(
@@ -33,8 +31,8 @@ def sim() -> None:
     is_flag=True,
     help="The device can run the law: it is the firmware, compiled for this machine.",
 )
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of the sensor noise.")
-@click.option("--json", "as_json", is_flag=True, help="Announce the port as JSON.")
+@options.seed_option("Of the sensor noise.", default=0, show_default=True)
+@options.json_option
 def serve(preset: str, rate: int | None, firmware: bool, seed: int, as_json: bool) -> None:
     """Run a simulated rig in real time behind a pseudo-terminal; prints the port to open. Ctrl-C ends it."""
     experiment = presets.load_named(preset)
@@ -44,14 +42,12 @@ def serve(preset: str, rate: int | None, firmware: bool, seed: int, as_json: boo
             output.print_json({"url": f"serial://{port}", "rig": experiment.rig.name})
         else:
             click.echo(f"serial://{port}")
-            click.echo(
-                f"{experiment.rig.name} is simulated there; try: rig hit --url serial://{port}", err=True
-            )
+            output.note(f"{experiment.rig.name} is simulated there; try: rig hit --url serial://{port}")
 
     def scheduled(granted: Realtime) -> None:
         obtained = granted.report["obtained"]
         locked = "its memory locked" if obtained["locked_bytes"] else "its memory not locked"
-        click.echo(f"scheduled as {obtained['policy']} {obtained['priority']}, {locked}", err=True)
+        output.note(f"scheduled as {obtained['policy']} {obtained['priority']}, {locked}")
         for message in granted.messages:
             click.echo(message, err=True)
 

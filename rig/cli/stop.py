@@ -8,12 +8,13 @@ from typing import Any
 import click
 
 from rig.cli import options, output
+from rig.cli.command import command
 from rig.core.errors import RigError
 from rig.realtime import running
 from rig.realtime.memories import Memory
 
 
-@click.command()
+@command()
 @click.argument("pid", required=False, type=click.IntRange(1))
 @click.option("--list", "only_list", is_flag=True, help="List the loops that run; stop none.")
 @options.json_option

@@ -18,6 +18,7 @@ from rig.analysis.theory import (
     theory_of,
 )
 from rig.cli import options, output
+from rig.cli.command import EXPERIMENT, command, option
 from rig.core.errors import RecordingError
 from rig.core.present import plain
 from rig.core.sample import unit_of
@@ -26,26 +27,21 @@ from rig.views.plots.theory import draw_theory
 _MEANINGS = {"exact": "exact (rigid rig)"}
 
 
-@click.command()
-@click.argument("file", required=False, type=click.Path(path_type=Path))
-@click.option(
-    "--rig", "preset", metavar="NAME",
-    help=f"Built-in rig, when no FILE is given. [{options.DEFAULT_PRESET}]",
-)  # fmt: skip
-@click.option(
-    "--scheme", "schemes", multiple=True, metavar="SCHEME",
-    help="dual:20k/2k, uniform:20k,cutoff_hz=1000 … [the experiment's and the uniform ones of its rates]",
-)  # fmt: skip
-@click.option(
-    "--operator", metavar="GRIP",
-    help="Hand on the handle: none, relaxed, normal or firm. [the experiment's]",
-)  # fmt: skip
-@click.option("-B", "--damping", type=float, help="Wall damping to look at beside 0 (N·m·s/rad or N·s/m).")
-@click.option("--set", "sets", multiple=True, metavar="KEY=VALUE", help="Any key of the experiment.")
-@click.option(
-    "-o", "--output", "directory", type=click.Path(path_type=Path), default=Path(), help="Where the picture goes. [.]"
-)  # fmt: skip
-@options.plot_options("Draw K_max over B into theory-RIG.png.")
+@command()
+@options.file_argument
+@options.rig_option()
+@option(
+    "-B",
+    "--damping",
+    group=EXPERIMENT,
+    type=float,
+    help="Wall damping to look at beside 0 (N·m·s/rad or N·s/m). [the experiment's]",
+)
+@options.scheme_option("the experiment's and the uniform ones of its rates")
+@options.operator_option("Hand on the handle: none, relaxed, normal or firm. [the experiment's]")
+@options.set_option
+@options.output_option(".", "Directory of the picture.", "directory")
+@options.plot_options("Draw K_max over B into theory-RIG.")
 @options.json_option
 def theory(
     file: Path | None,

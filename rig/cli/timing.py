@@ -6,22 +6,19 @@ from pathlib import Path
 
 import click
 
-from rig.cli import options, output
+from rig.cli import options, output, values
+from rig.cli.command import command
 from rig.core.errors import RigError
 from rig.core.present import plain
 from rig.experiments.timing import timing_of
 from rig.views.plots.timing import draw_timing
 
 
-@click.command()
-@click.argument("recording", type=click.Path(path_type=Path))
-@options.plot_options()
-@click.option(
-    "-o", "--output", "picture", type=click.Path(path_type=Path),
-    help=f"Picture to write: {options.PICTURE_NAME}. [beside the recording]",
-)  # fmt: skip
+@command()
+@click.argument("recording", type=values.RECORDING)
+@options.picture_options("Draw it.", default=True, place="RECORDING-timing.png")
 @options.json_option
-def timing(recording: Path, plot: str, picture: Path | None, as_json: bool) -> None:
+def timing(recording: Path, picture: options.Picture, as_json: bool) -> None:
     """Show where the time of each tick in RECORDING went: sampled, received, computed, sent, applied.
 
     Sampled and applied are times of the device, put on the host's clock by the exchanges of the run; without them only
@@ -29,8 +26,8 @@ def timing(recording: Path, plot: str, picture: Path | None, as_json: bool) -> N
     """
     found = timing_of(recording)
     drawn, failure = None, None
-    if plot:
-        target = picture or recording.with_name(f"{recording.stem}-timing.{plot}")
+    target = picture.at(recording.with_name(f"{recording.stem}-timing"))
+    if target is not None:
         try:
             drawn = draw_timing(found.ledger, found.summary, target, title=recording.name)
         except RigError as error:  # the numbers are there all the same

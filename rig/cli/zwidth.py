@@ -9,6 +9,7 @@ import click
 
 from rig import config
 from rig.cli import hit_output, map_options, options, output
+from rig.cli.command import command
 from rig.cli.progress import SweepBar
 from rig.cli.zwidth_frequency import FREQUENCY_ONLY, frequency_options, map_frequency, refuse_of_the_other
 from rig.cli.zwidth_rig import CONFIRM, CRITERIA, Dialogue, load_device, refuse_without_device
@@ -25,35 +26,18 @@ from rig.experiments.zwidth import Width, ZWidth
 from rig.views.plots.zwidth import draw_zwidth
 
 
-@click.command()
+@command()
 @map_options.map_options
-@click.option(
-    "--scheme",
-    "schemes",
-    multiple=True,
-    metavar="SCHEME",
-    help="dual:20k/2k, uniform:20k,cutoff_hz=1000, dual:20k/2k,estimator=kalman …; repeat it. "
-    "[the experiment's and the uniform ones of its rates]",
+@options.walls_options(
+    "Range of stiffness, FROM:TO; excited: a list or FROM:TO:N. [up to where the push rests trial.minimum_rest_counts "
+    "deep]",
+    "Dampings. [17, to beyond the limit of the linear theory]",
 )
-@click.option(
-    "-B",
-    "--damping",
-    help="Dampings: 0,0.5,1 or first:last:count. [17, to beyond the limit of the linear theory]",
-)
-@click.option(
-    "--url", help="Map a device, hit by hit: serial:///dev/ttyACM0, sim://. [simulates without a link]"
-)
-@click.option("--realtime", is_flag=True, help="A simulated device (sim://) as a process, in real time.")
-@click.option(
-    "--verified",
-    is_flag=True,
-    help="Encoder and motor signs of this real rig were checked, and its handle is at position zero.",
-)
-@click.option(
-    "--confirm",
-    type=click.Choice(CONFIRM),
-    help="Ask a person before hits on a device. [each; no with a simulated device]",
-)
+@options.scheme_option("the experiment's and the uniform ones of its rates")
+@options.url_option("simulates without a link")
+@options.realtime_option("A simulated device (sim://) as a process, in real time.")
+@options.verified_option
+@options.confirm_option(CONFIRM, "each hit; no with a simulated device")
 @frequency_options
 def zwidth(
     file: Path | None,

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import click
 from click.core import ParameterSource
 
 from rig import config
 from rig.cli import options, output
+from rig.cli.command import option
+from rig.cli.map_options import judging as judging_of
 from rig.cli.progress import SweepBar
 from rig.config import Experiment
 from rig.config.schemes import Scheme
@@ -19,14 +20,11 @@ from rig.core.errors import ConfigError
 from rig.core.present import Table
 from rig.core.sample import unit_of
 from rig.experiments import maps
-from rig.experiments.impedance import Judging
 from rig.experiments.ranges import frequency_plan, linear_curves
 from rig.experiments.searches import GridSearch, numbers_of
 from rig.experiments.table_one import FrequencyWidth, SchemeRow, Spread, TableOne, table_one
 from rig.experiments.zwidth_frequency import FrequencyMap, FrequencyPlan
 from rig.views.plots.zwidth_frequency import draw_frequency_map
-
-F = TypeVar("F", bound=Callable[..., Any])
 
 DOMAINS = ("time", "frequency")
 DEFAULT_PRESET = "chawda-linear"
@@ -48,34 +46,15 @@ TIME_ONLY = {
 }
 
 
-def frequency_options(command: F) -> F:
-    """Add ``--domain`` and the options that only the frequency domain has."""
-    added = [
-        click.option(
-            "--domain", type=click.Choice(DOMAINS), default="time", show_default=True,
-            help="Hits, judged by what follows; or impedances, judged by passivity and fidelity.",
-        ),
-        click.option("--band", metavar="LOW:HIGH", help="Frequency: lines of the excitation (Hz). [1:250]"),
-        click.option(
-            "--judged-band", metavar="LOW:HIGH", help="Frequency: lines that count for verdict and fidelity. [all]"
-        ),
-        click.option("--realisations", type=int, help="Frequency: runs with other phases, for each wall. [4]"),
-        click.option("--periods", type=int, help="Frequency: analysed periods of a realisation. [4]"),
-        click.option(
-            "--amplitude", type=float, help="Frequency: rms effort of the excitation. [10 × Coulomb friction]"
-        ),
-        click.option(
-            "--z-score", type=click.FloatRange(0.0, 10.0),
-            help="Frequency: deviations by which a line's Re Z must be below zero to fail. [2]",
-        ),
-        click.option(
-            "--residual-threshold", type=click.FloatRange(0.0, 1.0),
-            help="Frequency: share of the motion's power off the lines from which a wall fails. [0.1]",
-        ),
-    ]  # fmt: skip
-    for option in reversed(added):
-        command = option(command)
-    return command
+frequency_options = options.added(
+    option(
+        "--domain", type=click.Choice(DOMAINS), default="time", show_default=True,
+        help="Hits, judged by what follows; or impedances, judged by passivity and fidelity.",
+    ),
+    options.excitation_options,
+    options.judging_options,
+)  # fmt: skip
+"""The domain, and what only the frequency domain has."""
 
 
 def refuse_of_the_other(domain: str) -> None:
@@ -112,12 +91,12 @@ def map_frequency(
     as_json: bool,
     workers: int | None,
     scheduler: str | None,
-    **options: Any,
+    **excitation: Any,
 ) -> None:
     """Map a simulated rig and print what came of it."""
-    experiment = _chosen(file, preset, **options)
+    experiment = _chosen(file, preset, **excitation)
     signal = None if judged is None else "truth" if judged == "true" else "count"
-    judging = _judging(judged_band, z_score=z_score, residual_threshold=residual_threshold)
+    judging = judging_of(judged_band, z_score=z_score, residual_threshold=residual_threshold)
     plan = _plan(experiment, schemes, stiffness, damping, signal=signal, judging=judging)
     plan.check()
     place = maps.directory_for(plan, directory, "zwidth-frequency")
@@ -144,7 +123,7 @@ def _chosen(
     changes = options.changes(None, sets)
     changes |= {f"excitation.{key}": value for key, value in given.items() if value is not None}
     if band is not None:
-        changes["excitation.low_hz"], changes["excitation.high_hz"] = _band(band, "--band")
+        changes["excitation.low_hz"], changes["excitation.high_hz"] = options.band(band, "--band")
     return config.override(experiment, changes)
 
 
@@ -162,23 +141,6 @@ def _plan(
         dampings=None if damping is None else numbers_of(damping, "--damping"),
         **others,
     )
-
-
-def _judging(band: str | None, **thresholds: float | None) -> Judging:
-    given: dict[str, Any] = {name: value for name, value in thresholds.items() if value is not None}
-    return Judging(band_hz=None if band is None else _band(band, "--judged-band"), **given)
-
-
-def _band(text: str, option: str) -> tuple[float, float]:
-    try:
-        low, high = (float(part) for part in text.split(":"))
-    except ValueError:
-        low = high = math.nan
-    if not 0.0 < low <= high < math.inf:
-        raise ConfigError(
-            f"{option} {text} is not a frequency band", remedy="write it as LOW:HIGH in Hz, like 1:250"
-        )
-    return low, high
 
 
 def _print(found: FrequencyMap, table: TableOne) -> None:

@@ -160,6 +160,12 @@ class RunEndedError(RigError):
     exit_code = 16
 
 
+class UnexpectedVerdictError(RigError):
+    """A verdict is not among those that were expected. What was measured is whole: this is for scripts."""
+
+    exit_code = 17
+
+
 class StoppedError(RigError):
     """A person stopped the run; the effort is zero and the recording closed.
 

@@ -9,6 +9,8 @@ from typing import Any
 from firmware_protocol.connection import State
 from firmware_protocol.dictionary import Dictionary, SettingValue
 from firmware_protocol.messages import MAJOR, MINOR
+from firmware_protocol.parameter import Value
+from firmware_protocol.parameters import BY_NAME, block_crc, encode_block
 from rig.core.present import Row
 from rig.devices.framed import FramedDevice
 
@@ -84,6 +86,60 @@ def stated(dictionary: Dictionary, fingerprint: int) -> dict[str, Any]:
         "law": 0 if law is None else int(law.maximum),
         "settings": {info.name: info.value for info in dictionary.settings},
     }
+
+
+@dataclass(frozen=True, slots=True)
+class ActiveParameter:
+    """A parameter of a device as it is active; `meaning` is empty where this package does not know it."""
+
+    name: str
+    value: Value
+    unit: str
+    default: Value
+    meaning: str
+
+
+@dataclass(frozen=True, slots=True)
+class ActiveParameters:
+    """Everything that is active on a device, in the order of its ids; `crc` is the fingerprint that ARM repeats."""
+
+    url: str
+    state: str
+    crc: int
+    parameters: tuple[ActiveParameter, ...]
+
+    def rows(self) -> list[Row]:
+        """Return them for people: each with its meaning, and its default where that is another value."""
+
+        def note(one: ActiveParameter) -> str:
+            default = f"default {one.default:g}" if one.value != one.default else ""
+            return "; ".join(part for part in (default, one.meaning) if part)
+
+        return [
+            Row("url", self.url),
+            Row("state", self.state),
+            Row("CRC", f"{self.crc:08x}"),
+            *(Row(one.name, one.value, one.unit, note(one)) for one in self.parameters),
+        ]
+
+
+def active_parameters(device: FramedDevice) -> ActiveParameters:
+    """Read the active parameters of an open device; nothing changes. Errors as its questions raise them."""
+    values = device.active_parameters()
+    known = {info.name: info for info in device.dictionary.parameters}
+    found = [
+        ActiveParameter(
+            name,
+            value,
+            known[name].unit if name in known else "",
+            known[name].default if name in known else value,
+            BY_NAME[name].meaning if name in BY_NAME else "",
+        )
+        for name, value in values.items()
+    ]
+    return ActiveParameters(
+        device.link.url.text, device.connection.state.name, block_crc(encode_block(values)), tuple(found)
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,7 +9,7 @@ what stopped it if something did. Runs without bytes are independent of each oth
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -27,7 +27,7 @@ from rig.analysis.impedance.welch import welch
 from rig.config import Excitation, Experiment
 from rig.config.schemes import Scheme
 from rig.core.check import refuse
-from rig.core.errors import ConfigError, PlanError, RecordingError
+from rig.core.errors import ConfigError, PlanError, RecordingError, UnexpectedVerdictError
 from rig.core.present import plain, reported
 from rig.core.sample import Motion, Phase, unit_of
 from rig.experiments.excitation_plan import excitation_checks
@@ -225,6 +225,25 @@ def measure_impedance(
                     break
             results.append(concluded(one, runs, method=method, signal=signal, judging=judging))
     return tuple(results)
+
+
+def unexpected(
+    results: Sequence[ImpedanceResult], expected: Collection[str]
+) -> UnexpectedVerdictError | None:
+    """The error for the first wall that is not as expected, ``passive`` or ``not-passive``; None if all are.
+
+    Without expectations everything is expected.
+    """
+    for result in results:
+        word = "not measured"
+        if result.judgement is not None:
+            word = "passive" if result.judgement.passive else "not-passive"
+        if expected and word not in expected:
+            return UnexpectedVerdictError(
+                f"{result.label} is {word}, expected {' or '.join(expected)}",
+                remedy="see its lines in the table, or change what `expect` allows",
+            )
+    return None
 
 
 def measure_on_device(

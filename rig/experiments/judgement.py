@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -9,7 +10,7 @@ from firmware_protocol.faults import Fault
 from rig.config import Experiment, experiment_from_mapping, verdict_thresholds
 from rig.control import judging, verdict
 from rig.control.verdict import Kind, Measured, Objection, Verdict, percent
-from rig.core.errors import ConfigError, RecordingError
+from rig.core.errors import ConfigError, RecordingError, UnexpectedVerdictError
 from rig.core.present import Row, written
 from rig.core.sample import Phase, unit_of
 from rig.recording.data import Recording
@@ -165,6 +166,24 @@ def judge(recording: Recording, experiment: Experiment) -> Judgement:
         measured_true=true,
         early=early,
         began=_began(recording),
+    )
+
+
+def unexpected(verdicts: Sequence[Verdict], expected: Collection[str]) -> UnexpectedVerdictError | None:
+    """The error for verdicts that are not among the expected ones (``stable``, ``limit-cycle`` …), None if all are.
+
+    Without expectations everything is expected.
+    """
+    words = [str(one.kind).replace(" ", "-") for one in verdicts]
+    wrong = [(number, word) for number, word in enumerate(words) if expected and word not in expected]
+    if not wrong:
+        return None
+    number, word = wrong[0]
+    which = f"hit {number + 1} of {len(words)}" if len(words) > 1 else "the hit"
+    because = "".join(f": {reason}" for reason in verdicts[number].reasons[:1])
+    return UnexpectedVerdictError(
+        f"{which} is {word}, expected {' or '.join(expected)}{because}",
+        remedy="see the recording, or change what `expect` allows",
     )
 
 

@@ -1,4 +1,8 @@
-"""Recordings for other programs: CSV for anything, Parquet for data frames, MAT for MATLAB and Octave."""
+"""Recordings for other programs.
+
+CSV is for anything, X-Y is force over penetration, Parquet for data frames, MAT for MATLAB and Octave, MCAP for
+Foxglove and PlotJuggler.
+"""
 
 from __future__ import annotations
 
@@ -13,9 +17,11 @@ import numpy as np
 
 from rig.core.deferred import io as scipy_io
 from rig.core.errors import RecordingError
+from rig.core.sample import Phase
 from rig.recording.canonical import canonical_json
 from rig.recording.data import Recording
 from rig.recording.files import refuse_existing, whole_file
+from rig.recording.mcap import write_mcap
 from rig.recording.parquet import write_parquet
 from rig.recording.reader import open_recording
 
@@ -92,6 +98,17 @@ def write_csv(file: BinaryIO, recording: Recording) -> None:
     text.detach()
 
 
+def write_xy(file: BinaryIO, recording: Recording) -> None:
+    """Force of the wall over penetration: a CSV of two columns, units in their names, for the trial proper."""
+    trial = recording.rows[recording.rows["phase"] == Phase.TRIAL]
+    names = ("penetration", "effort_wall")
+    text = io.TextIOWrapper(file, encoding="utf-8", newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow([f"{name} ({recording.units[name]})" for name in names])
+    writer.writerows(zip(*(trial[name].tolist() for name in names), strict=True))
+    text.detach()
+
+
 def write_mat(file: BinaryIO, recording: Recording) -> None:
     """MATLAB 5 file: structs ``data`` (column vectors), ``units``, ``descriptions``; the rest as JSON text.
 
@@ -114,6 +131,8 @@ def write_mat(file: BinaryIO, recording: Recording) -> None:
 
 EXPORTERS: Mapping[str, Callable[[BinaryIO, Recording], None]] = {
     "csv": write_csv,
+    "xy": write_xy,
     "parquet": write_parquet,
     "mat": write_mat,
+    "mcap": write_mcap,
 }

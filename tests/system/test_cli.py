@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import time
+import tomllib
 from pathlib import Path
 from queue import Queue
 from subprocess import PIPE
@@ -51,15 +52,15 @@ def test_hit_prints_the_verdict_and_leaves_a_recording_and_a_picture(run: Any, t
 
 
 def test_pictures_have_the_format_that_one_asks_for(run: Any, tmp_path: Path) -> None:
-    code, out, err = run("hit", "--json", "--picture-format", "svg", *QUICK)
+    code, out, err = run("hit", "--json", "--format", "svg", *QUICK)
     assert code == 0, err
     (hit,) = json.loads(out)["hits"]
     picture = Path(hit["picture"])
     assert picture == Path(hit["recording"]).with_suffix(".svg")
     assert "position (mrad)" in picture.read_text(encoding="utf-8")
-    assert run("show", hit["recording"], "--plot", tmp_path / "a.pdf")[0] == 0
+    assert run("show", hit["recording"], "-o", tmp_path / "a.pdf")[0] == 0
     assert (tmp_path / "a.pdf").read_bytes().startswith(b"%PDF")
-    code, _, err = run("show", hit["recording"], "--plot", tmp_path / "a.jpg")
+    code, _, err = run("show", hit["recording"], "-o", tmp_path / "a.jpg")
     assert (code, "not a name for a picture" in err, "Traceback" in err) == (9, True, False)
 
 
@@ -103,7 +104,7 @@ def test_a_wall_of_three_times_the_limit_is_not_stable(run: Any) -> None:
 
 
 def test_show_says_what_a_recording_holds(run: Any, recording: Any, tmp_path: Path) -> None:
-    code, out, _ = run("show", recording, "--plot", tmp_path / "again.png")
+    code, out, _ = run("show", recording, "-o", tmp_path / "again.png")
     assert code == 0
     assert "finished" in out
     assert "position_true" in out
@@ -114,6 +115,68 @@ def test_show_says_what_a_recording_holds(run: Any, recording: Any, tmp_path: Pa
     assert facts["header"]["experiment"]["wall"]["stiffness"] == 300.0
     assert facts["columns"]["velocity"] == "rad/s"
     assert facts["complete"]
+
+
+def test_a_verdict_that_is_not_the_expected_one_has_an_exit_code_of_its_own(run: Any, recording: Any) -> None:
+    assert run("show", recording, "--expect", "stable", "-q") == (0, "", "")
+    assert run("show", recording, "--expect", "unstable", "--expect", "stable", "-q")[0] == 0
+    code, out, err = run("show", recording, "--expect", "unstable")
+    assert code == 17
+    assert "verdict" in out
+    assert (
+        "rig: the hit is stable, expected unstable; see the recording, or change what --expect allows" in err
+    )
+    code, out, err = run("show", recording, "--expect", "invalid", "--json", "-q")
+    assert (code, json.loads(out)["trailer"]["verdict"]["kind"]) == (17, "stable")
+    assert run("hit", "--compare", "--expect", "stable")[0] == 2
+
+
+def test_a_hit_for_a_script_prints_nothing_and_says_all_by_its_exit_code(run: Any, tmp_path: Path) -> None:
+    walls = ("-K", "1500", "-B", "0", "--set", "trial.minimum_rest_counts=0", "--no-plot", *QUICK)
+    code, out, err = run("hit", "-q", "--expect", "stable", *walls)
+    assert (code, out) == (17, "")
+    assert "the hit is unstable, expected stable: " in err
+    assert len(list((tmp_path / "recordings").iterdir())) == 1
+    code, out, _ = run("hit", "--json", "--expect", "stable", *walls)
+    result = json.loads(out)
+    assert (code, result["error"]["exit_code"], len(result["hits"])) == (17, 17, 1)
+
+
+def test_show_draws_force_over_penetration(run: Any, recording: Any) -> None:
+    code, out, _ = run("show", recording, "--xy", "--format", "svg", "--json")
+    picture = Path(recording).with_name(f"{Path(recording).stem}-xy.svg")
+    assert (code, json.loads(out)["picture"]) == (0, str(picture))
+    drawn = picture.read_text(encoding="utf-8")
+    assert "penetration (rad)" in drawn
+    assert "force of the wall (N·m)" in drawn
+    code, _, err = run("show", recording, "-o", "a.png", "--format", "svg")
+    assert (code, "two formats" in err) == (2, True)
+
+
+def test_the_schema_of_experiment_files_is_printed(run: Any) -> None:
+    jsonschema = pytest.importorskip("jsonschema")
+    code, out, _ = run("preset", "--schema")
+    schema = json.loads(out)
+    assert code == 0
+    jsonschema.Draft202012Validator.check_schema(schema)
+    validator = jsonschema.Draft202012Validator(schema)
+    table = tomllib.loads('preset = "koul-rigid"\n[wall]\nstiffness = 100.0\n')
+    assert not list(validator.iter_errors(table))
+    assert list(validator.iter_errors({"wall": {"stiffness": "stiff"}}))
+    assert run("preset", "koul-rigid", "--schema")[0] == 2
+
+
+def test_what_is_active_on_a_device_is_dumped_and_nothing_changes(run: Any) -> None:
+    code, out, _ = run("devices", "sim://koul-rigid", "--dump", "--json")
+    active = json.loads(out)
+    parameters = {one["name"]: one for one in active["parameters"]}
+    assert code == 0
+    assert {"current_limit", "float_stiffness"} <= set(parameters)
+    assert all(one["value"] == one["default"] for one in parameters.values())
+    assert parameters["float_stiffness"]["unit"] == "quantum/count"
+    code, out, _ = run("devices", "sim://koul-rigid", "--dump")
+    assert f"{active['crc']:08x}" in out
+    assert run("devices", "--dump")[0] == 2
 
 
 def test_replay_with_the_same_settings_is_bit_exact(run: Any, recording: Any) -> None:
@@ -127,7 +190,7 @@ def test_replay_with_the_same_settings_is_bit_exact(run: Any, recording: Any) ->
 def test_replay_through_another_estimator_shows_the_difference(
     run: Any, recording: Any, tmp_path: Path
 ) -> None:
-    code, out, _ = run("replay", recording, "--estimator", "fdm", "--json", "--plot", tmp_path / "replay.png")
+    code, out, _ = run("replay", recording, "--estimator", "fdm", "--json", "-o", tmp_path / "replay.png")
     assert code == 0
     result = json.loads(out)
     assert result["estimator"] == "fdm"

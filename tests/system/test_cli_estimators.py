@@ -1,6 +1,7 @@
 """`rig estimators` as a person meets it: the list, a comparison with its picture, a tuned fragment that runs."""
 
 import json
+import subprocess
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from rig import config
 from rig.control import estimators
 from rig.core.signals import SIGNALS
 from rig.experiments.tuning import OBJECTIVES
+from tests.firmware.build import compile_c
 
 HIT = [
     "--duration",
@@ -74,7 +76,7 @@ def test_compare_prints_a_table_and_draws_a_picture(run: Any, tmp_path: Path) ->
 def test_compare_takes_variants_signals_and_json(run: Any, tmp_path: Path) -> None:
     code, out, _ = run(
         "estimators", "compare", "--json", "--signal", "sine", "--signal", "slow-reversal", "--rate", "2k",
-        "--estimator", "fdm-butterworth:cutoff_hz=100,order=1", "--estimator", "fdm", "--plot", "sines.png",
+        "--estimator", "fdm-butterworth:cutoff_hz=100,order=1", "--estimator", "fdm", "-o", "sines.png",
     )  # fmt: skip
     assert code == 0
     facts = json.loads(out)
@@ -97,7 +99,7 @@ def test_compare_judges_a_recording_against_its_truth(run: Any, recording: Any, 
     assert scores["fdm-butterworth"]["delay_s"] == pytest.approx(1.3e-3, rel=0.25)
     assert not list(tmp_path.glob("*.png"))
     code, out, _ = run(
-        "estimators", "compare", recording, "--rate", "20k", "--estimator", "fdm", "--plot", "one.png"
+        "estimators", "compare", recording, "--rate", "20k", "--estimator", "fdm", "-o", "one.png"
     )
     assert code == 0
     assert "rad/s" in out
@@ -139,6 +141,24 @@ WRONG = [
     (["tune", "fdm-butterworth", "--rate", "1k,2k"], "one rate is needed"),
     (["tune", "fdm-butterworth", "--objective", "beauty"], f"choose one of: {', '.join(OBJECTIVES)}"),
 ]
+
+
+def test_an_estimator_is_exported_with_the_recording_it_was_tuned_on(run: Any, tmp_path: Path) -> None:
+    wall = ("--estimator", "kalman", "--set", "controller.parameters.gain=steady")
+    recorded = json.loads(run("hit", "--rig", "koul-rigid", *HIT, *wall)[1])["hits"][0]["recording"]
+    code, out, err = run("estimators", "export", "kalman", recorded, "--no-costs", "--json")
+    assert code == 0, err
+    made = json.loads(out)
+    assert made["settings"] == {"gain": "steady"}
+    assert (made["rig"], made["unit"]) == ("koul-rigid", "rad/s")
+    assert Path(recorded).stem in made["motion"]
+    program = compile_c(tmp_path / "tried", [tmp_path / made["test"]], [])
+    done = subprocess.run([program], capture_output=True, text=True, timeout=20, check=False)
+    assert done.returncode == 0, done.stdout
+    code, _, err = run("estimators", "export", "kalman:gain=steady", "--no-costs")
+    assert (code, "kalman.h" in err) == (9, True)
+    code, _, err = run("estimators", "export", "period", "--rig", "koul-rigid")
+    assert (code, "cannot be exported as C" in err) == (2, True)
 
 
 @pytest.mark.parametrize(("arguments", "text"), WRONG)

@@ -27,9 +27,9 @@ def test_without_arguments_it_shows_the_bare_rig_and_its_wall(run: Any, tmp_path
 def test_json_is_one_document_with_every_line(run: Any) -> None:
     code, out, _ = run(
         "impedance", "--json", "--no-plot", *SHORT, "-K", "5000,10000", "-B", "20", "--band", "2:100",
-        "--judged", "5:50",
+        "--judged-band", "5:50",
         "--scheme", "uniform:1k,estimator=kalman", "--scheme", "uniform:1k,estimator=levant", "--amplitude", "1.5",
-        "--signal", "truth", "-o", "here",
+        "--judge", "true", "-o", "here",
     )  # fmt: skip
     assert code == 0
     facts = json.loads(out)
@@ -44,6 +44,15 @@ def test_json_is_one_document_with_every_line(run: Any) -> None:
     assert first["impedance"]["realisations"] == 2
     assert first["judgement"]["passivity"]["band_hz"] == [5.0, 50.0]
     assert first["fidelity"]["band_hz"] == [5.0, 50.0]
+
+
+def test_a_script_learns_whether_the_rig_is_passive_by_the_exit_code(run: Any) -> None:
+    bare = ("impedance", "--bare", "--no-plot", *SHORT)
+    assert run(*bare, "-q", "--expect", "passive") == (0, "", "")
+    code, out, err = run(*bare, "--expect", "not-passive")
+    assert code == 17
+    assert "every line" in out
+    assert "is passive, expected not-passive; see its lines in the table" in err
 
 
 def test_welch_and_schroeder_by_the_papers_way(run: Any) -> None:
@@ -101,7 +110,7 @@ def test_plan_lists_a_excited_run(run: Any, tmp_path: Path) -> None:
     [
         (("--band", "1-250"), "--band 1-250 is not a frequency band"),
         (("--band", "250:1"), "--band 250:1 is not a frequency band"),
-        (("--judged", "300:400"), "no line lies between 300 and 400 Hz"),
+        (("--judged-band", "300:400"), "no line lies between 300 and 400 Hz"),
         (("-K", "1,2,3", "-B", "1,2"), "3 stiffnesses and 2 dampings"),
         (("-K", "hard"), "'hard' is not a list of numbers"),
         (("--stiffness=-5",), "not negative"),

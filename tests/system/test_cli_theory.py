@@ -123,7 +123,7 @@ def test_a_rig_without_damping_has_no_passive_wall_and_still_a_picture(run: Any,
 def test_json_is_the_result_of_the_function(run: Any, tmp_path: Path) -> None:
     code, out, _ = run(
         "theory", "--json", "--scheme", "dual:20k/2k", "--scheme", "uniform:20k,estimator=kalman",
-        "--operator", "firm", "--damping", "2", "-o", tmp_path / "new" / "place", "--picture-format", "pdf",
+        "--operator", "firm", "--damping", "2", "-o", tmp_path / "new" / "place", "--format", "pdf",
     )  # fmt: skip
     assert code == 0
     facts = json.loads(out)

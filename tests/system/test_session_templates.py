@@ -32,7 +32,7 @@ def test_a_template_is_rehearsed_and_reported(
     told = json.loads(capsys.readouterr().out)
     assert (told["ended"], told["counted"]) == (f"{TRIALS} trials", TRIALS)
     assert told["invalid"] == 0
-    assert rig(["session", "analyse", study, "--out", str(out)]) == 0
+    assert rig(["session", "analyse", study, "--output", str(out)]) == 0
     report = (out / "report.html").read_text()
     for condition in load_protocol(path).condition:
         assert condition.name in report

@@ -36,6 +36,13 @@ class Compiler:
             shown = "\n".join(done.stderr.strip().splitlines()[:_SHOWN_LINES])
             raise ToolchainError(f"the firmware does not build:\n{shown}\n", remedy=_remedy(done.stderr))
 
+    def tool(self, name: str, arguments: Sequence[str], directory: Path) -> str:
+        """Run a tool that came with the compiler, such as ``nm``, and return what it printed."""
+        done = _called([f"{self.path.removesuffix('gcc')}{name}", *arguments], directory)
+        if done.returncode != 0:
+            raise ToolchainError(f"{name} failed: {done.stderr.strip()}", remedy=INSTALL)
+        return done.stdout
+
 
 def find_compiler() -> Compiler:
     """Find the compiler; raises `ToolchainError` with the way to install it, or the C library that it lacks."""
@@ -59,6 +66,8 @@ def find_compiler() -> Compiler:
 
 def _called(command: list[str], directory: Path | None) -> subprocess.CompletedProcess[str]:
     environment = {**os.environ, "LC_ALL": "C"}
+    if directory is not None:  # what an interrupted compiler leaves goes with it
+        environment["TMPDIR"] = str(directory)
     try:
         return subprocess.run(
             command,

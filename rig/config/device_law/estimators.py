@@ -26,6 +26,13 @@ ESTIMATORS = (  # in the order of the parameter `estimator`
     "levant",
     "kalman",
 )
+_EDGES = ": it needs the time of each encoder edge"
+_ABSENT = {  # why a built-in one is not there
+    "period": _EDGES,
+    "period-frequency": _EDGES,
+    "foaw-levant": ": it is written for the host alone",
+    "optimal": ": it is written for the host alone",
+}
 BAND_BITS = 8  # of a noise band in counts
 WORD_BITS = 32
 
@@ -45,7 +52,7 @@ def estimator_parameters(prepared: Prepared) -> Values:
         raise refusal(
             "controller.estimator",
             name,
-            "a device has no such estimator",
+            f"a device has no such estimator{_ABSENT.get(name, '')}",
             f"choose one of: {', '.join(ESTIMATORS)}",
         )
     numbers = _NUMBERS.get(name)

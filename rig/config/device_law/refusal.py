@@ -7,9 +7,18 @@ from rig.core.errors import PlanError
 ELSE_HOST = 'let the host run the law (controller.loop = "host")'
 
 
-def refusal(key: str, value: object, why: str, remedy: str) -> PlanError:
+class NotOnDeviceError(PlanError):
+    """A law on the device has no such thing; `why`, and what to choose `instead`, for who takes it elsewhere."""
+
+    def __init__(self, key: str, shown: object, why: str, instead: str) -> None:
+        super().__init__(
+            f'{key} = {shown} with controller.loop = "device": {why}', remedy=f"{instead}, or {ELSE_HOST}"
+        )
+        self.why = why
+        self.instead = instead
+
+
+def refusal(key: str, value: object, why: str, remedy: str) -> NotOnDeviceError:
     """Error for a key whose value a law on the device does not support."""
     shown = f'"{value}"' if isinstance(value, str) else f"{value:g}" if isinstance(value, float) else value
-    return PlanError(
-        f'{key} = {shown} with controller.loop = "device": {why}', remedy=f"{remedy}, or {ELSE_HOST}"
-    )
+    return NotOnDeviceError(key, shown, why, remedy)

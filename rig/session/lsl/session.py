@@ -79,7 +79,7 @@ class LslMarks:
         command = [sys.executable, "-P", "-m", "rig", "lsl", "--json", "--markers", "--pid", str(os.getpid())]
         command += ["--name", name, *([] if rate is None else ["--rate", repr(rate)])]
         command += ["--blind"] if blind else []
-        command += [] if expected is None else ["--expect", expected[0], repr(expected[1])]
+        command += [] if expected is None else ["--open-early", expected[0], repr(expected[1])]
         self._said, self._complained = TemporaryFile(), TemporaryFile()  # noqa: SIM115  (until `close`)
         try:
             self._process = subprocess.Popen(

@@ -663,7 +663,7 @@ def test_the_command_writes_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyP
         "--json",
         "-o",
         str(tmp_path / "out"),
-        "--picture-format",
+        "--format",
         "pdf",
     ]
     told = CliRunner().invoke(rig, words)

@@ -63,11 +63,11 @@ def test_every_command_that_draws_offers_every_format() -> None:
     drawing = {}
     for name, command in commands(rig):
         options = {option: one for one in command.params for option in one.opts}
-        if ("--plot" in options and options["--plot"].is_flag) or "--picture-format" in options:
-            drawing[name] = tuple(options["--picture-format"].type.choices)
+        if "--plot" in options or name == "session analyse":
+            drawing[name] = tuple(options["--format"].type.choices)
     assert set(drawing.values()) == {tuple(style.FORMATS)}
     assert {"hit", "zwidth", "kmax", "impedance", "identify", "theory", "timing", "reproduce"} <= set(drawing)
-    assert "session analyse" in drawing
+    assert {"show", "replay", "estimators compare", "plot levant-regions"} <= set(drawing)
 
 
 # ------------------------------------------------------------------------------------------------------------ axes

@@ -1,0 +1,144 @@
+"""One C file out of several: what some functions of the firmware need, and nothing else of it.
+
+The sources are declarations on the outermost level, each under its comment. `excerpt` cuts them there, follows the
+names that each uses, and joins the ones that are needed in the order of the sources, every name with a prefix and every
+function static: two excerpts may be included in one file, and neither is seen by the linker.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+_MARK = re.compile(
+    r'/\*.*?\*/|"(?:\\.|[^"\\])*"|\'(?:\\.|[^\'\\])+\'|^[ \t]*#[^\n]*|[{};]', re.DOTALL | re.MULTILINE
+)
+_COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
+_NAME = re.compile(r"[A-Za-z_]\w*")
+_FUNCTION = re.compile(r"\b([a-z]\w*)\s*\(")
+_BESIDE = re.compile(r"[ \t]*/\*[^\n]*?\*/")  # a comment on the line where a declaration ends
+
+
+@dataclass(frozen=True, slots=True)
+class _Piece:
+    """One declaration with its comment: the names that it defines, and all that occur in it."""
+
+    comment: str
+    code: str
+    names: frozenset[str]
+    uses: frozenset[str]
+
+    @property
+    def function(self) -> bool:
+        return self.code.endswith("}")
+
+
+def excerpt(sources: Iterable[Path], wanted: Iterable[str], prefix: str) -> str:
+    """Declarations of C files that the wanted names need, these included.
+
+    Parameters
+    ----------
+    sources
+        Files in the order in which they include each other, headers first.
+    wanted
+        Functions or types.
+    prefix
+        Of every name in the result: ``kalman`` makes ``law_biquad_run`` ``kalman_biquad_run``.
+
+    Raises
+    ------
+    KeyError
+        A wanted name that no source defines.
+    """
+    pieces = [piece for path in sources for piece in _pieces(path.read_text(encoding="utf-8"))]
+    where = {name: piece for piece in pieces for name in piece.names}
+    needed: set[_Piece] = set()
+    waiting = [where[name] for name in wanted]
+    while waiting:
+        piece = waiting.pop()
+        if piece not in needed:
+            needed.add(piece)
+            waiting += [where[name] for name in piece.uses if name in where]
+    kept = [piece for piece in pieces if piece in needed]
+    text = "\n".join(f"{piece.comment}{_private(piece)}\n" for piece in kept)
+    return _renamed(text, kept, prefix)
+
+
+def renamed(name: str, prefix: str) -> str:
+    """The name that `excerpt` gives to a name of the firmware."""
+    capital = name.isupper()
+    bare = name[4:] if name.startswith(("law_", "LAW_")) else name
+    before = prefix.upper() if capital else prefix
+    return bare if bare == before or bare.startswith(f"{before}_") else f"{before}_{bare}"
+
+
+def _private(piece: _Piece) -> str:
+    return f"static {piece.code}" if piece.function and not piece.code.startswith("static ") else piece.code
+
+
+def _renamed(text: str, pieces: Iterable[_Piece], prefix: str) -> str:
+    """Functions are renamed where they are called, so that a member of a struct keeps its name."""
+    functions = {name for piece in pieces if piece.function for name in piece.names}
+    others = {name for piece in pieces if not piece.function for name in piece.names}
+    patterns = [rf"\b(?:{'|'.join(sorted(functions))})\b(?=\s*\()"] if functions else []
+    patterns += [rf"\b(?:{'|'.join(sorted(others))})\b"] if others else []
+    return re.sub("|".join(patterns), lambda found: renamed(str(found[0]), prefix), text)
+
+
+def _pieces(text: str) -> Iterator[_Piece]:
+    """Declarations of a file; prototypes, and what the preprocessor reads on the outermost level, are left out."""
+    start = depth = 0
+    for mark in _MARK.finditer(text):
+        word = mark[0]
+        if word.lstrip().startswith("#"):
+            if depth == 0:  # a comment above it is about the file
+                start = mark.end()
+            continue
+        depth += {"{": 1, "}": -1}.get(word, 0)
+        if depth != 0 or word not in (";", "}"):
+            continue
+        beside = _BESIDE.match(text, mark.end())
+        end = beside.end() if beside else mark.end()
+        whole = text[start:end].strip()
+        code = _COMMENT.sub("", whole).strip()
+        if word == "}" and _goes_on(code):
+            continue
+        start = end
+        if word == ";" and _is_prototype(code):
+            continue
+        names = _defined(code)
+        used = frozenset(_NAME.findall(code)) - names
+        at = whole.index(code.split(maxsplit=1)[0], _leading(whole))
+        yield _Piece(whole[:at], whole[at:], names, used)
+
+
+def _leading(whole: str) -> int:
+    """Where the comments before a declaration end."""
+    found = re.match(r"(?:\s*/\*.*?\*/)*", whole, re.DOTALL)
+    return found.end() if found else 0
+
+
+def _goes_on(code: str) -> bool:
+    """Whether a brace that closes here is followed by a name or a semicolon: a type, or the value of an object."""
+    return code.startswith(("typedef", "enum", "struct")) or "=" in code.partition("{")[0]
+
+
+def _is_prototype(code: str) -> bool:
+    return not code.startswith(("typedef", "enum")) and "=" not in code and "(" in code
+
+
+def _defined(code: str) -> frozenset[str]:
+    if not code.startswith(("typedef", "enum")):
+        found = _FUNCTION.search(code) if code.endswith("}") else _NAME.search(_last_name(code))
+        return frozenset({found[found.lastindex or 0]} if found else ())
+    names = set(re.findall(r"(?:\{|,)\s*([A-Za-z_]\w*)", code)) if "enum" in code.partition("{")[0] else set()
+    if code.startswith("typedef"):
+        names |= set(re.findall(r"([A-Za-z_]\w*)\s*(?:\[[^;]*\])?;$", code))
+    return frozenset(names)
+
+
+def _last_name(code: str) -> str:
+    """Of an object: the last word before its value."""
+    return str(_NAME.findall(code.partition("=")[0].partition("[")[0])[-1])

@@ -1,0 +1,98 @@
+"""How every command looks and behaves: its options in groups, and ``-q``."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from contextlib import redirect_stdout
+from functools import partial
+from typing import Any
+
+import click
+
+EXPERIMENT, OWN, DEVICE, RESULT = (
+    "Experiment",
+    "Options",
+    "Device",
+    "Result",
+)  # groups; others stand before DEVICE
+_QUIET = "rig.cli.quiet"  # where a context keeps it
+
+
+class Option(click.Option):
+    """An option that belongs to a group of the help page."""
+
+    def __init__(self, *declared: Any, group: str = OWN, **more: Any) -> None:
+        super().__init__(*declared, **more)
+        self.group = group
+
+
+option = partial(click.option, cls=Option)
+json_option = option("--json", "as_json", group=RESULT, is_flag=True, help="Print JSON for machines.")
+
+
+def quiet() -> bool:
+    """Whether the command that runs was told ``-q``."""
+    context = click.get_current_context(silent=True)
+    return context is not None and bool(context.meta.get(_QUIET))
+
+
+def _be_quiet(context: click.Context, parameter: click.Parameter, value: bool) -> None:
+    context.meta[_QUIET] = value
+
+
+class Command(click.Command):
+    """A command whose options are listed by group.
+
+    Parameters
+    ----------
+    quiet
+        Whether it takes ``-q``: one that talks with somebody does not.
+    """
+
+    def __init__(self, *arguments: Any, quiet: bool = True, **more: Any) -> None:
+        super().__init__(*arguments, **more)
+        if quiet:
+            self.params.append(
+                Option(
+                    ["-q", "--quiet"],
+                    group=RESULT,
+                    is_flag=True,
+                    expose_value=False,
+                    callback=_be_quiet,
+                    help="Print warnings and errors alone (and JSON, with --json): the exit code says the rest.",
+                )
+            )
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write one section for each group: what it works on, its own options, the device, what comes out."""
+        groups: dict[str, list[tuple[str, str]]] = {EXPERIMENT: [], OWN: []}
+        for parameter in self.get_params(ctx):
+            record = parameter.get_help_record(ctx) if isinstance(parameter, click.Option) else None
+            group = getattr(parameter, "group", RESULT if "--help" in parameter.opts else OWN)
+            if record is not None:
+                groups.setdefault(group, []).append(record)
+        for last in (DEVICE, RESULT):
+            groups[last] = groups.pop(last, [])
+        for title, records in groups.items():
+            if records:
+                with formatter.section(title):
+                    formatter.write_dl(records)
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run it; quiet, nothing but JSON reaches standard output."""
+        if not ctx.meta.get(_QUIET) or ctx.params.get("as_json"):
+            return super().invoke(ctx)
+        with open(os.devnull, "w", encoding="utf-8") as nothing, redirect_stdout(nothing):
+            return super().invoke(ctx)
+
+
+class Group(click.Group):
+    """A group of such commands."""
+
+    command_class = Command
+
+
+def command(name: str | None = None, *, quiet: bool = True) -> Callable[[Callable[..., Any]], Command]:
+    """Make a function a command, as `click.command` does."""
+    return click.command(name, cls=Command, quiet=quiet)

@@ -1,0 +1,121 @@
+"""What a shell asks at each Tab.
+
+A shell must not wait, and most commands import numpy and a compiler. So their names, options and kinds of values stand
+in ``completion.json``, beside this file (`rig.cli.completion_table` writes it), and of that table a tree of empty
+commands is made, on which click completes.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from typing import Any
+
+import click
+from click.shell_completion import BashComplete, FishComplete, ShellComplete, ZshComplete, split_arg_string
+
+from rig.cli import values
+from rig.core.errors import ConfigError
+
+ASKED = "_RIG_COMPLETE"  # variable by which a shell's script asks
+
+
+# bash takes : and = for ends of words, as in sim://… and dual:20k/2k. So it sends the line, and of an answer it is
+# given what follows the last of them.
+_BASH = """\
+%(complete_func)s() {
+    local IFS=$'\\n' line=${COMP_LINE:0:$COMP_POINT} kind value word begun
+    word=${line##* }
+    begun=${word%%"${word##*["$COMP_WORDBREAKS"]}"}
+    [[ $begun == --*=* ]] && begun=${begun#*=}
+    for value in $(env COMP_WORDS="$line" %(complete_var)s=bash_complete $1); do
+        kind=${value%%%%,*} value=${value#*,}
+        if [[ $kind != plain ]]; then
+            compopt -o default
+        elif [[ $value == *[/:=] ]]; then
+            compopt -o nospace
+            COMPREPLY+=("${value#"$begun"}")
+        else
+            COMPREPLY+=("${value#"$begun"}")
+        fi
+    done
+}
+complete -o nosort -F %(complete_func)s %(prog_name)s
+"""
+
+
+class Bash(BashComplete):
+    """Completion for bash, of a whole line."""
+
+    source_template = _BASH
+
+    def get_completion_args(self) -> tuple[list[str], str]:
+        """Words before the last one, and what of that is typed."""
+        line = os.environ["COMP_WORDS"]
+        words = split_arg_string(line)[1:]
+        return (words, "") if line.endswith(" ") else (words[:-1], words[-1] if words else "")
+
+
+_CLASSES: dict[str, type[ShellComplete]] = {"bash": Bash, "zsh": ZshComplete, "fish": FishComplete}
+
+
+SHELLS = tuple(_CLASSES)
+
+
+def script(shell: str) -> str:
+    """The script for a shell, one of `SHELLS`."""
+    known = _CLASSES.get(shell)
+    if known is None:
+        raise ConfigError(f"there is no completion for {shell}", remedy=f"choose one of: {', '.join(SHELLS)}")
+    asking = known(click.Group("rig"), {}, "rig", ASKED)
+    return (asking.source_template % asking.source_vars()).strip()
+
+
+def answer(instruction: str) -> int:
+    """Answer a shell's script: ``bash_complete``; the words come by its variables. Returns the exit code."""
+    shell, _, what = instruction.partition("_")
+    known = _CLASSES.get(shell)
+    if known is None or what != "complete":
+        return 1
+    click.echo(known(tree(values.table()), {}, "rig", ASKED).complete())
+    return 0
+
+
+def tree(table: Mapping[str, Any]) -> click.Group:
+    """Empty commands with the options of the table."""
+    groups = {"": click.Group("rig")}
+    for name, row in table["commands"].items():
+        above, _, last = name.rpartition(" ")
+        if "options" in row:
+            groups[above].add_command(_command(last, row))
+        else:
+            groups[name] = click.Group(last, short_help=row["help"])
+            groups[above].add_command(groups[name])
+    return groups[""]
+
+
+def _command(name: str, row: Mapping[str, Any]) -> click.Command:
+    options_ = [_option(words, kind) for words, kind in row["options"].items()]
+    arguments = [_argument(number, *taken) for number, taken in enumerate(row["arguments"])]
+    return click.Command(name, params=[*options_, *arguments], short_help=row["help"])
+
+
+def _option(words: str, kind: Any) -> click.Option:
+    names = words.split()
+    return (
+        click.Option(names, is_flag=True)
+        if kind is None
+        else click.Option(names, type=_type(kind), multiple=True)
+    )
+
+
+def _argument(number: int, kind: Any, count: int) -> click.Argument:
+    return click.Argument([f"argument_{number}"], type=_type(kind), nargs=count, required=False)
+
+
+def _type(kind: Any) -> click.ParamType[Any]:
+    if isinstance(kind, list):
+        return click.Choice(kind)
+    if kind == "path":
+        return click.Path()
+    return values.KINDS.get(kind, click.STRING)

@@ -1,0 +1,63 @@
+"""Makes ``completion.json`` of the commands: ``python -m rig.cli.completion_table``. A test finds it stale."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from typing import Any
+
+import click
+
+from rig import cli
+from rig.cli import values
+from rig.control import estimators
+from rig.core.signals import SIGNALS
+
+
+def made() -> str:
+    """The text of the table, as it is to be: a line for each command."""
+    rows = [f"{_json(name)}: {_json(row)}" for name, row in _rows(cli.rig, "")]
+    parts = [("estimators", _json(list(estimators.BUILT_IN))), ("signals", _json(list(SIGNALS)))]
+    parts.append(("commands", "{\n" + ",\n".join(rows) + "\n}"))
+    return "{\n" + ",\n".join(f"{_json(name)}: {part}" for name, part in parts) + "\n}\n"
+
+
+def _json(part: Any) -> str:
+    return json.dumps(part, ensure_ascii=False)
+
+
+def _rows(group: click.Group, above: str) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Each command by its words, a group before those in it; a group has no options."""
+    context = click.Context(group)
+    for last in group.list_commands(context):
+        one, name = group.get_command(context, last), f"{above} {last}".strip()
+        if isinstance(one, click.Group):
+            yield name, {"help": one.get_short_help_str(100)}
+            yield from _rows(one, name)
+        elif one is not None:
+            yield name, _row(one)
+
+
+def _row(one: click.Command) -> dict[str, Any]:
+    taken = [parameter for parameter in one.params if isinstance(parameter, click.Option)]
+    return {
+        "help": one.get_short_help_str(100),
+        "options": {" ".join([*each.opts, *each.secondary_opts]): _kind(each) for each in taken},
+        "arguments": [[_kind(each), each.nargs] for each in one.params if isinstance(each, click.Argument)],
+    }
+
+
+def _kind(parameter: click.Parameter) -> Any:
+    """What a value is: None for a flag, the list of choices, a name in `values.KINDS`, ``path`` or ``text``."""
+    if getattr(parameter, "is_flag", False):
+        return None
+    kind = parameter.type
+    if isinstance(kind, click.Choice):
+        return list(kind.choices)
+    if values.KINDS.get(kind.name) is kind:
+        return kind.name
+    return "path" if isinstance(kind, click.Path) else "text"
+
+
+if __name__ == "__main__":
+    values.TABLE.write_text(made(), encoding="utf-8")

@@ -1,0 +1,124 @@
+"""What may be given to options and arguments, by name: a shell completes it, and nothing heavy is imported for that."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import click
+from click.shell_completion import CompletionItem
+
+from rig.core import plugins
+
+TABLE = Path(__file__).with_name("completion.json")  # made by rig.cli.completion
+_PRESETS = Path(__file__).parents[1] / "config" / "presets"
+_PORTS = ("ttyACM*", "ttyUSB*", "cu.usbmodem*")
+GRIPS = ("none", "relaxed", "normal", "firm")  # rig.core.operators.GRIPS and nobody, without its imports
+_RECORDING = (".parquet", ".rigcap")
+
+
+class Named(click.ParamType[str]):
+    """Text of which a shell is told the beginnings; what it means is checked by whoever takes it."""
+
+    def __init__(self, name: str, known: Callable[[str], Iterable[str]]) -> None:
+        self.name = name
+        self._known = known
+
+    def shell_complete(
+        self, ctx: click.Context, param: click.Parameter, incomplete: str
+    ) -> list[CompletionItem]:
+        """Return what begins like that."""
+        return [CompletionItem(each) for each in self._known(incomplete) if each.startswith(incomplete)]
+
+
+class Files(click.Path):
+    """A path; a shell shows directories, and the files that end so."""
+
+    def __init__(self, name: str, *endings: str) -> None:
+        super().__init__(path_type=Path)
+        self.name = name
+        self._endings = endings
+
+    def shell_complete(
+        self, ctx: click.Context, param: click.Parameter, incomplete: str
+    ) -> list[CompletionItem]:
+        """Return the paths that begin like that."""
+        return [CompletionItem(each) for each in paths(incomplete, self._endings)]
+
+
+def paths(incomplete: str, endings: tuple[str, ...]) -> Iterator[str]:
+    """Directories, and files that end so, whose name begins with what was typed."""
+    place, _, begun = incomplete.rpartition("/")
+    before = f"{place}/" if "/" in incomplete else ""
+    try:
+        entries = sorted(Path(before or ".").expanduser().iterdir())
+    except OSError:
+        return
+    for entry in entries:
+        if not entry.name.startswith(begun) or (entry.name.startswith(".") and not begun):
+            continue
+        if entry.is_dir():
+            yield f"{before}{entry.name}/"
+        elif entry.name.endswith(endings):
+            yield before + entry.name
+
+
+@cache
+def table() -> dict[str, Any]:
+    """The commands and their options, and the names of built-in parts, as they were when the table was made."""
+    read: dict[str, Any] = json.loads(TABLE.read_text(encoding="utf-8"))
+    return read
+
+
+def presets() -> list[str]:
+    """Names of the built-in rigs."""
+    return sorted(path.stem for path in _PRESETS.glob("*.toml"))
+
+
+def estimators() -> list[str]:
+    """Names of all estimators, plug-ins included."""
+    known: list[str] = table()["estimators"]
+    return [*known, *(point.name for point in plugins.found("rig.estimators", known))]
+
+
+def _rigs(incomplete: str) -> Iterator[str]:
+    yield from presets()
+    yield from paths(incomplete, (".toml",))
+
+
+def _schemes(incomplete: str) -> Iterator[str]:
+    """The kind first, then settings, one after each comma; rates are anybody's."""
+    begun, comma, _ = incomplete.rpartition(",")
+    if not comma:
+        yield from ("none", "uniform:", "dual:")
+        return
+    yield from (f"{begun},estimator={name}" for name in estimators())
+    yield from (f"{begun},{key}=" for key in ("cutoff_hz", "prediction", "slow_velocity_rate", "slow_below"))
+
+
+def _urls(incomplete: str) -> Iterator[str]:
+    yield "sim://"
+    yield from (f"sim://{name}" for name in presets())
+    yield from (f"serial://{port}" for kind in _PORTS for port in sorted(Path("/dev").glob(kind)))
+    yield "usb://"
+
+
+def _signals(incomplete: str) -> list[str]:
+    known: list[str] = table()["signals"]
+    return known
+
+
+RIG = Named("rig", _rigs)
+ESTIMATOR = Named("estimator", lambda incomplete: estimators())
+SCHEME = Named("scheme", _schemes)
+GRIP = Named("grip", lambda incomplete: GRIPS)
+URL = Named("url", _urls)
+SIGNAL = Named("signal", _signals)
+EXPERIMENT_FILE = Files("toml", ".toml")
+RECORDING = Files("recording", *_RECORDING)
+KINDS: dict[str, click.ParamType[Any]] = {
+    kind.name: kind for kind in (RIG, ESTIMATOR, SCHEME, GRIP, URL, SIGNAL, EXPERIMENT_FILE, RECORDING)
+}

@@ -1,0 +1,62 @@
+"""X-Y: the force of the wall over the penetration, as a force gauge beside the handle would draw it.
+
+An ideal spring is the straight line K·x. What the loop encloses is the energy that the wall takes out of the handle
+(run through clockwise) or gives to it (counter-clockwise): damping, delay, and the held velocity.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rig.core.sample import Phase, unit_of
+from rig.recording.data import Recording
+from rig.recording.reader import open_recording
+from rig.views.plots import style
+
+
+def draw_xy(path: str | Path, picture: str | Path | None = None) -> Path:
+    """Draw a recording.
+
+    Parameters
+    ----------
+    path
+        The recording.
+    picture
+        File to write, see `rig.views.plots.style.save`; ``…-xy.png`` beside the recording unless given.
+
+    Returns
+    -------
+    Path
+        The picture.
+    """
+    source = Path(path)
+    target = Path(picture) if picture else source.with_name(f"{source.stem}-xy.png")
+    return style.save(xy_figure(open_recording(source)), target)
+
+
+def xy_figure(recording: Recording) -> Any:
+    """Return the figure of a recording (`matplotlib.figure.Figure`)."""
+    rows, wall, motion = recording.rows, recording.experiment["wall"], recording.header["motion"]
+    figure = style.new_figure(width=7.0, height=5.0)
+    axes = figure.subplots()
+    inside = rows[(rows["phase"] == Phase.TRIAL) & (rows["penetration"] > 0.0)]
+    axes.set_xlabel(f"penetration ({unit_of('position', motion)})")
+    style.tidy(axes, f"force of the wall ({unit_of('effort', motion)})")
+    figure.suptitle(
+        f"{recording.header['rig']}: K = {wall['stiffness']:g} {unit_of('stiffness', motion)}, "
+        f"B = {wall['damping']:g} {unit_of('damping', motion)}",
+        fontsize=11,
+    )
+    if not len(inside):
+        style.say(axes, "the handle never was inside the wall")
+        return figure
+    deepest = float(np.max(inside["penetration"]))
+    axes.plot(
+        inside["penetration"], inside["effort_wall"], color=style.OTHER, linewidth=0.7, label="rendered"
+    )
+    axes.plot((0.0, deepest), (0.0, wall["stiffness"] * deepest), "--", color=style.WALL, label="K·x")
+    axes.legend(loc="upper left", frameon=False, fontsize=8)
+    return figure

@@ -1,0 +1,143 @@
+"""What a shell completes, how quickly, and that the table is the one of the commands."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import rig.cli
+from rig.cli import complete, completion_table, options, values
+from rig.config import presets
+from rig.control import estimators
+from rig.control.verdict import Kind
+from rig.core.operators import GRIPS
+
+ROOT = str(Path(rig.cli.__file__).parents[2])
+TOO_HEAVY = ("numpy", "numba", "scipy", "pydantic", "matplotlib", "pyarrow", "rich")
+
+
+def asked(words: list[str], shell: str = "fish", **more: Any) -> subprocess.CompletedProcess[str]:
+    """What the script of a shell would be answered for a line whose last word is begun."""
+    line = {"COMP_WORDS": " ".join(["rig", *words]), "COMP_CWORD": words[-1]}
+    return subprocess.run(
+        [sys.executable, *more.pop("options", []), "-m", "rig"],
+        env={**os.environ, "PYTHONPATH": ROOT, **line, complete.ASKED: f"{shell}_complete"},
+        capture_output=True, text=True, timeout=60, check=False, **more,
+    )  # fmt: skip
+
+
+def completed(*words: str, **more: Any) -> list[str]:
+    """Completions of the last word."""
+    done = asked(list(words), shell="bash", **more)
+    assert done.returncode == 0, done.stderr
+    return [line.partition(",")[2] for line in done.stdout.splitlines()]
+
+
+def cpu_s(run: Callable[[], Any]) -> float:
+    """CPU time of the processes that it starts (s), the least of three: others load the computer, too."""
+
+    def once() -> float:
+        before = os.times()
+        run()
+        after = os.times()
+        return after.children_user + after.children_system - before.children_user - before.children_system
+
+    return min(once() for _ in range(3))
+
+
+def test_the_table_is_that_of_the_commands() -> None:
+    assert values.TABLE.read_text(encoding="utf-8") == completion_table.made(), (
+        "run: python -m rig.cli.completion_table"
+    )
+
+
+def test_nothing_heavy_is_imported_and_a_line_is_answered_at_once() -> None:
+    """Measured on a computer with much else to do: 0.14 s of CPU time, of which click alone takes 0.05 s."""
+    done = asked(["hit", "--estimator", "ka"], options=["-X", "importtime"])
+    imported = {line.rpartition("|")[2].strip().partition(".")[0] for line in done.stderr.splitlines()}
+    assert "click" in imported
+    assert imported.isdisjoint(TOO_HEAVY)
+    alone = cpu_s(lambda: subprocess.run([sys.executable, "-c", "import click"], check=True))
+    assert cpu_s(lambda: asked(["hit", "--estimator", "ka"])) <= 5.0 * alone
+
+
+def test_values_are_completed_by_what_they_are(tmp_path: Path) -> None:
+    for name in ("mine.toml", "a.parquet", "b.rigcap", "c.csv"):
+        (tmp_path / name).write_text("")
+    (tmp_path / "below").mkdir()
+    here = {"cwd": tmp_path}
+    assert completed("im", **here) == ["impedance"]
+    assert completed("estimators", "ex", **here) == ["export"]
+    assert completed("hit", "--estimator", "kal", **here) == ["kalman"]
+    assert completed("hit", "--rig", "", **here) == [*presets.names(), "below/", "mine.toml"]
+    assert completed("show", "", **here) == ["a.parquet", "b.rigcap", "below/"]
+    assert completed("plan", "m", **here) == ["mine.toml"]
+    assert completed("zwidth", "--scheme", "du", **here) == ["dual:"]
+    assert completed("zwidth", "--scheme", "dual:20k/2k,estimator=lev", **here) == [
+        "dual:20k/2k,estimator=levant"
+    ]
+    assert completed("hit", "--loop", "d", **here) == ["device"]
+    assert completed("hit", "--exp", **here) == ["--expect"]
+    assert "sim://koul-rigid" in completed("devices", "sim://k", **here)
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("rig estimators export ka", ["kalman"]),
+        ("rig hit --url sim://koul-r", ["//koul-rigid"]),
+        ("rig hit --url=sim://koul-r", ["//koul-rigid"]),
+        ("rig zwidth --scheme dual:20k/2k,estimator=lev", ["levant"]),
+        ("rig show here/", ["here/a.parquet"]),
+    ],
+)
+def test_bash_is_given_what_it_has_to_add(line: str, expected: list[str], tmp_path: Path) -> None:
+    """Behind the last : or =, at which bash ends a word."""
+    if shutil.which("bash") is None:
+        pytest.skip("bash is not installed (package bash)")
+    (tmp_path / "here").mkdir()
+    (tmp_path / "here" / "a.parquet").write_text("")
+    program = tmp_path / "rig"
+    program.write_text(f"#!/bin/sh\nPYTHONPATH={ROOT} exec {sys.executable} -m rig\n")
+    program.chmod(0o755)
+    asking = f"""{complete.script("bash")}
+        compopt() {{ :; }}
+        COMP_LINE={shlex.quote(line)} COMP_POINT={len(line)} COMPREPLY=()
+        _rig_completion {program}
+        printf '%s\\n' "${{COMPREPLY[@]}}"
+    """
+    done = subprocess.run(
+        ["bash"], input=asking, capture_output=True, text=True, timeout=60, cwd=tmp_path, check=True
+    )
+    assert done.stdout.splitlines() == expected, done.stderr
+
+
+def test_the_names_of_estimators_are_those_of_the_family() -> None:
+    assert values.estimators() == estimators.names()
+
+
+def test_verdicts_and_grips_are_those_of_the_rig() -> None:
+    assert ("none", *GRIPS) == values.GRIPS
+    assert tuple(kind.value.replace(" ", "-") for kind in Kind) == options.VERDICTS
+
+
+@pytest.mark.parametrize("shell", complete.SHELLS)
+def test_the_script_of_a_shell_asks_for_our_answers(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert rig.cli.run(["completion", shell]) == 0
+    text = capsys.readouterr().out
+    assert f"{complete.ASKED}={shell}_complete" in text
+    found = shutil.which(shell)
+    if found is not None:
+        subprocess.run([found, "-n"], input=text, text=True, check=True, timeout=20)
+
+
+def test_an_unknown_shell_is_answered_with_a_code() -> None:
+    assert complete.answer("tcsh_complete") == 1

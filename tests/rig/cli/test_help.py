@@ -1,0 +1,71 @@
+"""The same option is the same everywhere; help is in groups; -q leaves the exit code."""
+
+from __future__ import annotations
+
+import json
+from collections import defaultdict
+from typing import Any
+
+import click
+import pytest
+
+import rig.cli
+from rig.cli.command import DEVICE, EXPERIMENT, OWN, RESULT, Command
+from tests.rig.cli.test_command_line import commands
+
+DIFFERENT = {"--rate"}  # one rate, several, or T1/T2
+WALLS = {"--stiffness", "--damping"}  # one wall, or several
+
+
+def all_commands() -> list[tuple[str, click.Command]]:
+    assert isinstance(rig.cli.rig, click.Group)
+    return [(" ".join(path), command) for path, command in commands(rig.cli.rig)]
+
+
+def test_every_command_is_ours_and_prints_json_and_can_be_quiet() -> None:
+    for name, command in all_commands():
+        options = {option for one in command.params for option in one.opts}
+        assert isinstance(command, Command), name
+        assert "--json" in options, name
+        assert ("--quiet" in options) == (name not in ("console", "session run", "session resume")), name
+
+
+def test_an_option_has_one_short_form_one_kind_of_value_and_one_group_everywhere() -> None:
+    seen: dict[str, dict[Any, list[str]]] = defaultdict(lambda: defaultdict(list))
+    for name, command in all_commands():
+        for one in command.params:
+            if isinstance(one, click.Option):
+                long = next(option for option in one.opts if option.startswith("--"))
+                kind = "walls" if long in WALLS else type(one.type).__name__
+                group = getattr(one, "group", OWN)
+                described = (tuple(one.opts), one.is_flag, kind, group if group in (DEVICE, RESULT) else OWN)
+                seen[long][described].append(name)
+    different = {
+        option: dict(forms) for option, forms in seen.items() if len(forms) > 1 and option not in DIFFERENT
+    }
+    assert different == {}
+
+
+def test_a_rig_is_a_name_or_a_file_in_every_command() -> None:
+    metavars = {one.metavar for _, command in all_commands() for one in command.params if "--rig" in one.opts}
+    assert metavars == {"NAME|FILE"}
+
+
+def test_options_are_listed_in_groups(capsys: pytest.CaptureFixture[str]) -> None:
+    assert rig.cli.run(["hit", "--help"]) == 0
+    text = capsys.readouterr().out
+    places = [text.index(f"\n{title}:\n") for title in (EXPERIMENT, "Comparison", DEVICE, RESULT)]
+    assert places == sorted(places)
+    assert places[0] < text.index("--stiffness") < places[1]
+    assert places[2] < text.index("--url") < places[3] < text.index("--json")
+    assert text.count("--help") == 1
+
+
+def test_quiet_prints_nothing_but_json_and_keeps_the_exit_code(capsys: pytest.CaptureFixture[str]) -> None:
+    assert rig.cli.run(["preset", "-q"]) == 0
+    assert capsys.readouterr() == ("", "")
+    assert rig.cli.run(["preset", "nothing", "--quiet"]) == 2
+    out, err = capsys.readouterr()
+    assert (out, err.startswith("rig: ")) == ("", True)
+    assert rig.cli.run(["preset", "-q", "--json"]) == 0
+    assert "koul-rigid" in json.loads(capsys.readouterr().out)

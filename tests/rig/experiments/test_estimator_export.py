@@ -1,0 +1,164 @@
+"""An estimator as C: compiled, it gives the host's velocities; what cannot be exported is refused with the reason."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rig import config
+from rig.config import presets
+from rig.control import estimators
+from rig.core.errors import ConfigError, RecordingError
+from rig.core.signals import SIGNALS
+from rig.experiments.cases import signal_case
+from rig.experiments.estimator_export import EstimatorExport, Tolerance, export_estimator
+from rig.experiments.estimators import Variant
+from tests.firmware.build import compile_c
+
+VARIANTS = [
+    Variant("fdm"),
+    Variant("fdm-butterworth"),
+    Variant("fdm-butterworth", {"order": 1.0}),
+    Variant("fdm-butterworth", {"order": 8.0, "cutoff_hz": 300.0}),
+    Variant("fdm-butterworth", {"cutoff_hz": 20.0}),
+    Variant("fdm-butterworth-fixed"),
+    Variant("fdm-butterworth-fixed", {"rounding": "zero", "state_bits": 4.0}),
+    Variant("foaw-end", {"stop": "global", "window_limit": 64.0}),
+    Variant("foaw-best"),
+    Variant("foaw-best", {"anchor": "last", "band": 1.5}),
+    Variant("levant"),
+    Variant("levant", {"discretisation": "explicit", "output": "u1", "lipschitz": 20.0}),
+    Variant("kalman", {"gain": "steady"}),
+    Variant("kalman", {"gain": "steady", "model": "double", "bandwidth_hz": 20.0}),
+]
+REFUSED = {
+    "period": "time of each encoder edge",
+    "period-frequency": "time of each encoder edge",
+    "optimal": "written for the host alone",
+    "foaw-levant": "written for the host alone",
+    "kalman": "only the steady gain",
+}
+
+
+def rig_of(**changes: Any) -> config.Experiment:
+    return config.override(presets.load("koul-rigid"), changes)
+
+
+def written(variant: Variant, directory: Path, **more: Any) -> EstimatorExport:
+    return export_estimator(variant, rig_of(), directory / "estimator.h", costs=False, **more)
+
+
+def tried(export: EstimatorExport) -> subprocess.CompletedProcess[str]:
+    """The generated test, compiled as strictly as the firmware is, and run."""
+    program = compile_c(export.test.with_suffix(""), [export.test], [])
+    return subprocess.run([program], capture_output=True, text=True, timeout=20, check=False)
+
+
+@pytest.mark.parametrize("variant", VARIANTS, ids=lambda variant: variant.label)
+def test_the_compiled_estimator_gives_the_velocities_of_the_host(variant: Variant, tmp_path: Path) -> None:
+    done = tried(written(variant, tmp_path))
+    assert done.returncode == 0, done.stdout
+
+
+def test_every_estimator_can_be_exported_or_is_refused_with_the_reason(tmp_path: Path) -> None:
+    exported = {variant.estimator for variant in VARIANTS}
+    assert exported | set(REFUSED) == set(estimators.BUILT_IN)
+    for name, why in REFUSED.items():
+        with pytest.raises(ConfigError, match=rf"{name} cannot be exported as C: .*{why}") as refused:
+            written(Variant(name), tmp_path)
+        assert "loop" not in str(refused.value)
+        assert refused.value.remedy.startswith("choose ")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_test_finds_a_number_that_was_changed(tmp_path: Path) -> None:
+    export = written(Variant("kalman", {"gain": "steady"}), tmp_path)
+    text = export.header.read_text()
+    changed = text.replace(".gain_velocity = 0.", ".gain_velocity = 1.")
+    assert changed != text
+    export.header.write_text(changed)
+    done = tried(export)
+    assert done.returncode == 1
+    assert "allowed" in done.stdout
+
+
+def test_samples_that_were_missed_and_a_counter_that_wraps_are_part_of_the_test(tmp_path: Path) -> None:
+    x = rig_of()
+    case = signal_case(SIGNALS["sine"], 2000.0, x.rig.encoder.resolution)
+    kept = slice(None, None, 3)
+    gaps = type(case)(
+        **{
+            **{name: getattr(case, name) for name in case.__dataclass_fields__},
+            "counts": case.counts[kept] + 2**31,
+            "time_s": case.time_s[kept],
+            "edge_time": case.time_s[kept],
+            "elapsed": 3 * case.elapsed[kept],
+            "judged": case.judged[kept],
+        }
+    )
+    export = written(Variant("kalman", {"gain": "steady"}), tmp_path, case=gaps)
+    assert "{-2147483" in export.test_text
+    assert tried(export).returncode == 0
+
+
+def test_the_settings_of_the_experiment_are_those_of_its_own_estimator(tmp_path: Path) -> None:
+    tuned = rig_of(**{
+        "controller.estimator": "kalman",
+        "controller.parameters.gain": "steady",
+        "controller.parameters.bandwidth_hz": 77.0,
+    })  # fmt: skip
+    own = export_estimator(Variant("kalman"), tuned, tmp_path / "a.h", costs=False)
+    assert own.settings == {"gain": "steady", "bandwidth_hz": 77.0}
+    assert "bandwidth_hz = 77" in own.text
+    other = export_estimator(Variant("levant"), tuned, tmp_path / "b.h", costs=False)
+    assert other.settings == {}
+    over = export_estimator(Variant("kalman", {"bandwidth_hz": 50.0}), tuned, tmp_path / "c.h", costs=False)
+    assert over.settings["bandwidth_hz"] == 50.0
+
+
+def test_two_of_them_may_stand_in_one_file(tmp_path: Path) -> None:
+    for name in ("foaw-end", "foaw-best", "levant", "fdm-butterworth-fixed"):
+        export_estimator(Variant(name), rig_of(), tmp_path / f"{name}.h", costs=False)
+    both = tmp_path / "both.c"
+    includes = "".join(f'#include "{path.name}"\n' for path in sorted(tmp_path.glob("*.h")))
+    both.write_text(f"{includes}int main(void)\n{{\n    return 0;\n}}\n")
+    compile_c(tmp_path / "both", [both], [])
+
+
+def test_a_case_of_another_rig_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="sine has 1e-06 a count at 2000 Hz, the rig"):
+        written(Variant("fdm"), tmp_path, case=signal_case(SIGNALS["sine"], 2000.0, 1e-6))
+
+
+def test_nothing_is_overwritten_unless_asked(tmp_path: Path) -> None:
+    first = written(Variant("fdm"), tmp_path)
+    with pytest.raises(RecordingError, match="cannot write"):
+        written(Variant("levant"), tmp_path)
+    assert first.header.read_text() == first.text
+    assert written(Variant("levant"), tmp_path, overwrite=True).header.read_text() != first.text
+
+
+def test_the_costs_are_counted_or_the_reason_is_given(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("unicorn", reason="unicorn is not installed (pip install unicorn==2.1.4)")
+    export = export_estimator(Variant("fdm"), rig_of(), tmp_path / "a.h")
+    if not export.costs:
+        pytest.skip(export.cost_unknown)
+    small, float_, newer = export.costs
+    assert (small.core, float_.core, newer.core) == ("M0+", "M4F", "M33F")
+    assert 5 * float_.instructions < small.instructions  # floats in software, on the first
+    assert float_.instructions <= float_.cycles <= float_.most_cycles
+    assert newer.cycles is None
+    assert f"M4F {float_.instructions} instructions" in export.text.replace("\n *", "")
+    monkeypatch.setenv("ARM_NONE_EABI_GCC", str(tmp_path / "none"))
+    export = export_estimator(Variant("fdm"), rig_of(), tmp_path / "b.h")
+    assert export.costs == ()
+    assert "which does not run" in export.text.replace("\n *", "")
+
+
+def test_integers_have_to_be_equal(tmp_path: Path) -> None:
+    assert written(Variant("fdm-butterworth-fixed"), tmp_path).tolerance == Tolerance(0.0, "LSB")
