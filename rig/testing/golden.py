@@ -23,7 +23,8 @@ from rig.recording.reader import open_recording
 from rig.testing.asserts import Subject, recording_of
 
 # Roundings of half a unit in the last place that a tick of law and plant may add to a column, in units of its peak:
-# some tens of floating-point operations each. A stable loop does not amplify them, so they add up at most.
+# some tens of floating-point operations each. A stable loop does not amplify them, so they add up at most. Measured on
+# 2026-11-26: kernels for a generic x86-64 and another BLAS left every recorded column equal, and the truth within 0.09.
 ROUNDINGS = 64
 DIRECTORY = "golden"
 

@@ -38,13 +38,6 @@ def test_the_example_of_the_theory_runs(
     assert 0.9 < float(said[-1]) < 1.1
 
 
-def test_the_example_of_a_labs_ci_passes(tmp_path: Path) -> None:
-    names: dict[str, Any] = {}
-    exec(compile(EXAMPLES[2], "README.md", "exec"), names)
-    (test,) = (function for name, function in names.items() if name.startswith("test_"))
-    test(tmp_path)
-
-
 def test_every_public_name_of_rig_is_there() -> None:
     for name in rig._LAZY:
         assert getattr(rig, name) is not None
