@@ -57,13 +57,13 @@ class Hit:
     Attributes
     ----------
     experiment
-        As it was asked for.
+        The one in effect; as it was asked for where nothing moved.
     recorded
         What it left; None where nothing moved.
     counters
         Of the link.
     error
-        Why it ended early: only where faults were scripted, else the error is raised.
+        Why it ended early, where it may: else the error is raised.
     rest
         What the device did afterwards; None where it told nobody.
     struck
@@ -81,6 +81,11 @@ class Hit:
     def verdict(self) -> Verdict:
         """What was recorded says."""
         return self._left.judgement.verdict
+
+    @property
+    def verdict_true(self) -> Verdict | None:
+        """What the truth says, in simulation."""
+        return self._left.judgement.verdict_true
 
     @property
     def recording(self) -> Recording:
@@ -198,6 +203,7 @@ class Hits:
         changes: Mapping[str, Any] | None = None,
         *,
         law: Law | Callable[[float], Law] | None = None,
+        may_end: bool = False,
         device: FramedDevice | None = None,
     ) -> Hit:
         """Hit once.
@@ -211,13 +217,15 @@ class Hits:
             rate), as on a command line.
         law
             A law of one's own instead of the named wall.
+        may_end
+            The run may end early, by the guard for one: then it is the hit's `error`, as where faults are scripted.
         device
             An open device to hit on (``rig_device``), without a script of faults.
 
         Raises
         ------
         RigError
-            What must not run, and, unless faults were scripted, whatever ended the run early.
+            What must not run, and, unless it may, whatever ended the run early.
         """
         experiment = self._experiments(source)
         once: dict[str, Any] = {**(changes or {}), "trial.repeats": 1}
@@ -235,19 +243,19 @@ class Hits:
             reference_count=self._rigs.zero(experiment),
             hands_off=self._rigs.tell,
         )
-        self.last = self._hit(request)
+        self.last = self._hit(request, may_end=may_end or self.faults.script is not None)
         return self.last
 
-    def _hit(self, request: HitRequest) -> Hit:
+    def _hit(self, request: HitRequest, *, may_end: bool) -> Hit:
         script = self.faults.script
         if request.device is not None:
             if script is not None:
                 raise ConfigError(
                     "faults are scripted, and the device is open already", remedy="let rig_hit open its own"
                 )
-            return _ended(request, request.device, forgiving=False)
+            return _ended(request, request.device, may_end=may_end)
         with self._rigs.device(request.experiment, script) as device:
-            return _ended(replace(request, device=device), device, forgiving=script is not None)
+            return _ended(replace(request, device=device), device, may_end=may_end)
 
 
 def end_all(stopped: StoppedError) -> NoReturn:
@@ -255,7 +263,7 @@ def end_all(stopped: StoppedError) -> NoReturn:
     pytest.exit(str(stopped), returncode=stopped.exit_code)
 
 
-def _ended(request: HitRequest, device: FramedDevice, *, forgiving: bool) -> Hit:
+def _ended(request: HitRequest, device: FramedDevice, *, may_end: bool) -> Hit:
     """Run a hit and watch how its device comes to rest. A person's stop ends the whole run of tests."""
     recorded, counters, error = None, {}, None
     try:
@@ -266,13 +274,13 @@ def _ended(request: HitRequest, device: FramedDevice, *, forgiving: bool) -> Hit
     except ConfigError:
         raise
     except RigError as failure:
-        if not forgiving:
+        if not may_end:
             raise
         error, recorded = failure, left_by(failure)
         counters = {} if recorded is None else (recorded.recording.trailer or {}).get("counters", {})
     link = device.link
     return Hit(
-        experiment=request.experiment,
+        experiment=request.experiment if recorded is None else recorded.experiment,
         recorded=recorded,
         counters=counters,
         error=error,
