@@ -4,7 +4,7 @@
 first use: importing both costs milliseconds. Tests get nearly everything as fixtures, whose types are here for those
 who annotate them::
 
-    from rig.testing import Hits, assert_safe, assert_stable
+    from rig.testing import FaultWords, Hits, assert_safe, assert_stable
 
     def test_our_wall_is_stable(rig_hit: Hits) -> None:
         assert_stable(rig_hit("mine.toml", {"wall.stiffness": 300.0}))

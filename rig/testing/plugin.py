@@ -269,7 +269,7 @@ def _asker(config: pytest.Config) -> Callable[[str], bool]:
         with _uncaptured(config):
             try:
                 return input(f"\nrig: {text}   Enter: continue, q: end ").strip().lower() in ("", "y", "yes")
-            except EOFError:
+            except (EOFError, OSError):  # nobody is there
                 return False
 
     return ask

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ from rig.devices.framed import FaultReport
 from rig.devices.local import serve_locally
 
 LOOK_S = 0.1
+PATIENCE_S = 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,8 +62,18 @@ class SerialRig:
     def did(self) -> Did:
         """Ask the device what was done to it; the program must have closed the port.
 
-        Raises `rig.RigError` where somebody still has the port.
+        A device that has just lost its host may not hear the next one at once on a busy computer: it is asked for
+        `PATIENCE_S`. Raises `rig.RigError` where somebody still has the port, or it says nothing.
         """
+        deadline = time.monotonic() + PATIENCE_S
+        while True:
+            try:
+                return self._asked()
+            except LinkLostError:
+                if time.monotonic() > deadline:
+                    raise
+
+    def _asked(self) -> Did:
         with devices.open_device(self.url) as device:
             states = device.states(LOOK_S)
             if not states:

@@ -5,12 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
-
-if numba.config.DISABLE_JIT:
-    pytest.skip("the loop is compiled", allow_module_level=True)
 
 from rig.control.law import Law
 from rig.core.sample import Phase

@@ -4,12 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numba
 import numpy as np
 import pytest
-
-if numba.config.DISABLE_JIT:
-    pytest.skip("the loop is compiled", allow_module_level=True)
 
 from rig.core.errors import RecordingError
 from rig.recording.data import Recording

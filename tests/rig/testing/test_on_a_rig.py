@@ -11,11 +11,7 @@ import threading
 from collections.abc import Iterator
 from typing import Any
 
-import numba
 import pytest
-
-if numba.config.DISABLE_JIT:
-    pytest.skip("the loop is compiled", allow_module_level=True)
 
 import rig
 import rig.testing.hits
@@ -54,7 +50,7 @@ class Bench:
 
 
 @pytest.fixture
-def bench(pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> Bench:
+def bench(suite: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> Bench:
     described = sim_backend.configuration.board.describe
     monkeypatch.setattr(
         sim_backend.configuration.board,
@@ -63,7 +59,6 @@ def bench(pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> Bench:
     )
     made = Bench()
     monkeypatch.setattr(devices, "open_device", made.open)
-    pytester.makeini("[pytest]\naddopts = -p rig.testing.plugin -p no:cacheprovider --strict-markers")
     return made
 
 
@@ -154,6 +149,44 @@ def test_however_a_test_ends_its_rig_is_told_stop(
         bench.link.read(0.0)
 
 
+@pytest.mark.parametrize(
+    ("answers", "said"),
+    [
+        (["q"], "nobody at the rig agreed to the map; nothing moved"),
+        (["", "q"], "0 of 1 series are done"),
+        ([], "nobody at the rig agreed to the map; nothing moved"),
+    ],
+    ids=["no", "not to the first hit", "no terminal"],
+)
+def test_a_person_agrees_to_each_hit_of_a_map(
+    answers: list[str], said: str, bench: Bench, suite: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[str] = []
+    given = iter(answers)
+
+    def answer(text: str) -> str:
+        asked.append(text)
+        if (found := next(given, None)) is None:
+            raise EOFError
+        return found
+
+    monkeypatch.setattr("builtins.input", answer)
+    suite.makepyfile(
+        """
+        def test_it(rig_zwidth):
+            rig_zwidth(None, {"controller.position_rate": 1000, "controller.velocity_rate": 1000},
+                       schemes=["uniform:1k"], dampings=[0.2], lowest=20.0, highest=30.0)
+        """
+    )
+    result = suite.runpytest_inprocess(*TYPED)
+    assert result.ret == 130
+    result.stdout.fnmatch_lines([f"*Exit: *{said}*"])
+    assert "put the handle at position zero" in asked[0]
+    assert len(asked) == max(1, len(answers))
+    assert all("B = 0.2, K = 20, hit 1 of series 1 of 1" in text for text in asked[1:])
+    assert bench.at_rest
+
+
 @pytest.fixture(scope="module")
 def served() -> Iterator[SerialRig]:
     with serve_rig(presets.load("koul-compliant")) as one:
@@ -161,10 +194,9 @@ def served() -> Iterator[SerialRig]:
 
 
 @pytest.fixture
-def port(served: SerialRig, pytester: pytest.Pytester) -> SerialRig:
+def port(served: SerialRig, suite: pytest.Pytester) -> SerialRig:
     """A rig in real time behind a port, and somebody's tests of it."""
-    pytester.makeini("[pytest]\naddopts = -p rig.testing.plugin -p no:cacheprovider")
-    pytester.makepyfile(
+    suite.makepyfile(
         """
         import pytest
         import rig

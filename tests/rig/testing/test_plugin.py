@@ -10,30 +10,14 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import numba
 import pytest
 
-if numba.config.DISABLE_JIT:
-    pytest.skip("the loop is compiled", allow_module_level=True)
-
-# What pytester finds loaded it does not load and forget again.
-import rig.testing.golden
-import rig.testing.hits
-import rig.testing.maps
-import rig.testing.served
+import rig
 from rig.core.errors import ConfigError, DeviceNotFoundError, LinkLostError
 from rig.devices.fault_script import Direction, FrameFault, Kind
 from rig.testing import Experiments, FaultWords, Hits, Maps, SerialRig, with_every_frame
 
 IMPORT_MS = 10.0
-
-
-@pytest.fixture
-def suite(pytester: pytest.Pytester, rig_hit: Hits, rig_experiment: Experiments) -> pytest.Pytester:
-    """An empty suite of somebody's; whatever a hit loads is loaded."""
-    rig_hit(rig_experiment.short())
-    pytester.makeini("[pytest]\naddopts = -p rig.testing.plugin -p no:cacheprovider --strict-markers")
-    return pytester
 
 
 def test_its_entry_point_and_dash_p_are_one_plugin(suite: pytest.Pytester) -> None:
