@@ -52,6 +52,8 @@ def with_every_frame(
             hits.faults.add(frames=(fault,))
             try:
                 test(**given)
+            except pytest.exit.Exception:  # a person's stop
+                raise
             except (Exception, pytest.fail.Exception) as error:
                 failed.append((fault, error))
             runs += _struck(hits)

@@ -113,14 +113,14 @@ class Rigs:
         Of ``--rig-url``.
     verified
         A person has said that it may move.
-    tell
-        Shows a line to that person at once.
+    ask
+        Asks that person to go on.
     """
 
-    def __init__(self, url: str, *, verified: bool, tell: Callable[[str], None]) -> None:
+    def __init__(self, url: str, *, verified: bool, ask: Callable[[str], bool]) -> None:
         self.url = url
         self.verified = verified
-        self.tell = tell
+        self.ask = ask
         self._rig: FramedDevice | None = None
         self._zero: int | None = None
 
@@ -154,6 +154,11 @@ class Rigs:
             yield self.rig
         finally:
             self.stop()
+
+    def hands_off(self, text: str) -> None:
+        """Have the person agree to a torque pulse, or end all tests."""
+        if not self.ask(text):
+            end_all(StoppedError("nobody at the rig agreed to the torque pulse; nothing moved"))
 
     def stop(self) -> None:
         """Zero effort and disarmed, whatever the device was doing. Cannot raise."""
@@ -241,7 +246,7 @@ class Hits:
             law=law,
             device=device,
             reference_count=self._rigs.zero(experiment),
-            hands_off=self._rigs.tell,
+            hands_off=self._rigs.hands_off,
         )
         self.last = self._hit(request, may_end=may_end or self.faults.script is not None)
         return self.last

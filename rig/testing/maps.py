@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +18,10 @@ from rig.testing.hits import Rigs, end_all
 
 
 class Maps:
-    """Maps the walls of a test; parameters as those of `rig.testing.Hits`, and who asks the person at a rig."""
+    """Maps the walls of a test; parameters as those of `rig.testing.Hits`."""
 
-    def __init__(
-        self, rigs: Rigs, experiments: Experiments, directory: Path, ask: Callable[[str], bool]
-    ) -> None:
-        self._rigs, self._experiments, self._directory, self._ask = rigs, experiments, directory, ask
+    def __init__(self, rigs: Rigs, experiments: Experiments, directory: Path) -> None:
+        self._rigs, self._experiments, self._directory = rigs, experiments, directory
 
     def __call__(
         self,
@@ -59,19 +57,19 @@ class Maps:
         )
         if self._rigs.simulated:
             return maps.zwidth(plan)
-        self._rigs.close()  # the map opens the rig itself, and takes its position zero anew
-        if not self._ask("a map begins: put the handle at position zero"):
-            end_all(StoppedError("nobody at the rig agreed to the map; nothing moved"))
-        where = OnDevice(
-            url=self._rigs.url,
-            verified=self._rigs.verified,
-            recordings=self._directory,
-            hands_off=self._rigs.tell,
-        )
-        try:
-            return zwidth_on_rig(plan, Session(where=where, agrees=self._agrees))
-        except StoppedError as stopped:
-            end_all(stopped)
+        with self._rigs.device(plan.experiment) as device:
+            where = OnDevice(
+                url=self._rigs.url,
+                verified=self._rigs.verified,
+                recordings=self._directory,
+                hands_off=self._rigs.hands_off,
+                device=device,
+                reference_count=self._rigs.zero(plan.experiment) or 0,
+            )
+            try:
+                return zwidth_on_rig(plan, Session(where=where, agrees=self._agrees))
+            except StoppedError as stopped:
+                end_all(stopped)
 
     def _plan(
         self,
@@ -97,7 +95,7 @@ class Maps:
         )
 
     def _agrees(self, asked: Next) -> bool:
-        return self._ask(
+        return self._rigs.ask(
             f"{asked.scheme}, B = {asked.damping:.4g}, K = {asked.stiffness:.4g}, hit {asked.number} of series "
             f"{asked.series} of {asked.total}"
         )

@@ -12,7 +12,6 @@ A person's STOP (Ctrl-C in a hit, ``rig stop``) ends the whole run.
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -96,7 +95,7 @@ def _check_consent(config: pytest.Config) -> None:
 def _rig_rigs(request: pytest.FixtureRequest) -> Iterator[testing.Rigs]:
     config = request.config
     rigs = testing.Rigs(
-        config.getoption("rig_url"), verified=config.getoption("rig_verified"), tell=_teller(config)
+        config.getoption("rig_url"), verified=config.getoption("rig_verified"), ask=_asker(config)
     )
     try:
         yield rigs
@@ -158,10 +157,9 @@ def rig_zwidth(
     _rig_rigs: testing.Rigs,
     rig_experiment: testing.Experiments,
     _rig_kept: testing.Kept,
-    pytestconfig: pytest.Config,
 ) -> testing.Maps:
     """Maps which walls are stable: ``rig_zwidth(schemes=["dual:20k/2k"], dampings=[0.0], highest=400.0)``."""
-    return testing.Maps(_rig_rigs, rig_experiment, _rig_kept.place, _asker(pytestconfig))
+    return testing.Maps(_rig_rigs, rig_experiment, _rig_kept.place)
 
 
 @pytest.fixture
@@ -243,33 +241,19 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
 # ---------------------------------------------------------------------- the person at a rig
 
 
-@contextmanager
-def _uncaptured(config: pytest.Config) -> Iterator[None]:
-    """Terminal and keyboard, while pytest keeps both from tests."""
-    capture = config.pluginmanager.getplugin("capturemanager")
-    if capture is not None:
-        capture.suspend_global_capture(in_=True)
-    try:
-        yield
-    finally:
-        if capture is not None:
-            capture.resume_global_capture()
-
-
-def _teller(config: pytest.Config) -> Callable[[str], None]:
-    def tell(text: str) -> None:
-        with _uncaptured(config):
-            print(f"\nrig: {text}", flush=True)
-
-    return tell
-
-
 def _asker(config: pytest.Config) -> Callable[[str], bool]:
+    """Ask at the terminal, while pytest keeps terminal and keyboard from tests."""
+    capture = config.pluginmanager.getplugin("capturemanager")
+
     def ask(text: str) -> bool:
-        with _uncaptured(config):
-            try:
-                return input(f"\nrig: {text}   Enter: continue, q: end ").strip().lower() in ("", "y", "yes")
-            except (EOFError, OSError):  # nobody is there
-                return False
+        if capture is not None:
+            capture.suspend_global_capture(in_=True)
+        try:
+            return input(f"\nrig: {text}   Enter: continue, q: end ").strip().lower() in ("", "y", "yes")
+        except (EOFError, OSError):  # nobody is there
+            return False
+        finally:
+            if capture is not None:
+                capture.resume_global_capture()
 
     return ask

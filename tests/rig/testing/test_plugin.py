@@ -105,6 +105,18 @@ def test_what_cannot_be_gone_through_says_so(frames: int, test: Any, said: str) 
         with_every_frame(lambda: test(hits), hits, ["drop"], "host")()
 
 
+def test_a_persons_stop_ends_it_at_once() -> None:
+    hits: Any = Rigless()
+
+    def test() -> None:
+        if hits():
+            pytest.exit("stopped")
+
+    with pytest.raises(pytest.exit.Exception, match="stopped"):
+        with_every_frame(test, hits, ["drop"], "host")()
+    assert len(hits.played) == 1
+
+
 def test_the_marker_is_known_and_its_mistakes_are_told(suite: pytest.Pytester) -> None:
     suite.makepyfile(
         """
