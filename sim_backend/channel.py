@@ -1,80 +1,11 @@
-"""A line that fails on command: frames dropped, corrupted, doubled, swapped, cut, delayed, silenced, unplugged.
-
-`Faults` is a script: what happens to frame n of a direction, and what happens to the device at tick n. A test that
-runs it for every n of a short run has seen every place where a link can break.
-
-It mirrors what happens on USB and serial lines: noise (corrupt), full buffers (drop, truncate), retries of a hub
-(duplicate, delay), a dead cable (silence), a pulled plug.
-"""
+"""A line that fails on command: a script of faults (`rig.devices.fault_script`) played on the frames of a link."""
 
 from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
-from enum import Enum
-from typing import Any
 
-from firmware_protocol.faults import Fault
-
-
-class Direction(Enum):
-    """Which way the bytes go."""
-
-    TO_DEVICE = "to device"
-    TO_HOST = "to host"
-
-
-class Kind(Enum):
-    """What can happen to a frame."""
-
-    DROP = "drop"
-    CORRUPT = "corrupt"  # bit `bit` of byte `byte` flips; a 0x00 may appear or vanish
-    DUPLICATE = "duplicate"
-    REORDER = "reorder"  # it comes after the next frame of its direction
-    TRUNCATE = (
-        "truncate"  # only its first `byte` bytes come, without a delimiter: it runs into the next frame
-    )
-    DELAY = "delay"  # it, and all behind it, wait for `ticks` ticks
-    SILENCE = "silence"  # it and all that follow are lost
-    UNPLUG = "unplug"  # the line is gone in both directions, and both ends are notified
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FrameFault:
-    """What happens to frame number `frame` (from 0) of a direction; `byte` is taken modulo the frame's length."""
-
-    kind: Kind
-    direction: Direction
-    frame: int
-    byte: int = 0
-    bit: int = 0
-    ticks: int = 1
-    both: bool = False  # SILENCE: in the other direction as well
-
-
-@dataclass(frozen=True, slots=True)
-class DeviceFault:
-    """A fault that the device finds when `tick` ticks have passed; EMERGENCY_STOP means that it is pressed."""
-
-    tick: int
-    fault: Fault
-
-
-@dataclass(frozen=True, slots=True)
-class Happening:
-    """What the world does to a device when `tick` ticks have passed: `act` is called with the device."""
-
-    tick: int
-    act: Callable[[Any], None]
-
-
-@dataclass(frozen=True, slots=True)
-class Faults:
-    """A script for one run."""
-
-    frames: tuple[FrameFault, ...] = ()
-    device: tuple[DeviceFault | Happening, ...] = ()
+from rig.devices.fault_script import Direction, FrameFault, Kind
 
 
 class Line:
@@ -95,6 +26,7 @@ class Line:
         self.frames = dict.fromkeys(Direction, 0)
         self.acted: Counter[Kind] = Counter()
         self._faults: dict[tuple[Direction, int], list[FrameFault]] = {}
+        self._waiting: dict[Direction, list[FrameFault]] = {direction: [] for direction in Direction}
         self.add(faults)
         self._silent: set[Direction] = set()
         self._unfinished = dict.fromkeys(Direction, b"")
@@ -104,7 +36,10 @@ class Line:
     def add(self, faults: Iterable[FrameFault]) -> None:
         """Add to the script, also in the middle of a run."""
         for fault in faults:
-            self._faults.setdefault((fault.direction, fault.frame), []).append(fault)
+            if fault.frame is None:
+                self._waiting[fault.direction].append(fault)
+            else:
+                self._faults.setdefault((fault.direction, fault.frame), []).append(fault)
 
     def send(self, direction: Direction, data: bytes, tick: int) -> None:
         """Put bytes on the line when `tick` ticks have passed; an incomplete frame waits for the rest."""
@@ -131,7 +66,7 @@ class Line:
         self.frames[direction] = number + 1
         behind, self._held[direction] = self._held[direction], []
         pieces = [frame]
-        for fault in self._faults.get((direction, number), ()):
+        for fault in self._due(direction, number, tick):
             self.acted[fault.kind] += 1
             pieces, tick = self._strike(fault, pieces, tick)
         if direction in self._silent:
@@ -140,6 +75,13 @@ class Line:
         if queue:
             tick = max(tick, queue[-1][0])  # a line keeps the order: a delayed frame holds up those behind it
         queue.extend((tick, piece) for piece in pieces + behind)
+
+    def _due(self, direction: Direction, number: int, tick: int) -> list[FrameFault]:
+        """Faults of a frame: those of its number, and those that have waited for one since their tick."""
+        waiting = self._waiting[direction]
+        now = [fault for fault in waiting if fault.tick is not None and fault.tick <= tick]
+        self._waiting[direction] = [fault for fault in waiting if fault not in now]
+        return [*self._faults.get((direction, number), ()), *now]
 
     def _strike(self, fault: FrameFault, pieces: list[bytes], tick: int) -> tuple[list[bytes], int]:
         """Return what is left of a frame, and when it comes."""

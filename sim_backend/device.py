@@ -429,6 +429,11 @@ class SimulatedDevice:
     # ------------------------------------------------------------------ the world
 
     @property
+    def state(self) -> State:
+        """State of the protocol."""
+        return State(self.connection.state)
+
+    @property
     def fault(self) -> Fault:
         """The fault that is latched, or NONE."""
         return self._faults.latched

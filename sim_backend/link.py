@@ -20,14 +20,16 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault
 from rig.core.errors import ConfigError, LinkLostError
 from rig.core.model import RigModel
 from rig.devices.device import DeviceUrl
+from rig.devices.fault_script import DeviceFault, Direction, Faults
 from rig.devices.port import LoopPort
 from rig.realtime.clock import VirtualClock
 from rig.realtime.plugs import TRANSFER_SIGNATURE, WAIT_SIGNATURE, NativeFunction
-from sim_backend.channel import DeviceFault, Direction, Faults, Line
+from sim_backend.channel import Line
 from sim_backend.compiled_device import CompiledDevice, device_for
 from sim_backend.far_end import ARRIVED, CLOSED, DISCARDED, OUTPUT_BYTES, PROGRESS, TICKS, CompiledPort
 from sim_backend.firmware import FirmwareDevice
@@ -109,7 +111,7 @@ class Device(Protocol):
         ...
 
 
-def open_link(url: DeviceUrl, model: RigModel | None = None) -> MemoryLink:
+def open_link(url: DeviceUrl, model: RigModel | None = None, faults: Faults | None = None) -> MemoryLink:
     """Open ``sim://name?seed=3&offset=0.25``: a fresh simulated device, at rest, powered up at this moment.
 
     Options: `seed` of the sensor noise; `initial_position` of the handle (rad or m); `offset` of the encoder (count,
@@ -120,7 +122,7 @@ def open_link(url: DeviceUrl, model: RigModel | None = None) -> MemoryLink:
 
     Unless `firmware` is given the device runs no law, and its ticks pass no Python: it is the firmware too where this
     machine can compile it, else `sim_backend.compiled_device`. Both say what the readable one says
-    (`sim_backend.device`, `firmware` = 0).
+    (`sim_backend.device`, `firmware` = 0). Where something goes wrong on command (`faults`), bytes pass Python.
 
     Raises
     ------
@@ -140,7 +142,7 @@ def open_link(url: DeviceUrl, model: RigModel | None = None) -> MemoryLink:
     if incremental:
         device.hardware.slip, device.hardware.count = -device.hardware.count, 0
         device.reset()
-    return MemoryLink(device, url=url, clock_ppm=clock_ppm, sync_s=sync_s)
+    return MemoryLink(device, faults, url=url, clock_ppm=clock_ppm, sync_s=sync_s)
 
 
 def _parse(url: DeviceUrl) -> dict[str, Any]:
@@ -269,6 +271,26 @@ class MemoryLink:
         """The device, as the ticks so far left it."""
         self._take_back()
         return self._device
+
+    @property
+    def frames(self) -> dict[Direction, int]:
+        """Frames sent so far in each direction, where something goes wrong on command; else nobody counts them."""
+        return {} if self.line is None else self.line.frames
+
+    @property
+    def struck(self) -> int:
+        """Faults of the script that have happened to frames."""
+        return 0 if self.line is None else self.line.acted.total()
+
+    @property
+    def current(self) -> int:
+        """Active current of the device, after all limits (quanta)."""
+        return int(self.device.current)
+
+    @property
+    def armed(self) -> bool:
+        """Whether the device would take a command."""
+        return self.device.state in (State.ARMED, State.RUNNING)
 
     def _take_back(self) -> None:
         if self._compiled is not None:

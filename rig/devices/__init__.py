@@ -17,8 +17,9 @@ from rig.core import plugins
 from rig.core.errors import ConfigError, DeviceNotFoundError
 from rig.core.model import RigModel
 from rig.devices.device import DeviceUrl, Link
+from rig.devices.fault_script import Faults
 from rig.devices.framed import FramedDevice
-from rig.devices.simulated import OpenExcitedSimulation, OpenRig
+from rig.devices.simulated import OpenExcitedSimulation, OpenRig, OpenWatchedLink, WatchedLink
 
 BUILT_IN = {
     "sim": "sim_backend.link:open_link",
@@ -104,6 +105,17 @@ def open_link(url: str, model: RigModel | None = None) -> Link:
     """
     parsed = DeviceUrl.parse(url)
     return load_backend(url)(parsed, simulated_model(parsed, model))
+
+
+def open_watched(url: str, model: RigModel | None = None, faults: Faults | None = None) -> WatchedLink:
+    """Open a simulated rig in virtual time whose link and device fail on command; errors as `open_link`."""
+    parsed = DeviceUrl.parse(url)
+    if parsed.scheme != "sim":
+        raise ConfigError(
+            f"{url} does not fail on command", remedy="only sim:// does, like sim://koul-compliant"
+        )
+    opener = cast("OpenWatchedLink", loaded(BUILT_IN["sim"]))
+    return opener(parsed, simulated_model(parsed, model), faults)
 
 
 def simulated_model(url: DeviceUrl, model: RigModel | None) -> RigModel | None:

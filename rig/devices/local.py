@@ -100,12 +100,14 @@ def _die_with_parent() -> None:
 
 
 @contextmanager
-def serve_locally(url: str, model: RigModel, *, seed: int = 0, realtime: str = "try") -> Iterator[str]:
+def serve_locally(
+    url: str, model: RigModel, *, seed: int = 0, realtime: str = "try", terminal: bool = False
+) -> Iterator[str]:
     """Start a device process and yield the URL of its port; the process ends with the context.
 
     A name in the URL wins over `model`, and ``firmware=1`` means the firmware, as in virtual time. ``hand=PATH`` lets
     a program drive the hand that holds the handle, through a file that exists (`rig.realtime.hand`). `realtime` as in
-    `serve`.
+    `serve`. With `terminal` the port is a pseudo-terminal, for programs of any language.
 
     Raises
     ------
@@ -125,7 +127,7 @@ def serve_locally(url: str, model: RigModel, *, seed: int = 0, realtime: str = "
     context = multiprocessing.get_context("spawn")
     cpu = max(os.sched_getaffinity(0))
     with TemporaryDirectory(prefix="rig-device-") as place:
-        options |= {"seed": seed, "cpu": cpu, "socket": f"{place}/port"}
+        options |= {"seed": seed, "cpu": cpu} | ({} if terminal else {"socket": f"{place}/port"})
         receiver, sender = context.Pipe(duplex=False)
         process = context.Process(
             target=_child,
@@ -137,7 +139,8 @@ def serve_locally(url: str, model: RigModel, *, seed: int = 0, realtime: str = "
             process.start()
         sender.close()
         try:
-            yield f"unix://{_announced(receiver, url)}?cpu={cpu}"
+            port = _announced(receiver, url)
+            yield f"serial://{port}" if terminal else f"unix://{port}?cpu={cpu}"
         finally:
             process.terminate()
             process.join(STOP_TIMEOUT_S)

@@ -1,7 +1,11 @@
-"""What a backend that simulates offers beside a link: a rig to hit without bytes, thousands of times a minute."""
+"""What a backend that simulates offers beside a link.
+
+A rig to hit without bytes, thousands of times a minute; and a link that fails on command, with its far end in sight.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -11,6 +15,8 @@ from numpy.typing import NDArray
 from rig.control.step import Controller
 from rig.control.verdict import Measured, Thresholds
 from rig.core.model import RigModel
+from rig.devices.device import DeviceUrl, Link
+from rig.devices.fault_script import Direction, Faults
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,4 +114,40 @@ class OpenExcitedSimulation(Protocol):
         Positions are kept `acquisition_hz` times a second, or as near above that as the inner step allows. Raises
         `ConfigError` for an impossible tick.
         """
+        ...
+
+
+class WatchedLink(Link, Protocol):
+    """A link in virtual time whose far end can be looked at, also when no frame comes through any more."""
+
+    @property
+    def frames(self) -> Mapping[Direction, int]:
+        """Frames sent so far in each direction; none where there is no script of faults."""
+        ...
+
+    @property
+    def struck(self) -> int:
+        """Faults of the script that have happened to frames."""
+        ...
+
+    @property
+    def current(self) -> int:
+        """Active current of the device, after all limits (quanta)."""
+        ...
+
+    @property
+    def armed(self) -> bool:
+        """Whether the device would take a command."""
+        ...
+
+    def elapse(self, duration_s: float) -> None:
+        """Let time pass without the host, on a closed link too (s)."""
+        ...
+
+
+class OpenWatchedLink(Protocol):
+    """The function behind a backend's name: opens a link, with a script of what goes wrong on it."""
+
+    def __call__(self, url: DeviceUrl, model: RigModel | None, faults: Faults | None) -> WatchedLink:
+        """Open it; None is a link that never fails. Errors as `rig.devices.open_link`."""
         ...

@@ -32,6 +32,8 @@ class OnDevice:
         As in `rig.experiments.hit.HitRequest`; a real handle is at position zero when the measurement begins.
     recordings
         Directory of the recordings.
+    device, reference_count
+        A real one that is open already, and its position zero; it stays open.
     """
 
     url: str
@@ -40,6 +42,8 @@ class OnDevice:
     verified: bool = False
     arm_anyway: bool = False
     hands_off: Callable[[str], None] | None = None
+    device: FramedDevice | None = None
+    reference_count: int = 0
 
     @property
     def simulated(self) -> bool:
@@ -102,6 +106,9 @@ def kept_open(where: OnDevice, experiment: Experiment) -> Iterator[Trials]:
     if where.simulated:
         yield Trials(where, None, None)
         return
+    if where.device is not None:
+        yield Trials(where, where.device, where.reference_count)
+        return
     with devices.open_device(where.url) as device:
         yield Trials(where, device, position_zero(device, experiment) if where.verified else 0)
 
@@ -109,6 +116,9 @@ def kept_open(where: OnDevice, experiment: Experiment) -> Iterator[Trials]:
 @contextmanager
 def examined(where: OnDevice, experiment: Experiment) -> Iterator[tuple[FramedDevice, Trials]]:
     """As `kept_open`, with the device of an experiment to look at before anything moves, a simulated one included."""
+    if where.device is not None:
+        yield where.device, Trials(where, where.device, where.reference_count)
+        return
     with opened(
         devices.url_for(where.url, experiment.controller.loop),
         config.rig_model(experiment),

@@ -1,4 +1,18 @@
-"""What a lab's own tests call: conformance of laws and estimators, and hits with faults in pytest."""
+"""What a lab's own tests use: laws and estimators checked, a pytest plug-in, faults on command, golden recordings.
+
+`rig.testing.plugin` is loaded in every run of pytest where this package is installed, so the names below are loaded on
+first use: importing both costs milliseconds. Tests get nearly everything as fixtures, whose types are here for those
+who annotate them::
+
+    from rig.testing import FaultWords, Hits, assert_safe, assert_stable
+
+    def test_our_wall_is_stable(rig_hit: Hits) -> None:
+        assert_stable(rig_hit("mine.toml", {"wall.stiffness": 300.0}))
+
+    def test_a_pulled_plug_is_harmless(rig_hit: Hits, rig_faults: FaultWords) -> None:
+        rig_faults.link("unplug", tick=400)
+        assert_safe(rig_hit("mine.toml"), within_ms=20.0)
+"""
 
 from __future__ import annotations
 

@@ -28,9 +28,9 @@ from rig.config import presets
 from rig.control.verdict import Kind as Verdict
 from rig.core.errors import RigError
 from rig.devices import framed
+from rig.devices.fault_script import Direction, Faults, FrameFault, Kind
 from rig.devices.framed import FramedDevice
 from rig.experiments.hit import HitRequest, hit
-from sim_backend.channel import Direction, Faults, FrameFault, Kind
 from sim_backend.device import SimulatedDevice
 from sim_backend.link import MemoryLink
 from sim_backend.safety import IDLE_LIFETIME_S

@@ -40,9 +40,9 @@ from rig.core.board import SPEED_LAG_S, current_sensor
 from rig.core.errors import RigError
 from rig.core.model import RigModel
 from rig.core.sample import Phase, RowFlag
+from rig.devices.fault_script import Faults, Happening
 from rig.devices.framed import FramedDevice
 from rig.recording.reader import open_recording
-from sim_backend.channel import Faults, Happening
 from sim_backend.device import SimulatedDevice
 from sim_backend.link import MemoryLink
 from tests.conformance.trials import trial_on

@@ -27,12 +27,13 @@ import numpy as np
 from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault
 from rig.core.model import RigModel
+from rig.devices.fault_script import Direction, FrameFault
 from rig.devices.port import LoopPort
 from rig.realtime.clock import MonotonicClock
 from rig.realtime.plugs import TRANSFER_SIGNATURE, WAIT_SIGNATURE, NativeFunction
 from sim_backend import pty
 from sim_backend.board_time import BoardTime
-from sim_backend.channel import Direction, FrameFault, Line
+from sim_backend.channel import Line
 from sim_backend.device import SimulatedDevice
 from sim_backend.firmware import FirmwareDevice
 from sim_backend.hardware import World

@@ -18,10 +18,10 @@ from firmware_protocol.errors import LocalProtocolError
 from firmware_protocol.faults import Fault
 from firmware_protocol.messages import Mode
 from rig.devices.device import DeviceUrl
+from rig.devices.fault_script import Faults
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import TRANSFER
 from sim_backend import link as links
-from sim_backend.channel import Faults
 from sim_backend.compiled_device import CompiledDevice
 from sim_backend.device import SimulatedDevice
 from sim_backend.far_end import LONGEST_RUN

@@ -24,8 +24,8 @@ from rig.config import presets
 from rig.core.errors import ConfigError
 from rig.core.model import RigModel
 from rig.devices.device import DeviceUrl
+from rig.devices.fault_script import DeviceFault, Faults, Happening
 from sim_backend import firmware_library
-from sim_backend.channel import DeviceFault, Faults, Happening
 from sim_backend.device import SimulatedDevice
 from sim_backend.firmware import FirmwareDevice
 from sim_backend.link import MemoryLink, open_link

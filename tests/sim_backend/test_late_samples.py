@@ -15,10 +15,10 @@ if numba.config.DISABLE_JIT:
 from rig import config
 from rig.config import controller, presets
 from rig.core.sample import Phase, RowFlag
+from rig.devices.fault_script import Direction, Faults, FrameFault, Kind
 from rig.devices.framed import FramedDevice
 from rig.loop import exchange
 from rig.recording.reader import open_recording
-from sim_backend.channel import Direction, Faults, FrameFault, Kind
 from sim_backend.device import SimulatedDevice
 from sim_backend.link import MemoryLink
 from sim_backend.plant import DiscretePlant

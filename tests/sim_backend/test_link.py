@@ -18,7 +18,8 @@ from firmware_protocol.connection import Connection, State
 from firmware_protocol.faults import Fault
 from rig.core.errors import ConfigError, LinkLostError
 from rig.devices.device import DeviceUrl
-from sim_backend.channel import DeviceFault, Direction, Faults, FrameFault, Kind, Line
+from rig.devices.fault_script import DeviceFault, Direction, Faults, FrameFault, Kind
+from sim_backend.channel import Line
 from sim_backend.device import SimulatedDevice
 from sim_backend.link import BUFFER_BYTES, MemoryLink, open_link
 from sim_backend.safety import IDLE_LIFETIME_S
@@ -266,9 +267,10 @@ A, B, C, D, E = FRAMES
         (line_of(Kind.SILENCE, 1), [A, b"", b"", b"", b""]),
         (line_of(Kind.UNPLUG, 1), [A, b"", b"", b"", b""]),
         (Line([FrameFault(kind=Kind.DROP, direction=TO_DEVICE, frame=1)]), [A, B, C, D, E]),
+        (Line([FrameFault(kind=Kind.DROP, direction=TO_HOST, tick=3)]), [A, B, C, b"", E]),
     ],
     ids=["none", "drop", "corrupt", "corrupt-end", "duplicate", "reorder", "truncate", "delay", "silence",
-         "unplug", "other-direction"],
+         "unplug", "other-direction", "from-a-tick-on"],
 )  # fmt: skip
 def test_a_fault_does_what_it_says_to_its_frame_and_no_other(line: Line, out: list[bytes]) -> None:
     assert through(line, FRAMES) == out

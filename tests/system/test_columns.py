@@ -16,10 +16,10 @@ from rig import config
 from rig.config import presets
 from rig.core.errors import DeviceFaultError
 from rig.core.sample import COLUMNS
+from rig.devices.fault_script import Direction, Faults, FrameFault, Happening, Kind
 from rig.devices.framed import FramedDevice
 from rig.recording.reader import open_recording
 from rig.recording.seal import seal
-from sim_backend.channel import Direction, Faults, FrameFault, Happening, Kind
 from sim_backend.device import SimulatedDevice
 from sim_backend.firmware import FirmwareDevice
 from sim_backend.link import MemoryLink

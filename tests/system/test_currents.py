@@ -21,10 +21,10 @@ from rig.control.verdict import Kind
 from rig.core.board import over_current
 from rig.core.errors import DeviceFaultError, GuardError, RigError
 from rig.core.sample import RowFlag
+from rig.devices.fault_script import Faults, Happening
 from rig.devices.framed import FramedDevice
 from rig.experiments.judgement import judge
 from rig.recording.reader import open_recording
-from sim_backend.channel import Faults, Happening
 from sim_backend.device import SimulatedDevice
 from sim_backend.firmware import FirmwareDevice
 from sim_backend.link import MemoryLink

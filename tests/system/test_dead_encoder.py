@@ -12,9 +12,9 @@ from firmware_protocol.faults import Fault
 from rig import config
 from rig.config import presets
 from rig.core.errors import DeviceFaultError
+from rig.devices.fault_script import Faults, Happening
 from rig.devices.framed import FramedDevice
 from rig.experiments.hit import HitRequest, hit
-from sim_backend.channel import Faults, Happening
 from sim_backend.device import SimulatedDevice
 from sim_backend.link import MemoryLink
 from tests.benchmarks.pulses import Counting

@@ -18,11 +18,11 @@ from rig import config
 from rig.config import presets
 from rig.control.verdict import Kind as Verdict
 from rig.core.errors import DeviceFaultError, LinkLostError, RigError
+from rig.devices.fault_script import Direction, Faults, FrameFault, Kind
 from rig.devices.framed import FramedDevice
 from rig.experiments.hit import HitRequest, hit, left_by
 from rig.recording.reader import open_recording
 from sim_backend import device as readable
-from sim_backend.channel import Direction, Faults, FrameFault, Kind
 from sim_backend.compiled_device import CompiledDevice
 from sim_backend.device import SimulatedDevice
 from sim_backend.firmware import FirmwareDevice

@@ -13,7 +13,6 @@ import pytest
 from rig import config
 from rig.config import presets
 from rig.config.derive import free_s
-from rig.control.verdict import Kind
 from rig.core.errors import PlanError
 from rig.core.present import plain
 from rig.core.sample import Phase
@@ -22,6 +21,7 @@ from rig.experiments.hit import HitRequest, hit
 from rig.experiments.on_device import OnDevice
 from rig.experiments.replay import replay
 from rig.recording.reader import open_recording
+from rig.testing import Hits, assert_stable
 
 pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="the loop is compiled")
 
@@ -40,17 +40,11 @@ FLOAT = config.override(
 )
 
 
-def one_hit(experiment: Any, directory: Any, **changes: Any) -> Any:
-    (result,) = hit(HitRequest(experiment=experiment, changes=changes, output=directory))
-    return result, result.recording
-
-
 @pytest.mark.parametrize(("experiment", "quanta"), [(BOARD, 1), (FLOAT, 2)], ids=["integers", "float32"])
-def test_a_hit_on_the_device_is_the_hit_of_the_host(experiment: Any, quanta: int, tmp_path: Path) -> None:
-    there, recording = one_hit(experiment, tmp_path)
-    here, _ = one_hit(experiment, tmp_path, **{"controller.loop": "host"})
-    assert plain(there)["loop"] == recording.header["extra"]["loop"] == "device"
-    assert plain(here)["loop"] == "host"
+def test_a_hit_on_the_device_is_the_hit_of_the_host(experiment: Any, quanta: int, rig_hit: Hits) -> None:
+    there, here = rig_hit(experiment), rig_hit(experiment, {"controller.loop": "host"})
+    recording = there.recording
+    assert [hit.recording.header["extra"]["loop"] for hit in (there, here)] == ["device", "host"]
     for ours, theirs in ((there.verdict, here.verdict), (there.verdict_true, here.verdict_true)):
         assert ours.kind == theirs.kind
         for number in ("peak_penetration", "impact_velocity", "contact_s"):
@@ -65,10 +59,8 @@ def test_a_hit_on_the_device_is_the_hit_of_the_host(experiment: Any, quanta: int
     assert agreement["greatest_quanta"] <= quanta
 
 
-def test_a_hit_on_the_device_replays_to_the_last_bit(tmp_path: Path) -> None:
-    _, recording = one_hit(BOARD, tmp_path)
-    result = replay(recording)
-    assert result.exact
+def test_a_hit_on_the_device_replays_to_the_last_bit(rig_hit: Hits) -> None:
+    assert replay(rig_hit(BOARD).recording).exact
 
 
 def test_a_wall_that_changes_while_the_device_runs_it_replays_at_its_tick(
@@ -174,7 +166,7 @@ def test_a_device_without_a_law_is_refused_before_anything_moves(run: Any, tmp_p
 
 
 @pytest.mark.parametrize("loop", ["host", "device"])
-def test_a_person_waits_for_the_cue_and_holds_alike_on_either_side(loop: str, tmp_path: Path) -> None:
+def test_a_person_waits_for_the_cue_and_holds_alike_on_either_side(loop: str, rig_hit: Hits) -> None:
     held = {
         "trial.kind": "human",
         "trial.baseline_s": 0.1,
@@ -185,10 +177,10 @@ def test_a_person_waits_for_the_cue_and_holds_alike_on_either_side(loop: str, tm
         "controller.loop": loop,
     }
     experiment = config.override(BOARD, held)
-    result, recording = one_hit(experiment, tmp_path)
-    rows = recording.rows
+    hit = rig_hit(experiment)
+    rows = hit.recording.rows
     rate = experiment.controller.position_rate
     assert (rows["phase"] == Phase.FREE).sum() == round(free_s(experiment) * rate)
     led = rows[rows["phase"] == Phase.TRIAL]
     assert len(led) - np.argmax(led["penetration"] > 0.0) == round(0.5 * rate)
-    assert result.verdict.kind is Kind.STABLE
+    assert_stable(hit)

@@ -23,11 +23,11 @@ from rig.cli import run
 from rig.config import presets
 from rig.core.errors import DeviceFaultError, LinkLostError, RigError, StoppedError
 from rig.core.sample import Phase
+from rig.devices.fault_script import DeviceFault, Direction, Faults, FrameFault, Kind
 from rig.devices.framed import FramedDevice
 from rig.experiments.replay import replay
 from rig.recording.reader import open_recording
 from rig.recording.seal import seal
-from sim_backend.channel import DeviceFault, Direction, Faults, FrameFault, Kind
 from sim_backend.firmware import FirmwareDevice
 from sim_backend.firmware_library import compiler
 from sim_backend.link import MemoryLink

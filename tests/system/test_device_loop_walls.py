@@ -15,6 +15,7 @@ from rig import config
 from rig.config import controller, device_law, presets
 from rig.core.errors import RigError
 from rig.core.sample import Phase
+from rig.devices.fault_script import Direction, Faults, FrameFault, Happening, Kind
 from rig.devices.framed import FramedDevice
 from rig.experiments.replay import COMPUTED
 from rig.loop import exchange
@@ -24,7 +25,6 @@ from rig.loop.run import LoopSettings
 from rig.loop.supervised import BOUNDS, SupervisedThread
 from rig.realtime import ring
 from rig.realtime.ring import Ring
-from sim_backend.channel import Direction, Faults, FrameFault, Happening, Kind
 from sim_backend.firmware import FirmwareDevice
 from sim_backend.firmware_library import compiler
 from sim_backend.link import MemoryLink

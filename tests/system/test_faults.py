@@ -36,11 +36,11 @@ from rig.core.errors import (
 )
 from rig.core.sample import Phase, RowFlag
 from rig.devices import framed
+from rig.devices.fault_script import DeviceFault, Direction, Faults, FrameFault, Kind
 from rig.devices.framed import EXCHANGES, STOP_FRAMES, FramedDevice
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import LAW_SIGNATURE
 from rig.recording.reader import open_recording
-from sim_backend.channel import DeviceFault, Direction, Faults, FrameFault, Kind
 from sim_backend.device import SimulatedDevice
 from sim_backend.link import MemoryLink
 from sim_backend.safety import IDLE_LIFETIME_S

@@ -27,10 +27,10 @@ from rig.core.errors import (
     StoppedError,
 )
 from rig.core.sample import Phase
+from rig.devices.fault_script import Faults, Happening
 from rig.devices.framed import FramedDevice
 from rig.experiments.replay import replay
 from rig.recording.reader import open_recording
-from sim_backend.channel import Faults, Happening
 from sim_backend.firmware import FirmwareDevice
 from sim_backend.link import MemoryLink
 from tests.conformance.firmware import need_compiler

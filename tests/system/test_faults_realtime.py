@@ -34,10 +34,10 @@ from rig.core.errors import (
 )
 from rig.core.sample import Phase
 from rig.devices import open_device
+from rig.devices.fault_script import Direction, FrameFault, Kind
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import LAW_SIGNATURE
 from rig.recording.reader import open_recording
-from sim_backend.channel import Direction, FrameFault, Kind
 from tests.conformance.far_end import PORTS, FarEnd, HostProcess, Script
 from tests.conformance.tolerance import tolerated, too_busy
 from tests.conformance.trials import trial_on

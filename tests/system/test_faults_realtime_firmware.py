@@ -19,9 +19,9 @@ from rig import config
 from rig.config import presets
 from rig.core.errors import DeviceFaultError, LinkLostError, RigError, StoppedError
 from rig.devices import open_device
+from rig.devices.fault_script import Direction, FrameFault, Kind
 from rig.experiments.replay import replay
 from rig.recording.reader import open_recording
-from sim_backend.channel import Direction, FrameFault, Kind
 from tests.conformance.far_end import FarEnd, HostProcess, Script
 from tests.conformance.firmware import need_compiler
 from tests.conformance.tolerance import tolerated, too_busy

@@ -35,10 +35,10 @@ from rig.core.errors import (
     StoppedError,
 )
 from rig.devices import open_device
+from rig.devices.fault_script import DeviceFault, Direction, Faults, FrameFault, Kind
 from rig.devices.framed import FramedDevice
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import LAW_SIGNATURE
-from sim_backend.channel import DeviceFault, Direction, Faults, FrameFault, Kind
 from sim_backend.device import SimulatedDevice
 from sim_backend.link import MemoryLink
 from tests.conformance.census import MARK, Census, marked, nothing_left, still_there

@@ -11,6 +11,7 @@ import pytest
 from rig import config
 from rig.config import Experiment, presets
 from rig.core.errors import RigError
+from rig.devices.fault_script import Direction, FrameFault, Kind
 from rig.devices.local import serve_locally
 from rig.experiments import hit as one_hit
 from rig.recording.reader import open_recording
@@ -23,7 +24,7 @@ from rig.session.rehearsal import Day, Person, RehearsalDesk
 from rig.session.run import rehearsal_desk, resume_session, run_session
 from rig.session.runner import Done
 from rig.session.state import State, Trial
-from sim_backend.channel import Direction, FrameFault, Kind, Line
+from sim_backend.channel import Line
 from tests.rig.session.session_fakes import ScriptedDesk
 from tests.system.session_study import written
 

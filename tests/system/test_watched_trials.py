@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+import re
 from typing import Any
 
 import numba
@@ -13,12 +13,10 @@ from rig.control.verdict import Kind
 from rig.core.errors import ConfigError, GuardError, PlanError
 from rig.core.sample import Phase, RowFlag
 from rig.experiments.baseline import baseline
-from rig.experiments.hit import HitRequest, hit
 from rig.experiments.hit_simulator import HitSimulator
-from rig.experiments.judgement import judge
 from rig.experiments.plan import make_plan
 from rig.experiments.replay import replay
-from rig.recording.reader import open_recording
+from rig.testing import Hits, assert_stable
 from tests.conformance.firmware import need_compiler
 
 pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="the loop is compiled")
@@ -29,18 +27,6 @@ PLACED = override(
     presets.load("koul-compliant"), {**SHORT, **HELD, "rig.simulation.initial_position": -0.015}
 )
 VIOLENT = {"wall.stiffness": 1200.0, "wall.damping": 0.5}
-
-
-def one(experiment: Any, directory: Any) -> Any:
-    (result,) = hit(HitRequest(experiment=experiment, output=directory))
-    return result
-
-
-def ended(experiment: Any, directory: Any) -> Any:
-    """A hit that a guard ends: the error, and what it recorded."""
-    with pytest.raises(GuardError) as caught:
-        one(experiment, directory)
-    return caught.value, open_recording(caught.value.recording)
 
 
 @pytest.mark.parametrize(
@@ -61,20 +47,20 @@ def ended(experiment: Any, directory: Any) -> Any:
     ],
 )
 def test_a_violent_wall_is_ended_and_unstable_with_bytes_and_without(
-    limit: Any, flag: Any, reason: str, says: str, tmp_path: Path
+    limit: Any, flag: Any, reason: str, says: str, rig_hit: Hits
 ) -> None:
     experiment = override(PLACED, {**VIOLENT, **limit})
-    error, recording = ended(experiment, tmp_path)
-    rows, trailer = recording.rows, recording.trailer
+    hit = rig_hit(experiment, may_end=True)
+    rows, trailer = hit.recording.rows, hit.recording.trailer or {}
     assert trailer["reason"] == reason
-    with pytest.raises(GuardError, match=says):
-        raise error
+    assert isinstance(hit.error, GuardError)
+    assert re.search(says, str(hit.error))
     assert rows["flags"][-1] & flag
     assert not (rows["flags"][:-1] & (RowFlag.VIOLENT | RowFlag.ENERGY)).any()
     assert (rows["phase"][-1], rows["current_sent"][-1], rows["effort_sent"][-1]) == (Phase.DONE, 0, 0.0)
-    assert judge(recording, experiment).verdict.kind is Kind.UNSTABLE
+    assert hit.verdict.kind is Kind.UNSTABLE
     assert trailer["watched"]["oscillations" if reason == "violent" else "energy"] > 0.0
-    assert replay(recording).exact
+    assert replay(hit.recording).exact
     watched = HitSimulator(experiment).hit(1200.0, 0.5)
     assert watched.true.kind is Kind.UNSTABLE
     assert watched.true.thrown_out
@@ -85,38 +71,31 @@ def test_a_violent_wall_is_ended_and_unstable_with_bytes_and_without(
     assert not freely.true.thrown_out
 
 
-def test_without_bytes_the_run_ends_in_the_same_tick(tmp_path: Path) -> None:
+def test_without_bytes_the_run_ends_in_the_same_tick(rig_hit: Hits) -> None:
     experiment = override(PLACED, {**VIOLENT, "rig.limits.oscillations": 10})
     simulator = HitSimulator(experiment)
     placed = override(experiment, {"rig.simulation.initial_position": simulator.start})
-    _, recording = ended(placed, tmp_path)
-    assert simulator.hit(1200.0, 0.5).ticks == len(recording.rows)
+    assert simulator.hit(1200.0, 0.5).ticks == len(rig_hit(placed, may_end=True).recording)
 
 
-def test_a_law_on_the_device_is_ended_by_the_host(tmp_path: Path) -> None:
+def test_a_law_on_the_device_is_ended_by_the_host(rig_hit: Hits) -> None:
     need_compiler()
     experiment = override(
         presets.load("koul-rigid"),
         {**SHORT, **HELD, **VIOLENT, "wall.stiffness": 1100.0, "controller.loop": "device",
          "rig.limits.oscillations": 10, "rig.simulation.initial_position": -0.015},
     )  # fmt: skip
-    error, recording = ended(experiment, tmp_path)
-    assert recording.trailer["reason"] == "violent"
-    assert recording.rows["flags"][-1] & RowFlag.VIOLENT
-    assert "times in a row" in str(error)
+    hit = rig_hit(experiment, may_end=True)
+    assert hit.recording.rows["flags"][-1] & RowFlag.VIOLENT
+    assert "times in a row" in str(hit.error)
 
 
-def test_a_motor_that_pushes_is_watched_when_it_is_asked_for(tmp_path: Path) -> None:
+def test_a_motor_that_pushes_is_watched_when_it_is_asked_for(rig_hit: Hits) -> None:
     motor = override(presets.load("koul-compliant"), {**SHORT, "wall.stiffness": 300.0})
-    assert one(motor, tmp_path).verdict.kind is Kind.STABLE
+    assert_stable(rig_hit(motor))
     with pytest.raises(PlanError, match=r"energy: the push gives up to"):
-        one(override(motor, {"rig.limits.energy": 1e-3}), tmp_path)
-    assert (
-        one(
-            override(motor, {"rig.limits.energy": 0.02, "rig.limits.oscillations": 10}), tmp_path
-        ).verdict.kind
-        is Kind.STABLE
-    )
+        rig_hit(motor, {"rig.limits.energy": 1e-3})
+    assert_stable(rig_hit(motor, {"rig.limits.energy": 0.02, "rig.limits.oscillations": 10}))
 
 
 @pytest.mark.parametrize("grip", ["relaxed", "firm"])
@@ -151,22 +130,20 @@ def test_a_plan_says_what_watches() -> None:
 # ---------------------------------------------------------------------- free space
 
 
-def test_a_baseline_comes_before_the_hit(tmp_path: Path) -> None:
-    plain = one(PLACED, tmp_path)
-    result = one(
-        override(PLACED, {"trial.baseline_s": 0.3, "rig.amplifier.current_noise_a": 0.002}), tmp_path
-    )
+def test_a_baseline_comes_before_the_hit(rig_hit: Hits) -> None:
+    plain = rig_hit(PLACED)
+    result = rig_hit(PLACED, {"trial.baseline_s": 0.3, "rig.amplifier.current_noise_a": 0.002})
     assert result.verdict.contact_s == pytest.approx(plain.verdict.contact_s, abs=0.005)
     assert result.verdict.kind is plain.verdict.kind is Kind.STABLE
     assert result.verdict.ticks == plain.verdict.ticks
-    found = baseline(result.recorded.recording, result.experiment)
+    found = baseline(result.recording, result.experiment)
     assert found is not None
     assert found.duration_s == pytest.approx(0.3)
     assert found.effort_rms == pytest.approx(0.002 * PLACED.rig.amplifier.effort_per_ampere, rel=0.1)
     assert found.sent_rms == 0.0
     assert found.count_range <= 2
     assert found.velocity_rms < 0.05
-    assert baseline(plain.recorded.recording, plain.experiment) is None
+    assert baseline(plain.recording, plain.experiment) is None
 
 
 def test_where_nobody_keeps_the_handle_off_the_wall_there_is_no_baseline() -> None:

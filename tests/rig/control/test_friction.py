@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numba
@@ -21,10 +20,10 @@ from rig.control.law import Law
 from rig.control.step import CONTROLLER_TYPE, ControllerArguments, step
 from rig.core.errors import ConfigError
 from rig.core.sample import Phase
-from rig.experiments.hit import HitRequest, hit
 from rig.realtime.groups import group_at, group_bytes
 from rig.realtime.kernel import kernel, prepare
 from rig.realtime.plugs import LAW_SIGNATURE
+from rig.testing import Hits
 from sim_backend.plant import PLANT_TYPE, DiscretePlant, PlantArguments, advance
 
 if numba.config.DISABLE_JIT:
@@ -218,16 +217,13 @@ def test_the_wall_stays_the_wall_and_each_direction_has_its_level(free: Any) -> 
             assert prepared.state[0] == plain.state[0], "the mark of a clamped wall passes"
 
 
-def test_it_is_off_by_default_and_recorded_when_on(tmp_path: Path, free: Any) -> None:
+def test_it_is_off_by_default_and_recorded_when_on(rig_hit: Hits, free: Any) -> None:
     experiment = config.override(
         config.with_realtime(presets.load("koul-rigid")), {"trial.duration_s": 0.3, "verdict.tail_s": 0.1}
     )
-    plain = next(iter(hit(HitRequest(experiment=experiment, output=tmp_path))))
     wanted = Compensation(up=0.02, down=0.018, dead_band=0.3)
-    request = HitRequest(experiment=experiment, output=tmp_path, law=compensated(free, wanted))
-    helped = next(iter(hit(request)))
+    recordings = [rig_hit(experiment, law=law).recording for law in (None, compensated(free, wanted))]
     assert experiment.wall.law == "spring-damper"
-    recordings = [result.recording for result in (plain, helped)]
     named = [recording.header["initial_state"]["law"] for recording in recordings]
     assert [law["name"] for law in named] == ["spring-damper", "spring-damper+friction"]
     assert named[1]["parameters"][:4] == [0.02, 0.018, 0.3, 0.8]
@@ -263,7 +259,7 @@ def test_the_laws_of_an_identification_are_found_by_the_names_in_its_recordings(
     assert laws.get(name).name == name
 
 
-def test_an_experiment_asks_for_compensation_by_a_share_and_gets_it_in_its_trial(tmp_path: Path) -> None:
+def test_an_experiment_asks_for_compensation_by_a_share_and_gets_it_in_its_trial(rig_hit: Hits) -> None:
     """A hand-free push below friction moves a rig whose motor takes most of that friction over, and no other."""
     base = {"trial.effort": 1.0, "wall.stiffness": 1000.0, "trial.duration_s": 0.5, "verdict.tail_s": 0.2}
     plain = config.override(presets.load("chawda-linear"), base)
@@ -272,11 +268,8 @@ def test_an_experiment_asks_for_compensation_by_a_share_and_gets_it_in_its_trial
     assert law.law.name == "spring-damper+friction"
     quantum = helped.rig.encoder.resolution
     assert law.parameters[:4].tolist() == pytest.approx([0.19, 0.19, dead_band_of(quantum, 1000, 100.0), 0.8])
-    speeds = []
-    for experiment in (plain, helped):
-        (result,) = hit(HitRequest(experiment=experiment, output=tmp_path))
-        speeds.append(result.verdict_true.impact_velocity)
-        assert result.recording.has_truth
+    truths = [rig_hit(experiment).verdict_true for experiment in (plain, helped)]
+    speeds = [truth.impact_velocity or 0.0 for truth in truths if truth is not None]
     assert speeds[1] > 1.02 * speeds[0], "less friction, faster at the wall"
 
 

@@ -23,8 +23,8 @@ from firmware_protocol.transaction import RETRY_AFTER_S
 from rig.core.errors import DeviceRefusedError, IncompatibleDeviceError, LinkLostError
 from rig.devices import framed
 from rig.devices.device import DeviceUrl
+from rig.devices.fault_script import DeviceFault, Direction, Faults, FrameFault, Kind
 from rig.devices.framed import FAULT_LOG_S, READY_AGAIN_S, READY_S, STOP_FRAMES, FramedDevice
-from sim_backend.channel import DeviceFault, Direction, Faults, FrameFault, Kind
 from sim_backend.device import SimulatedDevice
 from sim_backend.link import MemoryLink
 from tests.conformance.host import RUN_PARAMETERS

@@ -23,6 +23,7 @@ from rig.control.law import Law
 from rig.core.errors import ConfigError, DeviceFaultError, LawError, LinkLostError, RecordingError, RigError
 from rig.core.present import plain
 from rig.core.sample import Phase, RowFlag
+from rig.devices.fault_script import DeviceFault, Direction, Faults, FrameFault, Happening, Kind
 from rig.devices.framed import FramedDevice
 from rig.experiments.replay import COMPUTED, replay
 from rig.realtime.kernel import kernel
@@ -30,7 +31,6 @@ from rig.realtime.plugs import LAW_SIGNATURE
 from rig.realtime.ring import Ring
 from rig.recording.capture import BLOCK_ROWS
 from rig.recording.reader import open_recording
-from sim_backend.channel import DeviceFault, Direction, Faults, FrameFault, Happening, Kind
 from sim_backend.device import SimulatedDevice
 from sim_backend.link import MemoryLink
 from tests.conformance.trials import trial_on

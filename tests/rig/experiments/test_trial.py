@@ -44,6 +44,7 @@ from rig.core.errors import (
     UnpluggedError,
 )
 from rig.core.sample import ROW, Phase
+from rig.devices.fault_script import DeviceFault, Direction, Faults, FrameFault, Happening, Kind
 from rig.devices.framed import FaultReport, FramedDevice
 from rig.experiments import trial as trials
 from rig.experiments.endings import ENDINGS, error_of
@@ -57,7 +58,6 @@ from rig.realtime.plugs import LAW_SIGNATURE
 from rig.recording.files import free_name
 from rig.recording.reader import open_recording
 from sim_backend import pty
-from sim_backend.channel import DeviceFault, Direction, Faults, FrameFault, Happening, Kind
 from sim_backend.device import SimulatedDevice
 from sim_backend.link import MemoryLink
 from tests.conformance.trials import trial_on

@@ -1,0 +1,190 @@
+"""Asserts about hits and recordings whose failures say where, when, how much and in which unit.
+
+Each takes what a hit gives (`rig.testing.Hit`, `rig.experiments.hit.HitResult`) or a recording.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.config import Experiment, experiment_from_mapping
+from rig.core.present import duration, written
+from rig.core.sample import Phase, phase_name
+from rig.experiments.judgement import Judgement, judge
+from rig.recording.data import Recording
+
+NEVER = 0xFFFF  # age of a command that never came (PROTOCOL.md, STATE)
+Subject = Any  # a Hit, a HitResult, a Recorded, or a Recording
+
+
+def assert_stable(subject: Subject) -> None:
+    """The hit was stable; else its verdict with every number and threshold behind it."""
+    __tracebackhide__ = True
+    recording = recording_of(subject)
+    experiment = _experiment_of(recording)
+    found = _judgement_of(subject) or judge(recording, experiment)
+    if found.verdict.kind != "stable":
+        rows = found.rows(experiment)
+        width = max(len(row.label) for row in rows)
+        lines = "\n".join(f"  {row.label:<{width}}  {row.text}" for row in rows)
+        raise AssertionError(f"the hit is {found.verdict.kind}, not stable\n{lines}\n{_where(recording)}")
+
+
+def assert_safe(subject: Subject, *, within_ms: float) -> None:
+    """However the run ended, the effort is zero `within_ms` later, and something says why it ended.
+
+    In the recording no effort is active so long after the device latched a fault, or under a command so old. Of a hit
+    that a test made, the device was seen to come to zero so soon after the host's last word, and to disarm; on a rig
+    by its own STATE. A command's lifetime and the ramp behind it (PROTOCOL.md: 20 ms and 10 ms at most) are what a
+    device is owed.
+    """
+    __tracebackhide__ = True
+    if getattr(subject, "recorded", subject) is not None:
+        recording = recording_of(subject)
+        if not recording.complete or recording.trailer is None:
+            raise AssertionError(f"not safe: the recording breaks off without a reason\n{_where(recording)}")
+        _check_rows(recording, within_ms)
+    if not hasattr(subject, "rest"):
+        return
+    rest = subject.rest
+    if rest is None:
+        raise AssertionError("not safe: the device says nothing any more, so nobody knows its effort")
+    if rest.zero_after_s is None or rest.zero_after_s * 1e3 > within_ms:
+        after = (
+            "was never zero" if rest.zero_after_s is None else f"was zero {rest.zero_after_s * 1e3:.4g} ms"
+        )
+        raise AssertionError(
+            f"not safe: the effort {after} after the host's last word, allowed are {within_ms:g} ms"
+        )
+    if rest.armed:
+        raise AssertionError("not safe: the device stayed armed without a host")
+    if subject.error is not None and not subject.error.remedy:
+        raise AssertionError(f"not safe: the run ended without saying what to do: {subject.error}")
+
+
+def assert_limit(subject: Subject, **most: float) -> None:
+    """Columns of the recording stay within bounds, either way: ``assert_limit(hit, velocity=2.0, effort_sent=0.1)``.
+
+    Without a bound, those of the experiment: effort and speed of ``[rig.limits]``.
+    """
+    __tracebackhide__ = True
+    recording = recording_of(subject)
+    if not most:
+        limits = _experiment_of(recording).rig.limits
+        most = {"effort_applied": limits.effort, "velocity": limits.speed}
+    said = [text for name, bound in most.items() if (text := _beyond(recording, name, bound))]
+    if said:
+        raise AssertionError("\n".join([*said, _where(recording)]))
+
+
+def assert_passive(subject: Subject) -> None:
+    """The wall gave the handle no energy: a passivity observer over the recording, after Hannaford and Ryu 2002.
+
+    The energy of a contact is the sum of the wall's active effort times the travel under it; what one contact took is
+    no credit for the next (`rig.control.watch`). Travels are known to half a count at either end, so by summation by
+    parts the sum is known to half a count times the total variation of the effort: more than that was surely given.
+    """
+    __tracebackhide__ = True
+    recording = recording_of(subject)
+    rows = recording.rows[np.isin(recording.rows["phase"], (Phase.TRIAL, Phase.RELEASE))]
+    if len(rows) < 2:
+        raise AssertionError(f"nothing to observe: the recording has no trial\n{_where(recording)}")
+    excess = _energy_given(rows, _experiment_of(recording), recording.header["identity"]["current_quantum_a"])
+    worst = int(excess.argmax())
+    if excess[worst] > 0.0:
+        raise AssertionError(
+            f"the wall gave {written(float(excess[worst]))} J more than reading errors explain, "
+            f"{_at(recording, rows, worst)}\n{_where(recording)}"
+        )
+
+
+def _energy_given(rows: NDArray[np.void], x: Experiment, current_quantum_a: float) -> NDArray[np.float64]:
+    """Energy that the wall has surely given up to each row (J), from the active effort less the push behind it."""
+    count, quantum = x.rig.encoder.resolution, current_quantum_a * x.rig.amplifier.effort_per_ampere
+    push = rows["effort_wanted"] + x.wall.side * rows["effort_wall"]
+    reaction, free = np.zeros(len(rows)), np.ones(len(rows), bool)
+    reaction[1:] = rows["effort_applied"][1:] - push[:-1]
+    free[1:] = rows["penetration"][:-1] <= 0.0
+    reaction[free & (np.abs(reaction) <= quantum)] = 0.0  # the push as it was rounded
+    travel = np.diff(rows["position"], prepend=rows["position"][0])
+    unknown = 0.5 * count * np.abs(np.diff(reaction, prepend=0.0))
+    excess, given, known = np.zeros(len(rows)), 0.0, 0.0
+    for row, (force, way, error) in enumerate(
+        zip(reaction.tolist(), travel.tolist(), unknown.tolist(), strict=True)
+    ):
+        given, known = given + force * way, known + error
+        excess[row] = given - known - 0.5 * count * abs(force)
+        if free[row] and given < 0.0:
+            given = known = 0.0
+    return excess
+
+
+def recording_of(subject: Subject) -> Recording:
+    """The recording of what an assert is given."""
+    recorded = getattr(subject, "recorded", subject)
+    recording = getattr(recorded, "recording", recorded)
+    if not isinstance(recording, Recording):
+        raise TypeError(f"{subject!r} is neither a hit nor a recording")
+    return recording
+
+
+def _judgement_of(subject: Subject) -> Judgement | None:
+    found: Judgement | None = getattr(getattr(subject, "recorded", subject), "judgement", None)
+    return found
+
+
+def _experiment_of(recording: Recording) -> Experiment:
+    return experiment_from_mapping(recording.experiment, "the recording")
+
+
+def _check_rows(recording: Recording, within_ms: float) -> None:
+    rows = recording.rows
+    faulty = rows["fault"] != 0
+    if faulty.any():
+        since_ns = rows["device_time"] - rows["device_time"][faulty.argmax()]
+        _refuse(recording, since_ns, "the device latched a fault", within_ms)
+    period_ns = round(1e9 / _experiment_of(recording).controller.position_rate)
+    age_ns = np.where(rows["command_age"] == NEVER, 0, rows["command_age"] * period_ns)
+    _refuse(recording, age_ns, "the newest command", within_ms)
+
+
+def _refuse(recording: Recording, since_ns: NDArray[np.int64], what: str, within_ms: float) -> None:
+    """Raise where an effort is active that should have ended so long after something."""
+    wrong = (recording.rows["effort_applied"] != 0.0) & (since_ns > within_ms * 1e6)
+    if wrong.any():
+        row = int(wrong.argmax())
+        raise AssertionError(
+            f"not safe: effort_applied was {_value(recording, 'effort_applied', row)} {duration(int(since_ns[row]))} "
+            f"after {what}, {_at(recording, recording.rows, row)}; zero is due within {within_ms:g} ms\n"
+            f"{_where(recording)}"
+        )
+
+
+def _beyond(recording: Recording, name: str, bound: float) -> str:
+    values = np.abs(recording.column(name))
+    wrong = ~(values <= bound)  # what is not finite is beyond any bound
+    if not wrong.any():
+        return ""
+    first, worst = int(wrong.argmax()), int(np.nan_to_num(values, nan=np.inf).argmax())
+    return (
+        f"{name} exceeds {bound:g} {recording.units[name]} in {np.count_nonzero(wrong)} of {len(values)} rows: first "
+        f"{_value(recording, name, first)}, {_at(recording, recording.rows, first)}; "
+        f"most {_value(recording, name, worst)}, {_at(recording, recording.rows, worst)}"
+    )
+
+
+def _value(recording: Recording, name: str, row: int) -> str:
+    return f"{written(recording.rows[name][row].item(), 6)} {recording.units[name]}"
+
+
+def _at(recording: Recording, rows: NDArray[np.void], row: int) -> str:
+    """Where a row lies: its tick, its time and its phase."""
+    passed_ns = int(rows["device_time"][row] - recording.rows["device_time"][0])
+    return f"in tick {rows['tick'][row]} ({duration(passed_ns)}, {phase_name(int(rows['phase'][row]))})"
+
+
+def _where(recording: Recording) -> str:
+    return f"recording: {recording.path}"

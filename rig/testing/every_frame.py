@@ -1,0 +1,85 @@
+"""A test that is run again and again, each time with one fault at another frame of its link, until it has no more."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from functools import wraps
+from typing import Any
+
+import pytest
+
+from rig.devices.fault_script import Direction, FrameFault, Kind
+from rig.testing.fault_words import DIRECTIONS, KINDS, direction_of, kind_of
+from rig.testing.hits import Hits
+
+MOST_FRAMES = 1000  # each way: the run is not a short one beyond
+
+
+def with_every_frame(
+    test: Callable[..., object], hits: Hits, kinds: Sequence[str], to: str | None
+) -> Callable[..., None]:
+    """Return the test as one that goes through all frames.
+
+    It runs once without a fault, and then with each kind of fault at each frame of its hits, the pages of a dictionary
+    that nobody knows yet apart. Fixtures are made once. It fails as its first failing run did, with a note that says
+    which frame that was and how many failed.
+
+    Parameters
+    ----------
+    test
+        The function; it hits by `hits`, which plays the faults.
+    hits
+        The test's `rig_hit`.
+    kinds
+        As in `rig.testing.FaultWords.link`; all when empty.
+    to
+        ``host`` or ``device``; None for both.
+
+    Raises `ConfigError` for another kind or direction.
+    """
+    chosen = [kind_of(word) for word in kinds or KINDS]
+    ways = [direction_of(word) for word in ([to] if to else DIRECTIONS)]
+
+    @wraps(test)
+    def every(**given: Any) -> None:
+        test(**given)
+        if hits.last is None:
+            pytest.fail("a test with rig_every_frame hits through rig_hit, and this one does not")
+        failed: list[tuple[FrameFault, BaseException]] = []
+        runs, before = 0, hits.faults.script
+        for fault in (one for kind in chosen for way in ways for one in _faults(kind, way, hits)):
+            hits.faults.script, hits.last = before, None
+            hits.faults.add(frames=(fault,))
+            try:
+                test(**given)
+            except pytest.exit.Exception:  # a person's stop
+                raise
+            except (Exception, pytest.fail.Exception) as error:
+                failed.append((fault, error))
+            runs += _struck(hits)
+        hits.faults.script = before
+        if failed:
+            fault, first = failed[0]
+            first.add_note(
+                f"rig_every_frame: {len(failed)} of {runs} faults fail; the first: {fault.kind.value} of frame "
+                f"{fault.frame} {fault.direction.value}"
+            )
+            raise first
+
+    return every
+
+
+def _struck(hits: Hits) -> bool:
+    """Whether the fault of the latest run had its frame; a run that raised before it knew had."""
+    return hits.last is None or hits.last.struck > 0
+
+
+def _faults(kind: Kind, direction: Direction, hits: Hits) -> Iterator[FrameFault]:
+    """A fault at each frame, as long as the run before had one there."""
+    for frame in range(MOST_FRAMES):
+        yield FrameFault(kind=kind, direction=direction, frame=frame, byte=frame, bit=frame % 8)
+        if not _struck(hits):
+            return
+    pytest.fail(
+        f"rig_every_frame: the run has more than {MOST_FRAMES} frames; make it short: rig_experiment.short()"
+    )

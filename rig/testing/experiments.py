@@ -1,0 +1,70 @@
+"""The experiments of a test: by preset, file or object, with changes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from os import PathLike, fspath
+from pathlib import Path
+from typing import Any
+
+from rig import config
+from rig.config import Experiment, presets
+
+DEFAULT = "koul-compliant"
+Source = Experiment | str | PathLike[str] | None
+
+# A run of some sixty ticks that begins at its start: to be repeated for every frame of its link.
+SHORT: Mapping[str, Any] = {
+    "homing.settle_s": 0.003,
+    "trial.duration_s": 0.03,
+    "trial.release_s": 0.003,
+    "verdict.tail_s": 0.01,
+}
+
+
+class Experiments:
+    """Makes the experiments of a test.
+
+    Parameters
+    ----------
+    default
+        What a call without a source means: a preset, a file, or an experiment.
+    directory
+        Against which a relative path is read: that of the test's file.
+    """
+
+    def __init__(self, default: Source, directory: Path) -> None:
+        self._default = DEFAULT if default is None else default
+        self._directory = directory
+
+    def __call__(self, source: Source = None, changes: Mapping[str, Any] | None = None) -> Experiment:
+        """Return an experiment.
+
+        Parameters
+        ----------
+        source
+            A preset's name, a path that ends in .toml, an experiment, or None for the test's own.
+        changes
+            New values by dotted key, like ``{"wall.stiffness": 400.0}``.
+
+        Raises `rig.RigError` (a `ConfigError`) for what `rig.load_experiment` and `rig.override` refuse.
+        """
+        experiment = self._loaded(self._default if source is None else source)
+        return config.override(experiment, changes, "the test") if changes else experiment
+
+    def short(self, source: Source = None, changes: Mapping[str, Any] | None = None) -> Experiment:
+        """Return the experiment as it runs in real time, made as short as a push can be: see ``rig_every_frame``.
+
+        Arguments and errors as for a call.
+        """
+        experiment = self(source)
+        at_its_start = {"rig.simulation.initial_position": experiment.trial.start}
+        return config.with_realtime(experiment, {**at_its_start, **SHORT, **(changes or {})})
+
+    def _loaded(self, source: Experiment | str | PathLike[str]) -> Experiment:
+        if isinstance(source, Experiment):
+            return source
+        name = fspath(source)
+        return (
+            config.load_experiment(self._directory / name) if name.endswith(".toml") else presets.load(name)
+        )

@@ -1,0 +1,104 @@
+"""Faults on command, in words: what a test has happen to frames of the link, and to the device."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, Literal
+
+from firmware_protocol.faults import Fault
+from rig.core.errors import ConfigError
+from rig.devices.fault_script import DeviceFault, Direction, Faults, FrameFault, Happening, Kind
+
+Way = Literal["host", "device"]
+KINDS = tuple(kind.value for kind in Kind)
+DIRECTIONS: dict[str, Direction] = {"device": Direction.TO_DEVICE, "host": Direction.TO_HOST}
+
+
+class FaultWords:
+    """The script of faults of a test; every hit that the test makes from then on plays it from its beginning.
+
+    Attributes
+    ----------
+    script
+        What was scripted so far; None as long as nothing was.
+    """
+
+    def __init__(self) -> None:
+        self.script: Faults | None = None
+
+    def link(
+        self,
+        kind: str,
+        *,
+        to: Way = "host",
+        frame: int | None = None,
+        tick: int | None = None,
+        byte: int = 0,
+        bit: int = 0,
+        ticks: int = 1,
+        both: bool = False,
+    ) -> None:
+        """Have something happen to one frame.
+
+        Parameters
+        ----------
+        kind
+            ``drop``, ``corrupt`` (`bit` of `byte` flips), ``duplicate``, ``reorder`` (it comes after the next one),
+            ``truncate`` (to `byte` bytes), ``delay`` (by `ticks` ticks, with all behind it), ``silence`` (it and all
+            that follow are lost, with `both` in the other direction too), ``unplug``.
+        to
+            To whom the frame goes.
+        frame, tick
+            Which: number `frame` in its direction, from 0; or the first from `tick` on, counted by the device.
+
+        Raises `ConfigError` for another kind or direction, or unless exactly one of `frame` and `tick` is given.
+        """
+        if (frame is None) == (tick is None):
+            raise ConfigError("which frame? give frame = or tick =, and not both", remedy="like frame=60")
+        struck = FrameFault(
+            kind=kind_of(kind),
+            direction=direction_of(to),
+            frame=frame,
+            tick=tick,
+            byte=byte,
+            bit=bit,
+            ticks=ticks,
+            both=both,
+        )
+        self.add(frames=(struck,))
+
+    def device(self, fault: str, *, tick: int) -> None:
+        """Have the device find a fault of its own at a tick: a name of PROTOCOL.md, like ``ENCODER``.
+
+        ``EMERGENCY_STOP`` presses it. Raises `ConfigError` for another name.
+        """
+        names = [one.name for one in Fault if one is not Fault.NONE]
+        if fault not in names:
+            raise ConfigError(f"there is no fault {fault!r}", remedy=f"one of {', '.join(names)}")
+        self.add(device=(DeviceFault(tick, Fault[fault]),))
+
+    def at(self, tick: int, act: Callable[[Any], None]) -> None:
+        """Call a function with the simulated device at a tick: whatever else the world may do to it."""
+        self.add(device=(Happening(tick, act),))
+
+    def add(
+        self, frames: tuple[FrameFault, ...] = (), device: tuple[DeviceFault | Happening, ...] = ()
+    ) -> None:
+        """Add to the script."""
+        before = self.script or Faults()
+        self.script = replace(before, frames=before.frames + frames, device=before.device + device)
+
+
+def kind_of(word: str) -> Kind:
+    """What happens, by its word; `ConfigError` for another."""
+    if word not in KINDS:
+        raise ConfigError(f"{word!r} does not happen to frames", remedy=f"one of {', '.join(KINDS)}")
+    return Kind(word)
+
+
+def direction_of(to: str) -> Direction:
+    """A direction, by who receives; `ConfigError` for another."""
+    if to not in DIRECTIONS:
+        raise ConfigError(f"no frame goes to {to!r}", remedy="to='host' or to='device'")
+    return DIRECTIONS[to]

@@ -1,0 +1,130 @@
+"""Golden recordings: what a hit left when somebody looked at it and found it right, and what differs today.
+
+In virtual time a run repeats itself to the last bit on one machine. Another processor, or another build of a library,
+may round otherwise: so integers (counts, currents, flags, ticks) must be equal, and a column of real numbers may differ
+by the rounding that its run can have gathered.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.core.errors import RecordingError
+from rig.core.present import duration, written
+from rig.core.sample import phase_name
+from rig.recording.data import Recording
+from rig.recording.reader import open_recording
+from rig.testing.asserts import Subject, recording_of
+
+# Roundings of half a unit in the last place that a tick of law and plant may add to a column, in units of its peak:
+# some tens of floating-point operations each. A stable loop does not amplify them, so they add up at most. Measured on
+# 2026-11-26: kernels for a generic x86-64 and another BLAS left every recorded column equal, and the truth within 0.09.
+ROUNDINGS = 64
+DIRECTORY = "golden"
+
+
+class Golden:
+    """The golden recordings of a test.
+
+    Parameters
+    ----------
+    test, name
+        The test's file and its name: golden recordings are kept beside the file, by both.
+    update
+        Whether today's recordings replace them.
+    """
+
+    def __init__(self, test: Path, name: str, *, update: bool) -> None:
+        self._place = test.parent / DIRECTORY / re.sub(r"[^\w.=-]+", "_", f"{test.stem}.{name}")
+        self._update = update
+
+    def __call__(
+        self, subject: Subject, name: str = "", *, tolerance: Mapping[str, float] | None = None
+    ) -> None:
+        """Compare with the golden recording, or replace it (``--rig-golden=update``).
+
+        Parameters
+        ----------
+        subject
+            A hit or a sealed recording.
+        name
+            Tells several of one test apart.
+        tolerance
+            Of columns that may differ by more than rounding, in their units.
+        """
+        __tracebackhide__ = True
+        recording = recording_of(subject)
+        golden = self._place.with_name(f"{self._place.name}{f'.{name}' if name else ''}.parquet")
+        if self._update:
+            assert recording.path is not None, "a recording without a file cannot be golden"
+            golden.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(recording.path, golden)
+            return
+        if not golden.exists():
+            raise AssertionError(
+                f"there is no golden recording {golden}: look at {recording.path}, and if it is right, run pytest "
+                "--rig-golden=update and commit the file"
+            )
+        said = difference(open_recording(golden), recording, tolerance or {})
+        if said:
+            raise AssertionError(
+                f"{said}\ngolden: {golden}\ntoday:  {recording.path}\n"
+                "where today's is right: pytest --rig-golden=update"
+            )
+
+
+def difference(golden: Recording, today: Recording, tolerance: Mapping[str, float]) -> str:
+    """The first row that differs, with every column that differs there; empty where none does.
+
+    Raises `RecordingError` for a tolerance of a column that there is not.
+    """
+    names = [name for name in golden.names if name in today.names]
+    unknown = [name for name in tolerance if name not in names]
+    if unknown:
+        raise RecordingError(f"no column {unknown[0]!r} to tolerate", remedy=f"they are {', '.join(names)}")
+    rows = min(len(golden), len(today))
+    apart = {name: _apart(golden, today, name, rows, tolerance.get(name)) for name in names}
+    first = min((int(found.argmax()) for found in apart.values() if found.any()), default=rows)
+    if first == rows:
+        return (
+            ""
+            if len(golden) == len(today)
+            else f"{len(today)} rows, and {len(golden)} in the golden recording"
+        )
+    passed = duration(int(golden.rows["device_time"][first] - golden.rows["device_time"][0]))
+    phase = phase_name(int(golden.rows["phase"][first]))
+    columns = sum(found.any() for found in apart.values())
+    lines = [
+        f"differs from the golden recording from row {first} on ({passed}, {phase}), in {columns} columns; there:"
+    ]
+    for name in names:
+        if apart[name][first]:
+            was, now = golden.rows[name][first].item(), today.rows[name][first].item()
+            line = f"  {name}: {now!r} {golden.units[name]}, was {was!r} (by {written(now - was)}"
+            allowed = 0.0 if isinstance(was, int) else _allowed(golden, name, tolerance.get(name))
+            lines.append(f"{line}, allowed {written(allowed, 2)})")
+    return "\n".join(lines)
+
+
+def _apart(
+    golden: Recording, today: Recording, name: str, rows: int, tolerance: float | None
+) -> NDArray[np.bool_]:
+    was, now = golden.column(name)[:rows], today.column(name)[:rows]
+    if was.dtype.kind != "f" and tolerance is None:
+        return np.asarray(was != now)
+    allowed = _allowed(golden, name, tolerance)
+    return np.asarray(~np.isclose(now, was, rtol=0.0, atol=allowed, equal_nan=True))
+
+
+def _allowed(golden: Recording, name: str, tolerance: float | None) -> float:
+    """How far a real column may be off: what it is told, else the rounding that all its ticks can have gathered."""
+    if tolerance is not None:
+        return tolerance
+    peak = float(np.nanmax(np.abs(golden.column(name)), initial=0.0))
+    return 0.5 * ROUNDINGS * len(golden) * float(np.finfo(np.float64).eps) * peak

@@ -1,0 +1,52 @@
+"""What becomes of the recordings of a test: kept where it failed, always, or never."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from contextlib import suppress
+from pathlib import Path
+
+DIRECTORY = "rig-recordings"  # below the root of the tests
+LONGEST_NAME = 200  # file systems take 255 bytes
+
+
+class Kept:
+    """The recordings of one test, from the beginning where they stay if they are kept.
+
+    What a test that was killed has recorded is there, too.
+
+    Parameters
+    ----------
+    root, test
+        Of all tests, and the node id of this one. Recordings of an earlier run are replaced.
+    mode
+        ``failed``, ``all`` or ``none``.
+
+    Attributes
+    ----------
+    place
+        Directory of this test's recordings.
+    """
+
+    def __init__(self, root: Path, test: str, mode: str) -> None:
+        self.place = root / DIRECTORY / re.sub(r"[^\w.=-]+", "_", test).strip("_")[-LONGEST_NAME:]
+        self._mode = mode
+        self._wanted = mode != "none"  # of a test that a person stopped, which nobody sees end
+        shutil.rmtree(self.place, ignore_errors=True)
+
+    def ended(self, *, failed: bool) -> bool:
+        """Note how the test ended; return whether there are recordings of it that are kept."""
+        self._wanted = self._mode == "all" or (self._mode == "failed" and failed)
+        return self._wanted and self.place.is_dir()
+
+    def close(self) -> None:
+        """Remove what is not kept."""
+        if not self._wanted:
+            shutil.rmtree(self.place, ignore_errors=True)
+
+
+def tidy(root: Path) -> None:
+    """Remove the directory of all tests where none is kept."""
+    with suppress(OSError):
+        (root / DIRECTORY).rmdir()

@@ -1,0 +1,101 @@
+"""Z-widths of a test: of the simulated rig without bytes, or of a rig, hit by hit with a person beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from rig.config import Experiment
+from rig.config.schemes import Scheme
+from rig.core.errors import StoppedError
+from rig.experiments import maps, ranges
+from rig.experiments.on_device import OnDevice
+from rig.experiments.zwidth import MapPlan, ZWidth
+from rig.experiments.zwidth_rig import Next, Session, zwidth_on_rig
+from rig.testing.experiments import Experiments, Source
+from rig.testing.hits import Rigs, end_all
+
+
+class Maps:
+    """Maps the walls of a test; parameters as those of `rig.testing.Hits`."""
+
+    def __init__(self, rigs: Rigs, experiments: Experiments, directory: Path) -> None:
+        self._rigs, self._experiments, self._directory = rigs, experiments, directory
+
+    def __call__(
+        self,
+        source: Source = None,
+        changes: Mapping[str, Any] | None = None,
+        *,
+        schemes: Sequence[str] = (),
+        dampings: Sequence[float] | None = None,
+        lowest: float | None = None,
+        highest: float | None = None,
+        ratio: float = 1.06,
+        repeats: int = 1,
+    ) -> ZWidth:
+        """Map which walls are stable.
+
+        Parameters
+        ----------
+        source, changes
+            The experiment, see `rig.testing.Experiments`.
+        schemes
+            Like ``dual:20k/2k``; the experiment's own and the uniform ones of its rates if empty.
+        dampings
+            B of each column (N·m·s/rad or N·s/m).
+        lowest, highest, ratio
+            Stiffnesses of the ladder (N·m/rad or N/m); one over the one below it.
+        repeats
+            Series of each damping.
+
+        Raises `rig.RigError` as `rig.zwidth` does; on a rig a person agrees to each hit in the terminal.
+        """
+        plan = self._plan(
+            self._experiments(source, changes), schemes, dampings, lowest, highest, ratio, repeats
+        )
+        if self._rigs.simulated:
+            return maps.zwidth(plan)
+        with self._rigs.device(plan.experiment) as device:
+            where = OnDevice(
+                url=self._rigs.url,
+                verified=self._rigs.verified,
+                recordings=self._directory,
+                hands_off=self._rigs.hands_off,
+                device=device,
+                reference_count=self._rigs.zero(plan.experiment) or 0,
+            )
+            try:
+                return zwidth_on_rig(plan, Session(where=where, agrees=self._agrees))
+            except StoppedError as stopped:
+                end_all(stopped)
+
+    def _plan(
+        self,
+        experiment: Experiment,
+        schemes: Sequence[str],
+        dampings: Sequence[float] | None,
+        lowest: float | None,
+        highest: float | None,
+        ratio: float,
+        repeats: int,
+    ) -> MapPlan:
+        on_device = not self._rigs.simulated
+        search = ranges.search_for(
+            experiment, ratio=ratio, lowest=lowest, highest=highest, on_device=on_device
+        )
+        return ranges.hit_plan(
+            experiment,
+            [Scheme.parse(text) for text in schemes],
+            dampings=dampings,
+            search=search,
+            repeats=repeats,
+            on_device=on_device,
+        )
+
+    def _agrees(self, asked: Next) -> bool:
+        return self._rigs.ask(
+            f"{asked.scheme}, B = {asked.damping:.4g}, K = {asked.stiffness:.4g}, hit {asked.number} of series "
+            f"{asked.series} of {asked.total}"
+        )

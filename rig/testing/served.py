@@ -1,0 +1,97 @@
+"""A simulated rig on a serial port, for the tests of programs in any language, and what it did."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from firmware_protocol.connection import State
+from firmware_protocol.messages import Statistics
+from rig import config, devices
+from rig.config import Experiment
+from rig.core.errors import LinkLostError
+from rig.devices.framed import FaultReport
+from rig.devices.local import serve_locally
+
+LOOK_S = 0.1
+PATIENCE_S = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class Did:
+    """What a device tells of what was done to it, when the program has gone.
+
+    Attributes
+    ----------
+    state
+        In which the program left it: ``CONFIGURED`` after a DISARM, ``FAULT`` after silence.
+    current
+        Active now (quanta).
+    fault
+        What is latched, with the ticks before it; its code is 0 for none.
+    statistics
+        Frames that it took, lost and threw away since it started.
+    """
+
+    state: State
+    current: int
+    fault: FaultReport
+    statistics: Statistics
+
+
+@dataclass(frozen=True, slots=True)
+class SerialRig:
+    """A simulated rig in real time, in a process of its own that ends with the test.
+
+    Attributes
+    ----------
+    path
+        Of its port, for a program that opens a serial port.
+    url
+        For ``rig``: ``serial://`` and the path.
+    experiment
+        Whose rig it is.
+    """
+
+    path: str
+    url: str
+    experiment: Experiment
+
+    def did(self) -> Did:
+        """Ask the device what was done to it; the program must have closed the port.
+
+        A device that has just lost its host may not hear the next one at once on a busy computer: it is asked for
+        `PATIENCE_S`. Raises `rig.RigError` where somebody still has the port, or it says nothing.
+        """
+        deadline = time.monotonic() + PATIENCE_S
+        while True:
+            try:
+                return self._asked()
+            except LinkLostError:
+                if time.monotonic() > deadline:
+                    raise
+
+    def _asked(self) -> Did:
+        with devices.open_device(self.url) as device:
+            states = device.states(LOOK_S)
+            if not states:
+                raise LinkLostError(
+                    f"the rig at {self.path} says nothing", remedy="look whether its process lives"
+                )
+            newest = states[-1]
+            return Did(
+                State(newest.state), newest.current_commanded, device.fault_report(), device.statistics()
+            )
+
+
+@contextmanager
+def serve_rig(experiment: Experiment, *, firmware: bool = False) -> Iterator[SerialRig]:
+    """Serve the rig of an experiment behind a pseudo-terminal; with `firmware` it can run the law itself.
+
+    Errors as `rig.devices.local.serve_locally`.
+    """
+    url = f"sim://{'?firmware=1' if firmware else ''}"
+    with serve_locally(url, config.rig_model(experiment), terminal=True) as served:
+        yield SerialRig(served.removeprefix("serial://"), served, experiment)

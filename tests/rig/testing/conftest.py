@@ -1,0 +1,32 @@
+"""What pytester finds loaded it does not load and forget again, which compiled libraries would not survive."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numba
+import pytest
+
+if numba.config.DISABLE_JIT:
+    collect_ignore_glob = ["test_*.py"]  # the loop is compiled
+
+import rig.testing.every_frame
+import rig.testing.golden
+import rig.testing.maps
+import rig.testing.served  # noqa: F401
+from rig.experiments.hit import HitRequest, hit
+from rig.testing import Experiments
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _loaded(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Hit once."""
+    short = Experiments(None, Path()).short()
+    assert len(list(hit(HitRequest(experiment=short, output=tmp_path_factory.mktemp("loaded"))))) == 1
+
+
+@pytest.fixture
+def suite(pytester: pytest.Pytester) -> pytest.Pytester:
+    """An empty suite of somebody's."""
+    pytester.makeini("[pytest]\naddopts = -p rig.testing.plugin -p no:cacheprovider --strict-markers")
+    return pytester

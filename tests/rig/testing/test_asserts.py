@@ -1,0 +1,146 @@
+"""Asserts say where, when, how much and in which unit; and what they observe agrees with the simulation's truth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rig.control.law import Law
+from rig.core.sample import Phase
+from rig.realtime.kernel import kernel
+from rig.realtime.plugs import LAW_SIGNATURE
+from rig.recording.data import Recording
+from rig.testing import (
+    Experiments,
+    FaultWords,
+    Hits,
+    assert_limit,
+    assert_passive,
+    assert_safe,
+    assert_stable,
+)
+from rig.testing.hits import Rest
+
+QUICK = {"trial.duration_s": 0.5, "homing.settle_s": 0.01}
+HARD = {**QUICK, "wall.stiffness": 900.0, "wall.damping": 0.0, "trial.effort": 0.3}
+
+
+@kernel(LAW_SIGNATURE)
+def sticky(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any) -> Any:
+    """A wall that is softer on the way in than on the way out: it gives energy at each contact."""
+    if penetration <= 0.0:
+        return 0.0
+    return 100.0 * penetration if velocity > 0.0 else 200.0 * penetration
+
+
+GIVING = Law("giving", "gives energy", sticky, 0, lambda wall: [])
+
+
+def edited(recording: Recording, row: int, **values: float) -> Recording:
+    """The recording with other values from a row on."""
+    rows = recording.rows.copy()
+    for name, value in values.items():
+        rows[name][row:] = value
+    return replace(recording, rows=rows)
+
+
+def test_a_damped_wall_passes_them_all(rig_hit: Hits) -> None:
+    hit = rig_hit("koul-compliant", QUICK)
+    assert_stable(hit)
+    assert_safe(hit, within_ms=15.0)
+    assert_limit(hit)
+    assert_passive(hit)
+    assert_passive(hit.recording)
+
+
+def test_an_unstable_wall_is_told_with_every_number_behind_it(rig_hit: Hits) -> None:
+    with pytest.raises(AssertionError, match="the hit is unstable, not stable") as failed:
+        assert_stable(rig_hit("koul-compliant", HARD))
+    said = str(failed.value)
+    assert "left the wall" in said
+    assert "felt (velocity ripple, rms)" in said
+    assert "limit 0.05" in said
+    assert said.endswith("hit-1.parquet")
+
+
+def test_a_limit_names_the_first_row_beyond_it_and_the_worst(rig_hit: Hits) -> None:
+    recording = rig_hit("koul-compliant", QUICK).recording
+    speed = np.abs(recording.column("velocity"))
+    bound = 0.9 * float(speed.max())
+    first = int((speed > bound).argmax())
+    with pytest.raises(AssertionError) as failed:
+        assert_limit(recording, velocity=bound)
+    said = str(failed.value)
+    assert (
+        f"velocity exceeds {bound:g} rad/s in {np.count_nonzero(speed > bound)} of {len(recording)} rows"
+        in said
+    )
+    assert f"first {recording.rows['velocity'][first]:.6g} rad/s, in tick {first} (" in said
+    assert ", trial)" in said
+    assert_limit(recording, velocity=float(speed.max()))
+    with pytest.raises(AssertionError, match="effort_sent exceeds"):
+        assert_limit(edited(recording, 10, effort_sent=np.nan), effort_sent=1e9)
+
+
+def test_a_wall_that_gives_energy_is_found_and_one_that_only_takes_is_not(rig_hit: Hits) -> None:
+    hit = rig_hit("koul-compliant", QUICK, law=GIVING)
+    with pytest.raises(
+        AssertionError, match=r"gave \S+ J more than reading errors explain, in tick"
+    ) as failed:
+        assert_passive(hit)
+    given = float(str(failed.value).split()[3])
+    rows = hit.recording.rows[np.isin(hit.recording.rows["phase"], (Phase.TRIAL, Phase.RELEASE))]
+    push = (rows["effort_wanted"] + rows["effort_wall"])[:-1]
+    work = (rows["effort_true"][1:] - push) * np.diff(rows["position_true"])
+    total, most = 0.0, 0.0
+    for step, free in zip(work, rows["penetration"][:-1] <= 0.0, strict=True):
+        total = max(total + step, 0.0) if free else total + step
+        most = max(most, total)
+    assert 0.5 * most < given < most, "what surely was given is less than what was, and not by much"
+
+
+def test_an_effort_under_an_old_command_or_behind_a_fault_is_not_safe(rig_hit: Hits) -> None:
+    recording = rig_hit("koul-compliant", QUICK).recording
+    row = int((recording.rows["phase"] == Phase.TRIAL).argmax())
+    with pytest.raises(
+        AssertionError, match=r"effort_applied was 0\.15 N·m 30 ms after the newest command, in tick"
+    ):
+        assert_safe(edited(recording, row, command_age=600, effort_applied=0.15), within_ms=20.0)
+    with pytest.raises(AssertionError, match=r" 20\.1 ms after the device latched a fault"):
+        assert_safe(edited(recording, row, fault=3, effort_applied=0.15), within_ms=20.0)
+    assert_safe(edited(recording, row, fault=3, effort_applied=0.0), within_ms=1.0)
+    with pytest.raises(AssertionError, match="breaks off without a reason"):
+        assert_safe(replace(recording, trailer=None), within_ms=20.0)
+
+
+@pytest.mark.parametrize(
+    ("rest", "what"),
+    [
+        (None, "nobody knows its effort"),
+        (Rest(None, False), "was never zero"),
+        (Rest(0.0205, False), r"was zero 20\.5 ms after the host's last word"),
+        (Rest(0.0, True), "stayed armed"),
+    ],
+)
+def test_what_the_device_did_afterwards_counts(
+    rig_hit: Hits, rig_experiment: Experiments, rest: Any, what: str
+) -> None:
+    hit = rig_hit(rig_experiment.short())
+    with pytest.raises(AssertionError, match=what):
+        assert_safe(replace(hit, rest=rest), within_ms=20.0)
+
+
+def test_a_pulled_plug_costs_lifetime_and_ramp(
+    rig_hit: Hits, rig_faults: FaultWords, rig_experiment: Experiments
+) -> None:
+    """At 1 kHz a command lives 5 ms, and the ramp takes 10: after the last one came, a tick before the plug went."""
+    rig_faults.link("unplug", tick=30)
+    hit = rig_hit(rig_experiment.short())
+    assert hit.rest is not None
+    assert hit.rest.zero_after_s == pytest.approx(0.0145, abs=0.001)
+    assert_safe(hit, within_ms=15.0)
+    with pytest.raises(AssertionError, match="allowed are 10 ms"):
+        assert_safe(hit, within_ms=10.0)

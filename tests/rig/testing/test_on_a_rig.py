@@ -1,0 +1,253 @@
+"""The same tests on a rig: consent, one process, one open device, its zero, and STOP however the run ends.
+
+Devices here say that they are real. Most run in virtual time behind a patched opener; one stands behind a port.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+import rig
+import rig.testing.hits
+import sim_backend.configuration
+from firmware_protocol.connection import State
+from rig import config, devices
+from rig.config import presets
+from rig.devices.framed import FramedDevice
+from rig.realtime import running
+from rig.testing import SerialRig, serve_rig
+from sim_backend.device import SimulatedDevice
+from sim_backend.link import MemoryLink
+
+URL = "serial:///dev/ttyRIG"
+TYPED = ("--rig-url", URL, "--rig-verified", "-n0")
+AWAY = 0.02  # of the handle from position zero as its count shows it (rad)
+
+
+class Bench:
+    """A rig on a bench: it stays when hosts go."""
+
+    def __init__(self) -> None:
+        self.device = SimulatedDevice(config.rig_model(presets.load("koul-compliant")))
+        self.opened = 0
+        self.link: Any = None
+
+    def open(self, url: str, model: object = None) -> FramedDevice:
+        assert url == URL
+        self.opened += 1
+        self.link = MemoryLink(self.device)
+        return FramedDevice(self.link)
+
+    @property
+    def at_rest(self) -> bool:
+        return self.device.current == 0 and self.device.state not in (State.ARMED, State.RUNNING)
+
+
+@pytest.fixture
+def bench(suite: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> Bench:
+    described = sim_backend.configuration.board.describe
+    monkeypatch.setattr(
+        sim_backend.configuration.board,
+        "describe",
+        lambda *args, **named: described(*args, **{**named, "simulated": False}),
+    )
+    made = Bench()
+    monkeypatch.setattr(devices, "open_device", made.open)
+    return made
+
+
+@pytest.mark.parametrize(
+    ("typed", "refusal"),
+    [
+        (("--rig-url", URL), "tests would move serial:///dev/ttyRIG: check the signs*type --rig-verified*"),
+        (("--rig-url", URL, "--rig-verified", "-n2"), "*several processes: add -n0"),
+    ],
+)
+def test_a_rig_moves_only_for_one_process_and_a_typed_word(
+    typed: tuple[str, ...], refusal: str, bench: Bench, pytester: pytest.Pytester
+) -> None:
+    pytester.makepyfile("def test_it(rig_hit): rig_hit()")
+    pytester.makeini("[pytest]\naddopts = -p rig.testing.plugin --rig-verified")  # a file is nobody's word
+    result = pytester.runpytest_inprocess(*typed)
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    result.stderr.fnmatch_lines([f"ERROR: {refusal}"])
+    assert bench.opened == 0
+
+
+def test_tests_share_one_open_device_and_its_position_zero(
+    bench: Bench, pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    zeros: list[int] = []
+    monkeypatch.setattr(
+        rig.testing.hits, "position_zero", lambda device, x: zeros.append(device.count()) or zeros[0]
+    )
+    pytester.makepyfile(
+        """
+        import pytest
+        from rig.testing import assert_safe
+
+        @pytest.mark.parametrize("again", range(2))
+        def test_it(again, rig_hit, rig_experiment, rig_device):
+            hit = rig_hit(rig_experiment.short())
+            assert_safe(hit, within_ms=20.0)
+            assert hit.recording.header["identity"]["parameters"]["reference_count"] == 0
+            assert not hit.recording.header["identity"]["simulated"]
+
+        def test_of_faults(rig_hit, rig_faults): raise AssertionError
+
+        def test_of_gold(rig_hit, rig_golden): raise AssertionError
+
+        @pytest.mark.rig_every_frame("drop")
+        def test_of_frames(rig_hit): raise AssertionError
+        """
+    )
+    result = pytester.runpytest_inprocess(*TYPED, "-rs")
+    result.assert_outcomes(passed=2, skipped=3)
+    result.stdout.fnmatch_lines(
+        [f"SKIPPED * rig_faults: faults on command need a simulated rig, and this is {URL}"]
+    )
+    assert bench.opened == 1
+    assert zeros == [0], "where the handle stood first; a hit leaves it elsewhere"
+    assert bench.at_rest
+
+
+@pytest.mark.parametrize(
+    ("ending", "said"),
+    [
+        ("assert False", "assert False"),
+        ("raise KeyboardInterrupt", "! KeyboardInterrupt !"),
+        ("pytest.exit('enough')", "! _pytest.outcomes.Exit: enough !"),
+        ("time.sleep(60.0)", "Timeout (>1.0s)"),
+    ],
+)
+def test_however_a_test_ends_its_rig_is_told_stop(
+    ending: str, said: str, bench: Bench, pytester: pytest.Pytester
+) -> None:
+    pytester.makepyfile(
+        f"""
+        import time
+        import pytest
+
+        @pytest.mark.timeout(1.0, method="signal")
+        def test_it(rig_hit, rig_experiment, rig_device):
+            rig_hit(rig_experiment.short())
+            rig_device.arm()
+            {ending}
+        """
+    )
+    result = pytester.runpytest_inprocess(*TYPED, no_reraise_ctrlc=True)
+    assert said in result.stdout.str()
+    assert bench.at_rest
+    assert bench.device.fault == 0, "it was disarmed, not left to its watchdog"
+    with pytest.raises(rig.RigError, match="closed"):
+        bench.link.read(0.0)
+
+
+@pytest.mark.parametrize("answers", [["q"], ["", "", "q"], []], ids=["no", "not to the third", "no terminal"])
+def test_a_person_agrees_to_each_hit_of_a_map(
+    answers: list[str], bench: Bench, suite: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[str] = []
+    given = iter(answers)
+
+    def answer(text: str) -> str:
+        asked.append(text)
+        if (found := next(given, None)) is None:
+            raise EOFError
+        return found
+
+    monkeypatch.setattr("builtins.input", answer)
+    suite.makepyfile(
+        """
+        def test_it(rig_zwidth):
+            rig_zwidth(None, {"controller.position_rate": 1000, "controller.velocity_rate": 1000},
+                       schemes=["uniform:1k"], dampings=[0.2], lowest=20.0, highest=30.0)
+        """
+    )
+    result = suite.runpytest_inprocess(*TYPED)
+    assert result.ret == 130
+    result.stdout.fnmatch_lines(["*Exit: *0 of 1 series are done*"])
+    assert len(asked) == max(1, len(answers))
+    assert "B = 0.2, K = 20, hit 1 of series 1 of 1" in asked[0]
+    assert bench.opened == 1
+    assert bench.at_rest
+
+
+@pytest.fixture(scope="module")
+def served() -> Iterator[SerialRig]:
+    with serve_rig(presets.load("koul-compliant")) as one:
+        yield one
+
+
+@pytest.fixture
+def port(served: SerialRig, suite: pytest.Pytester) -> SerialRig:
+    """A rig in real time behind a port, and somebody's tests of it."""
+    suite.makepyfile(
+        """
+        import pytest
+        import rig
+        from rig.testing import assert_safe
+
+        def test_of_a_long_hit(rig_hit):
+            print(rig_hit(None, {"trial.duration_s": 20.0, "verdict.tail_s": 0.1}))
+
+        def test_of_the_lock(rig_device, pytestconfig):
+            rig_device.identify()
+            with pytest.raises(rig.RigError, match="in use"):
+                rig.open_device(pytestconfig.getoption("rig_url"))
+
+        def test_of_a_hit(rig_hit):
+            assert_safe(rig_hit(None, {"trial.duration_s": 0.1, "verdict.tail_s": 0.05}), within_ms=1000.0)
+        """
+    )
+    return served
+
+
+def test_behind_a_port_it_is_locked_hit_and_left_at_rest(port: SerialRig, pytester: pytest.Pytester) -> None:
+    result = pytester.runpytest_inprocess("--rig-url", port.url, "--rig-verified", "-n0", "-k", "not long")
+    result.assert_outcomes(passed=2, deselected=1)
+    did = port.did()
+    assert (did.state, did.current, did.fault.code) == (State.CONFIGURED, 0, 0)
+    assert did.statistics.frames > 100
+
+
+def ctrl_c() -> None:
+    os.kill(os.getpid(), signal.SIGINT)
+
+
+def rig_stop() -> None:
+    running.ask_to_stop(os.getpid())
+
+
+@pytest.mark.signals
+@pytest.mark.parametrize("stop", [ctrl_c, rig_stop])
+def test_a_persons_stop_in_a_hit_ends_all_tests(
+    stop: Any, port: SerialRig, pytester: pytest.Pytester
+) -> None:
+    """Else the next test would move the rig again."""
+
+    def when_it_runs() -> None:
+        while not over.wait(0.02):
+            if any(loop.pid == os.getpid() and loop.ticks > 50 for loop in running.running()):
+                stop()
+                return
+
+    over = threading.Event()
+    person = threading.Thread(target=when_it_runs)
+    person.start()
+    try:
+        result = pytester.runpytest_inprocess("--rig-url", port.url, "--rig-verified", "-n0")
+    finally:
+        over.set()
+        person.join()
+    assert result.ret == 130
+    result.stdout.fnmatch_lines(["*Exit: stopped; the effort is zero*"])
+    assert "test_of_the_lock" not in result.stdout.str()
+    did = port.did()
+    assert (did.state, did.current) == (State.CONFIGURED, 0)
