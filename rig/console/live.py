@@ -28,6 +28,7 @@ from rig.realtime.hand import SharedHand
 from rig.realtime.memories import ask_to_stop
 from rig.realtime.running import RunningLoop
 
+PLAY = "play"  # the job whose hand is dragged
 FRAME_S = 1.0 / 60.0
 STATE_S = 0.1
 SEARCH_S = 0.25
@@ -107,7 +108,7 @@ class Live(Service):
             said = ", ".join(f"{key} = {value}" for key, value in request.changes.items())
             await self._terminal.insist(request.url, f"a {request.job} on {request.rig}: {said}")
             self._shared.must_operate(client)  # still: a person takes their time
-        goes_on = request.goes_on and request.job != "play"
+        goes_on = request.goes_on and request.job != PLAY
         job = await self._shared.jobs.start(request.job, content, goes_on=goes_on)
         self._pid = None
         return {"pid": job.pid}
@@ -119,6 +120,9 @@ class Live(Service):
 
     async def _move(self, client: Client, request: asked.Hand) -> None:
         self._shared.must_operate(client)
+        job = self._shared.jobs.running
+        if job is None or job.name != PLAY:  # a session moves the same hand from its own desk
+            raise ConfigError("no handle is dragged now", remedy="start “Drag the handle” first")
         self._hand.move(request.position, request.press)
 
     async def _show(self, client: Client, request: asked.Show) -> None:

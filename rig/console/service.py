@@ -37,6 +37,8 @@ class Shared:
     ----------
     clients
         The pages that are open.
+    participants
+        The participants' screens that are open.
     lease, jobs
         Who operates, and what they have started.
     output
@@ -52,6 +54,7 @@ class Shared:
     jobs: Jobs
     output: Path
     errands: Errands = field(default_factory=Errands)
+    participants: set[Client] = field(default_factory=set)
     blinded: bool = False
 
     def must_operate(self, client: Client) -> None:

@@ -2,7 +2,7 @@
 
 What a page shows comes as texts (`rig.session.console.words`), and what it says are keys and lines, so that a page is a
 terminal of another kind: one conversation, one set of rules. A key names the question that stood there when it was
-pressed; about an earlier one it says nothing. The participant's screen is told what a participant may see, and answers
+pressed; about an earlier one it says nothing. A participant's screen is told what a participant may see, and answers
 verdicts and items alone.
 """
 
@@ -37,6 +37,7 @@ from rig.session.protocol import VERDICTS
 from rig.session.run import rehearsed, took_place
 
 JOB = "session"
+PARTICIPANTS = ("session_key", "session_line", "stop")  # what a participant's screen may ask for
 OPERATORS = ("starting", "stopped", "trouble", "ready to end")  # states that are no participant's matter
 PLEASE_WAIT = "please wait"
 ROUND_S = 0.08  # between two looks at a loop that runs
@@ -87,7 +88,6 @@ class PressKey(Request):
     key: Key
     asked: int = 0
     shown_s: Annotated[float, Ge(0)] | None = None
-    participant: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -97,7 +97,6 @@ class TypeLine(Request):
     text: Annotated[str, MaxLen(2000)]
     asked: int = 0
     shown_s: Annotated[float, Ge(0)] | None = None
-    participant: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -134,8 +133,9 @@ class Sessions(Service):
 
     def greet(self, client: Client) -> None:
         """A page that comes, or comes back, sees what stands there."""
-        for message in self._messages():
-            client.put_newest(message)
+        for pages, message in self._messages():
+            if client.participant == (pages is self._shared.participants):
+                client.put_newest(message)
 
     async def _list(self, client: Client, request: ListSessions) -> dict[str, Any]:
         return await asyncio.to_thread(
@@ -186,7 +186,7 @@ class Sessions(Service):
         if request.key != STOP:  # which any page may say, whatever is asked
             if not self._may(client, seat, request, "verdict"):
                 return
-            if request.participant and seat.talk.keymap.meaning(request.key) not in VERDICTS:
+            if client.participant and seat.talk.keymap.meaning(request.key) not in VERDICTS:
                 return
         seat.key(request.key, request.shown_s)
         self._tell()
@@ -208,7 +208,7 @@ class Sessions(Service):
         talk = seat.talk
         if request.asked != talk.asked:
             return False
-        if not request.participant:
+        if not client.participant:
             self._shared.must_operate(client)
             return True
         purpose = None if talk.entry is None else talk.entry.purpose
@@ -268,13 +268,14 @@ class Sessions(Service):
             await asyncio.sleep(ROUND_S)
 
     def _tell(self) -> None:
-        for message in self._messages():
+        for pages, message in self._messages():
             if message != self._told.get(message["say"]):
                 self._told[message["say"]] = message
-                for client in self._shared.clients:
+                for client in pages:
                     client.put_newest(message)
 
-    def _messages(self) -> list[dict[str, Any]]:
+    def _messages(self) -> list[tuple[set[Client], dict[str, Any]]]:
+        """What is shown to whom."""
         runs, seat = self._job is not None, self._seat
         desk: dict[str, Any] = {
             "say": "session",
@@ -286,7 +287,7 @@ class Sessions(Service):
         if seat is not None:
             desk |= self._desk(seat)
             participant |= _participant(seat)
-        return [desk, participant]
+        return [(self._shared.clients, desk), (self._shared.participants, participant)]
 
     def _desk(self, seat: Seat) -> dict[str, Any]:
         talk, view, now_s = seat.talk, seat.talk.view, time.monotonic()

@@ -89,7 +89,7 @@ link.addEventListener("hello", ({ detail: facts }) => {
     globalThis.rigConsole = { scope, written };
     return make("div", {}, scope.element, side);
   });
-  const sessions = new Sessions(link); // now: a page that comes back hears at once where a session stands
+  const sessions = new Sessions(link, facts); // now: a page that comes back hears at once where a session stands
   addView("sessions", "Sessions", () => sessions.element);
   const recordings = new Recordings(link);
   const open = (which) => {

@@ -9,8 +9,9 @@ const COMPILING = "Compiling what this needs, once for this version and machine 
 const CONTROLS = "input, select, textarea, [contenteditable]";
 
 export class Sessions {
-  constructor(link) {
+  constructor(link, facts) {
     this.link = link;
+    this.facts = facts;
     this.answering = new Answering(link, { participant: false });
     this.desk = make("div", { className: "desk", hidden: true }, ...this.#desk());
     this.starting = make("p", { className: "panel", role: "status", hidden: true, textContent: "The session starts …" });
@@ -122,7 +123,7 @@ export class Sessions {
     this.keys = make("dl", { className: "pairs" });
     this.help = make("details", {}, make("summary", { textContent: "Keys (?)", onclick: (event) => { event.preventDefault(); this.answering.press("?"); } }), this.keys);
     this.way = new Way(this.link);
-    const screen = make("a", { href: `participant.html#${this.link.token}`, target: "_blank", textContent: "Open the participant's screen" });
+    const screen = make("a", { href: `participant.html#${this.facts.participants}`, target: "_blank", textContent: "Open the participant's screen" });
     const main = make("section", { className: "panel operator", ariaLabel: "Operator's desk" }, this.place, this.state, this.saying, this.answering.element, this.last, this.way.element);
     const side = make("div", { className: "side" },
       make("section", { className: "panel" }, make("h2", { textContent: "Now" }), this.facts, this.heat),

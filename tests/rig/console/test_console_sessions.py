@@ -121,7 +121,7 @@ def test_a_participant_answers_verdicts_and_items_and_nothing_else(
         what = {"key": key} if key else {"text": line}
         do = "session_key" if key else "session_line"
         number = page.participant.newest["participant"]["asked"]
-        page.ask(do, page.participant, asked=number, participant=True, **what)
+        page.ask(do, page.participant, asked=number, **what)
 
     reply = asked(page, asker, READY)
     for key in ("g", "enter", "p", "a", "n"):

@@ -10,21 +10,28 @@ import socket
 import urllib.error
 import urllib.request
 from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
+from rig.console.bounds import MOST_AT_DOOR
 from rig.console.client import MOST_REPLIES, Client
 from rig.console.errands import Errands
 from rig.console.live import SEARCH_S, Live
+from rig.console.server import SOCKETS
 from rig.core.errors import ConfigError
 from rig.core.sample import Phase, RowFlag
 from rig.realtime import ring as words
 from tests.conformance.console import Served, served
 from tests.conformance.lsl_loop import INFO, HandTurnedLoop
 
+UPGRADE = (
+    b"GET /live HTTP/1.1\r\nHost: ADDRESS\r\nOrigin: http://ADDRESS\r\nConnection: Upgrade\r\n"
+    b"Upgrade: websocket\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n"
+)
 Scenario = Callable[[Served], Awaitable[None]]
 
 
@@ -60,7 +67,7 @@ def test_the_page_is_served_to_its_own_name_alone(tmp_path: Path) -> None:
     play(tmp_path, scenario, hosts=("tunnel:9000",))
 
 
-@pytest.mark.parametrize("path", ["/live", "/hold"])
+@pytest.mark.parametrize("path", SOCKETS)
 def test_a_socket_of_another_site_is_refused(path: str, tmp_path: Path) -> None:
     async def scenario(console: Served) -> None:
         for origin in ("http://evil.example", f"https://{console.address}", "null"):
@@ -86,7 +93,7 @@ def test_a_socket_of_another_site_is_refused(path: str, tmp_path: Path) -> None:
 )
 def test_without_the_token_a_socket_is_closed(greeting: str, tmp_path: Path) -> None:
     async def scenario(console: Served) -> None:
-        for path in ("/live", "/hold"):
+        for path in SOCKETS:
             async with console.socket(path) as socket:
                 await socket.send(greeting)
                 with pytest.raises(ConnectionClosed) as closed:
@@ -188,6 +195,124 @@ def test_stop_reaches_loops_that_nobody_looks_at(tmp_path: Path) -> None:
                     await asyncio.sleep(0.001)
 
     play(tmp_path, scenario, own=True)
+
+
+@pytest.mark.parametrize("say", [b"", b"GET / HTTP/1.1\r\n", UPGRADE], ids=["nothing", "half", "no token"])
+def test_who_has_no_token_holds_no_place_and_keeps_no_page_out(
+    say: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rig.console.bounds.DOOR_S", 1.0)
+
+    async def scenario(console: Served) -> None:
+        async with console.page("a-page-of-before") as before, console.hold("a-page-of-before") as hold:
+            knocking = [await knock(console, say) for _ in range(3 * MOST_AT_DOOR)]
+            async with asyncio.timeout(10.0):
+                for reader, _ in knocking[: 2 * MOST_AT_DOOR]:  # the newest have the places
+                    await left(reader)
+            async with console.page("a-page-that-comes") as page:
+                assert "result" in await page.ask("operate", take=True)
+            assert "result" in await before.ask("stop")
+            await hold.send('{"stop":true}')
+            assert "stopped" in await hold.recv()
+            async with asyncio.timeout(10.0):
+                for reader, writer in knocking:  # nor do those keep theirs
+                    await left(reader)
+                    writer.close()
+
+    play(tmp_path, scenario)
+
+
+async def knock(console: Served, say: bytes) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+    reader, writer = await asyncio.open_connection("127.0.0.1", console.port)
+    writer.write(say.replace(b"ADDRESS", console.address.encode()))
+    return reader, writer
+
+
+async def left(reader: asyncio.StreamReader) -> None:
+    with suppress(ConnectionResetError):
+        await reader.read()
+
+
+def test_of_too_many_hold_sockets_the_silent_one_goes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rig.console.server.MOST_HOLDS", 2)
+
+    async def scenario(console: Served) -> None:
+        async with console.hold("the-first-page") as one, console.hold("the-second-page") as two:
+            await one.send('{"stop":true}')
+            assert "stopped" in await one.recv()
+            async with console.hold("the-third-page") as three:
+                await three.send('{"stop":true}')
+                assert "stopped" in await three.recv()
+                with pytest.raises(ConnectionClosed):
+                    await two.recv()
+                await one.send('{"stop":true}')
+                assert "stopped" in await one.recv()
+
+    play(tmp_path, scenario)
+
+
+def test_a_flood_of_beats_is_cut_off_and_stops_all_the_same(tmp_path: Path) -> None:
+    async def scenario(console: Served) -> None:
+        with HandTurnedLoop(64, shared=True).ring as ring:
+            async with console.hold() as hold:
+                with suppress(ConnectionClosed):
+                    for _ in range(1000):
+                        await hold.send('{"beat":true}')
+                with pytest.raises(ConnectionClosed):
+                    await hold.recv()
+            async with console.hold() as hold:
+                await hold.send('{"stop":true}')
+                while ring.get(words.STOP) == 0:
+                    await asyncio.sleep(0.001)
+
+    play(tmp_path, scenario)
+
+
+def test_a_participants_screen_is_told_what_it_shows_and_nothing_else(tmp_path: Path) -> None:
+    """At the wire, while a loop runs whose wall every page may see."""
+    loop = HandTurnedLoop(4096, shared=True)
+
+    async def scenario(console: Served) -> None:
+        async with console.page() as page:
+            await page.ask("look", pid=os.getpid())
+            hello = await page.until(lambda page: page.newest("hello"))
+            await page.until(lambda page: page.newest("loop"))
+            async with console.screen(hello["participants"]) as screen:
+                for do, content in (
+                    ("stop", {}), ("session_key", {"key": "1"}), ("session_line", {"text": "x"}),
+                ):  # fmt: skip
+                    assert "result" in await screen.ask(do, **content)
+                for do in ("operate", "run", "experiment", "recordings", "session", "show", "set"):
+                    assert "no such request" in (await screen.ask(do))["error"]["error"]
+                for _ in range(20):
+                    loop.leave(100)
+                    await asyncio.sleep(0.01)
+                await page.until(lambda page: sum(f["points"] * f["step"] for f in page.frames) >= 2000 - 2)
+                assert {one["say"] for one in screen.told} == {"participant", "answer"}
+                assert screen.frames == []
+                assert screen.newest("participant") == {"say": "participant", "runs": False}
+            for path in ("/live", "/participant"):  # neither token opens what is the other's
+                async with console.socket(path) as socket:
+                    token = console.token if path == "/participant" else hello["participants"]
+                    await socket.send(json.dumps({"token": token, "client": "a-participant"}))
+                    with pytest.raises(ConnectionClosed):
+                        await socket.recv()
+
+    with loop.ring:
+        play(tmp_path, scenario)
+
+
+def test_a_handle_is_dragged_by_nobody_while_something_else_moves_the_hand(tmp_path: Path) -> None:
+    """A session's hand is in the same file."""
+
+    async def scenario(console: Served) -> None:
+        async with console.page() as page:
+            refused = await page.ask("hand", position=0.1)
+            assert "no handle is dragged" in refused["error"]["error"]
+
+    play(tmp_path, scenario)
 
 
 def test_one_page_operates_and_the_others_look_on(tmp_path: Path) -> None:

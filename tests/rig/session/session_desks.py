@@ -177,8 +177,8 @@ class FakeJob:
 class FakeClient:
     """A page: what it was told last, and everything."""
 
-    def __init__(self, name: str) -> None:
-        self.name = name
+    def __init__(self, name: str, *, participant: bool = False) -> None:
+        self.name, self.participant = name, participant
         self.newest: dict[str, dict[str, Any]] = {}
         self.all = ""
 
@@ -196,13 +196,14 @@ class AtPage(Place):
         self._thread = threading.Thread(target=self._loop.run_forever)
         self._thread.start()
         self.hung_s = 0.0  # since when nothing is heard
-        self.client, self.participant = FakeClient("operator"), FakeClient("participant")
+        self.client = FakeClient("operator")
+        self.participant = FakeClient("participant", participant=True)
         self._place = TemporaryDirectory()
         self.hand = SharedHand.create(hand[1] if hand is not None else Path(self._place.name) / "hand")
         self.job, self.line_ = FakeJob(self), Line(self)
         self.jobs = FakeJobs(self.job)
-        clients = cast("set[Client]", {self.client, self.participant})
-        self.shared = Shared(clients, Lease(), cast("Jobs", self.jobs), Path())
+        pages, screens = (cast("set[Client]", {one}) for one in (self.client, self.participant))
+        self.shared = Shared(pages, Lease(), cast("Jobs", self.jobs), Path(), participants=screens)
         self.service = Sessions(self.shared, self.hand, Consents(), verified=False)
         try:
             self.ask("session", protocol="a.toml", code="P01", hand=hand[0] if hand else "simulated")
