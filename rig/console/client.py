@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import traceback
 from collections.abc import Mapping
 from typing import Any
 
@@ -89,6 +90,27 @@ class Client:
             newest, self._newest = self._newest, {}
             for message in [*replies, *newest.values()]:
                 await self._socket.send(message)
-            if self._view is not None and not self.paused:
-                for frame in self._view.frames():
-                    await self._socket.send(frame)
+            for frame in self._frames():
+                await self._socket.send(frame)
+
+    def _frames(self) -> list[bytes]:
+        """What its scope has not seen; a defect of ours costs it the scope."""
+        if self._view is None or self.paused:
+            return []
+        try:
+            return list(self._view.frames())
+        except Exception as error:
+            self._view = None
+            self.put(trouble(defect("the scope", error)))
+            return []
+
+
+def trouble(error: RigError) -> str:
+    """Message that tells a page what went wrong, where it has not asked."""
+    return json.dumps({"say": "trouble", "message": str(error)})
+
+
+def defect(do: str, error: BaseException) -> RigError:
+    """What a page is told of a defect of ours; its traceback goes to where the console runs."""
+    traceback.print_exception(error)
+    return RigError(f"{do}: {error!r}", remedy="report it with what stands where the console runs")

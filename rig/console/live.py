@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import asyncio
 import json
+import math
 import time
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from typing import Any
 
 from rig import config
 from rig.console import requests as asked
-from rig.console.client import Client
+from rig.console.client import Client, defect
 from rig.console.follow import Followed, attached, newest
 from rig.console.history import History
 from rig.console.hits import experiment_of
@@ -32,6 +33,7 @@ PLAY = "play"  # the job whose hand is dragged
 FRAME_S = 1.0 / 60.0
 STATE_S = 0.1
 SEARCH_S = 0.25
+DEFECT_S = 10.0  # between two words on the same defect
 
 
 class Live(Service):
@@ -54,6 +56,10 @@ class Live(Service):
         self._followed: Followed | None = None
         self._pid: int | None = None  # whose loop is wanted while no job runs; None: whichever began last
         self._withheld = False  # whether that loop may be shown to nobody
+        self._unreadable: tuple[int, float] | None = (
+            None  # a loop that is looked at no more: a defect of ours
+        )
+        self._defects: dict[str, float] = {}  # when which was told last
         self._regions = asyncio.Lock()
 
     def handlers(self) -> Mapping[str, tuple[type[asked.Request], Handler]]:
@@ -170,28 +176,47 @@ class Live(Service):
         """Take over rows and hand them on, sixty times a second."""
         due = 0.0
         while True:
-            followed = self._followed
-            if followed is not None and not followed.ended:
-                followed.poll()
-                if followed.changed():
-                    self._tell_loop()
-            self._tell_hand()
-            now = time.monotonic()
-            if now >= due:
-                due = now + STATE_S
-                self._tell_state()
+            with self._surviving("the loop that is looked at"):
+                self._take_rows()
+            with self._surviving("what a page is shown"):
+                self._tell_hand()
+                if (now := time.monotonic()) >= due:
+                    due = now + STATE_S
+                    self._tell_state()
             for client in self._shared.clients:
                 client.wake()
             await asyncio.sleep(FRAME_S)
 
+    def _take_rows(self) -> None:
+        followed = self._followed
+        if followed is None or followed.ended:
+            return
+        try:
+            followed.poll()
+            if followed.changed():
+                self._tell_loop()
+        except Exception:
+            self._unreadable = (followed.pid, followed.since)
+            self._withhold()
+            raise
+
     async def every_search(self) -> None:
         """Look for another loop."""
         while True:
-            with suppress(
-                OSError
-            ):  # no descriptor left, which connections of anybody may use up: it is tried again
-                await self.search()
+            with self._surviving("the search for loops"), suppress(OSError):
+                await self.search()  # no descriptor left, which anybody may use up: it is tried again
             await asyncio.sleep(SEARCH_S)
+
+    @contextmanager
+    def _surviving(self, what: str) -> Iterator[None]:
+        """Let a defect of ours cost what it spoils, told now and then, and not the server that hears STOP."""
+        try:
+            yield
+        except Exception as error:
+            now = time.monotonic()
+            if now - self._defects.get(what, -math.inf) > DEFECT_S:
+                self._defects[what] = now
+                self._shared.tell_trouble(defect(what, error))
 
     async def search(self) -> None:
         """Look at the loop that is wanted, if it is another one; at none that nobody here may know."""
@@ -212,8 +237,7 @@ class Live(Service):
         if self._withheld:
             self._withhold()
             return
-        made = attached(found, self._history)
-        if made is None:
+        if self._unreadable == (found.pid, found.since) or (made := attached(found, self._history)) is None:
             return
         if self._followed is not None:
             self._followed.close()
@@ -235,20 +259,31 @@ class Live(Service):
         return followed is not None and (followed.pid, followed.since) == (loop.pid, loop.since)
 
     async def every_beat(self) -> None:
-        """End what moves while nobody operates: its operator has gone, or let go."""
+        """End what moves while nobody operates: its operator has gone, or let go.
+
+        A defect here ends what this console moves, whether it goes on without a page or not, and then the console:
+        nobody would end it later.
+        """
         told: Job | None = None  # since nobody operates
-        while True:
-            self._shared.jobs.beat()
-            self._shared.lease.expire()
-            job = self._shared.jobs.running
-            if self._shared.lease.held().by is not None:
-                told = None
-            else:
-                self._terminal.withdraw()
-                if job is not None and job is not told and not job.goes_on:
-                    told = job
-                    job.end()
-            await asyncio.sleep(LOOK_S)
+        try:
+            while True:
+                told = self._beat(told)
+                await asyncio.sleep(LOOK_S)
+        except Exception:
+            self._shared.jobs.end()
+            raise
+
+    def _beat(self, told: Job | None) -> Job | None:
+        self._shared.jobs.beat()
+        self._shared.lease.expire()
+        if self._shared.lease.held().by is not None:
+            return None
+        self._terminal.withdraw()
+        job = self._shared.jobs.running
+        if job is not None and job is not told and not job.goes_on:
+            job.end()
+            return job
+        return told
 
     def _tell_state(self) -> None:
         held = self._shared.lease.held()

@@ -23,14 +23,14 @@ from rig.config.files import preset_names
 from rig.console import requests as asked
 from rig.console.access import HEADERS, Access
 from rig.console.bounds import Allowance, Places, door, let_in
-from rig.console.client import Client
+from rig.console.client import Client, defect
 from rig.console.devices import Devices
 from rig.console.jobs import Job, Jobs
 from rig.console.lease import Lease
 from rig.console.live import Live
 from rig.console.maps import Maps
 from rig.console.recordings import Recordings
-from rig.console.service import LATER, Download, Service, Shared, defect
+from rig.console.service import LATER, Download, Service, Shared
 from rig.console.sessions import PARTICIPANTS, Sessions
 from rig.console.sockets import (
     ConnectionClosed,
@@ -226,7 +226,15 @@ def _facts() -> dict[str, Any]:
 
 
 async def run(settings: Settings, terminal: Terminal, ended: asyncio.Event) -> None:
-    """Serve until `ended` is set. Raises `ConfigError` when the port is taken."""
+    """Serve until `ended` is set.
+
+    Raises
+    ------
+    ConfigError
+        The port is taken.
+    RigError
+        A defect of ours, after what moved was ended.
+    """
     static = _page()
     async with AsyncExitStack() as stack:
         place = stack.enter_context(TemporaryDirectory(prefix="rig-console-"))
@@ -270,7 +278,8 @@ async def run(settings: Settings, terminal: Terminal, ended: asyncio.Event) -> N
         for task in tasks:
             task.cancel()
         for one in done:
-            one.result()
+            if (failed := one.exception()) is not None:
+                raise defect("the console cannot watch over its runs, and has ended them", failed) from failed
 
 
 def _page() -> dict[str, tuple[str, bytes]]:

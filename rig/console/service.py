@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import traceback
 from abc import ABC, abstractmethod
 from collections.abc import Awaitable, Callable, Coroutine, Mapping
 from dataclasses import dataclass, field
@@ -11,7 +10,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from rig.console.client import Client
+from rig.console.client import Client, defect, trouble
 from rig.console.errands import Errands
 from rig.console.jobs import Job, Jobs
 from rig.console.lease import Lease
@@ -62,11 +61,10 @@ class Shared:
         if not self.lease.take(client.name):
             raise ConfigError("another page operates", remedy="let it release first, or close it")
 
-
-def defect(do: str, error: Exception) -> RigError:
-    """What a page is told of a defect of ours; its traceback goes to where the console runs."""
-    traceback.print_exception(error)
-    return RigError(f"{do}: {error!r}", remedy="report it with what stands where the console runs")
+    def tell_trouble(self, error: RigError) -> None:
+        """Tell every page what went wrong, where none has asked."""
+        for client in self.clients:
+            client.put(trouble(error))
 
 
 LATER = object()  # what a handler returns that will answer by itself

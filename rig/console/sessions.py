@@ -20,7 +20,7 @@ from typing import Annotated, Any, Literal
 from annotated_types import Ge, Le, MaxLen
 
 from rig.console import session_lists
-from rig.console.client import Client
+from rig.console.client import Client, defect
 from rig.console.jobs import Job
 from rig.console.requests import Name, Request
 from rig.console.service import Handler, Service, Shared
@@ -160,7 +160,7 @@ class Sessions(Service):
         job = self._job = await self._shared.jobs.start(JOB, content, asks=not person)
         self._shared.blinded = True  # until the session says that nobody has to be
         self._seat, self._end, self._compiling = None, None, False
-        self._rounds = asyncio.create_task(self._every_round())
+        self._rounds = asyncio.create_task(self._every_round(job))
         self._tell()
         return {"pid": job.pid}
 
@@ -259,13 +259,17 @@ class Sessions(Service):
             self._rounds.cancel()
             self._rounds = None
 
-    async def _every_round(self) -> None:
-        """Look at the loop and the clock, and say so."""
-        while True:
-            if self._seat is not None:
-                self._seat.look(time.monotonic())
-                self._tell()
-            await asyncio.sleep(ROUND_S)
+    async def _every_round(self, job: Job) -> None:
+        """Look at the loop and the clock, and say so; a desk that cannot ends its session, which then resumes."""
+        try:
+            while True:
+                if self._seat is not None:
+                    self._seat.look(time.monotonic())
+                    self._tell()
+                await asyncio.sleep(ROUND_S)
+        except Exception as error:
+            self._shared.tell_trouble(defect("the session's desk, which is left", error))
+            await job.close()
 
     def _tell(self) -> None:
         for pages, message in self._messages():

@@ -98,6 +98,17 @@ def test_a_page_that_comes_back_sees_the_question(page: AtPage, asker: ThreadPoo
     assert reply.result(PATIENCE_S).value == "stable"
 
 
+def test_a_desk_that_cannot_look_ends_its_session_and_says_so(
+    page: AtPage, asker: ThreadPoolExecutor
+) -> None:
+    reply = asked(page, asker, READY)
+    assert page.service._seat is not None
+    page.service._seat.look = lambda _: {}["a defect"]  # type: ignore[method-assign]
+    with pytest.raises(StoppedError):  # as one that nobody answers
+        reply.result(PATIENCE_S)
+    assert "a defect" in page.client.newest["trouble"]["message"]
+
+
 def test_one_page_operates_and_any_may_stop(page: AtPage, asker: ThreadPoolExecutor) -> None:
     reply = asked(page, asker, READY)
     other = FakeClient("another")

@@ -124,6 +124,23 @@ def test_a_job_without_an_operator_ends_unless_it_goes_on(
     play(WAITS, monkeypatch, body)
 
 
+def test_a_console_that_cannot_watch_ends_what_it_moves_also_what_would_go_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def body(here: Here) -> None:
+        monkeypatch.setattr(Lease, "expire", lambda _: {}["a defect"])
+        await here.jobs.start("hit", {}, goes_on=True)
+        with SharedHand.create(tmp_path / "hand") as hand:
+            live = Live(
+                Shared(set(), Lease(), here.jobs, tmp_path), hand, Terminal(), verified=False, own=True
+            )
+            with pytest.raises(KeyError):
+                await live.every_beat()
+        await here.ended()
+
+    play(WAITS, monkeypatch, body)
+
+
 def test_what_is_no_message_is_not_heard(monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever a library prints, on either stream and however much of it, the job is followed to its end."""
     noise = "print('42'); print('null'); print('[]'); print('{}'); print('{\"say\": 1}')"

@@ -20,9 +20,11 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from rig.console.bounds import MOST_AT_DOOR
 from rig.console.client import MOST_REPLIES, Client
 from rig.console.errands import Errands
+from rig.console.follow import Followed
+from rig.console.lease import Lease
 from rig.console.live import SEARCH_S, Live
 from rig.console.server import SOCKETS
-from rig.core.errors import ConfigError
+from rig.core.errors import ConfigError, RigError
 from rig.core.sample import Phase, RowFlag
 from rig.realtime import ring as words
 from tests.conformance.console import Served, served
@@ -166,6 +168,64 @@ def test_a_search_that_finds_no_descriptor_left_is_tried_again(
             assert "result" in await page.ask("operate", take=True)
 
     play(tmp_path, scenario)
+
+
+def test_a_loop_that_cannot_be_read_costs_its_scope_and_no_server(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    polled = 0
+
+    def broken(_: Followed) -> None:
+        nonlocal polled
+        polled += 1
+        raise KeyError("a defect")
+
+    monkeypatch.setattr(Followed, "poll", broken)
+
+    async def scenario(console: Served) -> None:
+        async with console.page() as page:
+            await page.ask("look", pid=os.getpid())
+            told = await page.until(lambda page: page.newest("trouble"))
+            assert "a defect" in told["message"]
+            await asyncio.sleep(2 * SEARCH_S)
+            assert polled == 1, "it is not looked at again"
+            assert (await page.ask("operate", take=True))["result"] == {"operates": True}
+            await page.ask("stop")
+            assert loop.ring.get(words.STOP) == 1
+
+    loop = HandTurnedLoop(64, shared=True)
+    with loop.ring:
+        play(tmp_path, scenario)
+
+
+@pytest.mark.parametrize("where", ["rig.console.live.Live._tell_state", "rig.console.view.View.frames"])
+def test_a_defect_in_what_is_shown_is_told_and_ends_no_server(
+    where: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(where, lambda *_: {}["a defect"])
+
+    async def scenario(console: Served) -> None:
+        async with console.page() as page:
+            await page.ask("look", pid=os.getpid())
+            told = await page.until(lambda page: page.newest("trouble"))
+            assert "a defect" in told["message"]
+            assert "result" in await page.ask("operate", take=True)
+
+    with HandTurnedLoop(64, shared=True).ring:
+        play(tmp_path, scenario)
+
+
+def test_a_console_that_cannot_watch_over_its_runs_ends_aloud(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def scenario(console: Served) -> None:
+        async with console.page() as page:
+            monkeypatch.setattr(Lease, "expire", lambda _: {}["a defect"])
+            with pytest.raises(ConnectionClosed):
+                await page.until(lambda _: False)
+
+    with pytest.raises(RigError, match="cannot watch over its runs, and has ended them: KeyError"):
+        play(tmp_path, scenario)
 
 
 def test_stop_reaches_the_loop_by_either_socket(tmp_path: Path) -> None:

@@ -170,6 +170,9 @@ class FakeJob:
     def __init__(self, page: AtPage) -> None:
         self._page = page
 
+    async def close(self) -> None:
+        self._page.leave()
+
     def answer(self, value: Any) -> None:
         self._page.line_.heard.put(json.loads(json.dumps(value)))
 
@@ -186,6 +189,9 @@ class FakeClient:
         text = json.dumps(message, ensure_ascii=False)
         self.newest[message["say"]] = json.loads(text)
         self.all += text + "\n"
+
+    def put(self, message: str) -> None:
+        self.put_newest(json.loads(message))
 
 
 class AtPage(Place):
