@@ -9,7 +9,10 @@
 * `recordings`, `recording_errands`, `place`, `trash`: what the runs left;
 * `regions`: which walls theory finds stable and passive;
 * `requests`: what a page may ask for;
-* `sessions`, `session_desk`, `session_lists`: the operator's seat, the session's side of it, and what may be begun;
+* `sessions`, `session_desk`, `session_lists`, `session_requests`: the operator's seat, the session's side of it, what
+  may be begun, and what is asked;
+* `consent`, `terminal`: what a person at the rig agrees to, and where;
+* `bounds`: how much of the server anybody may take;
 * `server`: sockets and the page;
 * `page/`: the page itself, plain modules and one vendored library.
 """

@@ -11,11 +11,12 @@ from contextlib import contextmanager, suppress
 from typing import Any
 
 from rig import config
+from rig.console import consent
 from rig.console import requests as asked
 from rig.console.client import Client, defect
 from rig.console.follow import Followed, attached, newest
 from rig.console.history import History
-from rig.console.hits import experiment_of
+from rig.console.hits import digest_of, experiment_of
 from rig.console.jobs import Job
 from rig.console.lease import LOOK_S
 from rig.console.regions import regions
@@ -111,8 +112,10 @@ class Live(Service):
             "duration_s": request.duration_s, "hand": str(self._hand.path), "verified": self._verified,
         }  # fmt: skip
         if not request.url.startswith("sim:"):
-            said = ", ".join(f"{key} = {value}" for key, value in request.changes.items())
-            await self._terminal.insist(request.url, f"a {request.job} on {request.rig}: {said}")
+            experiment = await asyncio.to_thread(self._experiment, request.rig, request.changes)
+            content["digest"] = await asyncio.to_thread(digest_of, content)
+            lines = consent.to_run(request, experiment, content["digest"])
+            await consent.insist(self._terminal, client, request.url, lines)
             self._shared.must_operate(client)  # still: a person takes their time
         goes_on = request.goes_on and request.job != PLAY
         job = await self._shared.jobs.start(request.job, content, goes_on=goes_on)

@@ -12,21 +12,20 @@ import asyncio
 import math
 import time
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
-from annotated_types import Ge, Le, MaxLen
-
-from rig.console import session_lists
+from rig.console import consent, session_lists
 from rig.console.client import Client, defect
 from rig.console.jobs import Job
-from rig.console.requests import Name, Request
+from rig.console.requests import Request
 from rig.console.service import Handler, Service, Shared
+from rig.console.session_desk import digest_of
+from rig.console.session_requests import BeginSession, ListSessions, PressKey, Reach, TypeLine
 from rig.console.terminal import Terminal
 from rig.core.errors import ConfigError, RigError
-from rig.core.quantity import STRICT
 from rig.realtime.hand import SharedHand
 from rig.session.console import words
 from rig.session.console.conversation import LATER, Conversation
@@ -41,70 +40,6 @@ PARTICIPANTS = ("session_key", "session_line", "stop")  # what a participant's s
 OPERATORS = ("starting", "stopped", "trouble", "ready to end")  # states that are no participant's matter
 PLEASE_WAIT = "please wait"
 ROUND_S = 0.08  # between two looks at a loop that runs
-
-Key = Annotated[str, MaxLen(40)]
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class ListSessions(Request):
-    """What may be begun and resumed."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class SessionPerson:
-    """Who is rehearsed (`rig.session.rehearsal.Person`)."""
-
-    __pydantic_config__ = STRICT
-
-    thresholds: Annotated[tuple[Name, ...], MaxLen(50)] = ()
-    spread: float = 15.0
-    lapse_rate: float = 0.0
-    people_sd: float = 0.0
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class BeginSession(Request):
-    """Begin a session of a protocol, or resume that of a directory; as `rig session run` and `resume`."""
-
-    protocol: Name = ""
-    code: Name = ""
-    directory: Name = ""
-    row: Annotated[int, Ge(0)] | None = None
-    person: SessionPerson | None = None
-    realtime: bool = False
-    again: bool = False
-    at: Literal["trial", "block"] = "trial"
-    other_device: bool = False
-    url: Name = ""
-    hand: Literal["simulated", "mouse", "keyboard"] = "simulated"
-    arm_anyway: bool = False
-    lossy_anyway: bool = False
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class PressKey(Request):
-    """A key at the desk, `shown_s` after question `asked` could be read."""
-
-    key: Key
-    asked: int = 0
-    shown_s: Annotated[float, Ge(0)] | None = None
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class TypeLine(Request):
-    """A line where one is wanted: a note, or the answer to an item."""
-
-    text: Annotated[str, MaxLen(2000)]
-    asked: int = 0
-    shown_s: Annotated[float, Ge(0)] | None = None
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Reach(Request):
-    """How far the dragged hand reaches, as a share of its way, and whether it presses with full force."""
-
-    share: Annotated[float, Ge(0), Le(1)]
-    held: bool = False
 
 
 class Sessions(Service):
@@ -147,10 +82,13 @@ class Sessions(Service):
         if not request.directory and not (request.protocol and request.code):
             raise ConfigError("a session needs a protocol and a participant's code", remedy="give both")
         person, url, realtime = await asyncio.to_thread(self._known, request)
+        digest = None
         if url and not url.startswith("sim:"):
-            await self._consent(request, url)
+            digest = await asyncio.to_thread(digest_of, request.protocol, request.directory)
+            await consent.insist(self._terminal, client, url, consent.to_session(request, url, digest))
             self._shared.must_operate(client)  # still: a person takes their time
         content = asdict(request) | {
+            "digest": digest,
             "url": url,
             "realtime": realtime,
             "verified": self._verified,
@@ -171,11 +109,6 @@ class Sessions(Service):
             return request.person is not None, request.url, request.realtime
         place = took_place(Path(request.directory))
         return rehearsed(Path(request.directory)) is not None, request.url or place.url or "", place.realtime
-
-    async def _consent(self, request: BeginSession, url: str) -> None:
-        whose = request.directory or f"{request.code} with {request.protocol}"
-        walls = ", also the walls that `rig session check` says it refuses" if request.arm_anyway else ""
-        await self._terminal.insist(url, f"the session of {whose}{walls}")
 
     # At the desk.
 

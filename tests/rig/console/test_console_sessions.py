@@ -32,6 +32,7 @@ from rig.session.place import Place
 from rig.session.protocol import Keys
 from rig.session.template_files import template_names, write_template
 from tests.conformance.terminal import PATIENCE_S
+from tests.rig.console.console_fakes import CONTENT
 from tests.rig.session.session_desks import AtPage, FakeClient, until
 from tests.rig.session.session_fakes import FakeRunner
 
@@ -237,8 +238,9 @@ def test_a_real_rig_needs_a_word_at_the_terminal(
     before = Place(url="serial:///dev/ttyACM0", realtime=True, simulated=False)
     monkeypatch.setattr("rig.console.sessions.took_place", lambda _: before)
     monkeypatch.setattr("rig.console.sessions.rehearsed", lambda _: None)
+    monkeypatch.setattr("rig.console.sessions.digest_of", lambda *_: "1234 5678")
     page.jobs.started = {}
-    with pytest.raises(ConfigError, match="ttyACM0 is a real rig, and nobody at the terminal") as caught:
+    with pytest.raises(ConfigError, match="ttyACM0 is a real rig, and is not armed") as caught:
         page.ask("session", **given)
     assert caught.value.remedy
     assert page.jobs.started == {}
@@ -268,14 +270,11 @@ def test_what_may_be_begun_and_resumed_is_listed(tmp_path: Path, monkeypatch: py
         {**CONTENT, "protocol": "", "code": "", "directory": found["directory"]}, talk
     )
     assert again["stands"] == "session of P02: left: the operator left"
+    session_desk.session({**CONTENT, "study": "elsewhere"}, talk)
+    assert (tmp_path / "elsewhere" / "P01" / "session.log").exists()
 
 
 PERSON = {"thresholds": [], "spread": 15.0, "lapse_rate": 0.0, "people_sd": 0.0}
-CONTENT: dict[str, Any] = {
-    "protocol": "mine.toml", "code": "P01", "directory": "", "row": None, "person": None, "realtime": False,
-    "again": False, "at": "trial", "other_device": False, "url": "", "verified": False, "arm_anyway": False,
-    "lossy_anyway": False, "hand": "", "hand_kind": None,
-}  # fmt: skip
 
 
 def test_a_stop_does_not_end_a_job_that_asks_and_a_console_that_closes_does() -> None:

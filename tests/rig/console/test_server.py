@@ -394,7 +394,7 @@ def test_a_real_rig_is_armed_from_no_page_alone(tmp_path: Path) -> None:
     async def scenario(console: Served) -> None:
         async with console.page() as page:
             refused = await page.ask("run", job="hit", url="serial:///dev/ttyACM0")
-            assert "nobody at the terminal" in refused["error"]["error"]
+            assert "runs in no terminal" in refused["error"]["error"]
             assert "rig console" in refused["error"]["remedy"]
 
     play(tmp_path, scenario)
