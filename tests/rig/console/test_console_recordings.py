@@ -305,6 +305,17 @@ def test_nothing_is_deleted_a_recording_moves_with_its_picture_and_comes_back(ou
     assert list(trash.iterdir()) == []
 
 
+@pytest.mark.parametrize("do", ["throw-away", "restore", "recording"])
+@pytest.mark.parametrize("name", ["one.png", "notes.txt"])
+def test_what_is_no_recording_is_no_pages_matter(name: str, do: str, output: Path) -> None:
+    place = output / TRASH if do == "restore" else output
+    place.mkdir(exist_ok=True)
+    (place / name).write_bytes(b"of somebody")
+    with pytest.raises(ConfigError, match="is no recording"):
+        run(lambda: ask(Recordings(shared(output)), Page(), do, name=name))
+    assert (place / name).read_bytes() == b"of somebody"
+
+
 def test_neither_way_goes_over_a_file_of_that_name(output: Path) -> None:
     async def body() -> None:
         service, page = Recordings(shared(output)), Page()
