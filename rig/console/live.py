@@ -12,6 +12,7 @@ from typing import Any
 
 from rig import config
 from rig.console import consent
+from rig.config.controller import for_experiment
 from rig.console import requests as asked
 from rig.console.client import Client, defect
 from rig.console.follow import Followed, attached, newest
@@ -166,7 +167,9 @@ class Live(Service):
 
     def _experiment(self, name: str, changes: Mapping[str, Any]) -> config.Experiment:
         asked.refuse_reserved(changes)
-        return config.with_realtime(experiment_of({"rig": name}), changes)
+        experiment = config.with_realtime(experiment_of({"rig": name}), changes)
+        for_experiment(experiment, current_quantum_a=experiment.rig.amplifier.current_quantum_a)
+        return experiment
 
     def _looked_at(self) -> Followed:
         if self._followed is None or self._followed.ended:
@@ -187,6 +190,7 @@ class Live(Service):
                     due = now + STATE_S
                     self._tell_state()
             for client in self._shared.clients:
+        """The experiment in effect, its keys checked, and that its estimator can be realised at its rates."""
                 client.wake()
             await asyncio.sleep(FRAME_S)
 

@@ -12,7 +12,7 @@ import json
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AsyncExitStack, suppress
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from http import HTTPStatus
 from importlib.resources import files
 from pathlib import Path, PurePath
@@ -42,6 +42,7 @@ from rig.console.sockets import (
 )
 from rig.console.terminal import Terminal
 from rig.control import estimators
+from rig.control.estimators.estimator import Choice, Setting
 from rig.core.errors import ConfigError, RigError
 from rig.core.sample import COLUMNS, unit_of
 from rig.realtime.hand import SharedHand
@@ -221,8 +222,21 @@ def _facts() -> dict[str, Any]:
             for column in COLUMNS
         ],
         "rigs": list(preset_names()),
-        "estimators": estimators.names(),
+        "estimators": [_estimator(name) for name in estimators.names()],
     }
+
+
+def _estimator(name: str) -> dict[str, Any]:
+    """One of the registry with its settings, as it says them itself; `problem` where it cannot be used."""
+    if problem := estimators.broken(name):
+        return {"name": name, "settings": [], "problem": problem}
+    settings = estimators.get(name).settings
+    return {"name": name, "settings": [_setting(one) for one in settings], "problem": ""}
+
+
+def _setting(setting: Setting | Choice) -> dict[str, Any]:
+    whole = isinstance(setting, Setting) and isinstance(setting.default, int)
+    return {**asdict(setting), "whole": whole}
 
 
 async def run(settings: Settings, terminal: Terminal, ended: asyncio.Event) -> None:

@@ -11,6 +11,7 @@ import urllib.error
 import urllib.request
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from rig.console.follow import Followed
 from rig.console.lease import Lease
 from rig.console.live import SEARCH_S, Live
 from rig.console.server import SOCKETS
+from rig.control import estimators
 from rig.core.errors import ConfigError, RigError
 from rig.core.sample import Phase, RowFlag
 from rig.realtime import ring as words
@@ -488,6 +490,37 @@ def test_what_theory_says_of_a_wall(tmp_path: Path) -> None:
             assert nothing["passive"] is None or nothing["passive"] < nothing["stable"]
             experiment = (await page.ask("experiment", changes={"wall.stiffness": 33}))["result"]
             assert experiment["wall"]["stiffness"] == 33
+
+    play(tmp_path, scenario)
+
+
+def test_settings_of_an_estimator_are_those_of_the_registry_and_checked_as_overrides_are(
+    tmp_path: Path,
+) -> None:
+    async def scenario(console: Served) -> None:
+        async with console.page() as page:
+            told = {one["name"]: one for one in (page.newest("hello") or {})["estimators"]}
+            assert list(told) == estimators.names()
+            cutoff, order = told["fdm-butterworth"]["settings"]
+            known = estimators.get("fdm-butterworth").settings
+            assert [{**asdict(one)} for one in known] == [
+                {name: value for name, value in one.items() if name != "whole"} for one in (cutoff, order)
+            ]
+            assert (cutoff["whole"], order["whole"]) == (False, True)
+            assert told["kalman"]["settings"][0]["choices"] == ["triple", "double"]
+            changes = {"controller.estimator": "fdm-butterworth", "controller.parameters.cutoff_hz": 90}
+            made = (await page.ask("experiment", changes=changes))["result"]
+            assert made["controller"]["parameters"] == {"cutoff_hz": 90}
+            for key, value, told_of in (
+                ("cutoff_hz", 1e9, "out of range"),
+                ("cutoff_hz", "many", "not a number"),
+                ("noise", 1.0, "no parameter 'noise'"),
+            ):
+                wrong = {**changes, f"controller.parameters.{key}": value}
+                for do in ("experiment", "regions"):
+                    more = {"damping": 0.1} if do == "regions" else {}
+                    answer = await page.ask(do, changes=wrong, **more)
+                    assert told_of in answer["error"]["error"], answer
 
     play(tmp_path, scenario)
 
