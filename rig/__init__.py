@@ -24,6 +24,7 @@ _LAZY: dict[str, str] = {
     "RigError": "rig.core.errors",
     "Scheme": "rig.config.schemes",
     "Verdict": "rig.control.verdict",
+    "cut_recording": "rig.experiments.cutting",
     "export": "rig.recording.export",
     "hit": "rig.experiments.hit",
     "kernel": "rig.realtime.kernel",

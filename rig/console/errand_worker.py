@@ -27,6 +27,7 @@ ERRANDS: dict[str, Callable[..., Any]] = {
     "recordings": recording_errands.listed,
     "recording": recording_errands.described,
     "cut": recording_errands.cut,
+    "save cut": recording_errands.save_cut,
     "picture": recording_errands.picture,
     "export": recording_errands.exported,
 }

@@ -8,11 +8,12 @@ import math
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import Any
 
 from rig import config
-from rig.console import consent
 from rig.config.controller import for_experiment
+from rig.console import consent
 from rig.console import requests as asked
 from rig.console.client import Client, defect
 from rig.console.follow import Followed, attached, newest
@@ -30,6 +31,7 @@ from rig.experiments import live
 from rig.realtime.hand import SharedHand
 from rig.realtime.memories import ask_to_stop
 from rig.realtime.running import RunningLoop
+from rig.recording.seal import SEALED_SUFFIX
 
 PLAY = "play"  # the job whose hand is dragged
 FRAME_S = 1.0 / 60.0
@@ -74,6 +76,7 @@ class Live(Service):
             "hand": (asked.Hand, self._move),
             "show": (asked.Show, self._show),
             "zoom": (asked.Zoom, self._zoom),
+            "cut": (asked.Cut, self._cut),
             "look": (asked.Look, self._look),
             "regions": (asked.AskRegions, self._ask_regions),
             "experiment": (asked.AskExperiment, self._ask_experiment),
@@ -148,6 +151,25 @@ class Live(Service):
             packed(history.cut(shown.columns, first, last, step), shown.columns, kind="zoom", fresh=True)
         )
 
+    async def _cut(self, client: Client, request: asked.Cut) -> object:
+        """Cut what was recorded, at full rate, of which the history has a part or points."""
+        self._shared.must_operate(client)
+        followed = self._followed
+        recorded = None if followed is None else followed.info.get("recording")
+        if followed is None or not recorded:
+            raise ConfigError("no loop that was recorded is looked at", remedy="start a run first")
+        if not followed.ended:
+            raise ConfigError(
+                "a cut is taken from the recording, which is whole when the run has ended",
+                remedy="stop it, or wait",
+            )
+        path = Path(str(recorded))
+        sealed = path.with_suffix(SEALED_SUFFIX)
+        cut = self._shared.save_cut(
+            sealed if sealed.exists() else path, request.first_s, request.last_s, self._history.start_ns
+        )
+        return self.answer_later(client, request, cut)
+
     async def _look(self, client: Client, request: asked.Look) -> None:
         self._pid = request.pid or None
         await self.search()
@@ -166,6 +188,7 @@ class Live(Service):
         )
 
     def _experiment(self, name: str, changes: Mapping[str, Any]) -> config.Experiment:
+        """The experiment in effect, its keys checked, and that its estimator can be realised at its rates."""
         asked.refuse_reserved(changes)
         experiment = config.with_realtime(experiment_of({"rig": name}), changes)
         for_experiment(experiment, current_quantum_a=experiment.rig.amplifier.current_quantum_a)
@@ -190,7 +213,6 @@ class Live(Service):
                     due = now + STATE_S
                     self._tell_state()
             for client in self._shared.clients:
-        """The experiment in effect, its keys checked, and that its estimator can be realised at its rates."""
                 client.wake()
             await asyncio.sleep(FRAME_S)
 

@@ -48,6 +48,16 @@ class AskRecording(Request):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class CutRecording(Request):
+    """Save a stretch of a recording (s since its first row) as a recording of its own."""
+
+    name: Name
+    map: Name = ""
+    first_s: float
+    last_s: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class ThrowAway(Request):
     """Move a recording and its pictures to the trash."""
 
@@ -72,6 +82,7 @@ class Recordings(Service):
         return {
             "recordings": (AskRecordings, self._list),
             "recording": (AskRecording, self._describe),
+            "recording-cut": (CutRecording, self._cut),
             "throw-away": (ThrowAway, self._throw_away),
             "restore": (Restore, self._restore),
         }
@@ -95,6 +106,12 @@ class Recordings(Service):
             return {**found, "map": request.map, "estimators": estimators.names()}
 
         return self.answer_later(client, request, described())
+
+    async def _cut(self, client: Client, request: CutRecording) -> object:
+        self._shared.must_operate(client)
+        path = self._file(request.name, request.map)
+        cut = self._shared.save_cut(path, request.first_s, request.last_s)
+        return self.answer_later(client, request, cut)
 
     async def _throw_away(self, client: Client, request: ThrowAway) -> None:
         self._shared.must_operate(client)

@@ -61,6 +61,18 @@ class Shared:
         if not self.lease.take(client.name):
             raise ConfigError("another page operates", remedy="let it release first, or close it")
 
+    async def save_cut(self, path: Path, first_s: float, last_s: float, zero_ns: int | None = None) -> Any:
+        """Have a stretch of a recording saved beside the others (`rig.console.recording_errands.save_cut`)."""
+        saved, _ = await self.errands.run(
+            "save cut",
+            path=str(path),
+            first_s=first_s,
+            last_s=last_s,
+            output=str(self.output),
+            zero_ns=zero_ns,
+        )
+        return saved
+
     def tell_trouble(self, error: RigError) -> None:
         """Tell every page what went wrong, where none has asked."""
         for client in self.clients:
