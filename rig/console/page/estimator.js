@@ -11,6 +11,8 @@ export class Estimator {
   constructor(facts, changed) {
     this.known = Object.fromEntries(facts.estimators.map((one) => [one.name, one]));
     this.changed = changed;
+    this.given = null; // until an experiment has come
+    this.touched = {};
     this.select = make("select", { ariaLabel: "estimator", onchange: () => { this.#build(); changed(); } },
       ...facts.estimators.map(({ name, problem }) => make("option", { value: name, textContent: name, disabled: Boolean(problem), title: problem })));
     this.settings = make("div");
@@ -27,6 +29,7 @@ export class Estimator {
 
   // What was changed, by dotted key.
   get changes() {
+    if (!this.given) return {};
     const settings = Object.entries(this.touched).map(([name, value]) => [`controller.parameters.${name}`, value]);
     const other = this.select.value === this.given.estimator ? [] : [["controller.estimator", this.select.value]];
     return Object.fromEntries([...other, ...settings]);
@@ -40,7 +43,7 @@ export class Estimator {
   #build() {
     this.touched = {};
     this.complain(null);
-    const set = this.select.value === this.given.estimator ? this.given.parameters : {};
+    const set = this.select.value === this.given?.estimator ? this.given.parameters : {};
     this.settings.replaceChildren(...this.known[this.select.value].settings.map((one) => this.#field(one, set[one.name] ?? one.default)));
   }
 
