@@ -12,16 +12,14 @@ from pathlib import Path
 from typing import Any
 
 from rig import config
-from rig.config.controller import for_experiment
 from rig.console import consent
 from rig.console import requests as asked
 from rig.console.client import Client, defect
 from rig.console.follow import Followed, attached, newest
 from rig.console.history import History
-from rig.console.hits import digest_of, experiment_of
+from rig.console.hits import digest_of, in_effect
 from rig.console.jobs import Job
 from rig.console.lease import LOOK_S
-from rig.console.regions import regions
 from rig.console.service import Handler, Service, Shared
 from rig.console.terminal import Terminal
 from rig.console.view import POINTS, Shown, packed
@@ -117,7 +115,7 @@ class Live(Service):
         }  # fmt: skip
         if not request.url.startswith("sim:"):
             experiment = await asyncio.to_thread(self._experiment, request.rig, request.changes)
-            content["digest"] = await asyncio.to_thread(digest_of, content)
+            content["digest"] = digest_of(experiment)
             lines = consent.to_run(request, experiment, content["digest"])
             await consent.insist(self._terminal, client, request.url, lines)
             self._shared.must_operate(client)  # still: a person takes their time
@@ -174,13 +172,15 @@ class Live(Service):
         self._pid = request.pid or None
         await self.search()
 
-    async def _ask_regions(self, client: Client, request: asked.AskRegions) -> Any:
-        async with self._regions:  # one after the other: the page asks while a slider moves
-            return await asyncio.to_thread(self._regions_of, request)
+    async def _ask_regions(self, client: Client, request: asked.AskRegions) -> object:
+        async def found() -> Any:
+            content = {name: getattr(request, name) for name in ("rig", "changes", "damping", "delay_ticks")}
+            async with self._regions:  # one after the other: pages ask while a slider moves
+                result, _ = await self._shared.errands.run("regions", compiling=client.compiles, **content)
+            return result
 
-    def _regions_of(self, request: asked.AskRegions) -> Any:
-        experiment = self._experiment(request.rig, request.changes)
-        return regions(experiment, request.delay_ticks, request.damping)
+        asked.refuse_reserved(request.changes)
+        return self.answer_later(client, request, found())
 
     async def _ask_experiment(self, client: Client, request: asked.AskExperiment) -> Any:
         return await asyncio.to_thread(
@@ -188,11 +188,8 @@ class Live(Service):
         )
 
     def _experiment(self, name: str, changes: Mapping[str, Any]) -> config.Experiment:
-        """The experiment in effect, its keys checked, and that its estimator can be realised at its rates."""
         asked.refuse_reserved(changes)
-        experiment = config.with_realtime(experiment_of({"rig": name}), changes)
-        for_experiment(experiment, current_quantum_a=experiment.rig.amplifier.current_quantum_a)
-        return experiment
+        return in_effect({"rig": name, "changes": changes})
 
     def _looked_at(self) -> Followed:
         if self._followed is None or self._followed.ended:

@@ -31,6 +31,7 @@ from rig.core.sample import Phase, RowFlag
 from rig.realtime import ring as words
 from tests.conformance.console import Served, served
 from tests.conformance.lsl_loop import INFO, HandTurnedLoop
+from tests.rig.console.console_fakes import Here
 
 UPGRADE = (
     b"GET /live HTTP/1.1\r\nHost: ADDRESS\r\nOrigin: http://ADDRESS\r\nConnection: Upgrade\r\n"
@@ -480,7 +481,9 @@ def test_a_page_that_reads_nothing_takes_no_more_memory(
     play(tmp_path, scenario)
 
 
-def test_what_theory_says_of_a_wall(tmp_path: Path) -> None:
+def test_what_theory_says_of_a_wall(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Errands, "run", Here.run)
+
     async def scenario(console: Served) -> None:
         async with console.page() as page:
             soft = (await page.ask("regions", damping=0.2, delay_ticks=1))["result"]
@@ -495,8 +498,10 @@ def test_what_theory_says_of_a_wall(tmp_path: Path) -> None:
 
 
 def test_settings_of_an_estimator_are_those_of_the_registry_and_checked_as_overrides_are(
-    tmp_path: Path,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(Errands, "run", Here.run)
+
     async def scenario(console: Served) -> None:
         async with console.page() as page:
             told = {one["name"]: one for one in (page.newest("hello") or {})["estimators"]}
