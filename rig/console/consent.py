@@ -13,19 +13,22 @@ from rig.console.client import Client
 from rig.console.requests import Run
 from rig.console.session_requests import BeginSession
 from rig.console.terminal import Terminal
+from rig.core.sample import unit_of
 
 ENDS = "ends when no page operates any more"
 
 
 def to_run(request: Run, experiment: Experiment, digest: str) -> list[str]:
     """Lines for a run on a real rig; `experiment` is that in effect."""
-    trial = experiment.trial
+    trial, wall = experiment.trial, experiment.wall
+    stiffness, damping = (unit_of(name, experiment.rig.motion) for name in ("stiffness", "damping"))
     longest_s = trial.duration_s + trial.hold_s
     changed = [f"{key} = {value}" for key, value in request.changes.items()]
     return [
         f"{request.url} for a {request.job} on {request.rig}",
         f"changed: {', '.join(changed) or 'nothing'}",
-        f"a {trial.kind} trial of {longest_s:g} s at most, wall K {experiment.wall.stiffness:g}",
+        f"a {trial.kind} trial of {longest_s:g} s at most",
+        f"wall: K {wall.stiffness:g} {stiffness}, B {wall.damping:g} {damping}, law {wall.law}",
         f"without a page: {'goes on to its end' if request.goes_on else ENDS}",
         f"experiment {digest}",
     ]

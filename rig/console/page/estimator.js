@@ -49,7 +49,7 @@ export class Estimator {
 
   #field(setting, value) {
     const { name, meaning, unit, choices } = setting;
-    const label = make("span", { textContent: name.replaceAll("_", " ") + (unit && unit !== "1" ? ` (${unit})` : "") });
+    const label = make("span", { textContent: name.replace(/_(hz|s)$/, "").replaceAll("_", " ") + (unit && unit !== "1" ? ` (${unit})` : "") });
     if (choices) {
       const select = make("select", { onchange: () => this.#set(name, select.value) }, ...choices.map((one) => make("option", { value: one, textContent: one })));
       select.value = value;

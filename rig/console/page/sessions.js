@@ -62,12 +62,13 @@ export class Sessions {
       this.people, this.rehearsal, make("details", {}, make("summary", { textContent: "Order, place, streams" }), field("row", this.row), field("study", this.study), this.lsl.element), make("p", {}, this.start));
     this.resumable = make("tbody");
     this.none = make("p", { className: "quiet", textContent: "None in this directory." });
+    this.resumes = make("div", { hidden: true }, field("goes on with", this.at), this.otherDevice.element,
+      make("p", { className: "quiet", textContent: "A session that was left, or cut off, goes on where it was, on the device where it was; consents and the handle are those beside." }));
     this.ended = make("section", { className: "panel", hidden: true, role: "status" });
     const table = make("table", {}, make("thead", {}, make("tr", {}, ...["who", "study", "trials", "left", ""].map((name) => make("th", { textContent: name, scope: "col" })))), this.resumable);
     return [make("section", { className: "panel begin" }, make("h2", { textContent: "Begin a session" }), this.form),
       make("div", {}, this.ended, make("section", { className: "panel" }, make("h2", { textContent: "Not over yet" }), table, this.none,
-        field("goes on with", this.at), this.otherDevice.element,
-        make("p", { className: "quiet", textContent: "A session that was left, or cut off, goes on where it was, on the device where it was; consents and the handle are those beside." })))];
+        this.resumes))];
   }
 
   #who() {
@@ -88,6 +89,7 @@ export class Sessions {
       if (!this.protocol.value) this.protocol.value = protocols.find(({ name }) => name === "first-steps")?.name ?? "";
       this.#about();
       this.none.hidden = resumable.length > 0;
+      this.resumes.hidden = resumable.length === 0;
       this.resumable.parentElement.hidden = resumable.length === 0;
       this.resumable.replaceChildren(...resumable.map((one) => make("tr", {}, ...[one.code, one.title + (one.rehearsal ? " (rehearsal)" : ""), String(one.trials), one.stopped].map((text) => make("td", { textContent: text })),
         make("td", {}, make("button", { type: "button", textContent: "Resume", ariaLabel: `Resume ${one.code}`, onclick: () => this.#ask({ directory: one.directory, at: this.at.value, other_device: this.otherDevice.input.checked }) })))));
