@@ -58,9 +58,7 @@ class Live(Service):
         self._followed: Followed | None = None
         self._pid: int | None = None  # whose loop is wanted while no job runs; None: whichever began last
         self._withheld = False  # whether that loop may be shown to nobody
-        self._unreadable: tuple[int, float] | None = (
-            None  # a loop that is looked at no more: a defect of ours
-        )
+        self._unreadable: tuple[int, float] | None = None  # a loop that a defect of ours cannot read
         self._defects: dict[str, float] = {}  # when which was told last
         self._regions = asyncio.Lock()
 
@@ -106,19 +104,28 @@ class Live(Service):
         for memory in ask_to_stop():
             memory.close()
 
-    async def _run(self, client: Client, request: asked.Run) -> dict[str, Any]:
+    async def _run(self, client: Client, request: asked.Run) -> object:
         self._shared.must_operate(client)
         asked.refuse_reserved(request.changes)
+        if not request.url.startswith("sim:"):
+            return self.answer_later(client, request, self._run_agreed(client, request))
+        return await self._start(request)
+
+    async def _run_agreed(self, client: Client, request: asked.Run) -> dict[str, Any]:
+        """Start what a person at the rig agrees to; meanwhile the page's other requests are answered."""
+        experiment = await asyncio.to_thread(self._experiment, request.rig, request.changes)
+        digest = digest_of(experiment)
+        lines = consent.to_run(request, experiment, digest)
+        await consent.insist(self._terminal, client, request.url, lines)
+        self._shared.must_operate(client)  # still: a person takes their time
+        return await self._start(request, digest)
+
+    async def _start(self, request: asked.Run, digest: str | None = None) -> dict[str, Any]:
         content: dict[str, Any] = {
             "rig": request.rig, "url": request.url, "changes": request.changes, "output": str(self._shared.output),
             "duration_s": request.duration_s, "hand": str(self._hand.path), "verified": self._verified,
+            "digest": digest,
         }  # fmt: skip
-        if not request.url.startswith("sim:"):
-            experiment = await asyncio.to_thread(self._experiment, request.rig, request.changes)
-            content["digest"] = digest_of(experiment)
-            lines = consent.to_run(request, experiment, content["digest"])
-            await consent.insist(self._terminal, client, request.url, lines)
-            self._shared.must_operate(client)  # still: a person takes their time
         goes_on = request.goes_on and request.job != PLAY
         job = await self._shared.jobs.start(request.job, content, goes_on=goes_on)
         self._pid = None
@@ -351,3 +358,4 @@ class Live(Service):
         self._terminal.withdraw()
         if self._followed is not None:
             self._followed.close()
+        await super().close()

@@ -77,25 +77,38 @@ class Sessions(Service):
             lambda: {"protocols": session_lists.protocols(), "resumable": session_lists.resumable()}
         )
 
-    async def _begin(self, client: Client, request: BeginSession) -> dict[str, Any]:
+    async def _begin(self, client: Client, request: BeginSession) -> object:
         self._shared.must_operate(client)
         if not request.directory and not (request.protocol and request.code):
             raise ConfigError("a session needs a protocol and a participant's code", remedy="give both")
         person, url, realtime = await asyncio.to_thread(self._known, request)
-        digest = None
-        if url and not url.startswith("sim:"):
-            digest = await asyncio.to_thread(digest_of, request.protocol, request.directory)
-            await consent.insist(self._terminal, client, url, consent.to_session(request, url, digest))
-            self._shared.must_operate(client)  # still: a person takes their time
         content = asdict(request) | {
-            "digest": digest,
+            "digest": None,
             "url": url,
             "realtime": realtime,
             "verified": self._verified,
             "hand": str(self._hand.path),
             "hand_kind": None if request.hand == "simulated" or person else request.hand,
         }
-        job = self._job = await self._shared.jobs.start(JOB, content, asks=not person)
+        if url and not url.startswith("sim:"):
+            return self.answer_later(
+                client, request, self._begin_agreed(client, request, content, asks=not person)
+            )
+        return await self._start(content, asks=not person)
+
+    async def _begin_agreed(
+        self, client: Client, request: BeginSession, content: dict[str, Any], *, asks: bool
+    ) -> dict[str, Any]:
+        """Begin what a person at the rig agrees to; meanwhile the page's other requests are answered."""
+        url = content["url"]
+        content["digest"] = await asyncio.to_thread(digest_of, request.protocol, request.directory)
+        lines = consent.to_session(request, url, content["digest"])
+        await consent.insist(self._terminal, client, url, lines)
+        self._shared.must_operate(client)  # still: a person takes their time
+        return await self._start(content, asks=asks)
+
+    async def _start(self, content: Mapping[str, Any], *, asks: bool) -> dict[str, Any]:
+        job = self._job = await self._shared.jobs.start(JOB, content, asks=asks)
         self._shared.blinded = True  # until the session says that nobody has to be
         self._seat, self._end, self._compiling = None, None, False
         self._rounds = asyncio.create_task(self._every_round(job))
@@ -257,6 +270,7 @@ class Sessions(Service):
     async def close(self) -> None:
         """See `Service.close`."""
         self._leave()
+        await super().close()
 
 
 def _say(job: Job, kind: str, **content: Any) -> None:

@@ -14,8 +14,6 @@ from typing import Any
 import pytest
 
 from rig.console import consent, hits, session_desk
-from rig.console import requests as asked
-from rig.console.client import Client
 from rig.console.jobs import Jobs
 from rig.console.lease import Lease
 from rig.console.live import Live
@@ -27,7 +25,7 @@ from rig.core.errors import ConfigError
 from rig.realtime.hand import SharedHand
 from rig.session.template_files import write_template
 from tests.conformance.console import served
-from tests.rig.console.console_fakes import CONTENT, Page
+from tests.rig.console.console_fakes import CONTENT, Page, ask
 from tests.rig.session.session_fakes import FakeRunner
 
 REAL = "serial:///dev/ttyACM0"
@@ -115,8 +113,7 @@ def test_a_word_arms_nothing_for_a_page_that_stopped_or_went(
         shared = Shared(set(), Lease(), Jobs(lambda *_: None), tmp_path)
         with SharedHand.create(tmp_path / "hand") as hand:
             live = Live(shared, hand, terminal, verified=False, own=True)
-            _, run = live.handlers()["run"]
-            wanted = asyncio.ensure_future(run(_client(page), asked.Run(do="run", job="hit", url=REAL)))
+            wanted = asyncio.create_task(ask(live, page, "run", job="hit", url=REAL))
             while terminal._asked is None:
                 await asyncio.sleep(0.001)
             if event == "stop":
@@ -153,9 +150,8 @@ def test_terminal_and_page_show_what_is_agreed_to_and_nothing_else_is_armed(
         shared = Shared(set(), Lease(), Starts(lambda *_: None), tmp_path)
         with SharedHand.create(tmp_path / "hand") as hand:
             live = Live(shared, hand, terminal, verified=True, own=True)
-            _, run = live.handlers()["run"]
-            wanted = asked.Run(do="run", job="hit", url=REAL, changes={"wall.stiffness": 55}, goes_on=True)
-            running = asyncio.ensure_future(run(_client(page), wanted))
+            wanted = {"job": "hit", "url": REAL, "changes": {"wall.stiffness": 55}, "goes_on": True}
+            running = asyncio.create_task(ask(live, page, "run", **wanted))
             while terminal._asked is None:
                 await asyncio.sleep(0.001)
             (told,) = page.told
@@ -209,13 +205,10 @@ def test_what_a_session_does_although_something_speaks_against_it_is_agreed_to()
 
 def test_a_console_ends_though_it_waits_for_a_word(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     async def body(terminal: Terminal, person: int) -> None:
-        async with served(tmp_path, terminal) as console, console.page() as page:
+        async with served(tmp_path, terminal, own=True) as console, console.page() as page:
             await page.say("run", job="hit", url=REAL)
             while terminal._asked is None:
                 await asyncio.sleep(0.01)
+            assert "result" in await page.ask("operate", take=True), "it is heard meanwhile"
 
     at_a_terminal(monkeypatch, body)
-
-
-def _client(page: Page) -> Client:
-    return page  # type: ignore[return-value]

@@ -150,9 +150,7 @@ def test_a_wall_that_changed_before_the_cut_or_in_it_is_replayed(whole: Recordin
         assert replay(made).exact
 
 
-def test_a_cut_has_no_verdict_of_its_own_and_is_shown_and_exported(
-    whole: Recording, tmp_path: Path
-) -> None:
+def test_a_cut_has_no_verdict_of_its_own_and_is_shown_and_exported(whole: Recording, tmp_path: Path) -> None:
     for _, first_s, last_s in stretches(whole):
         path = cut_recording(place(whole), first_s, last_s, output=tmp_path).path
         made = open_recording(path)

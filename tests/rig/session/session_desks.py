@@ -22,11 +22,12 @@ from rig.console.client import Client
 from rig.console.jobs import Job, Jobs
 from rig.console.lease import Lease
 from rig.console.requests import request_of
-from rig.console.service import Shared
+from rig.console.service import LATER, Shared
 from rig.console.session_desk import PageDesk
 from rig.console.sessions import JOB, Sessions
 from rig.console.talk import Talk
 from rig.console.terminal import Terminal as Consents
+from rig.core.errors import RigError
 from rig.core.present import plain
 from rig.realtime.hand import SharedHand
 from rig.session.console.asking import AskingDesk
@@ -184,6 +185,10 @@ class FakeClient:
         self.name, self.participant = name, participant
         self.newest: dict[str, dict[str, Any]] = {}
         self.all = ""
+        self.answers: SimpleQueue[RigError | None] = SimpleQueue()
+
+    def reply(self, number: int, result: Any = None, error: RigError | None = None) -> None:
+        self.answers.put(error)
 
     def put_newest(self, message: Any) -> None:
         text = json.dumps(message, ensure_ascii=False)
@@ -227,12 +232,16 @@ class AtPage(Place):
         return self.service.job_says(cast("Job", self.job), message)
 
     def ask(self, do: str, client: FakeClient | None = None, **content: Any) -> Any:
-        """A request of a page, as its socket brings it."""
+        """A request of a page, as its socket brings it, and its answer, whenever it comes."""
+        client = client or self.client
         handlers = self.service.handlers()
         request = request_of(
             json.dumps({"do": do, **content}), {name: kind for name, (kind, _) in handlers.items()}
         )
-        return self.in_loop(self._answered(handlers[do][1](cast("Client", client or self.client), request)))
+        result = self.in_loop(self._answered(handlers[do][1](cast("Client", client), request)))
+        if result is LATER and (error := client.answers.get(timeout=PATIENCE_S)) is not None:
+            raise error
+        return result
 
     async def _answered(self, answer: Any) -> Any:
         return await answer
