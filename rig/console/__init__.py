@@ -3,6 +3,7 @@
 * `access`: who may open the page at all: token, Host, Origin, and what a browser may load;
 * `follow`, `history`, `trigger`, `view`: from a loop's rows to what one scope shows;
 * `lease`: who operates, and what happens when they are gone;
+* `live`, `runs`: the loop that is looked at; what a page starts and changes;
 * `jobs`, `worker`: runs, in a process of their own, through the functions of the commands;
 * `errands`, `errand_worker`: what is read, drawn and computed for a page, apart from the server;
 * `maps`, `map_jobs`, `map_errands`: maps that fill in, and the hits of one;

@@ -30,6 +30,7 @@ from rig.console.lease import Lease
 from rig.console.live import Live
 from rig.console.maps import Maps
 from rig.console.recordings import Recordings
+from rig.console.runs import Runs
 from rig.console.service import LATER, Download, Service, Shared
 from rig.console.sessions import PARTICIPANTS, Sessions
 from rig.console.sockets import (
@@ -88,10 +89,12 @@ class Console:
 
     def __init__(self, settings: Settings, hand: SharedHand, terminal: Terminal) -> None:
         self._shared = Shared(set(), Lease(), Jobs(self._job_says), settings.output)
-        self.live = Live(self._shared, hand, terminal, verified=settings.verified, own=settings.own)
+        self.live = Live(self._shared, hand, terminal, own=settings.own)
+        self.runs = Runs(self._shared, self.live, hand, terminal, verified=settings.verified)
         self._sessions = Sessions(self._shared, hand, terminal, verified=settings.verified)
         self.services: tuple[Service, ...] = (
             self.live,
+            self.runs,
             self._sessions,
             Maps(self._shared),
             Recordings(self._shared),
@@ -284,7 +287,7 @@ async def run(settings: Settings, terminal: Terminal, ended: asyncio.Event) -> N
         settings.announce(console.access.url)
         tasks = [
             asyncio.create_task(task())
-            for task in (console.live.every_frame, console.live.every_search, console.live.every_beat)
+            for task in (console.live.every_frame, console.live.every_search, console.runs.every_beat)
         ]
         done, _ = await asyncio.wait(
             [*tasks, asyncio.create_task(ended.wait())], return_when=asyncio.FIRST_COMPLETED

@@ -44,9 +44,7 @@ class Finger:
 @pytest.fixture(params=SIZES, ids=["across", "upright"])
 def tablet(request: pytest.FixtureRequest, console: Any, open_page: Any) -> Any:
     width, height = request.param
-    return open_page(
-        console.url, viewport={"width": width, "height": height}, has_touch=True, is_mobile=True
-    )
+    return open_page(console.url, viewport={"width": width, "height": height}, has_touch=True, is_mobile=True)
 
 
 def test_a_finger_drags_the_handle_slides_the_wall_and_stops(tablet: Any, tmp_path: Path) -> None:

@@ -274,7 +274,7 @@ def test_a_live_run_is_cut_from_its_recording_once_it_has_ended(output: Path) ->
     async def body() -> Any:
         page = Page()
         with SharedHand.create(output / "hand") as hand:
-            live = Live(shared(output), hand, Terminal(), verified=False, own=True)
+            live = Live(shared(output), hand, Terminal(), own=True)
             with pytest.raises(ConfigError, match="no loop that was recorded"):
                 await ask(live, page, "cut", first_s=0.0, last_s=1.0)
             seen = SimpleNamespace(ended=False, info={"recording": str(output / "one.rigcap")})

@@ -203,7 +203,7 @@ def test_nothing_of_a_blinded_loop_reaches_a_page(tmp_path: Path) -> None:
     shared = Shared({cast("Client", one)}, Lease(), Jobs(lambda *_: None), tmp_path)
     with SharedHand.create(tmp_path / "hand") as hand, Ring.allocate(64, info=info, shared=True) as ring:
         ring.words[words.HEAD] = 10
-        live = Live(shared, hand, Terminal(), verified=False, own=False)
+        live = Live(shared, hand, Terminal(), own=False)
         live._pid = os.getpid()
         shared.blinded = True
         asyncio.run(live.search())
@@ -223,7 +223,7 @@ def test_nothing_of_a_blinded_loop_reaches_a_page(tmp_path: Path) -> None:
         assert (one.followed, one.put_, live._history.rows) == (None, "", 0)
         assert one.newest["state"]["loop"] is None
         with pytest.raises(ConfigError, match="no loop runs"):
-            live._looked_at()  # nor is its wall changed
+            live.looked_at()  # nor is its wall changed
 
 
 @pytest.mark.parametrize(

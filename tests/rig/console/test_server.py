@@ -24,6 +24,7 @@ from rig.console.errands import Errands
 from rig.console.follow import Followed
 from rig.console.lease import Lease
 from rig.console.live import SEARCH_S, Live
+from rig.console.runs import Runs
 from rig.console.server import SOCKETS
 from rig.control import estimators
 from rig.core.errors import ConfigError, RigError
@@ -430,7 +431,7 @@ def test_a_defect_costs_an_answer_and_no_socket(tmp_path: Path, monkeypatch: pyt
     async def broken(*_: object, **content: object) -> None:
         raise KeyError("a defect")
 
-    monkeypatch.setattr(Live, "_experiment", lambda *_: 1 / 0)
+    monkeypatch.setattr(Runs, "_experiment", lambda *_: 1 / 0)
     monkeypatch.setattr(Errands, "run", broken)
 
     async def scenario(console: Served) -> None:

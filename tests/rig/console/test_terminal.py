@@ -17,6 +17,7 @@ from rig.console import consent, hits, session_desk
 from rig.console.jobs import Jobs
 from rig.console.lease import Lease
 from rig.console.live import Live
+from rig.console.runs import Runs
 from rig.console.service import Shared
 from rig.console.session_requests import BeginSession
 from rig.console.talk import Talk
@@ -112,8 +113,9 @@ def test_a_word_arms_nothing_for_a_page_that_stopped_or_went(
         page = Page()
         shared = Shared(set(), Lease(), Jobs(lambda *_: None), tmp_path)
         with SharedHand.create(tmp_path / "hand") as hand:
-            live = Live(shared, hand, terminal, verified=False, own=True)
-            wanted = asyncio.create_task(ask(live, page, "run", job="hit", url=REAL))
+            live = Live(shared, hand, terminal, own=True)
+            runs = Runs(shared, live, hand, terminal, verified=True)
+            wanted = asyncio.create_task(ask(runs, page, "run", job="hit", url=REAL))
             while terminal._asked is None:
                 await asyncio.sleep(0.001)
             if event == "stop":
@@ -124,7 +126,7 @@ def test_a_word_arms_nothing_for_a_page_that_stopped_or_went(
                 os.write(person, b"arm\n")
             else:
                 shared.lease.release(page.name)
-                beats = asyncio.create_task(live.every_beat())
+                beats = asyncio.create_task(runs.every_beat())
                 await asyncio.sleep(0)
                 beats.cancel()
             with pytest.raises(ConfigError, match=r"real rig|another page operates"):
@@ -149,9 +151,10 @@ def test_terminal_and_page_show_what_is_agreed_to_and_nothing_else_is_armed(
 
         shared = Shared(set(), Lease(), Starts(lambda *_: None), tmp_path)
         with SharedHand.create(tmp_path / "hand") as hand:
-            live = Live(shared, hand, terminal, verified=True, own=True)
+            live = Live(shared, hand, terminal, own=True)
+            runs = Runs(shared, live, hand, terminal, verified=True)
             wanted = {"job": "hit", "url": REAL, "changes": {"wall.stiffness": 55}, "goes_on": True}
-            running = asyncio.create_task(ask(live, page, "run", **wanted))
+            running = asyncio.create_task(ask(runs, page, "run", **wanted))
             while terminal._asked is None:
                 await asyncio.sleep(0.001)
             (told,) = page.told
