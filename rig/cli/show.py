@@ -15,6 +15,7 @@ from rig.core.present import Row, plain
 from rig.core.sample import unit_of
 from rig.experiments.judgement import Judgement, experiment_of, judge, unexpected
 from rig.experiments.planned import ARITHMETIC_WORDS
+from rig.recording.cutting import cut_facts
 from rig.recording.data import Recording
 from rig.recording.marks import Mark
 from rig.recording.marks import marks as marks_of
@@ -76,6 +77,13 @@ def _print(
         Row("rows", len(opened.rows), note="" if opened.complete else "incomplete"),
         *(Row("lost", str(loss)) for loss in opened.lost),
     ]
+    if (facts := cut_facts(opened)) is not None:
+        rows.append(
+            Row(
+                "cut from",
+                f"{facts['recording']}, {facts['first_s']:.6g} to {facts['last_s']:.6g} s, at {facts['cut_at']}",
+            )
+        )
     if trailer.get("device_host_agreement"):
         rows.append(Row("beside the host's law", _agreement(trailer["device_host_agreement"])))
     if trailer.get("error"):

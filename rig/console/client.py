@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import asyncio
 import json
-import time
+import traceback
 from collections.abc import Mapping
 from typing import Any
 
+from rig.console.bounds import Allowance
 from rig.console.follow import Followed
 from rig.console.sockets import ServerConnection
 from rig.console.view import Shown, View
@@ -18,7 +19,6 @@ from rig.core.errors import RigError
 from rig.core.present import plain
 
 MOST_REPLIES = 200  # that wait for a page: more, and it is cut off
-MOST_A_SECOND = 200.0  # messages that a page may send
 
 
 class Client:
@@ -28,27 +28,23 @@ class Client:
     ----------
     name
         Random, of the page's own choosing: its two sockets say the same.
+    participant
+        Whether it is a participant's screen, which is told and asked what a participant may know.
     shown, paused
         What its scope shows.
+    allowance
+        Of its messages.
     """
 
-    def __init__(self, socket: ServerConnection, name: str) -> None:
-        self.name = name
+    def __init__(self, socket: ServerConnection, name: str, *, participant: bool = False) -> None:
+        self.name, self.participant = name, participant
         self.shown, self.paused = Shown(), False
         self._socket = socket
         self._view: View | None = None
         self._replies: list[str | bytes] = []
         self._newest: dict[str, str] = {}
         self._wake = asyncio.Event()
-        self._allowance, self._counted = MOST_A_SECOND, time.monotonic()
-
-    def may_send(self) -> bool:
-        """Count a message from it; False when it sends too many."""
-        now = time.monotonic()
-        self._allowance = min(MOST_A_SECOND, self._allowance + (now - self._counted) * MOST_A_SECOND)
-        self._counted = now
-        self._allowance -= 1.0
-        return self._allowance >= 0.0
+        self.allowance = Allowance()
 
     def reply(self, number: int, result: Any = None, error: RigError | None = None) -> None:
         """Answer a request."""
@@ -94,6 +90,27 @@ class Client:
             newest, self._newest = self._newest, {}
             for message in [*replies, *newest.values()]:
                 await self._socket.send(message)
-            if self._view is not None and not self.paused:
-                for frame in self._view.frames():
-                    await self._socket.send(frame)
+            for frame in self._frames():
+                await self._socket.send(frame)
+
+    def _frames(self) -> list[bytes]:
+        """What its scope has not seen; a defect of ours costs it the scope."""
+        if self._view is None or self.paused:
+            return []
+        try:
+            return list(self._view.frames())
+        except Exception as error:
+            self._view = None
+            self.put(trouble(defect("the scope", error)))
+            return []
+
+
+def trouble(error: RigError) -> str:
+    """Message that tells a page what went wrong, where it has not asked."""
+    return json.dumps({"say": "trouble", "message": str(error)})
+
+
+def defect(do: str, error: BaseException) -> RigError:
+    """What a page is told of a defect of ours; its traceback goes to where the console runs."""
+    traceback.print_exception(error)
+    return RigError(f"{do}: {error!r}", remedy="report it with what stands where the console runs")

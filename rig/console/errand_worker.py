@@ -12,13 +12,14 @@ import sys
 from collections.abc import Callable
 from typing import Any, BinaryIO
 
-from rig.console import map_errands, recording_errands
+from rig.console import map_errands, recording_errands, regions
 from rig.core.errors import RigError
 from rig.core.present import plain
 from rig.realtime import compiling
 
 # Each takes its content by name and returns a result, or one and bytes.
 ERRANDS: dict[str, Callable[..., Any]] = {
+    "regions": regions.asked,
     "maps": map_errands.directories,
     "map": map_errands.described,
     "map growth": map_errands.growth,
@@ -27,6 +28,7 @@ ERRANDS: dict[str, Callable[..., Any]] = {
     "recordings": recording_errands.listed,
     "recording": recording_errands.described,
     "cut": recording_errands.cut,
+    "save cut": recording_errands.save_cut,
     "picture": recording_errands.picture,
     "export": recording_errands.exported,
 }

@@ -52,6 +52,8 @@ class History:
     ----------
     rows
         Rows so far.
+    start_ns
+        When the first one was, on the device's clock.
     """
 
     def __init__(self, raw_rows: int = RAW_ROWS, buckets: int = BUCKETS) -> None:
@@ -65,12 +67,12 @@ class History:
         """Begin with another loop."""
         self.rows = 0
         self._buckets = 0
-        self._start_ns = 0
+        self.start_ns = 0
 
     def add(self, rows: NDArray[np.void]) -> None:
         """Take what has come."""
         if self.rows == 0 and len(rows):
-            self._start_ns = int(rows["device_time"][0])
+            self.start_ns = int(rows["device_time"][0])
         most = len(self._raw) // 2
         for part in (rows[place : place + most] for place in range(0, len(rows), most)):
             self._raw[np.arange(self.rows, self.rows + len(part)) % len(self._raw)] = part
@@ -117,7 +119,7 @@ class History:
 
     def seconds_of(self, device_time_ns: int) -> float:
         """When something was on the device's clock (s since the first row)."""
-        return (device_time_ns - self._start_ns) * 1e-9
+        return (device_time_ns - self.start_ns) * 1e-9
 
     def _newest_s(self) -> float:
         return self.seconds_at(self.rows - 1)
@@ -140,7 +142,7 @@ class History:
         places = np.arange(first, first + points * step) % len(self._raw)
         # Column by column: whole rows of all that is kept would be 40 MB, and STOP waits meanwhile.
         values = np.array([self._raw[name][places] for name in columns], np.float64)
-        times = (self._raw["device_time"][places[::step]] - self._start_ns) * 1e-9
+        times = (self._raw["device_time"][places[::step]] - self.start_ns) * 1e-9
         if step == 1:
             return Cut(first, 1, times, values, values)
         values = values.reshape(len(columns), points, step)
@@ -160,7 +162,7 @@ class History:
         return self._raw[np.arange(first, last) % len(self._raw)]
 
     def _seconds(self, rows: NDArray[np.void]) -> Floats:
-        return (rows["device_time"] - self._start_ns) * 1e-9
+        return (rows["device_time"] - self.start_ns) * 1e-9
 
 
 def _values(rows: NDArray[np.void], columns: Sequence[str]) -> Floats:

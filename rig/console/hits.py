@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import hashlib
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from rig import config
 from rig.bench.doctor.gate import Gate
 from rig.config import Experiment, presets
+from rig.config.controller import for_experiment
 from rig.console.talk import Talk
 from rig.core.errors import ConfigError
 from rig.core.sample import phase_name
 from rig.experiments import hit as hits
+from rig.recording.canonical import canonical_json
 
 EVERY_S = 0.05  # between two words on the progress
 PLAY = {  # a person's trial that judges nothing of how the wall is met; a simulated winding does not burn
@@ -27,8 +31,31 @@ def experiment_of(content: Mapping[str, Any]) -> Experiment:
     return presets.load_named(str(content.get("rig") or "koul-compliant"))
 
 
+def in_effect(content: Mapping[str, Any]) -> Experiment:
+    """The experiment in real time with a page's changes: keys checked, and that its estimator can be realised."""
+    experiment = config.with_realtime(experiment_of(content), content.get("changes"))
+    for_experiment(experiment, current_quantum_a=experiment.rig.amplifier.current_quantum_a)
+    return experiment
+
+
+def digest_of(experiment: Experiment) -> str:
+    """Short digest of all that decides a hit: two that are equal mean the same experiment."""
+    return short(canonical_json(config.as_mapping(experiment)))
+
+
+def short(data: bytes) -> str:
+    """Digest that two people can compare."""
+    found = hashlib.sha256(data).hexdigest()
+    return f"{found[:4]} {found[4:8]}"
+
+
 def hit(content: Mapping[str, Any], talk: Talk) -> Any:
-    """One automated hit in real time, or a person's on a real rig."""
+    """One automated hit in real time, or a person's on a real rig: of the experiment that somebody agreed to."""
+    agreed = content.get("digest")
+    if agreed is not None and agreed != digest_of(in_effect(content)):
+        raise ConfigError(
+            f"the experiment of {content['rig']} is another one than was agreed to", remedy="start it again"
+        )
     return _run(content, talk, dict(content.get("changes") or {}), str(content.get("url") or SIMULATED))
 
 

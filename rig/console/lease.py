@@ -2,7 +2,9 @@
 
 The page's heartbeat comes from a worker of its own, since browsers throttle the timers of hidden pages, and says that
 the page itself has answered that worker. A beat is due within `BEAT_S`; a page that is silent for `LOST_S` operates no
-more, and what it moves stops.
+more, and what it moves stops. A server that looks late did not listen either, and beats may wait in its socket: it
+looks once more. So silence lasts for `LOST_S` and two looks at most, however late they are; a server that is later than
+`rig.console.talk.SILENT_S` is taken to hang by the job itself.
 """
 
 from __future__ import annotations
@@ -38,17 +40,18 @@ class Lease:
         self._by: str | None = None
         self._heard = 0.0
         self._looked = now()
+        self._doubted = False  # a late look has found it silent
 
     def take(self, client: str) -> bool:
         """Operate, if nobody else does; whether `client` does now."""
         if self._by is None:
-            self._by, self._heard = client, self._now()
+            self._by, self._heard, self._doubted = client, self._now(), False
         return self._by == client
 
     def beat(self, client: str) -> None:
         """A page was heard of."""
         if client == self._by:
-            self._heard = self._now()
+            self._heard, self._doubted = self._now(), False
 
     def release(self, client: str) -> None:
         """Operate no more."""
@@ -62,12 +65,14 @@ class Lease:
     def expire(self) -> str | None:
         """Take it from a page that was not heard of for too long: that page, once; else None.
 
-        To be called every `LOOK_S`. Who calls late did not listen either, and counts no silence for that time.
+        To be called every `LOOK_S`; what was heard before a late call may be taken over before the next one.
         """
         now = self._now()
-        self._heard = min(now, self._heard + max(0.0, now - self._looked - 2.0 * LOOK_S))
-        self._looked = now
+        late, self._looked = now - self._looked > 2.0 * LOOK_S, now
         if self._by is None or now - self._heard <= LOST_S:
+            return None
+        if late and not self._doubted:
+            self._doubted = True
             return None
         gone, self._by = self._by, None
         return gone

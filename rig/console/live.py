@@ -1,36 +1,33 @@
-"""The live view: the loop that is looked at, its wall, its handle, and runs that a page starts."""
+"""The live view: the loop that is looked at, and what each page's scope shows of it."""
 
 from __future__ import annotations
 
 import asyncio
 import json
+import math
 import time
-from collections.abc import Mapping
-from contextlib import suppress
-from typing import Any
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
 
-from rig import config
 from rig.console import requests as asked
-from rig.console.client import Client
+from rig.console.client import Client, defect
 from rig.console.follow import Followed, attached, newest
 from rig.console.history import History
-from rig.console.hits import experiment_of
-from rig.console.jobs import Job
-from rig.console.lease import LOOK_S
-from rig.console.regions import regions
 from rig.console.service import Handler, Service, Shared
 from rig.console.terminal import Terminal
 from rig.console.view import POINTS, Shown, packed
 from rig.core.errors import ConfigError
 from rig.core.present import plain
-from rig.experiments import live
 from rig.realtime.hand import SharedHand
 from rig.realtime.memories import ask_to_stop
 from rig.realtime.running import RunningLoop
+from rig.recording.seal import SEALED_SUFFIX
 
 FRAME_S = 1.0 / 60.0
 STATE_S = 0.1
 SEARCH_S = 0.25
+DEFECT_S = 10.0  # between two words on the same defect
 
 
 class Live(Service):
@@ -38,36 +35,27 @@ class Live(Service):
 
     Parameters
     ----------
-    verified
-        As `rig.console.server.Settings`.
     own
-        Likewise.
+        As `rig.console.server.Settings`.
     """
 
-    def __init__(
-        self, shared: Shared, hand: SharedHand, terminal: Terminal, *, verified: bool, own: bool
-    ) -> None:
-        self._shared, self._hand, self._terminal = shared, hand, terminal
-        self._verified, self._own = verified, own
+    def __init__(self, shared: Shared, hand: SharedHand, terminal: Terminal, *, own: bool) -> None:
+        self._shared, self._hand, self._terminal, self._own = shared, hand, terminal, own
         self._history = History()
         self._followed: Followed | None = None
         self._pid: int | None = None  # whose loop is wanted while no job runs; None: whichever began last
         self._withheld = False  # whether that loop may be shown to nobody
-        self._regions = asyncio.Lock()
+        self._unreadable: tuple[int, float] | None = None  # a loop that a defect of ours cannot read
+        self._defects: dict[str, float] = {}  # when which was told last
 
     def handlers(self) -> Mapping[str, tuple[type[asked.Request], Handler]]:
         """See `Service.handlers`."""
         return {
-            "operate": (asked.Operate, self._operate),
             "stop": (asked.Stop, self._stop),
-            "run": (asked.Run, self._run),
-            "set": (asked.Set, self._set),
-            "hand": (asked.Hand, self._move),
             "show": (asked.Show, self._show),
             "zoom": (asked.Zoom, self._zoom),
+            "cut": (asked.Cut, self._cut),
             "look": (asked.Look, self._look),
-            "regions": (asked.AskRegions, self._ask_regions),
-            "experiment": (asked.AskExperiment, self._ask_experiment),
         }
 
     def greet(self, client: Client) -> None:
@@ -76,13 +64,6 @@ class Live(Service):
         self._tell_loop(client)
 
     # Requests.
-
-    async def _operate(self, client: Client, request: asked.Operate) -> dict[str, Any]:
-        if request.take:
-            self._shared.lease.take(client.name)
-        else:
-            self._shared.lease.release(client.name)
-        return {"operates": self._shared.lease.held().by == client.name}
 
     async def _stop(self, client: Client, request: asked.Stop) -> None:
         self.stop_all()
@@ -95,31 +76,6 @@ class Live(Service):
         self._terminal.withdraw()
         for memory in ask_to_stop():
             memory.close()
-
-    async def _run(self, client: Client, request: asked.Run) -> dict[str, Any]:
-        self._shared.must_operate(client)
-        asked.refuse_reserved(request.changes)
-        content: dict[str, Any] = {
-            "rig": request.rig, "url": request.url, "changes": request.changes, "output": str(self._shared.output),
-            "duration_s": request.duration_s, "hand": str(self._hand.path), "verified": self._verified,
-        }  # fmt: skip
-        if not request.url.startswith("sim:"):
-            said = ", ".join(f"{key} = {value}" for key, value in request.changes.items())
-            await self._terminal.insist(request.url, f"a {request.job} on {request.rig}: {said}")
-            self._shared.must_operate(client)  # still: a person takes their time
-        goes_on = request.goes_on and request.job != "play"
-        job = await self._shared.jobs.start(request.job, content, goes_on=goes_on)
-        self._pid = None
-        return {"pid": job.pid}
-
-    async def _set(self, client: Client, request: asked.Set) -> Any:
-        self._shared.must_operate(client)
-        followed = self._looked_at()
-        return await asyncio.to_thread(live.change_wall, request.changes, followed.pid, patience_s=0.0)
-
-    async def _move(self, client: Client, request: asked.Hand) -> None:
-        self._shared.must_operate(client)
-        self._hand.move(request.position, request.press)
 
     async def _show(self, client: Client, request: asked.Show) -> None:
         shown = Shown(columns=request.columns, window_s=request.window_s, trigger=request.trigger)
@@ -134,31 +90,38 @@ class Live(Service):
             packed(history.cut(shown.columns, first, last, step), shown.columns, kind="zoom", fresh=True)
         )
 
+    async def _cut(self, client: Client, request: asked.Cut) -> object:
+        """Cut what was recorded, at full rate, of which the history has a part or points."""
+        self._shared.must_operate(client)
+        followed = self._followed
+        recorded = None if followed is None else followed.info.get("recording")
+        if followed is None or not recorded:
+            raise ConfigError("no loop that was recorded is looked at", remedy="start a run first")
+        if not followed.ended:
+            raise ConfigError(
+                "a cut is taken from the recording, which is whole when the run has ended",
+                remedy="stop it, or wait",
+            )
+        path = Path(str(recorded))
+        sealed = path.with_suffix(SEALED_SUFFIX)
+        cut = self._shared.save_cut(
+            sealed if sealed.exists() else path, request.first_s, request.last_s, self._history.start_ns
+        )
+        return self.answer_later(client, request, cut)
+
     async def _look(self, client: Client, request: asked.Look) -> None:
         self._pid = request.pid or None
         await self.search()
 
-    async def _ask_regions(self, client: Client, request: asked.AskRegions) -> Any:
-        async with self._regions:  # one after the other: the page asks while a slider moves
-            return await asyncio.to_thread(self._regions_of, request)
-
-    def _regions_of(self, request: asked.AskRegions) -> Any:
-        experiment = self._experiment(request.rig, request.changes)
-        return regions(experiment, request.delay_ticks, request.damping)
-
-    async def _ask_experiment(self, client: Client, request: asked.AskExperiment) -> Any:
-        return await asyncio.to_thread(
-            lambda: config.as_mapping(self._experiment(request.rig, request.changes))
-        )
-
-    def _experiment(self, name: str, changes: Mapping[str, Any]) -> config.Experiment:
-        asked.refuse_reserved(changes)
-        return config.with_realtime(experiment_of({"rig": name}), changes)
-
-    def _looked_at(self) -> Followed:
+    def looked_at(self) -> Followed:
+        """The loop that is looked at; raises `ConfigError` where none runs."""
         if self._followed is None or self._followed.ended:
             raise ConfigError("no loop runs", remedy="start a run first")
         return self._followed
+
+    def look_at_newest(self) -> None:
+        """From now on look at whichever loop begins."""
+        self._pid = None
 
     # What goes on by itself.
 
@@ -166,28 +129,47 @@ class Live(Service):
         """Take over rows and hand them on, sixty times a second."""
         due = 0.0
         while True:
-            followed = self._followed
-            if followed is not None and not followed.ended:
-                followed.poll()
-                if followed.changed():
-                    self._tell_loop()
-            self._tell_hand()
-            now = time.monotonic()
-            if now >= due:
-                due = now + STATE_S
-                self._tell_state()
+            with self._surviving("the loop that is looked at"):
+                self._take_rows()
+            with self._surviving("what a page is shown"):
+                self._tell_hand()
+                if (now := time.monotonic()) >= due:
+                    due = now + STATE_S
+                    self._tell_state()
             for client in self._shared.clients:
                 client.wake()
             await asyncio.sleep(FRAME_S)
 
+    def _take_rows(self) -> None:
+        followed = self._followed
+        if followed is None or followed.ended:
+            return
+        try:
+            followed.poll()
+            if followed.changed():
+                self._tell_loop()
+        except Exception:
+            self._unreadable = (followed.pid, followed.since)
+            self._withhold()
+            raise
+
     async def every_search(self) -> None:
         """Look for another loop."""
         while True:
-            with suppress(
-                OSError
-            ):  # no descriptor left, which connections of anybody may use up: it is tried again
-                await self.search()
+            with self._surviving("the search for loops"), suppress(OSError):
+                await self.search()  # no descriptor left, which anybody may use up: it is tried again
             await asyncio.sleep(SEARCH_S)
+
+    @contextmanager
+    def _surviving(self, what: str) -> Iterator[None]:
+        """Let a defect of ours cost what it spoils, told now and then, and not the server that hears STOP."""
+        try:
+            yield
+        except Exception as error:
+            now = time.monotonic()
+            if now - self._defects.get(what, -math.inf) > DEFECT_S:
+                self._defects[what] = now
+                self._shared.tell_trouble(defect(what, error))
 
     async def search(self) -> None:
         """Look at the loop that is wanted, if it is another one; at none that nobody here may know."""
@@ -208,8 +190,7 @@ class Live(Service):
         if self._withheld:
             self._withhold()
             return
-        made = attached(found, self._history)
-        if made is None:
+        if self._unreadable == (found.pid, found.since) or (made := attached(found, self._history)) is None:
             return
         if self._followed is not None:
             self._followed.close()
@@ -229,22 +210,6 @@ class Live(Service):
     def _is_looked_at(self, loop: RunningLoop) -> bool:
         followed = self._followed
         return followed is not None and (followed.pid, followed.since) == (loop.pid, loop.since)
-
-    async def every_beat(self) -> None:
-        """End what moves while nobody operates: its operator has gone, or let go."""
-        told: Job | None = None  # since nobody operates
-        while True:
-            self._shared.jobs.beat()
-            self._shared.lease.expire()
-            job = self._shared.jobs.running
-            if self._shared.lease.held().by is not None:
-                told = None
-            else:
-                self._terminal.withdraw()
-                if job is not None and job is not told and not job.goes_on:
-                    told = job
-                    job.end()
-            await asyncio.sleep(LOOK_S)
 
     def _tell_state(self) -> None:
         held = self._shared.lease.held()
@@ -286,3 +251,4 @@ class Live(Service):
         self._terminal.withdraw()
         if self._followed is not None:
             self._followed.close()
+        await super().close()

@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal
 
 from annotated_types import Ge, Le, MaxLen
 
-from rig.console.client import Client
+from rig.console.client import Client, defect, trouble
 from rig.console.place import directory_in
 from rig.console.requests import Changes, Name, Request, refuse_reserved
 from rig.console.service import Handler, Service, Shared
@@ -219,9 +219,10 @@ class Maps(Service):
                     client.put(watched.told(grown["columns"], now_s, anew=anew))
                 await asyncio.sleep(POLL_S)
                 watched.clients &= self._shared.clients
-        except RigError as error:
+        except Exception as error:
+            told = trouble(error if isinstance(error, RigError) else defect("the map", error))
             for client in watched.clients:
-                client.put(json.dumps({"say": "trouble", "message": str(error)}))
+                client.put(told)
         finally:
             del self._watched[watched.path.name]
 

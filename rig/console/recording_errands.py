@@ -16,9 +16,11 @@ from rig.console.history import Cut
 from rig.console.view import packed
 from rig.core.errors import ConfigError, RigError
 from rig.core.sample import unit_of
+from rig.experiments.cutting import cut_recording
 from rig.experiments.replay import ReplayResult
 from rig.experiments.replay import replay as replayed
 from rig.recording.capture import SUFFIX as CAPTURE
+from rig.recording.cutting import cut_facts
 from rig.recording.data import Recording
 from rig.recording.export import EXPORTERS, write_sidecar
 from rig.recording.reader import open_facts, open_recording
@@ -95,6 +97,7 @@ def _settings(facts: Recording) -> dict[str, Any]:
         "kind": verdict.get("kind"),
         "reasons": verdict.get("reasons") or [],
         "ended": trailer.get("reason"),
+        "cut": cut_facts(facts),
         "stiffness": _number(wall.get("stiffness")),
         "damping": _number(wall.get("damping")),
         "units": {name: unit_of(name, motion) for name in ("stiffness", "damping")},
@@ -179,6 +182,14 @@ def cut(
         recording.column(name)
     found = _cut(recording.time_s, rows, columns, first_s, last_s)
     return None, packed(found, tuple(columns), kind="recorded", fresh=True, **told)
+
+
+def save_cut(
+    path: str, first_s: float, last_s: float, output: str, zero_ns: int | None = None
+) -> dict[str, Any]:
+    """Save a stretch as a recording of its own (`rig.experiments.cutting`); its name, and why it has no replay."""
+    made = cut_recording(path, first_s, last_s, output=output, zero_ns=zero_ns)
+    return {"name": made.path.name, "rows": made.rows, "no_replay": made.no_replay}
 
 
 @lru_cache(maxsize=1)

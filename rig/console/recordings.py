@@ -18,6 +18,7 @@ from annotated_types import Ge, Le
 from rig.console.client import Client
 from rig.console.maps import MAPS
 from rig.console.place import directory_in, file_in
+from rig.console.recording_errands import SUFFIXES
 from rig.console.requests import Name, Request
 from rig.console.service import Download, Handler, Service, Shared
 from rig.console.trash import restore, throw_away
@@ -47,6 +48,16 @@ class AskRecording(Request):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class CutRecording(Request):
+    """Save a stretch of a recording (s since its first row) as a recording of its own."""
+
+    name: Name
+    map: Name = ""
+    first_s: float
+    last_s: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class ThrowAway(Request):
     """Move a recording and its pictures to the trash."""
 
@@ -71,6 +82,7 @@ class Recordings(Service):
         return {
             "recordings": (AskRecordings, self._list),
             "recording": (AskRecording, self._describe),
+            "recording-cut": (CutRecording, self._cut),
             "throw-away": (ThrowAway, self._throw_away),
             "restore": (Restore, self._restore),
         }
@@ -95,6 +107,12 @@ class Recordings(Service):
 
         return self.answer_later(client, request, described())
 
+    async def _cut(self, client: Client, request: CutRecording) -> object:
+        self._shared.must_operate(client)
+        path = self._file(request.name, request.map)
+        cut = self._shared.save_cut(path, request.first_s, request.last_s)
+        return self.answer_later(client, request, cut)
+
     async def _throw_away(self, client: Client, request: ThrowAway) -> None:
         self._shared.must_operate(client)
         path = self._file(request.name)
@@ -105,7 +123,7 @@ class Recordings(Service):
 
     async def _restore(self, client: Client, request: Restore) -> None:
         self._shared.must_operate(client)
-        restore(file_in(self._shared.output / TRASH, request.name), self._shared.output)
+        restore(_recording_in(self._shared.output / TRASH, request.name), self._shared.output)
 
     async def download(self, path: str) -> Download | None:
         """See `Service.download`."""
@@ -139,5 +157,13 @@ class Recordings(Service):
 
     def _file(self, name: str, of_map: str = "") -> Path:
         if not of_map:
-            return file_in(self._shared.output, name)
-        return file_in(directory_in(self._shared.output.parent / MAPS, of_map) / RECORDINGS, name)
+            return _recording_in(self._shared.output, name)
+        return _recording_in(directory_in(self._shared.output.parent / MAPS, of_map) / RECORDINGS, name)
+
+
+def _recording_in(directory: Path, name: str) -> Path:
+    """What the list would show, readable or not: whatever else lies in the directory is no matter of a page."""
+    path = file_in(directory, name)
+    if path.suffix not in SUFFIXES:
+        raise ConfigError(f"{name!r} is no recording", remedy="choose one of the list")
+    return path

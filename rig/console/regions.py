@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from rig.analysis.theory.passivity import passive_curve
 from rig.bench.doctor.late_loops import LateLoops, hand_text
 from rig.config import Experiment
+from rig.console.hits import in_effect
 from rig.core.errors import RigError
 
 
@@ -37,6 +39,11 @@ class Regions:
     stable_own: float | None
     hand: str
     note: str
+
+
+def asked(rig: str, changes: Mapping[str, Any], damping: float, delay_ticks: int) -> Regions:
+    """Limits for a rig with a page's changes, as `rig.console.hits.in_effect` has it."""
+    return regions(in_effect({"rig": rig, "changes": changes}), delay_ticks, damping)
 
 
 def regions(experiment: Experiment, delay_ticks: int, damping: float) -> Regions:

@@ -94,6 +94,14 @@ class Zoom(Request):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class Cut(Request):
+    """Save a stretch of the loop that is looked at (s since its first row) as a recording of its own."""
+
+    first_s: float
+    last_s: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class Look(Request):
     """Look at the loop of another process; 0: at whichever began last."""
 

@@ -1,7 +1,8 @@
 """The server of the page: sockets in, the loop that is looked at, jobs and their operator.
 
 It runs in a process of its own: in a loop's process it would delay its ticks. Two sockets belong to a page: ``/live``
-for everything, and ``/hold`` for heartbeats and STOP alone, which so wait behind nothing.
+for everything, and ``/hold`` for heartbeats and STOP alone, which so wait behind nothing. A participant's screen has
+``/participant`` in place of the first: nothing goes over it but what that screen shows, and what it may answer.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import json
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AsyncExitStack, suppress
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from http import HTTPStatus
 from importlib.resources import files
 from pathlib import Path, PurePath
@@ -21,15 +22,17 @@ from typing import Any
 from rig.config.files import preset_names
 from rig.console import requests as asked
 from rig.console.access import HEADERS, Access
-from rig.console.client import Client
+from rig.console.bounds import Allowance, Places, door, let_in
+from rig.console.client import Client, defect
 from rig.console.devices import Devices
 from rig.console.jobs import Job, Jobs
 from rig.console.lease import Lease
 from rig.console.live import Live
 from rig.console.maps import Maps
 from rig.console.recordings import Recordings
-from rig.console.service import LATER, Download, Service, Shared, defect
-from rig.console.sessions import Sessions
+from rig.console.runs import Runs
+from rig.console.service import LATER, Download, Service, Shared
+from rig.console.sessions import PARTICIPANTS, Sessions
 from rig.console.sockets import (
     ConnectionClosed,
     Headers,
@@ -40,15 +43,16 @@ from rig.console.sockets import (
 )
 from rig.console.terminal import Terminal
 from rig.control import estimators
+from rig.control.estimators.estimator import Choice, Setting
 from rig.core.errors import ConfigError, RigError
 from rig.core.sample import COLUMNS, unit_of
 from rig.realtime.hand import SharedHand
 
-GREETING_S = 5.0  # in which a socket shows the token
-MOST_CLIENTS = 16
+MOST_CLIENTS = 16  # pages, and as many participants' screens
+MOST_HOLDS = 4 * MOST_CLIENTS  # a worker that connects again leaves one behind, which pings find dead
 DOWNLOAD_S = 600.0  # a download is part of a connection's opening, and may have to be computed
 TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
-SOCKETS = ("/live", "/hold")
+SOCKETS = ("/live", "/hold", "/participant")
 UTF8 = "; charset=utf-8"
 
 
@@ -85,80 +89,95 @@ class Console:
 
     def __init__(self, settings: Settings, hand: SharedHand, terminal: Terminal) -> None:
         self._shared = Shared(set(), Lease(), Jobs(self._job_says), settings.output)
-        self.live = Live(self._shared, hand, terminal, verified=settings.verified, own=settings.own)
+        self.live = Live(self._shared, hand, terminal, own=settings.own)
+        self.runs = Runs(self._shared, self.live, hand, terminal, verified=settings.verified)
+        self._sessions = Sessions(self._shared, hand, terminal, verified=settings.verified)
         self.services: tuple[Service, ...] = (
             self.live,
-            Sessions(self._shared, hand, terminal, verified=settings.verified),
+            self.runs,
+            self._sessions,
             Maps(self._shared),
             Recordings(self._shared),
             Devices(self._shared),
         )
         self._handlers = {do: found for service in self.services for do, found in service.handlers().items()}
         self._kinds = {do: kind for do, (kind, _) in self._handlers.items()}
+        self._participants_kinds = {do: self._kinds[do] for do in PARTICIPANTS}
+        self._holds = Places[ServerConnection](MOST_HOLDS, lambda socket: socket.transport.abort())
 
     access: Access
 
     async def attend(self, socket: ServerConnection) -> None:
         """Serve one socket until it closes."""
-        greeting = await self._greeting(socket)
-        if greeting is None:
-            return
+        path = socket.request.path if socket.request is not None else ""
         with suppress(ConnectionClosed):
-            if socket.request is not None and socket.request.path == "/hold":
-                await self._hold(socket, greeting)
+            name = await self._greeting(socket, path)
+            if name is None:
+                await socket.close(1008, "the token is missing or wrong")
+                return
+            let_in(socket)
+            if path == "/hold":
+                await self._hold(socket, name)
             else:
-                await self._live(socket, greeting)
+                await self._live(socket, Client(socket, name, participant=path == "/participant"))
 
-    async def _greeting(self, socket: ServerConnection) -> str | None:
-        """Name of the page that shows the token in its first message; else the socket is closed."""
-        access: Access = self.access
-        message: dict[str, Any] = {}
-        with suppress(TimeoutError, ConnectionClosed):
-            async with asyncio.timeout(GREETING_S):
-                message = asked.json_of(await socket.recv())
-        name = message.get("client")
-        if access.token_right(message.get("token")) and isinstance(name, str) and 8 <= len(name) <= 64:
-            return name
-        with suppress(ConnectionClosed):
-            await socket.close(1008, "the token is missing or wrong")
-        return None
+    async def _greeting(self, socket: ServerConnection, path: str) -> str | None:
+        """Name of the page that shows its token in its first message; None for anybody else."""
+        message = asked.json_of(await socket.recv())
+        name, token = message.get("client"), message.get("token")
+        right = path != "/participant" and self.access.token_right(token)
+        right |= path != "/live" and self.access.participants_right(token)
+        return name if right and isinstance(name, str) and 8 <= len(name) <= 64 else None
 
     async def _hold(self, socket: ServerConnection, name: str) -> None:
         """Heartbeats, and STOP before anything else."""
-        async for text in socket:
-            said = asked.json_of(text)
-            if said.get("stop") is True:
-                self.live.stop_all()
-                await socket.send(json.dumps({"stopped": time.monotonic()}))
-            else:
-                self._shared.lease.beat(name)
+        allowance = Allowance()
+        try:
+            self._holds.hear(socket)
+            async for text in socket:
+                self._holds.hear(socket)
+                if asked.json_of(text).get("stop") is True:
+                    self.live.stop_all()
+                    await socket.send(json.dumps({"stopped": time.monotonic()}))
+                else:
+                    self._shared.lease.beat(name)
+                if not allowance.take():
+                    await socket.close(1008, "too many messages")
+        finally:
+            self._holds.leave(socket)
 
-    async def _live(self, socket: ServerConnection, name: str) -> None:
-        if len(self._shared.clients) >= MOST_CLIENTS:
+    async def _live(self, socket: ServerConnection, client: Client) -> None:
+        pages = self._shared.participants if client.participant else self._shared.clients
+        if len(pages) >= MOST_CLIENTS:
             await socket.close(1013, "too many pages are open")
             return
-        client = Client(socket, name)
-        self._shared.clients.add(client)
-        client.put(json.dumps({"say": "hello", **_facts()}))
-        for service in self.services:
-            service.greet(client)
+        pages.add(client)
+        self._greet(client)
         sender = asyncio.create_task(client.send())
         try:
             async for text in socket:
-                if not client.may_send():
+                if not client.allowance.take():
                     await socket.close(1008, "too many messages")
                     return
                 await self._answer(client, text)
         finally:
-            self._shared.clients.discard(client)
+            pages.discard(client)
             sender.cancel()
             with suppress(asyncio.CancelledError, ConnectionClosed):
                 await sender
 
+    def _greet(self, client: Client) -> None:
+        if client.participant:
+            self._sessions.greet(client)
+            return
+        client.put(json.dumps({"say": "hello", "participants": self.access.participants, **_facts()}))
+        for service in self.services:
+            service.greet(client)
+
     async def _answer(self, client: Client, text: str | bytes) -> None:
         number = asked.number_of(text)
         try:
-            request = asked.request_of(text, self._kinds)
+            request = asked.request_of(text, self._participants_kinds if client.participant else self._kinds)
             result = await self._handlers[request.do][1](client, request)
         except RigError as error:
             client.reply(number, error=error)
@@ -206,12 +225,33 @@ def _facts() -> dict[str, Any]:
             for column in COLUMNS
         ],
         "rigs": list(preset_names()),
-        "estimators": estimators.names(),
+        "estimators": [_estimator(name) for name in estimators.names()],
     }
 
 
+def _estimator(name: str) -> dict[str, Any]:
+    """One of the registry with its settings, as it says them itself; `problem` where it cannot be used."""
+    if problem := estimators.broken(name):
+        return {"name": name, "settings": [], "problem": problem}
+    settings = estimators.get(name).settings
+    return {"name": name, "settings": [_setting(one) for one in settings], "problem": ""}
+
+
+def _setting(setting: Setting | Choice) -> dict[str, Any]:
+    whole = isinstance(setting, Setting) and isinstance(setting.default, int)
+    return {**asdict(setting), "whole": whole}
+
+
 async def run(settings: Settings, terminal: Terminal, ended: asyncio.Event) -> None:
-    """Serve until `ended` is set. Raises `ConfigError` when the port is taken."""
+    """Serve until `ended` is set.
+
+    Raises
+    ------
+    ConfigError
+        The port is taken.
+    RigError
+        A defect of ours, after what moved was ended.
+    """
     static = _page()
     async with AsyncExitStack() as stack:
         place = stack.enter_context(TemporaryDirectory(prefix="rig-console-"))
@@ -219,7 +259,7 @@ async def run(settings: Settings, terminal: Terminal, ended: asyncio.Event) -> N
         console = Console(settings, hand, terminal)
 
         async def respond(socket: ServerConnection, request: HttpRequest) -> Response | None:
-            return await _respond(console, static, request)
+            return await _respond(console, static, socket, request)
 
         served = serve(
             console.attend,
@@ -229,11 +269,12 @@ async def run(settings: Settings, terminal: Terminal, ended: asyncio.Event) -> N
             max_size=asked.MOST_BYTES,
             compression=None,
             server_header=None,
-            open_timeout=DOWNLOAD_S,
+            open_timeout=DOWNLOAD_S,  # of who shows the token; others have what the door gives them
             close_timeout=1.0,  # of a page that does not answer
             ping_interval=5.0,
             ping_timeout=10.0,
             max_queue=64,
+            create_connection=door(),
         )
         try:
             server = await stack.enter_async_context(served)
@@ -246,7 +287,7 @@ async def run(settings: Settings, terminal: Terminal, ended: asyncio.Event) -> N
         settings.announce(console.access.url)
         tasks = [
             asyncio.create_task(task())
-            for task in (console.live.every_frame, console.live.every_search, console.live.every_beat)
+            for task in (console.live.every_frame, console.live.every_search, console.runs.every_beat)
         ]
         done, _ = await asyncio.wait(
             [*tasks, asyncio.create_task(ended.wait())], return_when=asyncio.FIRST_COMPLETED
@@ -254,7 +295,8 @@ async def run(settings: Settings, terminal: Terminal, ended: asyncio.Event) -> N
         for task in tasks:
             task.cancel()
         for one in done:
-            one.result()
+            if (failed := one.exception()) is not None:
+                raise defect("the console cannot watch over its runs, and has ended them", failed) from failed
 
 
 def _page() -> dict[str, tuple[str, bytes]]:
@@ -269,7 +311,7 @@ def _page() -> dict[str, tuple[str, bytes]]:
 
 
 async def _respond(
-    console: Console, static: Mapping[str, tuple[str, bytes]], request: HttpRequest
+    console: Console, static: Mapping[str, tuple[str, bytes]], socket: ServerConnection, request: HttpRequest
 ) -> Response | None:
     """What a request gets; None lets it open a socket."""
     access, headers = console.access, request.headers
@@ -281,6 +323,7 @@ async def _respond(
         return None if allowed else _response(HTTPStatus.FORBIDDEN, "a socket is for the page of this server")
     found = Download(*static[path]) if path in static else None
     if found is None and access.bearer_right(headers):
+        let_in(socket)
         try:
             found = await console.download(request.path)
         except RigError as error:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import traceback
 from abc import ABC, abstractmethod
 from collections.abc import Awaitable, Callable, Coroutine, Mapping
 from dataclasses import dataclass, field
@@ -11,7 +10,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from rig.console.client import Client
+from rig.console.client import Client, defect, trouble
 from rig.console.errands import Errands
 from rig.console.jobs import Job, Jobs
 from rig.console.lease import Lease
@@ -37,6 +36,8 @@ class Shared:
     ----------
     clients
         The pages that are open.
+    participants
+        The participants' screens that are open.
     lease, jobs
         Who operates, and what they have started.
     output
@@ -52,6 +53,7 @@ class Shared:
     jobs: Jobs
     output: Path
     errands: Errands = field(default_factory=Errands)
+    participants: set[Client] = field(default_factory=set)
     blinded: bool = False
 
     def must_operate(self, client: Client) -> None:
@@ -59,11 +61,22 @@ class Shared:
         if not self.lease.take(client.name):
             raise ConfigError("another page operates", remedy="let it release first, or close it")
 
+    async def save_cut(self, path: Path, first_s: float, last_s: float, zero_ns: int | None = None) -> Any:
+        """Have a stretch of a recording saved beside the others (`rig.console.recording_errands.save_cut`)."""
+        saved, _ = await self.errands.run(
+            "save cut",
+            path=str(path),
+            first_s=first_s,
+            last_s=last_s,
+            output=str(self.output),
+            zero_ns=zero_ns,
+        )
+        return saved
 
-def defect(do: str, error: Exception) -> RigError:
-    """What a page is told of a defect of ours; its traceback goes to where the console runs."""
-    traceback.print_exception(error)
-    return RigError(f"{do}: {error!r}", remedy="report it with what stands where the console runs")
+    def tell_trouble(self, error: RigError) -> None:
+        """Tell every page what went wrong, where none has asked."""
+        for client in self.clients:
+            client.put(trouble(error))
 
 
 LATER = object()  # what a handler returns that will answer by itself

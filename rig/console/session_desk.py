@@ -17,16 +17,22 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from rig import config
+from rig.console.hits import short
 from rig.console.session_lists import protocol_file
 from rig.console.talk import Talk
-from rig.core.errors import StoppedError
+from rig.core.errors import ConfigError, StoppedError
+from rig.recording.canonical import canonical_json
 from rig.session import run as sessions
 from rig.session.console.asking import SILENCE_S, AskingDesk
 from rig.session.console.pointer import HandKind
 from rig.session.console.seat import full_press, keymap_for, refuse_a_hand
 from rig.session.desk import Desk
+from rig.session.directory import LOG
 from rig.session.hits import DeviceRunner
 from rig.session.keymap import KeyMap
+from rig.session.load import as_mapping, load_walls
+from rig.session.log import read
 from rig.session.protocol import Protocol
 from rig.session.rehearsal import Person, thresholds_of
 from rig.session.runner import TrialRunner
@@ -76,8 +82,20 @@ class PageDesk(AskingDesk):
             )
 
 
+def digest_of(protocol: str, directory: str) -> str:
+    """Short digest of a session's protocol and the experiment that it stands on, or of those that a log began with."""
+    if directory:
+        began = read(Path(directory) / LOG)[0].content
+        return short(canonical_json([began["protocol"], began["experiment"]]))
+    walls = load_walls(protocol_file(protocol))
+    return short(canonical_json([as_mapping(walls.protocol), config.as_mapping(walls.base)]))
+
+
 def session(content: Mapping[str, Any], talk: Talk) -> dict[str, Any]:
-    """Run a session, or resume one: `content` is that of `rig.console.sessions`."""
+    """Run a session, or resume one: `content` is that of `rig.console.sessions`, `digest` of what was agreed to."""
+    agreed = content["digest"]
+    if agreed is not None and agreed != digest_of(content["protocol"], content["directory"]):
+        raise ConfigError("the protocol is another one than was agreed to", remedy="begin the session again")
     given = content["person"]
     directory = Path(content["directory"]) if content["directory"] else None
     if directory is not None:
@@ -97,7 +115,12 @@ def session(content: Mapping[str, Any], talk: Talk) -> dict[str, Any]:
         desk = partial(_rehearsed, talk, person)
     if directory is not None:
         result = sessions.resume_session(
-            directory, desk, runner=runner, at=content["at"], other_device=content["other_device"]
+            directory,
+            desk,
+            runner=runner,
+            at=content["at"],
+            lsl=content["lsl"],
+            other_device=content["other_device"],
         )
     else:
         result = sessions.run_session(
@@ -105,9 +128,11 @@ def session(content: Mapping[str, Any], talk: Talk) -> dict[str, Any]:
             content["code"],
             desk,
             runner=runner,
+            study=Path(content["study"]) if content["study"] else None,
             row=content["row"],
             person=person,
             again=content["again"],
+            lsl=content["lsl"],
         )
     return {"stands": result.stands, "pairs": result.pairs, "over": result.ended is not None}
 

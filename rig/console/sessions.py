@@ -2,7 +2,7 @@
 
 What a page shows comes as texts (`rig.session.console.words`), and what it says are keys and lines, so that a page is a
 terminal of another kind: one conversation, one set of rules. A key names the question that stood there when it was
-pressed; about an earlier one it says nothing. The participant's screen is told what a participant may see, and answers
+pressed; about an earlier one it says nothing. A participant's screen is told what a participant may see, and answers
 verdicts and items alone.
 """
 
@@ -12,21 +12,20 @@ import asyncio
 import math
 import time
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
-from annotated_types import Ge, Le, MaxLen
-
-from rig.console import session_lists
-from rig.console.client import Client
+from rig.console import consent, session_lists
+from rig.console.client import Client, defect
 from rig.console.jobs import Job
-from rig.console.requests import Name, Request
+from rig.console.requests import Request
 from rig.console.service import Handler, Service, Shared
+from rig.console.session_desk import digest_of
+from rig.console.session_requests import BeginSession, ListSessions, PressKey, Reach, TypeLine
 from rig.console.terminal import Terminal
 from rig.core.errors import ConfigError, RigError
-from rig.core.quantity import STRICT
 from rig.realtime.hand import SharedHand
 from rig.session.console import words
 from rig.session.console.conversation import LATER, Conversation
@@ -37,75 +36,10 @@ from rig.session.protocol import VERDICTS
 from rig.session.run import rehearsed, took_place
 
 JOB = "session"
+PARTICIPANTS = ("session_key", "session_line", "stop")  # what a participant's screen may ask for
 OPERATORS = ("starting", "stopped", "trouble", "ready to end")  # states that are no participant's matter
 PLEASE_WAIT = "please wait"
 ROUND_S = 0.08  # between two looks at a loop that runs
-
-Key = Annotated[str, MaxLen(40)]
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class ListSessions(Request):
-    """What may be begun and resumed."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class SessionPerson:
-    """Who is rehearsed (`rig.session.rehearsal.Person`)."""
-
-    __pydantic_config__ = STRICT
-
-    thresholds: Annotated[tuple[Name, ...], MaxLen(50)] = ()
-    spread: float = 15.0
-    lapse_rate: float = 0.0
-    people_sd: float = 0.0
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class BeginSession(Request):
-    """Begin a session of a protocol, or resume that of a directory; as `rig session run` and `resume`."""
-
-    protocol: Name = ""
-    code: Name = ""
-    directory: Name = ""
-    row: Annotated[int, Ge(0)] | None = None
-    person: SessionPerson | None = None
-    realtime: bool = False
-    again: bool = False
-    at: Literal["trial", "block"] = "trial"
-    other_device: bool = False
-    url: Name = ""
-    hand: Literal["simulated", "mouse", "keyboard"] = "simulated"
-    arm_anyway: bool = False
-    lossy_anyway: bool = False
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class PressKey(Request):
-    """A key at the desk, `shown_s` after question `asked` could be read."""
-
-    key: Key
-    asked: int = 0
-    shown_s: Annotated[float, Ge(0)] | None = None
-    participant: bool = False
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class TypeLine(Request):
-    """A line where one is wanted: a note, or the answer to an item."""
-
-    text: Annotated[str, MaxLen(2000)]
-    asked: int = 0
-    shown_s: Annotated[float, Ge(0)] | None = None
-    participant: bool = False
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Reach(Request):
-    """How far the dragged hand reaches, as a share of its way, and whether it presses with full force."""
-
-    share: Annotated[float, Ge(0), Le(1)]
-    held: bool = False
 
 
 class Sessions(Service):
@@ -134,33 +68,50 @@ class Sessions(Service):
 
     def greet(self, client: Client) -> None:
         """A page that comes, or comes back, sees what stands there."""
-        for message in self._messages():
-            client.put_newest(message)
+        for pages, message in self._messages():
+            if client.participant == (pages is self._shared.participants):
+                client.put_newest(message)
 
     async def _list(self, client: Client, request: ListSessions) -> dict[str, Any]:
         return await asyncio.to_thread(
             lambda: {"protocols": session_lists.protocols(), "resumable": session_lists.resumable()}
         )
 
-    async def _begin(self, client: Client, request: BeginSession) -> dict[str, Any]:
+    async def _begin(self, client: Client, request: BeginSession) -> object:
         self._shared.must_operate(client)
         if not request.directory and not (request.protocol and request.code):
             raise ConfigError("a session needs a protocol and a participant's code", remedy="give both")
         person, url, realtime = await asyncio.to_thread(self._known, request)
-        if url and not url.startswith("sim:"):
-            await self._consent(request, url)
-            self._shared.must_operate(client)  # still: a person takes their time
         content = asdict(request) | {
+            "digest": None,
             "url": url,
             "realtime": realtime,
             "verified": self._verified,
             "hand": str(self._hand.path),
             "hand_kind": None if request.hand == "simulated" or person else request.hand,
         }
-        job = self._job = await self._shared.jobs.start(JOB, content, asks=not person)
+        if url and not url.startswith("sim:"):
+            return self.answer_later(
+                client, request, self._begin_agreed(client, request, content, asks=not person)
+            )
+        return await self._start(content, asks=not person)
+
+    async def _begin_agreed(
+        self, client: Client, request: BeginSession, content: dict[str, Any], *, asks: bool
+    ) -> dict[str, Any]:
+        """Begin what a person at the rig agrees to; meanwhile the page's other requests are answered."""
+        url = content["url"]
+        content["digest"] = await asyncio.to_thread(digest_of, request.protocol, request.directory)
+        lines = consent.to_session(request, url, content["digest"])
+        await consent.insist(self._terminal, client, url, lines)
+        self._shared.must_operate(client)  # still: a person takes their time
+        return await self._start(content, asks=asks)
+
+    async def _start(self, content: Mapping[str, Any], *, asks: bool) -> dict[str, Any]:
+        job = self._job = await self._shared.jobs.start(JOB, content, asks=asks)
         self._shared.blinded = True  # until the session says that nobody has to be
         self._seat, self._end, self._compiling = None, None, False
-        self._rounds = asyncio.create_task(self._every_round())
+        self._rounds = asyncio.create_task(self._every_round(job))
         self._tell()
         return {"pid": job.pid}
 
@@ -172,11 +123,6 @@ class Sessions(Service):
         place = took_place(Path(request.directory))
         return rehearsed(Path(request.directory)) is not None, request.url or place.url or "", place.realtime
 
-    async def _consent(self, request: BeginSession, url: str) -> None:
-        whose = request.directory or f"{request.code} with {request.protocol}"
-        walls = ", also the walls that `rig session check` says it refuses" if request.arm_anyway else ""
-        await self._terminal.insist(url, f"the session of {whose}{walls}")
-
     # At the desk.
 
     async def _key(self, client: Client, request: PressKey) -> None:
@@ -186,7 +132,7 @@ class Sessions(Service):
         if request.key != STOP:  # which any page may say, whatever is asked
             if not self._may(client, seat, request, "verdict"):
                 return
-            if request.participant and seat.talk.keymap.meaning(request.key) not in VERDICTS:
+            if client.participant and seat.talk.keymap.meaning(request.key) not in VERDICTS:
                 return
         seat.key(request.key, request.shown_s)
         self._tell()
@@ -208,7 +154,7 @@ class Sessions(Service):
         talk = seat.talk
         if request.asked != talk.asked:
             return False
-        if not request.participant:
+        if not client.participant:
             self._shared.must_operate(client)
             return True
         purpose = None if talk.entry is None else talk.entry.purpose
@@ -259,22 +205,27 @@ class Sessions(Service):
             self._rounds.cancel()
             self._rounds = None
 
-    async def _every_round(self) -> None:
-        """Look at the loop and the clock, and say so."""
-        while True:
-            if self._seat is not None:
-                self._seat.look(time.monotonic())
-                self._tell()
-            await asyncio.sleep(ROUND_S)
+    async def _every_round(self, job: Job) -> None:
+        """Look at the loop and the clock, and say so; a desk that cannot ends its session, which then resumes."""
+        try:
+            while True:
+                if self._seat is not None:
+                    self._seat.look(time.monotonic())
+                    self._tell()
+                await asyncio.sleep(ROUND_S)
+        except Exception as error:
+            self._shared.tell_trouble(defect("the session's desk, which is left", error))
+            await job.close()
 
     def _tell(self) -> None:
-        for message in self._messages():
+        for pages, message in self._messages():
             if message != self._told.get(message["say"]):
                 self._told[message["say"]] = message
-                for client in self._shared.clients:
+                for client in pages:
                     client.put_newest(message)
 
-    def _messages(self) -> list[dict[str, Any]]:
+    def _messages(self) -> list[tuple[set[Client], dict[str, Any]]]:
+        """What is shown to whom."""
         runs, seat = self._job is not None, self._seat
         desk: dict[str, Any] = {
             "say": "session",
@@ -286,7 +237,7 @@ class Sessions(Service):
         if seat is not None:
             desk |= self._desk(seat)
             participant |= _participant(seat)
-        return [desk, participant]
+        return [(self._shared.clients, desk), (self._shared.participants, participant)]
 
     def _desk(self, seat: Seat) -> dict[str, Any]:
         talk, view, now_s = seat.talk, seat.talk.view, time.monotonic()
@@ -319,6 +270,7 @@ class Sessions(Service):
     async def close(self) -> None:
         """See `Service.close`."""
         self._leave()
+        await super().close()
 
 
 def _say(job: Job, kind: str, **content: Any) -> None:

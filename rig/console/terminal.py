@@ -9,6 +9,7 @@ import asyncio
 import os
 import sys
 import termios
+from collections.abc import Sequence
 from contextlib import suppress
 
 import click
@@ -27,18 +28,29 @@ class Terminal:
         self.there = sys.stdin is not None and sys.stdin.isatty()
         self._asked: asyncio.Future[str] | None = None
 
-    async def consents(self, text: str) -> bool:
-        """Whether the person at the terminal lets a real rig be armed.
+    async def insist(self, url: str, lines: Sequence[str]) -> None:
+        """Raise `ConfigError` unless the person at the terminal, shown these lines, lets a real rig be armed."""
+        if not self.there:
+            raise _refusal(url, "this console runs in no terminal", "run `rig console` in one beside the rig")
+        if self._asked is not None:
+            raise _refusal(
+                url, "the terminal asks about something else just now", "let that be answered first"
+            )
+        if sum(len(line) for line in lines) > LONGEST:
+            raise _refusal(
+                url,
+                "what is to be armed is too long for a person to read",
+                "name an experiment file that says it",
+            )
+        if not await self._consents(lines):
+            raise _refusal(url, f"nobody at the terminal typed {WORD}", "type there what it asks for")
 
-        False where there is nobody to ask, who is asked something else, or could not see all that they agree to.
-        """
-        if not self.there or self._asked is not None or len(text) > LONGEST:
-            return False
+    async def _consents(self, lines: Sequence[str]) -> bool:
         loop, terminal = asyncio.get_running_loop(), sys.stdin.fileno()
         self._asked = loop.create_future()
         termios.tcflush(terminal, termios.TCIFLUSH)  # what was typed before this was shown is no answer to it
         click.echo(
-            f"\nrig: a page wants to arm {_shown(text)}\n"
+            f"\nrig: a page wants to arm {f'{chr(10)}rig:   '.join(_shown(line) for line in lines)}\n"
             f"rig: is everybody clear of the handle? type {WORD}, or Enter: ",
             nl=False,
         )
@@ -48,14 +60,6 @@ class Terminal:
         finally:
             loop.remove_reader(terminal)
             self._asked = None
-
-    async def insist(self, url: str, purpose: str) -> None:
-        """Raise `ConfigError` unless the person at the terminal lets a real rig be armed for that."""
-        if not await self.consents(f"{url} for {purpose}"):
-            raise ConfigError(
-                f"{url} is a real rig, and nobody at the terminal of this console let it be armed",
-                remedy="run `rig console` in a terminal beside the rig, and type there what it asks for",
-            )
 
     def withdraw(self) -> None:
         """Take back what is asked: a STOP came, or whoever wanted it has gone."""
@@ -69,6 +73,10 @@ class Terminal:
             line = os.read(sys.stdin.fileno(), LINE_BYTES)  # one read, which waits for no end of a line
         if self._asked is not None and not self._asked.done():
             self._asked.set_result(line.decode(errors="replace"))
+
+
+def _refusal(url: str, why: str, remedy: str) -> ConfigError:
+    return ConfigError(f"{url} is a real rig, and is not armed: {why}", remedy=remedy)
 
 
 def _shown(text: str) -> str:

@@ -13,6 +13,7 @@ from rig.control.verdict import Kind, Measured, Objection, Verdict, percent
 from rig.core.errors import ConfigError, RecordingError, UnexpectedVerdictError
 from rig.core.present import Row, written
 from rig.core.sample import Phase, unit_of
+from rig.recording.cutting import cut_facts
 from rig.recording.data import Recording
 
 FINISHED = "finished"  # what the trailer of a whole run says
@@ -212,7 +213,12 @@ def thrown_out(recording: Recording) -> str:
 
 
 def ended_early(recording: Recording) -> tuple[Kind, str] | None:
-    """What an early end makes of the verdict: nothing after the push, else invalid, or unstable if thrown out."""
+    """What an early end makes of the verdict: nothing after the push, else invalid, or unstable if thrown out.
+
+    A cut has no verdict of its own.
+    """
+    if (facts := cut_facts(recording)) is not None:
+        return Kind.INVALID, f"a part of a trial: its verdict is that of {facts['recording']}"
     reason = (recording.trailer or {}).get("reason", "the recording breaks off")
     phases = recording.rows["phase"]
     if reason == FINISHED and (phases == Phase.FREE).any() and not (phases == Phase.TRIAL).any():

@@ -25,6 +25,7 @@ from rig.core.sample import COLUMNS, ROW, unit_of
 from rig.core.shown import Drawn, Shown
 from rig.experiments.judgement import experiment_of
 from rig.loop.replay import NO_SETS, replay_rows
+from rig.recording.cutting import cut_facts
 from rig.recording.data import Recording
 
 # What `step` leaves, and what a replay therefore computes anew; everything else of a row is copied.
@@ -92,7 +93,8 @@ def replay(
     Raises
     ------
     RecordingError
-        The recording lacks its beginning, or ticks in the middle.
+        The recording lacks its beginning, or ticks in the middle; or it is a cut, and another law or estimator is asked
+        for.
     ConfigError
         The changes are invalid, or the law of the recording is not installed here.
     LawError
@@ -101,12 +103,7 @@ def replay(
     recorded = _rows(recording)
     replayed = recorded.copy()
     bundle = _controller(recording, changes, law)
-    try:
-        replay_rows(bundle.arguments(), recorded, replayed, _sets(recording, changes, law))
-    except Exception as error:
-        raise LawError(
-            f"the law or the estimator raised {error!r}", remedy="correct it, since a kernel must not raise"
-        ) from error
+    _run(bundle, recorded, replayed, _sets(recording, changes, law))
     if len(recorded):
         _as_the_loop_ended(recorded, replayed)
     return ReplayResult(
@@ -121,13 +118,35 @@ def replay(
     )
 
 
+def state_before(recording: Recording, row: int) -> dict[str, Any]:
+    """The controller as it stood before a row, found by replaying the ones before; `Controller.as_mapping`.
+
+    Raises `RecordingError` for a recording that has no replay up to there, `ConfigError` and `LawError` as `replay`.
+    """
+    recorded, bundle = _rows(recording)[:row], _controller(recording, None, None)
+    _run(bundle, recorded, recorded.copy(), _sets(recording, None, None))
+    return bundle.as_mapping()
+
+
+def _run(
+    bundle: Controller, recorded: NDArray[np.void], replayed: NDArray[np.void], sets: NDArray[np.float64]
+) -> None:
+    try:
+        replay_rows(bundle.arguments(), recorded, replayed, sets)
+    except Exception as error:
+        raise LawError(
+            f"the law or the estimator raised {error!r}", remedy="correct it, since a kernel must not raise"
+        ) from error
+
+
 def _rows(recording: Recording) -> NDArray[np.void]:
-    if len(recording.rows) and recording.rows["tick"][0] != 0:
+    began = int((cut_facts(recording) or {"first_tick": 0})["first_tick"])
+    if len(recording.rows) and recording.rows["tick"][0] != began:
         raise RecordingError(
             f"the recording begins at tick {recording.rows['tick'][0]}",
             remedy="its first block is lost: it has no replay",
         )
-    if not np.array_equal(recording.rows["tick"], np.arange(len(recording.rows))):
+    if not np.array_equal(recording.rows["tick"], began + np.arange(len(recording.rows))):
         raise RecordingError(
             "ticks are missing in the middle of the recording", remedy="it has no exact replay"
         )
@@ -147,7 +166,14 @@ def _sets(recording: Recording, changes: Mapping[str, Any] | None, law: Law | No
 
 
 def _controller(recording: Recording, changes: Mapping[str, Any] | None, law: Law | None) -> Controller:
-    initial = recording.header["initial_state"]
+    initial, facts = recording.header["initial_state"], cut_facts(recording)
+    if facts is not None and (not initial or (facts["first_tick"] and (changes or law))):
+        raise RecordingError(
+            "the recording is a cut that begins in the middle of a trial, where no other law or estimator ever was"
+            if initial
+            else "the recording is a cut from one that has no replay up to there",
+            remedy=f"replay the recording that it was cut from: {facts['recording']}",
+        )
     if not changes:
         return Controller.from_mapping(initial, law=law)
     experiment = config.override(experiment_of(recording), changes, "replay")

@@ -19,7 +19,18 @@ HEADER: dict[str, Any] = {
     "experiment": {"controller?": {"position_rate?": range(1, 10**7)}},
     "identity": {"device?": str, "url?": str, "current_quantum_a?": _NUMBER},
     "clocks": {"kind?": str},
-    "extra": {"loop?": str, "arithmetic?": str, "wall?": {"*": _NUMBER}},
+    "extra": {
+        "loop?": str,
+        "arithmetic?": str,
+        "wall?": {"*": _NUMBER},
+        "cut?": {
+            "recording": str,
+            "first_tick": _NUMBER,
+            "first_s": _NUMBER,
+            "last_s": _NUMBER,
+            "cut_at": str,
+        },
+    },
     "initial_state": {"control?": {"reference_count?": _NUMBER}},
     "schema": dict,
 }

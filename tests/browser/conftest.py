@@ -55,7 +55,7 @@ def open_page(chromium: Any) -> Iterator[Any]:
     contexts, wrong = [], []
 
     def opened(url: str, **options: Any) -> Any:
-        context = chromium.new_context(viewport=SIZE, **options)
+        context = chromium.new_context(**{"viewport": SIZE, **options})
         contexts.append(context)
         page = context.new_page()
         page.set_default_timeout(PATIENCE_MS)

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from rig.core.sample import Phase
+from rig.experiments.replay import replay
 from rig.recording.data import Recording
 from rig.recording.reader import open_recording
 from tests.conformance.tolerance import too_busy
@@ -94,7 +95,25 @@ def test_an_automated_hit_is_judged(console_page: Any) -> None:
     assert verdict.text_content() in ("stable", "limit cycle", "invalid")
 
 
-def test_the_scope_pauses_zooms_triggers_and_saves(console_page: Any) -> None:
+def test_the_estimators_settings_are_checked_and_run(console_page: Any, tmp_path: Path) -> None:
+    page = console_page
+    until(page, "[...document.querySelectorAll('.side input[type=number]')].some((one) => one.value)")
+    page.get_by_label("estimator", exact=True).select_option("fdm-butterworth")
+    cutoff = page.get_by_label("cutoff_hz", exact=True)
+    cutoff.fill("1e9")
+    cutoff.dispatch_event("change")
+    page.get_by_text("cutoff_hz = 1e+09 Hz is out of range").wait_for()
+    page.get_by_label("cutoff_hz, slider").fill("500")  # halfway over seven decades from 0.1 Hz
+    assert float(cutoff.input_value()) == pytest.approx(0.1 * 10**3.5, rel=0.01)
+    page.locator(".side .notice", has_text="out of range").wait_for(state="hidden")
+    page.get_by_role("button", name="Automatic hit").click()
+    page.locator(".verdict").wait_for()
+    rates = recorded(tmp_path).experiment["controller"]
+    assert rates["estimator"] == "fdm-butterworth"
+    assert rates["parameters"] == {"cutoff_hz": pytest.approx(316, rel=0.01)}
+
+
+def test_the_scope_pauses_zooms_triggers_and_saves(console_page: Any, tmp_path: Path) -> None:
     page = console_page
     page.get_by_role("button", name="Automatic hit").click()
     page.locator(".verdict").wait_for()
@@ -115,6 +134,13 @@ def test_the_scope_pauses_zooms_triggers_and_saves(console_page: Any) -> None:
         with page.expect_download() as saved:
             page.get_by_label("save").select_option(kind)
         assert Path(saved.value.path()).read_bytes().startswith(begins)
+    first, last = page.evaluate(f"[{SCOPE}.zoomed.oldest, {SCOPE}.zoomed.newest]")
+    page.get_by_label("save").select_option("cut")
+    page.locator(".scope [role=status]", has_text="-cut.parquet").wait_for()
+    (path,) = (tmp_path / "recordings").glob("*-cut.parquet")
+    cut = open_recording(path)
+    assert cut.time_s[-1] == pytest.approx(last - first, abs=0.002), "what was seen"
+    assert replay(cut).exact
     page.get_by_role("button", name="Continue").click()
     page.get_by_label("trigger", exact=True).select_option("contact")
     page.get_by_label("window").select_option("0.2")

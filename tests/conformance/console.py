@@ -20,7 +20,7 @@ PATIENCE_S = 30.0
 
 
 class Page:
-    """The socket ``/live`` of a page, and what it has been told."""
+    """The socket of a page or a participant's screen, and what it has been told."""
 
     def __init__(self, socket: ClientConnection) -> None:
         self.socket = socket
@@ -101,6 +101,15 @@ class Served:
             await socket.send(json.dumps({"token": self.token, "client": name}))
             page = Page(socket)
             await page.until(lambda page: page.newest("hello"))
+            yield page
+
+    @asynccontextmanager
+    async def screen(self, token: str) -> AsyncIterator[Page]:
+        """A participant's screen that has shown its token."""
+        async with self.socket("/participant") as socket:
+            await socket.send(json.dumps({"token": token, "client": "a-participant"}))
+            page = Page(socket)
+            await page.until(lambda page: page.newest("participant"))
             yield page
 
     @asynccontextmanager

@@ -64,7 +64,7 @@ export class Answering {
 
   #say(what, content) {
     const shown_s = (performance.now() - this.shown) / 1000;
-    this.link.ask(what, { ...content, asked: this.asked, shown_s, participant: this.participant })
+    this.link.ask(what, { ...content, asked: this.asked, shown_s })
       .catch((error) => this.link.dispatchEvent(new CustomEvent("trouble", { detail: error })));
   }
 

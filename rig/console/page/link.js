@@ -1,10 +1,12 @@
-// The page's two sockets: one for everything, one in a worker for heartbeats and STOP, which so wait behind nothing.
+// The page's two sockets: one for everything (of a participant's screen: for what it shows), one in a worker for
+// heartbeats and STOP, which so wait behind nothing.
 
 const RETRY_MS = 1000;
 
 export class Link extends EventTarget {
-  constructor() {
+  constructor(path = "live") {
     super();
+    this.path = path;
     this.token = location.hash.slice(1) || sessionStorage.getItem("token") || "";
     sessionStorage.setItem("token", this.token); // a reload keeps it; the address shows it no longer
     history.replaceState(null, "", location.pathname);
@@ -61,7 +63,7 @@ export class Link extends EventTarget {
   }
 
   #open() {
-    this.socket = new WebSocket(this.#url("live"));
+    this.socket = new WebSocket(this.#url(this.path));
     this.socket.binaryType = "arraybuffer";
     this.socket.addEventListener("open", () => this.socket.send(JSON.stringify({ token: this.token, client: this.client })));
     this.socket.addEventListener("message", ({ data }) => this.#hear(data));

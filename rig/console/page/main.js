@@ -39,7 +39,13 @@ function notice(error) {
 }
 link.addEventListener("trouble", ({ detail }) => notice(detail));
 link.addEventListener("closed", ({ detail }) => {
+  $("consent").hidden = true;
   $("state").textContent = detail ? `not connected: ${detail}` : "not connected: is the console still running?";
+});
+// What stands at the terminal stands here too, so that both mean the same.
+link.addEventListener("consent", ({ detail: { lines } }) => {
+  $("consent").hidden = lines === null;
+  $("consent").querySelector("ul").replaceChildren(...(lines ?? []).map((textContent) => make("li", { textContent })));
 });
 link.addEventListener("stopped", () => say("stop was said"));
 
@@ -89,7 +95,7 @@ link.addEventListener("hello", ({ detail: facts }) => {
     globalThis.rigConsole = { scope, written };
     return make("div", {}, scope.element, side);
   });
-  const sessions = new Sessions(link); // now: a page that comes back hears at once where a session stands
+  const sessions = new Sessions(link, facts); // now: a page that comes back hears at once where a session stands
   addView("sessions", "Sessions", () => sessions.element);
   const recordings = new Recordings(link);
   const open = (which) => {

@@ -4,7 +4,7 @@ import { Answering, nameOf, setText } from "./desk.js";
 import { make } from "./dom.js";
 import { Link } from "./link.js";
 
-const link = new Link();
+const link = new Link("participant");
 const answering = new Answering(link, { participant: true });
 const cue = make("p", { className: "cue", role: "status", ariaLive: "assertive" });
 const saying = make("p", { className: "saying", role: "status" });

@@ -3,6 +3,7 @@
 import { NAMES, chartOptions, inside, nameSeries, selected, shadeWall, upright } from "./charts.js";
 import { colour, make, written } from "./dom.js";
 import { frameOf } from "./link.js";
+import { savedAs } from "./save.js";
 import { Traces } from "./traces.js";
 
 const CHARTS = [
@@ -15,9 +16,10 @@ const TRUE = { handle_position_true: "handle (true)", handle_velocity_true: "han
 const IMPACT_S = [-0.02, 0.1]; // about the first contact
 
 export class Recorded {
-  constructor(link, trouble) {
+  constructor(link, trouble, saved) {
     this.link = link;
     this.trouble = trouble;
+    this.saved = saved;
     this.traces = new Traces();
     this.replayed = null;
     this.cursors = [];
@@ -34,7 +36,8 @@ export class Recorded {
       step("−", "Zoom out", (first, last) => [first - (last - first) / 2, last + (last - first) / 2]),
       step("◀", "Earlier", (first, last) => [first - (last - first) / 2, last - (last - first) / 2]),
       step("▶", "Later", (first, last) => [first + (last - first) / 2, last + (last - first) / 2]),
-      make("label", {}, "show also ", this.also), make("label", {}, "replay through ", this.through)), this.readout, this.charts);
+      make("label", {}, "show also ", this.also), make("label", {}, "replay through ", this.through),
+      make("button", { type: "button", textContent: "Save cut", title: "what is seen, as a recording of its own", onclick: () => this.#cut() })), this.readout, this.charts);
     new ResizeObserver(() => this.#size()).observe(this.charts);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.#build());
   }
@@ -54,6 +57,17 @@ export class Recorded {
 
   clear() {
     this.element.hidden = true;
+  }
+
+  async #cut() {
+    const { name, map } = this.facts;
+    const [first_s, last_s] = this.shown;
+    try {
+      this.readout.textContent = savedAs(await this.link.ask("recording-cut", { name, map, first_s, last_s }));
+      this.saved();
+    } catch (error) {
+      this.trouble(error);
+    }
   }
 
   #again() {

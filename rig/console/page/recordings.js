@@ -17,7 +17,7 @@ export class Recordings {
     this.rows = make("tbody");
     this.note = make("p", { className: "quiet", role: "status" });
     this.more = make("button", { type: "button", textContent: "More", hidden: true, onclick: () => this.#load() });
-    this.recorded = new Recorded(link, (error) => this.#trouble(error));
+    this.recorded = new Recorded(link, (error) => this.#trouble(error), () => this.#again());
     this.title = make("h2", { textContent: "Choose a recording" });
     this.settings = make("p", { className: "quiet" });
     this.picture = make("img", { className: "picture", alt: "Picture of the recording", hidden: true });
@@ -178,7 +178,8 @@ function scheme({ position_rate: fast, velocity_rate: slow, estimator }) {
 
 function settings(facts) {
   const kind = facts.kind ?? facts.ended ?? "not finished";
+  const from = facts.cut ? ` A cut from ${facts.cut.recording}, ${written(facts.cut.first_s)} to ${written(facts.cut.last_s)} s.` : "";
   const lost = facts.lost.length ? ` ${facts.lost.join("; ")}.` : "";
   return [make("span", { className: "verdict", dataset: { kind }, textContent: kind }), facts.reasons.length ? `: ${facts.reasons.join("; ")}. ` : ". ",
-    `${facts.rig}, ${facts.trial}, ${wall(facts)}, ${scheme(facts)}; ${facts.rows} rows in ${written(facts.length_s)} s from ${facts.url}.${facts.complete ? "" : " It breaks off."}${lost}`];
+    `${facts.rig}, ${facts.trial}, ${wall(facts)}, ${scheme(facts)}; ${facts.rows} rows in ${written(facts.length_s)} s from ${facts.url}.${from}${facts.complete ? "" : " It breaks off."}${lost}`];
 }

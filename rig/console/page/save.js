@@ -11,6 +11,11 @@ export function offer(blob, name) {
   setTimeout(() => URL.revokeObjectURL(url), 1000);
 }
 
+// What became of a cut.
+export function savedAs({ name, rows, no_replay }) {
+  return `Saved ${rows} rows as ${name}.${no_replay ? ` It has no replay: ${no_replay}.` : ""}`;
+}
+
 export function savePng(canvases, name) {
   const whole = make("canvas", { width: Math.max(...canvases.map((one) => one.width)), height: canvases.reduce((sum, one) => sum + one.height, 0) });
   const context = whole.getContext("2d");

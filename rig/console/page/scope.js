@@ -2,7 +2,7 @@
 
 import { NAMES, chartOptions, inside, line, nameSeries, selected, shadeWall, upright } from "./charts.js";
 import { cleared, colour, make, written } from "./dom.js";
-import { saveCsv, savePng, saveSvg } from "./save.js";
+import { saveCsv, savePng, saveSvg, savedAs } from "./save.js";
 import { Traces } from "./traces.js";
 
 const WINDOWS_S = [0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 60];
@@ -76,7 +76,7 @@ export class Scope {
       choice("show also", [["nothing", ""], ...columns], "", (value) => this.#also(value)),
       make("button", { type: "button", textContent: "Effort over penetration", ariaPressed: "false",
         onclick: ({ target }) => this.#planeView(target) }),
-      choice("save", [["…", ""], ["PNG", "png"], ["SVG", "svg"], ["CSV", "csv"]], "", (value) => this.#save(value)));
+      choice("save", [["…", ""], ["PNG", "png"], ["SVG", "svg"], ["CSV", "csv"], ["cut recording", "cut"]], "", (value) => this.#save(value)));
   }
 
   pause(paused) {
@@ -344,6 +344,14 @@ export class Scope {
     if (kind === "csv") saveCsv(from, (column) => this.unit(column), name);
     if (kind === "png") savePng(this.plane ? [this.canvas] : this.plots.map((plot) => plot.root.querySelector("canvas")), name);
     if (kind === "svg") saveSvg(this.#shown(), from, (column) => this.unit(column), this.#range(), name);
+    if (kind === "cut") this.#cut();
     for (const select of this.element.querySelectorAll("select")) if (select.options[0].textContent === "…") select.value = "";
+  }
+
+  // What is seen, as a recording: of what was recorded, at full rate.
+  #cut() {
+    const [first_s, last_s] = this.#range();
+    this.link.ask("cut", { first_s, last_s }).then((saved) => { this.readout.textContent = savedAs(saved); },
+      (error) => this.link.dispatchEvent(new CustomEvent("trouble", { detail: error })));
   }
 }

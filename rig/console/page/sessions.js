@@ -9,8 +9,9 @@ const COMPILING = "Compiling what this needs, once for this version and machine 
 const CONTROLS = "input, select, textarea, [contenteditable]";
 
 export class Sessions {
-  constructor(link) {
+  constructor(link, facts) {
     this.link = link;
+    this.facts = facts;
     this.answering = new Answering(link, { participant: false });
     this.desk = make("div", { className: "desk", hidden: true }, ...this.#desk());
     this.starting = make("p", { className: "panel", role: "status", hidden: true, textContent: "The session starts …" });
@@ -42,24 +43,32 @@ export class Sessions {
     this.url = text("", { placeholder: "the simulated rig" });
     this.row = text("", { placeholder: "by the code's number", inputMode: "numeric" });
     this.thresholds = text("", { placeholder: "dual=430, uniform=150" });
-    this.lapses = text("", { placeholder: "0", inputMode: "decimal" });
+    this.spread = text("", { placeholder: "15", inputMode: "decimal", title: "how gradually verdicts change over stiffness" });
+    this.lapses = text("", { placeholder: "0", inputMode: "decimal", title: "share of verdicts that are turned round" });
+    this.peopleSd = text("", { placeholder: "0", inputMode: "decimal", title: "how people differ: standard deviation of ln K50 over codes" });
+    this.study = text("", { placeholder: "by the study's title", title: "directory of all participants" });
+    this.at = make("select", {}, make("option", { value: "trial", textContent: "the next trial" }), make("option", { value: "block", textContent: "the block, from its beginning" }));
+    this.otherDevice = check("on another device than before", "as --other-device: the analysis reports it");
+    this.lsl = check("stream samples and markers", "as --lsl: by Lab Streaming Layer");
     this.realtime = check("in real time");
     this.again = check("delete the one that is there");
     this.armAnyway = check("arm walls that the gate refuses", "as --arm-anyway: consent for the whole session");
     this.lossyAnyway = check("begin although this computer loses samples", "as --lossy-anyway");
     this.people = make("div", {}, field("handle", this.hand), field("device", this.url), this.armAnyway.element, this.lossyAnyway.element);
-    this.rehearsal = make("div", { hidden: true }, field("K50", this.thresholds), field("lapse rate", this.lapses), this.realtime.element, this.again.element);
+    this.rehearsal = make("div", { hidden: true }, field("K50", this.thresholds), field("spread", this.spread), field("lapse rate", this.lapses), field("people's sd", this.peopleSd), this.realtime.element, this.again.element);
     this.start = make("button", { type: "submit", className: "first", textContent: "Begin" });
     this.form = make("form", { onsubmit: (event) => { event.preventDefault(); this.#begin(); } },
       field("protocol", this.protocol), this.protocols, this.about, field("code", this.code), field("who", this.who),
-      this.people, this.rehearsal, make("details", {}, make("summary", { textContent: "Order" }), field("row", this.row)), make("p", {}, this.start));
+      this.people, this.rehearsal, make("details", {}, make("summary", { textContent: "Order, place, streams" }), field("row", this.row), field("study", this.study), this.lsl.element), make("p", {}, this.start));
     this.resumable = make("tbody");
     this.none = make("p", { className: "quiet", textContent: "None in this directory." });
+    this.resumes = make("div", { hidden: true }, field("goes on with", this.at), this.otherDevice.element,
+      make("p", { className: "quiet", textContent: "A session that was left, or cut off, goes on where it was, on the device where it was; consents and the handle are those beside." }));
     this.ended = make("section", { className: "panel", hidden: true, role: "status" });
     const table = make("table", {}, make("thead", {}, make("tr", {}, ...["who", "study", "trials", "left", ""].map((name) => make("th", { textContent: name, scope: "col" })))), this.resumable);
     return [make("section", { className: "panel begin" }, make("h2", { textContent: "Begin a session" }), this.form),
       make("div", {}, this.ended, make("section", { className: "panel" }, make("h2", { textContent: "Not over yet" }), table, this.none,
-        make("p", { className: "quiet", textContent: "A session that was left, or cut off, goes on where it was." })))];
+        this.resumes))];
   }
 
   #who() {
@@ -80,27 +89,30 @@ export class Sessions {
       if (!this.protocol.value) this.protocol.value = protocols.find(({ name }) => name === "first-steps")?.name ?? "";
       this.#about();
       this.none.hidden = resumable.length > 0;
+      this.resumes.hidden = resumable.length === 0;
       this.resumable.parentElement.hidden = resumable.length === 0;
       this.resumable.replaceChildren(...resumable.map((one) => make("tr", {}, ...[one.code, one.title + (one.rehearsal ? " (rehearsal)" : ""), String(one.trials), one.stopped].map((text) => make("td", { textContent: text })),
-        make("td", {}, make("button", { type: "button", textContent: "Resume", ariaLabel: `Resume ${one.code}`, onclick: () => this.#ask({ directory: one.directory }) })))));
+        make("td", {}, make("button", { type: "button", textContent: "Resume", ariaLabel: `Resume ${one.code}`, onclick: () => this.#ask({ directory: one.directory, at: this.at.value, other_device: this.otherDevice.input.checked }) })))));
     } catch (error) {
       this.#trouble(error);
     }
   }
 
   #begin() {
-    const content = { protocol: this.protocol.value, code: this.code.value };
+    const content = { protocol: this.protocol.value, code: this.code.value, study: this.study.value };
     if (this.row.value.trim()) content.row = Number(this.row.value);
     if (this.who.value === "simulated") {
       const thresholds = this.thresholds.value.split(",").map((one) => one.trim()).filter(Boolean);
-      content.person = { thresholds, lapse_rate: Number(this.lapses.value) || 0 };
+      const given = { spread: this.spread, lapse_rate: this.lapses, people_sd: this.peopleSd };
+      const numbers = Object.entries(given).filter(([, field]) => field.value.trim()).map(([name, field]) => [name, Number(field.value)]);
+      content.person = { thresholds, ...Object.fromEntries(numbers) };
       Object.assign(content, { realtime: this.realtime.input.checked, again: this.again.input.checked });
     }
     this.#ask(content);
   }
 
   #ask(content) {
-    const rig = { url: this.url.value, hand: this.hand.value, arm_anyway: this.armAnyway.input.checked, lossy_anyway: this.lossyAnyway.input.checked };
+    const rig = { url: this.url.value, hand: this.hand.value, arm_anyway: this.armAnyway.input.checked, lossy_anyway: this.lossyAnyway.input.checked, lsl: this.lsl.input.checked };
     this.link.ask("session", { ...rig, ...content }).catch((error) => this.#trouble(error));
   }
 
@@ -122,7 +134,7 @@ export class Sessions {
     this.keys = make("dl", { className: "pairs" });
     this.help = make("details", {}, make("summary", { textContent: "Keys (?)", onclick: (event) => { event.preventDefault(); this.answering.press("?"); } }), this.keys);
     this.way = new Way(this.link);
-    const screen = make("a", { href: `participant.html#${this.link.token}`, target: "_blank", textContent: "Open the participant's screen" });
+    const screen = make("a", { href: `participant.html#${this.facts.participants}`, target: "_blank", textContent: "Open the participant's screen" });
     const main = make("section", { className: "panel operator", ariaLabel: "Operator's desk" }, this.place, this.state, this.saying, this.answering.element, this.last, this.way.element);
     const side = make("div", { className: "side" },
       make("section", { className: "panel" }, make("h2", { textContent: "Now" }), this.facts, this.heat),

@@ -1,6 +1,7 @@
 // The wall and the run: fields for the next run, sliders that change the running wall, and what theory says of them.
 
 import { cleared, colour, make, written } from "./dom.js";
+import { Estimator } from "./estimator.js";
 
 const ASK_MS = 250; // between two questions to theory while a slider moves
 const SET_MS = 100;
@@ -10,6 +11,8 @@ export class Wall {
   constructor(link, facts) {
     this.link = link;
     this.fields = {};
+    this.chosen = {};
+    this.estimator = new Estimator(facts, () => this.#theory());
     this.rig = make("select", { onchange: () => this.#load() }, ...facts.rigs.map((name) => make("option", { value: name, textContent: name })));
     this.url = make("input", { type: "text", value: "sim://", ariaLabel: "Device" });
     this.goesOn = make("input", { type: "checkbox" });
@@ -19,7 +22,7 @@ export class Wall {
     this.verdict = make("div", { role: "status", ariaLive: "polite" });
     this.play = make("button", { type: "button", className: "first", textContent: "Drag the handle", onclick: () => this.#start("play") });
     this.hit = make("button", { type: "button", textContent: "Automatic hit", onclick: () => this.#start("hit") });
-    this.element = make("div", {}, this.#run(facts), this.#wall(facts));
+    this.element = make("div", {}, this.#run(), this.#wall());
     link.addEventListener("loop", ({ detail }) => this.#another(detail));
     link.addEventListener("state", ({ detail }) => this.#state(detail));
     link.addEventListener("job", ({ detail }) => JOBS.includes(detail.job) && this.#job(detail));
@@ -28,22 +31,20 @@ export class Wall {
     this.#load();
   }
 
-  #run(facts) {
+  #run() {
     return make("section", { className: "panel" }, make("h2", { textContent: "Run" }),
       field("rig", this.rig), field("device", this.url),
       make("label", { className: "quiet", title: "of an automatic hit: it ends at its end, not when this page closes" }, this.goesOn, " goes on when this page closes"),
       make("p", {}, this.play, " ", this.hit), this.verdict);
   }
 
-  #wall(facts) {
+  #wall() {
     const rates = (name, label) => field(label, this.#number(name, 0));
-    const estimator = make("select", { onchange: () => this.#changed("controller.estimator") }, ...facts.estimators.map((one) => make("option", { value: one, textContent: one })));
-    this.fields["controller.estimator"] = estimator;
     return make("section", { className: "panel" }, make("h2", { textContent: "Wall" }),
       this.#slider("wall.stiffness", "stiffness K"), make("div", { className: "field" }, make("span"), this.bands), this.#slider("wall.damping", "damping B"), this.#slider("wall.position", "position"),
       this.legend, this.sets,
       make("h2", { textContent: "For the next run" }),
-      rates("controller.position_rate", "1/T1 (Hz)"), rates("controller.velocity_rate", "1/T2 (Hz)"), field("estimator", estimator));
+      rates("controller.position_rate", "1/T1 (Hz)"), rates("controller.velocity_rate", "1/T2 (Hz)"), this.estimator.element);
   }
 
   #number(key, step) {
@@ -90,7 +91,7 @@ export class Wall {
     const values = { "wall.stiffness": wall.stiffness, "wall.damping": wall.damping, "wall.position": wall.position,
       "controller.position_rate": controller.position_rate, "controller.velocity_rate": controller.velocity_rate };
     for (const [key, value] of Object.entries(values)) this.fields[key].value = written(value, 6);
-    this.fields["controller.estimator"].value = controller.estimator;
+    this.estimator.fill(controller);
     for (const key of Object.keys(this.ranges)) this.#place(key);
     this.chosen = {};
     this.#theory();
@@ -98,10 +99,14 @@ export class Wall {
 
   #changed(key) {
     if (this.fields[`${key}~`]) this.#place(key);
-    this.chosen[key] = key === "controller.estimator" ? this.fields[key].value : Number(this.fields[key].value);
-    if (key.startsWith("controller.")) this.chosen[key] = key.endsWith("rate") ? Math.round(this.chosen[key]) : this.chosen[key];
+    const value = Number(this.fields[key].value);
+    this.chosen[key] = key.endsWith("rate") ? Math.round(value) : value;
     if (key.startsWith("wall.") && this.running) this.#set(key);
     this.#theory();
+  }
+
+  #changes() {
+    return { ...this.chosen, ...this.estimator.changes };
   }
 
   // Change the running wall, a few times a second while a slider moves; the last value is always said.
@@ -125,11 +130,12 @@ export class Wall {
       this.asking = true;
       try {
         const damping = Math.max(0, Number(this.fields["wall.damping"].value) || 0);
-        const rates = Object.fromEntries(Object.entries(this.chosen).filter(([key]) => key.startsWith("controller.")));
-        this.regions = await this.link.ask("regions", { rig: this.rig.value, damping, changes: rates, delay_ticks: this.delay ?? 1 });
+        const scheme = Object.fromEntries(Object.entries(this.#changes()).filter(([key]) => key.startsWith("controller.")));
+        this.regions = await this.link.ask("regions", { rig: this.rig.value, damping, changes: scheme, delay_ticks: this.delay ?? 1 });
+        this.estimator.complain(null);
         this.#drawRegions();
       } catch (error) {
-        this.legend.textContent = error.message;
+        this.estimator.complain(error.message);
       } finally {
         this.asking = false;
       }
@@ -159,7 +165,7 @@ export class Wall {
   async #start(job) {
     this.verdict.replaceChildren("starting …");
     try {
-      await this.link.ask("run", { job, rig: this.rig.value, url: this.url.value, changes: this.chosen, goes_on: this.goesOn.checked });
+      await this.link.ask("run", { job, rig: this.rig.value, url: this.url.value, changes: this.#changes(), goes_on: this.goesOn.checked });
     } catch (error) {
       this.verdict.replaceChildren();
       this.#trouble(error);

@@ -6,7 +6,8 @@ import shutil
 import struct
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numba
 import numpy as np
@@ -18,10 +19,14 @@ if numba.config.DISABLE_JIT:
 from rig import config
 from rig.config import presets
 from rig.console import recording_errands
+from rig.console.follow import Followed
+from rig.console.live import Live
 from rig.console.recordings import TRASH, Recordings
+from rig.console.terminal import Terminal
 from rig.core.errors import ConfigError, RecordingError
 from rig.experiments.hit import HitRequest, hit
 from rig.experiments.replay import replay
+from rig.realtime.hand import SharedHand
 from rig.recording.capture import write_capture
 from rig.recording.data import Recording
 from rig.recording.export import export
@@ -243,6 +248,49 @@ def test_a_picture_is_given_or_drawn_where_it_is_asked_for(output: Path) -> None
     assert drawn.body.startswith(b"\x89PNG")
 
 
+# Cuts --------------------------------------------------------------------------------------------
+
+
+def test_what_is_seen_of_a_recording_is_saved_as_one(output: Path) -> None:
+    async def body() -> Any:
+        service, page = Recordings(shared(output)), Page("operator")
+        saved = await ask(service, page, "recording-cut", name="one.parquet", first_s=0.05, last_s=0.15)
+        with pytest.raises(RecordingError, match="no two rows"):
+            await ask(service, page, "recording-cut", name="one.parquet", first_s=50.0, last_s=60.0)
+        with pytest.raises(ConfigError, match="another page operates"):
+            await ask(service, Page("somebody"), "recording-cut", name="one.parquet", first_s=0.0, last_s=1.0)
+        return saved, await ask(service, page, "recording", name=saved["name"])
+
+    saved, facts = run(body)
+    assert (saved["name"], saved["no_replay"]) == ("one-cut.parquet", "")
+    assert (facts["kind"], facts["ended"], facts["rows"]) == (None, "cut", saved["rows"])
+    assert facts["cut"]["recording"] == "one.parquet"
+    assert facts["length_s"] == pytest.approx(0.1, abs=0.002)
+
+
+def test_a_live_run_is_cut_from_its_recording_once_it_has_ended(output: Path) -> None:
+    whole = open_recording(output / "one.parquet")
+
+    async def body() -> Any:
+        page = Page()
+        with SharedHand.create(output / "hand") as hand:
+            live = Live(shared(output), hand, Terminal(), own=True)
+            with pytest.raises(ConfigError, match="no loop that was recorded"):
+                await ask(live, page, "cut", first_s=0.0, last_s=1.0)
+            seen = SimpleNamespace(ended=False, info={"recording": str(output / "one.rigcap")})
+            live._followed = cast("Followed", seen)
+            with pytest.raises(ConfigError, match="whole when the run has ended"):
+                await ask(live, page, "cut", first_s=0.0, last_s=1.0)
+            seen.ended = True
+            live._history.start_ns = int(whole.rows["device_time"][30])  # the first row that we saw
+            return await ask(live, page, "cut", first_s=0.0, last_s=0.1)
+
+    saved = run(body)
+    made = open_recording(output / saved["name"])
+    assert made.rows["tick"][0] == 30
+    assert made.time_s[-1] == pytest.approx(0.1, abs=0.002)
+
+
 # Names and the trash --------------------------------------------------------------------------------
 
 
@@ -303,6 +351,17 @@ def test_nothing_is_deleted_a_recording_moves_with_its_picture_and_comes_back(ou
     run(body)
     assert {path.name: path.read_bytes() for path in output.iterdir() if path.is_file()} == kept
     assert list(trash.iterdir()) == []
+
+
+@pytest.mark.parametrize("do", ["throw-away", "restore", "recording"])
+@pytest.mark.parametrize("name", ["one.png", "notes.txt"])
+def test_what_is_no_recording_is_no_pages_matter(name: str, do: str, output: Path) -> None:
+    place = output / TRASH if do == "restore" else output
+    place.mkdir(exist_ok=True)
+    (place / name).write_bytes(b"of somebody")
+    with pytest.raises(ConfigError, match="is no recording"):
+        run(lambda: ask(Recordings(shared(output)), Page(), do, name=name))
+    assert (place / name).read_bytes() == b"of somebody"
 
 
 def test_neither_way_goes_over_a_file_of_that_name(output: Path) -> None:

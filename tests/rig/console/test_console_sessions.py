@@ -32,6 +32,7 @@ from rig.session.place import Place
 from rig.session.protocol import Keys
 from rig.session.template_files import template_names, write_template
 from tests.conformance.terminal import PATIENCE_S
+from tests.rig.console.console_fakes import CONTENT
 from tests.rig.session.session_desks import AtPage, FakeClient, until
 from tests.rig.session.session_fakes import FakeRunner
 
@@ -98,6 +99,17 @@ def test_a_page_that_comes_back_sees_the_question(page: AtPage, asker: ThreadPoo
     assert reply.result(PATIENCE_S).value == "stable"
 
 
+def test_a_desk_that_cannot_look_ends_its_session_and_says_so(
+    page: AtPage, asker: ThreadPoolExecutor
+) -> None:
+    reply = asked(page, asker, READY)
+    assert page.service._seat is not None
+    page.service._seat.look = lambda _: {}["a defect"]  # type: ignore[method-assign]
+    with pytest.raises(StoppedError):  # as one that nobody answers
+        reply.result(PATIENCE_S)
+    assert "a defect" in page.client.newest["trouble"]["message"]
+
+
 def test_one_page_operates_and_any_may_stop(page: AtPage, asker: ThreadPoolExecutor) -> None:
     reply = asked(page, asker, READY)
     other = FakeClient("another")
@@ -121,7 +133,7 @@ def test_a_participant_answers_verdicts_and_items_and_nothing_else(
         what = {"key": key} if key else {"text": line}
         do = "session_key" if key else "session_line"
         number = page.participant.newest["participant"]["asked"]
-        page.ask(do, page.participant, asked=number, participant=True, **what)
+        page.ask(do, page.participant, asked=number, **what)
 
     reply = asked(page, asker, READY)
     for key in ("g", "enter", "p", "a", "n"):
@@ -191,7 +203,7 @@ def test_nothing_of_a_blinded_loop_reaches_a_page(tmp_path: Path) -> None:
     shared = Shared({cast("Client", one)}, Lease(), Jobs(lambda *_: None), tmp_path)
     with SharedHand.create(tmp_path / "hand") as hand, Ring.allocate(64, info=info, shared=True) as ring:
         ring.words[words.HEAD] = 10
-        live = Live(shared, hand, Terminal(), verified=False, own=False)
+        live = Live(shared, hand, Terminal(), own=False)
         live._pid = os.getpid()
         shared.blinded = True
         asyncio.run(live.search())
@@ -211,7 +223,7 @@ def test_nothing_of_a_blinded_loop_reaches_a_page(tmp_path: Path) -> None:
         assert (one.followed, one.put_, live._history.rows) == (None, "", 0)
         assert one.newest["state"]["loop"] is None
         with pytest.raises(ConfigError, match="no loop runs"):
-            live._looked_at()  # nor is its wall changed
+            live.looked_at()  # nor is its wall changed
 
 
 @pytest.mark.parametrize(
@@ -226,8 +238,9 @@ def test_a_real_rig_needs_a_word_at_the_terminal(
     before = Place(url="serial:///dev/ttyACM0", realtime=True, simulated=False)
     monkeypatch.setattr("rig.console.sessions.took_place", lambda _: before)
     monkeypatch.setattr("rig.console.sessions.rehearsed", lambda _: None)
+    monkeypatch.setattr("rig.console.sessions.digest_of", lambda *_: "1234 5678")
     page.jobs.started = {}
-    with pytest.raises(ConfigError, match="ttyACM0 is a real rig, and nobody at the terminal") as caught:
+    with pytest.raises(ConfigError, match="ttyACM0 is a real rig, and is not armed") as caught:
         page.ask("session", **given)
     assert caught.value.remedy
     assert page.jobs.started == {}
@@ -257,14 +270,11 @@ def test_what_may_be_begun_and_resumed_is_listed(tmp_path: Path, monkeypatch: py
         {**CONTENT, "protocol": "", "code": "", "directory": found["directory"]}, talk
     )
     assert again["stands"] == "session of P02: left: the operator left"
+    session_desk.session({**CONTENT, "study": "elsewhere"}, talk)
+    assert (tmp_path / "elsewhere" / "P01" / "session.log").exists()
 
 
 PERSON = {"thresholds": [], "spread": 15.0, "lapse_rate": 0.0, "people_sd": 0.0}
-CONTENT: dict[str, Any] = {
-    "protocol": "mine.toml", "code": "P01", "directory": "", "row": None, "person": None, "realtime": False,
-    "again": False, "at": "trial", "other_device": False, "url": "", "verified": False, "arm_anyway": False,
-    "lossy_anyway": False, "hand": "", "hand_kind": None,
-}  # fmt: skip
 
 
 def test_a_stop_does_not_end_a_job_that_asks_and_a_console_that_closes_does() -> None:

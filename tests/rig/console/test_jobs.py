@@ -17,6 +17,7 @@ import pytest
 from rig.console.jobs import Job, Jobs
 from rig.console.lease import Lease
 from rig.console.live import Live
+from rig.console.runs import Runs
 from rig.console.service import Shared
 from rig.console.terminal import Terminal
 from rig.core.errors import ConfigError
@@ -58,6 +59,11 @@ def play(program: str, monkeypatch: pytest.MonkeyPatch, body: Callable[[Here], A
     asyncio.run(whole())
 
 
+def runs(shared: Shared, hand: SharedHand) -> Runs:
+    terminal = Terminal()
+    return Runs(shared, Live(shared, hand, terminal, own=True), hand, terminal, verified=False)
+
+
 def test_a_stop_that_comes_while_a_job_starts_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
     async def body(here: Here) -> None:
         starting = asyncio.create_task(here.jobs.start("hit", {}))
@@ -81,7 +87,7 @@ def test_a_stop_ends_our_job_also_where_no_other_loop_can_be_looked_for(
         await here.jobs.start("hit", {})
         with SharedHand.create(tmp_path / "hand") as hand:
             shared = Shared(set(), Lease(), here.jobs, tmp_path)
-            live = Live(shared, hand, Terminal(), verified=False, own=True)
+            live = Live(shared, hand, Terminal(), own=True)
             with pytest.raises(OSError, match="Too many"):
                 live.stop_all()
         await here.ended()
@@ -107,8 +113,7 @@ def test_a_job_without_an_operator_ends_unless_it_goes_on(
     async def body(here: Here) -> None:
         shared = Shared(set(), Lease(), here.jobs, tmp_path)
         with SharedHand.create(tmp_path / "hand") as hand:
-            live = Live(shared, hand, Terminal(), verified=False, own=True)
-            beats = asyncio.create_task(live.every_beat())
+            beats = asyncio.create_task(runs(shared, hand).every_beat())
             shared.lease.take("a-page-here")
             await here.jobs.start("play", {})
             shared.lease.release("a-page-here")  # whoever then closes the page answers for nothing
@@ -120,6 +125,21 @@ def test_a_job_without_an_operator_ends_unless_it_goes_on(
             going.end()
             await here.ended()
             beats.cancel()
+
+    play(WAITS, monkeypatch, body)
+
+
+def test_a_console_that_cannot_watch_ends_what_it_moves_also_what_would_go_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def body(here: Here) -> None:
+        monkeypatch.setattr(Lease, "expire", lambda _: {}["a defect"])
+        await here.jobs.start("hit", {}, goes_on=True)
+        with SharedHand.create(tmp_path / "hand") as hand:
+            shared = Shared(set(), Lease(), here.jobs, tmp_path)
+            with pytest.raises(KeyError):
+                await runs(shared, hand).every_beat()
+        await here.ended()
 
     play(WAITS, monkeypatch, body)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from rig.console.lease import BEAT_S, LOOK_S, LOST_S, Lease
 
 
@@ -61,6 +63,28 @@ def test_a_server_that_did_not_listen_counts_no_silence() -> None:
     clock.now += LOOK_S
     assert lease.expire() is None
     assert lease.held().by == "one"
+
+
+@pytest.mark.parametrize("each_s", [LOOK_S, 0.11, 0.35, 0.8, 1.5])
+def test_a_server_that_is_late_at_every_look_lengthens_the_lease_by_one_of_them(each_s: float) -> None:
+    clock = Clock()
+    lease = Lease(clock)
+    lease.take("one")
+    begun = clock.now
+    while lease.expire() is None:
+        assert clock.now - begun <= LOST_S + each_s, "two looks after it was lost"
+        clock.now += each_s
+    assert clock.now - begun > LOST_S
+
+
+def test_a_server_that_is_always_late_hears_who_is_there() -> None:
+    clock = Clock()
+    lease = Lease(clock)
+    lease.take("one")
+    for _ in range(50):
+        clock.now += 1.2
+        assert lease.expire() is None
+        lease.beat("one")  # what waited in the socket
 
 
 def test_a_beat_before_the_server_listened_again_buys_no_silence() -> None:

@@ -10,21 +10,34 @@ import socket
 import urllib.error
 import urllib.request
 from collections.abc import Awaitable, Callable
+from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
+from rig.console.bounds import MOST_AT_DOOR
 from rig.console.client import MOST_REPLIES, Client
 from rig.console.errands import Errands
+from rig.console.follow import Followed
+from rig.console.lease import Lease
 from rig.console.live import SEARCH_S, Live
-from rig.core.errors import ConfigError
+from rig.console.runs import Runs
+from rig.console.server import SOCKETS
+from rig.control import estimators
+from rig.core.errors import ConfigError, RigError
 from rig.core.sample import Phase, RowFlag
 from rig.realtime import ring as words
 from tests.conformance.console import Served, served
 from tests.conformance.lsl_loop import INFO, HandTurnedLoop
+from tests.rig.console.console_fakes import Here
 
+UPGRADE = (
+    b"GET /live HTTP/1.1\r\nHost: ADDRESS\r\nOrigin: http://ADDRESS\r\nConnection: Upgrade\r\n"
+    b"Upgrade: websocket\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n"
+)
 Scenario = Callable[[Served], Awaitable[None]]
 
 
@@ -60,7 +73,7 @@ def test_the_page_is_served_to_its_own_name_alone(tmp_path: Path) -> None:
     play(tmp_path, scenario, hosts=("tunnel:9000",))
 
 
-@pytest.mark.parametrize("path", ["/live", "/hold"])
+@pytest.mark.parametrize("path", SOCKETS)
 def test_a_socket_of_another_site_is_refused(path: str, tmp_path: Path) -> None:
     async def scenario(console: Served) -> None:
         for origin in ("http://evil.example", f"https://{console.address}", "null"):
@@ -86,7 +99,7 @@ def test_a_socket_of_another_site_is_refused(path: str, tmp_path: Path) -> None:
 )
 def test_without_the_token_a_socket_is_closed(greeting: str, tmp_path: Path) -> None:
     async def scenario(console: Served) -> None:
-        for path in ("/live", "/hold"):
+        for path in SOCKETS:
             async with console.socket(path) as socket:
                 await socket.send(greeting)
                 with pytest.raises(ConnectionClosed) as closed:
@@ -161,6 +174,64 @@ def test_a_search_that_finds_no_descriptor_left_is_tried_again(
     play(tmp_path, scenario)
 
 
+def test_a_loop_that_cannot_be_read_costs_its_scope_and_no_server(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    polled = 0
+
+    def broken(_: Followed) -> None:
+        nonlocal polled
+        polled += 1
+        raise KeyError("a defect")
+
+    monkeypatch.setattr(Followed, "poll", broken)
+
+    async def scenario(console: Served) -> None:
+        async with console.page() as page:
+            await page.ask("look", pid=os.getpid())
+            told = await page.until(lambda page: page.newest("trouble"))
+            assert "a defect" in told["message"]
+            await asyncio.sleep(2 * SEARCH_S)
+            assert polled == 1, "it is not looked at again"
+            assert (await page.ask("operate", take=True))["result"] == {"operates": True}
+            await page.ask("stop")
+            assert loop.ring.get(words.STOP) == 1
+
+    loop = HandTurnedLoop(64, shared=True)
+    with loop.ring:
+        play(tmp_path, scenario)
+
+
+@pytest.mark.parametrize("where", ["rig.console.live.Live._tell_state", "rig.console.view.View.frames"])
+def test_a_defect_in_what_is_shown_is_told_and_ends_no_server(
+    where: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(where, lambda *_: {}["a defect"])
+
+    async def scenario(console: Served) -> None:
+        async with console.page() as page:
+            await page.ask("look", pid=os.getpid())
+            told = await page.until(lambda page: page.newest("trouble"))
+            assert "a defect" in told["message"]
+            assert "result" in await page.ask("operate", take=True)
+
+    with HandTurnedLoop(64, shared=True).ring:
+        play(tmp_path, scenario)
+
+
+def test_a_console_that_cannot_watch_over_its_runs_ends_aloud(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def scenario(console: Served) -> None:
+        async with console.page() as page:
+            monkeypatch.setattr(Lease, "expire", lambda _: {}["a defect"])
+            with pytest.raises(ConnectionClosed):
+                await page.until(lambda _: False)
+
+    with pytest.raises(RigError, match="cannot watch over its runs, and has ended them: KeyError"):
+        play(tmp_path, scenario)
+
+
 def test_stop_reaches_the_loop_by_either_socket(tmp_path: Path) -> None:
     async def scenario(console: Served) -> None:
         for by in ("hold", "live"):
@@ -190,6 +261,124 @@ def test_stop_reaches_loops_that_nobody_looks_at(tmp_path: Path) -> None:
     play(tmp_path, scenario, own=True)
 
 
+@pytest.mark.parametrize("say", [b"", b"GET / HTTP/1.1\r\n", UPGRADE], ids=["nothing", "half", "no token"])
+def test_who_has_no_token_holds_no_place_and_keeps_no_page_out(
+    say: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rig.console.bounds.DOOR_S", 1.0)
+
+    async def scenario(console: Served) -> None:
+        async with console.page("a-page-of-before") as before, console.hold("a-page-of-before") as hold:
+            knocking = [await knock(console, say) for _ in range(3 * MOST_AT_DOOR)]
+            async with asyncio.timeout(10.0):
+                for reader, _ in knocking[: 2 * MOST_AT_DOOR]:  # the newest have the places
+                    await left(reader)
+            async with console.page("a-page-that-comes") as page:
+                assert "result" in await page.ask("operate", take=True)
+            assert "result" in await before.ask("stop")
+            await hold.send('{"stop":true}')
+            assert "stopped" in await hold.recv()
+            async with asyncio.timeout(10.0):
+                for reader, writer in knocking:  # nor do those keep theirs
+                    await left(reader)
+                    writer.close()
+
+    play(tmp_path, scenario)
+
+
+async def knock(console: Served, say: bytes) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+    reader, writer = await asyncio.open_connection("127.0.0.1", console.port)
+    writer.write(say.replace(b"ADDRESS", console.address.encode()))
+    return reader, writer
+
+
+async def left(reader: asyncio.StreamReader) -> None:
+    with suppress(ConnectionResetError):
+        await reader.read()
+
+
+def test_of_too_many_hold_sockets_the_silent_one_goes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rig.console.server.MOST_HOLDS", 2)
+
+    async def scenario(console: Served) -> None:
+        async with console.hold("the-first-page") as one, console.hold("the-second-page") as two:
+            await one.send('{"stop":true}')
+            assert "stopped" in await one.recv()
+            async with console.hold("the-third-page") as three:
+                await three.send('{"stop":true}')
+                assert "stopped" in await three.recv()
+                with pytest.raises(ConnectionClosed):
+                    await two.recv()
+                await one.send('{"stop":true}')
+                assert "stopped" in await one.recv()
+
+    play(tmp_path, scenario)
+
+
+def test_a_flood_of_beats_is_cut_off_and_stops_all_the_same(tmp_path: Path) -> None:
+    async def scenario(console: Served) -> None:
+        with HandTurnedLoop(64, shared=True).ring as ring:
+            async with console.hold() as hold:
+                with suppress(ConnectionClosed):
+                    for _ in range(1000):
+                        await hold.send('{"beat":true}')
+                with pytest.raises(ConnectionClosed):
+                    await hold.recv()
+            async with console.hold() as hold:
+                await hold.send('{"stop":true}')
+                while ring.get(words.STOP) == 0:
+                    await asyncio.sleep(0.001)
+
+    play(tmp_path, scenario)
+
+
+def test_a_participants_screen_is_told_what_it_shows_and_nothing_else(tmp_path: Path) -> None:
+    """At the wire, while a loop runs whose wall every page may see."""
+    loop = HandTurnedLoop(4096, shared=True)
+
+    async def scenario(console: Served) -> None:
+        async with console.page() as page:
+            await page.ask("look", pid=os.getpid())
+            hello = await page.until(lambda page: page.newest("hello"))
+            await page.until(lambda page: page.newest("loop"))
+            async with console.screen(hello["participants"]) as screen:
+                for do, content in (
+                    ("stop", {}), ("session_key", {"key": "1"}), ("session_line", {"text": "x"}),
+                ):  # fmt: skip
+                    assert "result" in await screen.ask(do, **content)
+                for do in ("operate", "run", "experiment", "recordings", "session", "show", "set"):
+                    assert "no such request" in (await screen.ask(do))["error"]["error"]
+                for _ in range(20):
+                    loop.leave(100)
+                    await asyncio.sleep(0.01)
+                await page.until(lambda page: sum(f["points"] * f["step"] for f in page.frames) >= 2000 - 2)
+                assert {one["say"] for one in screen.told} == {"participant", "answer"}
+                assert screen.frames == []
+                assert screen.newest("participant") == {"say": "participant", "runs": False}
+            for path in ("/live", "/participant"):  # neither token opens what is the other's
+                async with console.socket(path) as socket:
+                    token = console.token if path == "/participant" else hello["participants"]
+                    await socket.send(json.dumps({"token": token, "client": "a-participant"}))
+                    with pytest.raises(ConnectionClosed):
+                        await socket.recv()
+
+    with loop.ring:
+        play(tmp_path, scenario)
+
+
+def test_a_handle_is_dragged_by_nobody_while_something_else_moves_the_hand(tmp_path: Path) -> None:
+    """A session's hand is in the same file."""
+
+    async def scenario(console: Served) -> None:
+        async with console.page() as page:
+            refused = await page.ask("hand", position=0.1)
+            assert "no handle is dragged" in refused["error"]["error"]
+
+    play(tmp_path, scenario)
+
+
 def test_one_page_operates_and_the_others_look_on(tmp_path: Path) -> None:
     async def scenario(console: Served) -> None:
         async with console.page("page-number-one") as one, console.page("page-number-two") as two:
@@ -209,7 +398,7 @@ def test_a_real_rig_is_armed_from_no_page_alone(tmp_path: Path) -> None:
     async def scenario(console: Served) -> None:
         async with console.page() as page:
             refused = await page.ask("run", job="hit", url="serial:///dev/ttyACM0")
-            assert "nobody at the terminal" in refused["error"]["error"]
+            assert "runs in no terminal" in refused["error"]["error"]
             assert "rig console" in refused["error"]["remedy"]
 
     play(tmp_path, scenario)
@@ -242,7 +431,7 @@ def test_a_defect_costs_an_answer_and_no_socket(tmp_path: Path, monkeypatch: pyt
     async def broken(*_: object, **content: object) -> None:
         raise KeyError("a defect")
 
-    monkeypatch.setattr(Live, "_experiment", lambda *_: 1 / 0)
+    monkeypatch.setattr(Runs, "_experiment", lambda *_: 1 / 0)
     monkeypatch.setattr(Errands, "run", broken)
 
     async def scenario(console: Served) -> None:
@@ -293,7 +482,9 @@ def test_a_page_that_reads_nothing_takes_no_more_memory(
     play(tmp_path, scenario)
 
 
-def test_what_theory_says_of_a_wall(tmp_path: Path) -> None:
+def test_what_theory_says_of_a_wall(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Errands, "run", Here.run)
+
     async def scenario(console: Served) -> None:
         async with console.page() as page:
             soft = (await page.ask("regions", damping=0.2, delay_ticks=1))["result"]
@@ -303,6 +494,39 @@ def test_what_theory_says_of_a_wall(tmp_path: Path) -> None:
             assert nothing["passive"] is None or nothing["passive"] < nothing["stable"]
             experiment = (await page.ask("experiment", changes={"wall.stiffness": 33}))["result"]
             assert experiment["wall"]["stiffness"] == 33
+
+    play(tmp_path, scenario)
+
+
+def test_settings_of_an_estimator_are_those_of_the_registry_and_checked_as_overrides_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Errands, "run", Here.run)
+
+    async def scenario(console: Served) -> None:
+        async with console.page() as page:
+            told = {one["name"]: one for one in (page.newest("hello") or {})["estimators"]}
+            assert list(told) == estimators.names()
+            cutoff, order = told["fdm-butterworth"]["settings"]
+            known = estimators.get("fdm-butterworth").settings
+            assert [{**asdict(one)} for one in known] == [
+                {name: value for name, value in one.items() if name != "whole"} for one in (cutoff, order)
+            ]
+            assert (cutoff["whole"], order["whole"]) == (False, True)
+            assert told["kalman"]["settings"][0]["choices"] == ["triple", "double"]
+            changes = {"controller.estimator": "fdm-butterworth", "controller.parameters.cutoff_hz": 90}
+            made = (await page.ask("experiment", changes=changes))["result"]
+            assert made["controller"]["parameters"] == {"cutoff_hz": 90}
+            for key, value, told_of in (
+                ("cutoff_hz", 1e9, "out of range"),
+                ("cutoff_hz", "many", "not a number"),
+                ("noise", 1.0, "no parameter 'noise'"),
+            ):
+                wrong = {**changes, f"controller.parameters.{key}": value}
+                for do in ("experiment", "regions"):
+                    more = {"damping": 0.1} if do == "regions" else {}
+                    answer = await page.ask(do, changes=wrong, **more)
+                    assert told_of in answer["error"]["error"], answer
 
     play(tmp_path, scenario)
 

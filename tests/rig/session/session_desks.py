@@ -22,11 +22,12 @@ from rig.console.client import Client
 from rig.console.jobs import Job, Jobs
 from rig.console.lease import Lease
 from rig.console.requests import request_of
-from rig.console.service import Shared
+from rig.console.service import LATER, Shared
 from rig.console.session_desk import PageDesk
 from rig.console.sessions import JOB, Sessions
 from rig.console.talk import Talk
 from rig.console.terminal import Terminal as Consents
+from rig.core.errors import RigError
 from rig.core.present import plain
 from rig.realtime.hand import SharedHand
 from rig.session.console.asking import AskingDesk
@@ -170,6 +171,9 @@ class FakeJob:
     def __init__(self, page: AtPage) -> None:
         self._page = page
 
+    async def close(self) -> None:
+        self._page.leave()
+
     def answer(self, value: Any) -> None:
         self._page.line_.heard.put(json.loads(json.dumps(value)))
 
@@ -177,15 +181,22 @@ class FakeJob:
 class FakeClient:
     """A page: what it was told last, and everything."""
 
-    def __init__(self, name: str) -> None:
-        self.name = name
+    def __init__(self, name: str, *, participant: bool = False) -> None:
+        self.name, self.participant = name, participant
         self.newest: dict[str, dict[str, Any]] = {}
         self.all = ""
+        self.answers: SimpleQueue[RigError | None] = SimpleQueue()
+
+    def reply(self, number: int, result: Any = None, error: RigError | None = None) -> None:
+        self.answers.put(error)
 
     def put_newest(self, message: Any) -> None:
         text = json.dumps(message, ensure_ascii=False)
         self.newest[message["say"]] = json.loads(text)
         self.all += text + "\n"
+
+    def put(self, message: str) -> None:
+        self.put_newest(json.loads(message))
 
 
 class AtPage(Place):
@@ -196,13 +207,14 @@ class AtPage(Place):
         self._thread = threading.Thread(target=self._loop.run_forever)
         self._thread.start()
         self.hung_s = 0.0  # since when nothing is heard
-        self.client, self.participant = FakeClient("operator"), FakeClient("participant")
+        self.client = FakeClient("operator")
+        self.participant = FakeClient("participant", participant=True)
         self._place = TemporaryDirectory()
         self.hand = SharedHand.create(hand[1] if hand is not None else Path(self._place.name) / "hand")
         self.job, self.line_ = FakeJob(self), Line(self)
         self.jobs = FakeJobs(self.job)
-        clients = cast("set[Client]", {self.client, self.participant})
-        self.shared = Shared(clients, Lease(), cast("Jobs", self.jobs), Path())
+        pages, screens = (cast("set[Client]", {one}) for one in (self.client, self.participant))
+        self.shared = Shared(pages, Lease(), cast("Jobs", self.jobs), Path(), participants=screens)
         self.service = Sessions(self.shared, self.hand, Consents(), verified=False)
         try:
             self.ask("session", protocol="a.toml", code="P01", hand=hand[0] if hand else "simulated")
@@ -220,12 +232,16 @@ class AtPage(Place):
         return self.service.job_says(cast("Job", self.job), message)
 
     def ask(self, do: str, client: FakeClient | None = None, **content: Any) -> Any:
-        """A request of a page, as its socket brings it."""
+        """A request of a page, as its socket brings it, and its answer, whenever it comes."""
+        client = client or self.client
         handlers = self.service.handlers()
         request = request_of(
             json.dumps({"do": do, **content}), {name: kind for name, (kind, _) in handlers.items()}
         )
-        return self.in_loop(self._answered(handlers[do][1](cast("Client", client or self.client), request)))
+        result = self.in_loop(self._answered(handlers[do][1](cast("Client", client), request)))
+        if result is LATER and (error := client.answers.get(timeout=PATIENCE_S)) is not None:
+            raise error
+        return result
 
     async def _answered(self, answer: Any) -> Any:
         return await answer

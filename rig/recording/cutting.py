@@ -1,0 +1,111 @@
+"""A cut: some rows of a recording in a file of their own, whose header says from which one, from where and when.
+
+All columns at full rate: a cut is a recording like others, only shorter. Its trailer says that it is cut, not how the
+trial ended; what judges a trial judges the whole.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rig.core.errors import RecordingError
+from rig.recording.canonical import lossless
+from rig.recording.capture import write_capture
+from rig.recording.data import Recording
+from rig.recording.files import free_name, make_directories, whole_file
+from rig.recording.ledger import CLOCK_KEY
+from rig.recording.parquet import has_pyarrow, write_parquet
+from rig.recording.seal import SEALED_SUFFIX
+
+CUT = "cut"  # key of the header's `extra`, and reason of the trailer
+
+
+def cut(
+    recording: Recording, first_s: float, last_s: float, initial_state: Mapping[str, Any] | None = None
+) -> Recording:
+    """Cut a recording.
+
+    Parameters
+    ----------
+    recording
+        Whole, or a cut itself.
+    first_s, last_s
+        From and up to when, since its first row (s).
+    initial_state
+        Of the controller before the first row of the cut, where somebody knows it (`rig.experiments.cutting`): without,
+        only a cut from the beginning can be replayed.
+
+    Returns
+    -------
+    Recording
+        Its rows, header and trailer; it has no file yet.
+
+    Raises
+    ------
+    RecordingError
+        There are no two rows between these times, or ticks are lost between them.
+    """
+    times, rows = recording.time_s, recording.rows
+    first, end = np.searchsorted(times, first_s, "left"), np.searchsorted(times, last_s, "right")
+    if end - first < 2:
+        reach = f"it has rows from 0 to {times[-1]:.6g} s" if len(times) else "it has no rows"
+        raise RecordingError(
+            f"there are no two rows between {first_s:.6g} and {last_s:.6g} s of the recording", remedy=reach
+        )
+    taken = rows[first:end].copy()
+    missing = int(taken["tick"][-1] - taken["tick"][0]) + 1 - len(taken)
+    if missing:
+        raise RecordingError(
+            f"{missing} ticks are lost between {first_s:.6g} and {last_s:.6g} s",
+            remedy="cut before or after them",
+        )
+    header, trailer = recording.header, recording.trailer or {}
+    begins = {} if first else header["initial_state"]
+    facts = {
+        "recording": "" if recording.path is None else recording.path.name,
+        "rows_before": int(first),
+        "rows_after": len(rows) - int(end),
+        "first_tick": int(taken["tick"][0]),
+        "first_s": float(times[first]),
+        "last_s": float(times[end - 1]),
+        "cut_at": datetime.now(UTC).isoformat(timespec="milliseconds"),
+    }
+    kept = {key: trailer[key] for key in (CLOCK_KEY,) if key in trailer}
+    sets = [one for one in trailer.get("parameter_sets") or [] if facts["first_tick"] <= one["tick"]]
+    return replace(
+        recording,
+        header={
+            **header,
+            "initial_state": lossless(begins if initial_state is None else initial_state),
+            "extra": {**header["extra"], CUT: facts},
+        },
+        rows=taken,
+        trailer={"reason": CUT, "parameter_sets": sets, **kept},
+        complete=True,
+        lost=(),
+        path=None,
+    )
+
+
+def cut_facts(recording: Recording) -> Mapping[str, Any] | None:
+    """What the header of a cut says about where it is from; None of a whole recording."""
+    found = recording.header["extra"].get(CUT)
+    return found if isinstance(found, dict) else None
+
+
+def write_cut(made: Recording, directory: Path) -> Path:
+    """Write a cut into a directory, under a free name; its path. Raises `RecordingError` when the disk refuses."""
+    make_directories(directory)
+    of = Path((cut_facts(made) or {}).get("recording") or "recording").stem
+    path = free_name(directory, f"{of}-cut")
+    if has_pyarrow():
+        path = path.with_suffix(SEALED_SUFFIX)
+    with whole_file(path) as file:
+        (write_parquet if has_pyarrow() else write_capture)(file, made)
+    return path

@@ -1,0 +1,183 @@
+"""A cut is a recording: it opens, shows, exports and replays to the last bit, and says where it is from."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+if numba.config.DISABLE_JIT:
+    pytest.skip("plug points are function types of compiled code", allow_module_level=True)
+
+import rig
+from rig import config
+from rig.cli.replay import replay as replay_command
+from rig.cli.show import show
+from rig.config import presets
+from rig.control.verdict import Kind
+from rig.core.errors import RecordingError
+from rig.core.sample import Phase
+from rig.experiments.cutting import cut_recording
+from rig.experiments.hit import HitRequest, hit
+from rig.experiments.judgement import experiment_of, judge
+from rig.experiments.replay import replay
+from rig.recording.cutting import cut, cut_facts, write_cut
+from rig.recording.data import Recording
+from rig.recording.export import export
+from rig.recording.reader import open_facts, open_recording
+
+SHORT = {"trial.duration_s": 0.2, "trial.release_s": 0.02, "homing.settle_s": 0.02, "verdict.tail_s": 0.05}
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    experiment = config.override(presets.load("koul-compliant"), SHORT)
+    (done,) = hit(HitRequest(experiment=experiment, output=tmp_path_factory.mktemp("whole"), name="one"))
+    return open_recording(done.recording)
+
+
+def place(recording: Recording) -> Path:
+    assert recording.path is not None
+    return recording.path
+
+
+def stretches(whole: Recording) -> list[tuple[str, float, float]]:
+    """While homing, about the contact, from the beginning, to the end, all of it."""
+    times, phases = whole.time_s, whole.rows["phase"]
+    contact = float(times[np.argmax(whole.rows["penetration"] > 0.0)])
+    trial = float(times[np.argmax(phases == Phase.TRIAL)])
+    return [
+        ("homing", 0.2 * trial, 0.7 * trial),
+        ("contact", contact - 0.013, contact + 0.021),
+        ("beginning", 0.0, contact),
+        ("end", contact, times[-1]),
+        ("all", 0.0, times[-1]),
+    ]
+
+
+@pytest.mark.parametrize("which", range(5), ids=["homing", "contact", "beginning", "end", "all"])
+def test_a_cut_has_the_rows_between_and_replays_as_the_whole_does(
+    which: int, whole: Recording, tmp_path: Path
+) -> None:
+    _, first_s, last_s = stretches(whole)[which]
+    result = cut_recording(place(whole), first_s, last_s, output=tmp_path)
+    made = open_recording(result.path)
+    inside = (whole.time_s >= first_s) & (whole.time_s <= last_s)
+    assert made.names == whole.names
+    for name in made.names:
+        assert made.column(name).tobytes() == whole.rows[name][inside].tobytes(), name
+    assert (made.complete, made.lost, len(made)) == (True, (), result.rows)
+    assert result.no_replay == ""
+    again = replay(made)
+    assert again.exact
+    np.testing.assert_array_equal(again.rows["effort_wanted"], replay(whole).rows["effort_wanted"][inside])
+
+
+def test_its_header_says_from_which_recording_where_and_when(whole: Recording, tmp_path: Path) -> None:
+    result = cut_recording(place(whole), 0.05, 0.15, output=tmp_path)
+    assert result.path.name == "one-cut.parquet"
+    facts = cut_facts(open_facts(result.path))
+    assert facts is not None
+    assert facts["recording"] == place(whole).name
+    assert facts["first_tick"] == facts["rows_before"] > 0
+    assert facts["rows_before"] + result.rows + facts["rows_after"] == len(whole)
+    assert 0.05 <= facts["first_s"] == result.first_s < result.last_s == facts["last_s"] <= 0.15
+    assert facts["cut_at"] > whole.header["created"]
+    assert open_facts(result.path).header["created"] == whole.header["created"], "when the trial took place"
+    assert cut_facts(whole) is None
+    assert cut_recording(place(whole), 0.05, 0.15, output=tmp_path).path.name == "one-cut-2.parquet"
+    assert rig.cut_recording is cut_recording
+
+
+def test_seconds_may_count_from_another_sample(whole: Recording, tmp_path: Path) -> None:
+    zero_ns = int(whole.rows["device_time"][40])
+    shifted = cut_recording(place(whole), 0.01, 0.02, output=tmp_path, zero_ns=zero_ns)
+    assert shifted.first_s == pytest.approx(whole.time_s[40] + 0.01, abs=1e-9)
+
+
+def test_a_cut_of_a_cut_replays_too(whole: Recording, tmp_path: Path) -> None:
+    _, first_s, last_s = stretches(whole)[1]
+    outer = cut_recording(place(whole), first_s, last_s, output=tmp_path)
+    inner = cut_recording(outer.path, 0.0, 0.01)
+    made = open_recording(inner.path)
+    assert inner.path.parent == tmp_path
+    assert (cut_facts(made) or {})["recording"] == outer.path.name
+    assert replay(made).exact
+    with pytest.raises(RecordingError, match="in the middle of a trial"):
+        replay(made, {"controller.estimator": "fdm"})
+
+
+def test_another_law_is_refused_in_the_middle_and_not_from_the_beginning(
+    whole: Recording, tmp_path: Path
+) -> None:
+    changes = {"controller.estimator": "fdm"}
+    middle = open_recording(cut_recording(place(whole), 0.05, 0.15, output=tmp_path).path)
+    with pytest.raises(RecordingError, match="middle of a trial") as refused:
+        replay(middle, changes)
+    assert place(whole).name in refused.value.remedy
+    beginning = open_recording(cut_recording(place(whole), 0.0, 0.15, output=tmp_path).path)
+    np.testing.assert_array_equal(
+        replay(beginning, changes).rows["velocity"], replay(whole, changes).rows["velocity"][: len(beginning)]
+    )
+
+
+def test_a_wall_that_changed_before_the_cut_or_in_it_is_replayed(whole: Recording, tmp_path: Path) -> None:
+    tick = len(whole) // 2
+    law = whole.header["initial_state"]["law"]["parameters"]
+    softer = {
+        "tick": tick,
+        "wall_position": whole.header["initial_state"]["control"]["wall_position"],
+        "parameters": [law[0], law[1] / 2, *law[2:]],
+    }
+    trailer: dict[str, Any] = {**(whole.trailer or {}), "parameter_sets": [softer]}
+    rows = whole.rows.copy()
+    computed = replay(replace(whole, trailer=trailer)).rows
+    for name in computed.dtype.names or ():
+        rows[name] = computed[name]
+    changed = replace(whole, rows=rows, trailer=trailer)
+    assert replay(changed).exact
+    path = write_cut(cut(changed, 0.0, float(changed.time_s[-1]), changed.header["initial_state"]), tmp_path)
+    times = changed.time_s
+    for first, last in ((tick - 30, tick + 30), (tick, tick + 30), (tick + 10, tick + 60)):
+        made = open_recording(cut_recording(path, times[first], times[last], output=tmp_path).path)
+        assert (made.rows["tick"][0], len(made)) == (first, last - first + 1)
+        assert replay(made).exact
+
+
+def test_a_cut_has_no_verdict_of_its_own_and_is_shown_and_exported(whole: Recording, tmp_path: Path) -> None:
+    for _, first_s, last_s in stretches(whole):
+        path = cut_recording(place(whole), first_s, last_s, output=tmp_path).path
+        made = open_recording(path)
+        found = judge(made, experiment_of(made)).verdict
+        assert found.kind == Kind.INVALID
+        assert found.reasons[0] == "a part of a trial: its verdict is that of one.parquet"
+    shown = CliRunner().invoke(show, [str(path)])
+    assert shown.exit_code == 0, shown.output
+    assert "one.parquet" in shown.output
+    assert json.loads(CliRunner().invoke(replay_command, [str(path), "--json"]).output)["exact"]
+    export(path, tmp_path / "cut.csv")
+
+
+def test_what_cannot_be_cut_is_refused_and_what_cannot_be_replayed_is_cut(
+    whole: Recording, tmp_path: Path
+) -> None:
+    for first_s, last_s in ((5.0, 6.0), (-2.0, -1.0), (0.1, 0.05), (0.1, 0.1)):
+        with pytest.raises(RecordingError, match="no two rows") as refused:
+            cut(whole, first_s, last_s)
+        assert "rows from 0 to" in refused.value.remedy
+    holed = replace(whole, rows=np.delete(whole.rows, 100))
+    with pytest.raises(RecordingError, match="1 ticks are lost"):
+        cut(holed, 0.0, float(whole.time_s[150]))
+    after = cut(holed, float(whole.time_s[101]), float(whole.time_s[200]))
+    path = write_cut(after, tmp_path)
+    with pytest.raises(RecordingError, match="no replay up to there"):
+        replay(open_recording(path))
+    beheaded = cut_recording(path, 0.0, 0.05)
+    assert "no replay up to there" in beheaded.no_replay
+    assert beheaded.rows > 2
