@@ -8,12 +8,14 @@ from __future__ import annotations
 import asyncio
 import os
 import sys
-import termios
 from contextlib import suppress
 
 import click
 
 from rig.core.errors import ConfigError
+
+if sys.platform != "win32":
+    import termios
 
 WORD = "arm"
 LINE_BYTES = 4096
@@ -24,7 +26,8 @@ class Terminal:
     """Asks on standard input, where that is a terminal."""
 
     def __init__(self) -> None:
-        self.there = sys.stdin is not None and sys.stdin.isatty()
+        # On Windows nobody can be asked: a loop of asyncio does not watch a terminal there.
+        self.there = sys.platform != "win32" and sys.stdin is not None and sys.stdin.isatty()
         self._asked: asyncio.Future[str] | None = None
 
     async def consents(self, text: str) -> bool:
@@ -36,7 +39,10 @@ class Terminal:
             return False
         loop, terminal = asyncio.get_running_loop(), sys.stdin.fileno()
         self._asked = loop.create_future()
-        termios.tcflush(terminal, termios.TCIFLUSH)  # what was typed before this was shown is no answer to it
+        if sys.platform != "win32":
+            termios.tcflush(
+                terminal, termios.TCIFLUSH
+            )  # what was typed before this was shown is no answer to it
         click.echo(
             f"\nrig: a page wants to arm {_shown(text)}\n"
             f"rig: is everybody clear of the handle? type {WORD}, or Enter: ",
