@@ -8,7 +8,13 @@ from pathlib import Path
 
 from rig.core.locks import is_locked, lock, unlock
 
-CHILD = "import sys; from rig.core.locks import lock; file = open(sys.argv[1], 'a'); print(lock(file.fileno()), flush=True); input()"
+CHILD = """
+import sys
+from rig.core.locks import lock
+file = open(sys.argv[1], "a")
+print(lock(file.fileno()), flush=True)
+input()
+"""
 
 
 def test_one_has_it_and_the_next_when_it_is_released_or_its_file_closed(tmp_path: Path) -> None:
