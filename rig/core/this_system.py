@@ -16,7 +16,7 @@ def processors() -> list[int]:
         return list(range(os.cpu_count() or 1))
 
 
-ON_THE_BOARD = 'let the board run the law: set controller.loop = "device" (`--loop device`)'
+ON_THE_BOARD = 'let the board run the law: set controller.loop = "device"'
 
 
 def refuse_real_time(what: str, remedy: str = ON_THE_BOARD) -> None:

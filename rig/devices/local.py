@@ -31,7 +31,7 @@ from rig.realtime.scheduling import Realtime, obtained
 START_TIMEOUT_S = 60.0  # the first start compiles the plant
 STOP_TIMEOUT_S = 5.0
 SAFE_PATH = "PYTHONSAFEPATH"  # python -P, for the children of this process
-IN_VIRTUAL_TIME = "simulate it in virtual time: leave `realtime` out"
+IN_VIRTUAL_TIME = "simulate it in virtual time: leave `realtime` out, rehearse a session"
 PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 

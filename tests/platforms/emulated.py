@@ -94,9 +94,36 @@ class _Ctypes(Seen):
 def emulate(platform: str) -> None:
     """Let our packages, none of which is imported yet, be on this system from now on."""
     assert not any(name.partition(".")[0] in PACKAGES for name in sys.modules)
+    builtins.__import__ = import_of(platform, builtins.__import__)
+    if platform == "win32":
+        keep_open_files()
+
+
+def keep_open_files() -> None:
+    """As Windows does: a file that this process has open or mapped is neither removed nor renamed, by anybody."""
+    for name in ("unlink", "remove", "rename", "replace"):
+        setattr(os, name, unless_open(getattr(os, name)))
+
+
+def unless_open(call: Callable[..., None]) -> Callable[..., None]:
+    """A call that removes or renames a file, or refuses to."""
+
+    def checked(path: Any, *more: Any, **options: Any) -> None:
+        links = [os.path.realpath(f"/proc/self/fd/{name}") for name in os.listdir("/proc/self/fd")]
+        with open("/proc/self/maps") as maps:
+            mapped = [line.split(maxsplit=5)[-1].strip() for line in maps]
+        for one in map(os.path.realpath, (path, *more[:1])):
+            if os.path.isfile(one) and one in (*links, *mapped):
+                raise PermissionError(13, "The process cannot access the file: it is being used", path)
+        call(path, *more, **options)
+
+    return checked
+
+
+def import_of(platform: str, true_import: Callable[..., Any]) -> Callable[..., Any]:
+    """``__import__`` as our packages would have it there."""
     seen = _modules(platform)
     absent = POSIX_MODULES if platform == "win32" else frozenset({"msvcrt", "winreg"})
-    true_import: Callable[..., Any] = builtins.__import__
 
     def imported(
         name: str,
@@ -113,7 +140,7 @@ def emulate(platform: str) -> None:
                 return seen[name]
         return true_import(name, globals, locals, fromlist, level)
 
-    builtins.__import__ = imported
+    return imported
 
 
 def _modules(platform: str) -> dict[str, ModuleType]:

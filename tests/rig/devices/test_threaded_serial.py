@@ -10,6 +10,7 @@ import tty
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from queue import Queue
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -21,7 +22,8 @@ from firmware_protocol.framing import decode_frame
 from firmware_protocol.packing import unpack
 from rig import config, devices
 from rig.config import Experiment, experiment_from_mapping, presets
-from rig.core.errors import ConfigError, DeviceNotFoundError, LinkLostError, StoppedError
+from rig.core import this_system
+from rig.core.errors import ConfigError, DeviceNotFoundError, LinkLostError, PlanError, StoppedError
 from rig.core.sample import Phase
 from rig.devices import threaded_serial
 from rig.devices.device import DeviceUrl
@@ -229,6 +231,22 @@ def test_a_law_on_the_board_runs_through_it_and_a_stop_is_sent_not_awaited(
     assert set(modes[:stops]) == {m.Mode.SUPERVISE}
     assert set(modes[stops:]) == {m.Mode.STOP}
     assert len(modes) - stops >= STOP_FRAMES
+
+
+def test_a_law_of_this_computer_is_refused_off_linux_before_anything_moves(
+    board: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setitem(devices.BUILT_IN, "serial", "rig.devices.threaded_serial:open_link")
+    monkeypatch.setattr(this_system, "sys", SimpleNamespace(platform="darwin"))
+    experiment = presets.load("koul-rigid")
+    url = f"serial://{board(config.rig_model(experiment))}"
+    with pytest.raises(PlanError) as caught:
+        list(hit(HitRequest(experiment=experiment, url=url, output=tmp_path)))
+    assert str(caught.value) == (
+        'controller.loop = "host" needs Linux to run in real time; let the board run the law: set '
+        'controller.loop = "device"'
+    )
+    assert not list(tmp_path.iterdir())
 
 
 def frames_of(data: bytes) -> list[object]:
