@@ -126,7 +126,10 @@ def prepared_on(
     law that this computer would have to run in real time, and cannot.
     """
     if experiment.controller.loop == "host" and not device.link.clock.virtual:
-        refuse_real_time('controller.loop = "host"')
+        if law is None:
+            refuse_real_time('controller.loop = "host"')
+        else:
+            refuse_real_time("a motion or law that no board has", "do this on a Linux computer")
     return controllers.prepared(
         experiment,
         current_quantum_a=device.dictionary.current_quantum_a,
