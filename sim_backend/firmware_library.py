@@ -180,7 +180,7 @@ def compiler() -> list[str]:
         if found is not None:
             return [found, *command[1:]]
     if find_spec(ZIG) is not None:
-        return [sys.executable, "-m", ZIG, "cc"]
+        return [sys.executable, "-P", "-m", ZIG, "cc"]
     raise ConfigError(
         "there is no C compiler: a simulated device that runs the law itself is the firmware, compiled on first use",
         remedy="install one (Debian: apt install gcc libc6-dev; elsewhere: pip install ziglang) or name it in CC; or "
