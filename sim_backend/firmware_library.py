@@ -14,8 +14,10 @@ import os
 import shlex
 import shutil
 import subprocess
+import sys
 import tempfile
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -26,9 +28,14 @@ from rig.realtime.kernel import CACHE_DIRECTORY
 FIRMWARE = Path(firmware_protocol.__file__).with_name("firmware")
 PARTS = ("core", "law", "host")
 # Without contraction, as golden vectors have it; what is missing is an error here, not when it is opened.
-FLAGS = ("-std=c99", "-O1", "-fPIC", "-shared", "-ffp-contract=off", "-Wl,-z,defs")
+FLAGS = ["-std=c99", "-O1", "-shared", "-ffp-contract=off"]
+if sys.platform == "linux":  # the linkers of the others want all symbols defined anyway
+    FLAGS.append("-Wl,-z,defs")
+if sys.platform != "win32":  # where code is relocated
+    FLAGS.append("-fPIC")
 COMPILERS = ("cc", "gcc", "clang")
-COMPILE_S = 120.0
+ZIG = "ziglang"  # a C compiler as a package of Python, for systems that have none
+COMPILE_S = 600.0  # which builds its C library first, once
 _SHOWN_LINES = 6  # of what a compiler says
 
 
@@ -166,15 +173,18 @@ def sources() -> list[Path]:
 
 
 def compiler() -> list[str]:
-    """Command of the C compiler: ``$CC``, or the first of `COMPILERS` that there is; `ConfigError` without one."""
+    """Command of the C compiler: ``$CC``, the first of `COMPILERS` there is, or `ZIG`; `ConfigError` without one."""
     named = shlex.split(os.environ.get("CC", ""))
     for command in (named, *([name] for name in COMPILERS)):
         found = shutil.which(command[0]) if command else None
         if found is not None:
             return [found, *command[1:]]
+    if find_spec(ZIG) is not None:
+        return [sys.executable, "-P", "-m", ZIG, "cc"]
     raise ConfigError(
         "there is no C compiler: a simulated device that runs the law itself is the firmware, compiled on first use",
-        remedy='install one (Debian: apt install gcc libc6-dev) or name it in CC; or set controller.loop = "host"',
+        remedy="install one (Debian: apt install gcc libc6-dev; elsewhere: pip install ziglang) or name it in CC; or "
+        'set controller.loop = "host"',
     )
 
 

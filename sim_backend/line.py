@@ -11,6 +11,7 @@ import contextlib
 import os
 import select
 import socket
+import sys
 import termios
 import time
 import tty
@@ -21,6 +22,8 @@ from rig.devices.port import LoopPort
 from rig.realtime import system
 from rig.realtime.clock import MonotonicClock
 from sim_backend.real_time import READ_BYTES, sleep_until
+
+assert sys.platform == "linux"
 
 PENDING_BYTES = 8192  # answers of the readable device that the host has not read yet
 WAITING_HOSTS = 8  # for their turn at a socket

@@ -12,6 +12,7 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -24,8 +25,12 @@ from sim_backend.compiled_device import CompiledDevice, device_for
 from sim_backend.device import SimulatedDevice
 from sim_backend.driven_hand import DrivenHand
 from sim_backend.firmware import FirmwareDevice
-from sim_backend.line import Socket, Terminal
 from sim_backend.real_time import RealTime
+
+if sys.platform == "linux":
+    from sim_backend.line import Socket, Terminal
+
+assert sys.platform == "linux"
 
 POSITION_RATE_DEFAULT = 1_000
 POSITION_RATE_MAXIMUM = 4_000  # that a host answers tick by tick, as an ordinary kernel wakes it

@@ -16,7 +16,6 @@ from rig.core.errors import ConfigError
 from rig.core.present import plain
 from rig.session import rehearsal
 from rig.session import run as sessions
-from rig.session.console.desk import at_console
 from rig.session.console.pointer import HandKind
 from rig.session.desk import Desk
 from rig.session.directory import LOG, event_of_trial
@@ -29,6 +28,9 @@ from rig.session.run import DeskFor, SessionResult, rehearsal_desk, session_stat
 from rig.session.runner import TrialRunner
 from rig.session.state import State
 from rig.session.telling import line_of_event, lost_samples, whole_line
+
+if sys.platform != "win32":
+    from rig.session.console.desk import at_console
 
 _VIRTUAL_S = 1e8  # since 1970: no participant sat then
 
@@ -309,13 +311,18 @@ def _console(*, hand: str, plain: bool) -> DeskFor:
     """The operator's terminal; refused where there is none. With --plain, keys may come from a script."""
 
     def desk(*about: Any) -> Desk:  # only when somebody may sit there: what is wrong with a code comes first
-        if not plain and not sys.stdin.isatty():
+        if sys.platform == "win32":
             raise ConfigError(
-                "a session with a person needs a terminal for its operator",
-                remedy="run it in one, or rehearse: --rehearse; with --plain, keys are read from standard input",
+                "a session at a terminal needs Linux or macOS", remedy="rehearse it: --rehearse"
             )
-        kind = None if hand == "simulated" else cast("HandKind", hand)
-        return at_console(hand=kind, plain=plain)(*about)
+        else:
+            if not plain and not sys.stdin.isatty():
+                raise ConfigError(
+                    "a session with a person needs a terminal for its operator",
+                    remedy="run it in one, or rehearse: --rehearse; with --plain, keys are read from standard input",
+                )
+            kind = None if hand == "simulated" else cast("HandKind", hand)
+            return at_console(hand=kind, plain=plain)(*about)
 
     return desk
 

@@ -8,6 +8,7 @@ from typing import Any
 
 from rig.control.verdict import CRITERIA, Kind
 from rig.core.errors import ConfigError, RecordingError, RigError
+from rig.core.locks import is_locked
 from rig.core.sample import unit_of
 from rig.experiments import maps
 from rig.experiments.ranges import linear_curves, theory_curves
@@ -16,7 +17,6 @@ from rig.experiments.zwidth import TRUE, MapPlan
 from rig.experiments.zwidth_frequency import TOGETHER, FrequencyPlan
 from rig.experiments.zwidth_rig import RECORDING
 from rig.recording.files import plain_errors
-from rig.recording.lines import being_written
 
 KINDS = tuple(str(kind) for kind in (Kind.STABLE, Kind.LIMIT_CYCLE, Kind.UNSTABLE, Kind.INVALID))
 STABLE, LIMIT_CYCLE, UNSTABLE, INVALID = range(4)  # places in `KINDS`: a verdict on its way to the page
@@ -55,7 +55,7 @@ def _headline(path: Path) -> dict[str, Any]:
 
 
 def _state(path: Path) -> str:
-    if being_written(path / maps.JOURNAL):
+    if is_locked(path / maps.JOURNAL):
         return "running"
     return "finished" if (path / maps.SUMMARY).exists() else "stopped"
 

@@ -8,13 +8,15 @@ from __future__ import annotations
 import asyncio
 import os
 import sys
-import termios
 from collections.abc import Sequence
 from contextlib import suppress
 
 import click
 
 from rig.core.errors import ConfigError
+
+if sys.platform != "win32":
+    import termios
 
 WORD = "arm"
 LINE_BYTES = 4096
@@ -25,7 +27,8 @@ class Terminal:
     """Asks on standard input, where that is a terminal."""
 
     def __init__(self) -> None:
-        self.there = sys.stdin is not None and sys.stdin.isatty()
+        # On Windows nobody can be asked: a loop of asyncio does not watch a terminal there.
+        self.there = sys.platform != "win32" and sys.stdin is not None and sys.stdin.isatty()
         self._asked: asyncio.Future[str] | None = None
 
     async def insist(self, url: str, lines: Sequence[str]) -> None:
@@ -48,7 +51,10 @@ class Terminal:
     async def _consents(self, lines: Sequence[str]) -> bool:
         loop, terminal = asyncio.get_running_loop(), sys.stdin.fileno()
         self._asked = loop.create_future()
-        termios.tcflush(terminal, termios.TCIFLUSH)  # what was typed before this was shown is no answer to it
+        if sys.platform != "win32":
+            termios.tcflush(
+                terminal, termios.TCIFLUSH
+            )  # what was typed before this was shown is no answer to it
         click.echo(
             f"\nrig: a page wants to arm {f'{chr(10)}rig:   '.join(_shown(line) for line in lines)}\n"
             f"rig: is everybody clear of the handle? type {WORD}, or Enter: ",

@@ -6,6 +6,7 @@ the entry-point group ``rig.devices``; they cannot replace a built-in one.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
@@ -23,10 +24,11 @@ from rig.devices.simulated import OpenExcitedSimulation, OpenRig, OpenWatchedLin
 
 BUILT_IN = {
     "sim": "sim_backend.link:open_link",
-    "serial": "rig.devices.serial:open_link",
-    "unix": "rig.devices.local_socket:open_link",
+    "serial": "rig.devices.threaded_serial:open_link",
     "usb": "rig.devices.usb:open_link",
 }
+if sys.platform == "linux":
+    BUILT_IN |= {"serial": "rig.devices.serial:open_link", "unix": "rig.devices.local_socket:open_link"}
 FIRMWARE = "firmware"  # option of sim://: 1 is the compiled firmware in place of its mirror in Python
 # What the simulation offers beside its link (`rig.devices.simulated`), and its server (`rig.devices.local`).
 HITS, EXCITED = "sim_backend.hits:SimulatedRig", "sim_backend.excited:ExcitedPlant"

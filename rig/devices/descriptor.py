@@ -6,6 +6,7 @@ import errno
 import math
 import os
 import select
+import sys
 import time
 
 from rig.core.errors import LinkLostError
@@ -14,6 +15,8 @@ from rig.devices.failures import error_number, link_error
 from rig.devices.port import LoopPort
 from rig.realtime import system
 from rig.realtime.clock import Clock, MonotonicClock
+
+assert sys.platform == "linux"
 
 WRITE_TIMEOUT_S = 0.5
 CHUNK = 4096

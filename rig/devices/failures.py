@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import errno
 import os
+import sys
 from dataclasses import dataclass
 
 from rig.core.errors import (
@@ -19,6 +20,11 @@ from rig.core.errors import (
     StalledError,
     UnpluggedError,
 )
+
+if sys.platform == "linux":
+    EREMOTEIO = errno.EREMOTEIO
+else:
+    EREMOTEIO = 121  # which has no name elsewhere
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +65,7 @@ FAILURES: dict[int, Failure] = {
         "sent more than was asked for",
         "update the firmware: it sends packets above the size in its descriptor",
     ),
-    errno.EREMOTEIO: Failure(
+    EREMOTEIO: Failure(
         CutShortError,
         "took only a part of what was sent",
         "start again; if it comes back, update the firmware",

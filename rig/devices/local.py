@@ -10,6 +10,7 @@ import ctypes
 import multiprocessing
 import os
 import signal
+import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
@@ -20,6 +21,7 @@ from rig import devices
 from rig.config.sections import Host
 from rig.core.errors import ConfigError, DeviceNotFoundError
 from rig.core.model import RigModel
+from rig.core.this_system import processors, refuse_real_time
 from rig.devices import simulated_model
 from rig.devices.device import DeviceUrl, Link
 from rig.devices.framed import FramedDevice
@@ -29,6 +31,7 @@ from rig.realtime.scheduling import Realtime, obtained
 START_TIMEOUT_S = 60.0  # the first start compiles the plant
 STOP_TIMEOUT_S = 5.0
 SAFE_PATH = "PYTHONSAFEPATH"  # python -P, for the children of this process
+IN_VIRTUAL_TIME = "simulate it in virtual time: leave `realtime` out, rehearse a session"
 PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 
@@ -53,8 +56,9 @@ def serve(
 
     The calling thread gets real-time scheduling and its processor while it serves, where that is granted, and
     `scheduled` is told; ``realtime="off"`` requests none. Raises `DeviceNotFoundError` when the simulation does not
-    load.
+    load, and `PlanError` where the system is not Linux.
     """
+    refuse_real_time("a simulated rig", IN_VIRTUAL_TIME)
     server = devices.loaded(devices.SERVER)
     with obtained(Board(realtime, cpu=cpu)) as granted:
         granted.enter_thread()
@@ -88,13 +92,14 @@ def _no_modules_from_here() -> Iterator[None]:
 
 
 def _child(model: RigModel, realtime: str, options: Mapping[str, Any], pipe: Any) -> None:
-    os.setsid()  # Ctrl-C is for the host: a device that died of it could not be brought to rest
-    _die_with_parent()
+    if sys.platform == "linux":
+        os.setsid()  # Ctrl-C is for the host: a device that died of it could not be brought to rest
+        _die_with_parent()
     serve(model, realtime=realtime, announce=pipe.send, **options)
 
 
 def _die_with_parent() -> None:
-    """Ask the kernel for SIGTERM when the parent dies, also of kill -9: no device process is left behind."""
+    """Ask Linux for SIGTERM when the parent dies, also of kill -9: no device process is left behind."""
     with suppress(OSError, AttributeError):
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
 
@@ -113,10 +118,11 @@ def serve_locally(
     ------
     ConfigError
         A scheme that cannot be served, an unknown name, no such hand, an experiment without a hand, or another option,
-        which belongs to virtual time.
+        which belongs to virtual time; a system that is not Linux.
     DeviceNotFoundError
         The process does not come up.
     """
+    refuse_real_time("a simulated rig", IN_VIRTUAL_TIME)
     parsed = DeviceUrl.parse(url)
     if parsed.scheme != "sim":
         raise ConfigError(f"{url} cannot be served", remedy="only sim:// can, like sim://koul-compliant")
@@ -125,7 +131,7 @@ def serve_locally(
     if "hand" in options:
         _check_led(options["hand"], described)
     context = multiprocessing.get_context("spawn")
-    cpu = max(os.sched_getaffinity(0))
+    cpu = max(processors())
     with TemporaryDirectory(prefix="rig-device-") as place:
         options |= {"seed": seed, "cpu": cpu} | ({} if terminal else {"socket": f"{place}/port"})
         receiver, sender = context.Pipe(duplex=False)

@@ -7,15 +7,20 @@ reader itself. So a simulated device that is started for a run (`rig.devices.loc
 
 from __future__ import annotations
 
-import fcntl
 import os
 import socket
+import sys
 from contextlib import suppress
 
+from rig.core import locks
 from rig.core.errors import ConfigError, DeviceNotFoundError
 from rig.core.model import RigModel
-from rig.devices.descriptor import CLOSED, DescriptorLink
 from rig.devices.device import DeviceUrl
+
+if sys.platform == "linux":
+    from rig.devices.descriptor import CLOSED, DescriptorLink
+
+assert sys.platform == "linux"
 
 
 def open_link(url: DeviceUrl, model: RigModel | None = None) -> SocketLink:
@@ -47,19 +52,17 @@ def open_link(url: DeviceUrl, model: RigModel | None = None) -> SocketLink:
 def _locked(place: str) -> int:
     """Lock a file beside the socket, as pyserial locks a port: a second host would wait for its turn unheard."""
     try:
-        lock = os.open(f"{place}.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        lock = os.open(f"{place}.lock", os.O_RDWR | os.O_CREAT, 0o600)
     except OSError as error:
         raise DeviceNotFoundError(
             f"no program answers at {place}: {error.strerror or error}",
             remedy="start it, or name the path of its socket",
         ) from None
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
+    if not locks.lock(lock):
         os.close(lock)
         raise DeviceNotFoundError(
             f"{place} is in use by another program", remedy=f"close it (fuser {place}.lock names it)"
-        ) from None
+        )
     return lock
 
 

@@ -7,12 +7,17 @@ moves its modem lines and may reset the board behind it.
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from serial.tools import list_ports
+
 from rig.core.check import Check, Outcome
-from rig.devices import tty
+
+if sys.platform == "linux":
+    from rig.devices import tty
 
 FTDI_VENDOR = "0403"
 LONGEST_LATENCY_MS = 1  # of an FTDI adapter: it keeps what it has received for so long, hoping for more
@@ -116,6 +121,17 @@ def port_facts(port: str, descriptor: int | None = None, *, root: Path = Path("/
     )
 
 
+def available_ports() -> list[tuple[str, str]]:
+    """Name and description of every serial port that pyserial finds and that has hardware behind it."""
+    return [(p.device, p.description) for p in sorted(list_ports.comports()) if p.hwid != "n/a"]
+
+
+def ports_in_words() -> str:
+    """Which ports there are, for a remedy."""
+    found = [name for name, _ in available_ports()]
+    return f"ports here: {', '.join(found)}" if found else "there are no serial ports here"
+
+
 def is_pseudo(device: str) -> bool:
     """Whether a device node is a pseudo-terminal."""
     return device.startswith(_PSEUDO)
@@ -127,12 +143,15 @@ def latency_timer_path(device: str, root: Path = Path("/")) -> Path:
 
 
 def _of_the_line(descriptor: int, driver: str | None) -> dict[str, bool | None]:
-    return {
-        "low_latency": None if driver in NO_TIMER_DRIVERS else tty.low_latency(descriptor),
-        "exclusive": tty.is_exclusive(descriptor),
-        "hangs_up": tty.hangs_up(descriptor),
-        "dtr": tty.dtr(descriptor),
-    }
+    if sys.platform == "linux":
+        return {
+            "low_latency": None if driver in NO_TIMER_DRIVERS else tty.low_latency(descriptor),
+            "exclusive": tty.is_exclusive(descriptor),
+            "hangs_up": tty.hangs_up(descriptor),
+            "dtr": tty.dtr(descriptor),
+        }
+    else:
+        return {}
 
 
 def _node(device: str, root: Path) -> Path | None:

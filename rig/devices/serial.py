@@ -19,43 +19,35 @@ from __future__ import annotations
 
 import errno
 import os
+import sys
 import termios
 from contextlib import suppress
 from pathlib import Path
 
 import serial
-from serial.tools import list_ports
 
-from rig.core.errors import ConfigError, DeviceNotFoundError
+from rig.core.errors import DeviceNotFoundError
 from rig.core.model import RigModel
 from rig.devices import tty
-from rig.devices.descriptor import CLOSED, WRITE_TIMEOUT_S, DescriptorLink
 from rig.devices.device import DeviceUrl
-from rig.devices.port_facts import PortFacts, is_pseudo, port_facts
+from rig.devices.port_facts import PortFacts, is_pseudo, port_facts, ports_in_words
+from rig.devices.serial_options import SerialOptions, capacity
 
-DEFAULT_BAUD = 921_600
-OPTIONS = ("baud", "dtr")
+if sys.platform == "linux":
+    from rig.devices.descriptor import CLOSED, WRITE_TIMEOUT_S, DescriptorLink
 
-__all__ = ["PortFacts", "SerialLink", "available_ports", "open_link", "port_facts"]
+assert sys.platform == "linux"
 
 
 def open_link(url: DeviceUrl, model: RigModel | None = None) -> SerialLink:
     """Open ``serial:///dev/ttyACM0?baud=921600&dtr=on``; see `rig.devices.open_link` for what it raises."""
-    url.allow(OPTIONS)
-    text = url.options.get("baud", str(DEFAULT_BAUD))
-    if not text.isdecimal() or not 300 <= int(text) <= 20_000_000:
-        raise ConfigError(
-            f"{url.text}: baud = {text!r} is not a baud rate", remedy="give bits per second, 300 to 20000000"
-        )
-    dtr = url.choice("dtr", ("on", "off"), "on")
-    if not url.place:
-        raise ConfigError(f"{url.text}: no port", remedy=f"name one, like serial:///dev/ttyACM0. {_ports()}")
-    port = _open(url.place, int(text))
+    options = SerialOptions.of(url)
+    port = _open(url.place, options.baud)
     try:
-        return SerialLink(url, port, dtr=dtr == "on")
+        return SerialLink(url, port, dtr=options.dtr)
     except (termios.error, OSError) as error:
         port.close()
-        raise DeviceNotFoundError(f"{url.place} vanished: {error}", remedy=_ports()) from None
+        raise DeviceNotFoundError(f"{url.place} vanished: {error}", remedy=ports_in_words()) from None
     except DeviceNotFoundError:
         port.close()
         raise
@@ -75,21 +67,11 @@ def _open(port: str, baud: int) -> serial.Serial:
             ) from None
         if number == errno.ENOENT or not Path(port).exists():
             raise DeviceNotFoundError(
-                f"there is no port {port}", remedy=f"plug the device in; {_ports()}"
+                f"there is no port {port}", remedy=f"plug the device in; {ports_in_words()}"
             ) from None
-        raise DeviceNotFoundError(f"{port} does not open: {error}", remedy=_ports()) from None
+        raise DeviceNotFoundError(f"{port} does not open: {error}", remedy=ports_in_words()) from None
     except (OSError, ValueError, termios.error) as error:
-        raise DeviceNotFoundError(f"{port} is not a serial port: {error}", remedy=_ports()) from None
-
-
-def _ports() -> str:
-    found = [name for name, _ in available_ports()]
-    return f"ports here: {', '.join(found)}" if found else "there are no serial ports here"
-
-
-def available_ports() -> list[tuple[str, str]]:
-    """Name and description of every serial port that pyserial finds and that has hardware behind it."""
-    return [(p.device, p.description) for p in sorted(list_ports.comports()) if p.hwid != "n/a"]
+        raise DeviceNotFoundError(f"{port} is not a serial port: {error}", remedy=ports_in_words()) from None
 
 
 class SerialLink(DescriptorLink):
@@ -105,7 +87,7 @@ class SerialLink(DescriptorLink):
 
     def __init__(self, url: DeviceUrl, port: serial.Serial, *, dtr: bool = True) -> None:
         super().__init__(url, port.fileno())
-        self.bytes_per_second = _capacity(url.place, int(port.baudrate))
+        self.bytes_per_second = capacity(url.place, int(port.baudrate))
         self._port: serial.Serial | None = port
         self.facts, self.messages = _set_up(url.place, self._descriptor, dtr=dtr)
         with suppress(termios.error):
@@ -119,14 +101,6 @@ class SerialLink(DescriptorLink):
                 self._port.close()
             self._port = None
             self._descriptor = CLOSED
-
-
-def _capacity(port: str, baud: int) -> float | None:
-    """Bytes per second each way; a pseudo-terminal and a USB CDC port do not care for the baud rate."""
-    real = os.path.realpath(port)
-    if real.startswith("/dev/pts/") or os.path.basename(real).startswith("ttyACM"):
-        return None
-    return baud / 10.0
 
 
 def _set_up(place: str, descriptor: int, *, dtr: bool) -> tuple[PortFacts, list[str]]:

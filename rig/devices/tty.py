@@ -14,6 +14,8 @@ import termios
 from array import array
 from contextlib import suppress
 
+assert sys.platform == "linux"
+
 # linux/tty_flags.h and linux/serial.h; `flags` is the fifth int of struct serial_struct, which is 72 bytes long
 ASYNC_LOW_LATENCY = 1 << 13
 _SERIAL_INTS, _FLAGS = 32, 4

@@ -142,7 +142,7 @@ def _version() -> tuple[int, int]:
 
 def unsuitable(device: usb.core.Device) -> str:
     """Say why the addresses behind an open device cannot be used, or return an empty string."""
-    if not (sys.platform == "linux" and sys.maxsize > 2**32 and sys.byteorder == "little"):
+    if not _is_known():
         return "the layout of a transfer is known for 64-bit Linux alone"
     if _version() not in TESTED:
         tested = ", ".join(f"{major}.{minor}" for major, minor in TESTED)
@@ -150,6 +150,13 @@ def unsuitable(device: usb.core.Device) -> str:
     if numba.config.DISABLE_JIT:
         return "numba does not compile"
     return _strange(device)
+
+
+def _is_known() -> bool:
+    if sys.platform == "linux":
+        return sys.maxsize > 2**32 and sys.byteorder == "little"
+    else:
+        return False
 
 
 def _strange(device: usb.core.Device) -> str:

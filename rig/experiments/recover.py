@@ -7,7 +7,6 @@ file has been read back and is equal (`rig.recording.seal`).
 
 from __future__ import annotations
 
-import fcntl
 import os
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -16,6 +15,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
+from rig.core import locks
 from rig.core.errors import ConfigError, RecordingError, RigError
 from rig.realtime import running
 from rig.recording.capture import SUFFIX
@@ -175,16 +175,12 @@ def _tick_s(recording: Recording) -> float:
 @contextmanager
 def _alone(capture: Path) -> Iterator[bool]:
     """Hold the lock that a writer holds; yields False when somebody has it. Raises `OSError` when it is gone."""
-    descriptor = os.open(capture, os.O_RDONLY | os.O_CLOEXEC)
+    descriptor = os.open(capture, os.O_RDONLY)
     try:
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            yield False
-            return
-        except OSError:  # a file system without locks: what we know of loops must do
-            pass
-        yield True
+        ours = True
+        with suppress(OSError):  # a file system without locks: what we know of loops must do
+            ours = locks.lock(descriptor)
+        yield ours
     finally:
         os.close(descriptor)
 
@@ -196,7 +192,7 @@ def _user_of(capture: Path) -> str | None:
         if not isinstance(named, str):
             continue
         with suppress(OSError):
-            if (Path(f"/proc/{loop.pid}/cwd") / named).samefile(capture):
+            if Path(named).samefile(capture):
                 return f"process {loop.pid} writes it"
     return None
 

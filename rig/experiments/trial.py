@@ -30,6 +30,7 @@ from rig.core.board import current_sensor
 from rig.core.clock_fit import ClockFit, as_exchanges, fit_if_possible
 from rig.core.errors import RigError, StoppedError
 from rig.core.sample import Phase
+from rig.core.this_system import refuse_real_time
 from rig.devices.device import Link
 from rig.devices.framed import Echo, FaultReport, FramedDevice
 from rig.devices.local import host_beside
@@ -121,8 +122,14 @@ def prepared_on(
 ) -> Run:
     """Prepare a run for an open device; see `rig.config.controller.prepared`.
 
-    A reference count that is the device's own (`rig.experiments.reference`) is said to be one.
+    A reference count that is the device's own (`rig.experiments.reference`) is said to be one. Raises `PlanError` for a
+    law that this computer would have to run in real time, and cannot.
     """
+    if experiment.controller.loop == "host" and not device.link.clock.virtual:
+        if law is None:
+            refuse_real_time('controller.loop = "host"')
+        else:
+            refuse_real_time("a motion or law that no board has", "do this on a Linux computer")
     return controllers.prepared(
         experiment,
         current_quantum_a=device.dictionary.current_quantum_a,

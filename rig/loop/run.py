@@ -7,7 +7,6 @@ is a daemon: if Python dies, it dies too, and the device's watchdog takes the ef
 
 from __future__ import annotations
 
-import signal
 import threading
 import time
 from collections.abc import Callable
@@ -28,6 +27,7 @@ from rig.loop.contradictions import Contradiction
 from rig.loop.layout import EXCHANGES_KEPT, SETTINGS, Buffers, EndReason, Shared
 from rig.realtime import ring as words
 from rig.realtime.codec import STATE
+from rig.realtime.handlers import take_no_signals
 from rig.realtime.kernel import prepare
 from rig.realtime.mailbox import SET_FLOATS
 from rig.realtime.ring import Ring
@@ -282,7 +282,7 @@ class LoopThread:
         }
 
     def _body(self) -> None:
-        signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())
+        take_no_signals()
         try:
             if self._realtime is not None:
                 self._realtime.enter_thread()

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import NamedTuple
@@ -16,7 +17,10 @@ from typing import NamedTuple
 from rig.realtime.handlers import handled
 from rig.realtime.ring import STOP, Ring
 
-STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+if sys.platform == "win32":
+    STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGBREAK)
+else:
+    STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 class Signals(NamedTuple):
@@ -53,15 +57,18 @@ def stop_on_signals(ring: Ring) -> Iterator[Signals]:
 
 @contextmanager
 def _wake_up(here: bool) -> Iterator[int]:
-    """Descriptor to which the interpreter writes signals as they come; -1 in a thread that gets none."""
-    if not here:
+    """Descriptor to which the interpreter writes signals as they come; -1 in a thread that gets none.
+
+    Off Linux compiled code reads no descriptors, and the handlers alone tell a loop.
+    """
+    if sys.platform == "linux" and here:
+        reader, writer = os.pipe2(os.O_NONBLOCK)
+        woken = signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
+        try:
+            yield reader
+        finally:
+            signal.set_wakeup_fd(woken)
+            os.close(reader)
+            os.close(writer)
+    else:
         yield -1
-        return
-    reader, writer = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
-    woken = signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
-    try:
-        yield reader
-    finally:
-        signal.set_wakeup_fd(woken)
-        os.close(reader)
-        os.close(writer)

@@ -17,6 +17,7 @@ import os
 import platform
 import shutil
 import stat
+import sys
 import tempfile
 import time
 from collections.abc import Iterable
@@ -26,6 +27,7 @@ import numba
 import numpy
 
 from rig.realtime.source_files import compiled_files
+from rig.realtime.user_cache import user_cache
 
 UNUSED_DAYS = 30.0
 _OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
@@ -52,30 +54,36 @@ def cache_key(files: Iterable[Path]) -> str:
 def cache_root() -> Path:
     """Directory of all caches: ``$HAPTIC_RIG_CACHE``, the user's cache directory, or a temporary one."""
     named = os.environ.get("HAPTIC_RIG_CACHE")
-    base = (
-        Path(named)
-        if named
-        else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "haptic-rig"
-    )
-    for place in (base, Path(tempfile.gettempdir()) / f"haptic-rig-cache-{os.getuid()}"):
+    base = Path(named) if named else Path(user_cache()) / "haptic-rig"
+    for place in (base, Path(tempfile.gettempdir()) / f"haptic-rig-cache{_USER}"):
         found = _made_private(place)
         if found is not None:
             return found
     return _temporary()
 
 
-def writable_by_others(place: Path) -> str:
-    """Why somebody else could put a file into a directory, or another directory in its place; "" where nobody can."""
-    us = os.getuid()
-    if place.lstat().st_uid != us or place.stat().st_uid != us:
-        return f"{place} belongs to another user"
-    if place.stat().st_mode & _OTHERS_WRITE:
-        return f"others can write into {place}"
-    for parent in (*place.absolute().parents, *place.resolve().parents):
-        mode = parent.stat().st_mode
-        if mode & stat.S_IWOTH and not mode & stat.S_ISVTX:
-            return f"others can replace what lies in {parent}"
-    return ""
+if sys.platform == "win32":
+    _USER = ""  # whose temporary files are his own already
+
+    def writable_by_others(place: Path) -> str:
+        """Nothing: the modes of files do not say it, and a profile is its user's own unless that is changed."""
+        return ""
+
+else:
+    _USER = f"-{os.getuid()}"
+
+    def writable_by_others(place: Path) -> str:
+        """Why somebody else could put a file into a directory, or another one in its place; "" where nobody can."""
+        us = os.getuid()
+        if place.lstat().st_uid != us or place.stat().st_uid != us:
+            return f"{place} belongs to another user"
+        if place.stat().st_mode & _OTHERS_WRITE:
+            return f"others can write into {place}"
+        for parent in (*place.absolute().parents, *place.resolve().parents):
+            mode = parent.stat().st_mode
+            if mode & stat.S_IWOTH and not mode & stat.S_ISVTX:
+                return f"others can replace what lies in {parent}"
+        return ""
 
 
 def _made_private(place: Path) -> Path | None:

@@ -13,6 +13,7 @@ import mmap
 import os
 import stat
 import struct
+import sys
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,6 +29,10 @@ WISH_END = len(MAGIC) + _VALUES.size + _CRC.size
 _MOTION_BYTES = _MOTION.size + _CRC.size
 SIZE = WISH_END + MOTIONS * _MOTION_BYTES
 _TRIES = 3
+if sys.platform == "win32":
+    _NO_WAIT = 0
+else:
+    _NO_WAIT = os.O_NONBLOCK  # for the carrier of a terminal, where somebody names one
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,27 +91,23 @@ class SharedHand:
         made.
         """
         path = Path(path)
-        descriptor = -1
         try:
-            descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
-            told = os.fstat(descriptor)
-            if stat.S_ISREG(told.st_mode) and told.st_size == 0:
-                os.pwrite(descriptor, (MAGIC + _packed(Wish(0, 0.0, 0.0))).ljust(SIZE, b"\0"), 0)
-            return cls._mapped(descriptor, path)
+            with open(os.open(path, os.O_RDWR | os.O_CREAT, 0o600), "r+b", buffering=0) as file:
+                told = os.fstat(file.fileno())
+                if stat.S_ISREG(told.st_mode) and told.st_size == 0:
+                    file.write((MAGIC + _packed(Wish(0, 0.0, 0.0))).ljust(SIZE, b"\0"))
+                return cls._mapped(file.fileno(), path)
         except OSError as error:
             raise ConfigError(
                 f"{path}: cannot be made: {error.strerror}", remedy="name a file in a directory of your own"
             ) from None
-        finally:
-            if descriptor >= 0:
-                os.close(descriptor)
 
     @classmethod
     def open(cls, path: str | Path) -> SharedHand:
         """Open a file that somebody made, to obey it; raises `ConfigError` when there is none."""
         path = Path(path)
         try:
-            descriptor = os.open(path, os.O_RDWR | os.O_CLOEXEC | os.O_NONBLOCK)
+            descriptor = os.open(path, os.O_RDWR | _NO_WAIT)
         except OSError as error:
             raise ConfigError(
                 f"{path}: no hand there: {error.strerror}", remedy="whoever moves it makes the file first"
@@ -119,9 +120,11 @@ class SharedHand:
     @classmethod
     def _mapped(cls, descriptor: int, path: Path) -> SharedHand:
         try:
-            right = os.fstat(descriptor).st_size == SIZE and os.pread(descriptor, len(MAGIC), 0) == MAGIC
-            if right:
-                return cls(mmap.mmap(descriptor, SIZE), path)
+            if os.fstat(descriptor).st_size == SIZE:
+                memory = mmap.mmap(descriptor, SIZE)
+                if memory[: len(MAGIC)] == MAGIC:
+                    return cls(memory, path)
+                memory.close()
         except (OSError, ValueError):  # a directory, a pipe
             pass
         raise ConfigError(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -60,6 +61,15 @@ def interrupts_now() -> None:
     if _waiting and _in_the_main_thread():
         for number in _came():
             _heard_by[number](number, None)
+
+
+def take_no_signals() -> None:
+    """Keep signals from the calling thread, not the main one: they are for Python, and would wake a wait early.
+
+    Windows gives them to no thread: the interpreter only notes them for its main one.
+    """
+    if sys.platform != "win32":
+        signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())
 
 
 def _came() -> list[int]:

@@ -20,7 +20,6 @@ parameters is float64s (`set_bytes`).
 
 from __future__ import annotations
 
-import fcntl
 import threading
 import time
 from collections.abc import Iterator
@@ -31,6 +30,7 @@ import numpy as np
 from numba import types
 from numpy.typing import ArrayLike
 
+from rig.core import locks
 from rig.core.errors import ConfigError, RigError
 from rig.realtime.atomics import compare_exchange_word, load_word, read_word, store_word, write_word
 from rig.realtime.kernel import kernel
@@ -242,21 +242,16 @@ class Mailbox:
             try:
                 yield
             finally:
-                fcntl.flock(self._descriptor, fcntl.LOCK_UN)
+                locks.unlock(self._descriptor)
 
 
 def _lock(descriptor: int) -> None:
     """Wait for the other writers, which may be paused in the middle but not forever."""
     deadline = time.monotonic() + PATIENCE_S
-    while True:
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            if time.monotonic() > deadline:
-                raise RigError(
-                    "another process holds the parameters of this loop and does not let go",
-                    remedy="end the other `rig set`, and try again",
-                ) from None
-            time.sleep(0.001)
-        else:
-            return
+    while not locks.lock(descriptor):
+        if time.monotonic() > deadline:
+            raise RigError(
+                "another process holds the parameters of this loop and does not let go",
+                remedy="end the other `rig set`, and try again",
+            )
+        time.sleep(0.001)

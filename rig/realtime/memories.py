@@ -6,21 +6,27 @@ By the modules that an interpreter has loaded anyway, because the word that stop
 
 from __future__ import annotations
 
-import fcntl
 import mmap
 import os
+import sys
 from collections.abc import Iterator
+from io import FileIO
+
+if sys.platform == "linux":
+    from rig.realtime import anonymous_memory
+
+    place = anonymous_memory
+else:
+    from rig.realtime import named_memory
+
+    place = named_memory
 
 LAYOUT_VERSION = 4
 CONTROL_BYTES = 512
-NAME = "haptic-rig"
-LINK = f"/memfd:{NAME} (deleted)"
 
 # Control words, of which the first three keep their places in all versions; `rig.realtime.ring` has the others.
 VERSION, STOP, LOOP_DONE = 0, 3, 7
 CREATOR = 63
-
-_PROC = "/proc"
 
 
 class Memory:
@@ -31,9 +37,9 @@ class Memory:
     pid
         Process that made it.
     path
-        Where that process has it open, ``/proc/PID/fd/N``.
+        Where that process has it open, for one ``/proc/PID/fd/N``.
     held
-        Where this process has, though the other may have gone meanwhile.
+        Where this process has (`rig.realtime.anonymous_memory.held`).
     ran
         Whether its loop had not ended when it was told to stop.
 
@@ -46,14 +52,14 @@ class Memory:
     def __init__(self, pid: int, path: str) -> None:
         self.pid, self.path = pid, path
         self.ran = False
-        self._descriptor = os.open(path, os.O_RDWR | os.O_CLOEXEC)
-        self.held = f"{_PROC}/self/fd/{self._descriptor}"
+        self._file = FileIO(path, "r+")
+        self.held = place.held(path, self._file.fileno())
         try:
-            if not fcntl.fcntl(self._descriptor, fcntl.F_GET_SEALS) & fcntl.F_SEAL_SHRINK:
+            if not place.is_sound(self._file.fileno()):
                 raise OSError(f"{path} can shrink under its reader")
-            self.words = memoryview(mmap.mmap(self._descriptor, CONTROL_BYTES)).cast("q")
+            self.words = memoryview(mmap.mmap(self._file.fileno(), CONTROL_BYTES)).cast("q")
         except (OSError, ValueError) as error:
-            os.close(self._descriptor)
+            self._file.close()
             raise OSError(f"{path} is not the memory of a running loop") from error
 
     def ask_to_stop(self) -> None:
@@ -64,27 +70,16 @@ class Memory:
                 self.words[STOP] = 1
 
     def made_by(self, pid: int) -> bool:
-        """Whether a process made what it has open: others look at it too, and forks inherit it without its loop.
-
-        In a container the creator calls itself by another number; the kernel knows both.
-        """
+        """Whether a process made what it has open: others look at it too, and forks inherit it without its loop."""
         if self.words[VERSION] != LAYOUT_VERSION:
             return self.words[VERSION] != 0
-        creator = self.words[CREATOR]
-        if creator == pid:
-            return True
-        with open(f"{_PROC}/{pid}/status", encoding="ascii", errors="replace") as status:
-            for line in status:
-                if line.startswith("NSpid:"):
-                    return creator in [int(number) for number in line.split()[1:]]
-        return False
+        return place.is_process(pid, self.words[CREATOR])
 
     def close(self) -> None:
         """Let go of it; may be called twice."""
-        if self._descriptor >= 0:
+        if not self._file.closed:
             self.words.release()
-            os.close(self._descriptor)
-            self._descriptor = -1
+            self._file.close()
 
     def __enter__(self) -> Memory:
         return self
@@ -93,38 +88,23 @@ class Memory:
         self.close()
 
 
-def is_memory(path: str) -> bool:
-    """Whether a path of an open file leads to such a memory."""
-    try:
-        return os.readlink(path) == LINK
-    except OSError:
-        return False
-
-
 def memories(pid: int | None = None) -> Iterator[Memory]:
     """Each memory once, under the process that made it, or those of one process; the caller closes them.
 
     What vanishes meanwhile is left out.
     """
     known: set[tuple[int, int]] = set()
-    for process in os.listdir(_PROC) if pid is None else [str(pid)]:
-        if not process.isdecimal():
-            continue
+    for process, path in place.paths(pid):
         try:
-            paths = [f"{_PROC}/{process}/fd/{name}" for name in os.listdir(f"{_PROC}/{process}/fd")]
-        except OSError:  # the process ended, or is somebody else's
+            there = os.stat(path)
+            memory = Memory(process, path)
+        except OSError:
             continue
-        for path in filter(is_memory, paths):
-            try:
-                place = os.stat(path)
-                memory = Memory(int(process), path)
-            except OSError:
-                continue
-            if (place.st_dev, place.st_ino) not in known and _made_by(memory):
-                known.add((place.st_dev, place.st_ino))
-                yield memory
-            else:
-                memory.close()
+        if (there.st_dev, there.st_ino) not in known and _made_by(memory):
+            known.add((there.st_dev, there.st_ino))
+            yield memory
+        else:
+            memory.close()
 
 
 def _made_by(memory: Memory) -> bool:

@@ -17,15 +17,12 @@ The loop writes row ``HEAD % capacity`` and then publishes HEAD + 1; the recorde
 publishes TAIL. When the ring is full the loop either drops the row and counts it (real time: the recorder
 must never delay a tick) or waits for room (virtual time: nothing is ever lost, and runs are repeatable).
 
-Shared, the block is an anonymous file in memory (memfd) that lives as long as a process has it open or mapped: nothing
-is left behind. Other processes of the user find it as ``/proc/PID/fd/N``, a link to `LINK`
-(`rig.realtime.running`). It cannot be resized, so that nobody's access can fault.
+Shared, the block is a file that other processes of the user find (`rig.realtime.anonymous_memory`; off Linux
+`rig.realtime.named_memory`).
 """
 
 from __future__ import annotations
 
-import errno
-import fcntl
 import json
 import mmap
 import os
@@ -41,6 +38,7 @@ from numpy.typing import ArrayLike, NDArray
 from rig.core.errors import RigError
 from rig.core.sample import ROW
 from rig.realtime import memories
+from rig.realtime.memories import place
 
 if TYPE_CHECKING:
     from rig.realtime.mailbox import Mailbox
@@ -92,12 +90,10 @@ CREATOR = memories.CREATOR  # creator     its process, as it calls itself
 _INFO_AT = WORDS * 8
 _MAILBOX_AT = _INFO_AT + 2 * INFO_BYTES
 _ROWS_AT = _MAILBOX_AT + MAILBOX_BYTES
-_MFD_NOEXEC_SEAL = 0x8  # Linux 6.3
 _INFO_LENGTH = 0xFFFFF
 _INFO_HALF = 1 << 20
 _INFO_CHANGES = 32
 _INFO_TRIES = 10
-_SEALS = fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW
 
 
 class Ring:
@@ -154,7 +150,7 @@ class Ring:
 
     @classmethod
     def attach(cls, path: str, *, writable: bool = True) -> Ring:
-        """Open the ring of another process by its ``/proc/PID/fd/N``; not writable, it can only be looked at.
+        """Open the ring of another process by its path, see `memories.Memory`; not writable, it can only be looked at.
 
         Raises
         ------
@@ -163,12 +159,9 @@ class Ring:
         RigError
             It is no such block, not yet complete, or of a version that keeps its words elsewhere.
         """
-        descriptor = os.open(path, (os.O_RDWR if writable else os.O_RDONLY) | os.O_CLOEXEC)
+        descriptor = os.open(path, os.O_RDWR if writable else os.O_RDONLY)
         try:
-            if (
-                os.readlink(path) != memories.LINK
-                or not fcntl.fcntl(descriptor, fcntl.F_GET_SEALS) & fcntl.F_SEAL_SHRINK
-            ):
+            if not place.is_memory(path) or not place.is_sound(descriptor):
                 raise RigError(f"{path} is not the memory of a running loop", remedy="nothing is to be done")
             size = os.fstat(descriptor).st_size
             if size < _INFO_AT:
@@ -313,7 +306,7 @@ class Ring:
         self.rows = np.zeros(0, ROW)
         self.buffer = np.zeros(0, np.uint8)
         if self.descriptor >= 0:
-            os.close(self.descriptor)
+            place.close(self.descriptor)
             self.descriptor = -1
 
     def __enter__(self) -> Ring:
@@ -356,30 +349,18 @@ def _plain_memory(size: int) -> NDArray[np.uint8]:
 
 
 def _shared_memory(size: int) -> tuple[NDArray[np.uint8], int]:
-    """Zeroed bytes of an anonymous file, all allocated at once: later a lack of memory could not be reported."""
-    descriptor = -1
+    """Zeroed bytes that others can find, with their descriptor."""
     try:
-        descriptor = _memfd()
-        os.posix_fallocate(descriptor, 0, size)
-        fcntl.fcntl(descriptor, fcntl.F_ADD_SEALS, _SEALS)
-        return _mapped(descriptor, size), descriptor
+        descriptor = place.make(size)
+        try:
+            return _mapped(descriptor, size), descriptor
+        except OSError:
+            place.close(descriptor)
+            raise
     except OSError as error:
-        if descriptor >= 0:
-            os.close(descriptor)
         raise RigError(
             f"no shared memory of {size / 1e6:.0f} MB: {error.strerror}", remedy="free some memory"
         ) from error
-
-
-def _memfd() -> int:
-    """An anonymous file, not executable: newer kernels require the flag, older ones do not know it."""
-    flags = os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING
-    try:
-        return os.memfd_create(memories.NAME, flags | _MFD_NOEXEC_SEAL)
-    except OSError as error:
-        if error.errno != errno.EINVAL:
-            raise
-        return os.memfd_create(memories.NAME, flags)
 
 
 def _mapped(descriptor: int, size: int, *, writable: bool = True) -> NDArray[np.uint8]:

@@ -13,18 +13,16 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 from rig.core.errors import ConfigError, RigError, RunEndedError
 from rig.core.sample import phase_name
 from rig.realtime import memories
-from rig.realtime.memories import LAYOUT_VERSION, LOOP_DONE, STOP, VERSION
+from rig.realtime.memories import LAYOUT_VERSION, LOOP_DONE, STOP, VERSION, place
 from rig.realtime.ring import CREATED, PHASE, TICKS, Ring
 
 PATIENCE_S = 3.0  # how long a stopped loop may take to say so: it needs a tick
 POLL_S = 0.002
-_PROC = Path("/proc")
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,7 +132,7 @@ def stop(
             raise _not_here(pid)
         _wait([ring for _, ring in found], patience_s)
         return [
-            StoppedLoop(loop, bool(ring.peek(LOOP_DONE)) or not memories.is_memory(loop.path))
+            StoppedLoop(loop, bool(ring.peek(LOOP_DONE)) or not place.is_memory(loop.path))
             for loop, ring in found
         ]
 
@@ -170,15 +168,7 @@ def ask_to_stop(pid: int) -> int:
 
 def hidden() -> list[int]:
     """Processes that were started as ``rig`` and that this user may not look into: they may run a loop too."""
-    found = []
-    for directory in _PROC.iterdir():
-        if not directory.name.isdecimal():
-            continue
-        with suppress(OSError):
-            words = (directory / "cmdline").read_bytes().split(b"\0")
-            if _is_rig(words) and not os.access(directory / "fd", os.R_OK | os.X_OK):
-                found.append(int(directory.name))
-    return sorted(found)
+    return sorted(pid for pid, words in place.command_lines() if _is_rig(words))
 
 
 def _is_rig(words: list[bytes]) -> bool:
@@ -258,11 +248,11 @@ def _wait(rings: list[Ring], patience_s: float) -> None:
 
 def _not_here(pid: int) -> ConfigError:
     try:
-        os.listdir(_PROC / str(pid) / "fd")
-    except PermissionError:
-        return ConfigError(
-            f"process {pid} is not yours to look into", remedy=f"say it as its owner, or: sudo rig stop {pid}"
-        )
-    except OSError:
+        if not place.may_look(pid):
+            return ConfigError(
+                f"process {pid} is not yours to look into",
+                remedy=f"say it as its owner, or: sudo rig stop {pid}",
+            )
+    except ProcessLookupError:
         return ConfigError(f"there is no process {pid}", remedy="rig stop --list shows what runs")
     return ConfigError(f"process {pid} runs no loop in real time", remedy="rig stop --list shows what runs")

@@ -2,32 +2,37 @@
 
 Symbols are named through `numba.types.ExternalFunction` (a ctypes pointer would silently switch the disk
 cache off) and looked up before anything is compiled, because compiling against a missing symbol ends the
-interpreter. Linux only: clock_nanosleep, ppoll and __errno_location do not exist elsewhere under these
-names.
+interpreter. clock_nanosleep, ppoll and __errno_location exist on Linux alone under these names: elsewhere
+Python stands in for all of them (`rig.realtime.stand_ins`).
 """
 
 from __future__ import annotations
 
 import ctypes
+import sys
 
 from numba import carray, types
 
 from rig.core.errors import RigError
+from rig.realtime import stand_ins
 from rig.realtime.atomics import load_word, stack_words, store_word
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import NOW_SIGNATURE, TRANSFER_SIGNATURE, WAIT_SIGNATURE
 
-_NAMES = ("read", "write", "ppoll", "clock_gettime", "clock_nanosleep", "__errno_location")
-_MISSING = [name for name in _NAMES if not hasattr(ctypes.CDLL(None), name)]
-if _MISSING:
-    raise RigError(
-        f"this platform has no {', '.join(_MISSING)}",
-        remedy="the compiled loop runs on Linux; recordings and plots work everywhere",
-    )
+_NAMES = ("read", "write", "fdatasync", "ppoll", "clock_gettime", "clock_nanosleep", "__errno_location")
+if sys.platform == "linux":
+    _MISSING = [name for name in _NAMES if not hasattr(ctypes.CDLL(None), name)]
+    if _MISSING:
+        raise RigError(
+            f"the C library of this Linux has no {', '.join(_MISSING)}", remedy="use one with glibc or musl"
+        )
+else:
+    stand_ins.stand_in()
 
 _i32, _i64, _u64, _ptr = types.int32, types.int64, types.uint64, types.uintp
 _read = types.ExternalFunction("read", _i64(_i32, _ptr, _u64))
 _write = types.ExternalFunction("write", _i64(_i32, _ptr, _u64))
+_fdatasync = types.ExternalFunction("fdatasync", _i32(_i32))
 _ppoll = types.ExternalFunction("ppoll", _i32(_ptr, _u64, _ptr, _ptr))
 _clock_gettime = types.ExternalFunction("clock_gettime", _i32(_i32, _ptr))
 _clock_nanosleep = types.ExternalFunction("clock_nanosleep", _i32(_i32, _i32, _ptr, _ptr))
@@ -39,7 +44,7 @@ CLOCK_MONOTONIC = 1
 TIMER_ABSTIME = 1
 POLLIN = 0x001
 POLL_BROKEN = 0x008 | 0x010 | 0x020  # POLLERR, POLLHUP, POLLNVAL
-EINTR, EIO, EAGAIN, ENODEV = 4, 5, 11, 19
+EINTR, EIO, EAGAIN, ENODEV, EINVAL, EROFS = 4, 5, 11, 19, 22, 30
 BILLION = 1_000_000_000
 SIGHUP, SIGINT, SIGQUIT, SIGTERM = 1, 2, 3, 15
 
@@ -138,6 +143,15 @@ def descriptor_write(descriptor: int, address: int, size: int) -> int:
         return int(done)
     error = last_error()
     return 0 if error in (EAGAIN, EINTR) else -error
+
+
+@kernel(_i64(_i64))
+def descriptor_sync(descriptor: int) -> int:
+    """fdatasync(2); returns 0 (also where nothing can be synced), or an errno."""
+    if _fdatasync(descriptor) == 0:
+        return 0
+    error = last_error()
+    return 0 if error in (EINVAL, EROFS) else error
 
 
 @kernel(WAIT_SIGNATURE)

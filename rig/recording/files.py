@@ -44,7 +44,7 @@ def plain_errors(doing: str, path: Path) -> Iterator[None]:
 def sync_directory(directory: Path) -> None:
     """Make the names in a directory survive a power cut; does nothing where directories cannot be synced."""
     with suppress(OSError):
-        descriptor = os.open(directory, os.O_RDONLY | os.O_CLOEXEC)
+        descriptor = os.open(directory, os.O_RDONLY)
         try:
             os.fsync(descriptor)
         finally:

@@ -9,7 +9,6 @@ process writes at a time: the file is locked while it is open.
 from __future__ import annotations
 
 import errno
-import fcntl
 import json
 import os
 import time
@@ -19,6 +18,7 @@ from io import FileIO
 from pathlib import Path
 from typing import Any
 
+from rig.core import locks
 from rig.core.errors import RecordingError
 from rig.recording.files import disk_error, plain_errors, sync_directory
 
@@ -99,23 +99,13 @@ class LineFile:
 
     def _lock(self, remedy: str) -> None:
         try:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            raise RecordingError(f"another process is writing {self.path}", remedy=remedy) from error
+            ours = locks.lock(self._file.fileno())
         except OSError as error:
             if error.errno not in _NO_LOCKS:
                 raise disk_error("lock", self.path, error.errno or errno.EIO) from error
-
-
-def being_written(path: Path) -> bool:
-    """Whether some process has a file of lines open to write it, without touching its lock."""
-    try:
-        there = path.stat()
-        locks = Path("/proc/locks").read_text()
-    except OSError:
-        return False
-    name = f"{os.major(there.st_dev):02x}:{os.minor(there.st_dev):02x}:{there.st_ino}"
-    return any(name in line.split() for line in locks.splitlines() if " FLOCK " in line)
+            return
+        if not ours:
+            raise RecordingError(f"another process is writing {self.path}", remedy=remedy)
 
 
 def line_of(text: str) -> bytes:

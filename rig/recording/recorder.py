@@ -10,9 +10,7 @@ file different, only whole blocks are written before the end.
 
 from __future__ import annotations
 
-import fcntl
 import os
-import signal
 import sys
 import threading
 from collections.abc import Mapping
@@ -25,13 +23,15 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
+from rig.core import locks
 from rig.core.errors import RecordingError
 from rig.core.sample import ROW
 from rig.realtime.atomics import load_word, store_word
 from rig.realtime.codec import crc32
+from rig.realtime.handlers import take_no_signals
 from rig.realtime.kernel import kernel, prepare
 from rig.realtime.ring import DROPPED, HEAD, LOOP_DONE, RECORDED, RECORDER_ERROR, TAIL, TICKS, Ring
-from rig.realtime.system import EIO, descriptor_write, last_error, monotonic_now, sleep_until
+from rig.realtime.system import EIO, descriptor_sync, descriptor_write, monotonic_now, sleep_until
 from rig.recording.canonical import lossless
 from rig.recording.capture import BLOCK_ROWS, CRC_BYTES, HEAD_BYTES, ROWS_MAGIC, pack_end, pack_header
 from rig.recording.files import disk_error, plain_errors, sync_directory
@@ -42,14 +42,17 @@ AT_RISK_S = 1.0  # of a run in real time, when the power goes: flushed and synce
 POLL_NS = 2_000_000
 POLL_VIRTUAL_NS = 200_000
 PATIENCE = 1000  # attempts to write to a descriptor that accepts nothing
-EINVAL, EROFS = 22, 30  # fdatasync's errors for files that cannot be synced
+
+if sys.platform == "win32":
+    _BINARY = os.O_BINARY  # else each 0x0A becomes two bytes
+else:
+    _BINARY = 0
 
 _HEAD_WORDS = HEAD_BYTES // 8
 _ROW_WORDS = ROW.itemsize // 8
 _MAGIC_WORD = int.from_bytes(ROWS_MAGIC, "little")
 
 _i64, _words, _address = types.int64, types.int64[::1], types.uintp
-_fdatasync = types.ExternalFunction("fdatasync", types.int32(types.int32))
 
 
 @kernel(_i64(_words, _i64, _i64, _words, _i64))
@@ -100,15 +103,6 @@ def write_all(descriptor: int, address: int, size: int) -> int:
             sleep_until(monotonic_now(0) + POLL_NS)
         done += wrote
     return 0
-
-
-@kernel(_i64(_i64))
-def sync(descriptor: int) -> int:
-    """fdatasync(2); returns 0 (also where nothing can be synced), or an errno."""
-    if _fdatasync(descriptor) == 0:
-        return 0
-    error = last_error()
-    return 0 if error in (EINVAL, EROFS) else error
 
 
 @kernel(_i64(_address, _words, _i64, _words, _i64, _i64, _i64))
@@ -165,7 +159,7 @@ def record(
             size = close_block(block, number, recorded, filled)
             error = write_all(descriptor, block.ctypes.data, size)
             if error == 0 and sync_ns > 0 and now - synced_at >= sync_ns:
-                error = sync(descriptor)
+                error = descriptor_sync(descriptor)
                 synced_at = now
             if error != 0:
                 store_word(words + 8 * RECORDER_ERROR, error)
@@ -300,7 +294,7 @@ class Recorder:
         return self._trailer
 
     def _run(self) -> None:
-        signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())  # a signal would wake it early
+        take_no_signals()  # one would wake it early
         rows = self._ring.rows.view(np.int64)
         flush_ns, sync_ns, poll_ns = self._times
         words = self._ring.words.ctypes.data
@@ -313,9 +307,9 @@ def _create(path: Path, header: bytes) -> int:
     It is locked while it is open, which distinguishes a file that is being written from one that a crash cut off.
     """
     with plain_errors("write", path):
-        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
+        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | _BINARY, 0o644)
         with suppress(OSError):  # a file system without locks
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            locks.lock(descriptor)
         try:
             _write(descriptor, header)
         except OSError:

@@ -339,7 +339,7 @@ def device_run(options: argparse.Namespace, directory: Path, watch: Watch) -> di
 
 def own_ring() -> Any:
     """The block that the trial of this process shares with others."""
-    from rig.realtime.memories import LINK  # noqa: PLC0415
+    from rig.realtime.anonymous_memory import LINK  # noqa: PLC0415
     from rig.realtime.ring import Ring  # noqa: PLC0415
 
     for entry in Path("/proc/self/fd").iterdir():

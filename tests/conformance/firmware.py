@@ -20,4 +20,5 @@ def hide_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
     """Be a machine without a C compiler, whose library nobody has opened before."""
     monkeypatch.delenv("CC", raising=False)
     monkeypatch.setattr(firmware_library, "COMPILERS", ())
+    monkeypatch.setattr(firmware_library, "ZIG", "no compiler")
     monkeypatch.setattr(compiled_device, "library", firmware_library.library.__wrapped__)

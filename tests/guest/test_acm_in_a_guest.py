@@ -17,7 +17,8 @@ from rig.cli.devices import devices
 from rig.core.errors import DeviceNotFoundError, LinkLostError, UnpluggedError
 from rig.devices import open_device
 from rig.devices.device import DeviceUrl
-from rig.devices.serial import available_ports, open_link
+from rig.devices.port_facts import available_ports
+from rig.devices.serial import open_link
 from tests.guest import gadget, vhci
 from tests.guest.far_end import far_end
 from tests.guest.gadget import GadgetPort, acm_gadget

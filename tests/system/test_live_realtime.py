@@ -19,7 +19,7 @@ from rig.config import experiment_from_mapping
 from rig.core.errors import DeviceFaultError, LinkLostError, RigError, StoppedError
 from rig.experiments.live import change_wall, parameter_set
 from rig.experiments.recover import CaptureState, recover
-from rig.realtime.memories import LINK
+from rig.realtime.anonymous_memory import LINK
 from rig.realtime.running import RunningLoop, running, stop
 from rig.recording.reader import open_recording
 from tests.conformance.started import started

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 from rig.bench.answers import ok, question, refused, warning
-from rig.bench.doctor.subject import Machine
 from rig.core.check import Check, Outcome
 from rig.realtime.scheduling.facts import text_of
 from rig.realtime.scheduling.refusals import LOG_IN_AGAIN, RULES_COMMAND, RULES_FILE
-from rig.realtime.scheduling.rights import name_of_group
+
+if sys.platform == "linux":
+    from rig.bench.doctor.subject import Machine
+    from rig.realtime.scheduling.rights import name_of_group
+
+assert sys.platform == "linux"
 
 PORTS = ("ttyACM*", "ttyUSB*", "ttyAMA*")
 GROUPS = ("dialout", "uucp")  # Debian and Fedora, Arch

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -11,7 +12,6 @@ from rig import config, devices
 from rig.bench.answers import question, refused
 from rig.bench.doctor.gate import Gate, gate
 from rig.bench.doctor.in_effect import in_effect
-from rig.bench.doctor.machine import machine_checks
 from rig.bench.doctor.ports import Port, ports_here, serial_port
 from rig.bench.doctor.round_trip import LinkMeasurement, measure_link
 from rig.bench.doctor.walls import Supported, supported_walls, wall_items
@@ -25,6 +25,11 @@ from rig.devices.device_facts import DeviceFacts
 from rig.devices.framed import FramedDevice
 from rig.devices.local import host_beside, opened
 from rig.realtime.scheduling import obtained
+
+if sys.platform == "linux":
+    from rig.bench.doctor.machine import machine_checks
+else:
+    from rig.bench.doctor.elsewhere import machine_checks
 
 SECONDS = 4.0  # of measuring: bounds p99.9 from some 750 questions a second on
 

@@ -9,7 +9,7 @@ from rig import devices
 from rig.bench.doctor.ports import Port, serial_port
 from rig.config import presets
 from rig.core.present import Item, Row
-from rig.devices.serial import available_ports
+from rig.devices.port_facts import available_ports
 from rig.devices.usb import UsbDevice, available_devices
 
 

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import re
+import sys
 import time
 
 from rig.bench.answers import ok, question, refused, warning
-from rig.bench.doctor.subject import Machine
 from rig.core.check import Check
 from rig.realtime.scheduling import facts, refusals
 from rig.realtime.scheduling.facts import text_of
+
+if sys.platform == "linux":
+    from rig.bench.doctor.subject import Machine
+
+assert sys.platform == "linux"
 
 PREEMPT_FILE = "/sys/kernel/debug/sched/preempt"
 CLOCK_FILE = "/sys/devices/system/clocksource/clocksource0/current_clocksource"

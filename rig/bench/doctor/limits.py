@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import errno
+import sys
 
 from rig.bench.answers import ok, question, refused, warning
-from rig.bench.doctor.subject import Machine
 from rig.core.check import Check, Outcome
 from rig.realtime.scheduling import idle, refusals
 from rig.realtime.scheduling.facts import rt_period_us, rt_runtime_us, status_kilobytes, text_of
+
+if sys.platform == "linux":
+    from rig.bench.doctor.subject import Machine
+
+assert sys.platform == "linux"
 
 
 @question(

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 
 from rig.bench.doctor import access, kernel, limits, wake_up
-from rig.bench.doctor.subject import Machine
 from rig.config.sections import Host
 from rig.core.check import Check
 from rig.realtime.scheduling import Request
+
+if sys.platform == "linux":
+    from rig.bench.doctor.subject import Machine
+
+assert sys.platform == "linux"
 
 CHECKS: tuple[Callable[[Machine], Check], ...] = (
     limits.priority,

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from rig.bench.answers import question, warning
 from rig.bench.doctor.udev import RIGS, udev_rules
 from rig.core.check import Check
-from rig.devices.port_facts import PortFacts
-from rig.devices.serial import available_ports, port_facts
+from rig.devices.port_facts import PortFacts, available_ports, port_facts
 from rig.devices.usb import UsbDevice, available_devices
 
 

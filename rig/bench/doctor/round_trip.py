@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 import os
-import signal
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -23,6 +22,7 @@ from rig.bench.doctor.ping import EXCHANGE, TALLY, PingBuffers, ping
 from rig.core.errors import LinkLostError
 from rig.core.present import Row, reported
 from rig.devices.framed import FramedDevice
+from rig.realtime.handlers import take_no_signals
 from rig.realtime.scheduling import Realtime
 from rig.recording.quantiles import Distribution, Quantile, values_needed
 
@@ -237,7 +237,7 @@ class _Run:
 
     def _body(self, realtime: Realtime | None) -> None:
         try:
-            signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())
+            take_no_signals()
             if realtime is not None:
                 realtime.prefault(self._exchanges)
                 realtime.enter_thread()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -11,7 +12,11 @@ from rig.config.sections import Host
 from rig.core.check import Check, Outcome
 from rig.realtime.scheduling import Request, Rights
 from rig.realtime.scheduling.facts import ROOT
-from rig.realtime.scheduling.thread import tried
+
+if sys.platform == "linux":
+    from rig.realtime.scheduling.thread import tried
+
+assert sys.platform == "linux"
 
 
 def openable(path: Path) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import signal
+import sys
 import threading
 from dataclasses import dataclass, replace
 
@@ -12,9 +12,15 @@ from numpy.typing import NDArray
 
 from rig.bench.answers import ok, question, warning
 from rig.core.check import Check
+from rig.realtime.handlers import take_no_signals
 from rig.realtime.kernel import kernel
-from rig.realtime.scheduling import Request, ThreadState, obtained
+from rig.realtime.scheduling import Request, obtained
 from rig.realtime.system import monotonic_now, sleep_until
+
+if sys.platform == "linux":
+    from rig.realtime.scheduling.thread import ThreadState
+
+assert sys.platform == "linux"
 
 RATE_HZ = 1000
 LATE_S = 0.0002  # a fifth of the period
@@ -67,7 +73,7 @@ def measure(request: Request, seconds: float = 1.0, rate_hz: int = RATE_HZ) -> W
         realtime.prefault(late)
 
         def body() -> None:
-            signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())
+            take_no_signals()
             state = realtime.enter_thread() or ThreadState.here()
             ran.append((state, wake_ups(1_000_000_000 // rate_hz, late)))
 

@@ -147,9 +147,10 @@ def _mounted() -> list[Path]:
     """Places where systems mount such a drive."""
     if sys.platform == "win32":
         return [Path(f"{letter}:\\") for letter in string.ascii_uppercase]
-    parents = ["/Volumes"] if sys.platform == "darwin" else ["/media", "/media/*", "/run/media/*", "/mnt"]
-    root = Path("/")
-    return sorted({path for parent in parents for path in root.glob(f"{parent.lstrip('/')}/*")})
+    else:
+        parents = ["/Volumes"] if sys.platform == "darwin" else ["/media", "/media/*", "/run/media/*", "/mnt"]
+        root = Path("/")
+        return sorted({path for parent in parents for path in root.glob(f"{parent.lstrip('/')}/*")})
 
 
 def _drive(path: Path) -> Drive | None:

@@ -8,9 +8,8 @@ a task but plain data ever crosses a process. The coordinator (`rig.experiments.
 from __future__ import annotations
 
 import json
-import os
+import platform
 import queue
-import signal
 import threading
 import time
 import traceback
@@ -24,6 +23,8 @@ from itertools import count
 from typing import Any, Protocol
 
 from rig.core.errors import ConfigError, RigError
+from rig.core.this_system import processors
+from rig.realtime.handlers import take_no_signals
 from rig.realtime.source_files import source_files
 
 LONGEST_S = 1.0  # a batch gives back what it has not begun by then
@@ -184,7 +185,7 @@ def _failure(index: int, error: BaseException) -> Failure:
 def _other_code(asked: str) -> Failure:
     return Failure(
         None,
-        f"a worker on {os.uname().nodename} runs haptic-rig {code_version()}, this is {asked}",
+        f"a worker on {platform.node()} runs haptic-rig {code_version()}, this is {asked}",
         "install the same version there, and restart the worker",
     )
 
@@ -203,7 +204,7 @@ class Threads:
             raise ConfigError(f"{workers} workers cannot do anything", remedy="give 1 or more")
         find_work(order.work)  # imports, and thereby compiles, once and before anything is promised
         self._order = order
-        self._workers = workers or len(os.sched_getaffinity(0))
+        self._workers = workers or len(processors())
         self._tickets = count()
         self._inbox: queue.SimpleQueue[tuple[int, Sequence[Job]] | None] = queue.SimpleQueue()
         self._outbox: queue.SimpleQueue[tuple[int, Report]] = queue.SimpleQueue()
@@ -231,7 +232,7 @@ class Threads:
             self._inbox.put(None)
 
     def _body(self) -> None:
-        signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())  # signals are for the main thread
+        take_no_signals()
         while (given := self._inbox.get()) is not None:
             ticket, batch = given
             self._outbox.put((ticket, run_batch(self._order, batch)))

@@ -11,11 +11,17 @@
 * `facts`: what the kernel reports about itself
 * `calls`: the C library
 
-Linux only, as the compiled loop is. Nothing here loads numba.
+Nothing here loads numba. Off Linux nothing is asked for (`elsewhere`).
 """
 
-from rig.realtime.scheduling.realtime import Realtime, Request, obtained
-from rig.realtime.scheduling.rights import Rights
-from rig.realtime.scheduling.thread import ThreadState
+import sys
 
-__all__ = ["Realtime", "Request", "Rights", "ThreadState", "obtained"]
+from rig.realtime.scheduling.request import Request
+from rig.realtime.scheduling.rights import Rights
+
+if sys.platform == "linux":
+    from rig.realtime.scheduling.realtime import Realtime, obtained
+else:
+    from rig.realtime.scheduling.elsewhere import Realtime, obtained
+
+__all__ = ["Realtime", "Request", "Rights", "obtained"]

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import gzip
-import os
+import platform
 import re
 import zlib
 from contextlib import suppress
@@ -56,7 +56,7 @@ def _built_mode(root: Path) -> str:
     try:
         built = gzip.decompress((root / "proc/config.gz").read_bytes()).decode(errors="replace")
     except (OSError, EOFError, zlib.error):
-        built = text_of(root / f"boot/config-{os.uname().release}")
+        built = text_of(root / f"boot/config-{platform.release()}")
     lines = set(built.splitlines())
     modes = {"NONE": "none", "VOLUNTARY": "voluntary", "LAZY": "lazy"}
     found = next((mode for key, mode in modes.items() if f"CONFIG_PREEMPT_{key}=y" in lines), "")
@@ -128,7 +128,7 @@ def described(cpu: int | None, root: Path = ROOT) -> dict[str, Any]:
     chosen = governors(root)
     of_cpu = [chosen[cpu]] if cpu in chosen else sorted(set(chosen.values()))
     return {
-        "kernel": os.uname().release,
+        "kernel": platform.release(),
         "preemption": preemption(root),
         "rt_runtime_us": rt_runtime_us(root),
         "rt_period_us": rt_period_us(root),

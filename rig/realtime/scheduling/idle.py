@@ -17,7 +17,7 @@ DEVICE = "dev/cpu_dma_latency"
 
 def hold(root: Path = ROOT) -> int:
     """Ask for `LATENCY_US` and return the descriptor that holds the request; raises `OSError`."""
-    descriptor = os.open(root / DEVICE, os.O_WRONLY | os.O_CLOEXEC)
+    descriptor = os.open(root / DEVICE, os.O_WRONLY)
     try:
         os.write(descriptor, struct.pack("=i", LATENCY_US))
     except OSError:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import mmap
 import re
+import sys
 import threading
 from dataclasses import dataclass
 
@@ -12,6 +13,8 @@ from rig.core.check import Check
 from rig.realtime.scheduling import calls, refusals
 from rig.realtime.scheduling.facts import ROOT, status_kilobytes, text_of
 from rig.realtime.scheduling.rights import Rights
+
+assert sys.platform == "linux"
 
 _MAPPING = re.compile(r"^([0-9a-f]+)-([0-9a-f]+) ")
 

@@ -3,38 +3,26 @@
 from __future__ import annotations
 
 import os
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from rig.core.check import Check
 from rig.core.errors import RealtimeError
 from rig.realtime.scheduling import calls, facts, idle, memory, thread
 from rig.realtime.scheduling.refusals import of_idle
-from rig.realtime.scheduling.thread import ThreadState
+from rig.realtime.scheduling.request import Request
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-class Request(Protocol):
-    """What is requested; `rig.config.sections.Host` explains each."""
+if sys.platform == "linux":
+    from rig.realtime.scheduling.thread import ThreadState
 
-    @property
-    def realtime(self) -> str:
-        """Return enforce, try or off."""
-        ...
-
-    @property
-    def priority(self) -> int:
-        """Return the priority under SCHED_FIFO."""
-        ...
-
-    @property
-    def cpu(self) -> int | None:
-        """Return the processor, None for any."""
-        ...
+assert sys.platform == "linux"
 
 
 class Realtime:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-import grp
 import os
-import pwd
 import re
-import resource
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 from rig.realtime.scheduling.facts import ROOT, text_of
+
+if sys.platform == "linux":
+    import grp
+    import pwd
+    import resource
 
 CAP_IPC_LOCK, CAP_SYS_NICE = 14, 23  # linux/capability.h
 
@@ -25,16 +28,18 @@ class Rights:
     locked_limit: int | None  # RLIMIT_MEMLOCK, bytes
     capabilities: int = 0  # effective, one bit each
 
-    @classmethod
-    def here(cls, root: Path = ROOT) -> Rights:
-        """Return what this process has."""
-        return cls(
-            user=_name_of_user(os.geteuid()),
-            groups=frozenset(name_of_group(number) for number in {*os.getgroups(), os.getegid()}),
-            priority_limit=_limit(resource.RLIMIT_RTPRIO),
-            locked_limit=_limit(resource.RLIMIT_MEMLOCK),
-            capabilities=_capabilities(root),
-        )
+    if sys.platform == "linux":
+
+        @classmethod
+        def here(cls, root: Path = ROOT) -> Rights:
+            """Return what this process has."""
+            return cls(
+                user=_name_of_user(os.geteuid()),
+                groups=frozenset(name_of_group(number) for number in {*os.getgroups(), os.getegid()}),
+                priority_limit=_limit(resource.RLIMIT_RTPRIO),
+                locked_limit=_limit(resource.RLIMIT_MEMLOCK),
+                capabilities=_capabilities(root),
+            )
 
     def may_schedule(self, priority: int) -> bool:
         """Whether limits allow SCHED_FIFO at this priority; a control group or a container may still refuse."""
@@ -50,26 +55,26 @@ class Rights:
         return bool(self.capabilities >> capability & 1)
 
 
-def _limit(which: int) -> int | None:
-    soft, _ = resource.getrlimit(which)
-    return None if soft == resource.RLIM_INFINITY else soft
-
-
 def _capabilities(root: Path) -> int:
     match = re.search(r"^CapEff:\s*([0-9a-fA-F]+)", text_of(root / "proc/self/status"), re.MULTILINE)
     return int(match[1], 16) if match else 0
 
 
-def _name_of_user(number: int) -> str:
-    try:
-        return pwd.getpwuid(number).pw_name
-    except KeyError:
-        return str(number)
+if sys.platform == "linux":
 
+    def _limit(which: int) -> int | None:
+        soft, _ = resource.getrlimit(which)
+        return None if soft == resource.RLIM_INFINITY else soft
 
-def name_of_group(number: int) -> str:
-    """Return the name of a group, or its number where it has none."""
-    try:
-        return grp.getgrgid(number).gr_name
-    except KeyError:
-        return str(number)
+    def _name_of_user(number: int) -> str:
+        try:
+            return pwd.getpwuid(number).pw_name
+        except KeyError:
+            return str(number)
+
+    def name_of_group(number: int) -> str:
+        """Return the name of a group, or its number where it has none."""
+        try:
+            return grp.getgrgid(number).gr_name
+        except KeyError:
+            return str(number)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 import threading
 from contextlib import suppress
 from dataclasses import asdict, dataclass
@@ -11,6 +12,8 @@ from typing import Any
 from rig.core.check import Check
 from rig.realtime.scheduling import calls, refusals
 from rig.realtime.scheduling.rights import Rights
+
+assert sys.platform == "linux"
 
 STACK_BYTES = 512 * 1024  # from the top: frames of Python and of the loop, and what they call
 SHORTEST_SLACK_NS = 1

@@ -2,7 +2,8 @@
 
 import sys
 
-from rig.session.console.program import main
+if sys.platform != "win32":
+    from rig.session.console.program import main
 
-if __name__ == "__main__":
+if __name__ == "__main__" and sys.platform != "win32":
     sys.exit(main(sys.argv[1:]))

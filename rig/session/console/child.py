@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from contextlib import ExitStack, suppress
@@ -16,6 +17,8 @@ from rig.core.child import with_this_package
 from rig.core.errors import RigError
 from rig.session.console import terminal
 from rig.session.console.messages import Lines, line_of
+
+assert sys.platform != "win32"
 
 MOST_PENDING = 1 << 20  # bytes for a console that does not read: it hangs
 END_S = 2.0  # how long it may take to give the terminal back
@@ -79,12 +82,12 @@ class Child:
                 stack.callback(os.close, descriptor)
 
         with ExitStack() as theirs:
-            self._complaints = os.memfd_create("rig-console-stderr", os.MFD_CLOEXEC)
+            self._complaints = _nameless()
             owned(ours, self._complaints)
-            theirs_in, self._to = os.pipe2(os.O_CLOEXEC)
+            theirs_in, self._to = os.pipe()
             owned(theirs, theirs_in)
             owned(ours, self._to)
-            self._from, theirs_out = os.pipe2(os.O_CLOEXEC)
+            self._from, theirs_out = os.pipe()
             owned(theirs, theirs_out)
             owned(ours, self._from)
             os.set_blocking(self._to, False)
@@ -172,3 +175,9 @@ class Child:
                         self._inbox.put((self, message))
         finally:
             os.close(self._from)
+
+
+def _nameless() -> int:
+    """A file that goes with its descriptor."""
+    with tempfile.TemporaryFile(buffering=0) as file:
+        return os.dup(file.fileno())

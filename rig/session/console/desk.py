@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Mapping
@@ -18,12 +19,16 @@ from rig.core.present import plain as plain_of
 from rig.realtime.hand import SharedHand
 from rig.session.console import terminal
 from rig.session.console.asking import SILENCE_S, AskingDesk
-from rig.session.console.child import Child, Message
 from rig.session.console.pointer import HandKind
 from rig.session.console.seat import full_press, keymap_for, refuse_a_hand
 from rig.session.desk import Desk
 from rig.session.protocol import Keys, Protocol
 from rig.session.runner import TrialRunner
+
+if sys.platform != "win32":
+    from rig.session.console.child import Child, Message
+
+assert sys.platform != "win32"
 
 HUNG_S = 10.0  # of a console while nothing moves; then it is started anew
 START_S = 30.0  # that a console may take to come up on a loaded machine
@@ -223,7 +228,7 @@ def _opened(place: Path) -> int:
     Raises `ConfigError` when it is another job's now: who reads from it then is stopped by the kernel.
     """
     try:
-        descriptor = os.open(place, os.O_RDWR | os.O_NOCTTY | os.O_CLOEXEC)
+        descriptor = os.open(place, os.O_RDWR | os.O_NOCTTY)
     except OSError:
         return -1
     try:

@@ -35,6 +35,8 @@ from rig.session.keymap import STOP
 if TYPE_CHECKING:
     from rich.console import Console
 
+assert sys.platform != "win32"
+
 ROUND_S = 0.08  # between two pictures while the rig moves: 12.5 a second
 QUIET_S = 0.2  # between two rounds while it does not
 WHOLE_S = 2.0  # between two pictures of which every line is written
@@ -63,7 +65,9 @@ def main(arguments: list[str]) -> int:
 @contextmanager
 def _signals() -> Iterator[int]:
     """A descriptor that can be read when the window has changed or somebody wants this process to end."""
-    reader, writer = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+    reader, writer = os.pipe()
+    for descriptor in (reader, writer):
+        os.set_blocking(descriptor, False)
 
     def end(number: int, frame: object) -> None:
         raise SystemExit(0)

@@ -9,9 +9,12 @@ from __future__ import annotations
 
 import os
 import select
+import sys
 import termios
 from contextlib import suppress
 from typing import Any
+
+assert sys.platform != "win32"
 
 # Alternate screen, cursor; mouse reports (any motion, SGR, pixels).
 SCREEN_ON = "\x1b[?1049h\x1b[?25l"

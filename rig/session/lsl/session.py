@@ -11,6 +11,7 @@ import time
 from bisect import bisect_right
 from contextlib import suppress
 from importlib.util import find_spec
+from mmap import ACCESS_READ, mmap
 from tempfile import TemporaryFile
 from types import TracebackType
 from typing import Any
@@ -41,6 +42,16 @@ def marker_line(at_ns: int, content: dict[str, Any]) -> bytes:
     return line(text=text[: max(0, fits - 1)] + CUT)
 
 
+def _refuse_if_missing() -> None:
+    if sys.platform == "win32":
+        raise ConfigError(
+            "markers of LSL need Linux or macOS",
+            remedy="run without `lsl`: recordings have marks and both clocks",
+        )
+    elif find_spec("pylsl") is None:
+        raise ConfigError("pylsl is not installed", remedy="pip install 'haptic-rig[lsl]'")
+
+
 class LslMarks:
     """``rig lsl`` for the loops of this process, with markers of this process's own; a context manager.
 
@@ -61,7 +72,7 @@ class LslMarks:
     Raises
     ------
     ConfigError
-        pylsl is missing.
+        pylsl is missing, or the system is Windows.
     RigError
         The process cannot be started.
     """
@@ -74,8 +85,7 @@ class LslMarks:
         blind: bool = True,
         expected: tuple[Motion, float] | None = None,
     ) -> None:
-        if find_spec("pylsl") is None:
-            raise ConfigError("pylsl is not installed", remedy="pip install 'haptic-rig[lsl]'")
+        _refuse_if_missing()
         command = [sys.executable, "-P", "-m", "rig", "lsl", "--json", "--markers", "--pid", str(os.getpid())]
         command += ["--name", name, *([] if rate is None else ["--rate", repr(rate)])]
         command += ["--blind"] if blind else []
@@ -95,7 +105,8 @@ class LslMarks:
             ) from error
         assert self._process.stdin is not None
         self._descriptor = self._process.stdin.fileno()
-        os.set_blocking(self._descriptor, False)
+        if sys.platform != "win32":
+            os.set_blocking(self._descriptor, False)
         self.lost = 0
         self._warned: set[str] = set()
         self._streams = 1 if expected is None else 2
@@ -164,7 +175,11 @@ class LslMarks:
     def _news(self) -> list[dict[str, Any]]:
         """What it has printed so far, read without moving the place at which it writes."""
         descriptor = self._said.fileno()
-        lines = os.pread(descriptor, os.fstat(descriptor).st_size, 0).splitlines(keepends=True)
+        size = os.fstat(descriptor).st_size
+        if size == 0:
+            return []
+        with mmap(descriptor, size, access=ACCESS_READ) as said:
+            lines = said[:].splitlines(keepends=True)
         found = []
         for line in lines:
             with suppress(ValueError):

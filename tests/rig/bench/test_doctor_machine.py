@@ -24,8 +24,9 @@ from rig.cli.doctor import doctor
 from rig.config.sections import Host
 from rig.core.check import Check, Outcome
 from rig.core.present import plain
-from rig.realtime.scheduling import Rights, ThreadState, facts, refusals
+from rig.realtime.scheduling import Rights, facts, refusals
 from rig.realtime.scheduling.rights import name_of_group
+from rig.realtime.scheduling.thread import ThreadState
 
 OK, WARNING, REFUSED = Outcome.OK, Outcome.WARNING, Outcome.REFUSED
 CPU = "sys/devices/system/cpu"

@@ -23,8 +23,11 @@ from rig.core.errors import ConfigError, DeviceNotFoundError, LinkLostError
 from rig.devices import port_facts
 from rig.devices import serial as ports
 from rig.devices import tty as tty_settings
+from rig.devices.descriptor import WRITE_TIMEOUT_S
 from rig.devices.device import DeviceUrl
-from rig.devices.serial import DEFAULT_BAUD, WRITE_TIMEOUT_S, SerialLink, open_link
+from rig.devices.serial import SerialLink, open_link
+from rig.devices.serial_options import DEFAULT_BAUD
+from rig.devices.serial_options import capacity as capacity_of
 
 SLACK_S = 5.0  # of a loaded machine: these tests say "bounded", not "quick"
 IFLAG, OFLAG, CFLAG, LFLAG, CC = 0, 1, 2, 3, 6
@@ -76,7 +79,7 @@ def test_bytes_pass_both_ways_unchanged(line: Any, link: Any) -> None:
 
 
 def test_a_missing_port_is_named_with_the_ports_that_are_there(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ports, "available_ports", lambda: [("/dev/ttyACM3", "board")])
+    monkeypatch.setattr(port_facts, "available_ports", lambda: [("/dev/ttyACM3", "board")])
     with pytest.raises(DeviceNotFoundError, match="there is no port /dev/nothere") as caught:
         opened("/dev/nothere")
     assert "/dev/ttyACM3" in caught.value.remedy
@@ -199,10 +202,10 @@ def test_what_was_said_to_nobody_before_is_thrown_away(line: Any) -> None:
 def test_the_rate_limits_a_uart_and_nothing_else(
     name: str, baud: int, capacity: float | None, tmp_path: Path
 ) -> None:
-    assert ports._capacity(f"/dev/{name}", baud) == capacity
+    assert capacity_of(f"/dev/{name}", baud) == capacity
     alias = tmp_path / "by-id"
     alias.symlink_to(f"/dev/{name}")
-    assert ports._capacity(str(alias), baud) == capacity, "the port counts, not its alias"
+    assert capacity_of(str(alias), baud) == capacity, "the port counts, not its alias"
 
 
 def test_a_pseudo_terminal_has_no_capacity_limit(link: Any) -> None:

@@ -22,7 +22,7 @@ import numpy as np
 import pytest
 from numba import types
 
-from rig.realtime import cache, compiling, handlers, parts
+from rig.realtime import cache, compiling, handlers, parts, user_cache
 from rig.realtime import kernel as module
 from rig.realtime import source_files as sources
 from rig.realtime.cache import cache_key, writable_by_others
@@ -102,7 +102,7 @@ def project(tmp_path: Path) -> Project:
     (root / "rig" / "realtime").mkdir(parents=True)
     for package in ("rig", "rig/realtime"):
         (root / package / "__init__.py").touch()
-    for copied in (module, cache, sources, compiling, handlers, parts):
+    for copied in (module, cache, sources, compiling, handlers, parts, user_cache):
         shutil.copy(copied.__file__, root / "rig" / "realtime")
     (root / "rig" / "helper.py").write_text(HELPER)
     (root / "rig" / "law.py").write_text(LAW)

@@ -30,13 +30,13 @@ from rig.core.errors import RealtimeError
 from rig.realtime.scheduling import (
     Realtime,
     Rights,
-    ThreadState,
     calls,
     facts,
     memory,
     obtained,
     refusals,
 )
+from rig.realtime.scheduling.thread import ThreadState
 
 CHILD_S = 60.0
 PATIENCE_S = 5.0
@@ -367,7 +367,8 @@ def test_the_report_is_json_and_says_asked_obtained_refused_and_what_the_kernel_
 CHILD = """
 import json, os, resource, sys, threading
 from rig.core.errors import RealtimeError
-from rig.realtime.scheduling import ThreadState, calls, facts, obtained
+from rig.realtime.scheduling import calls, facts, obtained
+from rig.realtime.scheduling.thread import ThreadState
 from tests.rig.realtime.test_scheduling import Asked, all_threads, in_thread, is_as, state
 
 group, rtprio, memlock, user = json.loads(sys.argv[1])

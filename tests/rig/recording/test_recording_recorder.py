@@ -23,9 +23,10 @@ from rig.core.sample import ROW
 from rig.experiments.recover import recover
 from rig.realtime.ring import DROPPED, HEAD, LOOP_DONE, TAIL, TICKS, Ring
 from rig.realtime.running import running
+from rig.realtime.system import descriptor_sync
 from rig.recording.capture import pack_header
 from rig.recording.reader import open_recording
-from rig.recording.recorder import AT_RISK_S, Recorder, sync, write_all
+from rig.recording.recorder import AT_RISK_S, Recorder, write_all
 from tests.conformance.recording import example_header, example_rows
 from tests.conformance.started import started
 
@@ -195,9 +196,9 @@ def test_a_full_device_is_an_errno() -> None:
 
 def test_syncing_is_asked_only_of_files(tmp_path: Path) -> None:
     with open(tmp_path / "file", "wb") as file, open("/dev/full", "wb") as device:
-        assert sync(file.fileno()) == 0
-        assert sync(device.fileno()) == 0
-    assert sync(-1) == errno.EBADF
+        assert descriptor_sync(file.fileno()) == 0
+        assert descriptor_sync(device.fileno()) == 0
+    assert descriptor_sync(-1) == errno.EBADF
 
 
 def test_partial_writes_are_continued() -> None:

@@ -1,0 +1,18 @@
+"""What there is to say of a computer that is not a Linux one: who keeps the time of a law there."""
+
+from __future__ import annotations
+
+from rig.bench.answers import question, warning
+from rig.core.check import Check
+from rig.core.this_system import ON_THE_BOARD
+from rig.realtime.scheduling import Request
+
+
+def machine_checks(host: Request | None = None) -> list[Check]:
+    """As `rig.bench.doctor.machine.machine_checks`."""
+    return [_real_time()]
+
+
+@question("real time", "other programs may stop a loop of this computer for as long as they like")
+def _real_time() -> Check:
+    return warning("no loop of this computer runs in real time: it is not Linux", ON_THE_BOARD)

@@ -1,0 +1,62 @@
+"""Locks on open files between processes, which end with whoever holds them: flock(2), or LockFile on Windows."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+if sys.platform == "win32":
+    import msvcrt
+
+    # Windows lets nobody else read a byte that is locked: one far behind all data, within the 31 bits of `locking`.
+    _PLACE = 0x7FFF_0000
+
+    def _call(descriptor: int, mode: int) -> None:
+        before = os.lseek(descriptor, 0, os.SEEK_CUR)
+        try:
+            os.lseek(descriptor, _PLACE, os.SEEK_SET)
+            msvcrt.locking(descriptor, mode, 1)
+        finally:
+            os.lseek(descriptor, before, os.SEEK_SET)
+
+    def lock(descriptor: int) -> bool:
+        """Lock a file; False where somebody else has it. Raises `OSError` where the file system knows no locks."""
+        try:
+            _call(descriptor, msvcrt.LK_NBLCK)
+        except PermissionError:
+            return False
+        return True
+
+    def unlock(descriptor: int) -> None:
+        """Release it before the file is closed."""
+        _call(descriptor, msvcrt.LK_UNLCK)
+
+else:
+    import fcntl
+
+    def lock(descriptor: int) -> bool:
+        """Lock a file; False where somebody else has it. Raises `OSError` where the file system knows no locks."""
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+        return True
+
+    def unlock(descriptor: int) -> None:
+        """Release it before the file is closed."""
+        fcntl.flock(descriptor, fcntl.LOCK_UN)
+
+
+def is_locked(path: str | os.PathLike[str]) -> bool:
+    """Whether somebody has a file locked; on Linux without touching the lock, elsewhere by having it for a moment."""
+    try:
+        if sys.platform == "linux":
+            there = os.stat(path)
+            name = f"{os.major(there.st_dev):02x}:{os.minor(there.st_dev):02x}:{there.st_ino}"
+            with open("/proc/locks") as lines:
+                return any(name in line.split() for line in lines if " FLOCK " in line)
+        else:
+            with open(path, "rb") as file:
+                return not lock(file.fileno())
+    except OSError:
+        return False

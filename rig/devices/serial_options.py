@@ -1,0 +1,49 @@
+"""What the URL of a serial port says, and what such a line carries."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from typing import Self
+
+from rig.core.errors import ConfigError
+from rig.devices.device import DeviceUrl
+from rig.devices.port_facts import ports_in_words
+
+DEFAULT_BAUD = 921_600
+OPTIONS = ("baud", "dtr")
+
+
+@dataclass(frozen=True, slots=True)
+class SerialOptions:
+    """Bits per second, and whether DTR and RTS are asserted."""
+
+    baud: int
+    dtr: bool
+
+    @classmethod
+    def of(cls, url: DeviceUrl) -> Self:
+        """Read ``serial:///dev/ttyACM0?baud=921600&dtr=on``; raises `ConfigError`."""
+        url.allow(OPTIONS)
+        text = url.options.get("baud", str(DEFAULT_BAUD))
+        if not text.isdecimal() or not 300 <= int(text) <= 20_000_000:
+            raise ConfigError(
+                f"{url.text}: baud = {text!r} is not a baud rate",
+                remedy="give bits per second, 300 to 20000000",
+            )
+        dtr = url.choice("dtr", ("on", "off"), "on")
+        if not url.place:
+            raise ConfigError(
+                f"{url.text}: no port", remedy=f"name one, like serial:///dev/ttyACM0. {ports_in_words()}"
+            )
+        return cls(int(text), dtr == "on")
+
+
+def capacity(port: str, baud: int) -> float | None:
+    """Bytes per second each way; a pseudo-terminal and a USB CDC port do not care for the baud rate."""
+    real = os.path.realpath(port)
+    if real.startswith("/dev/pts/") or os.path.basename(real).startswith(
+        ("ttyACM", "cu.usbmodem", "tty.usbmodem")
+    ):
+        return None
+    return baud / 10.0

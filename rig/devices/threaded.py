@@ -1,0 +1,148 @@
+"""A line that a thread of Python reads, and whose plugs are callbacks: for what compiled code cannot reach by itself.
+
+The contracts are those of `rig.realtime.system.descriptor_read`, `descriptor_write` and `descriptor_wait`. The price is
+another: thread and plugs need the GIL, so a busy interpreter delays a loop by milliseconds, which the ledger shows.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+from rig.realtime.plugs import TRANSFER_SIGNATURE, WAIT_SIGNATURE, NativeFunction
+
+WAIT_S = 0.05  # of one call of the reader: how soon it sees that it shall end
+CLOSE_S = 2.0
+PENDING_BYTES = 65536
+_TRANSFER = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_int64, ctypes.c_int64)
+_WAIT = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_int64)
+
+
+class ThreadedLine:
+    """What moves the bytes is a subclass's: `receive` and `send`. It calls `start` when it is made.
+
+    Errors are bare `OSError` with the numbers of `rig.devices.failures`.
+    """
+
+    def __init__(self) -> None:
+        self._pending = bytearray()
+        self._error = 0
+        self._closing = False
+        self._changed = threading.Condition()
+        self._plugs: tuple[Any, Any, Any, int] | None = None
+        self._reader = threading.Thread(target=self._fetch, name="rig-reader", daemon=True)
+
+    def start(self) -> None:
+        """Begin to read."""
+        self._reader.start()
+
+    def receive(self) -> bytes:
+        """Return what has arrived, after `WAIT_S` at most; raises `OSError`."""
+        raise NotImplementedError
+
+    def send(self, data: bytes) -> int:
+        """Write once, and return how many bytes were taken; raises `OSError` where none are for long."""
+        raise NotImplementedError
+
+    def _fetch(self) -> None:
+        """Read until closed or broken."""
+        while not self._closing:
+            data, error = b"", 0
+            try:
+                data = self.receive()
+            except OSError as failed:
+                error = failed.errno or errno.EIO
+            if not (data or error):
+                continue
+            with self._changed:
+                while len(self._pending) > PENDING_BYTES and not self._closing:
+                    self._changed.wait(WAIT_S)
+                self._pending += data
+                self._error = error
+                self._changed.notify_all()
+            if error:
+                return
+
+    def _ready(self, timeout_s: float) -> int:
+        """Wait for bytes: 1, 0 at the time-out, negative errno."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._pending or self._error, max(0.0, timeout_s))
+            return 1 if self._pending else -self._error
+
+    def _take(self, size: int) -> bytes:
+        with self._changed:
+            data = bytes(self._pending[:size])
+            del self._pending[:size]
+            self._changed.notify_all()
+        return data
+
+    def read(self, timeout_s: float) -> bytes:
+        """Return what has arrived, waiting at most `timeout_s` for the first byte."""
+        ready = self._ready(timeout_s)
+        if ready < 0:
+            raise OSError(-ready, "read")
+        return self._take(PENDING_BYTES)
+
+    def write(self, data: bytes) -> None:
+        """Give all of `data` to the device."""
+        while data:
+            data = data[self.send(data) :]
+
+    def plugs(self) -> tuple[Any, Any, Any, int]:
+        """Return read, write, wait and their handle (`rig.devices.port.LoopPort`)."""
+
+        def native(kind: Any, function: Callable[..., int], signature: Any) -> Any:
+            callback = kind(_guarded(function))
+            return NativeFunction(ctypes.cast(callback, ctypes.c_void_p).value or 0, signature, keep=callback)
+
+        if self._plugs is None:
+            self._plugs = (
+                native(_TRANSFER, self._plug_read, TRANSFER_SIGNATURE),
+                native(_TRANSFER, self._plug_write, TRANSFER_SIGNATURE),
+                native(_WAIT, self._plug_wait, WAIT_SIGNATURE),
+                0,
+            )
+        return self._plugs
+
+    def _plug_read(self, handle: int, address: int, size: int) -> int:
+        ready = self._ready(0.0)
+        if ready <= 0:
+            return ready
+        data = self._take(size)
+        ctypes.memmove(address, data, len(data))
+        return len(data)
+
+    def _plug_write(self, handle: int, address: int, size: int) -> int:
+        return self.send(ctypes.string_at(address, size)) if size > 0 else 0
+
+    def _plug_wait(self, handle: int, deadline_ns: int) -> int:
+        while True:
+            remaining_ns = deadline_ns - time.perf_counter_ns()
+            ready = self._ready(remaining_ns * 1e-9)
+            if ready or remaining_ns <= 0:
+                return ready
+
+    def close(self) -> None:
+        """End the reader; may be called twice."""
+        self._closing = True
+        with self._changed:
+            self._changed.notify_all()
+        self._reader.join(CLOSE_S)
+
+
+def _guarded(function: Callable[..., int]) -> Callable[..., int]:
+    """Wrap a callback so that nothing escapes into compiled code: what goes wrong becomes a negative errno."""
+
+    def call(*arguments: int) -> int:
+        try:
+            return function(*arguments)
+        except OSError as error:
+            return -(error.errno or errno.EIO)
+        except Exception:
+            return -errno.EIO
+
+    return call

@@ -1,0 +1,113 @@
+"""Memory of a running loop on Linux: an anonymous file, found among the open files of its process.
+
+It lives as long as a process has it open or mapped, so nothing is left behind, and there is no registry that could be
+wrong. It cannot be resized, so that nobody's access can fault.
+"""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import os
+import sys
+from collections.abc import Iterator
+
+assert sys.platform == "linux"
+
+NAME = "haptic-rig"
+LINK = f"/memfd:{NAME} (deleted)"
+_PROC = "/proc"
+_SEALS = fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW
+_MFD_NOEXEC_SEAL = 0x8  # Linux 6.3
+
+
+def make(size: int) -> int:
+    """Zeroed bytes, all allocated at once (later a lack of memory could not be reported): their descriptor."""
+    descriptor = _memfd()
+    try:
+        os.posix_fallocate(descriptor, 0, size)
+        fcntl.fcntl(descriptor, fcntl.F_ADD_SEALS, _SEALS)
+    except OSError:
+        os.close(descriptor)
+        raise
+    return descriptor
+
+
+def _memfd() -> int:
+    """An anonymous file, not executable: newer kernels require the flag, older ones do not know it."""
+    flags = os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING
+    try:
+        return os.memfd_create(NAME, flags | _MFD_NOEXEC_SEAL)
+    except OSError as error:
+        if error.errno != errno.EINVAL:
+            raise
+        return os.memfd_create(NAME, flags)
+
+
+def close(descriptor: int) -> None:
+    """Let go of what `make` made."""
+    os.close(descriptor)
+
+
+def is_sound(descriptor: int) -> bool:
+    """Whether what was opened cannot shrink under its reader."""
+    return bool(fcntl.fcntl(descriptor, fcntl.F_GET_SEALS) & fcntl.F_SEAL_SHRINK)
+
+
+def is_memory(path: str) -> bool:
+    """Whether a path of an open file leads to such a memory."""
+    try:
+        return os.readlink(path) == LINK
+    except OSError:
+        return False
+
+
+def paths(pid: int | None = None) -> Iterator[tuple[int, str]]:
+    """Each memory as a process has it open, ``/proc/PID/fd/N``, with that process: of all, or of one."""
+    for process in os.listdir(_PROC) if pid is None else [str(pid)]:
+        if not process.isdecimal():
+            continue
+        try:
+            found = [f"{_PROC}/{process}/fd/{name}" for name in os.listdir(f"{_PROC}/{process}/fd")]
+        except OSError:  # the process ended, or is somebody else's
+            continue
+        yield from ((int(process), path) for path in found if is_memory(path))
+
+
+def held(path: str, descriptor: int) -> str:
+    """Where this process has what it opened at a path, though the other may have gone meanwhile."""
+    return f"{_PROC}/self/fd/{descriptor}"
+
+
+def is_process(pid: int, creator: int) -> bool:
+    """Whether a process calls itself so: in a container it has another number, and the kernel knows both."""
+    if creator == pid:
+        return True
+    with open(f"{_PROC}/{pid}/status", encoding="ascii", errors="replace") as status:
+        for line in status:
+            if line.startswith("NSpid:"):
+                return creator in [int(number) for number in line.split()[1:]]
+    return False
+
+
+def may_look(pid: int) -> bool:
+    """Whether this user may see what a process has open; raises `ProcessLookupError` where there is none."""
+    try:
+        os.listdir(f"{_PROC}/{pid}/fd")
+    except PermissionError:
+        return False
+    except OSError:
+        raise ProcessLookupError from None
+    return True
+
+
+def command_lines() -> Iterator[tuple[int, list[bytes]]]:
+    """Processes that this user may not look into, with their command lines."""
+    for name in os.listdir(_PROC):
+        if name.isdecimal() and not os.access(f"{_PROC}/{name}/fd", os.R_OK | os.X_OK):
+            try:
+                with open(f"{_PROC}/{name}/cmdline", "rb") as file:
+                    words = file.read().split(b"\0")
+            except OSError:
+                continue
+            yield int(name), words

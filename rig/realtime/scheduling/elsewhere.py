@@ -1,0 +1,51 @@
+"""Scheduling where the system is not Linux: none. A law in real time runs on a board there, which needs none."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from rig.core.errors import RealtimeError
+from rig.realtime.scheduling.request import Request
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+class Realtime:
+    """What a run asked for: nothing is refused, because nothing is asked of the system."""
+
+    def __init__(self, host: Request, *, virtual: bool) -> None:
+        self.messages: list[str] = []
+        asked = {"realtime": host.realtime, "priority": host.priority, "cpu": host.cpu}
+        self.report: dict[str, Any] = (
+            {} if virtual else {"asked": asked, "refusals": [], "machine": {"kernel": platform.platform()}}
+        )
+
+    def enter_thread(self) -> None:
+        """Leave the calling thread as it is."""
+
+    def leave_thread(self) -> None:
+        """Nothing to undo."""
+
+    def prefault(self, *arrays: NDArray[Any]) -> None:
+        """Leave pages to their first use."""
+
+
+@contextmanager
+def obtained(host: Request, *, virtual: bool = False) -> Iterator[Realtime]:
+    """As on Linux (`rig.realtime.scheduling.realtime.obtained`), with nothing obtained.
+
+    Raises
+    ------
+    RealtimeError
+        ``realtime = "enforce"``.
+    """
+    if host.realtime == "enforce" and not virtual:
+        raise RealtimeError(
+            'host.realtime = "enforce", and only Linux schedules in real time',
+            remedy='set host.realtime = "try": the board that runs the law keeps the time',
+        )
+    yield Realtime(host, virtual=virtual)

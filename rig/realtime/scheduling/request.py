@@ -1,0 +1,24 @@
+"""What a run asks of the system's scheduling."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+
+class Request(Protocol):
+    """What is requested; `rig.config.sections.Host` explains each."""
+
+    @property
+    def realtime(self) -> str:
+        """Return enforce, try or off."""
+        ...
+
+    @property
+    def priority(self) -> int:
+        """Return the priority under SCHED_FIFO."""
+        ...
+
+    @property
+    def cpu(self) -> int | None:
+        """Return the processor, None for any."""
+        ...

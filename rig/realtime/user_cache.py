@@ -1,0 +1,20 @@
+"""Where a user's caches are on this system. Of the modules that an interpreter has loaded anyway: see `memories`."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+
+def user_cache() -> str:
+    """Directory of this user's caches, which need not exist.
+
+    ``%LOCALAPPDATA%`` on Windows, ``~/Library/Caches`` on macOS, else ``$XDG_CACHE_HOME`` or ``~/.cache``.
+    """
+    home = os.path.expanduser("~")
+    if sys.platform == "win32":
+        return os.environ.get("LOCALAPPDATA") or os.path.join(home, "AppData", "Local")
+    elif sys.platform == "darwin":
+        return os.path.join(home, "Library", "Caches")
+    else:
+        return os.environ.get("XDG_CACHE_HOME") or os.path.join(home, ".cache")

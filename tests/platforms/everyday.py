@@ -1,0 +1,106 @@
+"""What people do, in one process: ``python -m tests.platforms.everyday win32`` in an empty directory.
+
+On an emulated system (`emulated`), or with ``here`` on this one. Prints one line of JSON for each command (its words,
+its exit code, what it printed and complained of) and ends with 1 where one did not do what it does on that system.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from contextlib import redirect_stderr, redirect_stdout
+from io import StringIO
+from pathlib import Path
+
+from tests.platforms.emulated import emulate
+
+SHORT = ("--set", "trial.duration_s=0.6", "--no-plot")
+MAP = (
+    "--scheme",
+    "dual:20k/2k",
+    "--search",
+    "bisection",
+    "--ratio",
+    "2",
+    "-B",
+    "0.3",
+    "--offsets",
+    "0.1",
+    "--no-plot",
+)
+ON_THE_BOARD = ("--rig", "koul-rigid", "--loop", "device", "--rate", "5k/500", "-K60", "-B0.05", *SHORT)
+LINUX_ALONE = "needs Linux to run in real time"
+
+
+def main(platform: str) -> int:
+    """Do it all there. The emulated Windows has no C compiler, and does the rest too; macOS is for what differs."""
+    _preload()
+    if platform == "here":
+        platform = sys.platform
+    else:
+        emulate(platform)
+        if platform == "win32":
+            os.environ["PATH"] = ""
+    from rig import cli  # noqa: PLC0415
+
+    wrong = 0
+
+    def run(*words: str, refused: str = "") -> None:
+        nonlocal wrong
+        said, complained = StringIO(), StringIO()
+        with redirect_stdout(said), redirect_stderr(complained):
+            code = cli.run(list(words))
+        told = {"words": words, "code": code, "said": said.getvalue(), "complained": complained.getvalue()}
+        print(json.dumps(told), flush=True)
+        right = code == (2 if refused else 0) and refused in complained.getvalue()
+        wrong += not right or "Traceback" in complained.getvalue()
+
+    run("hit", *SHORT)
+    run("zwidth", *MAP)
+    run("session", "new", "study.toml")
+    study = Path("study.toml")
+    study.write_text(study.read_text().replace("hits = 30", "hits = 3"))
+    run("session", "run", "study.toml", "P01", "--rehearse", "--json")
+    run("hit", *ON_THE_BOARD, refused="" if _has_compiler() else "there is no C compiler")
+    if platform != "linux":
+        run("hit", *SHORT, "--realtime", refused=LINUX_ALONE)
+    if platform != "darwin":
+        (recording,) = map(str, Path("recordings").glob("koul-compliant*.parquet"))
+        run("show", recording, "--json")
+        run("replay", recording, "--estimator", "fdm", "--json")
+        run("export", recording, "hit.csv")
+        run("recover", "recordings")
+        run("theory", "--no-plot")
+        run("session", "analyse", "rehearsals/first-steps")
+        run("devices")
+        run("doctor")
+        run("stop")
+    if platform == "win32":
+        run("session", "run", "study.toml", "P02", refused=LINUX_ALONE)
+        run("sim", "serve", refused=LINUX_ALONE)
+    return 1 if wrong else 0
+
+
+def _has_compiler() -> bool:
+    from rig.core.errors import ConfigError  # noqa: PLC0415
+    from sim_backend.firmware_library import compiler  # noqa: PLC0415
+
+    try:
+        return bool(compiler())
+    except ConfigError:
+        return False
+
+
+def _preload() -> None:
+    """Third parties look at the system when they are imported, and theirs is the true one."""
+    import ctypes.util  # noqa: F401, PLC0415
+    import multiprocessing.spawn  # noqa: F401, PLC0415
+
+    import click.testing  # noqa: F401, PLC0415
+    import numba.np.linalg  # noqa: F401, PLC0415
+    import serial.tools.list_ports  # noqa: F401, PLC0415
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1]))

@@ -1,0 +1,99 @@
+"""Windows and macOS as `emulated` plays them: what works off Linux works there to the end, and what does not says so.
+
+What this cannot show stands in README.md, "On other systems".
+"""
+
+from __future__ import annotations
+
+import builtins
+import mmap
+import os
+import subprocess
+import sys
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import numba
+import pyarrow.parquet as pq
+import pytest
+
+from tests.conformance.started import started
+from tests.platforms import emulated
+
+ROOT = Path(__file__).parents[2]
+ENVIRONMENT = {**{name: value for name, value in os.environ.items() if name != "CC"}, "PYTHONPATH": str(ROOT)}
+WAIT_S = 110.0
+
+
+@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="a trial without the compiler takes minutes")
+def test_what_people_do_off_linux_runs_to_the_end_and_alike(tmp_path: Path) -> None:
+    """Rows to the last bit, of the compiled device where there is no C compiler, and of the firmware."""
+    with ExitStack() as stack:
+        processes = {}
+        for platform in ("win32", "darwin"):
+            (tmp_path / platform).mkdir()
+            words = (sys.executable, "-m", "tests.platforms.everyday", platform)
+            options = {"cwd": tmp_path / platform, "env": ENVIRONMENT, "text": True}
+            pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+            processes[platform] = stack.enter_context(started(*words, **options, **pipes))
+        told = {platform: process.communicate(timeout=WAIT_S)[0] for platform, process in processes.items()}
+    assert {platform: process.returncode for platform, process in processes.items()} == dict.fromkeys(
+        told, 0
+    ), told
+    rows = [
+        pq.read_table(*(tmp_path / platform).glob("recordings/koul-compliant*.parquet")) for platform in told
+    ]
+    assert rows[0].equals(rows[1])
+
+
+def test_a_file_that_is_open_or_mapped_stays_on_windows(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    path.write_bytes(b"data")
+    unlink, replace = (emulated.unless_open(call) for call in (os.unlink, os.replace))
+    with open(path, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ):
+        file.close()
+        for call, more in ((unlink, ()), (replace, (tmp_path / "other",))):
+            with pytest.raises(PermissionError):
+                call(path, *more)
+    replace(path, tmp_path / "other")
+    unlink(tmp_path / "other")
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_emulation_hides_what_it_says_from_our_packages_and_from_nobody_else(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(builtins, "__import__", emulated.import_of("win32", builtins.__import__))
+    ours = {"__name__": "rig.core.made_up"}
+    theirs = {"__name__": "numpy.made_up"}
+    exec("import os, sys, time", ours)
+    exec("import os, sys, fcntl", theirs)
+    assert (ours["sys"].platform, theirs["sys"].platform) == ("win32", "linux")
+    assert not hasattr(ours["os"], "getuid")
+    assert not hasattr(ours["time"], "CLOCK_MONOTONIC")
+    with pytest.raises(ModuleNotFoundError):
+        exec("import fcntl", ours)
+    with pytest.raises(TypeError):
+        exec("import ctypes; ctypes.CDLL(None)", ours)
+
+
+def test_locks_of_windows_lie_behind_all_data_and_keep_a_second_writer_out(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(builtins, "__import__", emulated.import_of("win32", builtins.__import__))
+    place = ROOT / "rig" / "core" / "locks.py"
+    locks: dict[str, Any] = {"__name__": "rig.core.locks"}
+    exec(compile(place.read_text(), str(place), "exec"), locks)
+    assert "msvcrt" in locks
+    path = tmp_path / "file"
+    path.write_bytes(b"some data")
+    with open(path, "rb+") as first, open(path, "rb") as second:
+        first.seek(4)
+        assert locks["lock"](first.fileno())
+        assert first.tell() == 4
+        assert not locks["lock"](second.fileno())
+        assert second.read() == b"some data"
+        assert locks["is_locked"](path)
+        locks["unlock"](first.fileno())
+        assert not locks["is_locked"](path)

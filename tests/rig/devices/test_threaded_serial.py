@@ -1,0 +1,261 @@
+"""The serial link of the other systems, on pseudo-terminals here: the same contract, and a board that runs the law."""
+
+from __future__ import annotations
+
+import errno
+import os
+import pty
+import threading
+import tty
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from queue import Queue
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import serial
+
+from firmware_protocol import messages as m
+from firmware_protocol.faults import LimitFlag
+from firmware_protocol.framing import decode_frame
+from firmware_protocol.packing import unpack
+from rig import config, devices
+from rig.config import Experiment, experiment_from_mapping, presets
+from rig.core import this_system
+from rig.core.errors import ConfigError, DeviceNotFoundError, LinkLostError, PlanError, StoppedError
+from rig.core.sample import Phase
+from rig.devices import threaded_serial
+from rig.devices.device import DeviceUrl
+from rig.devices.framed import STOP_FRAMES
+from rig.devices.threaded_serial import ThreadedSerialLink, open_link
+from rig.experiments.hit import HitRequest, hit
+from rig.recording.reader import open_recording
+from sim_backend import pty as served
+from tests.conformance.device import check_device
+from tests.conformance.firmware import need_compiler
+from tests.conformance.link import check_link
+from tests.conformance.rigs import rotary_rig
+from tests.conformance.tolerance import tolerated
+
+WAIT_S = 20.0
+SLACK_S = 5.0  # of a loaded machine
+RATE_HZ = 5000
+
+
+def opened(path: str, query: str = "") -> ThreadedSerialLink:
+    return open_link(DeviceUrl.parse(f"serial://{path}{query}"))
+
+
+class Line:
+    """A pseudo-terminal: the device's end as a descriptor, the host's by name."""
+
+    def __init__(self) -> None:
+        self.device, host = pty.openpty()
+        tty.setraw(host)
+        self.path = os.ttyname(host)
+        os.close(host)
+
+    def unplug(self) -> None:
+        device, self.device = self.device, -1
+        if device >= 0:
+            os.close(device)
+
+
+@pytest.fixture
+def line() -> Iterator[Line]:
+    made = Line()
+    yield made
+    made.unplug()
+
+
+@pytest.fixture
+def board() -> Iterator[Callable[..., str]]:
+    """Serves rigs, each behind a pseudo-terminal; gives its path."""
+    stop = threading.Event()
+    threads: list[threading.Thread] = []
+
+    def serve(model: Any = None, **options: Any) -> str:
+        announced: Queue[str] = Queue()
+        given = {"stop_event": stop, "announce": announced.put, **options}
+        threads.append(threading.Thread(target=served.serve, args=(model or rotary_rig(),), kwargs=given))
+        threads[-1].start()
+        return announced.get(timeout=WAIT_S)
+
+    yield serve
+    stop.set()
+    for thread in threads:
+        thread.join(WAIT_S)
+
+
+def test_it_conforms_as_a_link_and_the_rig_behind_it_as_a_device(board: Any, line: Line) -> None:
+    path = board()
+    check_link(lambda: opened(path), lambda: opened(line.path), slack_s=SLACK_S)
+    check_device(lambda: opened(path), starts_in_boot=False)
+
+
+def test_bytes_pass_both_ways_unchanged(line: Line) -> None:
+    every = bytes(range(256))
+    link = opened(line.path)
+    link.write(every)
+    assert os.read(line.device, 1000) == every
+    os.write(line.device, every)
+    got = link.read(SLACK_S)
+    while len(got) < len(every):
+        got += link.read(SLACK_S)
+    assert got == every
+    link.close()
+
+
+def test_an_unplugged_port_is_told_and_closes(line: Line) -> None:
+    link = opened(line.path)
+    line.unplug()
+    with pytest.raises(LinkLostError, match="unplugged"):
+        link.read(SLACK_S)
+    with pytest.raises(LinkLostError):
+        link.write(b"x")
+    link.close()
+    with pytest.raises(LinkLostError, match="closed"):
+        link.write(b"x")
+
+
+def test_a_line_that_takes_nothing_ends_a_write_within_its_time(line: Line) -> None:
+    link = opened(line.path)
+    with pytest.raises(LinkLostError, match="takes no more"):
+        link.write(b"x" * 100_000)
+    link.close()
+
+
+def test_what_does_not_open_is_one_error_with_its_remedy(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
+    first = opened(line.path)
+    with pytest.raises(DeviceNotFoundError, match="in use by another program"):
+        opened(line.path)
+    first.close()
+    with pytest.raises(DeviceNotFoundError, match="there is no port /dev/nothere"):
+        opened("/dev/nothere")
+    with pytest.raises(ConfigError, match="baud"):
+        opened(line.path, "?baud=fast")
+    for text, told in (  # as pyserial words it on Windows
+        ("could not open port 'COM7': FileNotFoundError(2, …)", "there is no port"),
+        ("could not open port 'COM3': PermissionError(13, …)", "in use"),
+        ("Cannot configure port, something went wrong", "does not open"),
+    ):
+        with monkeypatch.context() as patched:
+
+            def refuse(port: Any, text: str = text) -> None:
+                raise serial.SerialException(text)
+
+            patched.setattr(serial.Serial, "open", refuse)
+            with pytest.raises(DeviceNotFoundError, match=told):
+                opened("COM3")
+
+
+def test_dtr_and_rts_are_set_before_the_port_opens(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
+    at_opening: list[tuple[bool, bool]] = []
+    true_open = serial.Serial.open
+
+    def watched(port: Any) -> None:
+        at_opening.append((port.dtr, port.rts))
+        true_open(port)
+
+    monkeypatch.setattr(serial.Serial, "open", watched)
+    for query, asserted in (("", True), ("?dtr=off", False)):
+        opened(line.path, query).close()
+        assert at_opening.pop() == (asserted, asserted)
+
+
+def test_what_pyserial_says_without_a_number_is_an_unplugged_port(
+    line: Line, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    link = opened(line.path)
+
+    def gone(port: Any, data: bytes) -> int:
+        raise serial.SerialException("WriteFile failed (PermissionError(13, …))")
+
+    monkeypatch.setattr(serial.Serial, "write", gone)
+    with pytest.raises(LinkLostError, match="unplugged") as caught:
+        link.write(b"x")
+    assert caught.value.__cause__.errno == errno.ENODEV  # type: ignore[union-attr]
+    link.close()
+
+
+# ---------------------------------------------------------------------- the law on the board
+
+
+def on_the_board(lifetime_s: float) -> Experiment:
+    changes = {
+        "controller.loop": "device",
+        "controller.position_rate": RATE_HZ,
+        "controller.velocity_rate": RATE_HZ // 10,
+        "controller.supervise_lifetime_s": lifetime_s,
+        "wall.stiffness": 60.0,
+        "wall.damping": 0.05,
+        "trial.duration_s": 0.6,
+    }
+    return config.override(presets.load("koul-rigid"), changes)
+
+
+def test_a_law_on_the_board_runs_through_it_and_a_stop_is_sent_not_awaited(
+    board: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """With the longest lifetime, in which a board that hears nothing would go on: STOP goes out at once, and again."""
+    need_compiler()
+    monkeypatch.setitem(devices.BUILT_IN, "serial", "rig.devices.threaded_serial:open_link")
+    sent: list[bytes] = []
+    true_send = threaded_serial._Line.send
+    monkeypatch.setattr(
+        threaded_serial._Line, "send", lambda line, data: (sent.append(data), true_send(line, data))[1]
+    )
+    experiment = on_the_board(0.1)
+    url = f"serial://{board(config.rig_model(experiment), rate=RATE_HZ, firmware=True)}"
+    request = HitRequest(experiment=experiment, url=url, output=tmp_path, realtime=True)
+
+    def stop_it(ticks: int, phase: int) -> None:
+        if phase == Phase.TRIAL:
+            raise StoppedError("enough")
+
+    try:
+        (result,) = hit(request)
+        sent.clear()
+        with pytest.raises(StoppedError) as caught:
+            list(hit(request, lambda repeat, running: stop_it))
+    except LinkLostError as error:
+        return tolerated(error)
+    assert result.verdict.kind == "stable"
+    assert result.experiment.controller.supervise_lifetime_s == 0.1
+    recording = open_recording(caught.value.recording)  # type: ignore[arg-type]
+    assert recording.trailer["fault"] is None
+    assert not (recording.column("limits") & LimitFlag.RAMPING).any()
+    modes = [one.mode for one in frames_of(b"".join(sent)) if isinstance(one, m.Command)]
+    stops = modes.index(m.Mode.STOP)
+    assert set(modes[:stops]) == {m.Mode.SUPERVISE}
+    assert set(modes[stops:]) == {m.Mode.STOP}
+    assert len(modes) - stops >= STOP_FRAMES
+
+
+def test_a_law_of_this_computer_is_refused_off_linux_before_anything_moves(
+    board: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setitem(devices.BUILT_IN, "serial", "rig.devices.threaded_serial:open_link")
+    monkeypatch.setattr(this_system, "sys", SimpleNamespace(platform="darwin"))
+    experiment = presets.load("koul-rigid")
+    url = f"serial://{board(config.rig_model(experiment))}"
+    with pytest.raises(PlanError) as caught:
+        list(hit(HitRequest(experiment=experiment, url=url, output=tmp_path)))
+    assert str(caught.value) == (
+        'controller.loop = "host" needs Linux to run in real time; let the board run the law: set '
+        'controller.loop = "device"'
+    )
+    assert not list(tmp_path.iterdir())
+
+
+def frames_of(data: bytes) -> list[object]:
+    return [unpack(decode_frame(frame))[1] for frame in data.split(b"\0") if frame]
+
+
+def test_the_lifetime_has_a_range_and_a_remedy_where_a_link_is_too_slow_for_it() -> None:
+    with pytest.raises(ConfigError, match=r"supervise_lifetime_s.*0\.2") as caught:
+        on_the_board(0.2)
+    assert "0.1" in str(caught.value)
+    plain = config.as_mapping(on_the_board(0.1))
+    assert experiment_from_mapping(plain, "again").controller.supervise_lifetime_s == 0.1

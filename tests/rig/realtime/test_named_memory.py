@@ -1,0 +1,106 @@
+"""The memory of a running loop off Linux, as files: found, stopped and written to by others, and cleared away."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numba
+import pytest
+
+from rig.core.errors import ConfigError, RigError
+from rig.realtime import memories, named_memory, ring, running
+from rig.realtime.ring import STOP, Ring
+from tests.conformance.started import started
+
+pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="atomic words need the compiler")
+
+WAIT_S = 30.0
+LOOP = """
+import sys, time
+from rig.realtime import memories, named_memory, ring, running
+memories.place = ring.place = running.place = named_memory
+named_memory.user_cache = lambda: sys.argv[1]
+block = ring.Ring.allocate(100, info={"url": "serial://COM3"}, shared=True)
+print("there", flush=True)
+while block.peek(ring.STOP) == 0:
+    time.sleep(0.01)
+block.put(ring.LOOP_DONE, 1)
+time.sleep(1e3)
+"""
+
+
+@pytest.fixture
+def elsewhere(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Path]:
+    """Be on a system whose memories are files, in a cache of the test's own."""
+    for module in (memories, ring, running):
+        monkeypatch.setattr(module, "place", named_memory)
+    monkeypatch.setattr(named_memory, "user_cache", lambda: str(tmp_path))
+    monkeypatch.setattr(named_memory, "_alive", {})
+    yield tmp_path / "haptic-rig" / "loops"
+    for lock in named_memory._alive.values():
+        lock.close()
+
+
+def loop_in(cache: Path) -> Any:
+    return started(sys.executable, "-c", LOOP, str(cache), stdout=subprocess.PIPE, text=True)
+
+
+def test_a_loop_is_found_changed_and_stopped_by_another_process_and_forgotten_when_it_dies(
+    elsewhere: Path,
+) -> None:
+    with loop_in(elsewhere.parents[1]) as process:
+        assert process.stdout.readline() == "there\n"
+        loop = running.the_loop()
+        assert (loop.pid, loop.info["url"], loop.stopping) == (process.pid, "serial://COM3", False)
+        with running.opened(loop) as block:
+            assert [block.post([1.0]), block.post([2.0])] == [1, 2]
+        assert [one.ended for one in running.stop(process.pid, patience_s=WAIT_S)] == [True]
+        assert running.running() == []
+        assert [one.pid for one in running.running(done=True)] == [process.pid]
+        process.kill()
+        process.wait()
+        assert running.running(done=True) == []
+        assert (elsewhere / str(process.pid)).exists()  # nobody was there to take it away
+    with Ring.allocate(10, shared=True) as mine:
+        assert sorted(os.listdir(elsewhere)) == sorted([str(os.getpid()), "lock"])
+        assert [loop.pid for loop in running.running()] == [os.getpid()]
+        assert running.ask_to_stop(os.getpid()) == 1
+        assert mine.peek(STOP) == 1
+    assert os.listdir(elsewhere / str(os.getpid())) == [named_memory.ALIVE]
+    with pytest.raises(ConfigError, match="no process"):
+        running.stop(process.pid)
+
+
+def test_what_is_no_such_memory_and_a_disk_without_room_are_refused(
+    elsewhere: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    other = tmp_path / "1"
+    other.write_bytes(bytes(4096))
+    with pytest.raises(RigError, match="not the memory of a running loop"):
+        Ring.attach(str(other))
+
+    def full(descriptor: int, data: bytes) -> int:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(named_memory.os, "write", full)
+    with pytest.raises(RigError, match="No space left"):
+        Ring.allocate(10, shared=True)
+    assert os.listdir(elsewhere / str(os.getpid())) == [named_memory.ALIVE]
+
+
+def test_two_that_begin_at_once_wait_for_each_other_and_no_longer_than_bearable(
+    elsewhere: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(named_memory, "_PATIENCE_S", 0.05)
+    elsewhere.mkdir(parents=True)
+    with open(elsewhere / "lock", "ab") as held:
+        assert named_memory.locks.lock(held.fileno())
+        begun = time.monotonic()
+        Ring.allocate(10, shared=True).close()
+        assert time.monotonic() - begun >= 0.05
