@@ -149,6 +149,9 @@ def test_the_scope_pauses_zooms_triggers_and_saves(console_page: Any, tmp_path: 
     until(page, f"{SCOPE}.triggered > 0")
     page.get_by_role("button", name="Effort over penetration").click()
     page.locator("canvas.plane").wait_for()
+    with page.expect_download() as saved:
+        page.get_by_label("save").select_option("svg")
+    assert b"ideal spring" in Path(saved.value.path()).read_bytes(), "what is seen"
 
 
 def stop_by_mouse(page: Any, console: Any) -> None:
