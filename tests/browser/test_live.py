@@ -205,6 +205,24 @@ def test_two_pages_one_operator_and_names_as_text(console: Any, open_page: Any, 
     assert one.evaluate("window.hit") is None
 
 
+def test_what_is_consented_to_at_the_terminal_stands_on_the_page(terminal: Any, open_page: Any) -> None:
+    console, person = terminal
+    page = open_page(console.url)
+    page.get_by_label("Device", exact=True).fill("serial:///dev/no-such-rig")
+    page.get_by_role("button", name="Automatic hit").click()
+    asked = page.locator("#consent")
+    asked.wait_for()
+    lines = asked.locator("li").all_inner_texts()
+    assert lines[0] == "serial:///dev/no-such-rig for a hit on koul-compliant"
+    assert lines[-1].startswith("experiment ")
+    os.write(person, b"\n")
+    page.locator("#notice", has_text="is not armed").wait_for()
+    assert asked.is_hidden()
+    console.terminate()
+    told = console.stdout.read()
+    assert all(line in told for line in lines), told
+
+
 def test_keyboard_alone_moves_the_handle(console_page: Any) -> None:
     page = console_page
     page.get_by_role("button", name="Drag the handle").focus()
