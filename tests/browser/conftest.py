@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import os
+import pty
 import shutil
 import signal
 import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -35,18 +37,37 @@ def chromium() -> Iterator[Any]:
         browser.close()
 
 
-@pytest.fixture
-def console(tmp_path: Path) -> Iterator[Any]:
-    """A console as a process, which writes into `tmp_path / "recordings"`; its URL is `url`."""
-    command = (sys.executable, "-P", "-m", "rig", "console", "--own", "--json", "-o", tmp_path / "recordings")
+@contextmanager
+def started_console(place: Path, **streams: Any) -> Iterator[Any]:
+    """A console as a process, which writes into the directory ``recordings`` of a place; its URL is `url`."""
+    command = (sys.executable, "-P", "-m", "rig", "console", "--own", "--json", "-o", place / "recordings")
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    with started(*command, cwd=tmp_path, text=True, stdout=-1, env=environment) as process:
+    with started(*command, cwd=place, text=True, stdout=-1, env=environment, **streams) as process:
         assert process.stdout is not None
         process.url = json.loads(process.stdout.readline())["url"]
         yield process
         process.send_signal(signal.SIGCONT)
         process.terminate()
         process.wait(30.0)  # it ends what it started
+
+
+@pytest.fixture
+def console(tmp_path: Path) -> Iterator[Any]:
+    """A console in no terminal."""
+    with started_console(tmp_path) as process:
+        yield process
+
+
+@pytest.fixture
+def terminal(tmp_path: Path) -> Iterator[tuple[Any, int]]:
+    """A console in a terminal, and the descriptor into which its person types."""
+    person, ours = pty.openpty()
+    try:
+        with started_console(tmp_path, stdin=ours) as process:
+            yield process, person
+    finally:
+        os.close(person)
+        os.close(ours)
 
 
 @pytest.fixture

@@ -149,6 +149,9 @@ def test_the_scope_pauses_zooms_triggers_and_saves(console_page: Any, tmp_path: 
     until(page, f"{SCOPE}.triggered > 0")
     page.get_by_role("button", name="Effort over penetration").click()
     page.locator("canvas.plane").wait_for()
+    with page.expect_download() as saved:
+        page.get_by_label("save").select_option("svg")
+    assert b"ideal spring" in Path(saved.value.path()).read_bytes(), "what is seen"
 
 
 def stop_by_mouse(page: Any, console: Any) -> None:
@@ -200,6 +203,24 @@ def test_two_pages_one_operator_and_names_as_text(console: Any, open_page: Any, 
     one.locator("#notice").wait_for()
     assert "<script>" in one.locator("#notice").text_content()
     assert one.evaluate("window.hit") is None
+
+
+def test_what_is_consented_to_at_the_terminal_stands_on_the_page(terminal: Any, open_page: Any) -> None:
+    console, person = terminal
+    page = open_page(console.url)
+    page.get_by_label("Device", exact=True).fill("serial:///dev/no-such-rig")
+    page.get_by_role("button", name="Automatic hit").click()
+    asked = page.locator("#consent")
+    asked.wait_for()
+    lines = asked.locator("li").all_inner_texts()
+    assert lines[0] == "serial:///dev/no-such-rig for a hit on koul-compliant"
+    assert lines[-1].startswith("experiment ")
+    os.write(person, b"\n")
+    page.locator("#notice", has_text="is not armed").wait_for()
+    assert asked.is_hidden()
+    console.terminate()
+    told = console.stdout.read()
+    assert all(line in told for line in lines), told
 
 
 def test_keyboard_alone_moves_the_handle(console_page: Any) -> None:

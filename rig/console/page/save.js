@@ -60,3 +60,12 @@ export function saveSvg(charts, traces, unit, [first, last], name) {
     + `<rect width="100%" height="100%" fill="#ffffff"/>${panels.join("")}</svg>`;
   offer(new Blob([svg], { type: "image/svg+xml" }), `${name}.svg`);
 }
+
+// Effort over penetration, as the scope has laid it out; nothing where there was nothing to show.
+export function savePlaneSvg(plane, { width, height }, name) {
+  if (plane === null) return;
+  const paths = plane.lines.map(([points, key]) => `<polyline fill="none" stroke="${colour(key)}" points="${points.map(([x, y]) => `${x.toFixed(2)},${y.toFixed(2)}`).join(" ")}"/>`);
+  const texts = plane.texts.map(([x, y, text, key]) => `<text x="${x.toFixed(2)}" y="${y.toFixed(2)}" font-family="sans-serif" font-size="12" fill="${colour(key)}">${text}</text>`);
+  const svg = `<svg xmlns="http://www.w3.org/2000/svg" width="${width}" height="${height}"><rect width="100%" height="100%" fill="${colour("paper")}"/>${paths.join("")}${texts.join("")}</svg>`;
+  offer(new Blob([svg], { type: "image/svg+xml" }), `${name}.svg`);
+}

@@ -1,8 +1,8 @@
 // The oscilloscope: charts over time, or effort over penetration; pause, zoom, cursors, trigger; what is seen is saved.
 
-import { NAMES, chartOptions, inside, line, nameSeries, selected, shadeWall, upright } from "./charts.js";
+import { NAMES, chartOptions, inside, nameSeries, selected, shadeWall, upright } from "./charts.js";
 import { cleared, colour, make, written } from "./dom.js";
-import { saveCsv, savePng, saveSvg, savedAs } from "./save.js";
+import { saveCsv, savePlaneSvg, savePng, saveSvg, savedAs } from "./save.js";
 import { Traces } from "./traces.js";
 
 const WINDOWS_S = [0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 60];
@@ -16,6 +16,7 @@ const TRUTH = [
   { title: "position", name: "handle (true)", place: 2, key: "true" },
   { title: "velocity", name: "true", place: 3, key: "true" },
 ];
+const PLANE = { width: 1000, height: 700 }; // as it is saved
 const ALWAYS = ["position", "velocity", "effort_wanted", "effort_sent", "effort_applied", "penetration"];
 
 export class Scope {
@@ -270,37 +271,59 @@ export class Scope {
   // Effort that the wall gives over penetration, and the line that an ideal spring would give.
   #drawPlane(from) {
     const { context, width, height } = cleared(this.canvas);
+    const plane = this.#planeOf(from, width, height);
+    if (plane === null) return;
+    const { place, lines, texts } = plane;
+    context.save();
+    context.beginPath();
+    context.rect(place.left, place.top, place.right - place.left, place.bottom - place.top);
+    context.clip();
+    for (const [points, key] of lines) {
+      context.strokeStyle = colour(key);
+      context.beginPath();
+      points.forEach(([x, y], i) => context[i ? "lineTo" : "moveTo"](x, y));
+      context.stroke();
+    }
+    context.restore();
+    context.font = "12px system-ui";
+    for (const [x, y, text, key] of texts) {
+      context.fillStyle = colour(key);
+      context.fillText(text, x, y);
+    }
+  }
+
+  // What that picture has: its frame, lines and texts, in pixels; null where there is nothing to show.
+  #planeOf(from, width, height) {
     const x = from.series("penetration");
     const y = from.series("effort_applied");
-    if (!x.length || !this.wall) return;
+    if (!x.length || !this.wall) return null;
     const side = this.wall.side;
     const most = (values, sign) => values.reduce((found, value) => Math.max(found, sign * value), 0);
     const deep = Math.max(most(x, 1), 1e-6);
     const right = deep * 1.1;
     const left = -0.25 * right;
-    const top = Math.max(most(y, -side), this.wall.stiffness * deep, 1e-9) * 1.1;
+    const high = Math.max(most(y, -side), this.wall.stiffness * deep, 1e-9);
+    const top = high * 1.1;
     const bottom = -0.15 * top;
     const place = { left: 70, right: width - 12, top: 12, bottom: height - 40 };
-    context.save();
-    context.beginPath();
-    context.rect(place.left, place.top, place.right - place.left, place.bottom - place.top);
-    context.clip();
-    const px = (value) => place.left + (value - left) / (right - left) * (place.right - place.left);
-    const py = (value) => place.bottom - (value - bottom) / (top - bottom) * (place.bottom - place.top);
-    line(context, px(0), place.top, px(0), place.bottom, colour("wall"));
-    line(context, place.left, py(0), place.right, py(0), colour("line"));
-    line(context, px(0), py(0), px(right), py(this.wall.stiffness * right), colour("true"));
-    context.strokeStyle = colour("measured");
-    context.beginPath();
-    for (let i = 0; i < x.length; i++) context[i ? "lineTo" : "moveTo"](px(x[i]), py(-side * y[i]));
-    context.stroke();
-    context.restore();
-    context.fillStyle = colour("quiet");
-    context.font = "12px system-ui";
-    context.fillText(`penetration (${this.unit("penetration")}), up to ${written(deep, 3)}`, place.left, height - 12);
-    context.fillText(`active effort against it (${this.unit("effort_applied")}), up to ${written(top / 1.1, 3)}`, place.left + 4, place.top + 10);
-    context.fillStyle = colour("true");
-    context.fillText("ideal spring", px(right * 0.6), py(this.wall.stiffness * right * 0.6) - 6);
+    const at = (penetration, effort) => [place.left + (penetration - left) / (right - left) * (place.right - place.left),
+      place.bottom - (effort - bottom) / (top - bottom) * (place.bottom - place.top)];
+    const spring = (penetration) => at(penetration, this.wall.stiffness * penetration);
+    const [springX, springY] = spring(right * 0.6);
+    return {
+      place,
+      lines: [
+        [[at(0, bottom), at(0, top)], "wall"],
+        [[at(left, 0), at(right, 0)], "line"],
+        [[at(0, 0), spring(right)], "true"],
+        [Array.from(x, (one, i) => at(one, -side * y[i])), "measured"],
+      ],
+      texts: [
+        [place.left, height - 12, `penetration (${this.unit("penetration")}), up to ${written(deep, 3)}`, "quiet"],
+        [place.left + 4, place.top + 10, `active effort against it (${this.unit("effort_applied")}), up to ${written(high, 3)}`, "quiet"],
+        [springX, springY - 6, "ideal spring", "true"],
+      ],
+    };
   }
 
   // Zoom and cursors.
@@ -343,7 +366,8 @@ export class Scope {
     const name = `scope-${new Date().toISOString().replace(/[:.]/g, "-")}`;
     if (kind === "csv") saveCsv(from, (column) => this.unit(column), name);
     if (kind === "png") savePng(this.plane ? [this.canvas] : this.plots.map((plot) => plot.root.querySelector("canvas")), name);
-    if (kind === "svg") saveSvg(this.#shown(), from, (column) => this.unit(column), this.#range(), name);
+    if (kind === "svg" && this.plane) savePlaneSvg(this.#planeOf(from, PLANE.width, PLANE.height), PLANE, name);
+    else if (kind === "svg") saveSvg(this.#shown(), from, (column) => this.unit(column), this.#range(), name);
     if (kind === "cut") this.#cut();
     for (const select of this.element.querySelectorAll("select")) if (select.options[0].textContent === "…") select.value = "";
   }

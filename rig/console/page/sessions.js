@@ -9,9 +9,9 @@ const COMPILING = "Compiling what this needs, once for this version and machine 
 const CONTROLS = "input, select, textarea, [contenteditable]";
 
 export class Sessions {
-  constructor(link, facts) {
+  constructor(link, { participants }) {
     this.link = link;
-    this.facts = facts;
+    this.screen = `participant.html#${participants}`;
     this.answering = new Answering(link, { participant: false });
     this.desk = make("div", { className: "desk", hidden: true }, ...this.#desk());
     this.starting = make("p", { className: "panel", role: "status", hidden: true, textContent: "The session starts …" });
@@ -134,7 +134,7 @@ export class Sessions {
     this.keys = make("dl", { className: "pairs" });
     this.help = make("details", {}, make("summary", { textContent: "Keys (?)", onclick: (event) => { event.preventDefault(); this.answering.press("?"); } }), this.keys);
     this.way = new Way(this.link);
-    const screen = make("a", { href: `participant.html#${this.facts.participants}`, target: "_blank", textContent: "Open the participant's screen" });
+    const screen = make("a", { href: this.screen, target: "_blank", textContent: "Open the participant's screen" });
     const main = make("section", { className: "panel operator", ariaLabel: "Operator's desk" }, this.place, this.state, this.saying, this.answering.element, this.last, this.way.element);
     const side = make("div", { className: "side" },
       make("section", { className: "panel" }, make("h2", { textContent: "Now" }), this.facts, this.heat),
