@@ -153,6 +153,16 @@ def test_show_draws_force_over_penetration(run: Any, recording: Any) -> None:
     assert (code, "two formats" in err) == (2, True)
 
 
+def test_a_rig_is_a_name_or_a_file_with_the_same_option(run: Any, tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_text('preset = "koul-rigid"\n[wall]\nstiffness = 123.0\n')
+    as_file, as_rig = (run("plan", *words, "--json") for words in (("mine.toml",), ("--rig", "mine.toml")))
+    assert as_file == as_rig
+    assert (as_rig[0], json.loads(as_rig[1])["rig"]) == (0, "koul-rigid")
+    assert as_rig != run("plan", "--rig", "koul-rigid", "--json")
+    code, _, err = run("plan", "mine.toml", "--rig", "mine.toml")
+    assert (code, "both a file and --rig" in err) == (2, True)
+
+
 def test_the_schema_of_experiment_files_is_printed(run: Any) -> None:
     jsonschema = pytest.importorskip("jsonschema")
     code, out, _ = run("preset", "--schema")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import builtins
 import importlib
 import inspect
 import json
@@ -87,6 +88,15 @@ def test_a_change_for_a_run_that_ends_before_it_is_active_has_its_own_exit_code(
     assert "the loop ended before" in capsys.readouterr().err
     assert rig.cli.run(["set", "stiffness=1", "--json"]) == 16
     assert json.loads(capsys.readouterr().out)["ended"]
+
+
+def test_the_package_uses_no_builtin_that_one_of_its_modules_takes_the_name_of() -> None:
+    """`rig.cli.set` is ``set`` inside of ``rig.cli`` as soon as it is imported."""
+    taken = {module.rpartition(".")[2] for module in source_files(["rig"]) if module.startswith("rig.cli.")}
+    tree = ast.parse(inspect.getsource(rig.cli))
+    used = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
+    assert "set" in taken & set(dir(builtins))
+    assert not taken & set(dir(builtins)) & used
 
 
 def texts() -> Iterator[tuple[str, str]]:

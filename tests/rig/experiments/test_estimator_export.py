@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -31,6 +32,8 @@ VARIANTS = [
     Variant("foaw-best", {"anchor": "last", "band": 1.5}),
     Variant("levant"),
     Variant("levant", {"discretisation": "explicit", "output": "u1", "lipschitz": 20.0}),
+    Variant("levant", {"discretisation": "semi-implicit", "lipschitz": 500.0}),
+    Variant("levant", {"lipschitz": 1.0, "output": "u1"}),
     Variant("kalman", {"gain": "steady"}),
     Variant("kalman", {"gain": "steady", "model": "double", "bandwidth_hz": 20.0}),
 ]
@@ -74,12 +77,24 @@ def test_every_estimator_can_be_exported_or_is_refused_with_the_reason(tmp_path:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_test_finds_a_number_that_was_changed(tmp_path: Path) -> None:
-    export = written(Variant("kalman", {"gain": "steady"}), tmp_path)
-    text = export.header.read_text()
-    changed = text.replace(".gain_velocity = 0.", ".gain_velocity = 1.")
-    assert changed != text
-    export.header.write_text(changed)
+@pytest.mark.parametrize(
+    ("variant", "number"),
+    [
+        (Variant("kalman", {"gain": "steady"}), "gain_velocity"),
+        (Variant("levant"), "lambda"),
+        (Variant("levant", {"discretisation": "explicit", "lipschitz": 500.0}), "alpha"),
+        (Variant("foaw-end"), "band"),
+    ],
+    ids=lambda one: one if isinstance(one, str) else one.label,
+)
+def test_the_test_finds_a_number_that_was_changed_by_a_tenth(
+    variant: Variant, number: str, tmp_path: Path
+) -> None:
+    export = written(variant, tmp_path)
+    (found,) = re.finditer(rf"\.{number} = ([\d.e-]+)(f?),", export.text)
+    changed = f"{1.1 * float(found[1]):{'.9g' if found[2] else '.0f'}}{found[2]}"
+    text = f"{export.text[: found.start(1)]}{changed}{export.text[found.end() - 1 :]}"
+    export.header.write_text(text)
     done = tried(export)
     assert done.returncode == 1
     assert "allowed" in done.stdout
