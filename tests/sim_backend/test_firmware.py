@@ -113,6 +113,9 @@ def test_without_a_compiler_it_says_what_to_install(tmp_path: Path, monkeypatch:
     with pytest.raises(ConfigError) as caught:
         firmware_library.compiled(tmp_path)
     assert "gcc" in caught.value.remedy
+    assert "ziglang" in caught.value.remedy
+    monkeypatch.setattr(firmware_library, "find_spec", {"ziglang": "there"}.get)
+    assert firmware_library.compiler() == [sys.executable, "-P", "-m", "ziglang", "cc"]
 
 
 @pytest.mark.parametrize(

@@ -377,18 +377,17 @@ def test_without_a_terminal_keys_come_from_a_script() -> None:
     assert "state: verdict?" in done.stdout
 
 
-@pytest.mark.parametrize("refused", ["memfd_create", "pipe2", "second pipe2", "Popen", "Thread"])
+@pytest.mark.parametrize("refused", ["file", "pipe", "second pipe", "Popen", "Thread"])
 def test_a_console_that_does_not_start_leaves_nothing(
     refused: str, terminal: Terminal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(*given: Any, **more: Any) -> Any:
         raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
 
-    pipe2 = os.pipe2
-    answers = iter([pipe2, refuse])
+    answers = iter([os.pipe, refuse])
 
-    def second(flags: int) -> Any:
-        return next(answers)(flags)
+    def second() -> Any:
+        return next(answers)()
 
     module = "rig.session.console.child"
     match refused:
@@ -396,10 +395,12 @@ def test_a_console_that_does_not_start_leaves_nothing(
             monkeypatch.setattr(f"{module}.subprocess.Popen", refuse)
         case "Thread":
             monkeypatch.setattr(f"{module}.threading.Thread", refuse)
-        case "second pipe2":
-            monkeypatch.setattr(f"{module}.os.pipe2", second)
+        case "second pipe":
+            monkeypatch.setattr(f"{module}.os.pipe", second)
+        case "pipe":
+            monkeypatch.setattr(f"{module}.os.pipe", refuse)
         case _:
-            monkeypatch.setattr(f"{module}.os.{refused}", refuse)
+            monkeypatch.setattr(f"{module}.tempfile.TemporaryFile", refuse)
     before = sorted(os.listdir("/proc/self/fd"))
     with pytest.raises(RigError, match="does not start: Too many open files") as caught:
         ConsoleDesk(place=Path(terminal.path))
