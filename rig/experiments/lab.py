@@ -288,7 +288,7 @@ def _own(options: Mapping[str, Any], changes: dict[str, Any]) -> tuple[Law | Non
     for part, kind, decorator in ((law, Law, "law"), (estimator, Estimator | str, "estimator")):
         if part is not None and not isinstance(part, kind):
             raise ConfigError(
-                f"{decorator} = {part!r} is no {decorator}",
+                f"{decorator}: {type(part).__name__} is none",
                 remedy=f"give a name, or a function under @rig.{decorator}(…)",
             )
     return law, None if isinstance(estimator, str) else estimator
