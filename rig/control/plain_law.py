@@ -36,11 +36,13 @@ def _form(everywhere: bool) -> Form:
         quantities={
             "penetration": ("depth inside the wall (rad or m)", "penetration"),
             "velocity": ("its rate as estimated (rad/s or m/s), positive inwards", "velocity"),
-            "elapsed_s": ("time since the call before (s)", "elapsed_ticks * parameters[2]"),
+            "elapsed_s": (
+                "time since the call before (s)",
+                f"elapsed_ticks * parameters[{GIVEN.index('tick_s')}]",
+            ),
         },
         given=GIVEN,
         memory=f"state[{OWN_STATE}:{OWN_STATE} + {{count}}]",
-        own_from=len(GIVEN),
         around=_EVERYWHERE if everywhere else _INSIDE,
         names={},
     )

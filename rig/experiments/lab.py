@@ -134,7 +134,7 @@ def hits(
     )
 
     def run() -> Iterator[HitResult]:
-        with _lent(None, estimator):
+        with _lent(law, estimator):
             yield from one_hit.hit(request, watch)
 
     return run()
@@ -154,7 +154,7 @@ def plan(
     """
     changes = changes_of(settings, WallSettings)
     own = _own({"law": law, "estimator": estimator}, changes)
-    with _lent(None, own[1]):
+    with _lent(*own):
         loaded = presets.load_named(experiment)
         planned = config.with_realtime(loaded, changes) if realtime else _changed(loaded, changes)
         config.check_plugins(planned, planned.rig.name)
