@@ -9,9 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.core.present import Item
+from rig.core.shown import Shown
 
-@dataclass(frozen=True, slots=True)
-class Law:
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Law(Shown):
     """A force law: its compiled function, the size of its memory, and its design.
 
     `design(wall)` receives the wall's settings by name (stiffness, damping, pull, …), with ``tick_s``, the time of one
@@ -26,6 +29,10 @@ class Law:
     floats: int
     design: Callable[[Mapping[str, Any]], list[float]]
     device: Mapping[str, int] = field(default_factory=dict)
+
+    def brief(self) -> list[Item]:
+        """Name and summary."""
+        return [f"law {self.name}: {self.summary}"]
 
     def prepare(self, wall: Mapping[str, Any]) -> PreparedLaw:
         """Design the parameters and allocate a memory of zeros."""

@@ -16,6 +16,7 @@ from collections import namedtuple
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
+from keyword import iskeyword
 from pathlib import Path
 from typing import Any
 
@@ -81,14 +82,13 @@ class Form:
 
     `quantities` has, by the name of an argument, its meaning and where the kernel finds it; `around` is the kernel's
     source, in which ``{call}`` stands for the call of the function, and `names` what that source refers to. `memory` is
-    where that finds ``{count}`` remembered numbers, `own_from` the place of the function's own first parameter.
+    where that finds ``{count}`` remembered numbers; the parameters begin with those that are `given`.
     """
 
     kind: str
     quantities: Mapping[str, tuple[str, str]]
     given: tuple[str, ...]
     memory: str
-    own_from: int
     around: str
     names: Mapping[str, Any]
 
@@ -131,7 +131,7 @@ def compiled(
     seen = namedtuple("Parameters", [*form.given, *own])  # type: ignore[misc]
     kept = np.dtype((np.record, [(one, np.float64) for one in memory]))
     inner = _compiled(form, what, function, arguments, seen, kept)
-    numbers = ", ".join(f"parameters[{k}]" for k in _places(form, len(own)))
+    numbers = ", ".join(f"parameters[{k}]" for k in range(len(seen._fields)))
     sources = {
         **{argument: source for argument, (_, source) in form.quantities.items()},
         MEMORY: f"{form.memory.format(count=len(memory))}.view(kept)[0]",
@@ -158,14 +158,10 @@ def unknown_name(what: str, noun: str, name: str, known: Iterable[str]) -> Confi
     )
 
 
-def _places(form: Form, own: int) -> range:
-    return range(form.own_from - len(form.given), form.own_from + own)
-
-
 def _check_names(what: str, noun: str, names: Iterable[str], taken: Sequence[str]) -> None:
     seen: set[str] = set(taken)
     for name in names:
-        if not isinstance(name, str) or not name.isidentifier() or name.startswith("_"):
+        if not name.isidentifier() or iskeyword(name) or name.startswith("_"):
             raise ConfigError(f"{what}: {noun} {name!r} is no name", remedy="use letters, digits and _")
         if name in seen:
             why = f"stands for what every p has: {', '.join(taken)}" if name in taken else "is there twice"
@@ -177,7 +173,7 @@ def _arguments(form: Form, what: str, function: Callable[..., float], memory: Se
     """Names of the function's arguments, each of them one that the form knows."""
     if not inspect.isfunction(function) or inspect.iscoroutinefunction(function):
         raise ConfigError(f"{what} is not a plain function", remedy="decorate one that is made by def")
-    known = {**{name: meaning for name, (meaning, _) in form.quantities.items()}}
+    known = {name: meaning for name, (meaning, _) in form.quantities.items()}
     known |= {MEMORY: "what it remembers", PARAMETERS: "its parameters"}
     for argument in inspect.signature(function).parameters.values():
         where = f"{what} ({_place(function)}): argument {argument.name!r}"

@@ -13,6 +13,7 @@ from typing import Any
 
 from rig.control.law import Law
 from rig.control.plain_functions import NO_NUMBERS, Form, Parameter, compiled, unknown_name
+from rig.core.present import Item, Row
 from rig.realtime.kernel import kernel, prepare
 from rig.realtime.plugs import LAW_CLAMPED, LAW_SIGNATURE
 
@@ -35,17 +36,19 @@ def _form(everywhere: bool) -> Form:
         quantities={
             "penetration": ("depth inside the wall (rad or m)", "penetration"),
             "velocity": ("its rate as estimated (rad/s or m/s), positive inwards", "velocity"),
-            "elapsed_s": ("time since the call before (s)", "elapsed_ticks * parameters[2]"),
+            "elapsed_s": (
+                "time since the call before (s)",
+                f"elapsed_ticks * parameters[{GIVEN.index('tick_s')}]",
+            ),
         },
         given=GIVEN,
         memory=f"state[{OWN_STATE}:{OWN_STATE} + {{count}}]",
-        own_from=len(GIVEN),
         around=_EVERYWHERE if everywhere else _INSIDE,
         names={},
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class PlainLaw(Law):
     """A law whose parameters have names.
 
@@ -55,6 +58,11 @@ class PlainLaw(Law):
 
     parameters: Mapping[str, Parameter]
     everywhere: bool
+
+    def brief(self) -> list[Item]:
+        """Name, summary and parameters."""
+        rows = [Row(name, one.default, one.unit, one.meaning) for name, one in self.parameters.items()]
+        return [f"law {self.name}: {self.summary}", *rows]
 
     def with_parameters(self, **values: float) -> PlainLaw:
         """Return the law with other values of its own parameters; `ConfigError` for an unknown or impossible one."""

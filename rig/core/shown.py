@@ -1,4 +1,4 @@
-"""What a result shows of itself where nobody asked for more: a few lines at a prompt, tables in a notebook, a picture.
+"""What a result shows of itself where nobody asked for more: a few lines at a prompt, tables in a notebook.
 
 Commands and pages show all that a result offers (`rig.core.present`); this is its short form.
 """
@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from html import escape
 
-import rig
 from rig.core.check import Check
 from rig.core.present import Item, Row, Table
 
@@ -39,16 +38,6 @@ class Shown:
 
     def _repr_html_(self) -> str:
         return "".join(_html(self.detailed()))
-
-
-class Drawn:
-    """A result that has a picture."""
-
-    __slots__ = ()
-
-    def plot(self) -> rig.Picture:
-        """Its picture: a notebook shows it, ``save`` writes it, ``figure`` is matplotlib's."""
-        return rig.plot(self)
 
 
 def _html(items: Sequence[Item]) -> list[str]:

@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from tempfile import TemporaryDirectory
+from types import ModuleType
 from typing import Any
 
 from rig import devices
@@ -80,12 +81,16 @@ def host_beside(host: Host, link: Link) -> Host:
 
 @contextmanager
 def _no_modules_from_here() -> Iterator[None]:
-    """Start a child by multiprocessing: ``python -c``, which else imports what lies here, a json.py for one."""
-    before = os.environ.get(SAFE_PATH)
-    os.environ[SAFE_PATH] = "1"
+    """Start a child by multiprocessing: ``python -c``, which else imports what lies here, a json.py for one.
+
+    And the program itself: a script that hits a wall in real time would begin again in the child.
+    """
+    before, program = os.environ.get(SAFE_PATH), sys.modules["__main__"]
+    os.environ[SAFE_PATH], sys.modules["__main__"] = "1", ModuleType("__main__")
     try:
         yield
     finally:
+        sys.modules["__main__"] = program
         os.environ.pop(SAFE_PATH)
         if before is not None:
             os.environ[SAFE_PATH] = before

@@ -18,10 +18,11 @@ from rig.config.controller import Run
 from rig.control.law import Law
 from rig.control.verdict import Verdict
 from rig.core.check import refuse
+from rig.core.drawn import Drawn
 from rig.core.errors import ConfigError, PlanError
 from rig.core.present import Item, Row, plain
 from rig.core.same_rig import check_rig
-from rig.core.shown import Drawn, Shown
+from rig.core.shown import Shown
 from rig.devices.framed import FramedDevice
 from rig.devices.local import opened
 from rig.experiments.judgement import Judgement, judge

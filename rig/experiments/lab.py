@@ -134,7 +134,7 @@ def hits(
     )
 
     def run() -> Iterator[HitResult]:
-        with _lent(None, estimator):
+        with _lent(law, estimator):
             yield from one_hit.hit(request, watch)
 
     return run()
@@ -154,7 +154,7 @@ def plan(
     """
     changes = changes_of(settings, WallSettings)
     own = _own({"law": law, "estimator": estimator}, changes)
-    with _lent(None, own[1]):
+    with _lent(*own):
         loaded = presets.load_named(experiment)
         planned = config.with_realtime(loaded, changes) if realtime else _changed(loaded, changes)
         config.check_plugins(planned, planned.rig.name)
@@ -288,7 +288,7 @@ def _own(options: Mapping[str, Any], changes: dict[str, Any]) -> tuple[Law | Non
     for part, kind, decorator in ((law, Law, "law"), (estimator, Estimator | str, "estimator")):
         if part is not None and not isinstance(part, kind):
             raise ConfigError(
-                f"{decorator} = {part!r} is no {decorator}",
+                f"{decorator}: {type(part).__name__} is none",
                 remedy=f"give a name, or a function under @rig.{decorator}(…)",
             )
     return law, None if isinstance(estimator, str) else estimator

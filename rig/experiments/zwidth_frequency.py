@@ -28,9 +28,10 @@ from rig import config
 from rig.analysis.impedance.signals import Floats
 from rig.config import Experiment
 from rig.config.schemes import Scheme
+from rig.core.drawn import Drawn
 from rig.core.present import Item, Row, plain
 from rig.core.sample import unit_of
-from rig.core.shown import Drawn, Shown
+from rig.core.shown import Shown
 from rig.experiments import sweep
 from rig.experiments.excitation_run import ExcitedRig, Run, Signal
 from rig.experiments.impedance import ImpedanceResult, Judging, concluded, refuse_excitations

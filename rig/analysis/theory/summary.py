@@ -24,10 +24,11 @@ from rig.analysis.theory.loop import (
 from rig.analysis.theory.passivity import PassivityBound, passive_curve, passivity_bound, rigid_b_max
 from rig.config import Experiment
 from rig.config.schemes import Scheme
+from rig.core.drawn import Drawn
 from rig.core.model import Operator
 from rig.core.present import Item, Row, reported, written
 from rig.core.sample import Motion, unit_of
-from rig.core.shown import Drawn, Shown
+from rig.core.shown import Shown
 
 Floats = NDArray[np.float64]
 

@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.core.errors import ConfigError
+from rig.core.present import Item, Row
+from rig.core.shown import Shown
 
 RESOLUTION = 0  # parameters[0]: travel for one count, signed as the encoder counts (rad or m)
 PERIOD = 1  # parameters[1]: velocity period T2 (s)
@@ -47,8 +49,8 @@ class Choice:
     meaning: str
 
 
-@dataclass(frozen=True, slots=True)
-class Estimator:
+@dataclass(frozen=True, slots=True, repr=False)
+class Estimator(Shown):
     """One row of the family.
 
     `design(settings, resolution, period_s)` returns the numbers that follow the two common parameters; it
@@ -64,6 +66,14 @@ class Estimator:
     ints: int
     settings: tuple[Setting | Choice, ...] = ()
     design: Callable[[Mapping[str, Any], float, float], list[float]] = field(default=lambda s, r, p: [])
+
+    def brief(self) -> list[Item]:
+        """Name, summary and settings."""
+        rows = [
+            Row(one.name, one.default, one.unit if isinstance(one, Setting) else "", one.meaning)
+            for one in self.settings
+        ]
+        return [f"estimator {self.name}: {self.summary}", *rows]
 
     def prepare(self, given: Mapping[str, float | str], resolution: float, period_s: float) -> Prepared:
         """Check the settings, design the parameters and allocate a memory of zeros.

@@ -14,7 +14,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Mapping, Sequence
 
-from rig.control.estimators.estimator import COMMON, OWN_INTS, PERIOD, RESOLUTION, WINDOW, Estimator, Setting
+from rig.control.estimators.estimator import OWN_INTS, PERIOD, RESOLUTION, WINDOW, Estimator, Setting
 from rig.control.estimators.fdm import count_difference
 from rig.control.plain_functions import NO_NUMBERS, Form, Parameter, compiled
 from rig.realtime.kernel import kernel, prepare
@@ -30,9 +30,8 @@ _FORM = Form(
         "elapsed_s": ("time since then (s)", f"elapsed_ticks * parameters[{PERIOD}]"),
         "edge_age_s": ("time since the last encoder edge (s)", "edge_age_s"),
     },
-    given=("resolution", "period_s"),
+    given=("resolution", "period_s"),  # parameters[RESOLUTION], parameters[PERIOD]
     memory="state_f[:{count}]",
-    own_from=COMMON,
     around=f"""
 def estimator(count, edge_age_s, elapsed_ticks, state_f, state_i, parameters):
     moved = count_difference(count, state_i[{PREVIOUS}])

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from io import BytesIO
-from pathlib import Path
 from typing import Any
 
 from rig.analysis.theory import Theory
+from rig.core.drawn import Picture
 from rig.core.errors import ConfigError
 from rig.experiments.hit import HitResult
 from rig.experiments.ranges import linear_curves, theory_curves
@@ -24,27 +22,11 @@ from rig.views.plots.zwidth import zwidth_figure
 from rig.views.plots.zwidth_frequency import frequency_figure
 
 
-@dataclass(frozen=True, slots=True)
-class Picture:
-    """A picture: a notebook shows it, `save` writes it, and `figure` is a `matplotlib.figure.Figure` to go on with."""
-
-    figure: Any
-
-    def save(self, path: str | Path) -> Path:
-        """Write it as PNG, SVG or PDF, as the name ends; `RecordingError` when it cannot be."""
-        return style.save(self.figure, Path(path))
-
-    def _repr_png_(self) -> bytes:
-        buffer = BytesIO()
-        self.figure.savefig(buffer, format="png", dpi=style.DPI)
-        return buffer.getvalue()
-
-
 def plot(result: object) -> Picture:
     """Draw a hit, a recording or a column of it, a replay, a map or a theory; `ConfigError` for anything else."""
     for kind, figure in _FIGURES.items():
         if isinstance(result, kind):
-            return Picture(figure(result))
+            return Picture(figure(result), style.save)
     raise ConfigError(
         f"a {type(result).__name__} has no picture",
         remedy="give a hit, a recording or a column of it, a replay, a map or a theory",

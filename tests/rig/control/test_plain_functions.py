@@ -254,6 +254,7 @@ def test_an_argument_that_it_is_not_given_is_refused_with_those_that_it_is(funct
         ({"parameters": {"gain": "much"}}, r"gain = 'much' is out of range"),
         ({"memory": ("x", "x")}, r"memory 'x' is there twice"),
         ({"memory": ("_x",)}, r"memory '_x' is no name"),
+        ({"memory": ("class",)}, r"memory 'class' is no name"),
     ],
 )
 def test_names_and_numbers_that_cannot_be_are_refused(given: dict[str, Any], said: str) -> None:

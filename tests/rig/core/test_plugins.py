@@ -55,3 +55,24 @@ def test_the_lists_show_it_with_the_reason_beside_what_works(
     told = json.loads(capsys.readouterr().out)["backends"]
     assert [one["scheme"] for one in told if one["broken"]] == ["theirs"]
     assert rig.cli.run(["devices", "theirs://x"]) == 2
+
+
+def test_a_part_is_lent_for_a_while_whoever_else_lends_one_of_that_name() -> None:
+    """Two programs of one process may run their laws at the same time, and end in any order."""
+    one, two = laws.get("bilateral"), laws.get("excited")
+    first = plugins.lent("rig.laws", laws.BUILT_IN, "ours", one)
+    second = plugins.lent("rig.laws", laws.BUILT_IN, "ours", two)
+    first.__enter__()
+    second.__enter__()
+    assert laws.get("ours") is two
+    assert laws.names().count("ours") == 1
+    first.__exit__(None, None, None)
+    assert laws.get("ours") is two
+    second.__exit__(None, None, None)
+    with pytest.raises(ConfigError, match="there is no law 'ours'"):
+        laws.get("ours")
+    with (
+        pytest.raises(ConfigError, match="'bilateral' is the name"),
+        plugins.lent("rig.laws", laws.BUILT_IN, "bilateral", one),
+    ):
+        pass

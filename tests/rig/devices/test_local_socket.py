@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import socket
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -102,3 +104,18 @@ def test_a_loop_shares_the_processor_of_its_device_unless_the_user_names_another
         assert host_beside(Scheduling(), link).cpu == 3
         assert host_beside(Scheduling(cpu=1), link).cpu == 1
         link.close()
+
+
+def test_a_plain_script_may_start_one(tmp_path: Path) -> None:
+    """Without `if __name__ == "__main__"`: the child does not run the script again."""
+    script = tmp_path / "mine.py"
+    script.write_text(
+        "from rig.config import presets, rig_model\n"
+        "from rig.devices.local import serve_locally\n"
+        "print('once')\n"
+        "with serve_locally('sim://', rig_model(presets.load('koul-rigid')), realtime='off') as url:\n"
+        "    print(url.partition(':')[0])\n"
+    )
+    command = [sys.executable, str(script)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=100, check=False)
+    assert (done.stdout.split(), done.stderr) == (["once", "unix"], "")

@@ -172,11 +172,17 @@ def test_a_name_that_is_taken_and_a_part_that_is_none_are_refused() -> None:
     def impostor(travel: float) -> float:
         return travel
 
+    @rig.law(name="bilateral")
+    def other(penetration: float) -> float:
+        return penetration
+
     with pytest.raises(ConfigError, match=r"'fdm' is the name of a built-in one"):
         rig.plan("koul-compliant", estimator=impostor)
-    with pytest.raises(ConfigError, match=r"law = 3 is no law; give a name, or a function under @rig.law"):
+    with pytest.raises(ConfigError, match=r"'bilateral' is the name of a built-in one"):
+        rig.hit("koul-compliant", law=other)
+    with pytest.raises(ConfigError, match=r"law: int is none; give a name, or a function under @rig.law"):
         rig.hit(law=3)  # type: ignore[arg-type]
-    with pytest.raises(ConfigError, match=r"estimator = .*stiffening.* is no estimator"):
+    with pytest.raises(ConfigError, match=r"estimator: PlainLaw is none"):
         rig.plan(estimator=stiffening)  # type: ignore[arg-type]
 
 

@@ -12,10 +12,16 @@ import numpy as np
 import pytest
 
 import rig
+from rig.control.estimators import kalman
 from rig.core.errors import ConfigError, RecordingError, RigError
 from rig.core.shown import LINES, WIDTH
 from rig.experiments.ranges import frequency_plan
 from rig.experiments.zwidth_frequency import FrequencyMap
+
+
+def soft(penetration: float, p: rig.Parameters) -> float:
+    """A spring with a gain."""
+    return p.gain * p.stiffness * penetration
 
 
 @pytest.fixture(scope="module")
@@ -42,6 +48,8 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
             offsets=[0.1],
         ),
         "frequency": FrequencyMap(plan, [], np.ones(shape, np.bool_), np.full(shape, 3.0)),
+        "law": rig.law(parameters={"gain": 1.0})(soft),
+        "estimator": kalman.ESTIMATOR,
         "theory": rig.theory.theory_of("koul-compliant", ["dual:20k/2k", "uniform:1k,estimator=levant"]),
     }  # fmt: skip
 
