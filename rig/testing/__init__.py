@@ -1,4 +1,4 @@
-"""What a lab's own tests use: a pytest plug-in, faults on command, golden recordings, and the way to a rig.
+"""What a lab's own tests call: conformance of laws and estimators, and hits with faults in pytest.
 
 `rig.testing.plugin` is loaded in every run of pytest where this package is installed, so the names below are loaded on
 first use: importing both costs milliseconds. Tests get nearly everything as fixtures, whose types are here for those
