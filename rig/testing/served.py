@@ -30,7 +30,7 @@ class Did:
     current
         Active now (quanta).
     fault
-        What is latched, with the ticks before it; its code is 0 for none.
+        The latched fault, or the last one, which the log keeps behind a DISARM; its code is 0 for none.
     statistics
         Frames that it took, lost and threw away since it started.
     """
