@@ -39,10 +39,19 @@ def state(page: Any, text: str) -> None:
     page.locator("#state", has_text=text).wait_for()
 
 
+def begun(page: Any) -> None:
+    """Wait until the run that was started is in its trial."""
+    ended = page.locator("[data-kind]", has_text="The play ended")
+    page.locator("#state", has_text="trial").or_(ended).first.wait_for()
+    if ended.count():
+        assert ended.get_attribute("data-kind") in ("LinkLostError", "DeviceFaultError"), ended.inner_text()
+        too_busy(ended.inner_text())
+
+
 def drag(page: Any, to: float = 0.6) -> None:
     """Start the simulated rig and drag its handle from its start into the wall."""
     page.get_by_role("button", name="Drag the handle").click()
-    state(page, "trial")
+    begun(page)
     box = page.locator("canvas.handle").bounding_box()
     height = box["y"] + box["height"] / 2
     page.mouse.move(box["x"] + 0.35 * box["width"], height)

@@ -200,7 +200,7 @@ export class Wall {
     if (!JOBS.includes(job)) return;
     if (told.say === "compiling" && told.busy) this.verdict.replaceChildren("compiling what this run needs, once for this version and machine …");
     if (told.say === "failed") {
-      this.verdict.replaceChildren(`The ${job} ended: ${told.error}${told.remedy ? `; ${told.remedy}` : ""}${told.recording ? `. Recorded: ${told.recording}` : ""}`);
+      this.verdict.replaceChildren(make("p", { dataset: { kind: told.kind }, textContent: `The ${job} ended: ${told.error}${told.remedy ? `; ${told.remedy}` : ""}${told.recording ? `. Recorded: ${told.recording}` : ""}` }));
     }
     if (told.say === "done") this.verdict.replaceChildren(...told.result.map(verdictOf));
     if (told.say === "ended") this.set = undefined;

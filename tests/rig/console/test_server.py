@@ -207,6 +207,7 @@ def test_a_defect_in_what_is_shown_is_told_and_ends_no_server(
     where: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(where, lambda *_: {}["a defect"])
+    monkeypatch.setattr("rig.console.live.DEFECT_S", 0.1)
 
     async def scenario(console: Served) -> None:
         async with console.page() as page:
