@@ -5,6 +5,7 @@ Everything here adapts arguments and hands them to the functions that commands c
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -49,11 +50,12 @@ class HitOptions(WallSettings, total=False):
     realtime: bool
     verified: bool
     arm_anyway: bool
+    hands_off: Callable[[str], None]
     output: str | Path
     name: str
 
 
-_OF_A_REQUEST = ("url", "device", "realtime", "verified", "arm_anyway", "output", "name")
+_OF_A_REQUEST = ("url", "device", "realtime", "verified", "arm_anyway", "hands_off", "output", "name")
 
 
 def load(experiment: ExperimentLike, **settings: Unpack[WallSettings]) -> Experiment:
@@ -86,7 +88,8 @@ def hit(experiment: ExperimentLike = DEFAULT_PRESET, **options: Unpack[HitOption
     **options
         Settings as in `load`, and: `law`, `estimator` (a name, or one of your own); `url` of a device, or an open
         `device` (else the rig is simulated here); `realtime`; `verified` (the signs of a real rig were checked, and its
-        handle is at position zero); `arm_anyway`; `output`, the directory of the recording, and `name` in it.
+        handle is at position zero); `arm_anyway`; `hands_off`, told before a torque pulse that nobody may hold a real
+        rig (a line on standard error unless given); `output`, the directory of the recording, and `name` in it.
 
     Raises
     ------
@@ -124,7 +127,8 @@ def hits(
     RigError
         As `hit`.
     """
-    changes, given = changes_of(options, HitOptions), dict[str, Any](options)
+    given: dict[str, Any] = {"hands_off": _say, **options}
+    changes = changes_of(options, HitOptions)
     law, estimator = _own(given, changes)
     request = HitRequest(
         experiment=presets.load_named(experiment),
@@ -271,6 +275,10 @@ def zwidth(
             return maps.zwidth(planned, scheduler=scheduler, workers=workers, watch=watch)
         place = maps.directory_for(planned, Path(directory), "zwidth")
         return maps.map_into(planned, place, scheduler=scheduler, workers=workers, watch=watch)
+
+
+def _say(text: str) -> None:
+    print(f"rig: {text}", file=sys.stderr)
 
 
 def _changed(experiment: ExperimentLike, changes: Mapping[str, Any]) -> Experiment:

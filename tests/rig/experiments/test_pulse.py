@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import rig
 import sim_backend.configuration
 from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault
@@ -167,6 +168,20 @@ def test_a_real_rig_is_pushed_before_a_person_is_armed_and_once(real: None, tmp_
     assert said == [NO_HANDS]
     assert len(list(tmp_path.glob("*pulse*.parquet"))) == 1
     assert len(list(tmp_path.glob("*.parquet"))) == 3
+
+
+def test_whoever_calls_the_public_face_is_told_to_let_go_too(
+    real: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A person reads standard error; a program with a window of its own gives what to tell."""
+    said: list[str] = []
+    with framed() as device:
+        rig.hit(PERSON, device=device, verified=True, output=tmp_path)
+    assert capsys.readouterr().err == f"rig: {NO_HANDS}\n"
+    with framed() as device:
+        rig.hit(PERSON, device=device, verified=True, output=tmp_path, hands_off=said.append)
+    assert said == [NO_HANDS]
+    assert capsys.readouterr().err == ""
 
 
 def test_a_real_rig_whose_motor_is_dead_is_not_armed_for_a_person(real: None, tmp_path: Path) -> None:
