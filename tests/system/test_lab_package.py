@@ -1,4 +1,7 @@
-"""A lab's own package, and every example, against the wheel alone: types, an entry point's law, hits, maps."""
+"""A lab's own package, and every example, against the wheel alone: types, an entry point's law, hits, maps, its CI.
+
+Its CI is the recipe that the package brings, copied as the README says, and run by the commands of its workflow.
+"""
 
 from __future__ import annotations
 
@@ -61,6 +64,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     installed = done("pip", "install", "-q", *offline, "--target", "site", str(wheel), str(place), cwd=place)
     assert installed.returncode == 0, installed.stderr
+    shutil.copytree(place / "site" / "rig" / "testing" / "recipe", place, dirs_exist_ok=True)
     guides = place / "guides"
     guides.mkdir()
     for guide in (ROOT / "README.md", *(ROOT / "rig").rglob("*.md")):
@@ -95,5 +99,17 @@ def test_its_tests_pass_with_the_wheel_and_without_the_sources(lab: Path) -> Non
         cwd=lab, env={**os.environ, **environment}, capture_output=True, text=True, check=True,
     ).stdout.split()  # fmt: skip
     assert [Path(file).parts[: len(lab.parts) + 1] for file in found] == [(*lab.parts, "site")] * 3
-    tests = done("pytest", "-q", "-p", "no:cacheprovider", "-W", "error", "tests", cwd=lab, **environment)
-    assert "4 passed" in tests.stdout, tests.stdout + tests.stderr
+    workflow = (lab / ".github" / "workflows" / "haptics.yml").read_text()
+    assert re.findall(r"^      - run: (.+)$", workflow, re.MULTILINE) == [
+        "pip install -r requirements.txt",
+        "pytest",
+    ]
+    offline = {"PIP_NO_INDEX": "1", "PIP_DRY_RUN": "1"}  # what they ask for is installed
+    needed = done("pip", "install", "-q", "-r", "requirements.txt", cwd=lab, **environment, **offline)
+    assert needed.returncode == 0, needed.stderr
+    pytest_here = ("pytest", "-q", "-p", "no:cacheprovider", "-W", "error", "tests")
+    updated = done(*pytest_here, "--rig-golden=update", "-k", "what_it_was", cwd=lab, **environment)
+    assert "1 passed, 8 deselected" in updated.stdout, updated.stdout + updated.stderr  # once, and committed
+    tests = done(*pytest_here, cwd=lab, **environment)
+    assert "9 passed" in tests.stdout, tests.stdout + tests.stderr
+    assert not (lab / "rig-recordings").exists(), "only failed tests leave some"
