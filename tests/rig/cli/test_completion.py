@@ -34,11 +34,11 @@ def asked(words: list[str], shell: str = "fish", **more: Any) -> subprocess.Comp
     )  # fmt: skip
 
 
-def completed(*words: str, **more: Any) -> list[str]:
-    """Completions of the last word."""
-    done = asked(list(words), shell="bash", **more)
-    assert done.returncode == 0, done.stderr
-    return [line.partition(",")[2] for line in done.stdout.splitlines()]
+def completed(*words: str) -> list[str]:
+    """Completions of the last word, in this process."""
+    os.environ["COMP_WORDS"] = " ".join(["rig", *words])
+    bash = complete.Bash(complete.tree(values.table()), {}, "rig", complete.ASKED)
+    return [line.partition(",")[2] for line in bash.complete().splitlines()]
 
 
 def cpu_s(run: Callable[[], Any]) -> float:
@@ -69,24 +69,23 @@ def test_nothing_heavy_is_imported_and_a_line_is_answered_at_once() -> None:
     assert cpu_s(lambda: asked(["hit", "--estimator", "ka"])) <= 5.0 * alone
 
 
-def test_values_are_completed_by_what_they_are(tmp_path: Path) -> None:
+def test_values_are_completed_by_what_they_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("mine.toml", "a.parquet", "b.rigcap", "c.csv"):
         (tmp_path / name).write_text("")
     (tmp_path / "below").mkdir()
-    here = {"cwd": tmp_path}
-    assert completed("im", **here) == ["impedance"]
-    assert completed("estimators", "ex", **here) == ["export"]
-    assert completed("hit", "--estimator", "kal", **here) == ["kalman"]
-    assert completed("hit", "--rig", "", **here) == [*presets.names(), "below/", "mine.toml"]
-    assert completed("show", "", **here) == ["a.parquet", "b.rigcap", "below/"]
-    assert completed("plan", "m", **here) == ["mine.toml"]
-    assert completed("zwidth", "--scheme", "du", **here) == ["dual:"]
-    assert completed("zwidth", "--scheme", "dual:20k/2k,estimator=lev", **here) == [
-        "dual:20k/2k,estimator=levant"
-    ]
-    assert completed("hit", "--loop", "d", **here) == ["device"]
-    assert completed("hit", "--exp", **here) == ["--expect"]
-    assert "sim://koul-rigid" in completed("devices", "sim://k", **here)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COMP_WORDS", "")
+    assert completed("im") == ["impedance"]
+    assert completed("estimators", "ex") == ["export"]
+    assert completed("hit", "--estimator", "kal") == ["kalman"]
+    assert completed("hit", "--rig", "") == [*presets.names(), "below/", "mine.toml"]
+    assert completed("show", "") == ["a.parquet", "b.rigcap", "below/"]
+    assert completed("plan", "m") == ["mine.toml"]
+    assert completed("zwidth", "--scheme", "du") == ["dual:"]
+    assert completed("zwidth", "--scheme", "dual:20k/2k,estimator=lev") == ["dual:20k/2k,estimator=levant"]
+    assert completed("hit", "--loop", "d") == ["device"]
+    assert completed("hit", "--exp") == ["--expect"]
+    assert "sim://koul-rigid" in completed("devices", "sim://k")
 
 
 @pytest.mark.parametrize(
