@@ -31,11 +31,11 @@ def experiment_of(content: Mapping[str, Any]) -> Experiment:
     return presets.load_named(str(content.get("rig") or "koul-compliant"))
 
 
-def in_effect(content: Mapping[str, Any]) -> Experiment:
-    """The experiment in real time with a page's changes: keys checked, and that its estimator can be realised."""
-    experiment = config.with_realtime(experiment_of(content), content.get("changes"))
-    for_experiment(experiment, current_quantum_a=experiment.rig.amplifier.current_quantum_a)
-    return experiment
+def in_effect(experiment: Experiment, changes: Mapping[str, Any]) -> Experiment:
+    """An experiment in real time with a page's changes: keys checked, and that its estimator can be realised."""
+    found = config.with_realtime(experiment, changes)
+    for_experiment(found, current_quantum_a=found.rig.amplifier.current_quantum_a)
+    return found
 
 
 def digest_of(experiment: Experiment) -> str:
@@ -51,12 +51,13 @@ def short(data: bytes) -> str:
 
 def hit(content: Mapping[str, Any], talk: Talk) -> Any:
     """One automated hit in real time, or a person's on a real rig: of the experiment that somebody agreed to."""
+    experiment, changes = experiment_of(content), dict(content.get("changes") or {})
     agreed = content.get("digest")
-    if agreed is not None and agreed != digest_of(in_effect(content)):
+    if agreed is not None and agreed != digest_of(in_effect(experiment, changes)):
         raise ConfigError(
             f"the experiment of {content['rig']} is another one than was agreed to", remedy="start it again"
         )
-    return _run(content, talk, dict(content.get("changes") or {}), str(content.get("url") or SIMULATED))
+    return _run(experiment, content, talk, changes, str(content.get("url") or SIMULATED))
 
 
 def play(content: Mapping[str, Any], talk: Talk) -> Any:
@@ -66,12 +67,14 @@ def play(content: Mapping[str, Any], talk: Talk) -> Any:
         raise ConfigError(f"{url}: no hand is dragged there", remedy="hold its handle, and start a hit")
     url += ("&" if "?" in url else "?") + f"hand={content['hand']}"
     changes = {**PLAY, "trial.duration_s": float(content["duration_s"]), **(content.get("changes") or {})}
-    return _run(content, talk, changes, url)
+    return _run(experiment_of(content), content, talk, changes, url)
 
 
-def _run(content: Mapping[str, Any], talk: Talk, changes: Mapping[str, Any], url: str) -> Any:
+def _run(
+    experiment: Experiment, content: Mapping[str, Any], talk: Talk, changes: Mapping[str, Any], url: str
+) -> Any:
     request = hits.HitRequest(
-        experiment=experiment_of(content),
+        experiment=experiment,
         url=url,
         changes=changes,
         realtime=True,

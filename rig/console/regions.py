@@ -9,7 +9,7 @@ from typing import Any
 from rig.analysis.theory.passivity import passive_curve
 from rig.bench.doctor.late_loops import LateLoops, hand_text
 from rig.config import Experiment
-from rig.console.hits import in_effect
+from rig.console.hits import experiment_of, in_effect
 from rig.core.errors import RigError
 
 
@@ -43,7 +43,7 @@ class Regions:
 
 def asked(rig: str, changes: Mapping[str, Any], damping: float, delay_ticks: int) -> Regions:
     """Limits for a rig with a page's changes, as `rig.console.hits.in_effect` has it."""
-    return regions(in_effect({"rig": rig, "changes": changes}), delay_ticks, damping)
+    return regions(in_effect(experiment_of({"rig": rig}), changes), delay_ticks, damping)
 
 
 def regions(experiment: Experiment, delay_ticks: int, damping: float) -> Regions:

@@ -13,7 +13,7 @@ from rig import config
 from rig.console import consent
 from rig.console import requests as asked
 from rig.console.client import Client
-from rig.console.hits import digest_of, in_effect
+from rig.console.hits import digest_of, experiment_of, in_effect
 from rig.console.jobs import Job
 from rig.console.lease import LOOK_S
 from rig.console.live import Live
@@ -118,7 +118,7 @@ class Runs(Service):
 
     def _experiment(self, name: str, changes: Mapping[str, Any]) -> config.Experiment:
         asked.refuse_reserved(changes)
-        return in_effect({"rig": name, "changes": changes})
+        return in_effect(experiment_of({"rig": name}), changes)
 
     async def every_beat(self) -> None:
         """End what moves while nobody operates: its operator has gone, or let go.

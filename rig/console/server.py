@@ -109,7 +109,8 @@ class Console:
 
     async def attend(self, socket: ServerConnection) -> None:
         """Serve one socket until it closes."""
-        path = socket.request.path if socket.request is not None else ""
+        assert socket.request is not None
+        path = socket.request.path.partition("?")[0]
         with suppress(ConnectionClosed):
             name = await self._greeting(socket, path)
             if name is None:
@@ -125,8 +126,8 @@ class Console:
         """Name of the page that shows its token in its first message; None for anybody else."""
         message = asked.json_of(await socket.recv())
         name, token = message.get("client"), message.get("token")
-        right = path != "/participant" and self.access.token_right(token)
-        right |= path != "/live" and self.access.participants_right(token)
+        pages, participants = self.access.token_right(token), self.access.participants_right(token)
+        right = {"/live": pages, "/participant": participants, "/hold": pages or participants}[path]
         return name if right and isinstance(name, str) and 8 <= len(name) <= 64 else None
 
     async def _hold(self, socket: ServerConnection, name: str) -> None:

@@ -358,9 +358,9 @@ def test_a_participants_screen_is_told_what_it_shows_and_nothing_else(tmp_path: 
                 assert {one["say"] for one in screen.told} == {"participant", "answer"}
                 assert screen.frames == []
                 assert screen.newest("participant") == {"say": "participant", "runs": False}
-            for path in ("/live", "/participant"):  # neither token opens what is the other's
-                async with console.socket(path) as socket:
-                    token = console.token if path == "/participant" else hello["participants"]
+            for path in ("/live", "/live?x", "/participant", "/participant?x"):
+                async with console.socket(path) as socket:  # neither token opens what is the other's
+                    token = console.token if path.startswith("/participant") else hello["participants"]
                     await socket.send(json.dumps({"token": token, "client": "a-participant"}))
                     with pytest.raises(ConnectionClosed):
                         await socket.recv()
