@@ -6,11 +6,11 @@ are the table from which the package answers. So the two cannot differ, and impo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from importlib import import_module
 
-TYPE_CHECKING = False  # `typing` would be most of what ``import rig`` costs
+TYPE_CHECKING = False  # `typing` and `collections` would be most of what ``import rig`` costs
 if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
     from typing import Any
 
 
