@@ -69,17 +69,13 @@ class Live(Service):
         self.stop_all()
 
     def stop_all(self) -> None:
-        """Set the stop word of every loop of this user, first of those that are at hand without a search.
-
-        A console that looks at its own runs alone stops those: nobody sees the others there.
-        """
+        """Set the stop word of every loop of this user, first of those that are at hand without a search."""
         if self._followed is not None and not self._followed.ended:
             self._followed.stop()
         self._shared.jobs.end()
         self._terminal.withdraw()
-        if not self._own:
-            for memory in ask_to_stop():
-                memory.close()
+        for memory in ask_to_stop():
+            memory.close()
 
     async def _show(self, client: Client, request: asked.Show) -> None:
         shown = Shown(columns=request.columns, window_s=request.window_s, trigger=request.trigger)

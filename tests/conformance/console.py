@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
 import struct
 from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed
 
+from rig.console import live
 from rig.console.server import Settings, run
 from rig.console.terminal import Terminal
+from rig.realtime.memories import Memory, ask_to_stop
 
 PATIENCE_S = 30.0
 
@@ -120,18 +123,35 @@ class Served:
             yield socket
 
 
+def stop_of_this_test() -> list[Memory]:
+    """Set the stop words of this process's loops and of those that it started: other tests run beside it."""
+    asked, left = [], [os.getpid()]
+    while left:
+        pid = left.pop()
+        with suppress(OSError):  # it has ended
+            left += [
+                int(name)
+                for file in Path(f"/proc/{pid}/task").glob("*/children")
+                for name in file.read_text().split()
+            ]
+            asked += ask_to_stop(pid)
+    return asked
+
+
 @asynccontextmanager
 async def served(place: Path, terminal: Terminal | None = None, **settings: Any) -> AsyncIterator[Served]:
-    """Serve a console; it has ended, and what it started, when the block is left."""
+    """Serve a console; it has ended, and what it started, when the block is left. STOP is that of this test."""
     ended, urls = asyncio.Event(), asyncio.Queue[str]()
     made = Settings(output=place, announce=urls.put_nowait, **settings)
     task = asyncio.create_task(run(made, terminal or Terminal(), ended))
     first = asyncio.create_task(urls.get())
+    others, live.ask_to_stop = live.ask_to_stop, stop_of_this_test
     try:
         await asyncio.wait([task, first], return_when=asyncio.FIRST_COMPLETED)
         if task.done():
             task.result()
         yield Served(first.result())
     finally:
+        live.ask_to_stop = others
         ended.set()
         await task

@@ -25,7 +25,7 @@ from rig.console.terminal import LONGEST, Terminal
 from rig.core.errors import ConfigError
 from rig.realtime.hand import SharedHand
 from rig.session.template_files import write_template
-from tests.conformance.console import served
+from tests.conformance.console import served, stop_of_this_test
 from tests.rig.console.console_fakes import CONTENT, Page, ask
 from tests.rig.session.session_fakes import FakeRunner
 
@@ -119,6 +119,7 @@ def test_a_word_arms_nothing_for_a_page_that_stopped_or_went(
             while terminal._asked is None:
                 await asyncio.sleep(0.001)
             if event == "stop":
+                monkeypatch.setattr("rig.console.live.ask_to_stop", stop_of_this_test)
                 live.stop_all()
             elif event == "another":
                 shared.lease.release(page.name)
