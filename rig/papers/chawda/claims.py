@@ -128,13 +128,15 @@ def _stiffer_levant(chawda: Chawda) -> Ruling:
         if name != rigs.FILTERED
     }
     winner = max(best, key=lambda name: best[name])
-    return judge(
-        {"": best[winner] >= rules.STIFFER * chawda.scale.hit_ratio**0.5},
+    ratios = derived.over_filtered(chawda, chawda.adjusted)
+    known = {chawda.adjusted: ratios} if ratios else {}
+    return rules.stiffer(known, chawda.scale.hit_ratio).having(
         adjusted=chawda.adjusted,
-        ratios=derived.over_filtered(chawda, chawda.adjusted),
+        ratios=ratios,
         winner=winner,
         best=best[winner],
-    ).having(**_beyond(chawda, [chawda.adjusted]))
+        **_beyond(chawda, [chawda.adjusted]),
+    )
 
 
 def _stiffer_below(chawda: Chawda) -> Ruling:
