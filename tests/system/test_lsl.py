@@ -218,7 +218,7 @@ def test_a_session_goes_on_when_the_process_that_streams_is_gone(
     pylsl: Any, caplog: pytest.LogCaptureFixture
 ) -> None:
     marks = LslMarks(name=f"test-{uuid.uuid4().hex[:8]}", rate=-1.0)
-    with pytest.raises(RigError, match="rate of -1"):
+    with pytest.raises(RigError, match=r"-1\.0"):
         marks.wait()
     for _ in range(3):
         marks.push("begins", trial=1)

@@ -39,7 +39,7 @@ SHORT = {"trial.duration_s": 0.2, "trial.release_s": 0.02, "homing.settle_s": 0.
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Recording:
     experiment = config.override(presets.load("koul-compliant"), SHORT)
     (done,) = hit(HitRequest(experiment=experiment, output=tmp_path_factory.mktemp("whole"), name="one"))
-    return open_recording(done.recording)
+    return done.recording
 
 
 def place(recording: Recording) -> Path:

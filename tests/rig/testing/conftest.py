@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import gc
+import warnings
+from collections.abc import Iterator
 from pathlib import Path
 
 import numba
@@ -20,9 +23,22 @@ from rig.testing import Experiments
 
 @pytest.fixture(scope="session", autouse=True)
 def _loaded(tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Hit once."""
+    """Hit once; what that leaves for good, no collection below looks through again."""
+    if numba.config.DISABLE_JIT:
+        return
     short = Experiments(None, Path()).short()
     assert len(list(hit(HitRequest(experiment=short, output=tmp_path_factory.mktemp("loaded"))))) == 1
+    gc.collect()
+    gc.freeze()
+
+
+@pytest.fixture(autouse=True)
+def _captures_closed(request: pytest.FixtureRequest) -> Iterator[None]:
+    """A run of pytest in this process that was interrupted leaves its captures open: not for the tests after it."""
+    yield
+    if "pytester" in request.fixturenames:
+        with warnings.catch_warnings(action="ignore", category=ResourceWarning):
+            gc.collect()
 
 
 @pytest.fixture
