@@ -9,9 +9,10 @@ import os
 import platform
 import re
 import subprocess
+import time
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
-from functools import cache
+from functools import cache, lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -172,7 +173,15 @@ def host_facts() -> dict[str, Any]:
 
 
 def git_revision(directory: Path) -> dict[str, Any] | None:
-    """Revision of a git checkout and whether its files were edited since; None elsewhere, never an error."""
+    """Revision of a git checkout and whether its files were edited since; None elsewhere, never an error.
+
+    Looked at anew each second: git takes longer than many a simulated hit.
+    """
+    return _described(directory, int(time.monotonic()))
+
+
+@lru_cache(maxsize=8)
+def _described(directory: Path, second: int) -> dict[str, Any] | None:
     command = ["git", "-C", str(directory), "describe", "--always", "--abbrev=40", "--exclude=*", "--dirty"]
     try:
         done = subprocess.run(

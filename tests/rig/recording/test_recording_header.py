@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -114,13 +115,18 @@ def test_header_names_a_bad_schema() -> None:
         dtype_of({"columns": [{"dtype": "<f8"}], "row_bytes": 8})
 
 
-def test_git_revision_of_a_checkout(tmp_path: Path) -> None:
+def test_git_revision_of_a_checkout_is_looked_at_each_second(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seconds = [0.0]
+    monkeypatch.setattr("rig.recording.header.time", SimpleNamespace(monotonic=lambda: seconds[0]))
     assert git_revision(tmp_path) is None
     assert git_revision(tmp_path / "absent") is None
 
     def git(*arguments: str) -> str:
         identity = ["-c", "user.name=x", "-c", "user.email=x@example.org", "-c", "commit.gpgsign=false"]
         command = ["git", "-C", str(tmp_path), *identity, *arguments]
+        seconds[0] += 1.0
         return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
 
     git("init", "-q")
@@ -128,9 +134,12 @@ def test_git_revision_of_a_checkout(tmp_path: Path) -> None:
     (tmp_path / "a").write_text("1")
     git("add", "a")
     git("commit", "-qm", "first")
-    assert git_revision(tmp_path) == {"revision": git("rev-parse", "HEAD"), "dirty": False}
+    revision = git("rev-parse", "HEAD")
+    assert git_revision(tmp_path) == {"revision": revision, "dirty": False}
     (tmp_path / "a").write_text("2")
-    assert git_revision(tmp_path) == {"revision": git("rev-parse", "HEAD"), "dirty": True}
+    assert git_revision(tmp_path) == {"revision": revision, "dirty": False}  # the same second
+    seconds[0] += 1.0
+    assert git_revision(tmp_path) == {"revision": revision, "dirty": True}
 
 
 def test_without_git_there_is_no_revision(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
