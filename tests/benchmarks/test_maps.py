@@ -105,7 +105,7 @@ def test_memory_of_a_map_does_not_grow_with_the_number_of_series(tmp_path: Path)
         return most, found.hits
 
     peak(2)
-    (few, few_hits), (many, many_hits) = peak(5), peak(50)
+    (few, few_hits), (many, many_hits) = peak(20), peak(60)
     grown = (many - few) / (many_hits - few_hits)
     print(f"\npeak of memory: {few / 1e6:.1f} MB for {few_hits} hits, {many / 1e6:.1f} MB for {many_hits}")
     assert grown < 10_000.0  # bytes a hit: its series' description, not its numbers
