@@ -76,6 +76,7 @@ def impedance(
     judged_band: str | None,
     z_score: float | None,
     residual_threshold: float | None,
+    effective_hz: float | None,
     method: Any,
     url: str | None,
     realtime: bool,
@@ -97,7 +98,9 @@ def impedance(
     experiment = options.chosen_experiment(file, preset)
     experiment = config.override(experiment, _changes(url, **excitation))
     walls = _walls(experiment, stiffness, damping, bare)
-    judging = judging_of(judged_band, z_score=z_score, residual_threshold=residual_threshold)
+    judging = judging_of(
+        judged_band, z_score=z_score, residual_threshold=residual_threshold, effective_hz=effective_hz
+    )
     signal: Any = "truth" if judged == "true" else "count"
     parsed = tuple(Scheme.parse(text) for text in schemes)
     place = directory / f"{experiment.rig.name}-{datetime.now():%Y%m%d-%H%M%S}"

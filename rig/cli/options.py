@@ -166,6 +166,10 @@ judging_options = added(
         "--residual-threshold", group=_FREQUENCY, type=click.FloatRange(0.0, 1.0),
         help="Share of the motion's power off the lines from which a wall fails. [0.1]",
     ),
+    option(
+        "--effective-hz", group=_FREQUENCY, type=click.FloatRange(0.0, min_open=True),
+        help="Average effective stiffness and damping up to this line (Hz). [20]",
+    ),
 )  # fmt: skip
 judge_option = option(
     "--judge", "judged", type=click.Choice(["true", "recorded"]),

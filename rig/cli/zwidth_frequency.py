@@ -86,6 +86,7 @@ def map_frequency(
     judged_band: str | None,
     z_score: float | None,
     residual_threshold: float | None,
+    effective_hz: float | None,
     directory: Path,
     plot: str,
     as_json: bool,
@@ -96,7 +97,9 @@ def map_frequency(
     """Map a simulated rig and print what came of it."""
     experiment = _chosen(file, preset, **excitation)
     signal = None if judged is None else "truth" if judged == "true" else "count"
-    judging = judging_of(judged_band, z_score=z_score, residual_threshold=residual_threshold)
+    judging = judging_of(
+        judged_band, z_score=z_score, residual_threshold=residual_threshold, effective_hz=effective_hz
+    )
     plan = _plan(experiment, schemes, stiffness, damping, signal=signal, judging=judging)
     plan.check()
     place = maps.directory_for(plan, directory, "zwidth-frequency")

@@ -22,7 +22,15 @@ from rig.analysis.impedance.estimate import Impedance, periodic
 from rig.analysis.impedance.fitting import Device, Fit, fit
 from rig.analysis.impedance.ideal import rendered
 from rig.analysis.impedance.signals import Complexes, Floats
-from rig.analysis.impedance.verdict import RESIDUAL, Z_SCORE, Fidelity, Judgement, fidelity, judge
+from rig.analysis.impedance.verdict import (
+    EFFECTIVE_HZ,
+    RESIDUAL,
+    Z_SCORE,
+    Fidelity,
+    Judgement,
+    fidelity,
+    judge,
+)
 from rig.analysis.impedance.welch import welch
 from rig.config import Excitation, Experiment
 from rig.config.schemes import Scheme
@@ -56,11 +64,14 @@ class Judging:
         Lines that count for verdict and fidelity; all if None.
     z_score, residual_threshold
         As in `rig.analysis.impedance.verdict.judge`.
+    effective_hz
+        Up to which line effective stiffness and damping are averaged (Hz).
     """
 
     band_hz: tuple[float, float] | None = None
     z_score: float = Z_SCORE
     residual_threshold: float = RESIDUAL
+    effective_hz: float = EFFECTIVE_HZ
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -365,7 +376,14 @@ def concluded(
             z_score=judging.z_score,
             residual_threshold=judging.residual_threshold,
         ),
-        fidelity=fidelity(impedance, wall.stiffness, wall.damping, judging.band_hz, device=device),
+        fidelity=fidelity(
+            impedance,
+            wall.stiffness,
+            wall.damping,
+            judging.band_hz,
+            device=device,
+            effective_hz=judging.effective_hz,
+        ),
         fitted=fit(impedance, ("inertia", "damping"), band=judging.band_hz, subtract=back_emf)
         if bare
         else None,

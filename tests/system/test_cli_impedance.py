@@ -16,7 +16,8 @@ def test_without_arguments_it_shows_the_bare_rig_and_its_wall(run: Any, tmp_path
     assert code == 0
     for text in (
         "bare rig, uniform 1 kHz", "K = 20000 N/m, B = 60 N·s/m", "over 250 lines, 1 to 250 Hz", "worst line", "mass",
-        "kg", "friction's share included", "% of what was asked for", "rms off the ideal wall", "coherence",
+        "kg", "friction's share included", "% of what was asked for", "over 20 lines, 1 to 20 Hz",
+        "rms off the ideal wall", "coherence",
     ):  # fmt: skip
         assert text in out
     (place,) = (tmp_path / "impedances").iterdir()
@@ -27,7 +28,7 @@ def test_without_arguments_it_shows_the_bare_rig_and_its_wall(run: Any, tmp_path
 def test_json_is_one_document_with_every_line(run: Any) -> None:
     code, out, _ = run(
         "impedance", "--json", "--no-plot", *SHORT, "-K", "5000,10000", "-B", "20", "--band", "2:100",
-        "--judged-band", "5:50",
+        "--judged-band", "5:50", "--effective-hz", "12",
         "--scheme", "uniform:1k,estimator=kalman", "--scheme", "uniform:1k,estimator=levant", "--amplitude", "1.5",
         "--judge", "true", "-o", "here",
     )  # fmt: skip
@@ -44,6 +45,7 @@ def test_json_is_one_document_with_every_line(run: Any) -> None:
     assert first["impedance"]["realisations"] == 2
     assert first["judgement"]["passivity"]["band_hz"] == [5.0, 50.0]
     assert first["fidelity"]["band_hz"] == [5.0, 50.0]
+    assert first["fidelity"]["effective_band_hz"] == [5.0, 12.0]
 
 
 def test_a_script_learns_whether_the_rig_is_passive_by_the_exit_code(run: Any) -> None:
