@@ -257,9 +257,10 @@ def _pairs(result: ImpedanceResult) -> list[tuple[str, str]]:
 def _effective(fidelity: Fidelity, stiffness: str, damping: str) -> list[tuple[str, str]]:
     """Effective stiffness and damping with the lines that they are means over."""
     low, high = fidelity.effective_band_hz
-    lines = f"{fidelity.effective_lines} lines, {low:g} to {high:g} Hz"
     if fidelity.effective_lines < EFFECTIVE_LINES:
-        return [("effective K, B", f"not stated: {lines}; {EFFECTIVE_LINES} are needed")]
+        text = f"not stated: {fidelity.effective_lines} lines up to {high:g} Hz, {EFFECTIVE_LINES} are needed"
+        return [("effective K, B", text)]
+    lines = f"{fidelity.effective_lines} lines, {low:g} to {high:g} Hz"
     return [
         (f"effective {name}", f"{_with(value, doubt, unit, share)}, over {lines}")
         for name, value, doubt, unit, share in (
