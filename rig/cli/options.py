@@ -143,31 +143,31 @@ def signal_option(*names: str, help: str, **more: Any) -> Callable[[F], F]:
 
 # ------------------------------------------------------------------ excitation, and what is judged
 
-_FREQUENCY = "Excitation and judgement"
+FREQUENCY = "Excitation and judgement"
 excitation_options = added(
-    option("--band", group=_FREQUENCY, metavar="LOW:HIGH", help="Lines of the excitation (Hz). [1:250]"),
-    option("--realisations", group=_FREQUENCY, type=int, help="Runs with other phases. [4; with --kind schroeder 1]"),
-    option("--periods", group=_FREQUENCY, type=int, help="Analysed periods of a realisation. [4]"),
+    option("--band", group=FREQUENCY, metavar="LOW:HIGH", help="Lines of the excitation (Hz). [1:250]"),
+    option("--realisations", group=FREQUENCY, type=int, help="Runs with other phases. [4; with --kind schroeder 1]"),
+    option("--periods", group=FREQUENCY, type=int, help="Analysed periods of a realisation. [4]"),
     option(
-        "--amplitude", group=_FREQUENCY, type=float,
+        "--amplitude", group=FREQUENCY, type=float,
         help="Rms effort of the excitation (N·m or N). [10 × Coulomb friction]",
     ),
 )  # fmt: skip
 judging_options = added(
     option(
-        "--judged-band", group=_FREQUENCY, metavar="LOW:HIGH",
+        "--judged-band", group=FREQUENCY, metavar="LOW:HIGH",
         help="Lines that count for verdict and fidelity (Hz). [all]",
     ),
     option(
-        "--z-score", group=_FREQUENCY, type=click.FloatRange(0.0, 10.0),
+        "--z-score", group=FREQUENCY, type=click.FloatRange(0.0, 10.0),
         help="Deviations by which a line's Re Z must be below zero to fail. [2]",
     ),
     option(
-        "--residual-threshold", group=_FREQUENCY, type=click.FloatRange(0.0, 1.0),
+        "--residual-threshold", group=FREQUENCY, type=click.FloatRange(0.0, 1.0),
         help="Share of the motion's power off the lines from which a wall fails. [0.1]",
     ),
     option(
-        "--effective-hz", group=_FREQUENCY, type=click.FloatRange(0.0, min_open=True),
+        "--effective-hz", group=FREQUENCY, type=click.FloatRange(0.0, min_open=True),
         help="Average effective stiffness and damping up to this line (Hz). [20]",
     ),
 )  # fmt: skip

@@ -11,7 +11,7 @@ from rig import config
 from rig.cli import hit_output, map_options, options, output
 from rig.cli.command import command
 from rig.cli.progress import SweepBar
-from rig.cli.zwidth_frequency import FREQUENCY_ONLY, frequency_options, map_frequency, refuse_of_the_other
+from rig.cli.zwidth_frequency import frequency_options, map_frequency, of_frequency, refuse_of_the_other
 from rig.cli.zwidth_rig import CONFIRM, CRITERIA, Dialogue, load_device, refuse_without_device
 from rig.config import Experiment
 from rig.config.schemes import Scheme
@@ -74,7 +74,7 @@ def zwidth(
     a grid (-K and -B as first:last:count) is excited; where its impedance is passive, its fidelity is the colour.
     """
     refuse_of_the_other(domain)
-    excitation = {name: push.pop(name) for name in FREQUENCY_ONLY}
+    excitation = {name: push.pop(name) for name in of_frequency()}
     if domain == "frequency":
         map_frequency(
             file=file, preset=preset, schemes=schemes, stiffness=stiffness, damping=damping, judged=judged,

@@ -28,10 +28,7 @@ from rig.views.plots.zwidth_frequency import draw_frequency_map
 
 DOMAINS = ("time", "frequency")
 DEFAULT_PRESET = "chawda-linear"
-# Options of one domain only: parameter → what to say instead.
-FREQUENCY_ONLY = (
-    "band", "judged_band", "realisations", "periods", "amplitude", "z_score", "residual_threshold"
-)  # fmt: skip
+# Options of the time domain only: parameter → what to say instead.
 TIME_ONLY = {
     "operator": "nobody holds a rig that is excited: drop --operator",
     "effort": "nothing pushes: --amplitude is the size of the excitation",
@@ -57,6 +54,12 @@ frequency_options = options.added(
 """The domain, and what only the frequency domain has."""
 
 
+def of_frequency() -> list[str]:
+    """The parameters of the running command that are for the frequency domain only: one group of its options."""
+    params = click.get_current_context().command.params
+    return [one.name for one in params if one.name and getattr(one, "group", None) == options.FREQUENCY]
+
+
 def refuse_of_the_other(domain: str) -> None:
     """Raise `ConfigError` for an option of the command line that the domain does not have."""
     context = click.get_current_context()
@@ -70,7 +73,7 @@ def refuse_of_the_other(domain: str) -> None:
             if given(name):
                 raise ConfigError(f"{spelled[name]} is for hits, not for --domain frequency", remedy=remedy)
         return
-    for name in FREQUENCY_ONLY:
+    for name in of_frequency():
         if given(name):
             raise ConfigError(f"{spelled[name]} is for impedances", remedy="say --domain frequency too")
 

@@ -43,6 +43,8 @@ def test_json_is_one_document_and_the_same_command_reads_it_again(run: Any) -> N
         "3",
         "--z-score",
         "3",
+        "--effective-hz",
+        "10",
         "-o",
         "here",
     )
@@ -52,7 +54,8 @@ def test_json_is_one_document_and_the_same_command_reads_it_again(run: Any) -> N
     assert facts["picture"] is None
     assert Path(facts["directory"], "walls.parquet").exists()
     assert facts["stiffnesses"] == [5e3, 1e4, 4e5]
-    assert facts["judging"] == {"band_hz": [2.0, 200.0], "z_score": 3.0, "residual_threshold": 0.1}
+    judging = {"band_hz": [2.0, 200.0], "z_score": 3.0, "residual_threshold": 0.1, "effective_hz": 10.0}
+    assert facts["judging"] == judging
     assert facts["excitation"]["seed"] == 3
     (row,) = facts["table_one"]["rows"]
     assert row["paper"]["stiffness"] == 24000.0
