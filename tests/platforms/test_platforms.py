@@ -26,7 +26,6 @@ from tests.platforms import emulated
 ROOT = Path(__file__).parents[2]
 ENVIRONMENT = {**{name: value for name, value in os.environ.items() if name != "CC"}, "PYTHONPATH": str(ROOT)}
 WAIT_S = 110.0
-BOARD = ("sim", "serve", "--rig", "koul-rigid", "--firmware", "--rate", "5000")
 
 
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="a trial without the compiler takes minutes")
@@ -35,7 +34,7 @@ def test_what_people_do_off_linux_runs_to_the_end_and_alike(tmp_path: Path) -> N
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
     with ExitStack() as stack:
         board = stack.enter_context(
-            started(sys.executable, "-m", "rig", *BOARD, cwd=ROOT, env=ENVIRONMENT, **pipes)
+            started(sys.executable, "-m", "tests.platforms.board", cwd=ROOT, env=ENVIRONMENT, **pipes)
         )
         url = next(line.strip() for line in board.stdout if line.startswith("serial://"))
         processes = {}
