@@ -32,7 +32,8 @@ def main() -> None:
         patch.object(firmware, "describe", lambda *given: replace(described(*given), simulated=False)),
         patch.object(pty, "device_for", held),
     ):
-        serve(config.rig_model(presets.load("koul-rigid")), rate=5000, firmware=True, announce=announce)
+        bare = config.override(presets.load("koul-rigid"), {"rig.mechanics.end_mass": 0.0})  # for a hand
+        serve(config.rig_model(bare), rate=5000, firmware=True, announce=announce)
 
 
 if __name__ == "__main__":

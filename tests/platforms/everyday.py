@@ -33,15 +33,10 @@ MAP = (
 )
 ON_THE_BOARD = ("--rig", "koul-rigid", "--loop", "device", "--rate", "5k/500", "-K60", "-B0.05", *SHORT)
 IN_TIME = ("--set", "controller.supervise_lifetime_s=0.1", "--verified")
-# What this machine's load makes of the link is not the matter here.
 A_PERSON = (
-    "--operator",
-    "normal",
-    "--set",
-    "rig.limits.human=true",
-    "--set",
-    "rig.limits.effort=0.28",
-    "--arm-anyway",
+    *("--operator", "normal", "--set", "operator.press=2", "--set", "rig.limits.human=true"),
+    *("--set", "rig.limits.effort=0.28", "--set", "verdict.tail_s=0.1"),
+    "--arm-anyway",  # what the load of this machine makes of its link is not asked here
 )
 LOST = (6, 7)  # exit codes of a lost link and of a fault of the device
 LINUX_ALONE = "needs Linux to run in real time"
