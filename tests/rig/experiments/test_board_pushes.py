@@ -22,7 +22,7 @@ from rig.devices.fault_script import Faults
 from rig.devices.framed import FramedDevice
 from rig.experiments import board_pushes
 from rig.experiments.identify_motions import PUSH_COUNTS, PUSH_S, REST_S, most_push, slow_rate, still
-from rig.experiments.pulse import pulse
+from rig.experiments.pulse import PUSHES, pulse
 from rig.experiments.replay import replay
 from rig.recording.reader import open_recording
 from sim_backend.link import MemoryLink
@@ -127,6 +127,16 @@ def test_each_push_is_a_recording_that_replays_to_the_last_bit(tmp_path: Path) -
         assert recording.trailer["device_host_agreement"]["holds"]
         assert recording.rows["effort_sent"][-1] == 0.0
         assert replay(recording).exact
+
+
+def test_a_rig_that_hardly_rubs_rolls_out_before_the_next_push(tmp_path: Path) -> None:
+    """The board has no brake: the handle rests by its damping alone, and the rig is found as it is described."""
+    x = config.override(X, {"rig.mechanics.motor_coulomb": 0.0})
+    device = TickByTick(config.rig_model(still(x)), initial_position=AT)
+    with FramedDevice(MemoryLink(device)) as host:
+        found = pulse(host, x, recording=tmp_path / "pulse.rigcap", verified=True, reference_count=0)
+    assert found.ok
+    assert len(found.signs.pushes) == PUSHES
 
 
 def test_a_board_that_runs_no_law_is_refused_at_rest_with_what_to_flash(tmp_path: Path) -> None:
