@@ -1,12 +1,14 @@
 """Small pushes that a board makes by itself: each is a trial of the law that every board has.
 
-    rows, path, ended = board_pushes(device, x, 4, Path("pulse.rigcap"), verified=True, reference_count=0, extra={})
+    made = board_pushes(device, x, 4, Path("pulse.rigcap"), verified=True, reference_count=0, extra={})
+    made.rows, made.recording
 
 Where the board runs the law (`controller.loop = "device"`) no law of this computer moves anything, and none is needed.
 A push is a constant effort without a wall (`identify_motions.single_push`): the slew limit lets it grow, and the window
 of the law on the board is the way of a push. So the board bounds it alone, in whichever direction the handle goes: in
-way, with zero effort in the very tick; in effort by the constant; in time by the length of the trial. If this computer
-falls silent, its effort is zero after `controller.supervise_lifetime_s` and the ramp, as that of any law there.
+way, with zero effort in the very tick; in effort by the constant; in time by the length of the trial, after which it
+falls as it has grown. If this computer falls silent, its effort is zero after `controller.supervise_lifetime_s` and the
+ramp, as that of any law there.
 
 The device around the law keeps the limits of all pushes: a handle that leaves its window is a fault, and under the slew
 limit of a push an end would take as long as the growth.
@@ -31,7 +33,7 @@ from rig.core.errors import DeviceFaultError, GuardError
 from rig.core.sample import Phase
 from rig.devices.framed import FramedDevice
 from rig.experiments.identify_motions import REST_S, pushes_motion, single_push
-from rig.experiments.motion_run import position_now, stalled, whole
+from rig.experiments.motion_run import Pushes, position_now, stalled, whole
 from rig.experiments.plan import device_checks
 from rig.experiments.trial import TrialRequest, end_of, prepared_on, run_trial
 from rig.loop.layout import EndReason
@@ -39,13 +41,8 @@ from rig.recording.data import Recording
 from rig.recording.files import free_name
 
 AROUND = ("slew_limit", "window_minimum", "window_maximum")  # of the device, not of the law that it runs
-PUSH_ENDS = (
-    EndReason.OUT_OF_WINDOW,
-    EndReason.DEVICE_ENDED,
-)  # at its window, as both laws or the board's say
+PUSH_ENDS = (EndReason.OUT_OF_WINDOW, EndReason.DEVICE_ENDED)  # at its window: by both laws, or the board's
 LOOKS = 25  # of `REST_S` each, in which the handle has to come to rest
-
-_Pushed = tuple[NDArray[np.void], Path, DeviceFaultError | None]
 
 
 def board_pushes(
@@ -57,7 +54,7 @@ def board_pushes(
     verified: bool,
     reference_count: int,
     extra: Mapping[str, Any],
-) -> _Pushed:
+) -> Pushes:
     """Let the board push, as `rig.control.motions.nudges` does: two one way, two the other, and so on.
 
     Parameters
@@ -75,18 +72,12 @@ def board_pushes(
     extra
         For the recordings' headers.
 
-    Returns
-    -------
-    tuple
-        Rows of all pushes, each with the rest before it; the sealed recording of the first; and the fault by which the
-        device ended the last for want of motion, if it did.
-
     Raises
     ------
     PlanError
         A board that runs no law: nothing has moved.
     IdentificationError
-        The handle does not rest, or samples were lost or late.
+        The handle does not rest, or samples were lost.
     RigError
         Whatever else ended a push early; the effort is zero.
     """
@@ -117,14 +108,14 @@ def board_pushes(
             raise _restless()
     path = recorded[0].path
     assert path is not None
-    return np.concatenate(rows), path, ended
+    return Pushes(np.concatenate(rows), path, ended)
 
 
 def _at_rest(device: FramedDevice, x: Experiment, reference_count: int) -> float:
     """Where the handle is (rad or m), once it rests; a channel that is dead may toggle."""
     for _ in range(LOOKS):
         counts = [state.count for state in device.states(REST_S)]
-        if counts and max(counts) - min(counts) <= 1:
+        if len(counts) > 1 and max(counts) - min(counts) <= 1:
             return position_now(device, x, reference_count)
     raise _restless()
 

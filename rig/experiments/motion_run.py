@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -148,6 +148,24 @@ def whole(recording: Recording, rows: NDArray[np.void]) -> NDArray[np.void]:
             remedy="lower the rate, or free the computer of other work",
         )
     return rows
+
+
+class Pushes(NamedTuple):
+    """Pushes that were made.
+
+    Attributes
+    ----------
+    rows
+        All of them, with rests in between.
+    recording
+        The sealed file; of the first, where each has its own.
+    ended
+        The fault by which the device ended the last for want of motion, if it did.
+    """
+
+    rows: NDArray[np.void]
+    recording: Path
+    ended: DeviceFaultError | None = None
 
 
 def stalled(error: DeviceFaultError) -> Recording:

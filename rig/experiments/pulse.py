@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rig import config, devices
 from rig.analysis.identification.quality import IdentificationError
@@ -45,6 +44,7 @@ from rig.experiments.identify_motions import (
 )
 from rig.experiments.motion_run import (
     FreeRigRequest,
+    Pushes,
     position_now,
     refuse_unverified,
     run_motion,
@@ -157,8 +157,8 @@ def pulse(
     if not on_board and not device.link.clock.virtual:
         refuse_real_time('the torque pulse of controller.loop = "host"')
     refuse(link_checks(still(x), device.dictionary.position_rate_maximum, device.link.bytes_per_second))
-    pushed = board_pushes if on_board else _host_pushes
-    rows, path, ended = pushed(
+    push = board_pushes if on_board else _host_pushes
+    made = push(
         device,
         x,
         PUSHES,
@@ -167,17 +167,17 @@ def pulse(
         reference_count=reference_count,
         extra={"pulse": {"pushes": PUSHES, "most_effort": most_push(x), "way": push_way(x)}},
     )
-    signs = signs_of(x, rows, slow_rate(x))
+    signs = signs_of(x, made.rows, slow_rate(x))
     found = Pulse(
         rig=x.rig.name,
         motion=x.rig.motion,
         device=device.dictionary.device,
-        recording=path,
+        recording=made.recording,
         signs=signs,
         checks=judged(x, signs),
     )
-    if ended is not None and found.ok:
-        raise ended
+    if made.ended is not None and found.ok:
+        raise made.ended
     device.moved_as_described = found.ok
     return found
 
@@ -191,7 +191,7 @@ def _host_pushes(
     verified: bool,
     reference_count: int,
     extra: Mapping[str, Any],
-) -> tuple[NDArray[np.void], Path, DeviceFaultError | None]:
+) -> Pushes:
     """`board_pushes` by a law of this computer, in one trial."""
     motion = pushes_motion(x, position_now(device, x, reference_count), pushes)
     try:
@@ -207,8 +207,8 @@ def _host_pushes(
     except DeviceFaultError as error:
         sealed = stalled(error)
         assert sealed.path is not None
-        return trial_rows(sealed), sealed.path, error
-    return rows, path, None
+        return Pushes(trial_rows(sealed), sealed.path, error)
+    return Pushes(rows, path)
 
 
 def at_own_rate(x: Experiment, device: FramedDevice) -> dict[str, Any]:

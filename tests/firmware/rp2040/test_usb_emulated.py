@@ -216,12 +216,12 @@ def test_a_push_of_a_torque_pulse_by_the_board_itself(built: BuildResult, tmp_pa
     with emulator.Pico(rig_model(bare), built.bin, position=0.0) as pico:
         line = UsbLine(pico)
         with FramedDevice(EmulatedUsb(line)) as device:
-            rows, _, fault = board_pushes(
+            rows, _, ended = board_pushes(
                 device, bare, 1, tmp_path / "push.rigcap", verified=True, reference_count=0, extra={}
             )
         look = pico.look()
         assert line.look()["errors"] == []
-    assert fault is None
+    assert ended is None
     assert (look["enabled"], look["share"]) == (False, 0)
     (push,) = signs_of(bare, rows, slow_rate(bare)).pushes
     assert (push.direction, push.moved) == (1, True)
