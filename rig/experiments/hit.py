@@ -28,7 +28,7 @@ from rig.devices.local import opened
 from rig.experiments.judgement import Judgement, judge
 from rig.experiments.plan import device_checks, link_checks, plan_of
 from rig.experiments.pulse import NO_HANDS, pulse
-from rig.experiments.trial import TrialEnd, TrialRequest, prepared_on, run_trial
+from rig.experiments.trial import TrialEnd, TrialRequest, end_of, prepared_on, run_trial
 from rig.experiments.zero import position_zero
 from rig.recording.data import Recording
 from rig.recording.files import free_name, plain_errors
@@ -230,7 +230,7 @@ def hit(request: HitRequest, watch: Watch | None = None) -> Iterator[HitResult]:
 
 def left_by(error: Exception) -> Recorded | None:
     """What a hit left that ended with this error; None where nothing moved."""
-    end: TrialEnd | None = getattr(error, "end", None)
+    end = end_of(error)
     return None if end is None else _recorded(end)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from rig.control.law import Law
 from rig.control.motions import nudging, tracing
 from rig.core.check import Check, Outcome
 from rig.core.errors import ConfigError
-from rig.core.sample import unit_of
+from rig.core.sample import Phase, unit_of
 from rig.experiments.planned import Plan, Step, limited
 
 Floats = NDArray[np.float64]
@@ -41,6 +41,8 @@ BRAKE_S = 0.02  # time constant of the brake after a push
 # Strokes: half their travel as a share of the window, lengths, and most speed as a share of its limit.
 TRAVEL_SHARE, STROKES_S, STROKE_SPEED = 0.2, (0.4, 0.8, 1.6), 0.3
 WAY_SPEED, WAY_REST_S = 5.0, 0.3  # a slow way: speed that ends the run, over that of the way; rest at its end
+WAY_END_S = 0.02  # of a way that a board goes: the handle is let go
+WAY_PATIENCE_S = 5.0  # and how much longer than twice its time it may take before it is given up
 HANG_S, WEIGHING_SHARES = 2.0, (1.0, 0.5)  # weighing: time to let go of the load; speeds, over that of homing
 CUTOFF_SHARE = 0.2  # cut-off of the velocity filter over its rate
 FILTER_DELAY = 0.225  # of that filter: its delay times its cut-off, √2/(2π)
@@ -63,10 +65,11 @@ HARD = 5.0  # rms effort of the excitation over Coulomb friction from which fric
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """One kind of trial: the experiment that it runs, and the law that moves."""
+    """One kind of trial: the experiment that it runs, the law that moves (None: its own), and in which phases."""
 
     experiment: Experiment
-    law: Law
+    law: Law | None
+    phases: tuple[Phase, ...] = (Phase.TRIAL,)
 
 
 def identification_plan(x: Experiment, *, realisations: int, period_s: float, seed: int) -> Plan:
@@ -134,6 +137,28 @@ def pushes_motion(x: Experiment, at: float, pushes: int = PUSHES) -> Motion:
     return Motion(_moved(x, at, pushes_s(pushes), rate, changes), law)
 
 
+def single_push(x: Experiment, at: float, way: Literal[-1, 1]) -> Experiment:
+    """One push as a trial of the law that every board has; to be run inside the limits of `pushes_motion`.
+
+    There is no wall. The slew limit lets the effort grow as slowly as in the other pushes, and the window is the way of
+    a push, on both sides: whatever the signs are, the guard cuts in the very tick in which the handle has gone so far.
+    """
+    around, length, most = pushes_motion(x, at).experiment, push_way(x), most_push(x)
+    limits = around.rig.limits
+    changes = {
+        "rig.limits.position_minimum": max(limits.position_minimum, at - length),
+        "rig.limits.position_maximum": min(limits.position_maximum, at + length),
+        "rig.limits.slew": most / PUSH_S,
+        "rig.simulation.initial_position": at,
+        "wall.position": at + way * MARGIN_COUNTS * x.rig.encoder.resolution,
+        "wall.side": way,
+        "trial.effort": way * most,
+        "trial.duration_s": PUSH_S,
+        "verdict.tail_s": 0.5 * PUSH_S,
+    }
+    return config.override(around, changes, "a push")
+
+
 def strokes_motion(x: Experiment) -> Motion:
     """Strokes at constant speeds by the homing servo, with as much effort as the motor gives for hours."""
     path, _ = strokes_of(x)
@@ -147,12 +172,13 @@ def strokes_motion(x: Experiment) -> Motion:
 def way_motion(x: Experiment, at: float, to: float, margin: float) -> Motion:
     """A slow way between two positions by the homing servo, at homing's speed and with no more effort than homing has.
 
-    The window is that way with a margin at both ends, whatever the description says.
+    The window is that way with a margin at both ends, whatever the description says. Where the board runs the law, the
+    way is the homing of a trial that then does nothing.
     """
     rate, way_s = slow_rate(x), abs(to - at) / x.homing.speed
+    on_board = x.controller.loop == "device"
     stiffness, damping = servo_of(x, rate)
     effort = min(x.homing.effort, x.rig.limits.nominal_effort)
-    law = tracing([(0.0, at), (way_s, to)], stiffness=stiffness, damping=damping, limit=effort, rate_hz=rate)
     low, high = min(at, to) - margin, max(at, to) + margin
     changes = {
         **_homing(x, rate),
@@ -166,6 +192,14 @@ def way_motion(x: Experiment, at: float, to: float, margin: float) -> Motion:
         "rig.simulation.initial_position": at,  # which must lie in the window, wherever the device now is
         "rig.reference.travel": max(high - low, x.rig.reference.travel or 0.0),
     }
+    if on_board:
+        changes |= {
+            "homing.settle_s": WAY_REST_S,
+            "homing.timeout_s": min(600.0, 2.0 * way_s + WAY_PATIENCE_S),
+        }
+        moved = _moved(x, to, WAY_END_S, rate, changes)
+        return Motion(moved, None, (Phase.HOMING, Phase.SETTLE, Phase.TRIAL))
+    law = tracing([(0.0, at), (way_s, to)], stiffness=stiffness, damping=damping, limit=effort, rate_hz=rate)
     return Motion(_moved(x, at, way_s + WAY_REST_S, rate, changes), law)
 
 
@@ -321,6 +355,8 @@ def _moved(x: Experiment, at: float, duration_s: float, rate: int, changes: Mapp
         "controller.parameters.cutoff_hz": CUTOFF_SHARE * velocity_rate,
         "verdict.lowpass_hz": min(x.verdict.lowpass_hz, 0.4 * rate),
     }
+    if x.controller.loop == "device":  # in integers, which every board has
+        still["controller.estimator"] = "fdm-butterworth-fixed"
     # Its own friction is what is looked for: nothing may compensate it meanwhile.
     return config.override(x, {**still, **changes, "controller.friction_compensation": 0.0}, "identification")
 
@@ -337,8 +373,10 @@ _NO_WALL: dict[str, Any] = {
     "wall.side": 1,
     "wall.law": "spring-damper",
     "controller.estimator": "fdm-butterworth",
+    "controller.arithmetic": "auto",
     "controller.prediction": "hold",
     "controller.slow_below": 0.0,
+    "controller.slow_velocity_rate": None,
 }
 
 

@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_protocol.faults import Fault
 from rig import config
 from rig.analysis.identification.quality import IdentificationError
 from rig.analysis.identification.signs import SignCheck, check_signs
 from rig.config import Experiment, controller
-from rig.core.errors import ConfigError, PlanError
+from rig.core.errors import ConfigError, DeviceFaultError, PlanError
 from rig.core.sample import Phase, RowFlag, unit_of
 from rig.devices.framed import FramedDevice
 from rig.experiments.identify_motions import REST_S, Motion, inertia_of
-from rig.experiments.trial import TrialRequest, prepared_on, run_trial
+from rig.experiments.trial import TrialRequest, end_of, prepared_on, run_trial
 from rig.recording.data import Recording
 
 LATE_SHARE = 0.01
@@ -82,7 +83,7 @@ def run_motion(
     extra: Mapping[str, Any],
     leaves_switch: bool = False,
 ) -> tuple[NDArray[np.void], Path]:
-    """Run a motion, and return the rows of the trial proper, without a gap, and the sealed recording.
+    """Run a motion, and return the rows of its phases, without a gap, and the sealed recording.
 
     Parameters
     ----------
@@ -102,7 +103,7 @@ def run_motion(
     Raises
     ------
     IdentificationError
-        Samples were lost or late, or the device overruled the law.
+        Samples were lost or late.
     RigError
         Whatever ended the trial early; the effort is zero.
     """
@@ -121,27 +122,60 @@ def run_motion(
         ),
     )
     assert end.sealed is not None
-    return trial_rows(end.sealed), end.recording
+    return trial_rows(end.sealed, motion.phases), end.recording
 
 
-def trial_rows(recording: Recording) -> NDArray[np.void]:
-    """Rows of the trial proper.
+def trial_rows(recording: Recording, phases: Sequence[Phase] = (Phase.TRIAL,)) -> NDArray[np.void]:
+    """Rows of the trial proper, or of these phases; errors as `whole`."""
+    return whole(recording, recording.rows[np.isin(recording.rows["phase"], phases)])
 
-    Raises `IdentificationError` when a tick is missing, too many were late, or the device overruled the law.
+
+def whole(recording: Recording, rows: NDArray[np.void]) -> NDArray[np.void]:
+    """Return these rows of a recording.
+
+    Raises `IdentificationError` when a tick is missing; or when too many were late, unless the board ran the law: then
+    it is only told late what happened in time.
     """
-    rows: NDArray[np.void] = recording.rows[recording.rows["phase"] == Phase.TRIAL]
     if len(rows) < 2 or np.any(np.diff(rows["sample_index"]) != 1):
         raise IdentificationError(
             f"{recording.path}: samples are missing in the motion",
             remedy="lower the rate, or use a better link: a fit needs every sample",
         )
     late = float(np.mean((rows["flags"] & RowFlag.LATE) != 0))
-    if late > LATE_SHARE:
+    if late > LATE_SHARE and recording.header["extra"].get("loop") != "device":
         raise IdentificationError(
             f"{recording.path}: {100 * late:.1f} % of the ticks were late",
             remedy="lower the rate, or free the computer of other work",
         )
     return rows
+
+
+class Pushes(NamedTuple):
+    """Pushes that were made.
+
+    Attributes
+    ----------
+    rows
+        All of them, with rests in between.
+    recording
+        The sealed file; of the first, where each has its own.
+    ended
+        The fault by which the device ended the last for want of motion, if it did.
+    """
+
+    rows: NDArray[np.void]
+    recording: Path
+    ended: DeviceFaultError | None = None
+
+
+def stalled(error: DeviceFaultError) -> Recording:
+    """The recording of pushes that the device ended for want of motion: what they show says more. Else raises it."""
+    end = end_of(error)
+    sealed = None if end is None else end.sealed
+    fault = None if sealed is None else (sealed.trailer or {}).get("fault")
+    if sealed is None or not fault or fault["name"] != Fault.RUNAWAY.name:
+        raise error
+    return sealed
 
 
 def signs_of(x: Experiment, rows: NDArray[np.void], rate: float) -> SignCheck:

@@ -3,7 +3,8 @@
     found = pulse(device, experiment, recording=Path("pulse.rigcap"), verified=True, reference_count=0)
     found.ok, found.checks
 
-Four small pushes, two each way, each growing until the handle has moved a few counts (`rig.control.motions.nudges`).
+Four small pushes, two each way, each growing until the handle has moved a few counts: by the law that the rig's runs
+have, on this computer (`rig.control.motions.nudges`) or on the board (`rig.experiments.board_pushes`).
 They need no sensor of the current, no known sign, and no more energy than `energy_of`. A motor that is dead or
 reversed, an encoder that is dead or swapped, one dead channel of it, and a scale that is wrong by a factor show in
 whether, where to, how much and when the handle moves. What they cannot tell from a dead motor is friction beyond what a
@@ -13,14 +14,13 @@ push may use: then nothing was observed, and the rig is not armed for a person e
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from firmware_protocol.faults import Fault
 from rig import config, devices
 from rig.analysis.identification.quality import IdentificationError
 from rig.analysis.identification.signs import SignCheck
@@ -30,7 +30,9 @@ from rig.core.errors import DeviceFaultError
 from rig.core.present import reported
 from rig.core.same_rig import check_rig
 from rig.core.sample import unit_of
+from rig.core.this_system import refuse_real_time
 from rig.devices.framed import FramedDevice
+from rig.experiments.board_pushes import board_pushes
 from rig.experiments.identify_motions import (
     PUSH_S,
     coulomb_of,
@@ -42,14 +44,15 @@ from rig.experiments.identify_motions import (
 )
 from rig.experiments.motion_run import (
     FreeRigRequest,
+    Pushes,
     position_now,
     refuse_unverified,
     run_motion,
     signs_of,
+    stalled,
     trial_rows,
 )
 from rig.experiments.plan import link_checks
-from rig.experiments.trial import TrialEnd
 from rig.experiments.zero import position_zero
 from rig.recording.files import free_name, plain_errors
 
@@ -72,7 +75,7 @@ class Pulse:
     rig, motion, device
         Names of the rig and of the device; the kind of motion, which decides the units.
     recording
-        The file of the pushes.
+        The file of the pushes; of the first, where the board made them one by one.
     signs
         What was measured.
     checks
@@ -104,7 +107,8 @@ class Pulse:
 def check_rig_moves(request: FreeRigRequest) -> Pulse:
     """Open a device, and send it a pulse. Errors as `pulse`, and those of opening it."""
     x = config.override(request.experiment, request.changes)
-    with devices.open_device(request.url or "sim://", config.rig_model(still(x))) as device:
+    url = devices.url_for(request.url or "sim://", x.controller.loop)
+    with devices.open_device(url, config.rig_model(still(x))) as device:
         output = Path(request.output)
         with plain_errors("make", output):
             output.mkdir(parents=True, exist_ok=True)
@@ -145,13 +149,51 @@ def pulse(
     device.moved_as_described = False
     refuse_unverified(device, verified=verified)
     refuse([check_rig(config.rig_model(still(experiment)), device.dictionary)])
-    changes = {"controller.loop": "host", **at_own_rate(experiment, device)}
+    changes = at_own_rate(experiment, device)
     if experiment.trial.kind == "human":  # an end mass belongs to automated trials
         changes["rig.mechanics.end_mass"] = 0.0
     x = config.override(experiment, changes, "the torque pulse")
+    on_board = x.controller.loop == "device"
+    if not on_board and not device.link.clock.virtual:
+        refuse_real_time('the torque pulse of controller.loop = "host"')
     refuse(link_checks(still(x), device.dictionary.position_rate_maximum, device.link.bytes_per_second))
-    motion = pushes_motion(x, position_now(device, x, reference_count), PUSHES)
-    ended: DeviceFaultError | None = None
+    push = board_pushes if on_board else _host_pushes
+    made = push(
+        device,
+        x,
+        PUSHES,
+        recording,
+        verified=verified,
+        reference_count=reference_count,
+        extra={"pulse": {"pushes": PUSHES, "most_effort": most_push(x), "way": push_way(x)}},
+    )
+    signs = signs_of(x, made.rows, slow_rate(x))
+    found = Pulse(
+        rig=x.rig.name,
+        motion=x.rig.motion,
+        device=device.dictionary.device,
+        recording=made.recording,
+        signs=signs,
+        checks=judged(x, signs),
+    )
+    if made.ended is not None and found.ok:
+        raise made.ended
+    device.moved_as_described = found.ok
+    return found
+
+
+def _host_pushes(
+    device: FramedDevice,
+    x: Experiment,
+    pushes: int,
+    recording: Path,
+    *,
+    verified: bool,
+    reference_count: int,
+    extra: Mapping[str, Any],
+) -> Pushes:
+    """`board_pushes` by a law of this computer, in one trial."""
+    motion = pushes_motion(x, position_now(device, x, reference_count), pushes)
     try:
         rows, path = run_motion(
             device,
@@ -159,35 +201,14 @@ def pulse(
             recording,
             verified=verified,
             reference_count=reference_count,
-            extra={"pulse": {"pushes": PUSHES, "most_effort": most_push(x), "way": push_way(x)}},
+            extra=extra,
             leaves_switch=True,
         )
     except DeviceFaultError as error:
-        ended = error
-        rows, path = _stalled(error)
-    signs = signs_of(x, rows, motion.experiment.controller.position_rate)
-    found = Pulse(
-        rig=x.rig.name,
-        motion=x.rig.motion,
-        device=device.dictionary.device,
-        recording=path,
-        signs=signs,
-        checks=judged(x, signs),
-    )
-    if ended is not None and found.ok:
-        raise ended
-    device.moved_as_described = found.ok
-    return found
-
-
-def _stalled(error: DeviceFaultError) -> tuple[NDArray[np.void], Path]:
-    """Rows and file of pushes that the device ended for want of motion: what they show says more. Else raises."""
-    end: TrialEnd | None = getattr(error, "end", None)
-    sealed = None if end is None else end.sealed
-    fault = None if sealed is None else (sealed.trailer or {}).get("fault")
-    if sealed is None or sealed.path is None or not fault or fault["name"] != Fault.RUNAWAY.name:
-        raise error
-    return trial_rows(sealed), sealed.path
+        sealed = stalled(error)
+        assert sealed.path is not None
+        return Pushes(trial_rows(sealed), sealed.path, error)
+    return Pushes(rows, path)
 
 
 def at_own_rate(x: Experiment, device: FramedDevice) -> dict[str, Any]:

@@ -39,7 +39,7 @@ from rig.experiments.identify_motions import still, way_motion
 from rig.experiments.motion_run import FreeRigRequest, refuse_unverified, run_motion
 from rig.experiments.plan import link_checks
 from rig.experiments.pulse import at_own_rate, pulse
-from rig.experiments.trial import TrialEnd, prepared_on
+from rig.experiments.trial import end_of, prepared_on
 from rig.loop.layout import EndReason
 from rig.recording.files import free_name, plain_errors
 
@@ -121,7 +121,8 @@ def find_reference(request: ReferenceRequest, tell: Tell | None = None) -> Found
     """Open a device, and find its reference; `tell` is told what happens next. Errors as `reference`."""
     x = config.override(request.experiment, request.changes)
     _refuse_without_index(x)
-    with devices.open_device(request.url or "sim://", config.rig_model(still(x))) as device:
+    url = devices.url_for(request.url or "sim://", x.controller.loop)
+    with devices.open_device(url, config.rig_model(still(x))) as device:
         return reference(
             device,
             x,
@@ -169,9 +170,7 @@ def reference(
     """
     _refuse_without_index(experiment)
     refuse([check_rig(config.rig_model(still(experiment)), device.dictionary)])
-    x = config.override(
-        experiment, {"controller.loop": "host", **at_own_rate(experiment, device)}, "reference"
-    )
+    x = config.override(experiment, at_own_rate(experiment, device), "reference")
     search = _Search(device, x, output, tell or (lambda text: None), verified=verified)
     if by_hand:
         index_count, switch_count, passed = search.by_hand()
@@ -294,14 +293,22 @@ class _Search:
                 f"see that nothing stands in the travel, a stop before the switch or a hand; {error.remedy}"
             )
             raise
+        except GuardError as error:
+            end = end_of(error)
+            if end is None or end.reason is not EndReason.HOMING_FAILED:  # of a way that the board went
+                raise
+            raise self._short(abs(to - self._scale * (device.count() - zero))) from error
         self.recordings.append(recording)
         short = abs(to - float(rows["position"][-1]))
         if what != "switch" and short > FOLLOWS * self._every * abs(self._scale):
-            raise IdentificationError(
-                f"the handle ended {short:.3g} {unit_of('position', self._x.rig.motion)} short of its way",
-                remedy="see that nobody holds it, and that nothing stands in its travel; or raise homing.effort",
-            )
+            raise self._short(short)
         return rows
+
+    def _short(self, way: float) -> IdentificationError:
+        return IdentificationError(
+            f"the handle ended {way:.3g} {unit_of('position', self._x.rig.motion)} short of its way",
+            remedy="see that nobody holds it, and that nothing stands in its travel; or raise homing.effort",
+        )
 
     def _seek(self) -> None:
         """Move until the switch is pressed: the run ends there."""
@@ -309,7 +316,7 @@ class _Search:
         try:
             self._go(self._device.count() + way, "switch")
         except GuardError as error:
-            end: TrialEnd | None = getattr(error, "end", None)
+            end = end_of(error)
             if end is None or end.reason is not EndReason.LIMIT_SWITCH:
                 raise
             self.recordings.append(end.recording)

@@ -112,6 +112,12 @@ class TrialEnd:
     judgement: Judgement | None = None
 
 
+def end_of(error: BaseException) -> TrialEnd | None:
+    """How the run ended that this error tells of; None where none began."""
+    end: TrialEnd | None = getattr(error, "end", None)
+    return end
+
+
 def prepared_on(
     device: FramedDevice,
     experiment: Experiment,

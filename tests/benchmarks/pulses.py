@@ -2,6 +2,7 @@
 
     python -m tests.benchmarks.pulses             # the table; a minute or two
     python -m tests.benchmarks.pulses --trials 3  # fewer places of the handle in each case
+    python -m tests.benchmarks.pulses --loop device   # pushes of the board: the firmware's law
 
 Each trial is four pushes in virtual time over the byte link, from a place of its own in the window and in an encoder
 cell, of a rig whose current nobody measures. The rule was written before the results: no sound rig is refused; a dead
@@ -28,11 +29,13 @@ from rig.config import Experiment, presets
 from rig.core.check import Outcome
 from rig.core.errors import RigError
 from rig.core.model import RigModel
+from rig.devices.fault_script import Faults
 from rig.devices.framed import FramedDevice
 from rig.experiments.identify_motions import still
 from rig.experiments.pulse import Pulse, pulse
 from sim_backend import device as simulated
 from sim_backend.device import SimulatedDevice
+from sim_backend.firmware import FirmwareDevice
 from sim_backend.hardware import Hardware
 from sim_backend.link import MemoryLink
 
@@ -97,17 +100,44 @@ FAULTS = {
 }
 
 
-def pulsed(experiment: Experiment, fault: Fault, at: float, recording: Path) -> Pulse:
-    """Send a pulse to the rig of an experiment with a fault that its device knows nothing of."""
-    sound = config.rig_model(still(experiment))
-    told = simulated.describe(sound, sound.name, 1_000, 50_000)
-    with patch.object(simulated, "describe", lambda *_: told):
-        device = SimulatedDevice(fault.model(sound), initial_position=at)
+class TickByTick(FirmwareDevice):
+    """The firmware by its parts: a compiled run of ticks would pass an encoder by that is not the true one."""
+
+    def run(self, until_ns: int, most: int, *, enough: int = 1) -> tuple[bytes, int]:
+        said, ticks = b"", 0
+        while ticks < most and len(said) < enough and self.next_tick_ns <= until_ns:
+            said += self.tick()
+            ticks += 1
+        return said, ticks
+
+    def stand_before(self, hardware: Hardware) -> None:
+        """Have another rig than the one that it was built for."""
+        self.hardware = hardware
+        self._truth = None
+        self._show_world()
+
+
+def faulty(experiment: Experiment, fault: Fault, at: float) -> FramedDevice:
+    """The rig of an experiment with a fault that its device knows nothing of, which runs the law where it is to."""
+    sound, script = config.rig_model(still(experiment)), None
+    if experiment.controller.loop == "device":
+        script = Faults()  # none, but bytes pass Python
+        device = TickByTick(sound, initial_position=at)
+        device.stand_before(Hardware(fault.model(sound), 1_000, seed=0, initial_position=at))
+    else:
+        told = simulated.describe(sound, sound.name, 1_000, 50_000)
+        with patch.object(simulated, "describe", lambda *_: told):
+            device = SimulatedDevice(fault.model(sound), initial_position=at)
     device.hardware.__class__ = Counting
     for name, value in fault.hardware:
         setattr(device.hardware, name, value)
     device.hardware.count = device.hardware.counts(device.hardware.count)
-    with FramedDevice(MemoryLink(device)) as framed:
+    return FramedDevice(MemoryLink(device, script))
+
+
+def pulsed(experiment: Experiment, fault: Fault, at: float, recording: Path) -> Pulse:
+    """Send a pulse to such a rig."""
+    with faulty(experiment, fault, at) as framed:
         return pulse(framed, experiment, recording=recording, verified=True, reference_count=0)
 
 
@@ -125,11 +155,14 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--trials", type=int, default=10)
-    trials = parser.parse_args().trials
+    parser.add_argument("--loop", choices=("host", "device"), default="host")
+    asked = parser.parse_args()
+    trials = asked.trials
     missed = 0
     with TemporaryDirectory() as directory:
         for name, (what, fault) in itertools.product(presets.names(), FAULTS.items()):
-            experiment = config.override(presets.load(name), {"rig.amplifier.current_monitor": False})
+            changes = {"rig.amplifier.current_monitor": False, "controller.loop": asked.loop}
+            experiment = config.override(presets.load(name), changes)
             limits, random = experiment.rig.limits, np.random.default_rng(7)
             half = 0.1 * (limits.position_maximum - limits.position_minimum)
             middle = 0.5 * (limits.position_maximum + limits.position_minimum)

@@ -49,7 +49,7 @@ def test_a_whole_run_is_exact(law: Any, data: st.DataObject) -> None:
     w.home_shift = draw(st.integers(1, 30))
     w.home_stiffness, w.home_damping = draw(st.integers(0, 2**31 - 1)), draw(st.integers(0, 2**31 - 1))
     w.home_effort = draw(st.integers(0, 2000)) << w.home_shift
-    w.homing_slew, w.trial_slew = draw(st.integers(2**9, 2**23)), draw(st.integers(2**13, 2**31 - 1))
+    w.homing_slew, w.trial_slew = draw(st.integers(2**9, 2**23)), draw(st.integers(2**9, 2**31 - 1))
     w.speed_limit = draw(st.sampled_from([2**31 - 1, 30 << p.biquad.state_bits]))
     steps = draw(st.lists(st.integers(-4, 4), min_size=30, max_size=120))
     elapsed = draw(

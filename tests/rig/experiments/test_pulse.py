@@ -26,11 +26,13 @@ from rig.experiments.hit import HitRequest, hit
 from rig.experiments.identify_motions import PUSH_S, coulomb_of, inertia_of, most_push, push_way
 from rig.experiments.motion_run import FreeRigRequest
 from rig.experiments.on_device import OnDevice, Trials
-from rig.experiments.pulse import NO_HANDS, Pulse, check_rig_moves, energy_of, judged, pulse
+from rig.experiments.pulse import NO_HANDS, PUSHES, Pulse, check_rig_moves, energy_of, judged, pulse
 from rig.recording.reader import open_recording
 from sim_backend.device import SimulatedDevice
+from sim_backend.firmware import FirmwareDevice
 from sim_backend.link import MemoryLink
 from tests.benchmarks.pulses import FAULTS, pulsed
+from tests.conformance.firmware import need_compiler
 
 RIGID = config.override(presets.load("koul-rigid"), {"rig.amplifier.current_monitor": False})
 PERSON = config.override(
@@ -47,9 +49,16 @@ PERSON = config.override(
 )
 
 
-@pytest.fixture(scope="module")
-def sound(tmp_path_factory: pytest.TempPathFactory) -> Pulse:
-    return pulsed(RIGID, FAULTS["sound"], 0.0, tmp_path_factory.mktemp("pulse") / "sound.rigcap")
+BY = {loop: config.override(RIGID, {"controller.loop": loop}) for loop in ("host", "device")}
+
+
+@pytest.fixture(scope="module", params=BY)
+def sound(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Pulse:
+    """Pushes by this computer's loop, and by the board's."""
+    if request.param == "device":
+        need_compiler()
+    x, place = BY[request.param], tmp_path_factory.mktemp("pulse")
+    return pulsed(x, FAULTS["sound"], 0.0, place / "sound.rigcap")
 
 
 def test_a_sound_rig_moves_as_it_is_described(sound: Pulse) -> None:
@@ -70,9 +79,12 @@ def test_a_pulse_is_small_and_recorded(sound: Pulse) -> None:
     assert rows["effort_sent"][-1] == 0.0
 
 
+@pytest.mark.parametrize("loop", BY)
 @pytest.mark.parametrize("name", [name for name, fault in FAULTS.items() if fault.named and "½" not in name])
-def test_a_fault_is_refused_by_the_check_that_is_about_it(name: str, tmp_path: Path) -> None:
-    found = pulsed(RIGID, FAULTS[name], 0.0, tmp_path / "pulse.rigcap")
+def test_a_fault_is_refused_by_the_check_that_is_about_it(name: str, loop: str, tmp_path: Path) -> None:
+    if loop == "device":
+        need_compiler()
+    found = pulsed(BY[loop], FAULTS[name], 0.0, tmp_path / "pulse.rigcap")
     refused = [check for check in found.checks if check.outcome is Outcome.REFUSED]
     assert FAULTS[name].named in [check.name for check in refused]
     assert all(check.remedy for check in refused)
@@ -129,9 +141,10 @@ def test_the_most_effort_moves_the_described_rig() -> None:
 def real(monkeypatch: pytest.MonkeyPatch) -> None:
     """Simulated devices that claim to be real ones."""
     original = sim_backend.configuration.describe
-    monkeypatch.setattr(
-        sim_backend.device, "describe", lambda *each: dataclasses.replace(original(*each), simulated=False)
-    )
+    for module in (sim_backend.device, sim_backend.firmware):
+        monkeypatch.setattr(
+            module, "describe", lambda *each: dataclasses.replace(original(*each), simulated=False)
+        )
 
 
 class Failing(SimulatedDevice):
@@ -168,6 +181,24 @@ def test_a_real_rig_is_pushed_before_a_person_is_armed_and_once(real: None, tmp_
     assert said == [NO_HANDS]
     assert len(list(tmp_path.glob("*pulse*.parquet"))) == 1
     assert len(list(tmp_path.glob("*.parquet"))) == 3
+
+
+def test_a_real_board_that_runs_the_law_pushes_before_a_person_is_armed(real: None, tmp_path: Path) -> None:
+    """With the longest lifetime of supervision, as where the system is not Linux."""
+    need_compiler()
+    changes = {"controller.loop": "device", "controller.supervise_lifetime_s": 0.1}
+    person, said = config.override(PERSON, changes), []
+    board = FirmwareDevice(config.rig_model(config.override(PERSON, BARE)))
+    board.hold_to_run(True)
+    with FramedDevice(MemoryLink(board)) as device:
+        request = HitRequest(
+            experiment=person, device=device, verified=True, output=tmp_path, hands_off=said.append
+        )
+        for _ in range(2):
+            tuple(hit(request))
+    assert said == [NO_HANDS]
+    assert len(list(tmp_path.glob("*pulse*.parquet"))) == PUSHES
+    assert len(list(tmp_path.glob("*.parquet"))) == PUSHES + 2
 
 
 def test_whoever_calls_the_public_face_is_told_to_let_go_too(

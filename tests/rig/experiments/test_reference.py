@@ -24,6 +24,7 @@ from rig.experiments.zero import position_zero
 from rig.recording.reader import open_recording
 from sim_backend.hardware import Hardware
 from sim_backend.plant import COULOMB
+from tests.conformance.firmware import need_compiler
 
 FAST = {"controller.position_rate": 2000, "controller.velocity_rate": 2000, "homing.speed": 0.5}
 MARKED = config.override(
@@ -36,13 +37,17 @@ MARKED = config.override(
         "rig.reference.travel": 1.6,
     },
 )
+BY_BOARD = config.override(MARKED, {"controller.loop": "device"})
 EVERY = 4000  # counts of a turn of its encoder, 0.63 rad of the link
 
 
 @contextmanager
 def powered_up(x: Experiment, at: float = 0.1, **options: Any) -> Iterator[FramedDevice]:
     named = "&".join(f"{key}={value}" for key, value in {"initial_position": at, **options}.items())
-    with devices.open_device(f"sim://?incremental=1&{named}", config.rig_model(still(x))) as device:
+    url = devices.url_for(f"sim://?incremental=1&{named}", x.controller.loop)
+    if x.controller.loop == "device":
+        need_compiler()
+    with devices.open_device(url, config.rig_model(still(x))) as device:
         yield device
 
 
@@ -60,17 +65,32 @@ def last_effort(recording: Path) -> float:
 
 
 @pytest.mark.parametrize(
-    ("end", "position", "sign", "at", "firmware"),
-    [("minimum", -0.3, 1, 0.1, 1), ("maximum", 0.35, 1, -0.2, 0), ("minimum", -0.3, -1, 0.3, 1)],
+    ("end", "position", "sign", "at", "firmware", "loop"),
+    [
+        ("minimum", -0.3, 1, 0.1, 1, "host"),
+        ("maximum", 0.35, 1, -0.2, 0, "host"),
+        ("minimum", -0.3, -1, 0.3, 1, "host"),
+        ("maximum", 0.35, -1, -0.2, 1, "device"),
+    ],
 )
 def test_zero_is_at_the_same_place_wherever_the_handle_was_at_power_up(
-    end: str, position: float, sign: int, at: float, firmware: int, tmp_path: Path
+    end: str, position: float, sign: int, at: float, firmware: int, loop: str, tmp_path: Path
 ) -> None:
-    """By the readable device and by the firmware: count zero of the truth is the reference count, to the count."""
+    """By the readable device and by the firmware, which also runs the law: count zero of the truth, to the count."""
     changes = {"limit_switch": end, "position": position}
     x = config.override(
-        MARKED, {"rig.encoder.sign": sign, **{f"rig.reference.{name}": one for name, one in changes.items()}}
+        MARKED,
+        {
+            "rig.encoder.sign": sign,
+            "controller.loop": loop,
+            **{f"rig.reference.{name}": one for name, one in changes.items()},
+        },
     )
+    if loop == "device":
+        need_compiler()
+    look = (
+        0.005 * x.homing.speed if loop == "device" else 0.0
+    )  # between two STATEs of a board that runs the law
     with powered_up(x, at, firmware=firmware) as device:
         assert device.count() == 0
         found = find(device, x, tmp_path)
@@ -81,7 +101,7 @@ def test_zero_is_at_the_same_place_wherever_the_handle_was_at_power_up(
         away = 1.0 if end == "minimum" else -1.0
         resolution = x.rig.encoder.resolution
         assert away * (position - found.switch_position) == pytest.approx(
-            0.5 * EVERY * resolution, abs=3 * resolution
+            0.5 * EVERY * resolution, abs=3 * resolution + look
         )
         limits = x.rig.limits
         assert limits.position_minimum < found.position < limits.position_maximum
@@ -165,34 +185,40 @@ BROKEN = {
 }
 
 
-@pytest.mark.parametrize("what", BROKEN)
-def test_what_is_wrong_with_switch_or_index_is_said_at_rest(what: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("what", "x"), [*((what, MARKED) for what in BROKEN), ("no switch", BY_BOARD), ("no index", BY_BOARD)]
+)
+def test_what_is_wrong_with_switch_or_index_is_said_at_rest(what: str, x: Experiment, tmp_path: Path) -> None:
     marks, said = BROKEN[what]
-    with powered_up(MARKED) as device:
+    with powered_up(x) as device:
         hardware_of(device).marks |= marks
         with pytest.raises(IdentificationError, match=said) as error:
-            find(device, MARKED, tmp_path)
+            find(device, x, tmp_path)
         assert error.value.remedy
         assert device.reference_count is None
         assert device.active_parameters()["reference"] == 0
         assert all(last_effort(path) == 0.0 for path in tmp_path.glob("*.parquet"))
 
 
-def test_a_handle_that_somebody_pushes_in_the_search_ends_it_by_its_speed(tmp_path: Path) -> None:
-    with powered_up(MARKED) as device:
+@pytest.mark.parametrize("x", [MARKED, BY_BOARD], ids=["host", "board"])
+def test_a_handle_that_somebody_pushes_in_the_search_ends_it_by_its_speed(
+    x: Experiment, tmp_path: Path
+) -> None:
+    with powered_up(x) as device:
 
         def push(text: str) -> None:
             hardware_of(device).external_effort = -0.5 if "limit switch" in text else 0.0
 
         with pytest.raises(RigError, match=r"speed|window"):
-            find(device, MARKED, tmp_path, tell=push)
+            find(device, x, tmp_path, tell=push)
         (search,) = tmp_path.glob("*switch*.parquet")
         assert last_effort(search) == 0.0
 
 
-def test_a_handle_that_is_held_in_the_search_is_let_go_at_once(tmp_path: Path) -> None:
+@pytest.mark.parametrize("x", [MARKED, BY_BOARD], ids=["host", "board"])
+def test_a_handle_that_is_held_in_the_search_is_let_go_at_once(x: Experiment, tmp_path: Path) -> None:
     """As by a brake that bears more than the servo gives: no edge comes, and the device ends it."""
-    with powered_up(MARKED) as device:
+    with powered_up(x) as device:
         device.configure(
             {"position_rate": 2000}
         )  # as the search will: the plant of these ticks, shared by all tests
@@ -204,7 +230,7 @@ def test_a_handle_that_is_held_in_the_search_is_let_go_at_once(tmp_path: Path) -
 
         try:
             with pytest.raises(DeviceFaultError, match="no encoder edge") as error:
-                find(device, MARKED, tmp_path, tell=hold)
+                find(device, x, tmp_path, tell=hold)
         finally:
             parameters[COULOMB] = MARKED.rig.mechanics.motor_coulomb
         assert "a stop before the switch or a hand" in error.value.remedy

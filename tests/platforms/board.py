@@ -1,0 +1,40 @@
+"""A simulated board that says it is a real one: ``python -m tests.platforms.board`` prints the URL of its port.
+
+It runs the firmware with its laws. Nobody has the handle, and somebody holds the hold-to-run switch.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+from unittest.mock import patch
+
+from rig import config
+from rig.config import presets
+from rig.devices.local import serve
+from sim_backend import firmware, pty
+from sim_backend.compiled_device import device_for
+
+
+def main() -> None:
+    """Serve it until stopped."""
+    described = firmware.describe
+
+    def held(*given: Any, **options: Any) -> Any:
+        device = device_for(*given, **options)
+        device.hold_to_run(True)
+        return device
+
+    def announce(path: str) -> None:
+        print(f"serial://{path}", flush=True)
+
+    with (
+        patch.object(firmware, "describe", lambda *given: replace(described(*given), simulated=False)),
+        patch.object(pty, "device_for", held),
+    ):
+        bare = config.override(presets.load("koul-rigid"), {"rig.mechanics.end_mass": 0.0})  # for a hand
+        serve(config.rig_model(bare), rate=5000, firmware=True, announce=announce)
+
+
+if __name__ == "__main__":
+    main()

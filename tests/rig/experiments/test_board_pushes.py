@@ -1,0 +1,173 @@
+"""Pushes of the board: bounded by the board alone, in way, effort and time, whatever becomes of the host.
+
+That they judge a rig as the pushes of a host do is asked in `test_pulse`.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from firmware_protocol.connection import State
+from firmware_protocol.faults import Fault
+from rig import config
+from rig.analysis.identification.quality import IdentificationError
+from rig.config import presets
+from rig.config.controller import effort_quantum
+from rig.core.errors import PlanError
+from rig.devices.fault_script import Faults
+from rig.devices.framed import FramedDevice
+from rig.experiments import board_pushes
+from rig.experiments.identify_motions import PUSH_COUNTS, PUSH_S, REST_S, most_push, slow_rate, still
+from rig.experiments.pulse import PUSHES, pulse
+from rig.experiments.replay import replay
+from rig.recording.reader import open_recording
+from sim_backend.link import MemoryLink
+from tests.benchmarks.pulses import TickByTick
+from tests.conformance.firmware import need_compiler
+
+LIFETIME_S, RAMP_S = 0.1, 0.01
+X = config.override(
+    presets.load("koul-rigid"),
+    {
+        "controller.loop": "device",
+        "controller.supervise_lifetime_s": LIFETIME_S,
+        "rig.amplifier.current_monitor": False,
+    },
+)
+AT = 0.02
+MOST = round(most_push(X) / effort_quantum(X, X.rig.amplifier.current_quantum_a))  # quanta
+
+
+class Watched(TickByTick):
+    """A board with a log: count and active current of each tick of a session."""
+
+    def __init__(self, *given: Any, **options: Any) -> None:
+        self.log: list[tuple[int, int]] = []
+        super().__init__(*given, **options)
+
+    def tick(self) -> bytes:
+        said = super().tick()
+        if self.session:
+            self.log.append((int(self.hardware.count), self.current))
+        return said
+
+
+@pytest.fixture(autouse=True)
+def _has_compiler() -> None:
+    need_compiler()
+
+
+def board(**options: Any) -> tuple[FramedDevice, Watched]:
+    device = Watched(config.rig_model(still(X)), initial_position=AT, **options)
+    return FramedDevice(MemoryLink(device, Faults())), device
+
+
+def supervised(host: FramedDevice, way: Any, seconds: float) -> None:
+    """Begin a push, and only say that it goes on: no STOP, whatever happens."""
+    at = board_pushes._at_rest(host, X, 0)
+    host.configure(board_pushes._prepared(host, X, at, way, verified=True, zero=0).parameters)
+    host.arm()
+    host.supervise(seconds, round(1e6 * LIFETIME_S))
+
+
+@pytest.mark.parametrize("drive", [1.0, -1.0, 2.0])
+@pytest.mark.parametrize("way", [1, -1])
+def test_the_board_cuts_in_the_tick_that_left_the_way_of_a_push(way: int, drive: float) -> None:
+    """Motor and encoder agree or not: a sample outside of it is followed by zero effort, though the host says go on."""
+    host, device = board()
+    device.hardware.drive = drive
+    supervised(host, way, REST_S + 2.0 * PUSH_S)
+    count, current = np.transpose(device.log)
+    left = int(np.flatnonzero(np.abs(count - count[0]) > PUSH_COUNTS)[0])
+    assert 0 < np.max(way * current) <= MOST
+    assert np.min(way * current) >= 0
+    assert np.abs(current[left + 1 :]).max() == 0
+    assert device.fault == Fault.NONE
+
+
+def test_a_push_that_moves_nothing_is_over_by_itself() -> None:
+    """It grows, is released and falls as it has grown; or the board's own check of a stall comes first."""
+    host, device = board()
+    device.hardware.drive = 0.0
+    supervised(host, 1, REST_S + PUSH_S + X.trial.release_s + PUSH_S + 0.1)
+    _, current = np.transpose(device.log)
+    assert 0 < current.max() <= MOST
+    assert device.current == 0
+
+
+def test_a_host_that_falls_silent_leaves_zero_effort_behind() -> None:
+    host, device = board()
+    device.hardware.drive = 0.0
+    supervised(host, 1, REST_S + 0.3 * PUSH_S)
+    assert (device.state, device.current > 0) == (State.RUNNING, True)
+    begun = len(device.log)
+    host.link.elapse(LIFETIME_S + RAMP_S + 0.02)  # type: ignore[attr-defined]
+    assert (device.fault, device.current) == (Fault.LINK_LOST, 0)
+    _, current = np.transpose(device.log)
+    assert np.count_nonzero(current[begun:]) <= (LIFETIME_S + RAMP_S) * slow_rate(X) + 1
+    assert current.max() <= MOST
+
+
+def test_each_push_is_a_recording_that_replays_to_the_last_bit(tmp_path: Path) -> None:
+    host, _ = board()
+    found = pulse(host, X, recording=tmp_path / "pulse.rigcap", verified=True, reference_count=0)
+    assert found.ok
+    assert host.moved_as_described
+    files = [tmp_path / f"pulse{number}.parquet" for number in ("", "-2", "-3", "-4")]
+    assert sorted(tmp_path.iterdir()) == sorted(files)
+    assert found.recording == files[0]
+    for number, path in enumerate(files, start=1):
+        recording = open_recording(path)
+        assert recording.header["extra"]["push"] == number
+        assert recording.trailer is not None
+        assert recording.trailer["device_host_agreement"]["holds"]
+        assert recording.rows["effort_sent"][-1] == 0.0
+        assert replay(recording).exact
+
+
+def test_a_rig_that_hardly_rubs_rolls_out_before_the_next_push(tmp_path: Path) -> None:
+    """The board has no brake: the handle rests by its damping alone, and the rig is found as it is described."""
+    x = config.override(X, {"rig.mechanics.motor_coulomb": 0.0})
+    device = TickByTick(config.rig_model(still(x)), initial_position=AT)
+    with FramedDevice(MemoryLink(device)) as host:
+        found = pulse(host, x, recording=tmp_path / "pulse.rigcap", verified=True, reference_count=0)
+    assert found.ok
+    assert len(found.signs.pushes) == PUSHES
+
+
+def test_a_board_that_runs_no_law_is_refused_at_rest_with_what_to_flash(tmp_path: Path) -> None:
+    host, device = board(law_maximum=0)
+    with pytest.raises(PlanError, match="runs no law of its own") as refused:
+        pulse(host, X, recording=tmp_path / "pulse.rigcap", verified=True, reference_count=0)
+    assert "firmware" in refused.value.remedy
+    assert not device.log
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_handle_that_does_not_rest_gets_no_push(tmp_path: Path) -> None:
+    host, device = board()
+    device.hardware.external_effort = 0.05
+    with pytest.raises(IdentificationError, match="does not rest"):
+        pulse(host, X, recording=tmp_path / "pulse.rigcap", verified=True, reference_count=0)
+    assert not device.log
+
+
+def test_a_handle_that_somebody_moves_before_the_push_shows_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    host, device = board()
+    own = board_pushes._prepared
+
+    def pushed_by_a_hand(*given: Any, **named: Any) -> Any:
+        device.hardware.external_effort = 0.05
+        return own(*given, **named)
+
+    monkeypatch.setattr(board_pushes, "_prepared", pushed_by_a_hand)
+    with pytest.raises(IdentificationError, match="does not rest"):
+        pulse(host, X, recording=tmp_path / "pulse.rigcap", verified=True, reference_count=0)
+    assert not host.moved_as_described
+    assert not any(current for _, current in device.log)
