@@ -36,6 +36,7 @@ from itertools import combinations
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rig import config
 from rig.analysis.theory.lifted import Lifted
@@ -49,7 +50,7 @@ from rig.core.sample import unit_of
 from rig.core.shown import Shown
 from rig.experiments import sweep
 from rig.experiments.hit_simulator import HitSimulator
-from rig.experiments.searches import Search
+from rig.experiments.searches import Search, check_values
 from rig.experiments.zwidth import MapPlan, Series
 
 FRICTION, QUANTUM, SATURATION, CONTACT = FOUR = ("friction", "quantum", "saturation", "contact")
@@ -58,6 +59,7 @@ CAUSES = (*FOUR, EACH, OTHERS, NONE)
 FINER = 256  # counts for one: below a thousandth of the thresholds on every preset
 UNBOUND = 1e9  # stands for a slew limit that never binds, in units of the given one
 
+Floats = NDArray[np.float64]
 Cure = tuple[str, ...]
 Holds = bool | None  # None: the hit does not show it
 
@@ -186,6 +188,7 @@ class DisagreementPlan:
                     f"wall.{key} = {value!r}: linear theory has nothing to say about it",
                     remedy=f"compare a wall with wall.{key} = {linear!r}",
                 )
+        check_values("dampings", self.map.dampings, "damping", rising=True)
         for scheme in self.map.schemes:
             linear_loop(self.experiment, scheme)
 
@@ -218,8 +221,8 @@ class DisagreementPlan:
         """What the results of all tasks say."""
         plan = self.map
         columns = [(scheme, damping) for scheme in range(len(plan.schemes)) for damping in plan.dampings]
-        across = dict(zip(plan.dampings, _widths(plan.dampings), strict=True))
-        along = _widths(plan.search.rungs, by_ratio=True)
+        across = dict(zip(plan.dampings, np.diff(edges_of(plan.dampings)).tolist(), strict=True))
+        along = np.diff(edges_of(plan.search.rungs, by_ratio=True)).tolist()
         return Disagreement(
             plan,
             tuple(
@@ -231,13 +234,13 @@ class DisagreementPlan:
         )
 
 
-def _widths(values: Sequence[float], *, by_ratio: bool = False) -> list[float]:
-    """Length of the cell about each of rising values, half-way to its neighbours; of a single one 1."""
+def edges_of(values: Sequence[float], *, by_ratio: bool = False) -> Floats:
+    """Ends of the cells about rising values, half-way to their neighbours, in K by ratio; a single one has length 1."""
     if len(values) == 1:
-        return [1.0]
+        return values[0] + np.array([-0.5, 0.5])
     at = np.asarray(values)
     between = np.sqrt(at[1:] * at[:-1]) if by_ratio else 0.5 * (at[1:] + at[:-1])
-    return [float(width) for width in np.diff([at[0], *between, at[-1]])]
+    return np.concatenate([at[:1], between, at[-1:]])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -295,33 +298,44 @@ class Wall:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Part:
+    """What differs of some area: its share of that, and the share of each cause in it, the largest first; 0 to 1."""
+
+    share: float
+    causes: dict[str, float]
+
+    @classmethod
+    def of(cls, whole: Sequence[Wall]) -> Part:
+        """The part of these walls that differs."""
+        differing = [wall for wall in whole if wall.cause]
+        return cls(share=_share(differing, whole), causes=_by(differing, lambda wall: wall.cause))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Shares:
     """How far theory goes for one scheme: shares of areas, 0 to 1.
 
     Attributes
     ----------
     differ
-        Of the plane.
+        What differs of the plane.
     fails
-        Of what theory calls stable: what the hits do not.
+        What differs of the walls that theory calls stable: those that fail.
     beyond
-        Of what the hits call stable: what theory does not.
-    causes
-        Of what differs, by cause; all of `CAUSES` that there are.
+        What differs of the walls that hold: those that theory calls unstable.
     sets
         Of what differs, by the cures where there are several: what interacts.
     differ_without
         Of the plane: what differs on the rig without all four.
     stable, holding
-        Of the plane: what theory and hits call stable.
+        Of the plane: what theory calls stable, and what holds.
     """
 
     scheme: str
     label: str
-    differ: float
-    fails: float
-    beyond: float
-    causes: dict[str, float]
+    differ: Part
+    fails: Part
+    beyond: Part
     sets: dict[str, float]
     differ_without: float
     stable: float
@@ -361,10 +375,9 @@ class Disagreement(Shown, Drawn):
         return Shares(
             scheme=scheme.text,
             label=scheme.label(self.plan.experiment),
-            differ=_share(differing, known),
-            fails=_share([wall for wall in stable if wall.cause], stable),
-            beyond=_share([wall for wall in holding if wall.cause], holding),
-            causes=_by(differing, lambda wall: wall.cause),
+            differ=Part.of(known),
+            fails=Part.of(stable),
+            beyond=Part.of(holding),
             sets=_by([w for w in differing if len(w.cures) > 1], _sets, of=differing),
             differ_without=_share([w for w in known if w.holds_without is (not w.linear)], known),
             stable=_share(stable, known),
@@ -384,35 +397,32 @@ class Disagreement(Shown, Drawn):
     def brief(self) -> list[Item]:
         """How much differs under each scheme, and what for."""
         rows = [
-            Row(shares.label, f"{_percent(shares.differ)} of the plane; {_spoken(shares.causes)}")
+            Row(
+                shares.label, f"{_percent(shares.differ.share)} of the plane: {_spoken(shares.differ.causes)}"
+            )
             for shares in self.schemes
         ]
-        name = self.plan.experiment.rig.name
+        rig = self.plan.experiment.rig.name
         return [
-            f"where linear theory and hits differ on {name}: {len(self.walls)} walls, {self.hits} hits",
+            f"where linear theory and {self.hits} hits differ on {rig}, in {len(self.walls)} walls",
             *rows,
         ]
 
     def detailed(self) -> list[Item]:
-        """The short form, and all shares."""
-        head = (
-            "scheme",
-            "differ",
-            "stable in theory, not hit",
-            "stable hit, not in theory",
-            *CAUSES,
-            "without all four",
-        )
+        """Both ways to differ, in a table."""
+        head = ("scheme", "what differs", "share", *CAUSES)
         rows = [
-            [
-                shares.label,
-                *(_percent(value) for value in (shares.differ, shares.fails, shares.beyond)),
-                *(_percent(shares.causes.get(cause, 0.0)) for cause in CAUSES),
-                _percent(shares.differ_without),
-            ]
+            ["" if number else shares.label, what, _percent(part.share), *_cells(part)]
             for shares in self.schemes
+            for number, (what, part) in enumerate(
+                (
+                    ("of the plane", shares.differ),
+                    ("stable in theory, fails", shares.fails),
+                    ("holds, not in theory", shares.beyond),
+                )
+            )
         ]
-        return [*self.brief(), Table(head, rows)]
+        return [self.brief()[0], Table(head, rows, words=2)]
 
     def table(self) -> Iterator[dict[str, Any]]:
         """Every wall as a flat row."""
@@ -467,5 +477,10 @@ def _percent(share: float) -> str:
     return f"{100.0 * share:.1f} %"
 
 
+def _cells(part: Part) -> list[str]:
+    return [_percent(part.causes[cause]) if cause in part.causes else "" for cause in CAUSES]
+
+
 def _spoken(causes: Mapping[str, float]) -> str:
-    return ", ".join(f"{cause} {_percent(share)}" for cause, share in causes.items())
+    said = ", ".join(f"{cause} {_percent(share)}" for cause, share in causes.items())
+    return f": {said}" if said else ""
