@@ -1,14 +1,16 @@
 """How well describing functions predict the limit cycle of the encoder's quantum: beside the same walls, simulated.
 
-**The walls** (stated before any result): under each scheme B at `DAMPINGS` of its B_max, and K at `STIFFNESSES` of
-K_max there, both of the linear theory; nobody holds the handle. Each is a wall on both sides, held at rest by a push
-into it that rests `DEPTH` counts deep, half-way between two counts: that buzzes most. Each is simulated from there for
-`SETTLE_S`, then measured for `MEASURED_S`, once with the rig's friction and once without.
+**The walls**: under each scheme B at `DAMPINGS` of its B_max, and K at `STIFFNESSES` of K_max there, both of the linear
+theory; nobody holds the handle. Each is a wall on both sides against a push that rests `DEPTH` counts deep, half-way
+between two counts: that buzzes most. The handle is let go `AWAY` counts deeper, moves for `SETTLE_S`, and is measured
+for `MEASURED_S`: with the rig's friction and without, its effort limited by the wire alone.
 
-**What is measured**: the sinusoid that fits the encoder's side best, its amplitude and frequency, and its share of the
-motion's variance. A wall *rests* where no count changes any more. **The errors** are predicted over measured, less one,
-over the walls where both have a cycle; where only one of both has one is counted apart. Where the sinusoid has less
-than `PURE` of the variance, the motion is none, and the wall is counted as such and its errors given apart.
+**What is measured**: amplitude, √2 times the rms of the encoder's side about its mean; frequency, half of the count's
+changes in a second; and the share of the variance that lies within `BAND` of that frequency. All three are defined for
+a cycle whose phase wanders, as toggling between two ticks makes it; a line fitted over the whole time finds little of
+such a cycle. A wall *rests* where no count changes any more. **The errors** are predicted over measured, less one, over
+the walls where both have a cycle; where only one of both has one is counted apart. Where less than `PURE` of the
+variance lies in the band the motion is no sinusoid, and its errors are given apart.
 """
 
 from __future__ import annotations
@@ -23,43 +25,44 @@ from rig.analysis import theory
 from rig.analysis.theory import LimitCycle
 from rig.config import Experiment
 from rig.config.schemes import Scheme
+from rig.control.verdict import percent
+from rig.core.errors import PlanError
 from rig.core.present import Item, Row, Table, reported, written
 from rig.core.shown import Shown
 from rig.experiments.compare import Start, simulate
+from rig.experiments.disagreement import FRICTION, SATURATION, without
 
 DAMPINGS, STIFFNESSES = (0.0, 0.25, 0.5, 0.75), (0.25, 0.5, 0.75)
-DEPTH, OFFSET = 3.5, 0.5  # counts
+DEPTH, AWAY, OFFSET = 3.5, 3.0, 0.5  # counts
 SETTLE_S, MEASURED_S = 8.0, 2.0
-PURE = 0.9
+BAND, PURE = 0.25, 0.9
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Sinusoid:
-    """The sinusoid in a motion: amplitude (count), frequency, and its share of the variance; amplitude 0 at rest."""
+class Cycle:
+    """A measured motion: amplitude (count), frequency, and its share of the variance; all 0 at rest."""
 
     amplitude: float
     frequency_hz: float
     share: float
 
     @classmethod
-    def of(cls, counts: Floats, rate_hz: float) -> Sinusoid:
-        """The strongest one of a motion about its mean."""
-        x = counts - counts.mean()
-        spectrum = np.abs(np.fft.rfft(x * np.hanning(len(x))))
-        peak = int(np.argmax(spectrum[1:-1])) + 1
-        below, at, above = np.log(np.maximum(spectrum[peak - 1 : peak + 2], 1e-300))
-        bend = below - 2.0 * at + above
-        frequency = (peak + (0.5 * (below - above) / bend if bend else 0.0)) * rate_hz / len(x)
-        turn = 2.0 * np.pi * frequency * np.arange(len(x)) / rate_hz
-        basis = np.stack([np.cos(turn), np.sin(turn)], axis=1)
-        fitted, *_ = np.linalg.lstsq(basis, x, rcond=None)
-        share = float(np.var(basis @ fitted) / np.var(x)) if x.any() else 0.0
-        return cls(amplitude=float(np.hypot(*fitted)), frequency_hz=float(frequency), share=share)
-
-
-AT_REST = Sinusoid(amplitude=0.0, frequency_hz=0.0, share=0.0)
+    def of(cls, motion: Floats, counts: Ints, rate_hz: float) -> Cycle:
+        """That of a motion (count) and the counts that it was read as."""
+        frequency = 0.5 * np.count_nonzero(np.diff(counts)) * rate_hz / len(counts)
+        if frequency == 0.0:
+            return cls(amplitude=0.0, frequency_hz=0.0, share=0.0)
+        power = np.abs(np.fft.rfft(motion - motion.mean())) ** 2
+        hz = np.fft.rfftfreq(len(motion), 1.0 / rate_hz)
+        near = np.abs(hz - frequency) <= BAND * frequency
+        return cls(
+            amplitude=float(np.sqrt(2.0) * motion.std()),
+            frequency_hz=float(frequency),
+            share=float(power[near].sum() / power.sum()),
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,7 +74,7 @@ class Held:
     stiffness: float
     friction: bool
     predicted: LimitCycle
-    simulated: Sinusoid
+    simulated: Cycle
 
     @reported
     def amplitude_error(self) -> float | None:
@@ -122,9 +125,9 @@ class Tally:
     sinusoids, others
         Errors where the motion is a sinusoid and where it is none.
     both_rest
-        Walls without a cycle, predicted and simulated.
+        Walls that rest: no cycle is predicted, or friction may hold the handle instead.
     only_predicted, only_simulated
-        Walls where one of both has one.
+        Walls where one of both has a cycle, and friction cannot hold the handle.
     """
 
     friction: bool
@@ -153,12 +156,13 @@ class LimitCycles(Shown):
         both = [wall for wall in walls if wall.amplitude_error is not None]
         moving = [wall.simulated.amplitude > 0.0 for wall in walls]
         found = [wall.predicted.found for wall in walls]
+        may_rest = [wall.predicted.may_rest or not wall.predicted.found for wall in walls]
         return Tally(
             friction=friction,
             sinusoids=Errors.of([wall for wall in both if wall.simulated.share >= PURE]),
             others=Errors.of([wall for wall in both if wall.simulated.share < PURE]),
-            both_rest=sum(not m and not f for m, f in zip(moving, found, strict=True)),
-            only_predicted=sum(f and not m for m, f in zip(moving, found, strict=True)),
+            both_rest=sum(r and not m for m, r in zip(moving, may_rest, strict=True)),
+            only_predicted=sum(not r and not m for m, r in zip(moving, may_rest, strict=True)),
             only_simulated=sum(m and not f for m, f in zip(moving, found, strict=True)),
         )
 
@@ -171,7 +175,7 @@ class LimitCycles(Shown):
 
     def detailed(self) -> list[Item]:
         """The errors, and every wall."""
-        head = ("scheme", "B", "K", "friction", "counts", "Hz", "simulated: counts", "Hz", "sinusoid")
+        head = ("scheme", "B", "K", "friction", "counts", "Hz", "simulated: counts", "Hz", "in its band")
         rows = [
             (
                 wall.scheme,
@@ -190,71 +194,86 @@ def _row(tally: Tally) -> Row:
     def said(errors: Errors, what: str) -> str:
         (a, worst_a), (f, worst_f) = errors.amplitude, errors.frequency
         return (
-            f"{errors.walls} {what}: amplitude {100 * a:.2g} % off (at most {100 * worst_a:.2g} %), "
-            f"frequency {100 * f:.2g} % (at most {100 * worst_f:.2g} %)"
+            f"{errors.walls} {what}: amplitude {percent(a)} off (at most {percent(worst_a)}), "
+            f"frequency {percent(f)} (at most {percent(worst_f)})"
         )
 
     parts = [said(tally.sinusoids, "sinusoids")] if tally.sinusoids.walls else []
-    parts += [said(tally.others, "that are none")] if tally.others.walls else []
-    parts += [f"{tally.both_rest} rest in both"] if tally.both_rest else []
-    parts += [f"{tally.only_predicted} predicted that rest"] if tally.only_predicted else []
-    parts += [f"{tally.only_simulated} simulated without a prediction"] if tally.only_simulated else []
+    parts += [said(tally.others, "that are no sinusoid")] if tally.others.walls else []
+    parts += [f"{tally.both_rest} rest, as friction can hold them"] if tally.both_rest else []
+    parts += [f"{tally.only_predicted} rest against the prediction"] if tally.only_predicted else []
+    parts += [f"{tally.only_simulated} cycle without a prediction"] if tally.only_simulated else []
     return Row("with friction" if tally.friction else "without friction", "; ".join(parts))
 
 
-def limit_cycles(experiment: Experiment, schemes: Sequence[Scheme] = ()) -> LimitCycles:
-    """Predict and simulate the walls of this module under schemes; the experiment's and the uniform ones if empty.
+def limit_cycles(
+    experiment: Experiment,
+    schemes: Sequence[Scheme] = (),
+    walls: Sequence[tuple[float, float]] | None = None,
+) -> LimitCycles:
+    """Predict and simulate walls (K, B), those of this module if None.
+
+    `schemes` are the experiment's and the uniform ones of its rates if empty.
 
     Raises
     ------
     ConfigError, NotLinearError
         A scheme that cannot be, or is not linear.
+    PlanError
+        A wall without stiffness, which rests nowhere.
     """
+    for stiffness, damping in walls or ():
+        if not (stiffness > 0.0 and damping >= 0.0):
+            raise PlanError(
+                f"a wall of K = {stiffness:g} and B = {damping:g}",
+                remedy="choose a stiffness above zero and a damping of at least zero",
+            )
     bare = replace(experiment, trial=replace(experiment.trial, kind="constant-effort"))
     chosen = tuple(schemes) or theory.default_schemes(bare)
-    return LimitCycles(
-        rig=experiment.rig.name, walls=tuple(wall for scheme in chosen for wall in _of_scheme(bare, scheme))
-    )
+    held: list[Held] = []
+    for scheme in chosen:
+        loop = theory.linear_loop(bare, scheme)
+        held += [
+            _held(scheme.applied(bare), scheme.label(bare), loop, k, b, friction)
+            for k, b in (_walls(loop) if walls is None else walls)
+            for friction in (False, True)
+        ]
+    return LimitCycles(rig=experiment.rig.name, walls=tuple(held))
 
 
-def _of_scheme(experiment: Experiment, scheme: Scheme) -> list[Held]:
-    loop = theory.linear_loop(experiment, scheme)
+def _walls(loop: theory.LinearLoop) -> list[tuple[float, float]]:
+    """The walls of this module under a scheme."""
     lifted = theory.Lifted.of(loop)
     dampings = [share * theory.b_max(lifted).damping for share in DAMPINGS]
-    walls = [
-        (limit.damping, share * limit.stiffness)
-        for limit in theory.k_max_curve(lifted, None, dampings)
-        for share in STIFFNESSES
-    ]
-    return [
-        Held(
-            scheme=scheme.label(experiment),
-            damping=b,
-            stiffness=k,
-            friction=friction,
-            predicted=theory.limit_cycle(loop, None, k, b, duty=DEPTH % 1.0, friction=friction),
-            simulated=simulated(scheme.applied(experiment), k, b, friction=friction),
-        )
-        for b, k in walls
-        for friction in (False, True)
-    ]
+    limits = theory.k_max_curve(lifted, None, dampings)
+    return [(share * limit.stiffness, limit.damping) for limit in limits for share in STIFFNESSES]
 
 
-def simulated(experiment: Experiment, stiffness: float, damping: float, *, friction: bool) -> Sinusoid:
-    """What a wall does that is held at rest `DEPTH` counts deep, after `SETTLE_S`."""
-    rig, side = experiment.rig, experiment.wall.side
-    if not friction:
-        rig = replace(rig, mechanics=replace(rig.mechanics, motor_coulomb=0.0, link_coulomb=0.0))
+def _held(
+    experiment: Experiment,
+    label: str,
+    loop: theory.LinearLoop,
+    stiffness: float,
+    damping: float,
+    friction: bool,
+) -> Held:
+    return Held(
+        scheme=label,
+        damping=damping,
+        stiffness=stiffness,
+        friction=friction,
+        predicted=theory.limit_cycle(loop, None, stiffness, damping, duty=DEPTH % 1.0, friction=friction),
+        simulated=simulated(experiment, stiffness, damping, friction=friction),
+    )
+
+
+def simulated(experiment: Experiment, stiffness: float, damping: float, *, friction: bool) -> Cycle:
+    """What a handle does at a wall, `SETTLE_S` after it was let go."""
+    bare = without(experiment, (SATURATION,) if friction else (SATURATION, FRICTION))
+    side, count = bare.wall.side, bare.rig.encoder.resolution
     wall = replace(experiment.wall, stiffness=stiffness, damping=damping, law="bilateral", position=0.0)
     trial = replace(experiment.trial, duration_s=SETTLE_S + MEASURED_S)
-    count = rig.encoder.resolution
-    start = Start(
-        position=side * (DEPTH + 0.5 - OFFSET) * count, external_effort=side * DEPTH * count * stiffness
-    )
-    _, plant, trace = simulate(replace(experiment, rig=rig, wall=wall, trial=trial), start, OFFSET)
-    last = round(MEASURED_S * experiment.controller.position_rate)
-    if not np.diff(trace.counts[-last:]).any():
-        return AT_REST
-    return Sinusoid.of(
-        trace.states[-last:, plant.sensed_position] / count, float(experiment.controller.position_rate)
-    )
+    start = Start(position=side * (DEPTH + AWAY) * count, external_effort=side * DEPTH * count * stiffness)
+    _, plant, trace = simulate(replace(bare, wall=wall, trial=trial), start, OFFSET)
+    last, rate = round(MEASURED_S * experiment.controller.position_rate), experiment.controller.position_rate
+    return Cycle.of(trace.states[-last:, plant.sensed_position] / count, trace.counts[-last:], float(rate))

@@ -19,8 +19,9 @@ reading lies above a whole one: ½ buzzes most, 0 not at all (until A is half a 
 
 What it takes for granted: one sinusoid (the loop is a low pass: harmonics of the reading, its images in the velocity's
 sampling and toggling between two ticks are left out) and motion without rest. Friction that brings a mass to rest in
-each half period is beyond it, and so is a wall that friction holds still: `found` tells a balance, not that the handle
-gets there.
+each half period is beyond it. Where friction is stronger than what half a count or less makes of effort the handle may
+as well rest (`may_rest`): which of both it does is a matter of where it comes from. So it is beyond the linear limit,
+where a small cycle may balance and every larger motion grows.
 
 Source: own derivation; describing functions are textbook (Gelb and Vander Velde 1968, not opened).
 """
@@ -48,6 +49,7 @@ TURNS = 12  # of the phase of the second mass's friction
 LARGEST = 1e3  # counts: beyond that it is no matter of the quantum
 BISECTIONS = 60
 EDGES = 2000  # crossed at most
+NOTHING = (0.0, 0.0)  # amplitude and frequency where nothing balances
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,18 +63,18 @@ class LimitCycle:
         beyond any number of counts.
     frequency_hz
         Its frequency; NaN without one.
+    may_rest
+        Whether friction can hold the handle still instead.
     """
 
     amplitude: float
     frequency_hz: float
+    may_rest: bool
 
     @property
     def found(self) -> bool:
         """Whether there is one."""
         return 0.0 < self.amplitude < math.inf
-
-
-NOTHING = LimitCycle(0.0, math.nan)
 
 
 def limit_cycle(
@@ -104,12 +106,16 @@ def limit_cycle(
         As `rig.analysis.theory.loop.linear_loop`.
     """
     loop = rig if isinstance(rig, LinearLoop) else linear_loop(rig, scheme, operator=operator)
+    model = loop.subject.model
+    held = sum(state_space(model.mechanics, model.amplifier).friction) if friction else 0.0
     open_loop = _Open.of(loop, stiffness, damping, friction=friction)
-    return max((open_loop.balance(at, duty) for at in open_loop.crossings(duty)), key=_size, default=NOTHING)
-
-
-def _size(cycle: LimitCycle) -> float:
-    return cycle.amplitude
+    balances = [open_loop.balance(at, duty) for at in open_loop.crossings(duty)]
+    amplitude, frequency = max(balances, default=NOTHING)
+    return LimitCycle(
+        amplitude=amplitude,
+        frequency_hz=frequency if amplitude > 0.0 else math.nan,
+        may_rest=min(duty, 1.0 - duty) * stiffness * model.encoder.resolution <= held,
+    )
 
 
 def reading(amplitude: float, duty: float) -> float:
@@ -193,8 +199,8 @@ class _Open:
         frequency = self.hz[place] * (self.hz[place + 1] / self.hz[place]) ** share
         return [(float(f), float(a)) for f, a in zip(frequency, amplitude, strict=True) if a > 0.0]
 
-    def balance(self, frequency: float, duty: float) -> LimitCycle:
-        """Follow one crossing until amplitude and reading belong to each other."""
+    def balance(self, frequency: float, duty: float) -> tuple[float, float]:
+        """Follow one crossing until amplitude and reading belong to each other; returns amplitude and frequency."""
         read, amplitude = reading(0.0, duty), 0.0
         for _ in range(ITERATIONS):
             there = self._in_phase(read)
@@ -202,11 +208,11 @@ class _Open:
                 return NOTHING
             frequency, found = min(there, key=lambda one: abs(math.log(one[0] / frequency)))
             if found > LARGEST:
-                return LimitCycle(math.inf, frequency)
+                return math.inf, frequency
             if abs(found - amplitude) <= SETTLED * found:
                 break
             amplitude, read = found, reading(found, duty)
-        return LimitCycle(amplitude, frequency)
+        return amplitude, frequency
 
 
 def _law(loop: LinearLoop, stiffness: float, damping: float, hz: Vector, z: Complex) -> Complex:
