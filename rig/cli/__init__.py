@@ -55,6 +55,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "rig.cli.theory:theory",
         "Say which walls are stable on a rig by exact linear theory, and what binds.",
     ),
+    "limit-cycles": (
+        "rig.cli.limit_cycles:limit_cycles",
+        "Predict how the encoder's quantum makes walls oscillate, and simulate the same walls.",
+    ),
     "plot": ("rig.cli.plot:plot", "Draw what the theory says: levant-regions."),
     "estimators": (
         "rig.cli.estimators:estimators",

@@ -11,6 +11,7 @@ from rig import config
 from rig.cli import hit_output, map_options, options, output
 from rig.cli.command import command
 from rig.cli.progress import SweepBar
+from rig.cli.zwidth_explained import explain, explain_option
 from rig.cli.zwidth_frequency import frequency_options, map_frequency, of_frequency, refuse_of_the_other
 from rig.cli.zwidth_rig import CONFIRM, CRITERIA, Dialogue, load_device, refuse_without_device
 from rig.config import Experiment
@@ -38,6 +39,7 @@ from rig.views.plots.zwidth import draw_zwidth
 @options.realtime_option("A simulated device (sim://) as a process, in real time.")
 @options.verified_option
 @options.confirm_option(CONFIRM, "each hit; no with a simulated device")
+@explain_option
 @frequency_options
 def zwidth(
     file: Path | None,
@@ -60,6 +62,7 @@ def zwidth(
     verified: bool,
     confirm: str | None,
     domain: str,
+    explained: bool,
     **push: Any,
 ) -> None:
     """Map the walls (K, B) that a rig renders stably, by hitting them; or passively, by exciting it.
@@ -69,6 +72,8 @@ def zwidth(
 
     With --url the walls are hit on a device, one after the other: a person agrees, the handle goes to its start and
     into the wall, the motor cools. Every hit is recorded.
+
+    With --explain: where linear theory and hits differ, and why, as a picture and a paragraph to cite.
 
     With --domain frequency: Figs. 5 to 8 and Table I of Chawda et al. on the simulated rig chawda-linear. Every wall of
     a grid (-K and -B as first:last:count) is excited; where its impedance is passive, its fidelity is the colour.
@@ -85,6 +90,10 @@ def zwidth(
     device = url is not None or realtime
     if device:
         _refuse_with_device(workers, scheduler)
+        if explained:
+            raise ConfigError(
+                "--explain takes parts of a simulated rig out; a device keeps them", remedy="drop one of both"
+            )
         url = url or "sim://"
     else:
         refuse_without_device(verified, confirm)
@@ -103,6 +112,9 @@ def zwidth(
         judged=judged,
         on_device=device,
     )
+    if explained:
+        explain(plan, directory, plot, as_json, workers=workers, scheduler=scheduler)
+        return
     if url is None:
         place = maps.directory_for(plan, directory, "zwidth")
         with SweepBar("series", unit="ticks", plain=as_json) as bar:

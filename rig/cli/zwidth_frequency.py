@@ -40,6 +40,7 @@ TIME_ONLY = {
     "realtime": "rig impedance --url sim:// --realtime measures single walls",
     "verified": "that is for a device: drop it",
     "confirm": "that is for a device: drop it",
+    "explained": "it explains hits: drop it",
 }
 
 

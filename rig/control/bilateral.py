@@ -1,4 +1,4 @@
-"""Laws for measuring an impedance: a spring and a damper on both sides of a point, and the same while it is excited.
+"""Laws for what is linear: a spring and a damper on both sides of a point, also excited, also once touched.
 
 A wall with a free side is not linear, so a measurement is made about a point inside a wall that also pulls. The rig's
 own motor may play an excitation on top: one period of efforts in the law's parameters, played by elapsed ticks and
@@ -29,6 +29,8 @@ RAMP_TICKS, TABLE = (
 )  # further ones of the excited wall: length of its beginning, then one period of reactions
 PLAYED = 1  # state of the excited wall: tick of the excitation, plus one; 0 before the first
 EXCITED_STATE = 2
+TOUCHED = 1  # state of the clinging wall: 1 from the first contact on
+CLINGING_STATE = 2
 
 
 @kernel(types.float64(types.int64, types.int64), inline=True)
@@ -45,6 +47,19 @@ def bilateral(
 ) -> float:
     """Reaction K·penetration + B·velocity, wherever the handle is (N·m or N); both may be zero."""
     state[LAW_CLAMPED] = 0.0
+    return float(parameters[STIFFNESS] * penetration + parameters[DAMPING] * penetration_velocity)
+
+
+@kernel(LAW_SIGNATURE)
+def clinging(
+    penetration: float, penetration_velocity: float, elapsed_ticks: int, state: Floats, parameters: Floats
+) -> float:
+    """Nothing until the wall is touched, then the bilateral wall for good (N·m or N)."""
+    state[LAW_CLAMPED] = 0.0
+    if penetration > 0.0:
+        state[TOUCHED] = 1.0
+    if state[TOUCHED] == 0.0:
+        return 0.0
     return float(parameters[STIFFNESS] * penetration + parameters[DAMPING] * penetration_velocity)
 
 
@@ -69,6 +84,11 @@ def excited(
 def bilateral_law() -> Law:
     """Return the law of the wall on both sides."""
     return Law("bilateral", "spring and damper on both sides", bilateral, 1, design)
+
+
+def clinging_law() -> Law:
+    """Return the wall that does not let go of a handle that has touched it."""
+    return Law("clinging", "bilateral, once touched", clinging, CLINGING_STATE, design)
 
 
 def excited_law(

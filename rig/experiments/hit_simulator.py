@@ -12,6 +12,7 @@ import numpy as np
 
 from rig import config, devices
 from rig.config import Experiment, controller
+from rig.control.law import Law
 from rig.devices.simulated import SimulatedHit
 
 HOMING_ALLOWANCE_S = 0.5  # beyond settling: the handle starts within the tolerance of its start
@@ -25,6 +26,8 @@ class HitSimulator:
     experiment
         Rig, controller, trial and thresholds; of its wall everything but K and B. Its seed decides where within
         homing's tolerance the handle starts, and the tremor of a hand.
+    law
+        Stands in for the law that the experiment names.
 
     Attributes
     ----------
@@ -34,7 +37,7 @@ class HitSimulator:
         Where the handle rests before each hit (rad or m).
     """
 
-    def __init__(self, experiment: Experiment) -> None:
+    def __init__(self, experiment: Experiment, *, law: Law | None = None) -> None:
         trial, homing = experiment.trial, experiment.homing
         tick_s = 1.0 / experiment.controller.position_rate
         longest_s = homing.settle_s + HOMING_ALLOWANCE_S + trial.baseline_s + trial.duration_s + 2 * tick_s
@@ -42,7 +45,7 @@ class HitSimulator:
         experiment = replace(experiment, trial=replace(trial, release_s=tick_s))
         self._wall = experiment.wall
         self._template = controller.for_experiment(
-            experiment, current_quantum_a=experiment.rig.amplifier.current_quantum_a
+            experiment, current_quantum_a=experiment.rig.amplifier.current_quantum_a, law=law
         )
         self.limits = config.verdict_thresholds(experiment)
         self._rig = devices.simulated_rig()(

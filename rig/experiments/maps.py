@@ -19,6 +19,7 @@ from rig.config import Experiment
 from rig.core.errors import RecordingError, RigError
 from rig.core.present import plain
 from rig.experiments import sweep
+from rig.experiments.disagreement import Disagreement, DisagreementPlan
 from rig.experiments.hit import HitRequest, Recorded, hit, left_by
 from rig.experiments.hit_simulator import start_of
 from rig.experiments.results import make_directory, write_document, write_table
@@ -144,6 +145,21 @@ def map_into(
 ) -> M:
     """Map a simulated rig and keep everything in a directory; a finished map is read. Errors as `zwidth`."""
     _write_plan(plan, directory)
+    found = zwidth(plan, journal=directory / JOURNAL, scheduler=scheduler, workers=workers, watch=watch)
+    write_map(found, directory)
+    return found
+
+
+def compare_into(
+    plan: DisagreementPlan,
+    directory: Path,
+    *,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    watch: Callable[[sweep.Progress], None] | None = None,
+) -> Disagreement:
+    """Compare a map with linear theory, as `map_into`; without `PLAN`, by which a map is known."""
+    make_directory(directory)
     found = zwidth(plan, journal=directory / JOURNAL, scheduler=scheduler, workers=workers, watch=watch)
     write_map(found, directory)
     return found

@@ -120,6 +120,43 @@ def test_kmax_has_a_row_for_each_rate_and_json_its_saturation(run: Any, tmp_path
     assert set(facts["saturation"]) == {"felt", "heard", "any"}
 
 
+# --- explained ------------------------------------------------------------------------------------------------
+
+EXPLAINED = [*BRIEF, "--explain", "--ratio", "3", "--scheme", "uniform:10k", "-B", "0.1,0.3"]
+
+
+def test_an_explained_map_is_shares_a_paragraph_a_picture_and_files(run: Any, tmp_path: Path) -> None:
+    code, out, err = run("zwidth", *EXPLAINED)
+    assert code == 0, err
+    assert re.match(r"where linear theory and \d+ hits differ on koul-compliant, in 10 walls\n", out)
+    assert "On the simulated rig koul-compliant, pushed by 0.15 N·m, 10 walls" in out
+    files = {path.name for path in the_map(tmp_path / "maps").iterdir()}
+    assert files == {"journal", "walls.parquet", "map.json", "zwidth.png"}
+    code, again, _ = run("zwidth", *EXPLAINED, "--json", "--no-plot")
+    facts = json.loads(again)
+    assert facts["paragraph"] in out
+    assert facts["schemes"][0]["differ"]["share"] <= 1.0
+    assert facts["walls"] == 10
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["--search", "grid"], r"--explain hits every wall of the range; drop --search"),
+        (["--url", "sim://"], r"--explain takes parts of a simulated rig out"),
+        (["-B", "0.3,0.1"], r"\(--damping\) are not in rising order"),
+        (["--scheme", "uniform:10k,estimator=levant"], r"estimator levant is not linear"),
+        (["--domain", "frequency"], r"--explain is for hits"),
+    ],
+)
+def test_what_cannot_be_explained_is_refused(run: Any, arguments: list[str], text: str) -> None:
+    code, out, err = run(
+        "zwidth", *(EXPLAINED if "frequency" not in arguments else ["--explain"]), *arguments
+    )
+    assert (code, out) == (2, "")
+    assert re.search(text, err)
+
+
 # --- what is refused ----------------------------------------------------------------------------------------------
 
 

@@ -16,9 +16,11 @@ stands in `rig.analysis.theory.loop`, with what that is worth.
 * `limits`: K_max, B_max, islands, maps
 * `dissipation`: the work that a wall gives back, exactly
 * `passivity`: the multi-rate bound and the conditions of the literature
+* `describing`: the limit cycle of the encoder's quantum
 * `summary`: all of it for a rig, as `rig theory` prints and draws it
 """
 
+from rig.analysis.theory.describing import LimitCycle, limit_cycle
 from rig.analysis.theory.lifted import Lifted, spectral_radius
 from rig.analysis.theory.limits import (
     DampingLimit,
@@ -61,6 +63,7 @@ __all__ = [
     "Island",
     "Lifted",
     "Limit",
+    "LimitCycle",
     "LinearLoop",
     "NotLinear",
     "NotLinearError",
@@ -77,6 +80,7 @@ __all__ = [
     "diolaiti",
     "k_max",
     "k_max_curve",
+    "limit_cycle",
     "linear_loop",
     "passivity_bound",
     "realise",

@@ -8,6 +8,7 @@ from typing import Any
 from rig.analysis.theory import Theory
 from rig.core.drawn import Picture
 from rig.core.errors import ConfigError
+from rig.experiments.disagreement import Disagreement
 from rig.experiments.hit import HitResult
 from rig.experiments.ranges import linear_curves, theory_curves
 from rig.experiments.replay import ReplayResult
@@ -15,6 +16,7 @@ from rig.experiments.zwidth import ZWidth
 from rig.experiments.zwidth_frequency import FrequencyMap
 from rig.recording.data import Column, Recording
 from rig.views.plots import style
+from rig.views.plots.disagreement import disagreement_figure
 from rig.views.plots.hit import hit_figure
 from rig.views.plots.replay import replay_figure
 from rig.views.plots.theory import theory_figure
@@ -52,4 +54,5 @@ _FIGURES: Mapping[type, Callable[[Any], Any]] = {
     ZWidth: lambda found: zwidth_figure(found, theory=theory_curves(found.plan)),
     FrequencyMap: lambda found: frequency_figure(found, theory=linear_curves(found.plan)),
     Theory: theory_figure,
+    Disagreement: disagreement_figure,
 }

@@ -1,0 +1,56 @@
+"""``rig limit-cycles``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rig import config
+from rig.cli import options, output
+from rig.cli.command import command
+from rig.config.schemes import Scheme
+from rig.core.errors import ConfigError
+from rig.core.present import plain
+from rig.experiments.limit_cycles import limit_cycles as compare
+from rig.experiments.searches import numbers_of
+
+
+@command("limit-cycles")
+@options.file_argument
+@options.rig_option()
+@options.walls_options(
+    "Stiffnesses of walls to look at. [¼, ½ and ¾ of K_max by linear theory]",
+    "Dampings of walls to look at, with --stiffness. [0, ¼, ½ and ¾ of B_max]",
+)
+@options.scheme_option("the experiment's and the uniform ones of its rates")
+@options.set_option
+@options.json_option
+def limit_cycles(
+    file: Path | None,
+    preset: str | None,
+    stiffness: str | None,
+    damping: str | None,
+    schemes: tuple[str, ...],
+    sets: tuple[str, ...],
+    as_json: bool,
+) -> None:
+    """Predict how the encoder's quantum makes walls oscillate, by describing functions, and simulate the same walls.
+
+    Amplitude (counts of the encoder's side) and frequency, with Coulomb friction and without, of walls that a constant
+    push holds half-way between two counts, where they buzz most; nobody holds the handle. Predicted beside simulated,
+    and how far they are apart. `rig.theory.limit_cycle` predicts one wall in a few milliseconds.
+    """
+    if (stiffness is None) != (damping is None):
+        raise ConfigError(
+            "a wall is a stiffness and a damping", remedy="give --stiffness and --damping, or neither"
+        )
+    experiment = config.override(options.chosen_experiment(file, preset), options.changes(None, sets))
+    walls = (
+        None
+        if stiffness is None or damping is None
+        else [(k, b) for b in numbers_of(damping, "--damping") for k in numbers_of(stiffness, "--stiffness")]
+    )
+    found = compare(experiment, [Scheme.parse(text) for text in schemes], walls)
+    if as_json:
+        output.print_json(plain(found))
+    else:
+        output.show(found.detailed())

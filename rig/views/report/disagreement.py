@@ -1,0 +1,24 @@
+"""The paragraph of a comparison between linear theory and hits, as a paper could cite it.
+
+The sentences stand in ``disagreement.j2``.
+"""
+
+from __future__ import annotations
+
+from rig.core.sample import unit_of
+from rig.experiments.disagreement import FINER, Disagreement
+from rig.views.report.template import fill_text
+
+
+def paragraph(found: Disagreement) -> str:
+    """What was compared, how much differs, and why, from the numbers."""
+    plan = found.plan
+    text = fill_text(
+        "disagreement.j2",
+        x=plan.experiment,
+        plan=plan,
+        found=found,
+        finer=FINER,
+        unit=lambda quantity: unit_of(quantity, plan.experiment.rig.motion),
+    )
+    return " ".join(text.split())

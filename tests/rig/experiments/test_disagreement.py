@@ -1,0 +1,186 @@
+"""Where theory and hits differ: the rule that finds why, and that each non-linearity is taken out alone."""
+
+from dataclasses import replace
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+
+if numba.config.DISABLE_JIT:
+    pytest.skip("plug points are function types of compiled code", allow_module_level=True)
+
+from rig import config
+from rig.config import presets
+from rig.config.schemes import Scheme
+from rig.control.bilateral import clinging_law
+from rig.core.errors import PlanError
+from rig.experiments import maps
+from rig.experiments.disagreement import (
+    CONTACT,
+    EACH,
+    FINER,
+    FOUR,
+    FRICTION,
+    NONE,
+    OTHERS,
+    QUANTUM,
+    SATURATION,
+    DisagreementPlan,
+    cause_of,
+    cures,
+    edges_of,
+    without,
+)
+from rig.experiments.hit_simulator import start_of
+from rig.experiments.searches import Search
+from rig.experiments.zwidth import MapPlan
+from rig.testing import reactions
+from rig.views.report.disagreement import paragraph
+
+
+@pytest.fixture(scope="module")
+def experiment() -> Any:
+    return config.override(presets.load("koul-compliant"), {"trial.kind": "human", "operator.grip": "normal"})
+
+
+def plan_of(experiment: Any, scheme: str, dampings: tuple[float, ...], search: Search) -> DisagreementPlan:
+    return DisagreementPlan(
+        map=MapPlan(experiment=experiment, schemes=(Scheme.parse(scheme),), dampings=dampings, search=search)
+    )
+
+
+# --- the rule -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("differs", "sets", "cause"),
+    [
+        (lambda left: FRICTION in left, [(FRICTION,)], FRICTION),
+        (lambda left: {FRICTION, QUANTUM} <= left, [(FRICTION,), (QUANTUM,)], EACH),
+        (lambda left: bool({FRICTION, CONTACT} & left), [(FRICTION, CONTACT)], OTHERS),
+        (bool, [FOUR], OTHERS),
+        (lambda left: True, [], NONE),
+    ],
+)
+def test_the_cause_is_read_from_the_smallest_sets_without_which_both_agree(
+    differs: Any, sets: Any, cause: str
+) -> None:
+    found = cures(lambda taken: not differs(set(FOUR) - set(taken)))
+    assert list(found) == sets
+    assert cause_of(found) == cause
+
+
+def test_no_more_sets_are_tried_than_it_takes() -> None:
+    tried = []
+    cures(lambda taken: bool(tried.append(taken)) or SATURATION in taken)
+    assert tried == [(one,) for one in FOUR]
+
+
+# --- what is taken out --------------------------------------------------------------------------------------
+
+
+def test_each_part_is_taken_out_alone(experiment: Any) -> None:
+    smooth, fine, strong = (without(experiment, [one]) for one in (FRICTION, QUANTUM, SATURATION))
+    assert smooth.rig.mechanics.motor_coulomb == smooth.rig.mechanics.link_coulomb == 0.0
+    assert replace(smooth, rig=replace(smooth.rig, mechanics=experiment.rig.mechanics)) == experiment
+
+    assert experiment.rig.encoder.resolution == pytest.approx(FINER * fine.rig.encoder.resolution)
+    assert start_of(fine) == pytest.approx(start_of(experiment)), "the handle starts where it did"
+
+    quantum = experiment.rig.amplifier.effort_quantum
+    assert strong.rig.limits.effort == strong.rig.amplifier.effort_limit == 32767 * quantum
+    assert strong.rig.mechanics == experiment.rig.mechanics
+    assert strong.rig.encoder == experiment.rig.encoder
+    assert without(experiment, [CONTACT]) == experiment, "that is the law's affair"
+
+
+def test_a_clinging_wall_is_nothing_until_it_is_touched_and_then_bilateral() -> None:
+    penetration = np.array([-1.0, -0.5, 0.0, 0.1, -0.2, -3.0])
+    wall = {"stiffness": 10.0, "damping": 2.0}
+    given = reactions(clinging_law(), penetration, np.ones(6), **wall)
+    assert given.tolist() == pytest.approx([0.0, 0.0, 0.0, 3.0, 0.0, -28.0])
+
+
+# --- physics ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("scheme", "stiffness", "damping", "cause", "linear"),
+    [
+        ("dual:20k/2k", 620.0, 0.3, FRICTION, False),  # friction holds a wall that theory calls unstable
+        ("uniform:20k", 200.0, 0.7, QUANTUM, True),  # one count buzzes in a wall that theory calls stable
+    ],
+)
+def test_friction_stabilises_and_the_quantum_buzzes(
+    experiment: Any, scheme: str, stiffness: float, damping: float, cause: str, linear: bool
+) -> None:
+    plan = plan_of(
+        experiment, scheme, (damping,), Search(lowest=stiffness, highest=1.1 * stiffness, ratio=2.0)
+    )
+    (wall,) = maps.zwidth(plan, workers=1).walls
+    assert (wall.linear, wall.holds, wall.cause) == (linear, not linear, cause)
+    assert wall.holds_without is linear, "without all four the rig does as theory says"
+
+
+# --- shares -------------------------------------------------------------------------------------------------
+
+
+def test_shares_are_areas_of_cells_that_fill_the_plane(experiment: Any) -> None:
+    plan = plan_of(experiment, "dual:20k/2k", (0.0, 1.0, 3.0), Search(lowest=10.0, highest=90.0, ratio=3.0))
+    agreed, failed = ({"radius": 0.9, "holds": holds, "holds_without": True} for holds in (True, False))
+    one = {"cures": None, "hits": 1, "ticks": 1}
+    column = [
+        {**agreed, **one, "stiffness": 10.0},
+        {**failed, **one, "stiffness": 30.0, "cures": [["quantum"]]},
+        {**failed, **one, "stiffness": 90.0, "cures": [["friction"], ["contact"]]},
+    ]
+    shares = plan.found([column] * 3).shares(0)
+    edges = [10.0, 300.0**0.5, 2700.0**0.5, 90.0]
+    assert shares.differ.share == pytest.approx((edges[3] - edges[1]) / 80.0)
+    assert shares.differ == shares.fails, "theory calls all of it stable"
+    assert shares.beyond.share == 0.0
+    assert shares.differ.causes == pytest.approx(
+        {
+            EACH: (edges[3] - edges[2]) / (edges[3] - edges[1]),
+            QUANTUM: (edges[2] - edges[1]) / (edges[3] - edges[1]),
+        }
+    )
+    assert list(shares.sets) == ["friction; contact"]
+
+
+def test_cells_end_half_way_to_their_neighbours() -> None:
+    assert edges_of((0.0, 1.0, 3.0)).tolist() == [0.0, 0.5, 2.0, 3.0]
+    assert edges_of((1.0, 4.0, 16.0), by_ratio=True).tolist() == [1.0, 2.0, 8.0, 16.0]
+    assert edges_of((2.0,)).tolist() == [1.5, 2.5]
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"wall.law": "bilateral"}, "wall.law = 'bilateral'"),
+        ({"wall.damping_on": "entry"}, "wall.damping_on = 'entry'"),
+    ],
+)
+def test_what_theory_says_nothing_about_is_refused(experiment: Any, changes: Any, text: str) -> None:
+    changed = config.override(experiment, changes)
+    with pytest.raises(PlanError, match=text):
+        plan_of(changed, "dual:20k/2k", (0.0,), Search(lowest=10.0, highest=90.0, ratio=3.0)).check()
+
+
+def test_the_paragraph_has_every_scheme_its_share_and_its_causes(experiment: Any) -> None:
+    plan = plan_of(experiment, "dual:20k/2k", (0.0, 1.0), Search(lowest=10.0, highest=90.0, ratio=3.0))
+    row = {
+        "radius": 1.1,
+        "holds": True,
+        "holds_without": True,
+        "cures": [["friction"]],
+        "hits": 1,
+        "ticks": 1,
+    }
+    text = paragraph(plan.found([[{**row, "stiffness": k} for k in (10.0, 30.0, 90.0)]] * 2))
+    assert (
+        "Dual 20/2 kHz, fdm-butterworth 200 Hz: theory and hits differ in 100.0 % of the K–B plane." in text
+    )
+    assert "Of what holds 100 % is unstable in theory (100 % friction)." in text
+    assert "Of what theory calls stable" not in text
