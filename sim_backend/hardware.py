@@ -126,7 +126,7 @@ class Hardware:
 
     def _let_move(self) -> None:
         self._moving = self._plant.arguments(self._state)
-        prepare(self._moving.held)  # a board does not compile between two ticks
+        prepare(self._moving.other)  # a board does not compile between two ticks
         self._handle = 0
 
     def prepare(self) -> None:

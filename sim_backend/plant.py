@@ -10,6 +10,8 @@ same arrays and so to the same bits.
 `sim_backend.coupled_hand`), then the age of the last encoder edge (s), then the commands still on their way, oldest
 first.
 
+**Cogging** is a matter of `sim_backend.cogging`: its effort depends on the position, which no matrix holds.
+
 **Friction.** In each inner step a friction effort is held, like the inputs, at the value that brings its mass
 to rest by the end of the step, clipped to the Coulomb level. Two masses are coupled through the capstan;
 their pair of friction efforts is found exactly. Static and kinetic friction are equal. A mass that is at rest
@@ -39,7 +41,7 @@ from rig.core.model import Matrix, RigModel, StateSpace, state_space
 from rig.realtime.groups import FloatRows, Floats, Int, group, type_of
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import NativeFunction
-from sim_backend import coupled_hand
+from sim_backend import cogging, coupled_hand
 from sim_backend.coupled_hand import HAND_ORDER, INTENTIONS
 from sim_backend.inner import (
     ADVANCE,
@@ -68,14 +70,14 @@ RIGID_ORDER, TWO_MASS_ORDER = 3, 5  # states of a rig without a hand
 class PlantArguments(NamedTuple):
     """A plant in motion: its state, the arrays and the places of `DiscretePlant`.
 
-    `held` moves the plant where a hand holds it, a plug point: who simulates no hand compiles none.
+    `other` moves the plant where a hand holds it or its motor cogs, a plug point: who simulates neither compiles none.
     """
 
     state: Floats
     phi: FloatRows
     gamma: FloatRows
     parameters: Floats
-    held: Annotated[Any, types.FunctionType(ADVANCE)]
+    other: Annotated[Any, types.FunctionType(ADVANCE)]
     sensed_position: Int
     handle_position: Int
     effort: Int
@@ -141,7 +143,7 @@ class DiscretePlant:
             phi=self.phi,
             gamma=self.gamma,
             parameters=self.parameters,
-            held=_HELD[len(self.phi)],
+            other=cogging.advance if self.cogs else _OTHER[len(self.phi)],
             sensed_position=self.sensed_position,
             handle_position=self.handle_position,
             effort=self.effort,
@@ -170,6 +172,11 @@ class DiscretePlant:
         state[self.edge_age] = math.inf
         return state
 
+    @property
+    def cogs(self) -> bool:
+        """Whether the motor cogs: the plant is written in full then (`sim_backend.cogging`)."""
+        return len(self.parameters) > PARAMETERS
+
     def count(self, state: Vector) -> int:
         """Encoder count in a state."""
         p = self.parameters
@@ -180,6 +187,8 @@ class DiscretePlant:
 @lru_cache(maxsize=64)
 def _discretised(model: RigModel, tick_s: float) -> DiscretePlant:
     continuous = state_space(model.mechanics, model.amplifier, model.operator)
+    if model.cogging.orders:
+        continuous = cogging.in_full(continuous)
     steps = max(1, math.ceil(tick_s / model.simulation.inner_step_s - 1e-9))  # 1e-9: 1 ms / 50 µs is 20
     phi, gamma = _exact(continuous, tick_s / steps)
     _check_friction(continuous, gamma, tick_s / steps)
@@ -198,7 +207,7 @@ def _discretised(model: RigModel, tick_s: float) -> DiscretePlant:
 
 
 def energy(state: Vector, model: RigModel) -> float:
-    """Kinetic and elastic energy (J) in a state, a hand's included; gravity and electrical energy are left out."""
+    """Kinetic and elastic energy (J) in a state, a hand's and the cogging's included; not gravity's, not electrical."""
     mechanics, operator = model.mechanics, model.operator
     rigid = mechanics.structure == "rigid"
     link = mechanics.loaded_link_inertia
@@ -206,7 +215,7 @@ def energy(state: Vector, model: RigModel) -> float:
     handle = 0 if rigid else 2
     twice = 0.0
     if operator is not None:
-        h = 3 if rigid else 5
+        h = 3 if rigid and not model.cogging.orders else 5
         link += operator.pads_mass * radius**2
         pads, hand = state[h] - state[handle], state[h + 2] - state[h]
         elastic = operator.pads_stiffness * pads**2 + operator.hand_stiffness * hand**2
@@ -216,7 +225,7 @@ def energy(state: Vector, model: RigModel) -> float:
     else:
         twice += mechanics.motor_inertia * state[1] ** 2 + link * state[3] ** 2
         twice += mechanics.transmission_stiffness * (state[2] - state[0]) ** 2
-    return float(0.5 * twice)
+    return float(0.5 * twice + model.cogging.energy(state[0]))
 
 
 def _exact(continuous: StateSpace, step_s: float) -> tuple[Matrix, Matrix]:
@@ -255,7 +264,7 @@ def _check_friction(continuous: StateSpace, gamma: Matrix, step_s: float) -> Non
 
 
 def _parameters(model: RigModel, continuous: StateSpace, step_s: float, steps: int) -> Vector:
-    parameters = np.zeros(PARAMETERS)
+    parameters = np.concatenate([np.zeros(PARAMETERS), model.cogging.harmonics])
     parameters[STEP_S] = step_s
     parameters[STEPS] = steps
     parameters[EFFORT_LIMIT] = model.amplifier.effort_limit
@@ -333,7 +342,7 @@ _callback = ctypes.CFUNCTYPE(None)(lambda: None)
 _address = ctypes.cast(_callback, ctypes.c_void_p).value
 assert _address is not None
 _NOBODY = NativeFunction(_address, ADVANCE, keep=_callback)  # a plug point takes no null
-_HELD = {  # by the states of a plant
+_OTHER = {  # by the states of a plant
     RIGID_ORDER: _NOBODY,  # never called
     TWO_MASS_ORDER: _NOBODY,
     RIGID_ORDER + HAND_ORDER: coupled_hand.advance_rigid,
@@ -380,5 +389,5 @@ def advance(plant: PlantArguments, command_effort: float, external_effort: float
     elif order == TWO_MASS_ORDER:
         count = _advance_two_mass(state, phi, gamma, parameters, active, external)
     else:
-        count = plant.held(state, phi, gamma, parameters, active, external)
+        count = plant.other(state, phi, gamma, parameters, active, external)
     return int(parameters[SIGN]) * count

@@ -32,6 +32,7 @@ _WRITE = {
     "text": "write text in quotes",
     "choice": "choose one of these, written exactly so",
     "list of number": "write numbers in brackets, like [0.0, 0.5]",
+    "list of whole number": "write whole numbers in brackets, like [1, 7]",
     "list of text": 'write texts in brackets, like ["a", "b"]',
 }
 

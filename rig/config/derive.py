@@ -36,6 +36,7 @@ def rig_model(described: Experiment | Rig) -> RigModel:
         encoder=rig.encoder,
         simulation=rig.simulation,
         reference=rig.reference,
+        cogging=rig.cogging,
         board=tuple(sorted(rig.board.items())),
     )
     if isinstance(described, Rig) or described.trial.kind != "human":

@@ -21,6 +21,7 @@ SHORTEST_HEARTBEAT_S = 0.1  # five times `rig.loop.run.POLL_S`
 LEAST_INDEX_COUNTS = (
     16  # between two indices: fewer, and one count is too large a share to judge where one lies
 )
+MOST_ORDER = 1000  # of cogging; no motor has as many slots
 LARGEST_DISC = 10_000_000  # lines of an encoder; no disc has more
 
 
@@ -126,6 +127,35 @@ def reference(x: Experiment) -> Iterator[Problem]:
             f"{key}.travel",
             f"must hold an index behind the switch for certain: more than {1.25 * distance:.4g} {unit}",
             'leave the switch out: limit_switch = "none" is enough where the travel holds one index',
+        )
+
+
+def cogging(x: Experiment) -> Iterator[Problem]:
+    """Cogging has a cosine and a sine for each of its orders, which are harmonics of a period."""
+    given, key = x.rig.cogging, "rig.cogging"
+    if len(set(given.orders)) < len(given.orders) or not all(1 <= n <= MOST_ORDER for n in given.orders):
+        yield _problem(
+            x, f"{key}.orders", f"must be different numbers from 1 to {MOST_ORDER}", "name each harmonic once"
+        )
+    for name in ("cosine", "sine"):
+        if len(getattr(given, name)) != len(given.orders):
+            yield _problem(
+                x,
+                f"{key}.{name}",
+                f"must have one number for each of the {len(given.orders)} orders in {key}.orders",
+                "change them together; write 0.0 for what there is not",
+            )
+    if given.orders and given.period is None:
+        yield _problem(
+            x,
+            f"{key}.period",
+            f"must be given with {key}.orders",
+            "give the way at the link after which cogging repeats: a turn of the motor, or the magnets' pitch",
+        )
+    low, high = given.minimum, given.maximum
+    if (low is None) != (high is None) or (low is not None and high is not None and low >= high):
+        yield _problem(
+            x, f"{key}.minimum", f"must lie below {key}.maximum, and both be given", "give both, or neither"
         )
 
 
@@ -437,6 +467,7 @@ RULES: tuple[Callable[[Experiment], Iterator[Problem]], ...] = (
     slow_rate,
     encoder,
     reference,
+    cogging,
     handle,
     current,
     profile,

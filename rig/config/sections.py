@@ -16,7 +16,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from annotated_types import Ge, Gt, Le, Lt, MinLen
 
-from rig.core.model import Amplifier, Encoder, Mechanics, Operator, Reference, Simulation
+from rig.core.model import Amplifier, Cogging, Encoder, Mechanics, Operator, Reference, Simulation
 from rig.core.operators import GRIPS
 from rig.core.oscillation import OSCILLATION_S, OSCILLATIONS
 from rig.core.present import Item, Row, Table
@@ -96,6 +96,7 @@ class Rig:
     encoder: Encoder
     limits: Limits
     reference: Reference = field(default_factory=Reference)
+    cogging: Cogging = field(default_factory=Cogging)
     simulation: Simulation = field(default_factory=Simulation)
     description: Annotated[str, Quantity("", "what the rig is, in a sentence")] = ""
     source: Annotated[str, Quantity("", "where its numbers come from")] = ""

@@ -24,7 +24,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from annotated_types import Ge, Gt, Le, Lt, MinLen
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from rig.core.quantity import STRICT, Quantity
 from rig.core.sample import Motion
@@ -142,6 +142,62 @@ class Amplifier:
     def set_point_ticks(self, tick_s: float) -> int:
         """Whole ticks that a set-point is late, rounded up."""
         return math.ceil(self.set_point_delay_s / tick_s - 1e-9)  # 250 µs of 50 µs each are 5
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Cogging:
+    """Effort of the motor that its position alone decides: harmonics of a period, on the motor side, at the link.
+
+    effort(x) = Σ cosine·cos(order·2π·x/period) + sine·sin(order·2π·x/period). So cog slots against magnets, and any map
+    of effort over position can be written like that. No orders: no cogging.
+    """
+
+    period: Annotated[
+        float | None,
+        Gt(0),
+        Quantity(
+            "position",
+            "after which it repeats: a turn of the motor, as the link sees it, or a pitch of magnets",
+        ),
+    ] = None
+    orders: Annotated[tuple[int, ...], Quantity("", "harmonics of the period that there are")] = ()
+    cosine: Annotated[tuple[float, ...], Quantity("effort", "of each harmonic, at position zero")] = ()
+    sine: Annotated[
+        tuple[float, ...], Quantity("effort", "of each harmonic, a quarter of its wave farther on")
+    ] = ()
+    minimum: Annotated[
+        float | None, Quantity("position", "lower end of the range in which this was measured")
+    ] = None
+    maximum: Annotated[
+        float | None, Quantity("position", "upper end of the range in which this was measured")
+    ] = None
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
+
+    @property
+    def harmonics(self) -> NDArray[np.float64]:
+        """Wavenumber (rad per rad or m), cosine and sine (N·m or N) of each harmonic, one after another."""
+        wave = 2.0 * math.pi / (self.period or math.inf)
+        rows = [(wave * n, c, s) for n, c, s in zip(self.orders, self.cosine, self.sine, strict=True)]
+        return np.array(rows, dtype=np.float64).ravel()
+
+    def effort(self, position: ArrayLike) -> NDArray[np.float64]:
+        """Effort at positions (N·m or N)."""
+        k, c, s = self.harmonics.reshape(-1, 3).T
+        angle = np.multiply.outer(np.asarray(position, dtype=np.float64), k)
+        return np.asarray(np.cos(angle) @ c + np.sin(angle) @ s)
+
+    def slope(self, position: ArrayLike) -> NDArray[np.float64]:
+        """How the effort changes with the position (N·m/rad or N/m): a stiffness, of the other sign."""
+        k, c, s = self.harmonics.reshape(-1, 3).T
+        angle = np.multiply.outer(np.asarray(position, dtype=np.float64), k)
+        return np.asarray(np.cos(angle) @ (k * s) - np.sin(angle) @ (k * c))
+
+    def energy(self, position: ArrayLike) -> NDArray[np.float64]:
+        """Energy that it holds at positions (J), on average none: less its derivative is the effort."""
+        k, c, s = self.harmonics.reshape(-1, 3).T
+        angle = np.multiply.outer(np.asarray(position, dtype=np.float64), k)
+        return np.asarray(np.cos(angle) @ (s / k) - np.sin(angle) @ (c / k))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -304,6 +360,7 @@ class RigModel:
     encoder: Encoder
     simulation: Simulation = field(default_factory=Simulation)
     reference: Reference = field(default_factory=Reference)
+    cogging: Cogging = field(default_factory=Cogging)
     operator: Operator | None = None
     reach: Reach | None = None
     board: tuple[tuple[str, bool | int | float | str], ...] = ()

@@ -20,6 +20,12 @@ from rig.realtime.plugs import LAW_SIGNATURE
 from sim_backend.excited import ExcitedPlant
 from sim_backend.plant import DiscretePlant, advance
 
+COGS = {
+    "rig.cogging.period": 0.02,
+    "rig.cogging.orders": [3],
+    "rig.cogging.cosine": [0.01],
+    "rig.cogging.sine": [0.02],
+}
 RIGID = {"rig.mechanics.motor_coulomb": 0.0, "rig.mechanics.motor_damping": 0.0}
 
 
@@ -58,10 +64,10 @@ def test_a_push_rests_where_the_wall_holds_it_on_both_sides() -> None:
 
 
 @pytest.mark.parametrize("name", ["chawda-linear", "koul-rigid", "koul-compliant"])
-@pytest.mark.parametrize("delay", [0, 2])
-def test_it_is_the_plant_and_the_law_stepped_by_hand(name: str, delay: int) -> None:
-    """To the last bit, with a delay that stays as many ticks of the law."""
-    changes = {"rig.simulation.computation_delay_ticks": delay}
+@pytest.mark.parametrize(("delay", "cogging"), [(0, {}), (2, {}), (0, COGS)], ids=["0", "2", "cogging"])
+def test_it_is_the_plant_and_the_law_stepped_by_hand(name: str, delay: int, cogging: Any) -> None:
+    """To the last bit, with a delay that stays as many ticks of the law, and with a motor that cogs."""
+    changes = {"rig.simulation.computation_delay_ticks": delay, **cogging}
     x, model, law = the_rig(name, **changes)
     _, _, other = the_rig(name, **changes)
     push = 0.4 * x.rig.limits.effort * np.sin(np.arange(400) * 2.0 * np.pi / 400)

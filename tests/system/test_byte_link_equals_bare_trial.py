@@ -30,6 +30,12 @@ HELD = {
     "operator.begin_s": 0.06,
     "operator.reach_s": 0.1,
 }
+COGS = {
+    "rig.cogging.period": 0.02,
+    "rig.cogging.orders": [3],
+    "rig.cogging.cosine": [0.002],
+    "rig.cogging.sine": [0.004],
+}
 
 
 def over_the_wire(experiment: Any, path: Any, url: str = "sim://") -> Any:
@@ -94,7 +100,7 @@ def test_the_same_seed_gives_the_same_recording_bit_for_bit(tmp_path: Path) -> N
     )
 
 
-@pytest.mark.parametrize("changes", [{}, HELD], ids=["pushed", "held"])
+@pytest.mark.parametrize("changes", [{}, HELD, COGS], ids=["pushed", "held", "cogging"])
 def test_without_a_c_compiler_the_recording_is_the_same_bit_for_bit(
     changes: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -19,6 +19,12 @@ from tests.conformance.trials import CURRENTS, trial_on
 
 SHORT = {"trial.duration_s": 0.4, "verdict.tail_s": 0.1, "homing.settle_s": 0.02}
 HELD = {"trial.kind": "human", "operator.begin_s": 0.0, "operator.reach_s": 0.2}
+COGS = {
+    "rig.cogging.period": 0.02,
+    "rig.cogging.orders": [1, 3],
+    "rig.cogging.cosine": [0.01, 0.0],
+    "rig.cogging.sine": [0.0, -0.02],
+}
 
 
 @pytest.mark.parametrize(
@@ -26,6 +32,8 @@ HELD = {"trial.kind": "human", "operator.begin_s": 0.0, "operator.reach_s": 0.2}
     [
         ("koul-compliant", {}),
         ("koul-compliant", HELD),
+        ("koul-compliant", COGS),
+        ("chawda-linear", HELD | COGS),
         ("koul-rigid", {"controller.velocity_rate": 20000, "controller.estimator": "fdm"}),
         ("koul-rigid", HELD | {"rig.encoder.sign": -1, "wall.stiffness": 600.0}),
         ("chawda-linear", {"rig.simulation.computation_delay_ticks": 2}),

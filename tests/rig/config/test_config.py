@@ -411,6 +411,19 @@ ROTARY_RULES = [
         },
         "rig.amplifier.back_emf_damping = 0.0 N·m·s/rad: must be > 0 on a plain bridge; k_t²/R at the link",
     ),
+    (
+        {"rig.cogging.orders": [1, 7], "rig.cogging.period": 0.6, "rig.cogging.cosine": [0.1]},
+        "rig.cogging.cosine = [0.1] N·m: must have one number for each of the 2 orders in rig.cogging.orders",
+    ),
+    ({"rig.cogging.orders": [0]}, "rig.cogging.orders = [0]: must be different numbers from 1 to 1000"),
+    (
+        {"rig.cogging.orders": [3], "rig.cogging.cosine": [0.1], "rig.cogging.sine": [0.0]},
+        "rig.cogging.period = None rad: must be given with rig.cogging.orders",
+    ),
+    (
+        {"rig.cogging.minimum": 0.2, "rig.cogging.maximum": 0.1},
+        "rig.cogging.minimum = 0.2 rad: must lie below",
+    ),
 ]
 
 

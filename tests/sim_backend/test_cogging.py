@@ -1,0 +1,170 @@
+"""A motor that cogs, simulated: against a pendulum's closed form, the conservation of energy, and plants without it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.special import ellipk
+
+from rig.core.model import Amplifier, Cogging, Encoder, Mechanics, Operator, RigModel
+from rig.core.operators import GRIPS
+from sim_backend.plant import DiscretePlant, advance, energy
+
+TICK_S = 1e-4
+SLIDE = RigModel(
+    name="slide",
+    motion="linear",
+    mechanics=Mechanics(structure="rigid", motor_inertia=0.5, link_inertia=0.02),
+    amplifier=Amplifier(effort_per_ampere=10.0, effort_limit=100.0),
+    encoder=Encoder(quantum=1e-6),
+)
+CAPSTAN = RigModel(
+    name="capstan",
+    motion="rotary",
+    mechanics=Mechanics(
+        structure="two-mass",
+        motor_inertia=1.9e-4,
+        link_inertia=1.58e-3,
+        transmission_stiffness=2310.0,
+        handle_radius=0.1,
+    ),
+    amplifier=Amplifier(effort_per_ampere=0.234, effort_limit=1.3, lag_s=1e-4),
+    encoder=Encoder(counts_per_revolution=1000, ratio=10.0),
+)
+ELASTIC = replace(GRIPS["normal"], pads_damping=0.0, hand_damping=0.0)
+PERIODS = {"linear": 0.024, "rotary": 2.0 * math.pi / 10.0}
+EFFORTS = {"linear": 1.0, "rotary": 0.01}
+
+
+def cogging(rig: RigModel, *harmonics: tuple[int, float, float]) -> RigModel:
+    """The rig with harmonics (order, cosine, sine), in shares of a usual effort."""
+    orders, cosine, sine = zip(*harmonics, strict=True)
+    scale = EFFORTS[rig.motion]
+    given = Cogging(
+        period=PERIODS[rig.motion],
+        orders=orders,
+        cosine=tuple(scale * c for c in cosine),
+        sine=tuple(scale * s for s in sine),
+    )
+    return replace(rig, cogging=given)
+
+
+def run(plant: DiscretePlant, state: Any, ticks: int, command: float = 0.0) -> Any:
+    rows = np.empty((ticks, state.size))
+    for row in rows:
+        advance(plant.arguments(state), command, 0.0)
+        row[:] = state
+    return rows
+
+
+def test_a_free_motor_that_cogs_swings_like_a_pendulum() -> None:
+    """Of one harmonic, m·x″ = −A·sin(k·x): its period is 4·K(sin²(k·x₀/2))/√(A·k/m), far from linear here."""
+    k, amplitude, start = 2.0 * math.pi / PERIODS["linear"], 1.0, 2.5
+    plant = DiscretePlant.build(cogging(SLIDE, (1, 0.0, -amplitude)), 1e-3)  # of twenty inner steps
+    period_s = 4.0 * ellipk(math.sin(0.5 * start) ** 2) / math.sqrt(amplitude * k / 0.52)
+    state = plant.at_rest(start / k)
+    position = run(plant, state, round(2.2 * period_s / 1e-3))[:, 0]
+    falls = np.flatnonzero((position[:-1] > 0.0) & (position[1:] <= 0.0))
+    passed = falls + position[falls] / (position[falls] - position[falls + 1])
+    assert (passed[1] - passed[0]) * 1e-3 == pytest.approx(period_s, rel=1e-6)
+
+
+@pytest.mark.parametrize("rig", [SLIDE, CAPSTAN], ids=["rigid", "two-mass"])
+@pytest.mark.parametrize("hand", [None, ELASTIC], ids=["free", "held"])
+@settings(max_examples=5, deadline=None)
+@given(
+    harmonics=st.lists(
+        st.tuples(st.sampled_from([1, 7, 12]), st.floats(-1.0, 1.0), st.floats(-1.0, 1.0)),
+        min_size=1,
+        max_size=3,
+        unique_by=lambda harmonic: harmonic[0],
+    ),
+    speed=st.floats(-0.2, 0.2),
+)
+def test_cogging_neither_makes_energy_nor_takes_any(
+    rig: RigModel, hand: Operator | None, harmonics: Any, speed: float
+) -> None:
+    """Over a second: it goes up and down by what a step of the leapfrog costs, and drifts nowhere."""
+    model = cogging(rig, *harmonics).held_by(hand, None)
+    plant = DiscretePlant.build(model, 0.02)  # of many inner steps
+    state = plant.at_rest(0.1 * PERIODS[rig.motion])
+    for place in {plant.sensed_position, plant.handle_position}:
+        state[place + 1] = speed / rig.mechanics.handle_radius
+    at = [energy(state, model)]
+    for _ in range(50):
+        advance(plant.arguments(state), 0.0, 0.0)
+        at.append(energy(state, model))
+    held = sum(abs(c) + abs(s) for _, c, s in harmonics) * EFFORTS[rig.motion] * PERIODS[rig.motion]
+    scale = 0.5 * model.mechanics.motor_inertia * (speed / rig.mechanics.handle_radius) ** 2 + held
+    assert np.ptp(at) <= 2e-3 * scale
+    assert abs(np.mean(at[-10:]) - np.mean(at[:10])) <= 1e-3 * scale
+
+
+@pytest.mark.parametrize("rig", [SLIDE, CAPSTAN], ids=["rigid", "two-mass"])
+@pytest.mark.parametrize("hand", [None, GRIPS["normal"]], ids=["free", "held"])
+@pytest.mark.parametrize("lag_s", [0.0, 2e-4])
+def test_a_motor_that_hardly_cogs_moves_like_one_that_does_not(
+    rig: RigModel, hand: Operator | None, lag_s: float
+) -> None:
+    """The plant in full is the same rig: its states, its friction, its count and the age of its edge."""
+    scale = EFFORTS[rig.motion]
+    rubs = replace(
+        rig.mechanics, motor_coulomb=0.1 * scale, link_coulomb=0.07 * scale, link_damping=0.1 * scale
+    )
+    rig = replace(rig, mechanics=rubs, amplifier=replace(rig.amplifier, lag_s=lag_s))
+    free = DiscretePlant.build(rig.held_by(hand, None), TICK_S)
+    full = DiscretePlant.build(cogging(rig, (3, 0.0, 0.0)).held_by(hand, None), TICK_S)
+    assert full.cogs
+    assert not free.cogs
+    a, b = free.at_rest(0.0), full.at_rest(0.0)
+    pairs = [(free.sensed_position, full.sensed_position), (free.handle_position, full.handle_position)]
+    if free.hand_position is not None:
+        pairs.append((free.hand_position, full.hand_position or 0))
+    for tick in range(300):
+        command = 0.4 * scale * math.sin(2.0 * math.pi * tick / 150.0)
+        assert advance(free.arguments(a), command, 0.05 * scale) == advance(
+            full.arguments(b), command, 0.05 * scale
+        )
+        for here, there in pairs:
+            assert b[there : there + 2] == pytest.approx(a[here : here + 2], rel=1e-9, abs=1e-13)
+        assert b[full.effort] == pytest.approx(a[free.effort], rel=1e-9, abs=1e-13)
+        assert b[full.edge_age] == pytest.approx(a[free.edge_age], rel=1e-6, abs=1e-9)
+    assert abs(a[free.sensed_position + 1]) > 0.0
+
+
+@pytest.mark.parametrize("rig", [SLIDE, CAPSTAN], ids=["rigid", "two-mass"])
+def test_friction_holds_a_motor_that_cogs_to_the_last_bit_until_both_are_overcome(rig: RigModel) -> None:
+    """At a crest of cogging along the position a push breaks away at Coulomb − cogging, against it at the sum."""
+    scale, share = EFFORTS[rig.motion], 0.3
+    rig = replace(
+        rig,
+        mechanics=replace(rig.mechanics, motor_coulomb=scale),
+        amplifier=replace(rig.amplifier, lag_s=0.0),
+    )
+    plant = DiscretePlant.build(cogging(rig, (1, share, 0.0)), TICK_S)
+    for command, holds in (
+        ((1.0 - share) * 0.999, True),
+        ((1.0 - share) * 1.001, False),
+        (-(1.0 + share) * 0.999, True),
+        (-(1.0 + share) * 1.001, False),
+    ):
+        state = plant.at_rest(0.0)
+        moved = run(plant, state, 50, command * scale)[:, plant.sensed_position]
+        assert bool(np.all(moved == 0.0)) is holds
+        if not holds:
+            assert np.sign(moved[-1]) == np.sign(command)
+
+
+def test_effort_slope_and_energy_are_derivatives_of_each_other() -> None:
+    given = cogging(CAPSTAN, (1, 0.3, -0.2), (14, -0.5, 1.0)).cogging
+    at, step = np.linspace(-0.7, 0.7, 101), 1e-6
+    rise = (given.energy(at + step) - given.energy(at - step)) / (2.0 * step)
+    assert -rise == pytest.approx(given.effort(at), abs=1e-9)
+    rise = (given.effort(at + step) - given.effort(at - step)) / (2.0 * step)
+    assert rise == pytest.approx(given.slope(at), abs=1e-6)
