@@ -1,4 +1,4 @@
-"""The rigs of the two papers, as experiment files whose comments say where each number is from."""
+"""The rigs of the two papers and rigs that people own: experiment files whose comments say where numbers are from."""
 
 from __future__ import annotations
 

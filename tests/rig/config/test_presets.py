@@ -1,4 +1,4 @@
-"""The presets are the rigs of the two papers: their numbers, and what follows from them."""
+"""The presets are the rigs of the two papers, and rigs that people own: their numbers, and what follows from them."""
 
 from __future__ import annotations
 
@@ -10,12 +10,17 @@ from importlib.resources import files
 import numpy as np
 import pytest
 
+from rig import config
 from rig.config import as_mapping, check_plugins, experiment_from_mapping, presets, rig_model, with_realtime
 from rig.config.files import flatten
+from rig.control.verdict import Kind
 from rig.core.errors import ConfigError
 from rig.core.model import state_space
+from rig.experiments.hit_simulator import HitSimulator
 
-NAMES = ("chawda-linear", "koul-compliant", "koul-rigid")
+OF_PAPERS = ("chawda-linear", "koul-compliant", "koul-rigid")
+OWNED = ("course-paddle", "hapkit", "moteus-knob", "smartknob", "woodenhaptics")
+NAMES = tuple(sorted((*OF_PAPERS, *OWNED)))
 
 KOUL_COMMON = {
     "rig.motion": "rotary",
@@ -104,7 +109,7 @@ def test_the_presets_are_these() -> None:
     assert presets.names() == NAMES
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", OF_PAPERS)
 def test_numbers_are_those_of_the_reproduction_study(name: str) -> None:
     experiment = presets.load(name)
     assert experiment.rig.name == name
@@ -131,7 +136,7 @@ def test_a_preset_ships_as_a_readable_file_that_is_its_text(name: str) -> None:
     assert experiment_from_mapping(tomllib.loads(text), name) == presets.load(name)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", OF_PAPERS)
 def test_every_number_of_the_rig_says_where_it_is_from(name: str) -> None:
     """Lines of [rig.*] with a value that is not zero carry a comment; the tags used are explained at the top."""
     text = presets.text(name)
@@ -142,6 +147,45 @@ def test_every_number_of_the_rig_says_where_it_is_from(name: str) -> None:
             assert "#" in line, line
     for tag in set(re.findall(r"\[(Koul|maxon|fitted|typical|chosen|Chawda|declared)\]", rest)):
         assert f"[{tag}]" in head
+
+
+@pytest.mark.parametrize("name", OWNED)
+def test_every_number_of_an_owned_rig_has_a_source_or_is_assumed(name: str) -> None:
+    """Each comment of [rig.*] begins with a tag that the head of the file explains."""
+    head, rest = presets.text(name).split("[rig]", 1)
+    for line in rest[rest.index("[rig.mechanics]") : rest.index("[wall]")].splitlines():
+        if re.search(r"= -?[\d.]*[1-9]", line) and not re.match(r"(velocity_rate|side)", line):
+            tag = re.search(r"# \[(\w[\w-]*)\] ?", line)
+            assert tag is not None, line
+            assert f"[{tag[1]}]" in head, line
+    assert "ASSUMED" in presets.load(name).rig.source
+    assert "[assumed]" in rest
+
+
+@pytest.mark.parametrize("late", [0, 1])
+@pytest.mark.parametrize("name", NAMES)
+def test_the_default_wall_of_a_preset_is_stable_and_feels_hard(name: str, late: int) -> None:
+    """A wall that pushes back within millimetres, in counts that one can count, with effort to spare, then at rest."""
+    x = config.override(presets.load(name), {"rig.simulation.computation_delay_ticks": late})
+    x = with_realtime(x) if late else x
+    found = HitSimulator(x).hit(x.wall.stiffness, x.wall.damping)
+    for measured in (found.true, found.recorded):
+        assert measured.kind is Kind.STABLE, measured.found
+    depth, handle = x.trial.effort / x.wall.stiffness, x.rig.mechanics.handle_radius
+    assert depth >= 3.0 * x.rig.encoder.resolution
+    assert depth * handle <= 2.5e-3
+    assert found.true.numbers["saturated_fraction"] <= 1e-3
+    assert x.trial.effort > 2.0 * (x.rig.mechanics.motor_coulomb + x.rig.mechanics.link_coulomb)
+
+
+@pytest.mark.parametrize("late", [0, 1])
+@pytest.mark.parametrize("name", OWNED)
+def test_the_default_wall_of_an_owned_rig_is_stable_in_a_hand(name: str, late: int) -> None:
+    changes = {"trial.kind": "human", "rig.simulation.computation_delay_ticks": late}
+    x = config.override(presets.load(name), changes)
+    x = with_realtime(x) if late else x
+    found = HitSimulator(x).hit(x.wall.stiffness, x.wall.damping)
+    assert (found.true.kind, found.recorded.kind) == (Kind.STABLE, Kind.STABLE)
 
 
 def test_what_is_fitted_or_not_in_the_paper_says_so() -> None:
