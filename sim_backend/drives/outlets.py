@@ -1,0 +1,142 @@
+"""Where a host finds a simulated drive: a pseudo-terminal, a CAN interface, a socket that is a bus.
+
+A CAN bus is a descriptor that passes one ``struct can_frame`` of linux/can.h (16 bytes) a message, read and written
+with the same calls in either of two forms, told apart by the place's name:
+
+* ``vcan0``, ``can0``: a network interface, opened as ``socket(AF_CAN, SOCK_RAW, CAN_RAW)`` and bound to it;
+* ``/run/…`` (a path): a Unix socket, opened as ``socket(AF_UNIX, SOCK_SEQPACKET)`` and connected to it, for machines
+  whose kernel has no CAN. It is a bus: what one host sends reaches the drive and all other hosts.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import socket
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import Self
+
+from rig.core.errors import DeviceNotFoundError
+from sim_backend.line import Terminal as RawTerminal
+from sim_backend.real_time import sleep_until
+
+assert sys.platform == "linux"
+
+CAN_FRAME_BYTES = 16  # linux/can.h, struct can_frame
+HOSTS = 8
+
+
+class Terminal(RawTerminal):
+    """A pseudo-terminal whose cable can be pulled."""
+
+    _pulled = False
+
+    def unplug(self) -> None:
+        """Close it: the host's end reads its end of file."""
+        self._pulled = True
+        os.close(self.descriptor)
+
+    def read(self, deadline_ns: int) -> bytes:
+        """Return what the host sent; see `sim_backend.line.Line.read`."""
+        if self._pulled:
+            sleep_until(deadline_ns)
+            return b""
+        return super().read(deadline_ns)
+
+    def write(self, frames: bytes) -> None:
+        """Send to the host."""
+        if not self._pulled:
+            super().write(frames)
+
+    def __exit__(self, *error: object) -> None:
+        if not self._pulled:
+            super().__exit__(*error)
+
+
+class CanBus:
+    """The drive's sockets on a bus.
+
+    Attributes
+    ----------
+    place
+        What a host opens.
+    """
+
+    def __init__(self, place: str) -> None:
+        self.place = place
+        self._listener: socket.socket | None = None
+        self._ends: list[socket.socket] = []
+        if "/" in place:
+            self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+            self._listener.bind(place)
+            self._listener.listen(HOSTS)
+        else:
+            self._ends.append(_interface(place))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.unplug()
+
+    def unplug(self) -> None:
+        """Leave the bus: a host at a socket reads its end of file, one at an interface hears nothing any more."""
+        for end in self._ends:
+            end.close()
+        self._ends = []
+        if self._listener is not None:
+            self._listener.close()
+            self._listener = None
+            Path(self.place).unlink(missing_ok=True)
+
+    def read(self, deadline_ns: int) -> bytes:
+        """Return the frames that have come, waiting for one until the deadline."""
+        ready = [*self._ends, *([self._listener] if self._listener is not None else [])]
+        remaining_s = max(0, deadline_ns - time.monotonic_ns()) * 1e-9
+        readable, _, _ = select.select(ready, [], [], remaining_s)
+        if self._listener in readable:
+            self._ends.append(self._listener.accept()[0])
+        frames = b""
+        for end in readable:
+            if end is not self._listener:
+                frames += self._heard(end)
+        return frames
+
+    def _heard(self, end: socket.socket) -> bytes:
+        frame = b""
+        with suppress(OSError):
+            frame = end.recv(CAN_FRAME_BYTES)
+        if self._listener is None:
+            return frame
+        if len(frame) != CAN_FRAME_BYTES:  # the host is gone
+            self._ends.remove(end)
+            end.close()
+            return b""
+        self._send(frame, [other for other in self._ends if other is not end])
+        return frame
+
+    def write(self, frames: bytes) -> None:
+        """Put frames on the bus; a host that does not read loses them."""
+        for start in range(0, len(frames), CAN_FRAME_BYTES):
+            self._send(frames[start : start + CAN_FRAME_BYTES], self._ends)
+
+    @staticmethod
+    def _send(frame: bytes, ends: list[socket.socket]) -> None:
+        for end in ends:
+            with suppress(OSError):
+                end.send(frame, socket.MSG_DONTWAIT)
+
+
+def _interface(name: str) -> socket.socket:
+    try:
+        end = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+        end.bind((name,))
+    except OSError as error:
+        raise DeviceNotFoundError(
+            f"{name} is no CAN interface of this computer: {error}",
+            remedy=f"ip link add {name} type vcan && ip link set {name} up; where the kernel has none, give a path",
+        ) from error
+    return end
