@@ -2,39 +2,38 @@
 
 from __future__ import annotations
 
-import ctypes
-import multiprocessing
-import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-from rig.core.errors import ConfigError, DeviceNotFoundError
+from rig.core.errors import ConfigError
 from rig.core.model import RigModel
+from rig.devices.child import announced
 from sim_backend.drives.bus import Adapter, Drive
 from sim_backend.drives.can_simple import SocketCan
 from sim_backend.drives.faults import Script
 from sim_backend.drives.fdcanusb import Fdcanusb, Uart
 from sim_backend.drives.moteus import MoteusOptions, SimulatedMoteus
 from sim_backend.drives.odrive import OdriveOptions, SimulatedOdrive
-from sim_backend.drives.outlets import CanBus, Terminal
 from sim_backend.drives.serving import Serving
 
+if sys.platform == "linux":
+    from sim_backend.drives.outlets import CanBus, Terminal
+
+assert sys.platform == "linux"
+
 Kind = Literal["moteus", "odrive"]
-START_TIMEOUT_S = 60.0  # the first start compiles the plant
-STOP_TIMEOUT_S = 5.0
-PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 
 @dataclass(frozen=True, slots=True)
 class Served:
-    """A drive that is being served: what a host opens, and its process."""
+    """A drive that is being served, and what a host opens."""
 
     path: str
-    process: Any
 
 
 def serve(
@@ -123,43 +122,13 @@ def simulated_drive(kind: Kind, model: RigModel, **options: Any) -> Iterator[Ser
 
     Raises `DeviceNotFoundError` when it does not come up.
     """
-    context = multiprocessing.get_context("spawn")
-    receiver, sender = context.Pipe(duplex=False)
-    process = context.Process(
-        target=_child, args=(kind, model, options, sender), name="rig-drive", daemon=True
-    )
-    process.start()
-    sender.close()
-    try:
-        yield Served(_announced(receiver, kind), process)
-    finally:
-        process.terminate()
-        process.join(STOP_TIMEOUT_S)
-        if process.is_alive():
-            process.kill()
-            process.join(STOP_TIMEOUT_S)
+    by_hand = f"python -m sim_backend.drives {kind}"
+    with announced(_child, kind, model, options, name=f"simulated {kind}", by_hand=by_hand) as path:
+        yield Served(path)
 
 
-def _child(kind: Kind, model: RigModel, options: Mapping[str, Any], pipe: Any) -> None:
-    os.setsid()  # Ctrl-C is for the host
-    die_with_parent()
-    serve(kind, model, announce=pipe.send, **options)
-
-
-def die_with_parent() -> None:
-    """Ask Linux for SIGTERM when the parent dies, also of kill -9."""
-    with suppress(OSError, AttributeError):
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
-
-
-def _announced(receiver: Any, kind: str) -> str:
-    with suppress(EOFError):
-        if receiver.poll(START_TIMEOUT_S):
-            return str(receiver.recv())
-    raise DeviceNotFoundError(
-        f"the simulated {kind} did not start",
-        remedy=f"start it by hand to see why: python -m sim_backend.drives {kind}",
-    )
+def _child(announce: Callable[[str], None], kind: Kind, model: RigModel, options: Mapping[str, Any]) -> None:
+    serve(kind, model, announce=announce, **options)
 
 
 @contextmanager
