@@ -322,7 +322,7 @@ class SimulatedOdrive:
         elif command is Command.ESTOP:
             self._fail(Error.ESTOP_REQUESTED)
         elif command is Command.CLEAR_ERRORS:
-            w[[W.active_errors, W.disarm_reason, W.struck]] = 0.0
+            w[[W.active_errors, W.disarm_reason]] = 0.0
             self._feed()
         elif command is Command.REBOOT:
             self._restart(*values)

@@ -20,8 +20,10 @@ from pathlib import Path
 from typing import Self
 
 from rig.core.errors import DeviceNotFoundError
-from sim_backend.line import Terminal as RawTerminal
 from sim_backend.real_time import sleep_until
+
+if sys.platform == "linux":
+    from sim_backend.line import Terminal as RawTerminal
 
 assert sys.platform == "linux"
 

@@ -273,7 +273,8 @@ def test_a_fault_ends_the_torque_and_stays_until_a_stop(event: str, value: float
     drive.torque(0.05, timeout=NAN)
     drive.wait(0.05)
     assert (drive.read(0), drive.read(0x00F, "b"), drive.command) == (1, code, 0.0)
-    drive.drive.happen(event, {"fault": 0.0, "voltage": 24.0, "temperature": 25.0}[event])
+    drive.drive.happen("voltage", 24.0)
+    drive.drive.happen("temperature", 25.0)
     drive.write(0)
     drive.wait(0.001)
     assert (drive.read(0), drive.read(0x00F, "b")) == (0, 0)
@@ -305,6 +306,15 @@ def test_a_second_master_moves_it_and_is_heard() -> None:
     assert frame.identifier == 0x0102
     drive.wait(0.001)
     assert drive.command == pytest.approx(0.03)
+
+
+def test_somebody_who_puts_it_into_position_mode_makes_it_hold_a_position() -> None:
+    drive = Moteus(drive_rig(initial_position=0.3), STILL)
+    drive.start()
+    there = drive.read(1)
+    drive.drive.happen("mode", 10)
+    drive.wait(0.02)
+    assert drive.command * there < 0.0  # towards position 0, by its own gains
 
 
 def test_after_a_reboot_it_is_stopped_with_what_was_stored() -> None:
@@ -371,6 +381,14 @@ def test_how_time_is_cut_changes_no_bit() -> None:
         return [drive.read(register) for register in (1, 2, 3)]
 
     assert ran([300]) == ran([1] * 300) == ran([7] * 42 + [6])
+
+
+def test_what_is_no_number_turns_nothing() -> None:
+    drive = Moteus()
+    drive.start()
+    drive.torque(NAN)
+    drive.wait(0.01)
+    assert (drive.command, drive.read(2)) == (0.0, 0.0)
 
 
 def test_a_linear_rig_and_an_unknown_setting_are_refused() -> None:
