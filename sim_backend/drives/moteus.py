@@ -165,6 +165,11 @@ class SimulatedMoteus:
             self.ticks = until
         return []
 
+    @property
+    def events(self) -> frozenset[str]:
+        """Names of what `happen` takes."""
+        return frozenset(self._happenings())
+
     def happen(self, name: str, value: float) -> list[Frame]:
         """Let the world do something to it.
 
@@ -270,7 +275,7 @@ class SimulatedMoteus:
 
         def turns(w: list[float]) -> float:
             rotor = w[W.filtered] / w[W.counts_per_turn]
-            return rotor - math.floor(rotor)
+            return float(rotor - math.floor(rotor))
 
         def nothing(_: list[float]) -> float:
             return 0.0

@@ -387,7 +387,7 @@ def law(w: Words, count: int, measured: float) -> float:
     """One control cycle: encoder count and torque at the shaft (N·m) in, torque wanted there out."""
     if w[W.source_valid] != 0.0:
         _filter(w, count)
-    w[W.torque] = measured / w[W.rotor_to_output]
+    w[W.torque] = w[W.sign] * measured / w[W.rotor_to_output]
     if w[W.timeout_left] > 0.0:
         w[W.timeout_left] = max(0.0, w[W.timeout_left] - _DT)
     if w[W.command] != w[W.mode]:
@@ -403,4 +403,4 @@ def law(w: Words, count: int, measured: float) -> float:
     torque = _work(w)
     if w[W.mode] == FAULT:
         torque = w[W.control_torque] = 0.0
-    return float(torque * w[W.rotor_to_output])
+    return float(w[W.sign] * torque * w[W.rotor_to_output])

@@ -119,7 +119,7 @@ def written(register: int, kind: int, raw: float) -> tuple[int, float] | int:
     """Register and value of a write, a shadow resolved; or the number of the error that is its answer."""
     register = SHADOWS.get(register, register)
     if register == MODE:
-        return (MODE, raw) if raw < MODES else UNKNOWN_REGISTER
+        return (MODE, raw) if 0 <= raw < MODES else UNKNOWN_REGISTER
     if register in _WRITTEN:
         return register, scaled(raw, kind, _WRITTEN[register][0])
     if register in _ACTIONS:

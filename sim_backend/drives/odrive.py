@@ -211,6 +211,11 @@ class SimulatedOdrive:
     def _is_off(self) -> bool:
         return self.ticks < self._off_until
 
+    @property
+    def events(self) -> frozenset[str]:
+        """Names of what `happen` takes."""
+        return frozenset(self._happenings())
+
     def happen(self, name: str, value: float) -> list[Frame]:
         """Let the world do something to it.
 

@@ -90,8 +90,10 @@ def serve(
             )
         opened: Terminal | CanBus = CanBus(place)
     else:
-        drive, spoken = _moteus(model, settings, firmware), _adapter(adapter)
+        drive = _moteus(model, settings, firmware)
+        spoken = _adapter(adapter, drive)
         opened = Terminal()
+    script.check(drive.events)
     with opened as port, _signals(stop):
         announce(port.place)
         Serving(drive, spoken, port, script, stop).run(duration_s)
@@ -109,11 +111,12 @@ def _odrive(model: RigModel, settings: Mapping[str, str] | None, firmware: int |
     return SimulatedOdrive(model, options)
 
 
-def _adapter(name: str) -> Adapter:
-    adapters: dict[str, Callable[[], Adapter]] = {"uart": Uart, "fdcanusb": Fdcanusb}
-    if name not in adapters:
-        raise ConfigError(f"adapter = {name} is unknown", remedy=f"one of {', '.join(adapters)}")
-    return adapters[name]()
+def _adapter(name: str, drive: SimulatedMoteus) -> Adapter:
+    if name == "uart":
+        return Uart(prefix=int(drive.settings.values["can.prefix"]))
+    if name == "fdcanusb":
+        return Fdcanusb()
+    raise ConfigError(f"adapter = {name} is unknown", remedy="uart, or fdcanusb")
 
 
 @contextmanager

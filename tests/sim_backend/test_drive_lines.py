@@ -220,5 +220,7 @@ def test_what_cannot_be_served_is_said() -> None:
         serve("moteus", drive_rig(), adapter="slcan")
     with pytest.raises(ConfigError, match="melt"):
         serve("moteus", drive_rig(), faults=["melt frame=1"])
+    with pytest.raises(ConfigError, match="bus-off"):
+        serve("moteus", drive_rig(), faults=["bus-off frame=1"])
     with pytest.raises(DeviceNotFoundError, match="nocan0"):
         CanBus("nocan0")

@@ -76,16 +76,20 @@ def test_enabling_takes_milliseconds_without_torque() -> None:
     assert seen == sorted(seen)
 
 
-def test_feed_forward_torque_accelerates_the_rig_through_its_ratio() -> None:
-    drive = Moteus()
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("gear", [1.0, 0.5])
+def test_feed_forward_torque_accelerates_the_rig_through_its_ratios(gear: float, sign: int) -> None:
+    output = {"motor_position.rotor_to_output_ratio": str(gear), "motor_position.output.sign": str(sign)}
+    drive = Moteus(settings=output)
     drive.start()
     drive.torque(0.05)
     drive.wait(0.05)
     assert drive.read(3) == pytest.approx(0.05, rel=1e-6)
-    assert drive.read(4) == pytest.approx(0.05 / KT, rel=1e-6)
-    acceleration = 0.05 / SHAFT_INERTIA / TURN  # rev/s²
+    assert drive.read(4) == pytest.approx(0.05 * gear / KT, rel=1e-6)
+    acceleration = 0.05 * gear**2 / SHAFT_INERTIA / TURN  # rev/s²
     delay_s = PLL_SHAPE / (TURN * 400.0) * 2.0  # of a ramp through a critically damped loop
     assert drive.read(2) == pytest.approx(acceleration * (0.05 - delay_s), rel=0.02)
+    assert drive.drive.motor.turns * sign > 0.0
 
 
 @pytest.mark.parametrize("sign", [1, -1])
