@@ -21,7 +21,7 @@ from tests.guest.boot import BUSYBOX
 pytestmark = pytest.mark.skipif(not os.path.exists("/sys/module/vcan"), reason="no vcan here: run .ci/guest")
 
 INTERFACE = "vcan0"
-WAIT_S = 20.0
+WAIT_S = 60.0  # an emulated processor loads the kernels
 FREE = {
     "axis0.controller.config.enable_torque_mode_vel_limit": "0",
     "axis0.controller.config.enable_overspeed_error": "0",
