@@ -12,6 +12,7 @@ import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
 
@@ -21,6 +22,15 @@ START_TIMEOUT_S = 60.0  # the first start compiles the plant
 STOP_TIMEOUT_S = 5.0
 SAFE_PATH = "PYTHONSAFEPATH"  # python -P, for the children of this process
 PR_SET_PDEATHSIG = 1  # linux/prctl.h
+
+
+@dataclass(frozen=True, slots=True)
+class Board:
+    """Scheduling of a simulated device: a board's timer never waits, so it has priority over any host's loop."""
+
+    realtime: str = "try"
+    priority: int = 90
+    cpu: int | None = None
 
 
 @contextmanager

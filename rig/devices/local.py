@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from tempfile import TemporaryDirectory
 from typing import Any
 
@@ -18,22 +18,13 @@ from rig.core.errors import ConfigError
 from rig.core.model import RigModel
 from rig.core.this_system import processors, refuse_real_time
 from rig.devices import simulated_model
-from rig.devices.child import announced
+from rig.devices.child import Board, announced
 from rig.devices.device import DeviceUrl, Link
 from rig.devices.framed import FramedDevice
 from rig.realtime.hand import SharedHand
 from rig.realtime.scheduling import Realtime, obtained
 
 IN_VIRTUAL_TIME = "simulate it in virtual time: leave `realtime` out, rehearse a session"
-
-
-@dataclass(frozen=True, slots=True)
-class Board:
-    """Scheduling of a simulated device: a board's timer never waits, so it has priority over any host's loop."""
-
-    realtime: str = "try"
-    priority: int = 90
-    cpu: int | None = None
 
 
 def serve(

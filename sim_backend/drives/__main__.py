@@ -37,6 +37,7 @@ def main() -> int:
             firmware=given.firmware,
             adapter=given.adapter,
             place=given.bus,
+            realtime="try",
             announce=lambda place: print(place, flush=True),
         )
     except RigError as error:

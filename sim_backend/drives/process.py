@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -12,7 +11,8 @@ from typing import Any, Literal
 
 from rig.core.errors import ConfigError
 from rig.core.model import RigModel
-from rig.devices.child import announced
+from rig.devices.child import Board, announced
+from rig.realtime.scheduling import obtained
 from sim_backend.drives.bus import Adapter, Drive
 from sim_backend.drives.can_simple import SocketCan
 from sim_backend.drives.faults import Script
@@ -20,6 +20,7 @@ from sim_backend.drives.fdcanusb import Fdcanusb, Uart
 from sim_backend.drives.moteus import MoteusOptions, SimulatedMoteus
 from sim_backend.drives.odrive import OdriveOptions, SimulatedOdrive
 from sim_backend.drives.serving import Serving
+from sim_backend.stopping import stopped_by_signals
 
 if sys.platform == "linux":
     from sim_backend.drives.outlets import CanBus, Terminal
@@ -45,6 +46,7 @@ def serve(
     firmware: int | None = None,
     adapter: str = "uart",
     place: str | None = None,
+    realtime: str = "off",
     announce: Callable[[str], None] = print,
     stop: threading.Event | None = None,
     duration_s: float | None = None,
@@ -67,6 +69,8 @@ def serve(
         Of a moteus: ``uart``, the board's own port with checksums, or ``fdcanusb``.
     place
         Of the ODrive's CAN bus (`sim_backend.drives.outlets`).
+    realtime
+        Scheduling, as ``host.realtime``: a drive's timer never waits. A process of its own tries it.
     announce
         Called once with what a host opens.
     stop
@@ -94,9 +98,13 @@ def serve(
         spoken = _adapter(adapter, drive)
         opened = Terminal()
     script.check(drive.events)
-    with opened as port, _signals(stop):
-        announce(port.place)
-        Serving(drive, spoken, port, script, stop).run(duration_s)
+    with opened as port, stopped_by_signals(stop), obtained(Board(realtime)) as granted:
+        granted.enter_thread()
+        try:
+            announce(port.place)
+            Serving(drive, spoken, port, script, stop).run(duration_s)
+        finally:
+            granted.leave_thread()
 
 
 def _moteus(model: RigModel, settings: Mapping[str, str] | None, firmware: int | None) -> SimulatedMoteus:
@@ -131,19 +139,4 @@ def simulated_drive(kind: Kind, model: RigModel, **options: Any) -> Iterator[Ser
 
 
 def _child(announce: Callable[[str], None], kind: Kind, model: RigModel, options: Mapping[str, Any]) -> None:
-    serve(kind, model, announce=announce, **options)
-
-
-@contextmanager
-def _signals(stop: threading.Event) -> Iterator[None]:
-    """Let SIGINT and SIGTERM end it, where they can be caught."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    numbers = (signal.SIGINT, signal.SIGTERM)
-    before = [signal.signal(number, lambda *_: stop.set()) for number in numbers]
-    try:
-        yield
-    finally:
-        for number, handler in zip(numbers, before, strict=True):
-            signal.signal(number, handler)
+    serve(kind, model, announce=announce, **{"realtime": "try", **options})

@@ -224,3 +224,5 @@ def test_what_cannot_be_served_is_said() -> None:
         serve("moteus", drive_rig(), faults=["bus-off frame=1"])
     with pytest.raises(DeviceNotFoundError, match="nocan0"):
         CanBus("nocan0")
+    with pytest.raises(ConfigError, match="cannot be made"):
+        CanBus("/no/such/place")
