@@ -9,7 +9,7 @@ import pytest
 
 from rig.core.errors import ConfigError
 from sim_backend.drives.bus import Frame
-from sim_backend.drives.can_simple import Command, Error, Result, SocketCan
+from sim_backend.drives.can_simple import Command, Error, Result
 from sim_backend.drives.odrive import SimulatedOdrive
 from tests.conformance.drives import INERTIA, KT, RATIO, Odrive, drive_rig
 from tests.conformance.rigs import linear_rig
@@ -199,17 +199,6 @@ def test_another_node_a_wrong_encoder_and_a_calibration_lead_nowhere() -> None:
     drive = Odrive()
     drive.send(Command.SET_AXIS_STATE, "I", 3)
     assert drive.ask(Command.HEARTBEAT, "IBBBx")[2] == Result.INVALID_STATE
-
-
-def test_frames_are_those_of_socketcan() -> None:
-    can = SocketCan()
-    (unit,) = can.close(Frame(0x2E, b"\1\2\3\4"))
-    assert unit == struct.pack("=IB3x8s", 0x2E, 4, b"\1\2\3\4")
-    assert can.open(unit) == (Frame(0x2E, b"\1\2\3\4"), [])
-    asked = struct.pack("=IB3x8s", 0x40000009, 8, b"")
-    assert can.open(asked) == (Frame(0x09, b"", remote=True), [])
-    assert can.open(struct.pack("=IB3x8s", 0x20000004, 8, b"")) == (None, [])  # the controller's own report
-    assert can.splitter().split(unit + asked) == [unit, asked]
 
 
 def test_a_linear_rig_and_an_unknown_setting_are_refused() -> None:
