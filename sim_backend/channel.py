@@ -46,7 +46,7 @@ class Line:
         *frames, self._unfinished[direction] = (self._unfinished[direction] + data).split(b"\0")
         for frame in frames:
             if frame:  # a delimiter alone is not a frame
-                self._send_frame(direction, frame + b"\0", tick)
+                self.send_frame(direction, frame + b"\0", tick)
 
     def receive(self, direction: Direction, tick: int) -> bytes:
         """Return what has come out at the other end when `tick` ticks have passed."""
@@ -61,7 +61,8 @@ class Line:
         due = [queue[0][0] for queue in self._under_way.values() if queue]
         return min(due) if due and not self.unplugged else None
 
-    def _send_frame(self, direction: Direction, frame: bytes, tick: int) -> None:
+    def send_frame(self, direction: Direction, frame: bytes, tick: int) -> None:
+        """Put one whole frame on the line, of whatever kind; see `send`."""
         number = self.frames[direction]
         self.frames[direction] = number + 1
         behind, self._held[direction] = self._held[direction], []

@@ -1,0 +1,52 @@
+"""``python -m sim_backend.drives``: serve a simulated drive, print what a host opens."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+from rig import config
+from rig.config import presets
+from rig.core.errors import RigError
+
+if sys.platform == "linux":
+    from sim_backend.drives.process import serve
+
+assert sys.platform == "linux"
+
+
+def main() -> int:
+    """Serve until ended; the exit status."""
+    parser = argparse.ArgumentParser(prog="python -m sim_backend.drives", description=__doc__)
+    parser.add_argument("kind", choices=("moteus", "odrive"))
+    parser.add_argument("--rig", required=True, help="name of a preset, or an experiment file")
+    parser.add_argument("--fault", action="append", default=[], help='"drop to=host frame=12", several times')
+    parser.add_argument(
+        "--set", action="append", default=[], help="setting of the drive: servo.timeout_mode=0"
+    )
+    parser.add_argument("--firmware", type=lambda text: int(text, 0), help="0x010203 is 1.2.3")
+    parser.add_argument(
+        "--adapter", choices=("uart", "fdcanusb"), default="uart", help="of a moteus without a bus"
+    )
+    parser.add_argument("--bus", help="a CAN interface, or the path of a socket to be made")
+    given = parser.parse_args()
+    try:
+        serve(
+            given.kind,
+            config.rig_model(presets.load_named(given.rig)),
+            faults=given.fault,
+            settings=dict(setting.partition("=")[::2] for setting in given.set),
+            firmware=given.firmware,
+            adapter=given.adapter,
+            place=given.bus,
+            realtime="try",
+            announce=lambda place: print(place, flush=True),
+        )
+    except RigError as error:
+        print(error, file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

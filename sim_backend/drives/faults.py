@@ -1,0 +1,85 @@
+"""What goes wrong, in words: ``drop to=host frame=12``, ``fault value=33 tick=300``.
+
+The first word is a kind of `rig.devices.fault_script.Kind`, which strikes a unit of the line (a line of text, a CAN
+frame); or an event of the drive (`SimulatedMoteus.happen`, `SimulatedOdrive.happen`); or ``stale``: the drive answers
+with what it answered before; or ``host-bus-off``: the host's own CAN controller says that it has left the bus, and
+nothing comes or goes any more. `frame` counts units of a direction from 0, for an event those that the host sent;
+`tick` counts milliseconds since the host's first one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+from rig.core.errors import ConfigError
+from rig.devices.fault_script import Direction, FrameFault, Kind
+
+STALE, HOST_BUS_OFF = "stale", "host-bus-off"
+EVENTS = (
+    *(STALE, HOST_BUS_OFF),
+    *("fault", "voltage", "temperature", "slip", "expire", "reboot", "mode", "master"),
+    *("estop", "bus-off"),
+)
+_DIRECTIONS = {"device": Direction.TO_DEVICE, "host": Direction.TO_HOST}
+_EXAMPLE = 'like "drop to=host frame=12" or "fault value=33 tick=300"'
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Event:
+    """What happens to a drive, just before it takes unit `frame` of the host, or at `tick` milliseconds."""
+
+    name: str
+    value: float = 0.0
+    frame: int | None = None
+    tick: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Script:
+    """What goes wrong in a run."""
+
+    frames: tuple[FrameFault, ...] = ()
+    events: tuple[Event, ...] = ()
+
+    def on_a_can_bus(self) -> Script:
+        """The same where a frame that is damaged on its way fails its CRC, and no controller passes it on."""
+        damaged = (Kind.CORRUPT, Kind.TRUNCATE)
+        frames = (replace(fault, kind=Kind.DROP) if fault.kind in damaged else fault for fault in self.frames)
+        return replace(self, frames=tuple(frames))
+
+    def check(self, known: Iterable[str]) -> None:
+        """Raise `ConfigError` for an event that does not happen to a drive."""
+        for event in self.events:
+            if event.name not in {STALE, HOST_BUS_OFF, *known}:
+                raise ConfigError(
+                    f"{event.name} does not happen to this drive", remedy=f"one of {', '.join(known)}"
+                )
+
+    @classmethod
+    def of(cls, texts: Iterable[str]) -> Script:
+        """Read a script; `ConfigError` for what is none."""
+        found = [_read(text) for text in texts]
+        return cls(
+            frames=tuple(one for one in found if isinstance(one, FrameFault)),
+            events=tuple(one for one in found if isinstance(one, Event)),
+        )
+
+
+def _read(text: str) -> FrameFault | Event:
+    word, *rest = text.split()
+    given = dict(part.partition("=")[::2] for part in rest)
+    to = given.pop("to", "host")
+    if ("frame" in given) == ("tick" in given) or to not in _DIRECTIONS:
+        raise ConfigError(f"{text!r} does not say when, or to whom", remedy=_EXAMPLE)
+    try:
+        if word in {kind.value for kind in Kind}:
+            numbers = {name: int(value) for name, value in given.items()}
+            return FrameFault(kind=Kind(word), direction=_DIRECTIONS[to], **numbers)  # type: ignore[arg-type]
+        if word in EVENTS:
+            value = float(given.pop("value", "0"))
+            return Event(name=word, value=value, **{name: int(when) for name, when in given.items()})
+    except (ValueError, TypeError) as error:
+        raise ConfigError(f"{text!r} is no fault: {error}", remedy=_EXAMPLE) from error
+    known = ", ".join((*(kind.value for kind in Kind), *EVENTS))
+    raise ConfigError(f"{word!r} is no fault", remedy=f"one of {known}; {_EXAMPLE}")

@@ -1,0 +1,177 @@
+r"""Lines of text that carry CAN frames: ``can send 8001 01000A… BF *5C`` to the drive, ``OK`` and ``rcv …`` back.
+
+Two devices speak so. The board's own serial port (`Uart`; docs/integration/uart.md of mjbots/moteus at db1a762, and
+fw/uart_fdcanusb_micro_server.h): a checksum is allowed on a command, and once one came, each needs one and each answer
+has one; no flags on what is received. The USB adapter (`Fdcanusb`; README.md of mjbots/fdcanusb at f18c1d6, and
+fw/can_manager.cc): no checksums, flags, and data filled up with NOP to a length that CAN FD has.
+"""
+
+from __future__ import annotations
+
+from sim_backend.drives.bus import Frame
+from sim_backend.drives.multiplex import NOP
+from sim_backend.drives.socket_can import STANDARD_IDS, filled
+
+LONGEST_LINE = 254  # fw/uart_fdcanusb_micro_server.h; what is longer is thrown away
+DATA_BYTES = 64  # of a CAN FD frame
+_POLYNOMIAL = 0x97  # docs/integration/uart.md
+_SEND = b"can send "
+
+
+def _table() -> bytes:
+    table = bytearray()
+    for byte in range(256):
+        for _ in range(8):
+            byte = (byte << 1 ^ (_POLYNOMIAL if byte & 0x80 else 0)) & 0xFF  # noqa: PLW2901
+        table.append(byte)
+    return bytes(table)
+
+
+_CRC = _table()
+
+
+def checksum(text: bytes) -> int:
+    """CRC-8 over what stands before the star, the space included."""
+    crc = 0
+    for byte in text:
+        crc = _CRC[crc ^ byte]
+    return crc
+
+
+def sealed(text: bytes) -> bytes:
+    """A line with its checksum."""
+    return b"%b *%02X" % (text, checksum(text + b" "))
+
+
+class _RefusedError(Exception):
+    """A line is answered with ERR and this text."""
+
+
+class Lines:
+    """Cuts bytes into lines."""
+
+    def __init__(self) -> None:
+        self._rest = b""
+
+    def split(self, data: bytes) -> list[bytes]:
+        """Whole lines, each with a line feed."""
+        *lines, self._rest = (self._rest + data).replace(b"\r", b"\n").split(b"\n")
+        if len(self._rest) > LONGEST_LINE:
+            self._rest = b""
+        return [line + b"\n" for line in lines if line]
+
+
+class Uart:
+    """The board's own serial port.
+
+    Parameters
+    ----------
+    prefix
+        ``can.prefix``: frames of another one are passed over in silence.
+    """
+
+    def __init__(self, prefix: int = 0) -> None:
+        self._prefix = prefix
+        self._checked = False
+
+    def splitter(self) -> Lines:
+        """Make what cuts bytes into lines."""
+        return Lines()
+
+    def open(self, unit: bytes) -> tuple[Frame | None, list[bytes]]:
+        """Take a line; see `sim_backend.drives.bus.Adapter`."""
+        try:
+            frame = self._frame(unit.rstrip())
+        except _RefusedError as refused:
+            return None, self._say(b"ERR " + refused.args[0])
+        return frame, self._say(b"OK") if frame is not None else []
+
+    def _frame(self, line: bytes) -> Frame | None:
+        line = self._unsealed(line)
+        if not line.startswith(_SEND):
+            raise _RefusedError(b"unknown command")
+        word, space, rest = line.removeprefix(_SEND).partition(b" ")
+        try:
+            identifier = int(word, 16)
+        except ValueError:
+            raise _RefusedError(b"invalid hex in id") from None
+        if not space:
+            raise _RefusedError(b"missing data")
+        if identifier >> 16 & 0x1FFF != self._prefix:
+            return None
+        data = _hex(rest.partition(b" ")[0])
+        if data is None:
+            raise _RefusedError(b"malformed data")
+        return Frame(identifier & 0xFFFF, data[:DATA_BYTES])
+
+    def close(self, frame: Frame) -> list[bytes]:
+        """Say a frame in a line."""
+        identifier = self._prefix << 16 | frame.identifier
+        return self._say(b"rcv %08x %b" % (identifier, frame.data.hex().encode()))
+
+    def _unsealed(self, line: bytes) -> bytes:
+        """What a line says, without its checksum, which one line may lack until the first has had one."""
+        text, star, digits = line.rpartition(b"*")
+        claimed = _hex(digits) if star and len(digits) == 2 else None
+        if claimed is None and not self._checked:
+            return line
+        if claimed is None or checksum(text) != claimed[0]:
+            raise _RefusedError(b"checksum")
+        self._checked = True
+        return text.rstrip(b" ")
+
+    def _say(self, text: bytes) -> list[bytes]:
+        return [(sealed(text) if self._checked else text) + b"\r\n"]
+
+
+class Fdcanusb:
+    """The USB adapter, on the bus (``can on``)."""
+
+    def splitter(self) -> Lines:
+        """Make what cuts bytes into lines."""
+        return Lines()
+
+    def open(self, unit: bytes) -> tuple[Frame | None, list[bytes]]:
+        """Take a line; see `sim_backend.drives.bus.Adapter`."""
+        line = unit.rstrip()
+        try:
+            frame = None if line in {b"can on", b"can off"} else self._frame(line)
+        except _RefusedError as refused:
+            return None, [b"ERR %b\r\n" % refused.args[0]]
+        return frame, [b"OK\r\n"]
+
+    @staticmethod
+    def _frame(line: bytes) -> Frame:
+        if not line.startswith(_SEND):
+            raise _RefusedError(b"unknown command")
+        word, *rest = line.removeprefix(_SEND).split()
+        if not rest:
+            raise _RefusedError(b"insufficient options")
+        if set(b"".join(rest[1:])) - set(b"BbFfRr"):
+            raise _RefusedError(b"unknown flag")
+        try:
+            identifier = int(word, 16)
+        except ValueError:
+            identifier = -1
+        if not 0 <= identifier < 1 << 29:
+            raise _RefusedError(b"bad id")
+        data = _hex(rest[0])
+        if data is None or len(data) > DATA_BYTES:
+            raise _RefusedError(b"invalid data")
+        return Frame(identifier & 0xFFFF, filled(data, NOP))
+
+    def close(self, frame: Frame) -> list[bytes]:
+        """Say a frame in a line."""
+        identifier = b"%X" % frame.identifier
+        identifier = identifier.zfill(len(identifier) + len(identifier) % 2)
+        kind = b"E" if frame.identifier > STANDARD_IDS else b"e"
+        return [
+            b"rcv %b %b %b B F r x-1\r\n" % (identifier, filled(frame.data, NOP).hex().upper().encode(), kind)
+        ]
+
+
+def _hex(text: bytes) -> bytes | None:
+    try:
+        return bytes.fromhex(text.decode("ascii"))
+    except ValueError:
+        return None

@@ -1,0 +1,474 @@
+"""A simulated moteus: frames in, frames out, a rig behind its shaft.
+
+It mirrors docs/protocol/{can,registers,diagnostic}.md of mjbots/moteus at db1a762 (2026-06), and what its firmware does
+there (fw/moteus_controller.cc, mjlib/multiplex/micro_server.cc): a frame of another id is passed over, the broadcast
+one is taken; the mode must be written first, and a frame without it commands nothing; a frame whose source has the
+highest bit is answered, in the order in which it asks. `moteus_law` has what happens in a control cycle,
+`moteus_registers` the registers, `moteus_settings` configuration and console.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from rig.core.errors import ConfigError
+from rig.core.model import RigModel
+from sim_backend.drives import moteus_registers as registers
+from sim_backend.drives.bus import Frame
+from sim_backend.drives.moteus_law import (
+    FAULT,
+    PLL_SHAPE,
+    POSITION,
+    RATE_HZ,
+    STOP_POSITION_DEPRECATED,
+    STOPPED,
+    TIMEOUT,
+    WORDS,
+    W,
+    law,
+)
+from sim_backend.drives.moteus_registers import (
+    CURRENT,
+    POWER,
+    TEMPERATURE,
+    TURNS,
+    TURNS_A_SECOND,
+    WHOLE,
+    Steps,
+)
+from sim_backend.drives.moteus_settings import SPI, TORQUE_TIMES_KV, Console, Settings, defaults
+from sim_backend.drives.motor import Motor
+from sim_backend.drives.multiplex import (
+    FLOAT,
+    INT32,
+    NUMBERED_REPLY,
+    READ_ERROR,
+    SERVER_TO_CLIENT,
+    UNKNOWN_REGISTER,
+    WRITE_ERROR,
+    ReadRegisters,
+    StreamData,
+    StreamPoll,
+    WriteRegisters,
+    error,
+    reply,
+    subframes,
+    unscaled,
+    varuint,
+)
+
+BROADCAST = 0x7F  # mjlib/multiplex/format.h
+WANTS_REPLY = 0x80  # docs/protocol/can.md, of the source
+FIRMWARE = 0x010000  # 1.0.0, CHANGELOG.md
+MAP_VERSION = 5  # fw/moteus_controller.cc, kRegisterMapVersion
+CONSOLE_CHANNEL = 1  # fw/moteus.cc
+STREAM_BYTES = 41  # that an answer on the stream holds at most: mjlib/multiplex/micro_server.cc
+UNCONFIGURED_TORQUE_CONSTANT = 0.1  # N·m/A, fw/bldc_servo_control.h, kDefaultTorqueConstant
+OTHER_MASTER = 2  # source of the frames of a second host, where one is simulated
+
+
+@dataclass(frozen=True, slots=True)
+class MoteusOptions:
+    """What a drive is when it is switched on.
+
+    Attributes
+    ----------
+    settings
+        Stored configuration, by name, where it differs from `moteus_settings.defaults`.
+    firmware
+        Version, one byte each: 0x010203 is 1.2.3.
+    serial
+        Serial number, three words.
+    voltage, temperature
+        Of the supply (V) and of the board (°C).
+    """
+
+    settings: Mapping[str, str] = field(default_factory=dict)
+    firmware: int = FIRMWARE
+    serial: tuple[int, int, int] = (0x4D4F5445, 0x55530000, 0x00000001)
+    voltage: float = 24.0
+    temperature: float = 25.0
+
+
+class SimulatedMoteus:
+    """A moteus with its rig; see `sim_backend.drives.bus.Drive`.
+
+    Parameters
+    ----------
+    model
+        The rig: its encoder is the drive's, its amplifier the drive's current loop and torque constant.
+    options
+        What it is when it is switched on.
+
+    Raises
+    ------
+    ConfigError
+        A linear rig, or a setting that a moteus of this kind does not have.
+    """
+
+    rate_hz = RATE_HZ
+    next_due: int | None = None  # it never speaks unasked
+
+    def __init__(self, model: RigModel, options: MoteusOptions = MoteusOptions()) -> None:
+        self._words = np.zeros(WORDS)
+        self.motor = Motor(model, RATE_HZ, law, self._words)
+        self._kt = model.amplifier.effort_per_ampere / abs(self.motor.effort_per_torque)
+        self._options = options
+        self.settings = Settings(defaults(self.motor.counts_per_turn, self._kt))
+        self._kind = self.settings.values["motor_position.sources.0.type"]  # of the encoder that there is
+        for name, text in options.settings.items():
+            if not self.settings.set(name, text):
+                raise ConfigError(
+                    f"{name} = {text} is no setting of a simulated moteus",
+                    remedy=f"one of {', '.join(self.settings.values)}",
+                )
+        self.settings.store()
+        self._console = Console(self.settings, self._order)
+        self._packet = 0
+        self._sent = b""
+        self.ticks = 0
+        self._writes: dict[int, float] = {}
+        self._numbers = {
+            0x100: 0,
+            0x101: options.firmware,
+            0x102: MAP_VERSION,
+            **{0x120 + i: _signed(word) for i, word in enumerate(options.serial)},
+            **{0x150 + i: _signed(word) for i, word in enumerate((*options.serial, 0x5349_4D00))},
+        }
+        self._others = self._computed()
+        self.power_up()
+
+    def power_up(self) -> None:
+        """Begin anew, as after the supply came back: stored configuration, stopped, position from the encoder."""
+        self._words[:] = 0.0
+        self._words[[W.voltage, W.temperature]] = self._options.voltage, self._options.temperature
+        self._command = registers.fresh_command()
+        self._homed = False
+        self.settings.watch(self._configure)
+        self.settings.load()
+        turn = self.settings.values["motor_position.sources.0.cpr"]
+        count = self.motor.count
+        if self._absolute:  # within half a turn of the shaft either way
+            self._words[W.output_shift] = -math.floor(count / turn + 0.5) * self._words[W.rotor_to_output]
+        else:
+            self._words[W.output_shift] = -count / turn * self._words[W.rotor_to_output]
+
+    # ------------------------------------------------------------------ time
+
+    def run(self, until: int) -> list[Frame]:
+        """Let time pass to a tick; it says nothing by itself."""
+        if until > self.ticks:
+            self.motor.run(until - self.ticks)
+            self.ticks = until
+        return []
+
+    @property
+    def events(self) -> frozenset[str]:
+        """Names of what `happen` takes."""
+        return frozenset(self._happenings())
+
+    def happen(self, name: str, value: float) -> list[Frame]:
+        """Let the world do something to it.
+
+        ``fault`` (its own, a code), ``voltage`` (V), ``temperature`` (°C), ``slip`` (counts), ``expire`` (the watchdog,
+        now), ``reboot``, ``mode`` (somebody at its console commands one), ``master`` (a second host commands a torque
+        in N·m: the answer to it is on the bus).
+        """
+        return self._happenings()[name](value) or []
+
+    def _happenings(self) -> dict[str, Callable[[float], list[Frame] | None]]:
+        def put(word: int) -> Callable[[float], None]:
+            return lambda value: self._words.__setitem__(word, value)
+
+        return {
+            "fault": put(W.struck),
+            "voltage": put(W.voltage),
+            "temperature": put(W.temperature),
+            "slip": lambda counts: self.motor.slip(round(counts)),
+            "expire": lambda _: put(W.timeout_left)(0.0),
+            "reboot": lambda _: self.power_up(),
+            "mode": lambda mode: self._obey(
+                {**registers.fresh_command(), registers.TIMEOUT_REGISTER: math.nan}, mode
+            ),
+            "master": self._second_master,
+        }
+
+    def _second_master(self, torque: float) -> list[Frame]:
+        command = {**registers.fresh_command(), registers.POSITION_REGISTER: math.nan, 0x022: torque}
+        self._obey({**command, 0x023: 0.0, 0x024: 0.0, 0x02B: 0.0}, POSITION)
+        return [Frame(self._id << 8 | OTHER_MASTER, self._asked(ReadRegisters(registers.MODE, 1, FLOAT)))]
+
+    # ------------------------------------------------------------------ frames
+
+    @property
+    def _id(self) -> int:
+        return int(self.settings.values["id.id"])
+
+    def receive(self, frame: Frame) -> list[Frame]:
+        """Take a frame at the present time; its answer."""
+        destination, source = frame.identifier & 0xFF, frame.identifier >> 8 & 0xFF
+        if destination not in {self._id, BROADCAST}:
+            return []
+        wanted = bool(source & WANTS_REPLY)
+        answer = bytearray()
+        self._writes = {}
+        for part in subframes(frame.data):
+            if isinstance(part, WriteRegisters):
+                answer += self._write(part)
+                if registers.NOT_MEANT in self._writes:
+                    return []
+            elif isinstance(part, ReadRegisters):
+                answer += self._asked(part)
+            elif isinstance(part, StreamData):
+                answer += self._heard(part, wanted)
+            elif wanted:
+                answer += self._polled(part)
+        if registers.MODE in self._writes:
+            self._obey(self._writes, self._writes[registers.MODE])
+        return [Frame(self._id << 8 | source & 0x7F, bytes(answer))] if wanted else []
+
+    def _write(self, part: WriteRegisters) -> bytes:
+        refused = b""
+        for number, raw in enumerate(part.raws, part.first):
+            found = registers.written(number, part.kind, raw)
+            if isinstance(found, int):
+                refused += error(WRITE_ERROR, number, found)
+                continue
+            register, value = found
+            if register == registers.MODE:
+                self._writes = registers.fresh_command()
+                self._writes[registers.MODE] = value
+            elif register in registers.UUID_MASK:
+                if raw != self._numbers[register - 4]:
+                    self._writes[registers.NOT_MEANT] = 1.0
+            elif register >= registers.SET_NEAREST:
+                self._act(register, value)
+            else:
+                self._writes[register] = value
+        return refused
+
+    def _asked(self, part: ReadRegisters) -> bytes:
+        words = self._words.tolist()
+        values: list[float] = []
+        for register in range(part.first, part.first + part.number):
+            value = self._value(register, part.kind, words)
+            if value is None:
+                return error(READ_ERROR, register, UNKNOWN_REGISTER)
+            values.append(value)
+        return reply(part.first, part.kind, values)
+
+    def _value(self, register: int, kind: int, words: list[float]) -> float | None:
+        """What stands in a frame for a register, None for one that cannot be read so."""
+        if register in self._numbers:
+            return self._numbers[register] if kind == INT32 else None
+        other = self._others.get(register)
+        if other is None:
+            return registers.read(register, kind, words, self._command)
+        value, steps = other[0](words), other[1]
+        return value if kind == FLOAT else unscaled(value, kind, steps)
+
+    def _computed(self) -> dict[int, tuple[Callable[[list[float]], float], Steps]]:
+        """Registers that follow from several words, or that this drive has nothing to say about."""
+
+        def turns(w: list[float]) -> float:
+            rotor = w[W.filtered] / w[W.counts_per_turn]
+            return float(rotor - math.floor(rotor))
+
+        def nothing(_: list[float]) -> float:
+            return 0.0
+
+        absolute = 3.0 if self._absolute else 2.0  # valid are theta and velocity, or velocity alone
+        return {
+            0x004: (lambda w: w[W.torque] * w[W.rotor_to_output] / w[W.torque_constant], CURRENT),
+            0x005: (nothing, CURRENT),
+            0x006: (nothing, TURNS),
+            0x007: (lambda w: w[W.torque] * w[W.velocity] * 2.0 * math.pi, POWER),
+            0x00A: (nothing, TEMPERATURE),
+            registers.HOME_STATE: (lambda _: 2.0 if self._homed else absolute - 2.0, WHOLE),
+            0x03D: (lambda w: w[W.torque] - w[W.control_torque], registers.TORQUE),
+            0x050: (turns, TURNS),
+            0x051: (lambda w: w[W.pll_velocity] / w[W.counts_per_turn], TURNS_A_SECOND),
+            **dict.fromkeys((0x052, 0x054), (nothing, TURNS)),
+            **dict.fromkeys((0x053, 0x055), (nothing, TURNS_A_SECOND)),
+            0x058: (lambda _: absolute, WHOLE),
+            **dict.fromkeys((0x05E, 0x05F, 0x140, 0x141), (nothing, WHOLE)),
+            0x070: (lambda _: float(self.ticks * 1000 // RATE_HZ % (1 << 23)), WHOLE),
+            0x158: (lambda _: 1.0, WHOLE),
+        }
+
+    # ------------------------------------------------------------------ stream
+
+    def _heard(self, part: StreamData, wanted: bool) -> bytes:
+        if part.channel != CONSOLE_CHANNEL:
+            return b""
+        self._console.hear(part.data)
+        if not wanted:
+            return b""
+        return (
+            bytes((SERVER_TO_CLIENT,)) + varuint(part.channel) + self._sized(self._console.say(STREAM_BYTES))
+        )
+
+    def _polled(self, part: StreamPoll) -> bytes:
+        if part.channel != CONSOLE_CHANNEL:
+            return b""
+        most = min(part.most, STREAM_BYTES)
+        if part.acknowledged is None:
+            return bytes((SERVER_TO_CLIENT,)) + varuint(part.channel) + self._sized(self._console.say(most))
+        if part.acknowledged == self._packet:
+            self._sent = self._console.say(most)
+            self._packet = (self._packet + 1) & 0xFF
+        head = bytes((NUMBERED_REPLY,)) + varuint(part.channel) + bytes((self._packet,))
+        return head + self._sized(self._sent)
+
+    @staticmethod
+    def _sized(data: bytes) -> bytes:
+        return varuint(len(data)) + data
+
+    # ------------------------------------------------------------------ commands
+
+    def _order(self, words: list[str]) -> bool:
+        """A command at the console (docs/protocol/diagnostic.md, `d`): no watchdog unless it is given one."""
+        kind, *rest = words
+        if kind == "stop":
+            self._obey(registers.fresh_command(), STOPPED)
+            return True
+        acts = {
+            "nearest": registers.SET_NEAREST,
+            "exact": registers.SET_EXACT,
+            "recapture": registers.RECAPTURE,
+        }
+        acts["req-reindex"] = registers.REQUIRE_REINDEX
+        try:
+            if kind in acts:
+                self._act(acts[kind], float(rest[0]) if rest else 0.0)
+                return True
+            return self._drive(kind, rest)
+        except (ValueError, IndexError):
+            return False
+
+    def _drive(self, kind: str, rest: list[str]) -> bool:
+        modes = {"pos": POSITION, "tmt": TIMEOUT, "zero": 12, "within": 13, "brake": 15, "dq": 9}
+        if kind not in modes:
+            return False
+        command = {**registers.fresh_command(), registers.TIMEOUT_REGISTER: math.nan}
+        places = {"dq": (0x01D, 0x01C), "within": (0x040, 0x041, 0x025), "brake": ()}
+        taken = places.get(kind, (0x020, 0x021, 0x025))
+        command.update(zip(taken, map(float, rest), strict=False))
+        letters = {
+            "p": 0x023,
+            "d": 0x024,
+            "i": 0x02B,
+            "s": 0x026,
+            "f": 0x022,
+            "t": 0x027,
+            "v": 0x028,
+            "a": 0x029,
+        }
+        letters["b"] = 0x02D
+        for option in rest[len(taken) :]:
+            if option[0] not in letters:
+                return False
+            command[letters[option[0]]] = float(option[1:])
+        self._obey(command, modes[kind])
+        return True
+
+    def _obey(self, command: dict[int, float], mode: float) -> None:
+        """Let a whole command act, unless its mode cannot be commanded."""
+        if mode in range(FAULT, 5):
+            return
+        words, values = self._words, self.settings.values
+        self._command = command
+        for register, (word, _, _) in registers.COMMAND.items():
+            words[word] = command[register]
+        if words[W.timeout_left] == 0.0:
+            words[W.timeout_left] = values["servo.default_timeout_s"]
+        for word, name in (
+            (W.velocity_limit, "servo.default_velocity_limit"),
+            (W.accel_limit, "servo.default_accel_limit"),
+        ):
+            words[word] = values[name] if math.isnan(words[word]) else words[word]
+            if words[word] < 0.0:
+                words[word] = math.nan
+        limited = not (math.isnan(words[W.velocity_limit]) and math.isnan(words[W.accel_limit]))
+        if not math.isnan(command[registers.STOP_POSITION]) and limited:
+            words[W.mode], words[W.fault] = FAULT, STOP_POSITION_DEPRECATED
+        if words[W.mode] == STOPPED and mode != STOPPED:
+            self.motor.begin_session()
+        words[W.command] = mode
+
+    def _act(self, register: int, value: float) -> None:
+        """Write-only registers (docs/protocol/registers.md, 0x130 to 0x133)."""
+        words = self._words
+        if register == registers.SET_EXACT:
+            words[W.output_shift] += value - words[W.position]
+            self._homed = True
+        elif register == registers.SET_NEAREST:
+            turn = words[W.rotor_to_output]
+            words[W.output_shift] += turn * math.floor((value - words[W.position]) / turn + 0.5)
+            self._homed = True
+        elif register == registers.REQUIRE_REINDEX:
+            self._homed = False
+        elif register == registers.RECAPTURE:
+            words[W.control_position], words[W.control_velocity] = words[W.position], words[W.velocity]
+            words[W.integral] = 0.0
+
+    # ------------------------------------------------------------------ configuration
+
+    @property
+    def _absolute(self) -> bool:
+        return self._kind == SPI
+
+    def _configure(self) -> None:
+        """Let the configuration act, at once as docs/reference/configuration.md says."""
+        values, words = self.settings.values, self._words
+        for word, name in _FOLLOWED.items():
+            words[word] = values[name]
+        natural = 2.0 * math.pi * values["motor_position.sources.0.pll_filter_hz"] / PLL_SHAPE
+        words[W.pll_kp], words[W.pll_ki] = 2.0 * natural, natural**2
+        believed = (
+            TORQUE_TIMES_KV / values["motor.Kv"] if values["motor.Kv"] else UNCONFIGURED_TORQUE_CONSTANT
+        )
+        words[W.torque_constant], words[W.motor_constant] = believed, self._kt
+        source = values["motor_position.output.source"]
+        words[W.source_valid] = values.get(f"motor_position.sources.{source}.type", 0) == self._kind
+        words[W.sign] = values["motor_position.sources.0.sign"] * values["motor_position.output.sign"]
+        resistance = 1.5 * values["motor.resistance_ohm"]  # of one phase, as the q current sees it
+        per_turn = 2.0 * math.pi * self._kt * believed / resistance
+        words[W.brake_damping] = per_turn / values["motor_position.rotor_to_output_ratio"] ** 2
+
+
+_FOLLOWED: dict[int, str] = {
+    W.counts_per_turn: "motor_position.sources.0.cpr",
+    W.output_offset: "motor_position.output.offset",
+    W.rotor_to_output: "motor_position.rotor_to_output_ratio",
+    W.kp: "servo.pid_position.kp",
+    W.ki: "servo.pid_position.ki",
+    W.kd: "servo.pid_position.kd",
+    W.ilimit: "servo.pid_position.ilimit",
+    W.iratelimit: "servo.pid_position.iratelimit",
+    W.max_current: "servo.max_current_A",
+    W.position_min: "servopos.position_min",
+    W.position_max: "servopos.position_max",
+    W.position_derate: "servo.position_derate",
+    W.default_velocity_limit: "servo.default_velocity_limit",
+    W.default_accel_limit: "servo.default_accel_limit",
+    W.max_velocity: "servo.max_velocity",
+    W.max_velocity_derate: "servo.max_velocity_derate",
+    W.max_position_slip: "servo.max_position_slip",
+    W.fault_position_error: "servo.fault_position_error",
+    W.fault_velocity_error: "servo.fault_velocity_error",
+    W.velocity_threshold: "servo.velocity_threshold",
+    W.max_voltage: "servo.max_voltage",
+    W.fault_temperature: "servo.fault_temperature",
+    W.timeout_mode: "servo.timeout_mode",
+    W.timeout_max_torque: "servo.timeout_max_torque_Nm",
+}
+
+
+def _signed(word: int) -> int:
+    """A word of 32 bits as int32."""
+    return (word & 0xFFFFFFFF ^ 0x80000000) - 0x80000000

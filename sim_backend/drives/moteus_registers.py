@@ -1,0 +1,143 @@
+"""The registers of a moteus: what each stands for, and its scale (docs/protocol/registers.md of mjbots/moteus).
+
+A command is a whole: writing the mode begins one with the defaults of all others, and it acts when the frame ends.
+Registers of commands that drive nothing here (PWM and voltages, GPIO) are kept and read back.
+"""
+
+from __future__ import annotations
+
+import math
+
+from sim_backend.drives.moteus_law import MODES, W
+from sim_backend.drives.multiplex import FLOAT, NOT_WRITEABLE, UNKNOWN_REGISTER, scaled, unscaled
+
+Steps = tuple[float, float, float]  # of one step as int8, int16, int32
+CURRENT: Steps = (1.0, 0.1, 0.001)
+TORQUE: Steps = (0.5, 0.01, 0.001)
+VOLTAGE: Steps = (0.5, 0.1, 0.001)
+TEMPERATURE: Steps = (1.0, 0.1, 0.001)
+TIME: Steps = (0.01, 0.001, 0.000001)
+TURNS: Steps = (0.01, 0.0001, 0.00001)
+TURNS_A_SECOND: Steps = (0.1, 0.00025, 0.00001)
+ACCELERATION: Steps = (0.05, 0.001, 0.00001)
+SHARE: Steps = (1.0 / 127.0, 1.0 / 32767.0, 1.0 / 2147483647.0)
+POWER: Steps = (10.0, 0.05, 0.0001)
+WHOLE: Steps = (1, 1, 1)
+
+MODE, FAULT_REGISTER, HOME_STATE = 0x000, 0x00F, 0x00C
+SET_NEAREST, SET_EXACT, REQUIRE_REINDEX, RECAPTURE = range(0x130, 0x134)
+UUID_MASK = range(0x154, 0x158)
+NOT_MEANT = -1  # of the writes of a frame: its mask is another board's, and the frame does nothing
+
+# What is read off the law's words.
+_STATUS: dict[int, tuple[int, Steps]] = {
+    0x000: (W.mode, WHOLE),
+    0x001: (W.position, TURNS),
+    0x002: (W.velocity, TURNS_A_SECOND),
+    0x003: (W.torque, TORQUE),
+    0x00B: (W.trajectory_done, WHOLE),
+    0x00D: (W.voltage, VOLTAGE),
+    0x00E: (W.temperature, TEMPERATURE),
+    0x00F: (W.fault, WHOLE),
+    0x030: (W.proportional, TORQUE),
+    0x031: (W.integral, TORQUE),
+    0x032: (W.derivative, TORQUE),
+    0x033: (W.feedforward, TORQUE),
+    0x034: (W.control_torque, TORQUE),
+    0x038: (W.control_position, TURNS),
+    0x039: (W.control_velocity, TURNS_A_SECOND),
+    0x03A: (W.control_torque, TORQUE),
+    0x03B: (W.error, TURNS),
+    0x03C: (W.error_rate, TURNS_A_SECOND),
+}
+
+# What a command consists of: its word, scale and default (fw/bldc_servo_structs.h), and the shadows of the page.
+COMMAND: dict[int, tuple[int, Steps, float]] = {
+    0x01C: (W.q_command, CURRENT, 0.0),
+    0x020: (W.command_position, TURNS, 0.0),
+    0x021: (W.command_velocity, TURNS_A_SECOND, 0.0),
+    0x022: (W.feedforward, TORQUE, 0.0),
+    0x023: (W.kp_scale, SHARE, 1.0),
+    0x024: (W.kd_scale, SHARE, 1.0),
+    0x025: (W.max_torque, TORQUE, 100.0),
+    0x027: (W.timeout_left, TIME, 0.0),
+    0x028: (W.velocity_limit, TURNS_A_SECOND, math.nan),
+    0x029: (W.accel_limit, ACCELERATION, math.nan),
+    0x02B: (W.ilimit_scale, SHARE, 1.0),
+    0x02D: (W.ignore_bounds, WHOLE, 0.0),
+    0x040: (W.lower, TURNS, 0.0),
+    0x041: (W.upper, TURNS, 0.0),
+}
+STOP_POSITION, TIMEOUT_REGISTER, POSITION_REGISTER = 0x026, 0x027, 0x020
+_KEPT: dict[int, tuple[Steps, float]] = {
+    **dict.fromkeys((0x010, 0x011, 0x012, 0x018), (SHARE, 0.0)),
+    **dict.fromkeys((0x014, 0x015, 0x016, 0x019, 0x01A, 0x01B), (VOLTAGE, 0.0)),
+    0x01D: (CURRENT, 0.0),
+    0x01E: (TURNS_A_SECOND, 0.0),
+    STOP_POSITION: (TURNS, math.nan),
+    0x02A: (VOLTAGE, math.nan),
+    0x02C: (CURRENT, math.nan),
+    0x05C: (WHOLE, 0.0),
+    0x05D: (WHOLE, 0.0),
+}
+SHADOWS = {0x042: 0x022, 0x043: 0x023, 0x044: 0x024, 0x045: 0x025, 0x046: 0x027, 0x047: 0x02B, 0x048: 0x02D}
+_WRITTEN: dict[int, tuple[Steps, float]] = {
+    **{register: (steps, default) for register, (_, steps, default) in COMMAND.items()},
+    **_KEPT,
+}
+_ACTIONS: dict[int, Steps] = {
+    SET_NEAREST: TURNS,
+    SET_EXACT: TURNS,
+    REQUIRE_REINDEX: WHOLE,
+    RECAPTURE: WHOLE,
+    **dict.fromkeys(UUID_MASK, WHOLE),
+}
+_NEVER_WRITTEN = {
+    *_STATUS,
+    *range(0x004, 0x008),
+    0x00A,
+    HOME_STATE,
+    *range(0x050, 0x056),
+    0x058,
+    0x05E,
+    0x05F,
+    0x070,
+}
+_NEVER_WRITTEN |= {0x100, 0x101, 0x102, 0x110, 0x120, 0x121, 0x122, 0x140, 0x141, *range(0x150, 0x154), 0x158}
+_NEVER_WRITTEN -= {MODE}
+
+
+_FRESH = {register: default for register, (_, default) in _WRITTEN.items()}
+
+
+def fresh_command() -> dict[int, float]:
+    """What a command is when only its mode has been written."""
+    return dict(_FRESH)
+
+
+def written(register: int, kind: int, raw: float) -> tuple[int, float] | int:
+    """Register and value of a write, a shadow resolved; or the number of the error that is its answer."""
+    register = SHADOWS.get(register, register)
+    if register == MODE:
+        return (MODE, raw) if 0 <= raw < MODES else UNKNOWN_REGISTER
+    if register in _WRITTEN:
+        return register, scaled(raw, kind, _WRITTEN[register][0])
+    if register in _ACTIONS:
+        return register, scaled(raw, kind, _ACTIONS[register])
+    return NOT_WRITEABLE if register in _NEVER_WRITTEN else UNKNOWN_REGISTER
+
+
+def read(register: int, kind: int, words: list[float], command: dict[int, float]) -> float | None:
+    """What stands in a frame for a register, None for one that cannot be read.
+
+    `words` are the law's, `command` the last one.
+    """
+    known = _STATUS.get(register)
+    if known is not None:
+        value, steps = words[known[0]], known[1]
+    else:
+        register = SHADOWS.get(register, register)
+        if register not in _WRITTEN:
+            return None
+        value, steps = command[register], _WRITTEN[register][0]
+    return value if kind == FLOAT else unscaled(value, kind, steps)

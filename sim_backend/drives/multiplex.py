@@ -1,0 +1,164 @@
+"""The register protocol of a moteus: sub-frames in a frame, as docs/protocol/can.md of mjbots/moteus lists them.
+
+What cannot be read ends the frame; what came before it counts. The tunnelled stream (0x40 to 0x42) and its errors are
+those of mjlib/multiplex/format.h, to which that page points; the form with packet numbers (0x43, 0x44), with which the
+maker's library asks first, is read off that library (1.1.1, `moteus/multiplex.py`).
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Iterator
+from typing import NamedTuple
+
+INT8, INT16, INT32, FLOAT = range(4)
+WRITE, READ, REPLY = 0x00, 0x10, 0x20
+WRITE_ERROR, READ_ERROR = 0x30, 0x31
+CLIENT_TO_SERVER, SERVER_TO_CLIENT, POLL, NUMBERED_REPLY, NUMBERED_POLL = range(0x40, 0x45)
+NOP = 0x50
+
+UNKNOWN_REGISTER, NOT_WRITEABLE = 1, 2  # mjlib/multiplex/micro_server.cc
+_FORMS = (("b", 1), ("h", 2), ("i", 4), ("f", 4))
+_NO_NUMBER = {INT8: -(1 << 7), INT16: -(1 << 15), INT32: -(1 << 31)}  # docs/protocol/registers.md: as NaN
+
+
+class WriteRegisters(NamedTuple):
+    """Consecutive registers get values, as they stand in the frame."""
+
+    first: int
+    kind: int
+    raws: tuple[float, ...]
+
+
+class ReadRegisters(NamedTuple):
+    """Registers are asked for."""
+
+    first: int
+    number: int
+    kind: int
+
+
+class StreamData(NamedTuple):
+    """Bytes for a channel of the stream."""
+
+    channel: int
+    data: bytes
+
+
+class StreamPoll(NamedTuple):
+    """A channel is asked for its bytes; `acknowledged` is the last packet seen, None without numbers."""
+
+    channel: int
+    most: int
+    acknowledged: int | None
+
+
+Subframe = WriteRegisters | ReadRegisters | StreamData | StreamPoll
+
+
+class _Reader:
+    def __init__(self, data: bytes) -> None:
+        self._data = data
+        self._place = 0
+
+    @property
+    def left(self) -> int:
+        return len(self._data) - self._place
+
+    def varuint(self) -> int:
+        value = shift = 0
+        while True:
+            byte = self._data[self._place]
+            self._place += 1
+            value |= (byte & 0x7F) << shift
+            shift += 7
+            if byte < 0x80:
+                return value
+
+    def numbers(self, kind: int, count: int) -> tuple[float, ...]:
+        """So many of a kind; as many as are there where the frame ends too soon."""
+        letter, size = _FORMS[kind]
+        count = min(count, self.left // size)
+        values = struct.unpack_from(f"<{count}{letter}", self._data, self._place)
+        self._place += count * size
+        return values
+
+    def bytes(self, size: int) -> bytes:
+        if size > self.left:
+            raise IndexError
+        self._place += size
+        return self._data[self._place - size : self._place]
+
+
+def subframes(data: bytes) -> Iterator[Subframe]:
+    """Take a frame apart; it ends where it makes no sense."""
+    reader = _Reader(data)
+    try:
+        while reader.left:
+            head = reader.varuint()
+            if head < REPLY:
+                yield _registers(reader, head)
+            elif head == CLIENT_TO_SERVER:
+                channel, size = reader.varuint(), reader.varuint()
+                yield StreamData(channel, reader.bytes(size))
+            elif head == POLL:
+                yield StreamPoll(reader.varuint(), reader.varuint(), None)
+            elif head == NUMBERED_POLL:
+                channel, seen = reader.varuint(), reader.bytes(1)[0]
+                yield StreamPoll(channel, reader.varuint(), seen)
+            elif head != NOP:
+                return
+    except IndexError:
+        return
+
+
+def _registers(reader: _Reader, head: int) -> WriteRegisters | ReadRegisters:
+    kind = head >> 2 & 3
+    count = head & 3 or reader.varuint()
+    first = reader.varuint()
+    if head >= READ:
+        return ReadRegisters(first, count, kind)
+    return WriteRegisters(first, kind, reader.numbers(kind, count))
+
+
+def varuint(value: int) -> bytes:
+    """Seven bits a byte, the least first; the highest bit says that more follow."""
+    out = bytearray()
+    while value > 0x7F:
+        out.append(value & 0x7F | 0x80)
+        value >>= 7
+    out.append(value)
+    return bytes(out)
+
+
+def reply(first: int, kind: int, values: list[float]) -> bytes:
+    """Values of consecutive registers, as they stand in a frame."""
+    count = len(values)
+    head = bytes((REPLY | kind << 2 | count,)) if count < 4 else bytes((REPLY | kind << 2,)) + varuint(count)
+    return head + varuint(first) + struct.pack(f"<{count}{_FORMS[kind][0]}", *values)
+
+
+def error(head: int, register: int, number: int) -> bytes:
+    """A register could not be written or read."""
+    return bytes((head,)) + varuint(register) + varuint(number)
+
+
+def scaled(raw: float, kind: int, steps: tuple[float, float, float]) -> float:
+    """Value of what stands in a frame; `steps` are those of the integers, the most negative of which is NaN."""
+    if kind == FLOAT:
+        return raw
+    return math.nan if raw == _NO_NUMBER[kind] else raw * steps[kind]
+
+
+def unscaled(value: float, kind: int, steps: tuple[float, float, float]) -> float:
+    """What stands in a frame for a value: within ± the greatest integer, and the most negative for what is no number.
+
+    An integer is truncated towards zero, as fw/moteus_controller.cc converts.
+    """
+    if kind == FLOAT:
+        return value
+    if not math.isfinite(value):
+        return _NO_NUMBER[kind]
+    most = -_NO_NUMBER[kind] - 1
+    return int(min(max(value / steps[kind], -most), most))

@@ -1,0 +1,443 @@
+"""A simulated ODrive: CAN Simple in and out, a rig behind its shaft.
+
+It mirrors the page manual/can-protocol of docs.odriverobotics.com for firmware 0.6, and where that page was not to be
+read, the maker's own programs: messages that are sent every so often, by whole milliseconds, and on request (a remote
+frame, or one without data); the order of an arbitrary parameter access (odriverobotics/ODriveResources,
+examples/can_param_access.py) with its confirmation from 0.6.11 on; that a request for a state and a new input feed the
+watchdog (examples/can_watchdog.py; here nothing else does). `odrive_law` has what happens in a control cycle.
+
+The numbers of endpoints differ from one firmware to the next, and the maker publishes them as ``flat_endpoints.json``:
+those here are this simulation's own, in a file of the same form (`SimulatedOdrive.flat_endpoints`).
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from rig.core.errors import ConfigError
+from rig.core.model import RigModel
+from sim_backend.drives.bus import Frame
+from sim_backend.drives.can_simple import (
+    ADDRESS,
+    ERRORS,
+    FEED_FORWARD_STEP,
+    FLOATS,
+    FORMS,
+    HEARTBEAT,
+    NODE_BITS,
+    READ,
+    SDO,
+    WRITE,
+    AxisState,
+    Command,
+    Error,
+    Result,
+)
+from sim_backend.drives.motor import Motor
+from sim_backend.drives.odrive_law import CLOSED_LOOP, IDLE, POSITION_CONTROL, RATE_HZ, WORDS, W, law
+
+FIRMWARE = (0, 6, 11)
+HARDWARE = (4, 4, 58)  # product line, version, variant: an ODrive Pro (odrive 0.6.11, data/odrive-v4.4.json)
+PROTOCOL = 2  # of CAN Simple: the maker's example reads it and compares nothing
+ONBOARD_COUNTS = 16384  # of the absolute encoder on the board
+REBOOT, SAVE, ERASE = range(3)  # ODriveArduino, src/ODriveCAN.h
+TICKS_A_MS = RATE_HZ // 1000
+
+Value = float | int | bool
+_FORM = {"bool": "?", "uint8": "B", "uint32": "I", "float": "f"}
+# Path of a parameter: its type, its default (Firmware/MotorControl/*.hpp of ODrive 0.5.6 where 0.6 has the name), and
+# the law's word that follows it.
+_PARAMETERS: dict[str, tuple[str, Value, int | None]] = {
+    "axis0.config.can.node_id": ("uint32", 0, None),
+    "axis0.config.can.heartbeat_msg_rate_ms": ("uint32", 100, None),
+    "axis0.config.can.encoder_msg_rate_ms": ("uint32", 10, None),
+    "axis0.config.can.error_msg_rate_ms": ("uint32", 0, None),
+    "axis0.config.can.iq_msg_rate_ms": ("uint32", 0, None),
+    "axis0.config.can.temperature_msg_rate_ms": ("uint32", 0, None),
+    "axis0.config.can.bus_voltage_msg_rate_ms": ("uint32", 0, None),
+    "axis0.config.can.torques_msg_rate_ms": ("uint32", 0, None),
+    "axis0.config.enable_watchdog": ("bool", False, W.enable_watchdog),
+    "axis0.config.watchdog_timeout": ("float", 0.0, W.watchdog_timeout),
+    "axis0.config.encoder_bandwidth": ("float", 1000.0, W.bandwidth),
+    "axis0.config.load_encoder": ("uint8", 13, None),  # EncoderId.ONBOARD_ENCODER0; 1: INC_ENCODER0
+    "axis0.config.commutation_encoder": ("uint8", 13, None),
+    "axis0.config.torque_soft_min": ("float", -math.inf, W.torque_soft_min),
+    "axis0.config.torque_soft_max": ("float", math.inf, W.torque_soft_max),
+    "axis0.config.motor.torque_constant": ("float", 0.04, W.torque_constant),
+    "axis0.config.motor.current_soft_max": ("float", 10.0, W.current_soft_max),
+    "axis0.controller.config.control_mode": ("uint8", POSITION_CONTROL, W.control_mode),
+    "axis0.controller.config.input_mode": ("uint8", 1, W.input_mode),
+    "axis0.controller.config.pos_gain": ("float", 20.0, W.pos_gain),
+    "axis0.controller.config.vel_gain": ("float", 1.0 / 6.0, W.vel_gain),
+    "axis0.controller.config.vel_integrator_gain": ("float", 2.0 / 6.0, W.vel_integrator_gain),
+    "axis0.controller.config.vel_integrator_limit": ("float", math.inf, W.vel_integrator_limit),
+    "axis0.controller.config.vel_limit": ("float", 2.0, W.vel_limit),
+    "axis0.controller.config.vel_limit_tolerance": ("float", 1.2, W.vel_limit_tolerance),
+    "axis0.controller.config.vel_ramp_rate": ("float", 1.0, W.vel_ramp_rate),
+    "axis0.controller.config.torque_ramp_rate": ("float", 0.01, W.torque_ramp_rate),
+    "axis0.controller.config.inertia": ("float", 0.0, W.inertia),
+    "axis0.controller.config.input_filter_bandwidth": ("float", 2.0, W.input_filter_bandwidth),
+    "axis0.controller.config.enable_vel_limit": ("bool", True, W.enable_vel_limit),
+    "axis0.controller.config.enable_overspeed_error": ("bool", True, W.enable_overspeed_error),
+    "axis0.controller.config.enable_torque_mode_vel_limit": ("bool", True, W.enable_torque_mode_vel_limit),
+    "inc_encoder0.config.cpr": ("uint32", 8192, None),
+}
+_SAVE = "save_configuration"
+_IDS = {path: number for number, path in enumerate((*_PARAMETERS, _SAVE), start=1)}
+_PATHS = {number: path for path, number in _IDS.items()}
+_ENCODER, _COUNTS = "axis0.config.load_encoder", "inc_encoder0.config.cpr"
+_INCREMENTAL, _ONBOARD = 1, 13  # odrive.enums.EncoderId
+
+_CYCLIC = {
+    Command.HEARTBEAT: "axis0.config.can.heartbeat_msg_rate_ms",
+    Command.GET_ENCODER_ESTIMATES: "axis0.config.can.encoder_msg_rate_ms",
+    Command.GET_ERROR: "axis0.config.can.error_msg_rate_ms",
+    Command.GET_IQ: "axis0.config.can.iq_msg_rate_ms",
+    Command.GET_TEMPERATURE: "axis0.config.can.temperature_msg_rate_ms",
+    Command.GET_BUS_VOLTAGE_CURRENT: "axis0.config.can.bus_voltage_msg_rate_ms",
+    Command.GET_TORQUES: "axis0.config.can.torques_msg_rate_ms",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class OdriveOptions:
+    """What a drive is when it is switched on.
+
+    Attributes
+    ----------
+    settings
+        Saved configuration, by path, where it differs from the maker's.
+    firmware
+        Version.
+    serial
+        Serial number, 48 bits.
+    voltage, temperature
+        Of the supply (V) and of the inverter (°C).
+    """
+
+    settings: Mapping[str, str] = field(default_factory=dict)
+    firmware: tuple[int, int, int] = FIRMWARE
+    serial: int = 0x53494D554C41
+    voltage: float = 24.0
+    temperature: float = 25.0
+
+
+class SimulatedOdrive:
+    """An ODrive with its rig, calibrated; see `sim_backend.drives.bus.Drive`.
+
+    Parameters
+    ----------
+    model
+        The rig: its encoder is the drive's (of 2¹⁴ counts the board's own, absolute in a turn; else an incremental
+        one), its amplifier the drive's current loop and torque constant.
+    options
+        What it is when it is switched on.
+
+    Raises
+    ------
+    ConfigError
+        A linear rig, or a setting that is not simulated.
+    """
+
+    rate_hz = RATE_HZ
+
+    def __init__(self, model: RigModel, options: OdriveOptions = OdriveOptions()) -> None:
+        self._words = np.zeros(WORDS)
+        self.motor = Motor(model, RATE_HZ, law, self._words)
+        self._options = options
+        counts = self.motor.counts_per_turn
+        self._encoder = _ONBOARD if counts == ONBOARD_COUNTS else _INCREMENTAL
+        self.values: dict[str, Value] = {path: default for path, (_, default, _) in _PARAMETERS.items()}
+        self.values |= {
+            _COUNTS: counts,
+            _ENCODER: self._encoder,
+            "axis0.config.commutation_encoder": self._encoder,
+        }
+        self._kt = model.amplifier.effort_per_ampere / abs(self.motor.effort_per_torque)
+        self.values["axis0.config.motor.torque_constant"] = self._kt
+        for path, text in options.settings.items():
+            self._set_text(path, text)
+        self._saved = dict(self.values)
+        self.ticks = 0
+        self._due: dict[Command, int] = {}
+        self._off_until = 0
+        self.power_up()
+
+    def power_up(self) -> None:
+        """Begin anew, as after the supply came back: saved configuration, idle, position from the encoder."""
+        words = self._words
+        words[:] = 0.0
+        words[W.state] = IDLE
+        words[[W.voltage, W.temperature]] = self._options.voltage, self._options.temperature
+        self.values = dict(self._saved)
+        turns = self.motor.count / self.motor.counts_per_turn
+        absolute = self._encoder == _ONBOARD
+        words[W.shift] = -math.floor(turns + 0.5) if absolute else -turns
+        self._result, self._wanted = Result.SUCCESS, AxisState.UNDEFINED
+        self._configure()
+        self._feed()
+        self._due = dict.fromkeys(_CYCLIC, self.ticks + 1)
+
+    # ------------------------------------------------------------------ time
+
+    @property
+    def next_due(self) -> int | None:
+        """When it will send a message by itself (ticks)."""
+        due = [at for command, at in self._due.items() if self.values[_CYCLIC[command]]]
+        return min(due, default=None)
+
+    def run(self, until: int) -> list[Frame]:
+        """Let time pass to a tick; the messages that fell due."""
+        sent: list[Frame] = []
+        while self.ticks < until:
+            due = self.next_due
+            stop = until if due is None else min(until, max(due, self.ticks + 1))
+            self.motor.run(stop - self.ticks)
+            self.ticks = stop
+            for command, name in _CYCLIC.items():
+                rate = int(self.values[name])
+                if rate and self._due[command] <= self.ticks:
+                    self._due[command] = self.ticks + rate * TICKS_A_MS
+                    sent.append(self._reply(command))
+        return [] if self._is_off else sent
+
+    @property
+    def _is_off(self) -> bool:
+        return self.ticks < self._off_until
+
+    @property
+    def events(self) -> frozenset[str]:
+        """Names of what `happen` takes."""
+        return frozenset(self._happenings())
+
+    def happen(self, name: str, value: float) -> list[Frame]:
+        """Let the world do something to it.
+
+        ``fault`` (its own, error bits), ``voltage`` (V), ``temperature`` (°C), ``slip`` (counts), ``expire`` (the
+        watchdog, now), ``reboot``, ``mode`` (somebody chooses a control mode), ``master`` (a second host commands a
+        torque in N·m: its frame is on the bus), ``estop``, ``bus-off`` (its controller leaves the bus for so many
+        seconds, 0: until it is switched off).
+        """
+        return self._happenings()[name](value) or []
+
+    def _happenings(self) -> dict[str, Callable[[float], list[Frame] | None]]:
+        def put(word: int) -> Callable[[float], None]:
+            return lambda value: self._words.__setitem__(word, value)
+
+        return {
+            "fault": put(W.struck),
+            "voltage": put(W.voltage),
+            "temperature": put(W.temperature),
+            "slip": lambda counts: self.motor.slip(round(counts)),
+            "expire": lambda _: put(W.watchdog_left)(0.0),
+            "reboot": lambda _: self.power_up(),
+            "mode": lambda mode: self._write("axis0.controller.config.control_mode", int(mode)),
+            "master": self._second_master,
+            "estop": lambda _: self._fail(Error.ESTOP_REQUESTED),
+            "bus-off": self._leave_bus,
+        }
+
+    def _second_master(self, torque: float) -> list[Frame]:
+        data = FORMS[Command.SET_INPUT_TORQUE].pack(torque)
+        frame = Frame(self._identifier(Command.SET_INPUT_TORQUE), data)
+        self.receive(frame)
+        return [frame]
+
+    def _leave_bus(self, seconds: float) -> None:
+        self._off_until = self.ticks + round(seconds * RATE_HZ) if seconds else 1 << 62
+
+    # ------------------------------------------------------------------ frames
+
+    @property
+    def _node(self) -> int:
+        return int(self.values["axis0.config.can.node_id"])
+
+    def _identifier(self, command: Command) -> int:
+        return self._node << NODE_BITS | command
+
+    def receive(self, frame: Frame) -> list[Frame]:
+        """Take a frame at the present time; its answer."""
+        if self._is_off or frame.extended or frame.identifier >> NODE_BITS != self._node:
+            return []
+        try:
+            command = Command(frame.identifier & (1 << NODE_BITS) - 1)
+        except ValueError:
+            return []
+        if command in _ANSWERED:
+            return [self._reply(command)] if frame.remote or not frame.data else []
+        if command is Command.RX_SDO:
+            return self._access(frame.data)
+        form = FORMS.get(command)
+        if form is not None and len(frame.data) < form.size:
+            return []
+        self._obey(command, form.unpack_from(frame.data) if form is not None else ())
+        return []
+
+    def _reply(self, command: Command) -> Frame:
+        return Frame(self._identifier(command), self._told(command))
+
+    def _told(self, command: Command) -> bytes:
+        w, kt = self._words, self._words[W.torque_constant]
+        if command is Command.GET_VERSION:
+            return bytes((PROTOCOL, *HARDWARE, *self._options.firmware, 0))
+        if command is Command.HEARTBEAT:
+            done = int(w[W.control_mode] >= POSITION_CONTROL)
+            errors = int(w[W.active_errors]) | int(
+                w[W.disarm_reason]
+            )  # assumed: the page was not read on this
+            return HEARTBEAT.pack(errors, int(w[W.state]), self._outcome(), done)
+        if command is Command.GET_ERROR:
+            return ERRORS.pack(int(w[W.active_errors]), int(w[W.disarm_reason]))
+        if command is Command.ADDRESS:
+            return ADDRESS.pack(self._node, self._options.serial.to_bytes(6, "little"), 0)
+        power = w[W.torque] * w[W.vel_estimate] * 2.0 * math.pi
+        pairs = {
+            Command.GET_ENCODER_ESTIMATES: (w[W.pos_estimate], w[W.vel_estimate]),
+            Command.GET_IQ: (w[W.torque_target] / kt, w[W.torque] / kt),
+            Command.GET_TEMPERATURE: (w[W.temperature], math.nan),  # no thermistor at the motor
+            Command.GET_BUS_VOLTAGE_CURRENT: (w[W.voltage], power / w[W.voltage] if w[W.voltage] else 0.0),
+            Command.GET_TORQUES: (w[W.torque_target], w[W.torque]),
+            Command.GET_POWERS: (power, power),
+        }
+        return FLOATS.pack(*pairs[command])
+
+    def _outcome(self) -> Result:
+        """How the last request for a state went."""
+        if self._wanted == AxisState.CLOSED_LOOP_CONTROL and self._words[W.state] != CLOSED_LOOP:
+            return Result.DISARMED
+        return self._result
+
+    def _obey(self, command: Command, values: tuple[Any, ...]) -> None:
+        w = self._words
+        if command is Command.SET_AXIS_STATE:
+            self._request(*values)
+        elif command is Command.SET_INPUT_TORQUE:
+            (w[W.input_torque],) = values
+        elif command is Command.SET_INPUT_VEL:
+            w[W.input_vel], w[W.input_torque] = values
+        elif command is Command.SET_INPUT_POS:
+            w[W.input_pos] = values[0]
+            w[[W.input_vel, W.input_torque]] = np.multiply(values[1:], FEED_FORWARD_STEP)
+        elif command is Command.ESTOP:
+            self._fail(Error.ESTOP_REQUESTED)
+        elif command is Command.CLEAR_ERRORS:
+            w[[W.active_errors, W.disarm_reason]] = 0.0
+            self._feed()
+        elif command is Command.REBOOT:
+            self._restart(*values)
+        elif command is Command.SET_ABSOLUTE_POSITION:
+            w[W.shift] += values[0] - w[W.pos_estimate]
+        elif command in _SETS:
+            for path, value in zip(_SETS[command], values, strict=True):
+                self._write(path, value)
+        if command in _FEEDS:
+            self._feed()
+
+    def _request(self, state: int) -> None:
+        """Ask for a state; the calibrations are not simulated, and refused."""
+        if state not in {IDLE, CLOSED_LOOP}:
+            self._result = Result.INVALID_STATE
+            return
+        self._result, self._wanted = Result.SUCCESS, AxisState(state)
+        if state == CLOSED_LOOP and self._words[W.state] == IDLE:
+            self.motor.begin_session()
+        self._words[W.requested] = state
+
+    def _feed(self) -> None:
+        self._words[W.watchdog_left] = self._words[W.watchdog_timeout]
+
+    def _fail(self, error: Error) -> None:
+        w = self._words
+        w[W.active_errors] = int(w[W.active_errors]) | error
+        if w[W.state] == CLOSED_LOOP:
+            w[W.state], w[W.disarm_reason] = IDLE, error
+
+    def _restart(self, action: int) -> None:
+        if action == SAVE:
+            self._saved = dict(self.values)
+        self.power_up()
+
+    # ------------------------------------------------------------------ parameters
+
+    @staticmethod
+    def flat_endpoints(firmware: tuple[int, int, int] = FIRMWARE) -> dict[str, Any]:
+        """What the maker publishes of each firmware, for this one: where to find a parameter by its path."""
+        endpoints: dict[str, Any] = {
+            path: {"id": _IDS[path], "type": kind, "access": "rw"}
+            for path, (kind, _, _) in _PARAMETERS.items()
+        }
+        endpoints[_SAVE] = {"id": _IDS[_SAVE], "type": "function", "inputs": [], "outputs": []}
+        return {
+            "fw_version": ".".join(map(str, firmware)),
+            "hw_version": ".".join(map(str, HARDWARE)),
+            "endpoints": endpoints,
+        }
+
+    def _access(self, data: bytes) -> list[Frame]:
+        if len(data) < SDO.size:
+            return []
+        opcode, number, _ = SDO.unpack_from(data)
+        path = _PATHS.get(number)
+        if path is None or opcode not in {READ, WRITE}:
+            return []
+        told = b""
+        if path == _SAVE:
+            self._saved = dict(self.values)
+        else:
+            form = struct.Struct("<" + _FORM[_PARAMETERS[path][0]])
+            if opcode == WRITE:
+                if len(data) < SDO.size + form.size:
+                    return []
+                (value,) = form.unpack_from(data, SDO.size)
+                self._write(path, value)
+            else:
+                told = form.pack(self.values[path])
+        if opcode == WRITE and self._options.firmware < FIRMWARE:
+            return []  # confirmed from 0.6.11 on
+        return [Frame(self._identifier(Command.TX_SDO), SDO.pack(0, number, 0) + told)]
+
+    def _set_text(self, path: str, text: str) -> None:
+        known = _PARAMETERS.get(path)
+        try:
+            if known is None:
+                raise ValueError("not simulated")
+            kinds: dict[str, Callable[[str], Value]] = {"float": float, "bool": lambda word: bool(int(word))}
+            self.values[path] = kinds.get(known[0], int)(text)
+        except ValueError as error:
+            raise ConfigError(
+                f"{path} = {text} is no setting of a simulated ODrive: {error}",
+                remedy=f"one of {', '.join(_PARAMETERS)}",
+            ) from error
+
+    def _write(self, path: str, value: Value) -> None:
+        self.values[path] = value
+        self._configure()
+
+    def _configure(self) -> None:
+        """Let the configuration act."""
+        w = self._words
+        for path, (_, _, word) in _PARAMETERS.items():
+            if word is not None:
+                w[word] = self.values[path]
+        w[W.motor_constant] = self._kt
+        onboard = self.values[_ENCODER] == _ONBOARD
+        w[W.counts_per_turn] = ONBOARD_COUNTS if onboard else self.values[_COUNTS]
+        w[W.encoder_valid] = self.values[_ENCODER] == self._encoder
+
+
+_ANSWERED = {*_CYCLIC, Command.GET_VERSION, Command.ADDRESS, Command.GET_POWERS}
+_FEEDS = {Command.SET_AXIS_STATE, Command.SET_INPUT_POS, Command.SET_INPUT_VEL, Command.SET_INPUT_TORQUE}
+_CONTROLLER = "axis0.controller.config"
+_SETS = {
+    Command.SET_CONTROLLER_MODE: (f"{_CONTROLLER}.control_mode", f"{_CONTROLLER}.input_mode"),
+    Command.SET_LIMITS: (f"{_CONTROLLER}.vel_limit", "axis0.config.motor.current_soft_max"),
+    Command.SET_TRAJ_INERTIA: (f"{_CONTROLLER}.inertia",),
+    Command.SET_POS_GAIN: (f"{_CONTROLLER}.pos_gain",),
+    Command.SET_VEL_GAINS: (f"{_CONTROLLER}.vel_gain", f"{_CONTROLLER}.vel_integrator_gain"),
+}

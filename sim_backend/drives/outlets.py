@@ -1,0 +1,152 @@
+"""Where a host finds a simulated drive: a pseudo-terminal, a CAN interface, a socket that is a bus.
+
+A CAN bus is a descriptor that passes one frame of linux/can.h a message (`socket_can`), read and written with the same
+calls in either of two forms, told apart by the place's name:
+
+* ``vcan0``, ``can0``: a network interface, opened as ``socket(AF_CAN, SOCK_RAW, CAN_RAW)`` and bound to it;
+* ``/run/…`` (a path): a Unix socket, opened as ``socket(AF_UNIX, SOCK_SEQPACKET)`` and connected to it, for machines
+  whose kernel has no CAN. It is a bus: what one host sends reaches the drive and all other hosts.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import socket
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import Self
+
+from rig.core.errors import ConfigError, DeviceNotFoundError
+from sim_backend.drives.socket_can import FD_BYTES, Frames, from_wire, to_wire
+from sim_backend.real_time import sleep_until
+
+if sys.platform == "linux":
+    from sim_backend.line import Terminal as RawTerminal
+
+assert sys.platform == "linux"
+
+HOSTS = 8
+
+
+class Terminal(RawTerminal):
+    """A pseudo-terminal whose cable can be pulled."""
+
+    _pulled = False
+
+    def unplug(self) -> None:
+        """Close it: the host's end reads its end of file."""
+        self._pulled = True
+        os.close(self.descriptor)
+
+    def read(self, deadline_ns: int) -> bytes:
+        """Return what the host sent; see `sim_backend.line.Line.read`."""
+        if self._pulled:
+            sleep_until(deadline_ns)
+            return b""
+        return super().read(deadline_ns)
+
+    def write(self, frames: bytes) -> None:
+        """Send to the host."""
+        if not self._pulled:
+            super().write(frames)
+
+    def __exit__(self, *error: object) -> None:
+        if not self._pulled:
+            super().__exit__(*error)
+
+
+class CanBus:
+    """The drive's sockets on a bus.
+
+    Attributes
+    ----------
+    place
+        What a host opens.
+    """
+
+    def __init__(self, place: str) -> None:
+        self.place = place
+        self._listener: socket.socket | None = None
+        self._ends: list[socket.socket] = []
+        if "/" in place:
+            self._listener = _listener(place)
+        else:
+            self._ends.append(_interface(place))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.unplug()
+
+    def unplug(self) -> None:
+        """Leave the bus: a host at a socket reads its end of file, one at an interface hears nothing any more."""
+        for end in self._ends:
+            end.close()
+        self._ends = []
+        if self._listener is not None:
+            self._listener.close()
+            self._listener = None
+            Path(self.place).unlink(missing_ok=True)
+
+    def read(self, deadline_ns: int) -> bytes:
+        """Return the frames that have come, waiting for one until the deadline."""
+        ready = [*self._ends, *([self._listener] if self._listener is not None else [])]
+        remaining_s = max(0, deadline_ns - time.monotonic_ns()) * 1e-9
+        readable, _, _ = select.select(ready, [], [], remaining_s)
+        if self._listener in readable:
+            self._ends.append(self._listener.accept()[0])
+        frames = b""
+        for end in readable:
+            if end is not self._listener:
+                frames += self._heard(end)
+        return frames
+
+    def _heard(self, end: socket.socket) -> bytes:
+        message = b""
+        with suppress(OSError):
+            message = end.recv(FD_BYTES)
+        if self._listener is not None and not message:  # the host is gone
+            self._ends.remove(end)
+            end.close()
+        elif self._listener is not None:
+            self._send(message, [other for other in self._ends if other is not end])
+        return from_wire(message)
+
+    def write(self, frames: bytes) -> None:
+        """Put frames on the bus; a host that does not read loses them."""
+        for unit in Frames().split(frames):
+            self._send(to_wire(unit), self._ends)
+
+    @staticmethod
+    def _send(message: bytes, ends: list[socket.socket]) -> None:
+        for end in ends:
+            with suppress(OSError):
+                end.send(message, socket.MSG_DONTWAIT)
+
+
+def _listener(place: str) -> socket.socket:
+    listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    try:
+        listener.bind(place)
+    except OSError as error:
+        listener.close()
+        raise ConfigError(f"{place} cannot be made: {error}", remedy="choose another path") from error
+    listener.listen(HOSTS)
+    return listener
+
+
+def _interface(name: str) -> socket.socket:
+    try:
+        end = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+        end.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, 1)
+        end.bind((name,))
+    except OSError as error:
+        raise DeviceNotFoundError(
+            f"{name} is no CAN interface of this computer: {error}",
+            remedy=f"ip link add {name} type vcan && ip link set {name} up; where the kernel has none, give a path",
+        ) from error
+    return end

@@ -1,0 +1,190 @@
+"""A simulated drive in real time: bytes of a line in, bytes out, and the drive's time kept beside the clock.
+
+A drive is asked about the present, so it is brought up to it, in compiled code, when a unit comes, when it has to speak
+by itself, and now and then. Where this process was kept from a processor, the simulated world stood still
+(`held_up_ns`): a watchdog of the drive does not expire because this computer was late.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Protocol
+
+from rig.devices.fault_script import Direction
+from sim_backend.channel import Line as FailingLine
+from sim_backend.drives.bus import Adapter, Drive, Frame
+from sim_backend.drives.faults import HOST_BUS_OFF, STALE, Event, Script
+from sim_backend.drives.socket_can import BUS_OFF
+
+IDLE_NS = 5_000_000  # without a unit
+LONGEST_STEP_NS = 15_000_000  # beyond it, this process was held up
+_MS, _SECOND = 1_000_000, 1_000_000_000
+
+
+class Port(Protocol):
+    """The drive's end of a line."""
+
+    def read(self, deadline_ns: int) -> bytes:
+        """Return what has come, waiting for it until the deadline (CLOCK_MONOTONIC, ns)."""
+        ...
+
+    def write(self, frames: bytes) -> None:
+        """Send, now or as soon as it can be."""
+        ...
+
+    def unplug(self) -> None:
+        """Let the line be gone, for both ends: from then on nothing comes, and what is written is lost."""
+        ...
+
+
+class Serving:
+    """Serves a drive on a port until `stop` is set.
+
+    Parameters
+    ----------
+    drive, adapter, port
+        What is served, in which form, where.
+    script
+        What goes wrong.
+    stop
+        Ends it.
+    clock
+        The time (ns), that of the port's deadlines.
+
+    Attributes
+    ----------
+    held_up_ns
+        Time for which the simulated world stood still.
+    """
+
+    def __init__(
+        self,
+        drive: Drive,
+        adapter: Adapter,
+        port: Port,
+        script: Script,
+        stop: threading.Event,
+        *,
+        clock: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        self._clock = clock
+        self._drive = drive
+        self._adapter = adapter
+        self._port = port
+        self._stop = stop
+        self._splitter = adapter.splitter()
+        self._failing = FailingLine(script.frames) if script.frames else None
+        self._to_fail = adapter.splitter()
+        self._events = list(script.events)
+        self._stale = self._is_off = False
+        self._answered: deque[list[Frame]] = deque(maxlen=1)
+        self._units = 0
+        self._unplugged = False
+        self._first_ns: int | None = None
+        self._started_ns = self._seen_ns = clock()
+        self._first_tick = drive.ticks
+        self.held_up_ns = 0
+
+    def run(self, duration_s: float | None = None) -> None:
+        """Serve."""
+        end_ns = None if duration_s is None else self._started_ns + round(duration_s * 1e9)
+        while not self._stop.is_set():
+            data = self._port.read(self._deadline_ns())
+            self._keep_up()
+            self._happen()
+            if data and self._first_ns is None:
+                self._first_ns = self._seen_ns
+            self._take(data)
+            if end_ns is not None and self._seen_ns >= end_ns:
+                return
+
+    def _deadline_ns(self) -> int:
+        deadline = self._seen_ns + IDLE_NS
+        due = self._drive.next_due
+        if due is not None:
+            after_ns = -((self._first_tick - due) * _SECOND // self._drive.rate_hz)  # rounded up
+            deadline = min(deadline, self._started_ns + self.held_up_ns + after_ns)
+        if self._failing is not None and (late := self._failing.next_due()) is not None:
+            deadline = min(deadline, (self._first_ns or 0) + late * _MS)
+        return deadline
+
+    def _keep_up(self) -> None:
+        """Let the drive's time pass to now."""
+        now = self._clock()
+        self.held_up_ns += max(0, now - self._seen_ns - LONGEST_STEP_NS)
+        self._seen_ns = now
+        passed_ns = now - self._started_ns - self.held_up_ns
+        self._say(self._drive.run(self._first_tick + passed_ns * self._drive.rate_hz // _SECOND))
+
+    @property
+    def _tick(self) -> int:
+        """Milliseconds since the host's first byte."""
+        return 0 if self._first_ns is None else (self._seen_ns - self._first_ns) // _MS
+
+    def _take(self, data: bytes) -> None:
+        failing = self._failing
+        if failing is None:
+            units = self._splitter.split(data) if data else []
+        else:
+            for unit in self._to_fail.split(data):
+                failing.send_frame(Direction.TO_DEVICE, unit, self._tick)
+            units = self._splitter.split(failing.receive(Direction.TO_DEVICE, self._tick))
+        for unit in units:
+            self._happen()
+            if self._is_off:
+                continue
+            self._units += 1
+            frame, said = self._adapter.open(unit)
+            for answer in self._answer(frame) if frame is not None else ():
+                said += self._adapter.close(answer)
+            self._send(said)
+        if failing is not None:
+            self._send([])
+            if failing.unplugged and not self._unplugged:
+                self._unplugged = True
+                self._port.unplug()
+
+    def _answer(self, frame: Frame) -> list[Frame]:
+        answers = self._drive.receive(frame)
+        if self._stale and answers and self._answered:
+            self._stale = False
+            return self._answered[0]
+        if answers:
+            self._answered.append(answers)
+        return answers
+
+    def _happen(self) -> None:
+        for event in self._events[:]:
+            if self._is_due(event):
+                self._events.remove(event)
+                if event.name == STALE:
+                    self._stale = True
+                elif event.name == HOST_BUS_OFF:
+                    self._say([Frame(BUS_OFF, bytes(8), error=True)])
+                    self._is_off = True
+                else:
+                    self._say(self._drive.happen(event.name, event.value))
+
+    def _is_due(self, event: Event) -> bool:
+        if event.tick is not None:
+            return self._first_ns is not None and event.tick <= self._tick
+        return event.frame == self._units
+
+    def _say(self, frames: list[Frame]) -> None:
+        if frames:
+            self._send([unit for frame in frames for unit in self._adapter.close(frame)])
+
+    def _send(self, units: list[bytes]) -> None:
+        if self._is_off:
+            return
+        if self._failing is None:
+            if units:
+                self._port.write(b"".join(units))
+            return
+        for unit in units:
+            self._failing.send_frame(Direction.TO_HOST, unit, self._tick)
+        if out := self._failing.receive(Direction.TO_HOST, self._tick):
+            self._port.write(out)
