@@ -80,7 +80,7 @@ def host_beside(host: Host, link: Link) -> Host:
 
 
 @contextmanager
-def _no_modules_from_here() -> Iterator[None]:
+def no_modules_from_here() -> Iterator[None]:
     """Start a child by multiprocessing: ``python -c``, which else imports what lies here, a json.py for one.
 
     And the program itself: a script that hits a wall in real time would begin again in the child.
@@ -99,11 +99,11 @@ def _no_modules_from_here() -> Iterator[None]:
 def _child(model: RigModel, realtime: str, options: Mapping[str, Any], pipe: Any) -> None:
     if sys.platform == "linux":
         os.setsid()  # Ctrl-C is for the host: a device that died of it could not be brought to rest
-        _die_with_parent()
+        die_with_parent()
     serve(model, realtime=realtime, announce=pipe.send, **options)
 
 
-def _die_with_parent() -> None:
+def die_with_parent() -> None:
     """Ask Linux for SIGTERM when the parent dies, also of kill -9: no device process is left behind."""
     with suppress(OSError, AttributeError):
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
@@ -146,7 +146,7 @@ def serve_locally(
             name="rig-device",
             daemon=True,
         )
-        with _no_modules_from_here():
+        with no_modules_from_here():
             process.start()
         sender.close()
         try:
@@ -171,7 +171,7 @@ def opened(
     url
         Of the device; where the law runs on it, see `rig.devices.url_for`.
     model
-        What is simulated; None for a real device.
+        What is simulated, or what a bridge is made for; None for another real device.
     in_real_time
         Whether a simulated device follows the clock on the wall. A real one always does.
     seed

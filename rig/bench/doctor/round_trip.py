@@ -69,6 +69,8 @@ class LinkMeasurement:
         STATE frames that came meanwhile.
     exchanges
         The four stamps of each answered question (ns; host, device, device, host).
+    sample_delay_s
+        From a tick of the device until its sample is there, in 99.9 % of all cases (s): of a drive behind a bridge.
     """
 
     url: str
@@ -89,6 +91,7 @@ class LinkMeasurement:
     capacity_bytes_per_s: float | None
     states: int
     exchanges: NDArray[np.int64] = field(repr=False)
+    sample_delay_s: float = 0.0
 
     @reported
     def loss_share(self) -> float:
@@ -98,7 +101,12 @@ class LinkMeasurement:
     @reported
     def loop_rate_hz(self) -> float:
         """Highest rate at which 99.9 % of the commands are there within one period (Hz); infinite in virtual time."""
-        return 1.0 / self.travel_s.almost_all if self.travel_s.almost_all > 0.0 else math.inf
+        return 1.0 / self._late_s if self._late_s > 0.0 else math.inf
+
+    @property
+    def _late_s(self) -> float:
+        """From a tick of the device to the command that answers it (s), in 99.9 % of all cases."""
+        return self.travel_s.almost_all + self.sample_delay_s
 
     def delay_ticks(self, rate: float, pacing: str = "device") -> int:
         """Ticks from a sample to its command at a rate (Hz), in 99.9 % of all cases: one at least in real time.
@@ -108,7 +116,7 @@ class LinkMeasurement:
         """
         if self.virtual:
             return 0
-        return max(1, math.ceil(self.travel_s.almost_all * rate)) + (1 if pacing == "host" else 0)
+        return max(1, math.ceil(self._late_s * rate)) + (1 if pacing == "host" else 0)
 
     def rows(self) -> list[Row]:
         """Return it for people."""
@@ -128,6 +136,11 @@ class LinkMeasurement:
             Row("questions", self.sent, note=f"in {self.duration_s:.1f} s, {asked}"),
             Row("round trip", _times(self.round_trip_s)),
             Row("of it the link", known),
+            *(
+                [Row("drive", f"answers within {1e3 * self.sample_delay_s:.3g} ms")]
+                if self.sample_delay_s
+                else []
+            ),
             *([] if self.virtual else [Row("loop rate", f"up to {rate}")]),
             Row("lost", self.lost, note=lost),
             Row("bytes", f"{there:.1f} kB/s to the device, {back:.1f} kB/s to the host", note=carries),
@@ -313,4 +326,5 @@ class _Run:
             capacity_bytes_per_s=self._device.link.bytes_per_second,
             states=tally["states"],
             exchanges=exchanges,
+            sample_delay_s=getattr(self._device.link, "sample_delay_s", 0.0),
         )

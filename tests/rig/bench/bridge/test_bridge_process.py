@@ -1,0 +1,133 @@
+"""A bridge as a process, in real time: the link that starts it, the command, and what is left when either is killed."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from firmware_protocol.connection import State
+from rig import devices
+from rig.bench.bridge.link import BridgeLink
+from rig.core.errors import ConfigError, DeviceNotFoundError, DeviceRefusedError, LinkLostError
+from rig.devices.framed import FramedDevice
+from sim_backend.drives import simulated_drive
+from tests.conformance.bridged import SAFE, SLOW, bridged_rig
+from tests.conformance.firmware import need_compiler
+
+PATIENCE_S = 5.0
+
+
+@pytest.fixture(scope="module")
+def port() -> Iterator[str]:
+    """A simulated moteus behind a port, for all tests."""
+    need_compiler()
+    with simulated_drive("moteus", bridged_rig(), settings=SAFE) as served:
+        yield served.path
+
+
+def opened(port: str, options: str = "") -> FramedDevice:
+    return devices.open_device(f"moteus://{port}{options}", bridged_rig())
+
+
+def test_a_link_starts_a_bridge_and_ends_it(port: str) -> None:
+    with opened(port) as device:
+        assert isinstance(device.link, BridgeLink)
+        process = device.link._process
+        assert device.dictionary.firmware == "bridge to moteus 1.0.0"
+        assert not device.dictionary.simulated
+        device.configure(SLOW)
+        device.arm()
+        assert len(device.states(0.3)) > 5
+        assert device.link.bus_facts()["replies"] > 20
+        assert device.link.sample_delay_s > 0.0
+        device.disarm()
+    assert not process.is_alive()
+
+
+def test_a_bridge_that_is_killed_is_a_lost_link(port: str) -> None:
+    """The drive's own watchdog ends the torque; the next bridge takes the drive as it is then."""
+    with opened(port) as device:
+        assert isinstance(device.link, BridgeLink)
+        device.configure(SLOW)
+        device.arm()
+        os.kill(device.link._process.pid or 0, signal.SIGKILL)
+        with pytest.raises(LinkLostError):
+            device.states(PATIENCE_S)
+    with opened(port) as device:
+        assert device.dictionary.device == bridged_rig().name
+
+
+HOST = """
+import sys, time
+from rig import devices
+from tests.conformance.bridged import SLOW, bridged_rig
+device = devices.open_device(sys.argv[1], bridged_rig())
+device.configure(SLOW)
+device.arm()
+print(device.link._process.pid, flush=True)
+time.sleep(60)
+"""
+
+
+def test_a_host_that_is_killed_takes_its_bridge_with_it(port: str) -> None:
+    host = subprocess.Popen(
+        [sys.executable, "-c", HOST, f"moteus://{port}"], stdout=subprocess.PIPE, text=True, cwd=Path.cwd()
+    )
+    assert host.stdout is not None
+    bridge = int(host.stdout.readline())
+    host.kill()
+    host.wait()
+    host.stdout.close()
+    deadline = time.monotonic() + PATIENCE_S
+    while Path(f"/proc/{bridge}").exists() and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert not Path(f"/proc/{bridge}").exists()
+
+
+def test_what_is_wrong_with_the_drive_is_said_by_the_link(port: str) -> None:
+    model = bridged_rig()
+    other = replace(model, amplifier=replace(model.amplifier, effort_per_ampere=1.0))
+    with pytest.raises(DeviceRefusedError, match="the experiment says 1"):
+        devices.open_device(f"moteus://{port}", other)
+    with pytest.raises(DeviceNotFoundError, match="moteus 9"):
+        opened(port, "?id=9")
+    with pytest.raises(ConfigError, match="must know its rig"):
+        devices.open_device(f"moteus://{port}")
+    with pytest.raises(ConfigError, match="whole number"):
+        opened(port, "?id=nine")
+
+
+def test_the_command_serves_one_host_after_the_other(port: str, tmp_path: Path) -> None:
+    mine = tmp_path / "mine.toml"
+    described = subprocess.run(
+        [sys.executable, "-m", "rig", "bridge", "moteus", port, "--describe"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    mine.write_text(described.stdout)
+    bridge = subprocess.Popen(
+        [sys.executable, "-m", "rig", "bridge", "moteus", port, "--rig", str(mine)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    )
+    assert bridge.stdout is not None
+    try:
+        url = bridge.stdout.readline().strip()
+        for _ in range(2):
+            with devices.open_device(url) as device:
+                assert device.dictionary.device == "moteus-1"
+                assert device.connection.state >= State.IDENTIFIED
+    finally:
+        bridge.send_signal(signal.SIGINT)
+        bridge.stdout.close()
+        assert bridge.wait(PATIENCE_S) == 0
