@@ -18,6 +18,25 @@ if sys.platform == "linux":
     from rig.bench.bridge.describe import text
     from rig.bench.bridge.serve import Found, look, serve
 
+    def _serve(url: DeviceUrl, preset: str, *, as_json: bool) -> None:
+        experiment = presets.load_named(preset)
+
+        def announce(port: str, found: Found) -> None:
+            if as_json:
+                output.print_json(
+                    {"url": f"serial://{port}", "rig": experiment.rig.name, "drive": found.drive.settings}
+                )
+            else:
+                click.echo(f"serial://{port}")
+                output.note(
+                    f"{found.drive.firmware}, id {found.drive.id}, is the rig {experiment.rig.name}; try: rig doctor "
+                    f"--url serial://{shlex.quote(port)}"
+                )
+            for message in found.messages:
+                click.echo(message, err=True)
+
+        serve(url, config.rig_model(experiment), announce=announce)
+
 
 @click.group(cls=Group)
 def bridge() -> None:
@@ -46,26 +65,10 @@ def moteus(place: str, preset: str, drive: int, baud: int | None, describe: bool
     no bridge is needed: `--url moteus:///dev/fdcanusb` starts one.
     """
     refuse_real_time("a bridge", "let a board drive the motor")
-    assert sys.platform == "linux"
     chosen = {"id": str(drive)} | ({} if baud is None else {"baud": str(baud)})
     url = DeviceUrl("moteus", place, chosen, f"moteus://{place}")
-    if describe:
-        click.echo(text(look(url), place), nl=False)
-        return
-    experiment = presets.load_named(preset)
-
-    def announce(port: str, found: Found) -> None:
-        if as_json:
-            output.print_json(
-                {"url": f"serial://{port}", "rig": experiment.rig.name, "drive": found.drive.settings}
-            )
+    if sys.platform == "linux":
+        if describe:
+            click.echo(text(look(url), place), nl=False)
         else:
-            click.echo(f"serial://{port}")
-            output.note(
-                f"{found.drive.firmware}, id {found.drive.id}, is the rig {experiment.rig.name}; try: rig doctor "
-                f"--url serial://{shlex.quote(port)}"
-            )
-        for message in found.messages:
-            click.echo(message, err=True)
-
-    serve(url, config.rig_model(experiment), announce=announce)
+            _serve(url, preset, as_json=as_json)

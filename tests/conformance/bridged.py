@@ -226,15 +226,7 @@ def armed(world: Bridged | None = None, **values: int) -> tuple[Bridged, Host]:
     """A bridge with a host that has armed it."""
     world = world or Bridged()
     host = Host(world)
-    host.identify()
-    ack = host.configure(**{**RUN_PARAMETERS, **values})
-    assert ack.status == 0, ack
-    for _ in range(20):
-        answer = host.arm(1, ack.crc)
-        if answer.status == 0:
-            break
-        world.run(0.005)
-    assert answer.status == 0, answer
+    host.begin(**values)
     return world, host
 
 

@@ -576,7 +576,8 @@ void device_tick(struct device *device)
 void device_tick_driven(struct device *device, int16_t active)
 {
     const uint64_t begun = begin_tick(device);
-    device->driven = active;
+    if (device_is_armed(device)) /* else it was cut */
+        device->driven = active;
     device_sample(device);
     tell(device);
     end_tick(device, begun);

@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import pytest
 
+from firmware_protocol import messages as m
 from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault, Input
 from rig.bench.bridge import library
@@ -16,6 +17,7 @@ from rig.core.errors import DeviceRefusedError
 from rig.devices.framed import FramedDevice
 from sim_backend.drives.moteus_registers import WHOLE
 from tests.conformance.bridged import CURRENT, Bridged, Strike, Way, armed, bridged_rig, push
+from tests.conformance.device import check_device
 from tests.conformance.firmware import need_compiler
 from tests.conformance.host import RUN_PARAMETERS, Host
 
@@ -28,6 +30,10 @@ RUN_TICKS = 8
 @pytest.fixture(scope="module", autouse=True)
 def _compiler() -> None:
     need_compiler()
+
+
+def test_a_bridge_is_a_device_like_any_other() -> None:
+    check_device(Bridged)
 
 
 def test_a_command_turns_the_drive_as_the_rig_says() -> None:
@@ -89,7 +95,7 @@ def test_a_drive_that_nobody_arms_is_switched_off_again() -> None:
     host = Host(world)
     host.identify()
     ack = host.configure(**RUN_PARAMETERS)
-    host.arm(1, ack.crc)
+    host.send(m.Arm(host.nonce(), host.hash, ack.crc), 1)
     world.run(0.1)
     assert world.mode == 10
     world.run(1.5)
@@ -339,6 +345,7 @@ def test_a_hold_to_run_switch_on_a_pin_of_the_drive() -> None:
 def test_an_emergency_stop_on_a_pin_of_the_drive_and_its_broken_wire() -> None:
     world = Bridged(switches={"stop": "aux1.3"})
     switched(world, 1 << 3)
+    world.run(0.01)  # before it has replied, it counts as pressed
     world, host = armed(world)
     push(host, 5)
     switched(world, 0)
