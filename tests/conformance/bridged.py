@@ -26,6 +26,7 @@ from tests.conformance.host import RUN_PARAMETERS, Host
 from tests.conformance.rigs import rotary_rig
 
 UNIT_TWICE_NS = 125  # two units of device time
+CAN_BYTES = 72  # of a struct canfd_frame
 TRAVEL_NS = 80_000  # of a line, each way
 PERIOD_NS = 1_000_000
 CURRENT = 200  # quanta of 1 mA: 0.02 N·m at the handle, 0.01 at the output
@@ -74,6 +75,18 @@ def found(drive: SimulatedMoteus, model: RigModel, number: int = 1) -> Drive:
     return fit(find(Conversation(MemoryBus(drive), number), number), model)
 
 
+class RawCan:
+    """A raw CAN socket of Linux, in the place of an adapter: one `struct canfd_frame` a message."""
+
+    def open(self, unit: bytes) -> tuple[Frame | None, list[bytes]]:
+        identifier, count = struct.unpack_from("<IB", unit)
+        return Frame(identifier & 0x1FFFFFFF, unit[8 : 8 + count]), []
+
+    def close(self, frame: Frame) -> list[bytes]:
+        identifier = frame.identifier | (0x80000000 if frame.identifier > 0x7FF else 0)
+        return [struct.pack("<IB3x64s", identifier, len(frame.data), frame.data)]
+
+
 class Bridged:
     """A bridge, its drive and a line between them.
 
@@ -98,14 +111,15 @@ class Bridged:
         strikes: Mapping[tuple[Way, int], Strike] | None = None,
         travel_ns: int = TRAVEL_NS,
         switches: Mapping[str, str] | None = None,
+        socket: bool = False,
     ) -> None:
         self.url = DeviceUrl("moteus", "memory", {}, "moteus://memory")
         self.clock = VirtualClock()
         self.model = model or bridged_rig()
         self.drive = SimulatedMoteus(self.model, MoteusOptions(settings={**SAFE, **(settings or {})}))
         drive = replace(found(self.drive, self.model), switches=switches_of(switches or {}))
-        self.bridge = Bridge(self.model, drive)
-        self.adapter = Uart()
+        self.bridge = Bridge(self.model, drive, socket=socket)
+        self.adapter = RawCan() if socket else Uart()
         self.strikes = dict(strikes or {})
         self.lines = {"to drive": 0, "from drive": 0}
         self.travel_ns = travel_ns
@@ -174,7 +188,10 @@ class Bridged:
             self._due_ns += self.period_ns
 
     def _to_drive(self, said: bytes) -> None:
-        for line in said.splitlines(keepends=True):
+        frames = isinstance(self.adapter, RawCan)
+        for at in range(0, len(said), CAN_BYTES) if frames else ():
+            self._send("to drive", said[at : at + CAN_BYTES])
+        for line in said.splitlines(keepends=True) if not frames else ():
             self._send("to drive", line)
 
     def _send(self, way: Way, line: bytes) -> None:

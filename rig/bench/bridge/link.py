@@ -101,11 +101,6 @@ class BridgeLink(DescriptorLink):
             "the bridge did not start", remedy="start it by hand to see why: rig bridge moteus"
         )
 
-    @property
-    def sample_delay_s(self) -> float:
-        """From a tick of the bridge to the drive's reply, in 99.9 % of all cases so far (s)."""
-        return 1e-6 * self.facts.quantile_us(0.999)
-
     def bus_facts(self) -> dict[str, float]:
         """What happened on the bus so far: replies, lost ones, round trips (µs), the drive's temperature (°C)."""
         return self.facts.as_mapping()

@@ -51,6 +51,18 @@ def test_a_command_turns_the_drive_as_the_rig_says() -> None:
     )  # behind the drive's own filter of 400 Hz
 
 
+def test_a_can_socket_in_place_of_an_adapter() -> None:
+    world, host = armed(Bridged(socket=True))
+    push(host, 20)
+    assert world.torque == pytest.approx(CURRENT * 1e-3 * 0.1 / 2.0, rel=1e-6)
+    assert world.bridge.facts.lost == 0
+    bus_off = (0x20000000 | 0x40).to_bytes(4, "little") + bytes(12)  # CAN_ERR_FLAG, CAN_ERR_BUSOFF
+    world._to_drive(world.bridge.hear_bus(bus_off, world._now))
+    assert host.next_state().fault == DriveFault.BUS_LOST
+    world.run(0.004)
+    assert world.torque == 0.0
+
+
 def test_where_counts_fall_while_the_position_rises_the_drive_is_turned_the_other_way() -> None:
     world, host = armed(Bridged(bridged_rig(sign=-1)), encoder_sign=-1)
     push(host, 20)

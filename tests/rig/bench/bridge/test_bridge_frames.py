@@ -5,17 +5,19 @@ from __future__ import annotations
 import ctypes
 import os
 import socket
+import subprocess
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rig.bench.bridge.bus import AdapterBus, CanBus, CanFrame, open_bus
-from rig.bench.bridge.library import Adapter, Frame, library
+from rig.bench.bridge.library import BRIDGE, Adapter, Frame, library
 from rig.core.errors import ConfigError, DeviceNotFoundError, LinkLostError
 from rig.devices.device import DeviceUrl
 from tests.conformance.bridged import CURRENT, Bridged, armed, push
 from tests.conformance.firmware import need_compiler
+from tests.firmware import build
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -215,3 +217,11 @@ def test_what_happens_on_the_bus_is_counted() -> None:
     assert facts["temperature"] == 25
     assert facts["millivolts"] == 24_000
     assert facts["median_us"] == pytest.approx(160, abs=10)  # 80 µs each way
+
+
+def test_the_c_code_compiles_without_a_warning() -> None:
+    sources = [path for path in BRIDGE.sources() if path.parent.name == "bridge"]
+    assert len(sources) == 5
+    command = [build.compiler(), "-std=c99", "-D_GNU_SOURCE", *build.WARNINGS, "-fsyntax-only"]
+    done = subprocess.run([*command, *map(str, sources)], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
