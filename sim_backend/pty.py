@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -26,6 +25,7 @@ from sim_backend.device import SimulatedDevice
 from sim_backend.driven_hand import DrivenHand
 from sim_backend.firmware import FirmwareDevice
 from sim_backend.real_time import RealTime
+from sim_backend.stopping import stopped_by_signals
 
 if sys.platform == "linux":
     from sim_backend.line import Socket, Terminal
@@ -113,7 +113,7 @@ def serve(
             if isinstance(device, FirmwareDevice | CompiledDevice)
             else RealTime(device, port, stop)
         )
-        with _driven(device, model, hand), _linked(link_path, port.place), _signals(stop):
+        with _driven(device, model, hand), _linked(link_path, port.place), stopped_by_signals(stop):
             announce(str(link_path) if link_path is not None else port.place)
             body.run(duration_s)
 
@@ -154,18 +154,3 @@ def _linked(link_path: str | Path | None, target: str) -> Iterator[None]:
     finally:
         if link.is_symlink() and os.readlink(link) == target:
             link.unlink()
-
-
-@contextlib.contextmanager
-def _signals(stop: threading.Event) -> Iterator[None]:
-    """Turn SIGINT and SIGTERM into `stop` while this lasts; only the main thread can."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    numbers = (signal.SIGINT, signal.SIGTERM)
-    before = [signal.signal(number, lambda *_: stop.set()) for number in numbers]
-    try:
-        yield
-    finally:
-        for number, handler in zip(numbers, before, strict=True):
-            signal.signal(number, handler)

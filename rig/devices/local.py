@@ -6,43 +6,25 @@ The process speaks through a socket (`rig.devices.local_socket`); everything abo
 
 from __future__ import annotations
 
-import ctypes
-import multiprocessing
-import os
-import signal
-import sys
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass, replace
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from tempfile import TemporaryDirectory
-from types import ModuleType
 from typing import Any
 
 from rig import devices
 from rig.config.sections import Host
-from rig.core.errors import ConfigError, DeviceNotFoundError
+from rig.core.errors import ConfigError
 from rig.core.model import RigModel
 from rig.core.this_system import processors, refuse_real_time
 from rig.devices import simulated_model
+from rig.devices.child import Board, announced
 from rig.devices.device import DeviceUrl, Link
 from rig.devices.framed import FramedDevice
 from rig.realtime.hand import SharedHand
 from rig.realtime.scheduling import Realtime, obtained
 
-START_TIMEOUT_S = 60.0  # the first start compiles the plant
-STOP_TIMEOUT_S = 5.0
-SAFE_PATH = "PYTHONSAFEPATH"  # python -P, for the children of this process
 IN_VIRTUAL_TIME = "simulate it in virtual time: leave `realtime` out, rehearse a session"
-PR_SET_PDEATHSIG = 1  # linux/prctl.h
-
-
-@dataclass(frozen=True, slots=True)
-class Board:
-    """Scheduling of a simulated device: a board's timer never waits, so it has priority over any host's loop."""
-
-    realtime: str = "try"
-    priority: int = 90
-    cpu: int | None = None
 
 
 def serve(
@@ -79,34 +61,10 @@ def host_beside(host: Host, link: Link) -> Host:
     return replace(host, cpu=cpu) if host.cpu is None and cpu is not None else host
 
 
-@contextmanager
-def no_modules_from_here() -> Iterator[None]:
-    """Start a child by multiprocessing: ``python -c``, which else imports what lies here, a json.py for one.
-
-    And the program itself: a script that hits a wall in real time would begin again in the child.
-    """
-    before, program = os.environ.get(SAFE_PATH), sys.modules["__main__"]
-    os.environ[SAFE_PATH], sys.modules["__main__"] = "1", ModuleType("__main__")
-    try:
-        yield
-    finally:
-        sys.modules["__main__"] = program
-        os.environ.pop(SAFE_PATH)
-        if before is not None:
-            os.environ[SAFE_PATH] = before
-
-
-def _child(model: RigModel, realtime: str, options: Mapping[str, Any], pipe: Any) -> None:
-    if sys.platform == "linux":
-        os.setsid()  # Ctrl-C is for the host: a device that died of it could not be brought to rest
-        die_with_parent()
-    serve(model, realtime=realtime, announce=pipe.send, **options)
-
-
-def die_with_parent() -> None:
-    """Ask Linux for SIGTERM when the parent dies, also of kill -9: no device process is left behind."""
-    with suppress(OSError, AttributeError):
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+def _child(
+    announce: Callable[[str], None], model: RigModel, realtime: str, options: Mapping[str, Any]
+) -> None:
+    serve(model, realtime=realtime, announce=announce, **options)
 
 
 @contextmanager
@@ -135,29 +93,13 @@ def serve_locally(
     described = simulated_model(parsed, model)
     if "hand" in options:
         _check_led(options["hand"], described)
-    context = multiprocessing.get_context("spawn")
     cpu = max(processors())
     with TemporaryDirectory(prefix="rig-device-") as place:
         options |= {"seed": seed, "cpu": cpu} | ({} if terminal else {"socket": f"{place}/port"})
-        receiver, sender = context.Pipe(duplex=False)
-        process = context.Process(
-            target=_child,
-            args=(described, realtime, options, sender),
-            name="rig-device",
-            daemon=True,
-        )
-        with no_modules_from_here():
-            process.start()
-        sender.close()
-        try:
-            port = _announced(receiver, url)
+        with announced(
+            _child, described, realtime, options, name="rig-device", by_hand="rig sim serve"
+        ) as port:
             yield f"serial://{port}" if terminal else f"unix://{port}?cpu={cpu}"
-        finally:
-            process.terminate()
-            process.join(STOP_TIMEOUT_S)
-            if process.is_alive():
-                process.kill()
-                process.join(STOP_TIMEOUT_S)
 
 
 @contextmanager
@@ -218,12 +160,3 @@ def _check_led(path: str, model: RigModel | None) -> None:
         raise ConfigError(
             f"{path} drives a hand, but the experiment has none", remedy='set trial.kind = "human"'
         )
-
-
-def _announced(receiver: Any, url: str) -> str:
-    with suppress(EOFError):
-        if receiver.poll(START_TIMEOUT_S):
-            return str(receiver.recv())
-    raise DeviceNotFoundError(
-        f"the device process for {url} did not start", remedy="start it by hand to see why: rig sim serve"
-    )

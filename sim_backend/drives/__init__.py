@@ -10,6 +10,9 @@ Each behaviour names the page of the maker's documentation that it mirrors, in t
 libraries, unchanged, drive these drives in the tests. What goes wrong on command stands in `faults`.
 """
 
-from sim_backend.drives.process import simulated_drive
+import sys
+
+if sys.platform == "linux":
+    from sim_backend.drives.process import simulated_drive
 
 __all__ = ["simulated_drive"]

@@ -8,7 +8,11 @@ import sys
 from rig import config
 from rig.config import presets
 from rig.core.errors import RigError
-from sim_backend.drives.process import serve
+
+if sys.platform == "linux":
+    from sim_backend.drives.process import serve
+
+assert sys.platform == "linux"
 
 
 def main() -> int:
@@ -33,6 +37,7 @@ def main() -> int:
             firmware=given.firmware,
             adapter=given.adapter,
             place=given.bus,
+            realtime="try",
             announce=lambda place: print(place, flush=True),
         )
     except RigError as error:

@@ -43,8 +43,13 @@ class Drive(Protocol):
         """Take a frame, now; its answers."""
         ...
 
+    @property
+    def events(self) -> frozenset[str]:
+        """Names of what `happen` takes."""
+        ...
+
     def happen(self, name: str, value: float) -> list[Frame]:
-        """Let the world do something to it; frames of others that this puts on the bus. `KeyError`: no such thing."""
+        """Let the world do something to it; frames of others that this puts on the bus."""
         ...
 
 

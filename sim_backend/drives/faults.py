@@ -47,6 +47,14 @@ class Script:
         frames = (replace(fault, kind=Kind.DROP) if fault.kind in damaged else fault for fault in self.frames)
         return replace(self, frames=tuple(frames))
 
+    def check(self, known: Iterable[str]) -> None:
+        """Raise `ConfigError` for an event that does not happen to a drive."""
+        for event in self.events:
+            if event.name not in {STALE, *known}:
+                raise ConfigError(
+                    f"{event.name} does not happen to this drive", remedy=f"one of {', '.join(known)}"
+                )
+
     @classmethod
     def of(cls, texts: Iterable[str]) -> Script:
         """Read a script; `ConfigError` for what is none."""

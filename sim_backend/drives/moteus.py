@@ -44,6 +44,7 @@ from sim_backend.drives.moteus_settings import SPI, Console, Settings, defaults
 from sim_backend.drives.motor import Motor
 from sim_backend.drives.multiplex import (
     FLOAT,
+    INT32,
     NUMBERED_REPLY,
     READ_ERROR,
     SERVER_TO_CLIENT,
@@ -52,10 +53,11 @@ from sim_backend.drives.multiplex import (
     ReadRegisters,
     StreamData,
     StreamPoll,
-    WriteRegister,
+    WriteRegisters,
     error,
     reply,
     subframes,
+    unscaled,
     varuint,
 )
 
@@ -136,6 +138,7 @@ class SimulatedMoteus:
             **{0x120 + i: _signed(word) for i, word in enumerate(options.serial)},
             **{0x150 + i: _signed(word) for i, word in enumerate((*options.serial, 0x5349_4D00))},
         }
+        self._others = self._computed()
         self.power_up()
 
     def power_up(self) -> None:
@@ -161,6 +164,11 @@ class SimulatedMoteus:
             self.motor.run(until - self.ticks)
             self.ticks = until
         return []
+
+    @property
+    def events(self) -> frozenset[str]:
+        """Names of what `happen` takes."""
+        return frozenset(self._happenings())
 
     def happen(self, name: str, value: float) -> list[Frame]:
         """Let the world do something to it.
@@ -208,10 +216,10 @@ class SimulatedMoteus:
         answer = bytearray()
         self._writes = {}
         for part in subframes(frame.data):
-            if isinstance(part, WriteRegister):
-                if part.register in registers.UUID_MASK and part.raw != self._numbers[part.register - 4]:
-                    return []
+            if isinstance(part, WriteRegisters):
                 answer += self._write(part)
+                if registers.NOT_MEANT in self._writes:
+                    return []
             elif isinstance(part, ReadRegisters):
                 answer += self._asked(part)
             elif isinstance(part, StreamData):
@@ -222,54 +230,73 @@ class SimulatedMoteus:
             self._obey(self._writes, self._writes[registers.MODE])
         return [Frame(self._id << 8 | source & 0x7F, bytes(answer))] if wanted else []
 
-    def _write(self, part: WriteRegister) -> bytes:
-        found = registers.written(*part)
-        if isinstance(found, int):
-            return error(WRITE_ERROR, part.register, found)
-        register, value = found
-        if register == registers.MODE:
-            self._writes = registers.fresh_command() | {register: value}
-        elif register in registers.UUID_MASK:
-            pass
-        elif register >= registers.SET_NEAREST:
-            self._act(register, value)
-        else:
-            self._writes[register] = value
-        return b""
+    def _write(self, part: WriteRegisters) -> bytes:
+        refused = b""
+        for number, raw in enumerate(part.raws, part.first):
+            found = registers.written(number, part.kind, raw)
+            if isinstance(found, int):
+                refused += error(WRITE_ERROR, number, found)
+                continue
+            register, value = found
+            if register == registers.MODE:
+                self._writes = registers.fresh_command()
+                self._writes[registers.MODE] = value
+            elif register in registers.UUID_MASK:
+                if raw != self._numbers[register - 4]:
+                    self._writes[registers.NOT_MEANT] = 1.0
+            elif register >= registers.SET_NEAREST:
+                self._act(register, value)
+            else:
+                self._writes[register] = value
+        return refused
 
     def _asked(self, part: ReadRegisters) -> bytes:
         words = self._words.tolist()
-        others = self._others(words)
         values: list[float] = []
         for register in range(part.first, part.first + part.number):
-            value = registers.read(register, part.kind, words, self._command, others, self._numbers)
+            value = self._value(register, part.kind, words)
             if value is None:
                 return error(READ_ERROR, register, UNKNOWN_REGISTER)
             values.append(value)
         return reply(part.first, part.kind, values)
 
-    def _others(self, words: list[float]) -> dict[int, tuple[float, Steps]]:
+    def _value(self, register: int, kind: int, words: list[float]) -> float | None:
+        """What stands in a frame for a register, None for one that cannot be read so."""
+        if register in self._numbers:
+            return self._numbers[register] if kind == INT32 else None
+        other = self._others.get(register)
+        if other is None:
+            return registers.read(register, kind, words, self._command)
+        value, steps = other[0](words), other[1]
+        return value if kind == FLOAT else unscaled(value, kind, steps)
+
+    def _computed(self) -> dict[int, tuple[Callable[[list[float]], float], Steps]]:
         """Registers that follow from several words, or that this drive has nothing to say about."""
-        ratio, torque = words[W.rotor_to_output], words[W.torque]
-        counts = words[W.counts_per_turn]
-        rotor, rate = words[W.filtered] / counts, words[W.pll_velocity] / counts
-        homed = 2 if self._homed else 1 if self._absolute else 0
+
+        def turns(w: list[float]) -> float:
+            rotor = w[W.filtered] / w[W.counts_per_turn]
+            return float(rotor - math.floor(rotor))
+
+        def nothing(_: list[float]) -> float:
+            return 0.0
+
+        absolute = 3.0 if self._absolute else 2.0  # valid are theta and velocity, or velocity alone
         return {
-            0x004: (torque * ratio / self._kt, CURRENT),
-            0x005: (0.0, CURRENT),
-            0x006: (0.0, TURNS),
-            0x007: (torque * words[W.velocity] * 2.0 * math.pi, POWER),
-            0x00A: (0.0, TEMPERATURE),
-            registers.HOME_STATE: (homed, WHOLE),
-            0x03D: (torque - words[W.control_torque], registers.TORQUE),
-            0x050: (rotor - math.floor(rotor), TURNS),
-            0x051: (rate, TURNS_A_SECOND),
-            **dict.fromkeys((0x052, 0x054), (0.0, TURNS)),
-            **dict.fromkeys((0x053, 0x055), (0.0, TURNS_A_SECOND)),
-            0x058: (3 if self._absolute else 2, WHOLE),
-            **dict.fromkeys((0x05E, 0x05F, 0x140, 0x141), (0, WHOLE)),
-            0x070: (self.ticks * 1000 // RATE_HZ % (1 << 23), WHOLE),
-            0x158: (1, WHOLE),
+            0x004: (lambda w: w[W.torque] * w[W.rotor_to_output] / self._kt, CURRENT),
+            0x005: (nothing, CURRENT),
+            0x006: (nothing, TURNS),
+            0x007: (lambda w: w[W.torque] * w[W.velocity] * 2.0 * math.pi, POWER),
+            0x00A: (nothing, TEMPERATURE),
+            registers.HOME_STATE: (lambda _: 2.0 if self._homed else absolute - 2.0, WHOLE),
+            0x03D: (lambda w: w[W.torque] - w[W.control_torque], registers.TORQUE),
+            0x050: (turns, TURNS),
+            0x051: (lambda w: w[W.pll_velocity] / w[W.counts_per_turn], TURNS_A_SECOND),
+            **dict.fromkeys((0x052, 0x054), (nothing, TURNS)),
+            **dict.fromkeys((0x053, 0x055), (nothing, TURNS_A_SECOND)),
+            0x058: (lambda _: absolute, WHOLE),
+            **dict.fromkeys((0x05E, 0x05F, 0x140, 0x141), (nothing, WHOLE)),
+            0x070: (lambda _: float(self.ticks * 1000 // RATE_HZ % (1 << 23)), WHOLE),
+            0x158: (lambda _: 1.0, WHOLE),
         }
 
     # ------------------------------------------------------------------ stream

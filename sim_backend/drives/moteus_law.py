@@ -121,7 +121,7 @@ _V = types.float64[::1]
 _FALL = types.void(_V, _F)
 
 
-@kernel(_FALL, inline=True)
+@kernel(_FALL, no_refcount=True)
 def _fall(w: Words, fault: float) -> None:
     """Enter the fault mode, which only a stop command leaves; the first fault stays."""
     if w[W.mode] != FAULT:
@@ -129,13 +129,13 @@ def _fall(w: Words, fault: float) -> None:
         w[W.fault] = fault
 
 
-@kernel(_FALL, inline=True)
+@kernel(_FALL, no_refcount=True)
 def _limit(w: Words, code: float) -> None:
     if w[W.mode] != FAULT:
         w[W.fault] = code
 
 
-@kernel(types.void(_V, types.int64), inline=True)
+@kernel(types.void(_V, types.int64), no_refcount=True)
 def _filter(w: Words, count: int) -> None:
     """Encoder to position and velocity of the output: a loop of second order, critically damped."""
     turned = w[W.sign] * count
@@ -156,13 +156,13 @@ def _filter(w: Words, count: int) -> None:
     w[W.velocity] = w[W.pll_velocity] * per_count
 
 
-@kernel(types.boolean(_V), inline=True)
+@kernel(types.boolean(_V), no_refcount=True)
 def _starts_outside(w: Words) -> bool:
     outside = w[W.position] < w[W.position_min] or w[W.position] > w[W.position_max]  # NaN: no bound
     return bool(outside and w[W.ignore_bounds] == 0.0)
 
 
-@kernel(types.void(_V), inline=True)
+@kernel(types.void(_V), no_refcount=True)
 def _change_mode(w: Words) -> None:
     """Follow the command: out of a fault or a time-out only to stopped, out of stopped by enabling the driver."""
     command, mode = w[W.command], w[W.mode]
@@ -181,7 +181,7 @@ def _change_mode(w: Words) -> None:
         w[W.control_position] = math.nan
 
 
-@kernel(types.void(_V), inline=True)
+@kernel(types.void(_V), no_refcount=True)
 def _start(w: Words) -> None:
     """Enabling takes its time, and no torque."""
     if w[W.mode] in (ENABLING, CALIBRATING):
@@ -191,12 +191,13 @@ def _start(w: Words) -> None:
             w[W.mode] += 1.0
 
 
-@kernel(types.void(_V), inline=True)
+@kernel(types.void(_V), no_refcount=True)
 def _heed_faults(w: Words) -> None:
     if w[W.mode] in (STOPPED, FAULT):
         return
     if w[W.struck] != 0.0:
         _fall(w, w[W.struck])
+        w[W.struck] = 0.0
     if w[W.source_valid] == 0.0 and w[W.mode] >= POSITION and w[W.mode] != BRAKE:
         _fall(w, POSITION_INVALID)
     if w[W.voltage] > w[W.max_voltage]:
@@ -207,7 +208,7 @@ def _heed_faults(w: Words) -> None:
         _fall(w, OVER_TEMPERATURE)
 
 
-@kernel(_F(_F, _F, _F, _F, _F), inline=True)
+@kernel(_F(_F, _F, _F, _F, _F), no_refcount=True)
 def _acceleration(dx: float, velocity: float, goal: float, accel: float, top: float) -> float:
     """Towards a moving target as fast as both limits allow, and no faster than it can stop there."""
     if abs(velocity) > top:
@@ -221,7 +222,7 @@ def _acceleration(dx: float, velocity: float, goal: float, accel: float, top: fl
     return math.copysign(min(accel, relative * relative / (2.0 * abs(dx))), -relative)
 
 
-@kernel(types.void(_V, _F, _F, _F, _F), inline=True)
+@kernel(types.void(_V, _F, _F, _F, _F), no_refcount=True)
 def _follow(w: Words, target: float, velocity: float, top: float, accel: float) -> None:
     """One step of the control position and velocity: at once without limits (NaN), else along a trajectory.
 
@@ -268,7 +269,7 @@ def _follow(w: Words, target: float, velocity: float, top: float, accel: float) 
         w[W.control_position] = min(max(w[W.control_position], low), high)
 
 
-@kernel(_F(_V, _F, _F, _F, _F), inline=True)
+@kernel(_F(_V, _F, _F, _F, _F), no_refcount=True)
 def _regulate(w: Words, kp_scale: float, kd_scale: float, ilimit_scale: float, feedforward: float) -> float:
     """The PID controller around the control position and velocity, and feed-forward: torque at the output (N·m)."""
     w[W.error] = w[W.position] - w[W.control_position]
@@ -292,7 +293,7 @@ def _regulate(w: Words, kp_scale: float, kd_scale: float, ilimit_scale: float, f
     return float(feedforward - w[W.proportional] - w[W.derivative] - w[W.integral])
 
 
-@kernel(_F(_V, _F, _F), inline=True)
+@kernel(_F(_V, _F, _F), no_refcount=True)
 def _limited(w: Words, torque: float, most: float) -> float:
     """Torque after the limits of command, position bounds, velocity and current; each says so by its code."""
     if abs(torque) > most:  # NaN: no limit
@@ -318,14 +319,14 @@ def _limited(w: Words, torque: float, most: float) -> float:
     return float(torque)
 
 
-@kernel(_F(_V), inline=True)
+@kernel(_F(_V), no_refcount=True)
 def _damp(w: Words) -> float:
     """Zero velocity: the derivative term alone, with the time-out's torque."""
     w[W.control_position], w[W.control_velocity] = w[W.position], 0.0
     return _limited(w, _regulate(w, 0.0, w[W.kd_scale], 0.0, 0.0), w[W.timeout_max_torque])
 
 
-@kernel(_F(_V), inline=True)
+@kernel(_F(_V), no_refcount=True)
 def _out_of_time(w: Words) -> float:
     """The time-out's way, by `servo.timeout_mode`: what it does not know is as stopped."""
     way = w[W.timeout_mode]
@@ -339,7 +340,7 @@ def _out_of_time(w: Words) -> float:
     return 0.0
 
 
-@kernel(_F(_V), inline=True)
+@kernel(_F(_V), no_refcount=True)
 def _stay_within(w: Words) -> float:
     """Inside the bounds feed-forward alone; outside the controller around the bound that is violated."""
     bound = math.nan
@@ -359,7 +360,7 @@ def _stay_within(w: Words) -> float:
     return _limited(w, torque, w[W.max_torque])
 
 
-@kernel(_F(_V), inline=True)
+@kernel(_F(_V), no_refcount=True)
 def _work(w: Words) -> float:
     """Torque at the output that the mode asks for (N·m)."""
     mode = w[W.mode]
@@ -386,7 +387,7 @@ def law(w: Words, count: int, measured: float) -> float:
     """One control cycle: encoder count and torque at the shaft (N·m) in, torque wanted there out."""
     if w[W.source_valid] != 0.0:
         _filter(w, count)
-    w[W.torque] = measured / w[W.rotor_to_output]
+    w[W.torque] = w[W.sign] * measured / w[W.rotor_to_output]
     if w[W.timeout_left] > 0.0:
         w[W.timeout_left] = max(0.0, w[W.timeout_left] - _DT)
     if w[W.command] != w[W.mode]:
@@ -402,4 +403,4 @@ def law(w: Words, count: int, measured: float) -> float:
     torque = _work(w)
     if w[W.mode] == FAULT:
         torque = w[W.control_torque] = 0.0
-    return float(torque * w[W.rotor_to_output])
+    return float(w[W.sign] * torque * w[W.rotor_to_output])

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 from sim_backend.drives.moteus_law import MODES, W
-from sim_backend.drives.multiplex import FLOAT, INT32, NOT_WRITEABLE, UNKNOWN_REGISTER, scaled, unscaled
+from sim_backend.drives.multiplex import FLOAT, NOT_WRITEABLE, UNKNOWN_REGISTER, scaled, unscaled
 
 Steps = tuple[float, float, float]  # of one step as int8, int16, int32
 CURRENT: Steps = (1.0, 0.1, 0.001)
@@ -27,6 +27,7 @@ WHOLE: Steps = (1, 1, 1)
 MODE, FAULT_REGISTER, HOME_STATE = 0x000, 0x00F, 0x00C
 SET_NEAREST, SET_EXACT, REQUIRE_REINDEX, RECAPTURE = range(0x130, 0x134)
 UUID_MASK = range(0x154, 0x158)
+NOT_MEANT = -1  # of the writes of a frame: its mask is another board's, and the frame does nothing
 
 # What is read off the law's words.
 _STATUS: dict[int, tuple[int, Steps]] = {
@@ -106,42 +107,34 @@ _NEVER_WRITTEN |= {0x100, 0x101, 0x102, 0x110, 0x120, 0x121, 0x122, 0x140, 0x141
 _NEVER_WRITTEN -= {MODE}
 
 
+_FRESH = {register: default for register, (_, default) in _WRITTEN.items()}
+
+
 def fresh_command() -> dict[int, float]:
     """What a command is when only its mode has been written."""
-    return {register: default for register, (_, default) in _WRITTEN.items()}
+    return dict(_FRESH)
 
 
 def written(register: int, kind: int, raw: float) -> tuple[int, float] | int:
     """Register and value of a write, a shadow resolved; or the number of the error that is its answer."""
     register = SHADOWS.get(register, register)
     if register == MODE:
-        return (MODE, raw) if raw < MODES else UNKNOWN_REGISTER
-    steps = _ACTIONS[register] if register in _ACTIONS else _WRITTEN.get(register, (None,))[0]
-    if steps is not None:
-        return register, scaled(raw, kind, steps)
+        return (MODE, raw) if 0 <= raw < MODES else UNKNOWN_REGISTER
+    if register in _WRITTEN:
+        return register, scaled(raw, kind, _WRITTEN[register][0])
+    if register in _ACTIONS:
+        return register, scaled(raw, kind, _ACTIONS[register])
     return NOT_WRITEABLE if register in _NEVER_WRITTEN else UNKNOWN_REGISTER
 
 
-def read(
-    register: int,
-    kind: int,
-    words: list[float],
-    command: dict[int, float],
-    others: dict[int, tuple[float, Steps]],
-    numbers: dict[int, int],
-) -> float | None:
-    """What stands in a frame for a register, None for one that cannot be read so.
+def read(register: int, kind: int, words: list[float], command: dict[int, float]) -> float | None:
+    """What stands in a frame for a register, None for one that cannot be read.
 
-    `words` are the law's, `command` the last one, `others` further values with their scale, `numbers` what is read as
-    int32 alone.
+    `words` are the law's, `command` the last one.
     """
-    if register in numbers:
-        return numbers[register] if kind == INT32 else None
-    if register in _STATUS:
-        word, steps = _STATUS[register]
-        value = words[word]
-    elif register in others:
-        value, steps = others[register]
+    known = _STATUS.get(register)
+    if known is not None:
+        value, steps = words[known[0]], known[1]
     else:
         register = SHADOWS.get(register, register)
         if register not in _WRITTEN:

@@ -26,7 +26,8 @@ TORQUE_TIMES_KV = 1.5 / math.sqrt(3.0) * 60.0 / (2.0 * math.pi)
 def defaults(counts_per_turn: int, torque_constant: float) -> dict[str, Value]:
     """Configuration of a drive on an encoder and a motor (N·m/A at the shaft), calibrated.
 
-    An encoder of 2¹⁴ counts is the board's own; another one is a quadrature encoder on aux1.
+    An encoder of 2¹⁴ counts is the board's own; another one is a quadrature encoder on aux1. A sign that is changed
+    counts as calibrated anew: a positive torque turns towards greater positions.
     """
     onboard = counts_per_turn == ONBOARD_COUNTS
     return {

@@ -5,8 +5,8 @@ the encoder's ratio: a shaft that turns `ratio` times for one turn of the link p
 drive that was calibrated turns the way its encoder counts when it is asked for a positive torque; where the rig's
 encoder counts the other way (sign −1), so does the drive.
 
-The drive's current loop is the rig's amplifier: its lag, its limit and its back-EMF are those of the model. What a
-drive reports as torque is the effort behind that lag.
+The drive's current loop is the rig's amplifier: its lag and its limit are those of the model, and it is a current drive
+whatever the model's is. What a drive reports as torque is the effort behind that lag, without the noise of its sensor.
 """
 
 from __future__ import annotations
@@ -91,6 +91,8 @@ def run(handle: int, ticks: int) -> None:
     for _ in range(ticks):
         measured = plant.state[plant.effort] / shaft.effort_per_torque
         torque = shaft.law(shaft.words, places[COUNT] + places[SLIP], measured)
+        if not math.isfinite(torque):
+            torque = 0.0  # what a drive does that is asked for no number is nobody's to know
         if places[ROW_LEFT] == 0:
             places[ROW] = want(plant.state, plant.edge_age, script.rows, places[ROW], script.again)
             places[ROW_LEFT] = shaft.row_ticks
@@ -130,7 +132,11 @@ class Motor:
                 f"{model.name} is linear: a drive turns",
                 remedy="give its encoder counts_per_revolution and ratio, and efforts in N·m",
             )
-        model = replace(model, simulation=replace(model.simulation, computation_delay_ticks=0))
+        model = replace(
+            model,
+            simulation=replace(model.simulation, computation_delay_ticks=0),
+            amplifier=replace(model.amplifier, drive="current"),
+        )
         self._model = model
         self.counts_per_turn = encoder.counts_per_revolution * encoder.decoding
         self.effort_per_torque = encoder.sign * encoder.ratio

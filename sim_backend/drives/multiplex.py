@@ -19,16 +19,16 @@ CLIENT_TO_SERVER, SERVER_TO_CLIENT, POLL, NUMBERED_REPLY, NUMBERED_POLL = range(
 NOP = 0x50
 
 UNKNOWN_REGISTER, NOT_WRITEABLE = 1, 2  # mjlib/multiplex/micro_server.cc
-_FORMS = tuple(struct.Struct("<" + form) for form in "bhif")
+_FORMS = (("b", 1), ("h", 2), ("i", 4), ("f", 4))
 _NO_NUMBER = {INT8: -(1 << 7), INT16: -(1 << 15), INT32: -(1 << 31)}  # docs/protocol/registers.md: as NaN
 
 
-class WriteRegister(NamedTuple):
-    """A register gets a value, as it stands in the frame."""
+class WriteRegisters(NamedTuple):
+    """Consecutive registers get values, as they stand in the frame."""
 
-    register: int
+    first: int
     kind: int
-    raw: float
+    raws: tuple[float, ...]
 
 
 class ReadRegisters(NamedTuple):
@@ -54,7 +54,7 @@ class StreamPoll(NamedTuple):
     acknowledged: int | None
 
 
-Subframe = WriteRegister | ReadRegisters | StreamData | StreamPoll
+Subframe = WriteRegisters | ReadRegisters | StreamData | StreamPoll
 
 
 class _Reader:
@@ -76,11 +76,13 @@ class _Reader:
             if byte < 0x80:
                 return value
 
-    def number(self, kind: int) -> float:
-        form = _FORMS[kind]
-        (value,) = form.unpack_from(self._data, self._place)
-        self._place += form.size
-        return float(value) if kind == FLOAT else int(value)
+    def numbers(self, kind: int, count: int) -> tuple[float, ...]:
+        """So many of a kind; as many as are there where the frame ends too soon."""
+        letter, size = _FORMS[kind]
+        count = min(count, self.left // size)
+        values = struct.unpack_from(f"<{count}{letter}", self._data, self._place)
+        self._place += count * size
+        return values
 
     def bytes(self, size: int) -> bytes:
         if size > self.left:
@@ -96,7 +98,7 @@ def subframes(data: bytes) -> Iterator[Subframe]:
         while reader.left:
             head = reader.varuint()
             if head < REPLY:
-                yield from _registers(reader, head)
+                yield _registers(reader, head)
             elif head == CLIENT_TO_SERVER:
                 channel, size = reader.varuint(), reader.varuint()
                 yield StreamData(channel, reader.bytes(size))
@@ -107,19 +109,17 @@ def subframes(data: bytes) -> Iterator[Subframe]:
                 yield StreamPoll(channel, reader.varuint(), seen)
             elif head != NOP:
                 return
-    except (IndexError, struct.error):
+    except IndexError:
         return
 
 
-def _registers(reader: _Reader, head: int) -> Iterator[Subframe]:
+def _registers(reader: _Reader, head: int) -> WriteRegisters | ReadRegisters:
     kind = head >> 2 & 3
     count = head & 3 or reader.varuint()
     first = reader.varuint()
     if head >= READ:
-        yield ReadRegisters(first, count, kind)
-        return
-    for register in range(first, first + count):
-        yield WriteRegister(register, kind, reader.number(kind))
+        return ReadRegisters(first, count, kind)
+    return WriteRegisters(first, kind, reader.numbers(kind, count))
 
 
 def varuint(value: int) -> bytes:
@@ -136,7 +136,7 @@ def reply(first: int, kind: int, values: list[float]) -> bytes:
     """Values of consecutive registers, as they stand in a frame."""
     count = len(values)
     head = bytes((REPLY | kind << 2 | count,)) if count < 4 else bytes((REPLY | kind << 2,)) + varuint(count)
-    return head + varuint(first) + b"".join(map(_FORMS[kind].pack, values))
+    return head + varuint(first) + struct.pack(f"<{count}{_FORMS[kind][0]}", *values)
 
 
 def error(head: int, register: int, number: int) -> bytes:

@@ -211,6 +211,11 @@ class SimulatedOdrive:
     def _is_off(self) -> bool:
         return self.ticks < self._off_until
 
+    @property
+    def events(self) -> frozenset[str]:
+        """Names of what `happen` takes."""
+        return frozenset(self._happenings())
+
     def happen(self, name: str, value: float) -> list[Frame]:
         """Let the world do something to it.
 
@@ -322,7 +327,7 @@ class SimulatedOdrive:
         elif command is Command.ESTOP:
             self._fail(Error.ESTOP_REQUESTED)
         elif command is Command.CLEAR_ERRORS:
-            w[[W.active_errors, W.disarm_reason, W.struck]] = 0.0
+            w[[W.active_errors, W.disarm_reason]] = 0.0
             self._feed()
         elif command is Command.REBOOT:
             self._restart(*values)

@@ -95,7 +95,7 @@ _EXPIRED, _HOT = int(Error.WATCHDOG_TIMER_EXPIRED), int(Error.INVERTER_OVER_TEMP
 _OVER, _UNDER = int(Error.DC_BUS_OVER_VOLTAGE), int(Error.DC_BUS_UNDER_VOLTAGE)
 
 
-@kernel(types.void(_V, types.int64), inline=True)
+@kernel(types.void(_V, types.int64), no_refcount=True)
 def _fail(w: Words, error: int) -> None:
     """Take note of an error, and let go of the motor."""
     w[W.active_errors] = float(int(w[W.active_errors]) | error)
@@ -104,12 +104,12 @@ def _fail(w: Words, error: int) -> None:
         w[W.disarm_reason] = float(error)
 
 
-@kernel(_F(_F, _F, _F), inline=True)
+@kernel(_F(_F, _F, _F), no_refcount=True)
 def _between(value: float, least: float, most: float) -> float:
     return min(max(value, least), most)
 
 
-@kernel(types.void(_V, types.int64), inline=True)
+@kernel(types.void(_V, types.int64), no_refcount=True)
 def _estimate(w: Words, count: int) -> None:
     """Count to position and velocity: a discrete phase detector, and a critically damped loop of second order."""
     kp = 2.0 * w[W.bandwidth]
@@ -126,7 +126,7 @@ def _estimate(w: Words, count: int) -> None:
     w[W.vel_estimate] = w[W.counts_velocity] / w[W.counts_per_turn]
 
 
-@kernel(types.void(_V), inline=True)
+@kernel(types.void(_V), no_refcount=True)
 def _take_inputs(w: Words) -> None:
     """Inputs to setpoints, by the input mode; one that is not simulated leaves them as they are."""
     mode = w[W.input_mode]
@@ -150,7 +150,7 @@ def _take_inputs(w: Words) -> None:
         w[W.pos_setpoint] += _DT * w[W.vel_setpoint]
 
 
-@kernel(_F(_V), inline=True)
+@kernel(_F(_V), no_refcount=True)
 def _control(w: Words) -> float:
     """Torque by position, velocity and torque control, within its limits (N·m)."""
     _take_inputs(w)
@@ -189,13 +189,14 @@ def _control(w: Words) -> float:
     return held
 
 
-@kernel(types.void(_V), inline=True)
+@kernel(types.void(_V), no_refcount=True)
 def _heed(w: Words) -> None:
     """Errors that the drive finds by itself; those of the supply go when their cause does."""
     kept = int(w[W.active_errors]) & ~(_OVER | _UNDER | _HOT | _MISSING)
     w[W.active_errors] = float(kept)
     if w[W.struck] != 0.0:
         _fail(w, int(w[W.struck]))
+        w[W.struck] = 0.0
     if w[W.voltage] > MOST_VOLTAGE:
         _fail(w, _OVER)
     if w[W.voltage] < LEAST_VOLTAGE:
@@ -210,7 +211,7 @@ def _heed(w: Words) -> None:
             _fail(w, _EXPIRED)
 
 
-@kernel(types.void(_V), inline=True)
+@kernel(types.void(_V), no_refcount=True)
 def _change_state(w: Words) -> None:
     wanted = w[W.requested]
     w[W.requested] = 0.0

@@ -19,9 +19,11 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Self
 
-from rig.core.errors import DeviceNotFoundError
-from sim_backend.line import Terminal as RawTerminal
+from rig.core.errors import ConfigError, DeviceNotFoundError
 from sim_backend.real_time import sleep_until
+
+if sys.platform == "linux":
+    from sim_backend.line import Terminal as RawTerminal
 
 assert sys.platform == "linux"
 
@@ -70,9 +72,7 @@ class CanBus:
         self._listener: socket.socket | None = None
         self._ends: list[socket.socket] = []
         if "/" in place:
-            self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-            self._listener.bind(place)
-            self._listener.listen(HOSTS)
+            self._listener = _listener(place)
         else:
             self._ends.append(_interface(place))
 
@@ -128,6 +128,17 @@ class CanBus:
         for end in ends:
             with suppress(OSError):
                 end.send(frame, socket.MSG_DONTWAIT)
+
+
+def _listener(place: str) -> socket.socket:
+    listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    try:
+        listener.bind(place)
+    except OSError as error:
+        listener.close()
+        raise ConfigError(f"{place} cannot be made: {error}", remedy="choose another path") from error
+    listener.listen(HOSTS)
+    return listener
 
 
 def _interface(name: str) -> socket.socket:

@@ -2,39 +2,39 @@
 
 from __future__ import annotations
 
-import ctypes
-import multiprocessing
-import os
-import signal
+import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-from rig.core.errors import ConfigError, DeviceNotFoundError
+from rig.core.errors import ConfigError
 from rig.core.model import RigModel
+from rig.devices.child import Board, announced
+from rig.realtime.scheduling import obtained
 from sim_backend.drives.bus import Adapter, Drive
 from sim_backend.drives.can_simple import SocketCan
 from sim_backend.drives.faults import Script
 from sim_backend.drives.fdcanusb import Fdcanusb, Uart
 from sim_backend.drives.moteus import MoteusOptions, SimulatedMoteus
 from sim_backend.drives.odrive import OdriveOptions, SimulatedOdrive
-from sim_backend.drives.outlets import CanBus, Terminal
 from sim_backend.drives.serving import Serving
+from sim_backend.stopping import stopped_by_signals
+
+if sys.platform == "linux":
+    from sim_backend.drives.outlets import CanBus, Terminal
+
+assert sys.platform == "linux"
 
 Kind = Literal["moteus", "odrive"]
-START_TIMEOUT_S = 60.0  # the first start compiles the plant
-STOP_TIMEOUT_S = 5.0
-PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 
 @dataclass(frozen=True, slots=True)
 class Served:
-    """A drive that is being served: what a host opens, and its process."""
+    """A drive that is being served, and what a host opens."""
 
     path: str
-    process: Any
 
 
 def serve(
@@ -46,6 +46,7 @@ def serve(
     firmware: int | None = None,
     adapter: str = "uart",
     place: str | None = None,
+    realtime: str = "off",
     announce: Callable[[str], None] = print,
     stop: threading.Event | None = None,
     duration_s: float | None = None,
@@ -68,6 +69,8 @@ def serve(
         Of a moteus: ``uart``, the board's own port with checksums, or ``fdcanusb``.
     place
         Of the ODrive's CAN bus (`sim_backend.drives.outlets`).
+    realtime
+        Scheduling, as ``host.realtime``: a drive's timer never waits. A process of its own tries it.
     announce
         Called once with what a host opens.
     stop
@@ -91,11 +94,17 @@ def serve(
             )
         opened: Terminal | CanBus = CanBus(place)
     else:
-        drive, spoken = _moteus(model, settings, firmware), _adapter(adapter)
+        drive = _moteus(model, settings, firmware)
+        spoken = _adapter(adapter, drive)
         opened = Terminal()
-    with opened as port, _signals(stop):
-        announce(port.place)
-        Serving(drive, spoken, port, script, stop).run(duration_s)
+    script.check(drive.events)
+    with opened as port, stopped_by_signals(stop), obtained(Board(realtime)) as granted:
+        granted.enter_thread()
+        try:
+            announce(port.place)
+            Serving(drive, spoken, port, script, stop).run(duration_s)
+        finally:
+            granted.leave_thread()
 
 
 def _moteus(model: RigModel, settings: Mapping[str, str] | None, firmware: int | None) -> SimulatedMoteus:
@@ -110,11 +119,12 @@ def _odrive(model: RigModel, settings: Mapping[str, str] | None, firmware: int |
     return SimulatedOdrive(model, options)
 
 
-def _adapter(name: str) -> Adapter:
-    adapters: dict[str, Callable[[], Adapter]] = {"uart": Uart, "fdcanusb": Fdcanusb}
-    if name not in adapters:
-        raise ConfigError(f"adapter = {name} is unknown", remedy=f"one of {', '.join(adapters)}")
-    return adapters[name]()
+def _adapter(name: str, drive: SimulatedMoteus) -> Adapter:
+    if name == "uart":
+        return Uart(prefix=int(drive.settings.values["can.prefix"]))
+    if name == "fdcanusb":
+        return Fdcanusb()
+    raise ConfigError(f"adapter = {name} is unknown", remedy="uart, or fdcanusb")
 
 
 @contextmanager
@@ -123,55 +133,10 @@ def simulated_drive(kind: Kind, model: RigModel, **options: Any) -> Iterator[Ser
 
     Raises `DeviceNotFoundError` when it does not come up.
     """
-    context = multiprocessing.get_context("spawn")
-    receiver, sender = context.Pipe(duplex=False)
-    process = context.Process(
-        target=_child, args=(kind, model, options, sender), name="rig-drive", daemon=True
-    )
-    process.start()
-    sender.close()
-    try:
-        yield Served(_announced(receiver, kind), process)
-    finally:
-        process.terminate()
-        process.join(STOP_TIMEOUT_S)
-        if process.is_alive():
-            process.kill()
-            process.join(STOP_TIMEOUT_S)
+    by_hand = f"python -m sim_backend.drives {kind}"
+    with announced(_child, kind, model, options, name=f"simulated {kind}", by_hand=by_hand) as path:
+        yield Served(path)
 
 
-def _child(kind: Kind, model: RigModel, options: Mapping[str, Any], pipe: Any) -> None:
-    os.setsid()  # Ctrl-C is for the host
-    die_with_parent()
-    serve(kind, model, announce=pipe.send, **options)
-
-
-def die_with_parent() -> None:
-    """Ask Linux for SIGTERM when the parent dies, also of kill -9."""
-    with suppress(OSError, AttributeError):
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
-
-
-def _announced(receiver: Any, kind: str) -> str:
-    with suppress(EOFError):
-        if receiver.poll(START_TIMEOUT_S):
-            return str(receiver.recv())
-    raise DeviceNotFoundError(
-        f"the simulated {kind} did not start",
-        remedy=f"start it by hand to see why: python -m sim_backend.drives {kind}",
-    )
-
-
-@contextmanager
-def _signals(stop: threading.Event) -> Iterator[None]:
-    """Let SIGINT and SIGTERM end it, where they can be caught."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    numbers = (signal.SIGINT, signal.SIGTERM)
-    before = [signal.signal(number, lambda *_: stop.set()) for number in numbers]
-    try:
-        yield
-    finally:
-        for number, handler in zip(numbers, before, strict=True):
-            signal.signal(number, handler)
+def _child(announce: Callable[[str], None], kind: Kind, model: RigModel, options: Mapping[str, Any]) -> None:
+    serve(kind, model, announce=announce, **{"realtime": "try", **options})

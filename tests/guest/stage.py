@@ -21,13 +21,19 @@ from tests.guest.kernel_files import unpacked_kernel
 from tests.guest.pico import PORT, RIG, emulated_pico
 
 HERE = Path(__file__).resolve().parents[2]
-MODULES = ("vhci_hcd", "dummy_hcd", "usb_f_acm", "cdc_acm", "virtio_console")
+MODULES = ("vhci_hcd", "dummy_hcd", "usb_f_acm", "cdc_acm", "virtio_console", "vcan", "can_raw")
 SKIPPED = 77  # the exit status that says "not run", as in automake
 PREPARE_TIMEOUT_S = 600.0
 ONE_CPU_FOR_ALL = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
-LOADED = ("rig.devices.serial", "rig.devices.usb_queue", "sim_backend.usb", "tests.guest.hits")
+LOADED = (
+    *("rig.devices.serial", "rig.devices.usb_queue", "sim_backend.usb", "sim_backend.drives"),
+    "tests.guest.hits",
+)
 # Modules of which the tests in the guest enter kernels that a hit does not.
-ENTERED = ("rig.devices.usb_transfers", "sim_backend.hardware", "sim_backend.sensors")
+ENTERED = (
+    *("rig.devices.usb_transfers", "sim_backend.hardware", "sim_backend.sensors"),
+    *("sim_backend.drives.motor", "sim_backend.drives.odrive_law"),
+)
 COMPILE = f"""
 import importlib
 from rig.realtime.kernel import prepare

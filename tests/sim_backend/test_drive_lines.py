@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import itertools
+import os
 import struct
 
 import pytest
 
-from rig.core.errors import ConfigError
+from rig.core.errors import ConfigError, DeviceNotFoundError
 from rig.devices.fault_script import Direction, FrameFault, Kind
 from sim_backend.drives.bus import Frame
-from sim_backend.drives.can_simple import Command, SocketCan
+from sim_backend.drives.can_simple import Command, Error, SocketCan
 from sim_backend.drives.faults import Event, Script
 from sim_backend.drives.fdcanusb import Fdcanusb, Lines, Uart, checksum, sealed
-from tests.conformance.drives import MS, Moteus, Odrive, Wire, served
+from sim_backend.drives.outlets import CanBus, Terminal
+from sim_backend.drives.process import serve
+from tests.conformance.drives import MS, Moteus, Odrive, Wire, drive_rig, served
+from tests.conformance.rigs import linear_rig
 
 FRAME = Frame(0x8001, bytes.fromhex("01000a"))
 STILL = {"servo.timeout_mode": "0"}
@@ -195,3 +199,52 @@ def test_on_a_can_bus_a_damaged_frame_is_a_lost_one() -> None:
     frames = can.splitter().split(b"".join(said for _, said in wire.said))
     versions = [frame for frame in frames if struct.unpack_from("=I", frame) == (Command.GET_VERSION,)]
     assert len(versions) == 4
+
+
+ARMED = {
+    "axis0.controller.config.control_mode": "1",
+    "axis0.config.enable_watchdog": "1",
+    "axis0.config.watchdog_timeout": "0.02",
+}
+
+
+@pytest.mark.parametrize("kind", ["drop", "duplicate", "reorder", "delay ticks=5", "silence", "unplug"])
+@pytest.mark.parametrize("to", ["device", "host"])
+def test_whatever_strikes_whichever_frame_an_odrive_ends_without_torque(kind: str, to: str) -> None:
+    can = SocketCan()
+    torque = can.close(Frame(Command.SET_INPUT_TORQUE, struct.pack("<f", 0.05)))[0]
+    arm = can.close(Frame(Command.SET_AXIS_STATE, struct.pack("<I", 8)))[0]
+    told = [(MS, torque), (2 * MS, arm), *((at * MS, torque) for at in range(3, 20))]
+    for frame in range(20):
+        drive = Odrive(settings=ARMED)
+        script = Script.of([f"{kind} to={to} frame={frame}"]).on_a_can_bus()
+        served(drive.drive, can, told, script, 0.1)
+        assert (drive.drive.motor.torque, drive.state) == (0.0, 1)
+        assert drive.errors[1] in {Error.WATCHDOG_TIMER_EXPIRED, 0}  # 0: it was never armed
+
+
+def test_a_pulled_terminal_ends_the_hosts_file_and_takes_nothing_any_more() -> None:
+    with Terminal() as terminal:
+        host = os.open(terminal.place, os.O_RDWR | os.O_NOCTTY)
+        terminal.unplug()
+        assert os.read(host, 10) == b""
+        os.close(host)
+        terminal.write(b"nobody hears")
+        assert terminal.read(0) == b""
+
+
+def test_what_cannot_be_served_is_said() -> None:
+    with pytest.raises(ConfigError, match="linear"):
+        serve("moteus", linear_rig())
+    with pytest.raises(ConfigError, match="bus"):
+        serve("odrive", drive_rig())
+    with pytest.raises(ConfigError, match="adapter"):
+        serve("moteus", drive_rig(), adapter="slcan")
+    with pytest.raises(ConfigError, match="melt"):
+        serve("moteus", drive_rig(), faults=["melt frame=1"])
+    with pytest.raises(ConfigError, match="bus-off"):
+        serve("moteus", drive_rig(), faults=["bus-off frame=1"])
+    with pytest.raises(DeviceNotFoundError, match="nocan0"):
+        CanBus("nocan0")
+    with pytest.raises(ConfigError, match="cannot be made"):
+        CanBus("/no/such/place")

@@ -76,16 +76,20 @@ def test_enabling_takes_milliseconds_without_torque() -> None:
     assert seen == sorted(seen)
 
 
-def test_feed_forward_torque_accelerates_the_rig_through_its_ratio() -> None:
-    drive = Moteus()
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("gear", [1.0, 0.5])
+def test_feed_forward_torque_accelerates_the_rig_through_its_ratios(gear: float, sign: int) -> None:
+    output = {"motor_position.rotor_to_output_ratio": str(gear), "motor_position.output.sign": str(sign)}
+    drive = Moteus(settings=output)
     drive.start()
     drive.torque(0.05)
     drive.wait(0.05)
     assert drive.read(3) == pytest.approx(0.05, rel=1e-6)
-    assert drive.read(4) == pytest.approx(0.05 / KT, rel=1e-6)
-    acceleration = 0.05 / SHAFT_INERTIA / TURN  # rev/s²
+    assert drive.read(4) == pytest.approx(0.05 * gear / KT, rel=1e-6)
+    acceleration = 0.05 * gear**2 / SHAFT_INERTIA / TURN  # rev/s²
     delay_s = PLL_SHAPE / (TURN * 400.0) * 2.0  # of a ramp through a critically damped loop
     assert drive.read(2) == pytest.approx(acceleration * (0.05 - delay_s), rel=0.02)
+    assert drive.drive.motor.turns * sign > 0.0
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -273,7 +277,8 @@ def test_a_fault_ends_the_torque_and_stays_until_a_stop(event: str, value: float
     drive.torque(0.05, timeout=NAN)
     drive.wait(0.05)
     assert (drive.read(0), drive.read(0x00F, "b"), drive.command) == (1, code, 0.0)
-    drive.drive.happen(event, {"fault": 0.0, "voltage": 24.0, "temperature": 25.0}[event])
+    drive.drive.happen("voltage", 24.0)
+    drive.drive.happen("temperature", 25.0)
     drive.write(0)
     drive.wait(0.001)
     assert (drive.read(0), drive.read(0x00F, "b")) == (0, 0)
@@ -305,6 +310,15 @@ def test_a_second_master_moves_it_and_is_heard() -> None:
     assert frame.identifier == 0x0102
     drive.wait(0.001)
     assert drive.command == pytest.approx(0.03)
+
+
+def test_somebody_who_puts_it_into_position_mode_makes_it_hold_a_position() -> None:
+    drive = Moteus(drive_rig(initial_position=0.3), STILL)
+    drive.start()
+    there = drive.read(1)
+    drive.drive.happen("mode", 10)
+    drive.wait(0.02)
+    assert drive.command * there < 0.0  # towards position 0, by its own gains
 
 
 def test_after_a_reboot_it_is_stopped_with_what_was_stored() -> None:
@@ -371,6 +385,14 @@ def test_how_time_is_cut_changes_no_bit() -> None:
         return [drive.read(register) for register in (1, 2, 3)]
 
     assert ran([300]) == ran([1] * 300) == ran([7] * 42 + [6])
+
+
+def test_what_is_no_number_turns_nothing() -> None:
+    drive = Moteus()
+    drive.start()
+    drive.torque(NAN)
+    drive.wait(0.01)
+    assert (drive.command, drive.read(2)) == (0.0, 0.0)
 
 
 def test_a_linear_rig_and_an_unknown_setting_are_refused() -> None:

@@ -10,26 +10,22 @@ import multiprocessing
 import os
 import socket
 import sys
-from contextlib import suppress
-from multiprocessing.context import SpawnProcess
+from contextlib import ExitStack
 from typing import Any
 
 from rig.bench.bridge.library import Facts, library
 from rig.config import presets, rig_model
-from rig.core.errors import ConfigError, DeviceNotFoundError, RigError
+from rig.core.errors import ConfigError
 from rig.core.model import RigModel
 from rig.core.this_system import processors
+from rig.devices.child import announced
 from rig.devices.device import DeviceUrl
-from rig.devices.local import die_with_parent, no_modules_from_here
 
 if sys.platform == "linux":
     from rig.bench.bridge.serve import DRIVE_OPTIONS, Found, serve
     from rig.devices.descriptor import CLOSED, DescriptorLink
 
 assert sys.platform == "linux"
-
-START_S = 60.0  # the drive is asked some thirty questions, each three times at most
-STOP_S = 5.0
 
 
 def open_link(url: DeviceUrl, model: RigModel | None = None) -> BridgeLink:
@@ -51,8 +47,8 @@ class BridgeLink(DescriptorLink):
 
     Attributes
     ----------
-    drive
-        The drive that was found.
+    drive, process
+        The drive that was found; number of the process.
     cpu
         Processor of the bridge, for the loop to share.
     """
@@ -61,45 +57,27 @@ class BridgeLink(DescriptorLink):
 
     def __init__(self, url: DeviceUrl, model: RigModel) -> None:
         library()  # compiled here, not by two processes
-        context = multiprocessing.get_context("spawn")
-        self._shared = context.RawArray(ctypes.c_byte, ctypes.sizeof(Facts))
+        self._shared = multiprocessing.get_context("spawn").RawArray(ctypes.c_byte, ctypes.sizeof(Facts))
         self.facts = Facts.from_buffer(self._shared)
         self.cpu = max(processors())
-        ours, theirs = socket.socketpair()
-        receiver, sender = context.Pipe(duplex=False)
         plain = {name: text for name, text in url.options.items() if name != "rig"}
         asked = DeviceUrl(url.scheme, url.place, plain, url.text)
-        self._process: SpawnProcess = context.Process(
-            target=_child,
-            args=(asked, model, theirs, self._shared, self.cpu, sender),
-            name="rig-bridge",
-            daemon=True,
-        )
-        with no_modules_from_here():
-            self._process.start()
-        theirs.close()
-        sender.close()
-        try:
-            found = self._announced(receiver)
-        except BaseException:
-            ours.close()
-            self._end()
-            raise
+        ours, theirs = socket.socketpair()
+        self._running = ExitStack()
+        with theirs:
+            try:
+                found: Found = self._running.enter_context(
+                    announced(
+                        _serve, asked, model, theirs, self._shared, self.cpu,
+                        name="rig-bridge", by_hand="rig bridge moteus",
+                    )
+                )  # fmt: skip
+            except BaseException:
+                ours.close()
+                raise
         ours.setblocking(False)
-        self.drive, self.messages = found.drive, found.messages
+        self.drive, self.messages, self.process = found.drive, found.messages, found.process
         super().__init__(url, ours.detach())
-
-    def _announced(self, receiver: Any) -> Found:
-        with suppress(EOFError):
-            if receiver.poll(START_S):
-                said = receiver.recv()
-                if isinstance(said, Found):
-                    return said
-                assert isinstance(said, RigError)
-                raise said
-        raise DeviceNotFoundError(
-            "the bridge did not start", remedy="start it by hand to see why: rig bridge moteus"
-        )
 
     def bus_facts(self) -> dict[str, float]:
         """What happened on the bus so far: replies, lost ones, round trips (µs), the drive's temperature (°C)."""
@@ -110,26 +88,18 @@ class BridgeLink(DescriptorLink):
         if self._descriptor != CLOSED:
             os.close(self._descriptor)
             self._descriptor = CLOSED
-            self._end()
-
-    def _end(self) -> None:
-        self._process.join(STOP_S)
-        if self._process.is_alive():
-            self._process.kill()
-            self._process.join(STOP_S)
+            self._running.close()
 
 
-def _child(url: DeviceUrl, model: RigModel, host: socket.socket, shared: Any, cpu: int, pipe: Any) -> None:
-    os.setsid()  # Ctrl-C is for the host, which brings the rig to rest
-    die_with_parent()
-    try:
-        serve(
-            url,
-            model,
-            host=host,
-            announce=lambda place, found: pipe.send(found),
-            facts=Facts.from_buffer(shared),
-            cpu=cpu,
-        )
-    except RigError as error:
-        pipe.send(error)
+def _serve(
+    announce: Any, url: DeviceUrl, model: RigModel, host: socket.socket, shared: Any, cpu: int
+) -> None:
+    """Serve in the process of the bridge."""
+    serve(
+        url,
+        model,
+        host=host,
+        announce=lambda place, found: announce(found),
+        facts=Facts.from_buffer(shared),
+        cpu=cpu,
+    )

@@ -18,8 +18,8 @@ from dataclasses import dataclass
 from rig.bench.bridge.library import Bridge, Drive, Facts
 from rig.core.errors import ConfigError
 from rig.core.model import RigModel
+from rig.devices.child import Board
 from rig.devices.device import DeviceUrl
-from rig.devices.local import Board
 from rig.realtime.scheduling import obtained
 
 if sys.platform == "linux":
@@ -35,10 +35,11 @@ _LARGEST_ID, _LARGEST_PREFIX = 127, 0x1FFF
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """What is told when a bridge is ready: the drive, and what could not be obtained."""
+    """What is told when a bridge is ready: the drive, what could not be obtained, and its process."""
 
     drive: Drive
     messages: tuple[str, ...]
+    process: int
 
 
 def number(url: DeviceUrl, name: str, default: int, largest: int) -> int:
@@ -105,7 +106,7 @@ def serve(
         with _end_of(host) as (descriptor, place), _wakes() as wake:
             granted.enter_thread()
             try:
-                announce(place, Found(found, (*bus.messages, *granted.messages)))
+                announce(place, Found(found, (*bus.messages, *granted.messages), os.getpid()))
                 bridge.run(host=descriptor, bus=bus.descriptor, wake=wake, host_stays=host is None)
             finally:
                 granted.leave_thread()

@@ -19,7 +19,7 @@ from rig import config, devices
 from rig.config import presets
 from rig.core import plugins as core_plugins
 from rig.core.errors import ConfigError, DeviceNotFoundError
-from rig.devices import local
+from rig.devices import child, local
 from rig.devices.device import DeviceUrl
 from rig.experiments.on_device import OnDevice, examined
 from sim_backend.link import MemoryLink
@@ -189,7 +189,7 @@ def test_a_device_process_takes_no_module_from_the_working_directory(
         (tmp_path / f"{name}.py").write_text("raise SystemExit(77)")
     with local.serve_locally("sim://", config.rig_model(presets.load("koul-compliant"))) as url:
         assert url.startswith("unix://")
-    assert local.SAFE_PATH not in os.environ
+    assert child.SAFE_PATH not in os.environ
 
 
 def test_a_device_process_answers_by_name_and_ends_with_its_context() -> None:

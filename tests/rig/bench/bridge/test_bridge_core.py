@@ -337,8 +337,7 @@ def test_structures_are_those_of_the_header() -> None:
 
 def switched(world: Bridged, pins: int) -> None:
     """Let the drive tell these pins of aux1."""
-    plain = world.drive._others
-    world.drive._others = lambda words: {**plain(words), 0x05E: (pins, WHOLE)}  # type: ignore[method-assign]
+    world.drive._others[0x05E] = (lambda words: pins, WHOLE)
 
 
 def test_a_hold_to_run_switch_on_a_pin_of_the_drive() -> None:
