@@ -22,7 +22,7 @@ from rig.devices.child import announced
 from rig.devices.device import DeviceUrl
 
 if sys.platform == "linux":
-    from rig.bench.bridge.serve import DRIVE_OPTIONS, Found, serve
+    from rig.bench.bridge.serve import Address, Found, serve
     from rig.devices.descriptor import CLOSED, DescriptorLink
 
 assert sys.platform == "linux"
@@ -33,13 +33,15 @@ def open_link(url: DeviceUrl, model: RigModel | None = None) -> BridgeLink:
 
     `rig` names the rig, a preset or a file, where no experiment does.
     """
-    url.allow((*DRIVE_OPTIONS, "rig"))
     named = url.options.get("rig")
+    plain = {name: text for name, text in url.options.items() if name != "rig"}
+    asked = DeviceUrl(url.scheme, url.place, plain, url.text)
+    Address.of(asked)  # what is wrong there is said at once
     if named is not None:
         model = rig_model(presets.load_named(named))
     if model is None:
         raise ConfigError(f"{url.text}: a bridge must know its rig", remedy="add ?rig=mine.toml to the URL")
-    return BridgeLink(url, model)
+    return BridgeLink(asked, model)
 
 
 class BridgeLink(DescriptorLink):
@@ -60,15 +62,13 @@ class BridgeLink(DescriptorLink):
         self._shared = multiprocessing.get_context("spawn").RawArray(ctypes.c_byte, ctypes.sizeof(Facts))
         self.facts = Facts.from_buffer(self._shared)
         self.cpu = max(processors())
-        plain = {name: text for name, text in url.options.items() if name != "rig"}
-        asked = DeviceUrl(url.scheme, url.place, plain, url.text)
         ours, theirs = socket.socketpair()
         self._running = ExitStack()
         with theirs:
             try:
                 found: Found = self._running.enter_context(
                     announced(
-                        _serve, asked, model, theirs, self._shared, self.cpu,
+                        _serve, url, model, theirs, self._shared, self.cpu,
                         name="rig-bridge", by_hand="rig bridge moteus",
                     )
                 )  # fmt: skip

@@ -14,8 +14,9 @@ import sys
 import tty
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Self
 
-from rig.bench.bridge.library import Bridge, Drive, Facts
+from rig.bench.bridge.library import Bridge, Drive, Facts, Switches
 from rig.core.errors import ConfigError
 from rig.core.model import RigModel
 from rig.devices.child import Board
@@ -24,7 +25,7 @@ from rig.realtime.scheduling import obtained
 
 if sys.platform == "linux":
     from rig.bench.bridge import moteus
-    from rig.bench.bridge.bus import OPTIONS, open_bus
+    from rig.bench.bridge.bus import OPTIONS, Bus, open_bus
 
 assert sys.platform == "linux"
 
@@ -54,12 +55,34 @@ def number(url: DeviceUrl, name: str, default: int, largest: int) -> int:
     return value
 
 
+@dataclass(frozen=True, slots=True)
+class Address:
+    """What a URL says of a drive: its id, the prefix of its bus, and what is wired to its pins."""
+
+    drive: int
+    prefix: int
+    switches: Switches
+
+    @classmethod
+    def of(cls, url: DeviceUrl) -> Self:
+        """Read it; raises `ConfigError`."""
+        url.allow(DRIVE_OPTIONS)
+        return cls(
+            number(url, "id", 1, _LARGEST_ID),
+            number(url, "prefix", 0, _LARGEST_PREFIX),
+            moteus.switches_of({name: url.options[name] for name in SWITCHES if name in url.options}),
+        )
+
+    def find(self, bus: Bus) -> moteus.Facts:
+        """Ask the drive who it is; errors as `rig.bench.bridge.moteus.find`."""
+        return moteus.find(moteus.Conversation(bus, self.drive, self.prefix), self.drive)
+
+
 def look(url: DeviceUrl) -> moteus.Facts:
     """Ask the drive who it is, and let it be; errors as `serve`."""
-    url.allow(DRIVE_OPTIONS)
-    drive, prefix = number(url, "id", 1, _LARGEST_ID), number(url, "prefix", 0, _LARGEST_PREFIX)
+    address = Address.of(url)
     with contextlib.closing(open_bus(url)) as bus:
-        return moteus.find(moteus.Conversation(bus, drive, prefix), drive)
+        return address.find(bus)
 
 
 def serve(
@@ -95,13 +118,10 @@ def serve(
     RigError
         There is no drive, it answers wrongly, or it is not as the rig describes it: nothing has moved.
     """
-    url.allow(DRIVE_OPTIONS)
-    drive, prefix = number(url, "id", 1, _LARGEST_ID), number(url, "prefix", 0, _LARGEST_PREFIX)
-    switches = moteus.switches_of({name: url.options[name] for name in SWITCHES if name in url.options})
+    address = Address.of(url)
     bus = open_bus(url)
     with contextlib.closing(bus), obtained(Board(realtime, cpu=cpu)) as granted:
-        told = moteus.find(moteus.Conversation(bus, drive, prefix), drive)
-        found = moteus.fit(told, model, prefix=prefix, switches=switches)
+        found = moteus.fit(address.find(bus), model, prefix=address.prefix, switches=address.switches)
         bridge = Bridge(model, found, checksum=bus.checksum, socket=bus.is_socket, facts=facts)
         with _end_of(host) as (descriptor, place), _wakes() as wake:
             granted.enter_thread()

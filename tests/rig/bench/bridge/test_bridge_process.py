@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import subprocess
 import sys
-import time
+import threading
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -15,11 +16,15 @@ import pytest
 
 from firmware_protocol.connection import State
 from rig import devices
+from rig.bench.bridge import describe
+from rig.bench.bridge.library import Bridge
 from rig.bench.bridge.link import BridgeLink
-from rig.core.errors import ConfigError, DeviceNotFoundError, DeviceRefusedError, LinkLostError
+from rig.bench.bridge.serve import look
+from rig.core.errors import ConfigError, DeviceRefusedError, LinkLostError
+from rig.devices.device import DeviceUrl
 from rig.devices.framed import FramedDevice
 from sim_backend.drives import simulated_drive
-from tests.conformance.bridged import SAFE, SLOW, bridged_rig
+from tests.conformance.bridged import SAFE, SLOW, bridged_rig, plain_drive
 from tests.conformance.firmware import need_compiler
 
 PATIENCE_S = 5.0
@@ -37,7 +42,15 @@ def opened(port: str, options: str = "") -> FramedDevice:
     return devices.open_device(f"moteus://{port}{options}", bridged_rig())
 
 
-def test_a_link_starts_a_bridge_and_ends_it(port: str) -> None:
+def test_a_link_starts_a_bridge_and_ends_it_and_one_that_is_killed_is_a_lost_link(port: str) -> None:
+    """The drive's own watchdog ends the torque then; the next bridge takes the drive as it is."""
+    with opened(port) as device:
+        assert isinstance(device.link, BridgeLink)
+        device.configure(SLOW)
+        device.arm()
+        os.kill(device.link.process, signal.SIGKILL)
+        with pytest.raises(LinkLostError):
+            device.states(PATIENCE_S)
     with opened(port) as device:
         assert isinstance(device.link, BridgeLink)
         bridge = device.link.process
@@ -51,44 +64,29 @@ def test_a_link_starts_a_bridge_and_ends_it(port: str) -> None:
     assert not Path(f"/proc/{bridge}").exists()
 
 
-def test_a_bridge_that_is_killed_is_a_lost_link(port: str) -> None:
-    """The drive's own watchdog ends the torque; the next bridge takes the drive as it is then."""
-    with opened(port) as device:
-        assert isinstance(device.link, BridgeLink)
-        device.configure(SLOW)
-        device.arm()
-        os.kill(device.link.process, signal.SIGKILL)
-        with pytest.raises(LinkLostError):
-            device.states(PATIENCE_S)
-    with opened(port) as device:
-        assert device.dictionary.device == bridged_rig().name
-
-
-HOST = """
-import sys, time
-from rig import devices
-from tests.conformance.bridged import SLOW, bridged_rig
-device = devices.open_device(sys.argv[1], bridged_rig())
-device.configure(SLOW)
-device.arm()
-print(device.link.process, flush=True)
-time.sleep(60)
-"""
-
-
-def test_a_host_that_is_killed_takes_its_bridge_with_it(port: str) -> None:
-    host = subprocess.Popen(
-        [sys.executable, "-c", HOST, f"moteus://{port}"], stdout=subprocess.PIPE, text=True, cwd=Path.cwd()
-    )
-    assert host.stdout is not None
-    bridge = int(host.stdout.readline())
-    host.kill()
-    host.wait()
-    host.stdout.close()
-    deadline = time.monotonic() + PATIENCE_S
-    while Path(f"/proc/{bridge}").exists() and time.monotonic() < deadline:
-        time.sleep(0.01)
-    assert not Path(f"/proc/{bridge}").exists()
+def test_a_host_that_goes_ends_its_bridge_and_the_drive_is_told_to_stop() -> None:
+    """However it goes: the kernel closes the socket of one that is killed."""
+    need_compiler()
+    bus, drive = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    near, host = socket.socketpair()
+    ear, mouth = os.pipe()
+    for end in (bus, near):
+        end.setblocking(False)
+    bridge = Bridge(bridged_rig(), plain_drive(), socket=True)
+    ends = {"host": near.fileno(), "bus": bus.fileno(), "wake": ear, "host_stays": False}
+    running = threading.Thread(target=bridge.run, kwargs=ends)
+    running.start()
+    assert drive.recv(100)[8:10] == b"\x11\x00"  # it is asked, and told nothing
+    host.close()
+    running.join(PATIENCE_S)
+    assert not running.is_alive()
+    bus.close()
+    frames = list(iter(lambda: drive.recv(100), b""))
+    assert [frame[8:11] for frame in frames[-3:]] == [b"\x01\x00\x00"] * 3  # mode: stopped
+    for end in (near, drive):
+        end.close()
+    os.close(ear)
+    os.close(mouth)
 
 
 def test_what_is_wrong_with_the_drive_is_said_by_the_link(port: str) -> None:
@@ -96,8 +94,6 @@ def test_what_is_wrong_with_the_drive_is_said_by_the_link(port: str) -> None:
     other = replace(model, amplifier=replace(model.amplifier, effort_per_ampere=1.0))
     with pytest.raises(DeviceRefusedError, match="the experiment says 1"):
         devices.open_device(f"moteus://{port}", other)
-    with pytest.raises(DeviceNotFoundError, match="moteus 9"):
-        opened(port, "?id=9")
     with pytest.raises(ConfigError, match="must know its rig"):
         devices.open_device(f"moteus://{port}")
     with pytest.raises(ConfigError, match="whole number"):
@@ -106,13 +102,7 @@ def test_what_is_wrong_with_the_drive_is_said_by_the_link(port: str) -> None:
 
 def test_the_command_serves_one_host_after_the_other(port: str, tmp_path: Path) -> None:
     mine = tmp_path / "mine.toml"
-    described = subprocess.run(
-        [sys.executable, "-m", "rig", "bridge", "moteus", port, "--describe"],
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    mine.write_text(described.stdout)
+    mine.write_text(describe.text(look(DeviceUrl("moteus", port, {}, port)), port))
     bridge = subprocess.Popen(
         [sys.executable, "-m", "rig", "bridge", "moteus", port, "--rig", str(mine)],
         stdout=subprocess.PIPE,
