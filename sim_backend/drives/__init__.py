@@ -3,8 +3,9 @@
 ``python -m sim_backend.drives moteus --rig koul-rigid`` prints what a host opens and serves until it is ended;
 `simulated_drive` does the same for a block of Python, in a process that dies with the one that started it.
 
-* A moteus is behind a pseudo-terminal, as its own serial port or as the maker's USB adapter (`fdcanusb`).
-* An ODrive is on a CAN bus: an interface of SocketCAN, or a Unix socket that passes the same frames (`outlets`).
+* A moteus is behind a pseudo-terminal, as its own serial port or as the maker's USB adapter (`fdcanusb`), or on a bus
+  with CAN FD; an ODrive is on a CAN bus.
+* A bus is an interface of SocketCAN, or a Unix socket that passes the same frames (`outlets`).
 
 Each behaviour names the page of the maker's documentation that it mirrors, in the module that has it. The makers' own
 libraries, unchanged, drive these drives in the tests. What goes wrong on command stands in `faults`.

@@ -25,8 +25,10 @@ def main() -> int:
         "--set", action="append", default=[], help="setting of the drive: servo.timeout_mode=0"
     )
     parser.add_argument("--firmware", type=lambda text: int(text, 0), help="0x010203 is 1.2.3")
-    parser.add_argument("--adapter", choices=("uart", "fdcanusb"), default="uart", help="of a moteus")
-    parser.add_argument("--bus", help="of an ODrive: a CAN interface, or the path of a socket to be made")
+    parser.add_argument(
+        "--adapter", choices=("uart", "fdcanusb"), default="uart", help="of a moteus without a bus"
+    )
+    parser.add_argument("--bus", help="a CAN interface, or the path of a socket to be made")
     given = parser.parse_args()
     try:
         serve(

@@ -6,12 +6,17 @@ from typing import NamedTuple, Protocol
 
 
 class Frame(NamedTuple):
-    """Identifier and data. `extended` is the 29-bit form, `remote` a request for the frame of that identifier."""
+    """Identifier and data.
+
+    `extended` is the 29-bit form, `remote` a request for the frame of that identifier, `error` what a controller says
+    of the bus, by the classes of include/uapi/linux/can/error.h in place of an identifier.
+    """
 
     identifier: int
     data: bytes
     extended: bool = False
     remote: bool = False
+    error: bool = False
 
 
 class Drive(Protocol):

@@ -10,8 +10,6 @@ from __future__ import annotations
 import struct
 from enum import IntEnum
 
-from sim_backend.drives.bus import Frame
-
 NODE_BITS = 5
 
 
@@ -96,42 +94,3 @@ HEARTBEAT = struct.Struct("<IBBBx")  # error, state, result, trajectory done
 SDO = struct.Struct("<BHB")  # opcode, endpoint, reserved; then a value
 ADDRESS = struct.Struct("<B6sB")
 READ, WRITE = 0, 1  # opcodes: odriverobotics/ODriveResources, examples/can_param_access.py
-
-_CAN_FRAME = struct.Struct("=IB3x8s")  # linux/can.h, struct can_frame
-_EXTENDED, _REMOTE, _ERROR = 0x80000000, 0x40000000, 0x20000000
-_ID = 0x1FFFFFFF
-
-
-class Frames:
-    """Cuts bytes into ``struct can_frame``."""
-
-    def split(self, data: bytes) -> list[bytes]:
-        """Whole frames; a bus passes no others."""
-        size = _CAN_FRAME.size
-        return [data[at : at + size] for at in range(0, len(data), size)]
-
-
-class SocketCan:
-    """Frames of linux/can.h; see `sim_backend.drives.bus.Adapter`."""
-
-    def splitter(self) -> Frames:
-        """Make what cuts bytes into frames."""
-        return Frames()
-
-    def open(self, unit: bytes) -> tuple[Frame | None, list[bytes]]:
-        """Read a frame; what the controller tells of errors is none."""
-        if len(unit) != _CAN_FRAME.size:
-            return None, []
-        word, size, data = _CAN_FRAME.unpack(unit)
-        if word & _ERROR:
-            return None, []
-        remote = bool(word & _REMOTE)
-        frame = Frame(
-            word & _ID, b"" if remote else data[:size], extended=bool(word & _EXTENDED), remote=remote
-        )
-        return frame, []
-
-    def close(self, frame: Frame) -> list[bytes]:
-        """Write a frame."""
-        word = frame.identifier | (_EXTENDED if frame.extended else 0) | (_REMOTE if frame.remote else 0)
-        return [_CAN_FRAME.pack(word, len(frame.data), frame.data)]

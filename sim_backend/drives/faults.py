@@ -1,9 +1,10 @@
 """What goes wrong, in words: ``drop to=host frame=12``, ``fault value=33 tick=300``.
 
 The first word is a kind of `rig.devices.fault_script.Kind`, which strikes a unit of the line (a line of text, a CAN
-frame), or an event of the drive (`SimulatedMoteus.happen`, `SimulatedOdrive.happen`), or ``stale``: the drive answers
-with what it answered before. `frame` counts units of a direction from 0, for an event those that the host sent; `tick`
-counts milliseconds since the host's first one.
+frame); or an event of the drive (`SimulatedMoteus.happen`, `SimulatedOdrive.happen`); or ``stale``: the drive answers
+with what it answered before; or ``host-bus-off``: the host's own CAN controller says that it has left the bus, and
+nothing comes or goes any more. `frame` counts units of a direction from 0, for an event those that the host sent;
+`tick` counts milliseconds since the host's first one.
 """
 
 from __future__ import annotations
@@ -14,9 +15,9 @@ from dataclasses import dataclass, replace
 from rig.core.errors import ConfigError
 from rig.devices.fault_script import Direction, FrameFault, Kind
 
-STALE = "stale"
+STALE, HOST_BUS_OFF = "stale", "host-bus-off"
 EVENTS = (
-    STALE,
+    *(STALE, HOST_BUS_OFF),
     *("fault", "voltage", "temperature", "slip", "expire", "reboot", "mode", "master"),
     *("estop", "bus-off"),
 )
@@ -50,7 +51,7 @@ class Script:
     def check(self, known: Iterable[str]) -> None:
         """Raise `ConfigError` for an event that does not happen to a drive."""
         for event in self.events:
-            if event.name not in {STALE, *known}:
+            if event.name not in {STALE, HOST_BUS_OFF, *known}:
                 raise ConfigError(
                     f"{event.name} does not happen to this drive", remedy=f"one of {', '.join(known)}"
                 )

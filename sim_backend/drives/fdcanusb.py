@@ -10,11 +10,11 @@ from __future__ import annotations
 
 from sim_backend.drives.bus import Frame
 from sim_backend.drives.multiplex import NOP
+from sim_backend.drives.socket_can import STANDARD_IDS, filled
 
 LONGEST_LINE = 254  # fw/uart_fdcanusb_micro_server.h; what is longer is thrown away
 DATA_BYTES = 64  # of a CAN FD frame
 _POLYNOMIAL = 0x97  # docs/integration/uart.md
-_DLC = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 _SEND = b"can send "
 
 
@@ -158,22 +158,16 @@ class Fdcanusb:
         data = _hex(rest[0])
         if data is None or len(data) > DATA_BYTES:
             raise _RefusedError(b"invalid data")
-        return Frame(identifier & 0xFFFF, _filled(data))
+        return Frame(identifier & 0xFFFF, filled(data, NOP))
 
     def close(self, frame: Frame) -> list[bytes]:
         """Say a frame in a line."""
         identifier = b"%X" % frame.identifier
         identifier = identifier.zfill(len(identifier) + len(identifier) % 2)
-        kind = b"E" if frame.identifier > 0x7FF else b"e"
+        kind = b"E" if frame.identifier > STANDARD_IDS else b"e"
         return [
-            b"rcv %b %b %b B F r x-1\r\n" % (identifier, _filled(frame.data).hex().upper().encode(), kind)
+            b"rcv %b %b %b B F r x-1\r\n" % (identifier, filled(frame.data, NOP).hex().upper().encode(), kind)
         ]
-
-
-def _filled(data: bytes) -> bytes:
-    """Data with NOP up to the next length that CAN FD has."""
-    size = next(size for size in _DLC if size >= len(data))
-    return data + bytes((NOP,)) * (size - len(data))
 
 
 def _hex(text: bytes) -> bytes | None:

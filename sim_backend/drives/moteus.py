@@ -40,7 +40,7 @@ from sim_backend.drives.moteus_registers import (
     WHOLE,
     Steps,
 )
-from sim_backend.drives.moteus_settings import SPI, Console, Settings, defaults
+from sim_backend.drives.moteus_settings import SPI, TORQUE_TIMES_KV, Console, Settings, defaults
 from sim_backend.drives.motor import Motor
 from sim_backend.drives.multiplex import (
     FLOAT,
@@ -67,6 +67,7 @@ FIRMWARE = 0x010000  # 1.0.0, CHANGELOG.md
 MAP_VERSION = 5  # fw/moteus_controller.cc, kRegisterMapVersion
 CONSOLE_CHANNEL = 1  # fw/moteus.cc
 STREAM_BYTES = 41  # that an answer on the stream holds at most: mjlib/multiplex/micro_server.cc
+UNCONFIGURED_TORQUE_CONSTANT = 0.1  # N·m/A, fw/bldc_servo_control.h, kDefaultTorqueConstant
 OTHER_MASTER = 2  # source of the frames of a second host, where one is simulated
 
 
@@ -282,7 +283,7 @@ class SimulatedMoteus:
 
         absolute = 3.0 if self._absolute else 2.0  # valid are theta and velocity, or velocity alone
         return {
-            0x004: (lambda w: w[W.torque] * w[W.rotor_to_output] / self._kt, CURRENT),
+            0x004: (lambda w: w[W.torque] * w[W.rotor_to_output] / w[W.torque_constant], CURRENT),
             0x005: (nothing, CURRENT),
             0x006: (nothing, TURNS),
             0x007: (lambda w: w[W.torque] * w[W.velocity] * 2.0 * math.pi, POWER),
@@ -428,12 +429,15 @@ class SimulatedMoteus:
             words[word] = values[name]
         natural = 2.0 * math.pi * values["motor_position.sources.0.pll_filter_hz"] / PLL_SHAPE
         words[W.pll_kp], words[W.pll_ki] = 2.0 * natural, natural**2
-        words[W.torque_constant] = self._kt
+        believed = (
+            TORQUE_TIMES_KV / values["motor.Kv"] if values["motor.Kv"] else UNCONFIGURED_TORQUE_CONSTANT
+        )
+        words[W.torque_constant], words[W.motor_constant] = believed, self._kt
         source = values["motor_position.output.source"]
         words[W.source_valid] = values.get(f"motor_position.sources.{source}.type", 0) == self._kind
         words[W.sign] = values["motor_position.sources.0.sign"] * values["motor_position.output.sign"]
         resistance = 1.5 * values["motor.resistance_ohm"]  # of one phase, as the q current sees it
-        per_turn = 2.0 * math.pi * self._kt**2 / resistance
+        per_turn = 2.0 * math.pi * self._kt * believed / resistance
         words[W.brake_damping] = per_turn / values["motor_position.rotor_to_output_ratio"] ** 2
 
 

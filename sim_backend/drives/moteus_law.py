@@ -53,6 +53,7 @@ class _Words(NamedTuple):
     iratelimit: int
     max_current: int
     torque_constant: int
+    motor_constant: int
     position_min: int
     position_max: int
     position_derate: int
@@ -387,7 +388,9 @@ def law(w: Words, count: int, measured: float) -> float:
     """One control cycle: encoder count and torque at the shaft (N·m) in, torque wanted there out."""
     if w[W.source_valid] != 0.0:
         _filter(w, count)
-    w[W.torque] = w[W.sign] * measured / w[W.rotor_to_output]
+    # Torque at the output, as the drive believes, from that at the shaft, as it is.
+    share = w[W.sign] * w[W.torque_constant] / w[W.motor_constant] / w[W.rotor_to_output]
+    w[W.torque] = measured * share
     if w[W.timeout_left] > 0.0:
         w[W.timeout_left] = max(0.0, w[W.timeout_left] - _DT)
     if w[W.command] != w[W.mode]:
@@ -403,4 +406,4 @@ def law(w: Words, count: int, measured: float) -> float:
     torque = _work(w)
     if w[W.mode] == FAULT:
         torque = w[W.control_torque] = 0.0
-    return float(w[W.sign] * torque * w[W.rotor_to_output])
+    return float(torque / share)

@@ -159,8 +159,8 @@ class SimulatedOdrive:
             _ENCODER: self._encoder,
             "axis0.config.commutation_encoder": self._encoder,
         }
-        kt = model.amplifier.effort_per_ampere / abs(self.motor.effort_per_torque)
-        self._kt = self.values["axis0.config.motor.torque_constant"] = kt
+        self._kt = model.amplifier.effort_per_ampere / abs(self.motor.effort_per_torque)
+        self.values["axis0.config.motor.torque_constant"] = self._kt
         for path, text in options.settings.items():
             self._set_text(path, text)
         self._saved = dict(self.values)
@@ -203,7 +203,7 @@ class SimulatedOdrive:
             for command, name in _CYCLIC.items():
                 rate = int(self.values[name])
                 if rate and self._due[command] <= self.ticks:
-                    self._due[command] += rate * TICKS_A_MS
+                    self._due[command] = self.ticks + rate * TICKS_A_MS
                     sent.append(self._reply(command))
         return [] if self._is_off else sent
 
@@ -425,6 +425,7 @@ class SimulatedOdrive:
         for path, (_, _, word) in _PARAMETERS.items():
             if word is not None:
                 w[word] = self.values[path]
+        w[W.motor_constant] = self._kt
         onboard = self.values[_ENCODER] == _ONBOARD
         w[W.counts_per_turn] = ONBOARD_COUNTS if onboard else self.values[_COUNTS]
         w[W.encoder_valid] = self.values[_ENCODER] == self._encoder

@@ -53,6 +53,7 @@ class _Words(NamedTuple):
     torque_soft_max: int
     current_soft_max: int
     torque_constant: int
+    motor_constant: int
     enable_watchdog: int
     watchdog_timeout: int
     encoder_valid: int
@@ -231,7 +232,8 @@ def law(w: Words, count: int, measured: float) -> float:
     """One control cycle: encoder count and torque at the shaft (N·m) in, torque wanted there out."""
     if w[W.encoder_valid] != 0.0:
         _estimate(w, count)
-    w[W.torque] = measured
+    share = w[W.torque_constant] / w[W.motor_constant]  # what it believes of the motor, and what is true
+    w[W.torque] = measured * share
     _heed(w)
     if w[W.requested] != 0.0:
         _change_state(w)
@@ -241,4 +243,4 @@ def law(w: Words, count: int, measured: float) -> float:
     if w[W.state] != CLOSED_LOOP:
         torque = 0.0
     w[W.torque_target] = torque
-    return torque
+    return float(torque / share)

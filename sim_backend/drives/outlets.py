@@ -1,7 +1,7 @@
 """Where a host finds a simulated drive: a pseudo-terminal, a CAN interface, a socket that is a bus.
 
-A CAN bus is a descriptor that passes one ``struct can_frame`` of linux/can.h (16 bytes) a message, read and written
-with the same calls in either of two forms, told apart by the place's name:
+A CAN bus is a descriptor that passes one frame of linux/can.h a message (`socket_can`), read and written with the same
+calls in either of two forms, told apart by the place's name:
 
 * ``vcan0``, ``can0``: a network interface, opened as ``socket(AF_CAN, SOCK_RAW, CAN_RAW)`` and bound to it;
 * ``/run/…`` (a path): a Unix socket, opened as ``socket(AF_UNIX, SOCK_SEQPACKET)`` and connected to it, for machines
@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Self
 
 from rig.core.errors import ConfigError, DeviceNotFoundError
+from sim_backend.drives.socket_can import FD_BYTES, Frames, from_wire, to_wire
 from sim_backend.real_time import sleep_until
 
 if sys.platform == "linux":
@@ -27,7 +28,6 @@ if sys.platform == "linux":
 
 assert sys.platform == "linux"
 
-CAN_FRAME_BYTES = 16  # linux/can.h, struct can_frame
 HOSTS = 8
 
 
@@ -106,28 +106,26 @@ class CanBus:
         return frames
 
     def _heard(self, end: socket.socket) -> bytes:
-        frame = b""
+        message = b""
         with suppress(OSError):
-            frame = end.recv(CAN_FRAME_BYTES)
-        if self._listener is None:
-            return frame
-        if len(frame) != CAN_FRAME_BYTES:  # the host is gone
+            message = end.recv(FD_BYTES)
+        if self._listener is not None and not message:  # the host is gone
             self._ends.remove(end)
             end.close()
-            return b""
-        self._send(frame, [other for other in self._ends if other is not end])
-        return frame
+        elif self._listener is not None:
+            self._send(message, [other for other in self._ends if other is not end])
+        return from_wire(message)
 
     def write(self, frames: bytes) -> None:
         """Put frames on the bus; a host that does not read loses them."""
-        for start in range(0, len(frames), CAN_FRAME_BYTES):
-            self._send(frames[start : start + CAN_FRAME_BYTES], self._ends)
+        for unit in Frames().split(frames):
+            self._send(to_wire(unit), self._ends)
 
     @staticmethod
-    def _send(frame: bytes, ends: list[socket.socket]) -> None:
+    def _send(message: bytes, ends: list[socket.socket]) -> None:
         for end in ends:
             with suppress(OSError):
-                end.send(frame, socket.MSG_DONTWAIT)
+                end.send(message, socket.MSG_DONTWAIT)
 
 
 def _listener(place: str) -> socket.socket:
@@ -144,6 +142,7 @@ def _listener(place: str) -> socket.socket:
 def _interface(name: str) -> socket.socket:
     try:
         end = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+        end.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, 1)
         end.bind((name,))
     except OSError as error:
         raise DeviceNotFoundError(

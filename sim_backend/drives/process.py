@@ -14,12 +14,13 @@ from rig.core.model import RigModel
 from rig.devices.child import Board, announced
 from rig.realtime.scheduling import obtained
 from sim_backend.drives.bus import Adapter, Drive
-from sim_backend.drives.can_simple import SocketCan
 from sim_backend.drives.faults import Script
 from sim_backend.drives.fdcanusb import Fdcanusb, Uart
 from sim_backend.drives.moteus import MoteusOptions, SimulatedMoteus
+from sim_backend.drives.multiplex import NOP
 from sim_backend.drives.odrive import OdriveOptions, SimulatedOdrive
 from sim_backend.drives.serving import Serving
+from sim_backend.drives.socket_can import SocketCan
 from sim_backend.stopping import stopped_by_signals
 
 if sys.platform == "linux":
@@ -66,9 +67,10 @@ def serve(
     firmware
         Version, one byte each: 0x010203 is 1.2.3.
     adapter
-        Of a moteus: ``uart``, the board's own port with checksums, or ``fdcanusb``.
+        Of a moteus at a serial line: ``uart``, the board's own port with checksums, or ``fdcanusb``.
     place
-        Of the ODrive's CAN bus (`sim_backend.drives.outlets`).
+        Of the CAN bus (`sim_backend.drives.outlets`): of an ODrive, classic; of a moteus, CAN FD, and without one it is
+        behind a pseudo-terminal.
     realtime
         Scheduling, as ``host.realtime``: a drive's timer never waits. A process of its own tries it.
     announce
@@ -87,18 +89,21 @@ def serve(
     drive: Drive
     spoken: Adapter
     if kind == "odrive":
-        drive, spoken, script = _odrive(model, settings, firmware), SocketCan(), script.on_a_can_bus()
+        drive, spoken = _odrive(model, settings, firmware), SocketCan()
         if place is None:
             raise ConfigError(
                 "no CAN bus for the ODrive", remedy="give an interface, or the path of a socket"
             )
-        opened: Terminal | CanBus = CanBus(place)
     else:
         drive = _moteus(model, settings, firmware)
-        spoken = _adapter(adapter, drive)
-        opened = Terminal()
+        spoken = _adapter(adapter, drive) if place is None else SocketCan(fd=True, padding=NOP)
     script.check(drive.events)
-    with opened as port, stopped_by_signals(stop), obtained(Board(realtime)) as granted:
+    script = script if place is None else script.on_a_can_bus()
+    with (
+        Terminal() if place is None else CanBus(place) as port,
+        stopped_by_signals(stop),
+        obtained(Board(realtime)) as granted,
+    ):
         granted.enter_thread()
         try:
             announce(port.place)

@@ -16,7 +16,8 @@ from typing import Protocol
 from rig.devices.fault_script import Direction
 from sim_backend.channel import Line as FailingLine
 from sim_backend.drives.bus import Adapter, Drive, Frame
-from sim_backend.drives.faults import STALE, Event, Script
+from sim_backend.drives.faults import HOST_BUS_OFF, STALE, Event, Script
+from sim_backend.drives.socket_can import BUS_OFF
 
 IDLE_NS = 5_000_000  # without a unit
 LONGEST_STEP_NS = 15_000_000  # beyond it, this process was held up
@@ -78,7 +79,7 @@ class Serving:
         self._failing = FailingLine(script.frames) if script.frames else None
         self._to_fail = adapter.splitter()
         self._events = list(script.events)
-        self._stale = False
+        self._stale = self._is_off = False
         self._answered: deque[list[Frame]] = deque(maxlen=1)
         self._units = 0
         self._unplugged = False
@@ -133,6 +134,8 @@ class Serving:
             units = self._splitter.split(failing.receive(Direction.TO_DEVICE, self._tick))
         for unit in units:
             self._happen()
+            if self._is_off:
+                continue
             self._units += 1
             frame, said = self._adapter.open(unit)
             for answer in self._answer(frame) if frame is not None else ():
@@ -159,6 +162,9 @@ class Serving:
                 self._events.remove(event)
                 if event.name == STALE:
                     self._stale = True
+                elif event.name == HOST_BUS_OFF:
+                    self._say([Frame(BUS_OFF, bytes(8), error=True)])
+                    self._is_off = True
                 else:
                     self._say(self._drive.happen(event.name, event.value))
 
@@ -172,6 +178,8 @@ class Serving:
             self._send([unit for frame in frames for unit in self._adapter.close(frame)])
 
     def _send(self, units: list[bytes]) -> None:
+        if self._is_off:
+            return
         if self._failing is None:
             if units:
                 self._port.write(b"".join(units))

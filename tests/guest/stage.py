@@ -32,7 +32,7 @@ LOADED = (
 # Modules of which the tests in the guest enter kernels that a hit does not.
 ENTERED = (
     *("rig.devices.usb_transfers", "sim_backend.hardware", "sim_backend.sensors"),
-    *("sim_backend.drives.motor", "sim_backend.drives.odrive_law"),
+    *("sim_backend.drives.motor", "sim_backend.drives.moteus_law", "sim_backend.drives.odrive_law"),
 )
 COMPILE = f"""
 import importlib

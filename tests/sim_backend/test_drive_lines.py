@@ -11,11 +11,12 @@ import pytest
 from rig.core.errors import ConfigError, DeviceNotFoundError
 from rig.devices.fault_script import Direction, FrameFault, Kind
 from sim_backend.drives.bus import Frame
-from sim_backend.drives.can_simple import Command, Error, SocketCan
+from sim_backend.drives.can_simple import Command, Error
 from sim_backend.drives.faults import Event, Script
 from sim_backend.drives.fdcanusb import Fdcanusb, Lines, Uart, checksum, sealed
 from sim_backend.drives.outlets import CanBus, Terminal
 from sim_backend.drives.process import serve
+from sim_backend.drives.socket_can import SocketCan, from_wire, to_wire
 from tests.conformance.drives import MS, Moteus, Odrive, Wire, drive_rig, served
 from tests.conformance.rigs import linear_rig
 
@@ -80,6 +81,44 @@ def test_lines_end_in_any_way_and_too_long_ones_are_thrown_away() -> None:
     assert lines.split(b"d\n") == [b"cd\n"]
     assert lines.split(b"x" * 300) == []
     assert lines.split(b"OK\n") == [b"OK\n"]
+
+
+def test_frames_are_those_of_socketcan() -> None:
+    can = SocketCan()
+    sent = Frame(0x2E, b"\1\2\3\4")
+    (unit,) = can.close(sent)
+    message = struct.pack("=IB3x8s", 0x2E, 4, sent.data)
+    assert (to_wire(unit), from_wire(message)) == (message, unit)
+    assert can.open(unit) == (sent, [])
+    asked = from_wire(struct.pack("=IB3x8s", 0x40000009, 8, b""))
+    assert can.open(asked) == (Frame(0x09, b"", remote=True), [])
+    assert can.open(from_wire(struct.pack("=IB3x8s", 0x20000004, 8, b""))) == (
+        None,
+        [],
+    )  # the controller's own report
+    assert can.splitter().split(unit + asked) == [unit, asked]
+    assert from_wire(b"no frame") == b""
+
+
+def test_frames_of_can_fd_are_longer_filled_up_and_not_for_those_who_speak_classic_can() -> None:
+    can = SocketCan(fd=True, padding=0x50)
+    (unit,) = can.close(Frame(0x0100, bytes(9)))
+    message = struct.pack("=IBB2x64s", 0x0100, 12, 0x05, bytes(9) + b"\x50" * 3)
+    assert (to_wire(unit), from_wire(message)) == (message, unit)
+    query = from_wire(
+        struct.pack("=IBB2x64s", 0x80008001, 2, 0x01, b"\x11\0")
+    )  # an old kernel sets no flag of its own
+    assert can.open(query) == (Frame(0x8001, b"\x11\0", extended=True), [])
+    assert SocketCan().open(query) == (None, [])
+
+
+def test_a_moteus_answers_on_can_fd_and_a_host_off_the_bus_hears_of_it() -> None:
+    can = SocketCan(fd=True, padding=0x50)
+    ask = [(at * MS, can.close(Frame(0x8001, b"\x11\0", extended=True))[0]) for at in range(1, 6)]
+    wire = served(Moteus().drive, can, ask, Script.of(["host-bus-off frame=3"]), 0.01)
+    *answers, last = [struct.unpack_from("=IB", said) for _, said in wire.said]
+    assert answers == [(0x0100, 3)] * 3
+    assert last == (0x20000040, 8)
 
 
 # ---------------------------------------------------------------------- faults on command

@@ -26,7 +26,7 @@ import pytest
 from sim_backend.drives import simulated_drive
 from sim_backend.drives.bus import Frame
 from sim_backend.drives.can_simple import Command, Error
-from sim_backend.drives.outlets import CAN_FRAME_BYTES
+from sim_backend.drives.socket_can import CLASSIC_BYTES
 from tests.conformance.drives import NAN, Moteus, Odrive, drive_rig
 from tests.conformance.started import started
 
@@ -200,7 +200,7 @@ def heard(host: socket.socket, identifier: int) -> bytes:
     """The first frame of an identifier."""
     until = time.monotonic() + WAIT_S
     while time.monotonic() < until:
-        frame = host.recv(CAN_FRAME_BYTES)
+        frame = host.recv(CLASSIC_BYTES)
         if struct.unpack_from("=I", frame) == (identifier,):
             return frame
     raise AssertionError(f"no frame {identifier:x}")

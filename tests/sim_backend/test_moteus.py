@@ -92,6 +92,18 @@ def test_feed_forward_torque_accelerates_the_rig_through_its_ratios(gear: float,
     assert drive.drive.motor.turns * sign > 0.0
 
 
+def test_a_drive_that_is_wrong_about_its_motor_is_wrong_about_torque_and_right_about_current() -> None:
+    drive = Moteus()
+    kv = float(drive.console("conf get motor.Kv"))
+    drive.console(f"conf set motor.Kv {kv / 2.0}")  # it believes in twice the torque of an ampere
+    drive.start()
+    drive.torque(0.05)
+    drive.wait(0.01)
+    assert drive.read(3) == pytest.approx(0.05)
+    assert drive.command == pytest.approx(0.025)
+    assert drive.read(4) == pytest.approx(0.025 / KT)
+
+
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_positive_torque_turns_the_way_the_encoder_counts(sign: int) -> None:
     drive = Moteus(drive_rig(sign=sign))

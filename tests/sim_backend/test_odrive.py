@@ -9,7 +9,7 @@ import pytest
 
 from rig.core.errors import ConfigError
 from sim_backend.drives.bus import Frame
-from sim_backend.drives.can_simple import Command, Error, Result, SocketCan
+from sim_backend.drives.can_simple import Command, Error, Result
 from sim_backend.drives.odrive import SimulatedOdrive
 from tests.conformance.drives import INERTIA, KT, RATIO, Odrive, drive_rig
 from tests.conformance.rigs import linear_rig
@@ -40,7 +40,10 @@ def test_cyclic_messages_come_by_the_millisecond_and_only_those_that_have_a_rate
     assert seen.count(Command.GET_ENCODER_ESTIMATES) == 100
     assert seen.count(Command.HEARTBEAT) == 2
     assert set(seen) == {Command.GET_ENCODER_ESTIMATES, Command.HEARTBEAT}
-    assert drive.drive.next_due is not None
+    rate = SimulatedOdrive.flat_endpoints()["endpoints"]["axis0.config.can.iq_msg_rate_ms"]["id"]
+    drive.send(Command.RX_SDO, "BHBI", 1, rate, 0, 5)
+    seen = [frame.identifier for frame in drive.wait(0.1)]
+    assert seen.count(Command.GET_IQ) in {20, 21}  # from now on, and none for the time before
 
 
 def test_torque_is_what_was_asked_through_the_ratio() -> None:
@@ -54,6 +57,16 @@ def test_torque_is_what_was_asked_through_the_ratio() -> None:
     acceleration = 0.05 / SHAFT_INERTIA / TURN
     assert velocity == pytest.approx(acceleration * 0.1, rel=0.05)
     assert position == pytest.approx(acceleration * 0.1**2 / 2.0, rel=0.05)
+
+
+def test_a_drive_that_is_wrong_about_its_motor_is_wrong_about_torque_and_right_about_current() -> None:
+    drive = Odrive(settings=FREE | {"axis0.config.motor.torque_constant": str(2.0 * KT)})
+    drive.start()
+    drive.send(Command.SET_INPUT_TORQUE, "f", 0.05)
+    drive.wait(0.01)
+    assert drive.ask(Command.GET_TORQUES, "ff")[1] == pytest.approx(0.05)
+    assert drive.drive.motor.torque == pytest.approx(0.025)
+    assert drive.ask(Command.GET_IQ, "ff")[1] == pytest.approx(0.025 / KT)
 
 
 def test_near_its_velocity_limit_torque_mode_is_altered_unless_told_otherwise() -> None:
@@ -199,17 +212,6 @@ def test_another_node_a_wrong_encoder_and_a_calibration_lead_nowhere() -> None:
     drive = Odrive()
     drive.send(Command.SET_AXIS_STATE, "I", 3)
     assert drive.ask(Command.HEARTBEAT, "IBBBx")[2] == Result.INVALID_STATE
-
-
-def test_frames_are_those_of_socketcan() -> None:
-    can = SocketCan()
-    (unit,) = can.close(Frame(0x2E, b"\1\2\3\4"))
-    assert unit == struct.pack("=IB3x8s", 0x2E, 4, b"\1\2\3\4")
-    assert can.open(unit) == (Frame(0x2E, b"\1\2\3\4"), [])
-    asked = struct.pack("=IB3x8s", 0x40000009, 8, b"")
-    assert can.open(asked) == (Frame(0x09, b"", remote=True), [])
-    assert can.open(struct.pack("=IB3x8s", 0x20000004, 8, b"")) == (None, [])  # the controller's own report
-    assert can.splitter().split(unit + asked) == [unit, asked]
 
 
 def test_a_linear_rig_and_an_unknown_setting_are_refused() -> None:
