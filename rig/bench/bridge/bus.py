@@ -13,6 +13,7 @@ import sys
 import time
 from collections import deque
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol, Self
 
 from rig.bench.bridge.library import Adapter, Frame, library
@@ -80,7 +81,7 @@ class Bus(Protocol):
 
 
 def open_bus(url: DeviceUrl) -> Bus:
-    """Open what a URL names: ``moteus:///dev/fdcanusb?checksum=off`` or ``moteus://can0``.
+    """Open what a URL names: ``moteus:///dev/fdcanusb?checksum=off``, ``moteus://can0``, or a socket as `_connected`.
 
     Raises
     ------
@@ -94,7 +95,22 @@ def open_bus(url: DeviceUrl) -> Bus:
             f"{url.text}: no port and no CAN interface",
             remedy=f"name one, like {url.scheme}:///dev/fdcanusb or {url.scheme}://can0",
         )
+    if Path(url.place).is_socket():
+        return CanBus(url.place, _connected(url.place))
     return AdapterBus.open(url) if "/" in url.place else CanBus(url.place)
+
+
+def _connected(place: str) -> socket.socket:
+    """A Unix socket whose messages are those of a raw CAN socket: a program in the place of a bus."""
+    end = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    try:
+        end.connect(place)
+    except OSError as error:
+        end.close()
+        raise DeviceNotFoundError(
+            f"no program answers at {place}: {error.strerror}", remedy="start it, or name its socket"
+        ) from None
+    return end
 
 
 class AdapterBus:

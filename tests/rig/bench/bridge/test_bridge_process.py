@@ -24,6 +24,7 @@ from rig.core.errors import ConfigError, DeviceRefusedError, LinkLostError
 from rig.devices.device import DeviceUrl
 from rig.devices.framed import FramedDevice
 from sim_backend.drives import simulated_drive
+from sim_backend.drives.process import serve as serve_drive
 from tests.conformance.bridged import SAFE, SLOW, bridged_rig, plain_drive
 from tests.conformance.firmware import need_compiler
 
@@ -62,6 +63,21 @@ def test_a_link_starts_a_bridge_and_ends_it_and_one_that_is_killed_is_a_lost_lin
         assert device.link.bus_facts()["replies"] > 20
         device.disarm()
     assert not Path(f"/proc/{bridge}").exists()
+
+
+def test_a_drive_on_a_can_bus_is_asked_by_its_frames(tmp_path: Path) -> None:
+    need_compiler()
+    there, stop, bus = threading.Event(), threading.Event(), str(tmp_path / "bus")
+    options = {"place": bus, "settings": SAFE, "stop": stop, "announce": lambda _: there.set()}
+    drive = threading.Thread(target=serve_drive, args=("moteus", bridged_rig()), kwargs=options)
+    drive.start()
+    try:
+        assert there.wait(PATIENCE_S)
+        found = look(DeviceUrl("moteus", bus, {}, f"moteus://{bus}"))
+    finally:
+        stop.set()
+        drive.join(PATIENCE_S)
+    assert (found.counts, found.source) == (4 * 4096, "SPI")
 
 
 def test_a_host_that_goes_ends_its_bridge_and_the_drive_is_told_to_stop() -> None:
