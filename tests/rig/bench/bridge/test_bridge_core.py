@@ -298,6 +298,33 @@ def test_replies_that_are_late_are_not_taken_for_the_ones_that_are_awaited() -> 
     assert world.torque == 0.0
 
 
+def test_an_answer_of_before_is_not_taken_for_a_new_one() -> None:
+    """Each question names another sender, which the answer repeats."""
+    world, host = armed()
+    push(host, 5)
+    said: list[bytes] = []
+
+    def keep(line: bytes) -> bytes:
+        said.append(line)
+        return line
+
+    def stale(line: bytes) -> bytes:
+        return said[0] if line.startswith(b"rcv") else line
+
+    now = world.lines["from drive"]
+    world.strikes = {("from drive", now + place): keep for place in (0, 1)}
+    before = host.next_state().sample_index
+    host.command(CURRENT)
+    said[:] = [line for line in said if line.startswith(b"rcv")]
+    now = world.lines["from drive"]
+    world.strikes = {("from drive", now + place): stale for place in (0, 1)}
+    state = host.next_state()
+    facts = world.bridge.facts
+    assert (facts.late, facts.lost) == (1, 1)
+    assert state.sample_index == before + 2
+    assert state.missed_ticks == 1
+
+
 def test_the_drive_limits_the_torque_too() -> None:
     """Register 0x025 has the amplifier's limit, in case what is sent is wrong."""
     world, host = armed()
