@@ -17,7 +17,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any, NoReturn
 
 from firmware_protocol.errors import RemoteProtocolError
-from firmware_protocol.faults import Described, Fault, Status
+from firmware_protocol.faults import PORT_FAULTS, Described, Fault, Status
 from firmware_protocol.messages import MAJOR, MINOR, TIME_UNIT_NS
 from firmware_protocol.parameter import Parameter, Value
 from firmware_protocol.parameters import PARAMETERS
@@ -302,6 +302,8 @@ def _explain(known: tuple[CodeInfo, ...], ours: type[Described], code: int) -> C
     theirs = next((info for info in known if info.code == code), None)
     if code in set(ours):
         return theirs or _code_info(ours(code))
+    if ours is Fault and code in PORT_FAULTS and theirs is not None:
+        return theirs
     unknown = f"{ours.__name__.lower()} {code}, which this version does not know"
     if theirs is None:
         return CodeInfo(code, f"code {code}", unknown, "update this package and the firmware")

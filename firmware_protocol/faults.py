@@ -126,6 +126,11 @@ class Fault(Described):
     )
 
 
+# Faults that a port finds by itself and explains in its dictionary, such as those of a drive behind a bridge. Beyond 31
+# there is no bit for one that comes later.
+PORT_FAULTS = range(20, 32)
+
+
 class LimitFlag(DescribedFlag):
     """Limits that changed the effort of a tick. Not faults: the device continues."""
 
@@ -219,7 +224,11 @@ class Status(Described):
         "the handle is inside the wall that is, or inside the one that would be",
         "send it again when the handle is in free space",
     )
-    NOT_READY = 18, "the device is still working out its excitation", "arm a little later"
+    NOT_READY = (
+        18,
+        "the device is not ready: it works out an excitation, or its amplifier is being switched on",
+        "arm a little later",
+    )
 
 
 class Input(DescribedFlag):

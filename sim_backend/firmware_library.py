@@ -1,57 +1,32 @@
-"""The firmware's C code as a library of this machine: compiled by its C compiler on first use, and kept.
+"""The firmware's C code as a library of this machine (`rig.realtime.c_library`).
 
 The device at the far end of a law that runs on the device is the firmware itself, not a copy of it in Python. Its
-sources come with the package; the library lies beside the compiled kernels, under a name that says of which sources,
-flags and compiler it was made. Two processes that want it at once both make it, and the later one's replaces the
-other's in one step.
+sources come with the package.
 """
 
 from __future__ import annotations
 
 import ctypes
-import hashlib
-import os
-import shlex
-import shutil
-import subprocess
-import sys
-import tempfile
 from functools import cache
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import firmware_protocol
-from rig.core.errors import ConfigError
+from rig.core import board
+from rig.realtime.c_library import CLibrary, doubles
 from rig.realtime.kernel import CACHE_DIRECTORY
 
-FIRMWARE = Path(firmware_protocol.__file__).with_name("firmware")
-PARTS = ("core", "law", "host")
-# Without contraction, as golden vectors have it; what is missing is an error here, not when it is opened.
-FLAGS = ["-std=c99", "-O1", "-shared", "-ffp-contract=off"]
-if sys.platform == "linux":  # the linkers of the others want all symbols defined anyway
-    FLAGS.append("-Wl,-z,defs")
-if sys.platform != "win32":  # where code is relocated
-    FLAGS.append("-fPIC")
-COMPILERS = ("cc", "gcc", "clang")
-ZIG = "ziglang"  # a C compiler as a package of Python, for systems that have none
-COMPILE_S = 600.0  # which builds its C library first, once
-_SHOWN_LINES = 6  # of what a compiler says
+FIRMWARE = CLibrary(
+    name="firmware",
+    root=Path(firmware_protocol.__file__).with_name("firmware"),
+    parts=("core", "law", "host"),
+    purpose="a simulated device that runs the law itself is the firmware",
+    instead='set controller.loop = "host"',
+)
 
 
-class Mechanics(ctypes.Structure):
-    """Struct mechanics of board.h."""
-
-    _fields_ = [
-        (name, ctypes.c_double)
-        for name in ("effort_quantum", "effort_limit", "friction", "travel", "inertia", "damping", "lag_s")
-    ]
-
-
-class CurrentSensor(ctypes.Structure):
-    """Struct current_sensor of board.h."""
-
-    _fields_ = [(name, ctypes.c_double) for name in ("noise", "lag_s", "back_emf")]
+Mechanics = doubles(board.MovedMechanics)
+CurrentSensor = doubles(board.CurrentSensor)
 
 
 class Setup(ctypes.Structure):
@@ -158,65 +133,4 @@ def library() -> ctypes.CDLL:
     ConfigError
         There is no C compiler, it fails, or what it made does not open.
     """
-    path = compiled(CACHE_DIRECTORY)
-    try:
-        return load(path)
-    except (OSError, AttributeError) as error:
-        raise ConfigError(
-            f"the firmware's library {path} does not open: {error}", remedy="remove it: it is built again"
-        ) from error
-
-
-def sources() -> list[Path]:
-    """The C files that the library is made of."""
-    return [path for part in PARTS for path in sorted((FIRMWARE / part).glob("*.c"))]
-
-
-def compiler() -> list[str]:
-    """Command of the C compiler: ``$CC``, the first of `COMPILERS` there is, or `ZIG`; `ConfigError` without one."""
-    named = shlex.split(os.environ.get("CC", ""))
-    for command in (named, *([name] for name in COMPILERS)):
-        found = shutil.which(command[0]) if command else None
-        if found is not None:
-            return [found, *command[1:]]
-    if find_spec(ZIG) is not None:
-        return [sys.executable, "-P", "-m", ZIG, "cc"]
-    raise ConfigError(
-        "there is no C compiler: a simulated device that runs the law itself is the firmware, compiled on first use",
-        remedy="install one (Debian: apt install gcc libc6-dev; elsewhere: pip install ziglang) or name it in CC; or "
-        'set controller.loop = "host"',
-    )
-
-
-def compiled(directory: Path) -> Path:
-    """Make the library in a directory unless it is there; errors as `library`."""
-    command = compiler()
-    path = directory / f"firmware-{_key(command)}.so"
-    if path.exists():
-        return path
-    with tempfile.TemporaryDirectory(dir=directory, prefix="firmware-") as workplace:
-        made = Path(workplace) / "firmware.so"
-        _compile([*command, *FLAGS, "-o", str(made), *map(str, sources()), "-lm"])
-        made.replace(path)
-    return path
-
-
-def _key(command: list[str]) -> str:
-    """Sixteen hex digits over the sources, the flags and the compiler."""
-    facts = Path(command[0]).resolve().stat()
-    digest = hashlib.sha256(f"{command} {facts.st_size} {facts.st_mtime_ns} {FLAGS}".encode())
-    for part in PARTS:
-        for path in sorted((FIRMWARE / part).glob("*.[ch]")):
-            digest.update(f"{part}/{path.name}\0".encode() + hashlib.sha256(path.read_bytes()).digest())
-    return digest.hexdigest()[:16]
-
-
-def _compile(command: list[str]) -> None:
-    remedy = 'name another compiler in CC, or set controller.loop = "host"'
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=COMPILE_S, check=False)
-    except (OSError, subprocess.TimeoutExpired) as error:
-        raise ConfigError(f"the C compiler {command[0]} does not run: {error}", remedy=remedy) from error
-    if done.returncode != 0:
-        said = "\n".join((done.stderr or done.stdout).strip().splitlines()[:_SHOWN_LINES])
-        raise ConfigError(f"the C compiler {command[0]} failed on the firmware:\n{said}", remedy=remedy)
+    return FIRMWARE.opened(CACHE_DIRECTORY, load)

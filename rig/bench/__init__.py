@@ -1,1 +1,1 @@
-"""What machine, link and board can do, and whether a wall may be armed; building and flashing firmware."""
+"""What machine, link and board can do, and whether a wall may be armed; firmware; bridges to drives."""

@@ -28,7 +28,12 @@ BUILT_IN = {
     "usb": "rig.devices.usb:open_link",
 }
 if sys.platform == "linux":
-    BUILT_IN |= {"serial": "rig.devices.serial:open_link", "unix": "rig.devices.local_socket:open_link"}
+    BUILT_IN |= {
+        "serial": "rig.devices.serial:open_link",
+        "unix": "rig.devices.local_socket:open_link",
+        "moteus": "rig.bench.bridge.link:open_link",
+    }
+MADE_FOR_A_RIG = ("sim", "moteus")  # schemes whose far end is made of the experiment's rig
 FIRMWARE = "firmware"  # option of sim://: 1 is the compiled firmware in place of its mirror in Python
 # What the simulation offers beside its link (`rig.devices.simulated`), and its server (`rig.devices.local`).
 HITS, EXCITED = "sim_backend.hits:SimulatedRig", "sim_backend.excited:ExcitedPlant"
@@ -95,8 +100,8 @@ def open_link(url: str, model: RigModel | None = None) -> Link:
     url
         ``sim://koul-compliant``, ``serial:///dev/ttyACM0?baud=921600``, ….
     model
-        Physics of the rig, for a backend that simulates it: what ``sim://`` without a name means. A name in
-        the URL wins.
+        Physics of the rig, for a backend that simulates it or is made for it (`is_made_for_a_rig`): what ``sim://``
+        without a name means. A name in the URL wins.
 
     Raises
     ------
@@ -129,6 +134,11 @@ def simulated_model(url: DeviceUrl, model: RigModel | None) -> RigModel | None:
         named = config.rig_model(presets.load(url.place))
         return named if model is None else named.held_by(model.operator, model.reach)
     return model
+
+
+def is_made_for_a_rig(url: str) -> bool:
+    """Whether what opens this URL must know the rig of the experiment; others ignore it."""
+    return url.partition(":")[0] in MADE_FOR_A_RIG
 
 
 def url_for(url: str, loop: str) -> str:

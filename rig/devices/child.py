@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
 
-from rig.core.errors import DeviceNotFoundError
+from rig.core.errors import DeviceNotFoundError, RigError
 
 START_TIMEOUT_S = 60.0  # the first start compiles the plant
 STOP_TIMEOUT_S = 5.0
@@ -26,7 +26,7 @@ PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 @dataclass(frozen=True, slots=True)
 class Board:
-    """Scheduling of a simulated device: a board's timer never waits, so it has priority over any host's loop."""
+    """Scheduling of what is a device here: a board's timer never waits, so it has priority over any host's loop."""
 
     realtime: str = "try"
     priority: int = 90
@@ -34,7 +34,7 @@ class Board:
 
 
 @contextmanager
-def announced(serve: Callable[..., None], *arguments: Any, name: str, by_hand: str) -> Iterator[str]:
+def announced(serve: Callable[..., None], *arguments: Any, name: str, by_hand: str) -> Iterator[Any]:
     """Start a process, yield what it announces, and end it with the context.
 
     Parameters
@@ -50,6 +50,8 @@ def announced(serve: Callable[..., None], *arguments: Any, name: str, by_hand: s
     ------
     DeviceNotFoundError
         It does not come up.
+    RigError
+        What `serve` raised before it announced anything.
     """
     context = multiprocessing.get_context("spawn")
     receiver, sender = context.Pipe(duplex=False)
@@ -88,7 +90,10 @@ def _child(pipe: Any, serve: Callable[..., None], arguments: tuple[Any, ...]) ->
     if sys.platform == "linux":
         os.setsid()
         _die_with_parent()
-    serve(pipe.send, *arguments)
+    try:
+        serve(pipe.send, *arguments)
+    except RigError as error:
+        pipe.send(error)
 
 
 def _die_with_parent() -> None:
@@ -97,10 +102,13 @@ def _die_with_parent() -> None:
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
-def _first(receiver: Any, name: str, by_hand: str) -> str:
+def _first(receiver: Any, name: str, by_hand: str) -> Any:
     with suppress(EOFError):
         if receiver.poll(START_TIMEOUT_S):
-            return str(receiver.recv())
+            said = receiver.recv()
+            if isinstance(said, RigError):
+                raise said
+            return said
     raise DeviceNotFoundError(
         f"the process {name} did not start", remedy=f"start it by hand to see why: {by_hand}"
     )

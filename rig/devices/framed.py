@@ -69,6 +69,10 @@ class FaultReport:
     device_time_ns: int
     entries: list[dict[str, int]]
 
+    def has(self, fault: Fault) -> bool:
+        """Whether it is this fault, or this one came later."""
+        return self.code == fault or bool(self.later >> fault & 1)
+
 
 class FramedDevice:
     """The host's end of a rig.
@@ -189,7 +193,7 @@ class FramedDevice:
             self._dictionary = self.identify()
         if self.connection.state == State.FAULT:
             self.cleared_fault = self.fault_report()
-            if met_real and self._crc is not None and self.cleared_fault.code == Fault.ENCODER:
+            if met_real and self._crc is not None and self.cleared_fault.has(Fault.ENCODER):
                 raise self._zero_lost("has lost counts")
         if self.connection.state >= State.ARMED:
             self.disarm(clear_fault=True)
@@ -254,8 +258,9 @@ class FramedDevice:
     def arm(self) -> int:
         """Open a session and return its number; the device streams STATE from now on, with zero effort.
 
-        A device that is still working out its excitation is asked again, for `READY_S` at most. Raises
-        `DeviceRefusedError` when it is not homed, not verified, or its configuration is not ours.
+        A device that works out its excitation, or whose amplifier is being switched on, is asked again, for `READY_S`
+        at most. Raises `DeviceRefusedError` when it is not homed, not verified, its configuration is not ours, or it
+        finds a fault.
         """
         session, used_before = self._other_than(self._next_nonce() % 0xFF, self._session), False
         deadline_ns = self.link.clock.now_ns() + round(READY_S * 1e9)
@@ -267,6 +272,9 @@ class FramedDevice:
                     session, used_before = self._other_than(session, self._session), True
                 elif error.status == Status.NOT_READY and self.link.clock.now_ns() < deadline_ns:
                     self._listen_until(self.link.clock.now_ns() + round(READY_AGAIN_S * 1e9))
+                elif self.connection.state == State.FAULT:  # found while its amplifier was being switched on
+                    found = self.fault_report()
+                    raise DeviceRefusedError(found.text, remedy=found.remedy, status=error.status) from None
                 else:
                     raise
             else:

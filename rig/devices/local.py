@@ -113,7 +113,7 @@ def opened(
     url
         Of the device; where the law runs on it, see `rig.devices.url_for`.
     model
-        What is simulated; None for a real device.
+        What is simulated, or what a bridge is made for; None for another real device.
     in_real_time
         Whether a simulated device follows the clock on the wall. A real one always does.
     seed

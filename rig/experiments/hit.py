@@ -20,6 +20,7 @@ from rig.control.verdict import Verdict
 from rig.core.check import refuse
 from rig.core.drawn import Drawn
 from rig.core.errors import ConfigError, PlanError
+from rig.core.model import RigModel
 from rig.core.present import Item, Row, plain
 from rig.core.same_rig import check_rig
 from rig.core.shown import Shown
@@ -313,13 +314,20 @@ def _opened(request: HitRequest) -> Iterator[tuple[FramedDevice, Experiment]]:
         )
     with opened(
         url,
-        config.rig_model(experiment) if simulated else None,
+        config.rig_model(experiment) if simulated else _rig_behind(url, request),
         in_real_time=request.realtime,
         seed=request.experiment.trial.seed,
         realtime=experiment.host.realtime if simulated else "try",
     ) as device:
         as_simulated = simulated and device.link.clock.virtual
         yield device, experiment if as_simulated else in_effect(experiment, device, request.changes)
+
+
+def _rig_behind(url: str, request: HitRequest) -> RigModel | None:
+    """The rig that a bridge must know; a board knows its own."""
+    if not devices.is_made_for_a_rig(url):
+        return None
+    return config.rig_model(config.with_realtime(request.experiment, request.changes))
 
 
 def _reference_count(request: HitRequest, device: FramedDevice, experiment: Experiment) -> int:

@@ -109,7 +109,7 @@ def kept_open(where: OnDevice, experiment: Experiment) -> Iterator[Trials]:
     if where.device is not None:
         yield Trials(where, where.device, where.reference_count)
         return
-    with devices.open_device(where.url) as device:
+    with devices.open_device(where.url, config.rig_model(experiment)) as device:
         yield Trials(where, device, position_zero(device, experiment) if where.verified else 0)
 
 

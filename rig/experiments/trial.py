@@ -387,7 +387,10 @@ def _conclude(
     error: Exception | None = error_of(end, device.link.url.text, fault, rows)
     if stopped is not None and end.reason == EndReason.STOPPED:
         error = stopped
-    recorder.finish(_trailer(loop, end, fault, error, realtime, np.concatenate(exchanges)))
+    trailer = _trailer(loop, end, fault, error, realtime, np.concatenate(exchanges))
+    if (facts := getattr(device.link, "bus_facts", None)) is not None:
+        trailer["drive"] = facts()
+    recorder.finish(trailer)
     return end, error
 
 

@@ -285,7 +285,8 @@ class DeviceRunner:
             return None
         if not self.simulated:
             if self._open is None:
-                self._open = self._stack.enter_context(devices.open_device(self.url or ""))
+                model = config.rig_model(config.with_realtime(experiment, changes))
+                self._open = self._stack.enter_context(devices.open_device(self.url or "", model))
                 self._zero = position_zero(self._open, experiment)
             return self._open
         x = config.with_realtime(experiment, changes)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import pytest
 
 from rig.core.errors import ConfigError
+from rig.realtime import c_library
 from sim_backend import compiled_device, firmware_library
 
 
 def need_compiler() -> None:
     """Skip without a C compiler."""
     try:
-        firmware_library.compiler()
+        firmware_library.FIRMWARE.compiler()
     except ConfigError:
         pytest.skip("no C compiler is installed (package gcc)")
 
@@ -19,6 +20,6 @@ def need_compiler() -> None:
 def hide_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
     """Be a machine without a C compiler, whose library nobody has opened before."""
     monkeypatch.delenv("CC", raising=False)
-    monkeypatch.setattr(firmware_library, "COMPILERS", ())
-    monkeypatch.setattr(firmware_library, "ZIG", "no compiler")
+    monkeypatch.setattr(c_library, "COMPILERS", ())
+    monkeypatch.setattr(c_library, "ZIG", "no compiler")
     monkeypatch.setattr(compiled_device, "library", firmware_library.library.__wrapped__)

@@ -8,6 +8,7 @@ from typing import Any
 from firmware_protocol import dictionary, transfer
 from firmware_protocol import messages as m
 from firmware_protocol.connection import Connection, Received, State
+from firmware_protocol.faults import Status
 from firmware_protocol.messages import Message, Role
 from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import encode_block
@@ -111,9 +112,14 @@ class Host:
         return self.set_block(encode_block(values))
 
     def arm(self, session: int, crc: int) -> m.Ack:
-        """ARM with this host's dictionary hash."""
-        ack: m.Ack = self.ask(m.Arm(self.nonce(), self.hash, crc), session)
-        return ack
+        """ARM with this host's dictionary hash, again while the device is not ready."""
+        deadline_ns = self.link.clock.now_ns() + round(ANSWER_S * 1e9)
+        while True:
+            ack: m.Ack = self.ask(m.Arm(self.nonce(), self.hash, crc), session)
+            if ack.status != Status.NOT_READY or self.link.clock.now_ns() > deadline_ns:
+                return ack
+            for _ in self.events(0.005):
+                pass
 
     def disarm(self, clear_fault: bool = False) -> m.Ack:
         """DISARM, with CLEAR_FAULT or without."""

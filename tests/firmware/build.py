@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from sim_backend.firmware_library import FIRMWARE, PARTS, sources
+from sim_backend import firmware_library
 
-__all__ = ["CORE", "FIRMWARE", "SOURCES"]
-CORE = [path for part in PARTS if part != "host" for path in sorted((FIRMWARE / part).glob("*.c"))]
-SOURCES = sources()
+SOURCES = firmware_library.FIRMWARE.sources()
+FIRMWARE = firmware_library.FIRMWARE.root
+CORE = [path for path in SOURCES if path.parent.name != "host"]
 WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Wpedantic", "-Werror")
 FLAGS = ("-std=c99", "-O1", "-g", "-ffp-contract=off", *WARNINGS)
 UNDEFINED = ("-fsanitize=undefined,float-cast-overflow", "-fno-sanitize-recover=all")

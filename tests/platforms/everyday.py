@@ -98,10 +98,10 @@ def main(platform: str, url: str = "") -> int:
 
 def _has_compiler() -> bool:
     from rig.core.errors import ConfigError  # noqa: PLC0415
-    from sim_backend.firmware_library import compiler  # noqa: PLC0415
+    from sim_backend.firmware_library import FIRMWARE  # noqa: PLC0415
 
     try:
-        return bool(compiler())
+        return bool(FIRMWARE.compiler())
     except ConfigError:
         return False
 

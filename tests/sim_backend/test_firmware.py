@@ -8,6 +8,7 @@ import stat
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +26,12 @@ from rig.core.errors import ConfigError
 from rig.core.model import RigModel
 from rig.devices.device import DeviceUrl
 from rig.devices.fault_script import DeviceFault, Faults, Happening
+from rig.realtime import c_library
+from rig.realtime.c_library import CLibrary
 from sim_backend import firmware_library
 from sim_backend.device import SimulatedDevice
 from sim_backend.firmware import FirmwareDevice
+from sim_backend.firmware_library import FIRMWARE
 from sim_backend.link import MemoryLink, open_link
 from tests.conformance.device import check_device
 from tests.conformance.firmware import need_compiler
@@ -66,9 +70,9 @@ RIGS = {
 
 
 def test_it_is_compiled_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    made = firmware_library.compiled(tmp_path)
-    monkeypatch.setattr(firmware_library, "_compile", lambda command: pytest.fail("compiled again"))
-    assert firmware_library.compiled(tmp_path) == made
+    made = FIRMWARE.compiled(tmp_path)
+    monkeypatch.setattr(CLibrary, "_compile", lambda self, command: pytest.fail("compiled again"))
+    assert FIRMWARE.compiled(tmp_path) == made
     assert [path.name for path in tmp_path.iterdir()] == [made.name]
 
 
@@ -76,7 +80,7 @@ MAKE = """
 import sys
 from pathlib import Path
 from sim_backend import firmware_library
-print(firmware_library.load(firmware_library.compiled(Path(sys.argv[1]))).host_bytes())
+print(firmware_library.load(firmware_library.FIRMWARE.compiled(Path(sys.argv[1]))).host_bytes())
 """
 
 
@@ -90,20 +94,18 @@ def test_two_processes_may_make_it_at_once(tmp_path: Path) -> None:
     assert len(list(tmp_path.iterdir())) == 1
 
 
-def test_other_sources_flags_and_compilers_are_another_library(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    command = firmware_library.compiler()
-    keys = {firmware_library._key(command), firmware_library._key([*command, "-g"])}
-    monkeypatch.setattr(firmware_library, "FLAGS", (*firmware_library.FLAGS, "-O1"))
-    keys.add(firmware_library._key(command))
-    for part in firmware_library.PARTS:
+def test_other_sources_flags_and_compilers_are_another_library(tmp_path: Path) -> None:
+    command = FIRMWARE.compiler()
+    keys = {FIRMWARE.key(command), FIRMWARE.key([*command, "-g"])}
+    other = replace(FIRMWARE, flags=(*FIRMWARE.flags, "-O1"))
+    keys.add(other.key(command))
+    for part in FIRMWARE.parts:
         (tmp_path / part).mkdir()
     (tmp_path / "core" / "other.h").write_text("")
-    monkeypatch.setattr(firmware_library, "FIRMWARE", tmp_path)
-    keys.add(firmware_library._key(command))
+    other = replace(other, root=tmp_path)
+    keys.add(other.key(command))
     (tmp_path / "core" / "other.h").write_text("/* */")
-    keys.add(firmware_library._key(command))
+    keys.add(other.key(command))
     assert len(keys) == 5
 
 
@@ -111,11 +113,11 @@ def test_without_a_compiler_it_says_what_to_install(tmp_path: Path, monkeypatch:
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.delenv("CC", raising=False)
     with pytest.raises(ConfigError) as caught:
-        firmware_library.compiled(tmp_path)
+        FIRMWARE.compiled(tmp_path)
     assert "gcc" in caught.value.remedy
     assert "ziglang" in caught.value.remedy
-    monkeypatch.setattr(firmware_library, "find_spec", {"ziglang": "there"}.get)
-    assert firmware_library.compiler() == [sys.executable, "-P", "-m", "ziglang", "cc"]
+    monkeypatch.setattr(c_library, "find_spec", {"ziglang": "there"}.get)
+    assert FIRMWARE.compiler() == [sys.executable, "-P", "-m", "ziglang", "cc"]
 
 
 @pytest.mark.parametrize(
@@ -133,40 +135,37 @@ def test_a_compiler_that_fails_is_quoted(
     compiler.chmod(compiler.stat().st_mode | stat.S_IXUSR)
     monkeypatch.setenv("CC", str(compiler))
     with pytest.raises(ConfigError) as caught:
-        firmware_library.compiled(tmp_path)
+        FIRMWARE.compiled(tmp_path)
     assert says in str(caught.value)
     assert "CC" in caught.value.remedy
     assert not list(tmp_path.glob("firmware-*"))
 
 
-def test_a_source_that_calls_what_there_is_not_is_an_error_of_the_compiler(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_source_that_calls_what_there_is_not_is_an_error_of_the_compiler(tmp_path: Path) -> None:
     source = tmp_path / "lacking.c"
     source.write_text("int there_is_none(void);\nint lacking(void) { return there_is_none(); }\n")
-    monkeypatch.setattr(firmware_library, "sources", lambda: [source])
     with pytest.raises(ConfigError, match="there_is_none"):
-        firmware_library.compiled(tmp_path)
+        replace(FIRMWARE, root=tmp_path, parts=(".",)).compiled(tmp_path)
 
 
 def test_a_library_that_does_not_open_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "firmware.so"
     path.write_bytes(b"not a library")
-    monkeypatch.setattr(firmware_library, "compiled", lambda directory: path)
+    monkeypatch.setattr(CLibrary, "compiled", lambda self, directory: path)
     with pytest.raises(ConfigError, match=r"firmware\.so"):
         firmware_library.library.__wrapped__()
 
 
 def test_a_compiler_is_named_with_its_options(monkeypatch: pytest.MonkeyPatch) -> None:
-    found = firmware_library.compiler()
+    found = FIRMWARE.compiler()
     monkeypatch.setenv("CC", f"{found[0]} -m64")
-    assert firmware_library.compiler() == [found[0], "-m64"]
+    assert FIRMWARE.compiler() == [found[0], "-m64"]
 
 
 def test_the_words_are_those_of_the_header() -> None:
     from sim_backend import lockstep  # noqa: PLC0415
 
-    header = (firmware_library.FIRMWARE / "host" / "lockstep.h").read_text()
+    header = (FIRMWARE.root / "host" / "lockstep.h").read_text()
     inside = header[header.index("struct lockstep {") : header.index("};")]
     names = [
         name.strip()

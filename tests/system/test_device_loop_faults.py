@@ -29,7 +29,7 @@ from rig.experiments.replay import replay
 from rig.recording.reader import open_recording
 from rig.recording.seal import seal
 from sim_backend.firmware import FirmwareDevice
-from sim_backend.firmware_library import compiler
+from sim_backend.firmware_library import FIRMWARE
 from sim_backend.link import MemoryLink
 from tests.conformance.trials import trial_on
 
@@ -54,7 +54,7 @@ SHORT = config.override(
 @pytest.fixture(scope="module", autouse=True)
 def _has_compiler() -> None:
     try:
-        compiler()
+        FIRMWARE.compiler()
     except RigError:
         pytest.skip("no C compiler is installed (package gcc)")
 

@@ -215,6 +215,8 @@ static struct refusal objection_to_arm(const struct device *device, const uint8_
     if (present != HR_FAULT_NONE) {
         refusal.status = HR_STATUS_FAULT_PRESENT;
         refusal.detail = (uint16_t)present;
+    } else if (device->hal->amplifier_ready != NULL && !device->hal->amplifier_ready(device->hal->context)) {
+        refusal.status = HR_STATUS_NOT_READY;
     }
     return refusal;
 }

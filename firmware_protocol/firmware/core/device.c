@@ -538,7 +538,8 @@ static void miss(struct device *device, uint32_t ticks)
         latch(device, FAULT(TICK_OVERRUN));
 }
 
-void device_tick(struct device *device)
+/* Returns when it began. */
+static uint64_t begin_tick(struct device *device)
 {
     const struct hal *hal = device->hal;
     const uint64_t begun = hal->time(hal->context);
@@ -550,15 +551,36 @@ void device_tick(struct device *device)
         hal->feed_watchdog(hal->context, device->bite_us);
     else if (device_is_armed(device))
         latch(device, FAULT(INTERNAL));
-    device_sample(device);
-    device_drive(device);
-    tell(device);
+    return begun;
+}
+
+static void end_tick(struct device *device, uint64_t begun)
+{
     show_sync(device, device->sync & ~(unsigned)HR_SYNC_TICK);
-    const uint64_t execution = hal->time(hal->context) - begun;
+    const uint64_t execution = device->hal->time(device->hal->context) - begun;
     if (execution > device->worst_execution_time)
         device->worst_execution_time = (uint32_t)execution;
     if (device_is_armed(device) && execution > device->period)
         latch(device, FAULT(TICK_OVERRUN));
+}
+
+void device_tick(struct device *device)
+{
+    const uint64_t begun = begin_tick(device);
+    device_sample(device);
+    device_drive(device);
+    tell(device);
+    end_tick(device, begun);
+}
+
+void device_tick_driven(struct device *device, int16_t active)
+{
+    const uint64_t begun = begin_tick(device);
+    if (device_is_armed(device)) /* else it was cut */
+        device->driven = active;
+    device_sample(device);
+    tell(device);
+    end_tick(device, begun);
 }
 
 /* ------------------------------------------------------------------ commands */

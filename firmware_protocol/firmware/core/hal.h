@@ -30,6 +30,10 @@ struct hal {
     int16_t (*measured_current)(void *context);
     void (*enable)(void *context, bool on);
 
+    /* Whether the amplifier can be switched on at once; asked before arming, again and again. One that takes its time
+     * begins then, without effort, and gives it up when it is not asked for a while. NULL: it always can. */
+    bool (*amplifier_ready)(void *context);
+
     /* Bits of enum hr_input. */
     uint8_t (*inputs)(void *context);
 

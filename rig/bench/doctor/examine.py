@@ -146,9 +146,10 @@ def _opened(question: Question) -> Iterator[FramedDevice]:
     loop = question.changes.get("controller.loop", question.experiment.controller.loop)
     url = devices.url_for(question.url or "sim://", loop)
     simulated = url.startswith("sim:")
-    changed = config.with_realtime if simulated and question.realtime else config.override
+    bridged = not simulated and devices.is_made_for_a_rig(url)
+    changed = config.with_realtime if bridged or (simulated and question.realtime) else config.override
     experiment = changed(question.experiment, question.changes)
-    model = config.rig_model(experiment) if simulated else None
+    model = config.rig_model(experiment) if simulated or bridged else None
     seed, realtime = experiment.trial.seed, experiment.host.realtime
     with opened(url, model, in_real_time=question.realtime, seed=seed, realtime=realtime) as device:
         yield device

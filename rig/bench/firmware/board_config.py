@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, replace
 
 from firmware_protocol import dictionary as dictionaries
 from firmware_protocol.dictionary import SettingValue
-from firmware_protocol.parameter import Value
+from firmware_protocol.parameter import Parameter, Value
 from firmware_protocol.parameters import PARAMETERS
 from rig.bench.firmware.boards import Board
 from rig.bench.firmware.record import ImageFacts, Record, pack
@@ -124,7 +124,7 @@ def _define(board: Board, name: str, value: SettingValue) -> str:
 def _source(board: Board, model: RigModel, record: Record) -> str:
     content = pack(record)
     at = len(content) - len(record.packed)
-    narrower = _narrower(record.dictionary)
+    narrowed = narrower(record.dictionary)
     mechanics, sensor = (
         ",\n".join(f"        .{name} = {value!r}" for name, value in asdict(part).items())
         for part in (moved_mechanics(model), current_sensor(model))
@@ -141,7 +141,10 @@ def _source(board: Board, model: RigModel, record: Record) -> str:
         "",
         *_excitation(board),
         "static const struct narrower narrower[] = {",
-        *(f"    {{{name}, {low:#x}u, {high:#x}u}}," for name, low, high in narrower),
+        *(
+            f"    {{HR_PARAMETER_{parameter.name.upper()}, {low:#x}u, {high:#x}u}},"
+            for parameter, low, high in narrowed
+        ),
         "};",
         "",
         "const struct board board_config = {",
@@ -150,7 +153,7 @@ def _source(board: Board, model: RigModel, record: Record) -> str:
         f"    .dictionary_hash = UINT64_C({record.dictionary_hash:#018x}),",
         f"    .rate_initial = {RATE_INITIAL},",
         "    .narrower = narrower,",
-        f"    .narrower_count = {len(narrower)},",
+        f"    .narrower_count = {len(narrowed)},",
         f"    .encoder_sign = {model.encoder.sign},",
         f"    .over_current = {over_current(model)},",
         "    .mechanics = {",
@@ -183,15 +186,15 @@ def _byte_lines(content: bytes) -> list[str]:
     ]
 
 
-def _narrower(dictionary: dictionaries.Dictionary) -> list[tuple[str, int, int]]:
-    """Parameters whose range is not the table's: name in C and both bounds as on the wire, rising by parameter."""
-    found: list[tuple[str, int, int]] = []
+def narrower(dictionary: dictionaries.Dictionary) -> list[tuple[Parameter, int, int]]:
+    """Parameters whose range is not the table's, with both bounds as on the wire, rising by parameter."""
+    found: list[tuple[Parameter, int, int]] = []
     for parameter in PARAMETERS:
         info = dictionary.parameter(parameter.name)
         assert info is not None
         if (info.minimum, info.maximum) != (parameter.minimum, parameter.maximum):
             low, high = (_bits(parameter.ctype, bound) for bound in (info.minimum, info.maximum))
-            found.append((f"HR_PARAMETER_{parameter.name.upper()}", low, high))
+            found.append((parameter, low, high))
     return found
 
 

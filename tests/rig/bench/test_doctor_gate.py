@@ -40,6 +40,7 @@ def link(
     capacity: Any = None,
     simulated: bool = False,
     virtual: bool = False,
+    drive: Any = None,
 ) -> Any:
     """A link on which every trip takes the same time."""
     times = Distribution.of(np.full(number, travel_s))
@@ -62,6 +63,7 @@ def link(
         capacity_bytes_per_s=capacity,
         states=0,
         exchanges=np.zeros((0, 4), np.int64),
+        drive=drive or {},
     )
 
 
@@ -313,3 +315,15 @@ def test_a_scheme_that_cannot_be_says_why() -> None:
     kalman = config.override(CALM, {"controller.estimator": "levant"})
     rows = supported_walls(kalman, link(30e-6), 1000)
     assert all("levant" in row.reason for row in rows)
+
+
+def test_the_way_to_a_drive_behind_a_bridge_is_delay_too() -> None:
+    """Its reply, the link and the law share a period: 0.4 ms there and 0.5 ms here leave one tick at 1 kHz."""
+    replies = {"replies": 999.0, "lost": 1.0, "median_us": 300.0, "longest_us": 900.0, "temperature": 31.0}
+    near = link(0.5e-3, drive={**replies, "p999_us": 400.0})
+    far = link(0.5e-3, drive={**replies, "p999_us": 600.0})
+    assert [one.delay_ticks(1000) for one in (link(0.5e-3), near, far)] == [1, 1, 2]
+    assert near.loop_rate_hz == pytest.approx(1 / 0.9e-3)
+    (row,) = (row for row in near.rows() if row.label == "drive")
+    assert "p99.9 0.4 ms" in row.value
+    assert "1 of 1000 replies lost; 31 °C" in row.value

@@ -119,7 +119,7 @@ def test_a_message_of_a_function_names_arguments_and_no_options() -> None:
     """Whole commands, as one would type them, are a remedy for everybody."""
     word, command = (
         re.compile(r"(?<![\w-])--[a-z]"),
-        re.compile(r"\b(?:rig|pytest) [a-z-]+|sudo|docker|apt|systemctl|cap-add|-Wl"),
+        re.compile(r"\b(?:rig|pytest) [a-z-]+|sudo|docker|apt|systemctl|cap-add|-Wl|moteus_tool"),
     )
     named = [(module, text) for module, text in texts() if word.search(text) and not command.search(text)]
     assert [one for one in named if not re.fullmatch(r"--[\w=.*-]+", one[1])] == []

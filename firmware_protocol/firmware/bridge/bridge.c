@@ -1,0 +1,487 @@
+#include "bridge.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "../core/poll.h"
+
+#define UNITS_PER_SECOND (HR_TIME_UNITS_PER_US * 1000000u)
+#define PREPARES UNITS_PER_SECOND /* how long a drive stays prepared when nobody arms */
+#define SETTLES 50u          /* replies until a drive that was told to stop must have done so */
+#define FED_TICKS 2u         /* one feeding is good for a set-point behind a lost reply, too */
+#define EXACT_COUNTS 8388608.0 /* 2²³: a float32 tells such positions to half a count */
+#define FORGETS (UNITS_PER_SECOND / 50u) /* a drive that starts again is silent for longer (assumed) */
+#define JUMP 0.5             /* turns between two replies that no handle makes: the drive has started again */
+#define POLLS 64u            /* of the core in a row */
+#define ENDING_FRAMES 3u
+
+/* ------------------------------------------------------------------ frames */
+
+static void send(struct bridge *bridge, bool reply, enum moteus_action action)
+{
+    const struct moteus_command command = {
+        .action = action,
+        .torque = (float)bridge_torque(bridge),
+        .limit = (float)bridge->setup.torque_limit,
+        .watchdog_s = (float)bridge->bite_us * 1e-6f,
+        .switches = (uint8_t)bridge->setup.switches,
+    };
+    struct can_frame_bytes frame;
+    if (bridge->bus_lost)
+        return;
+    if (bridge->bus_count + FDCANUSB_LINE_BYTES > BRIDGE_BUS_BYTES) {
+        bridge->facts->unsent++;
+        return;
+    }
+    if (reply)
+        bridge->sender = (uint8_t)((bridge->sender + 1u) % MOTEUS_SENDERS);
+    moteus_make(&frame, bridge->setup.prefix, (uint8_t)bridge->setup.drive,
+                (uint8_t)(MOTEUS_FIRST_SENDER + bridge->sender), reply, &command);
+    uint8_t *into = bridge->bus + bridge->bus_count;
+    bridge->bus_count += bridge->setup.socket ? socketcan_make(&frame, into) : fdcanusb_make(&bridge->adapter, &frame, into);
+}
+
+/* What the drive is told in this period. A set-point needs food, an idle drive nothing. */
+static enum moteus_action next_action(struct bridge *bridge)
+{
+    const uint8_t mode = bridge->reply.mode;
+    if (!bridge->known)
+        return MOTEUS_ASK;
+    if (bridge->wish == BRIDGE_OFF)
+        return mode == MOTEUS_STOPPED ? MOTEUS_ASK : MOTEUS_STOP;
+    if (bridge->wish == BRIDGE_PREPARE && mode == MOTEUS_TIMEOUT)
+        return MOTEUS_STOP;
+    if (bridge->fed == 0)
+        return MOTEUS_ASK;
+    bridge->fed--;
+    return MOTEUS_TORQUE;
+}
+
+/* ------------------------------------------------------------------ the hardware layer */
+
+static uint64_t hal_time(void *context)
+{
+    const struct bridge *bridge = context;
+    return bridge->clock != NULL ? bridge->clock() : bridge->now;
+}
+
+static int32_t hal_encoder_count(void *context)
+{
+    return ((struct bridge *)context)->count;
+}
+
+/* A drive tells no edges. */
+static uint64_t hal_edge_time(void *context)
+{
+    (void)context;
+    return 0;
+}
+
+static bool hal_encoder_failed(void *context)
+{
+    struct bridge *bridge = context;
+    const bool failed = bridge->count_failed;
+    bridge->count_failed = false;
+    return failed;
+}
+
+static void hal_set_current(void *context, int16_t quanta)
+{
+    struct bridge *bridge = context;
+    if (!bridge->driving && bridge->current != 0)
+        bridge->at_once = true;
+    bridge->current = quanta;
+}
+
+static int16_t hal_measured_current(void *context)
+{
+    const struct bridge *bridge = context;
+    const double quanta = (double)bridge->reply.torque / bridge->setup.torque_per_quantum;
+    if (!(quanta > -32767.0)) /* so does what is no number: an over-current */
+        return -32767;
+    return (int16_t)(quanta < 32767.0 ? lrint(quanta) : 32767);
+}
+
+static void hal_enable(void *context, bool on)
+{
+    struct bridge *bridge = context;
+    if (!on && bridge->wish == BRIDGE_ON)
+        bridge->at_once = true;
+    bridge->wish = on ? BRIDGE_ON : BRIDGE_OFF;
+    bridge->since_off = 0;
+    bridge->current = 0;
+}
+
+/* A drive that is switched on measures its current sensors first, for some hundredths of a second. */
+static bool hal_amplifier_ready(void *context)
+{
+    struct bridge *bridge = context;
+    if (bridge->bus_lost) {
+        device_fault(&bridge->device, BRIDGE_BUS_LOST);
+        return false;
+    }
+    if (bridge->wish == BRIDGE_OFF)
+        bridge->wish = BRIDGE_PREPARE;
+    bridge->wished_until = hal_time(bridge) + PREPARES;
+    return bridge->known && bridge->missed == 0 && bridge->reply.mode == MOTEUS_POSITION;
+}
+
+/* Pins of the drive, as its last reply told them. */
+static uint8_t hal_inputs(void *context)
+{
+    const struct bridge *bridge = context;
+    const uint32_t switches = bridge->known ? bridge->reply.switches : 0, hold = bridge->setup.hold;
+    const bool stopped = (switches & bridge->setup.stop) != bridge->setup.stop;
+    const bool held = hold != 0 && (switches & hold) == hold;
+    return (uint8_t)((stopped ? HR_INPUT_EMERGENCY_STOP : 0) | (held ? HR_INPUT_HOLD_TO_RUN : 0));
+}
+
+static bool hal_set_rate(void *context, uint32_t rate)
+{
+    struct bridge *bridge = context;
+    if (rate == 0 || rate > bridge->setup.rate_maximum)
+        return false;
+    bridge->rate = rate;
+    bridge->period = UNITS_PER_SECOND / rate;
+    return true;
+}
+
+static size_t hal_link_read(void *context, uint8_t *into, size_t capacity)
+{
+    struct bridge *bridge = context;
+    const size_t count = bridge->input_count < capacity ? bridge->input_count : capacity;
+    if (count > 0)
+        memcpy(into, bridge->input, count);
+    bridge->input += count;
+    bridge->input_count -= count;
+    return count;
+}
+
+static bool hal_link_write(void *context, const uint8_t *frame, size_t count)
+{
+    struct bridge *bridge = context;
+    if (count > BRIDGE_OUTPUT_BYTES - bridge->output_count)
+        return false;
+    memcpy(bridge->output + bridge->output_count, frame, count);
+    bridge->output_count += count;
+    return true;
+}
+
+static void hal_feed_watchdog(void *context, uint32_t bite_us)
+{
+    struct bridge *bridge = context;
+    bridge->bite_us = bite_us;
+    bridge->fed = FED_TICKS;
+}
+
+static void hal_sync(void *context, uint8_t bits)
+{
+    (void)context;
+    (void)bits;
+}
+
+static uint64_t hal_sync_time(void *context)
+{
+    (void)context;
+    return 0;
+}
+
+/* ------------------------------------------------------------------ start */
+
+size_t bridge_bytes(void)
+{
+    return sizeof(struct bridge);
+}
+
+size_t bridge_facts_bytes(void)
+{
+    return sizeof(struct bridge_facts);
+}
+
+void bridge_setup(struct bridge *bridge, const struct bridge_setup *setup, struct bridge_facts *facts)
+{
+    const struct hal hal = {
+        .context = bridge,
+        .time = hal_time,
+        .encoder_count = hal_encoder_count,
+        .edge_time = hal_edge_time,
+        .encoder_failed = hal_encoder_failed,
+        .set_current = hal_set_current,
+        .measured_current = hal_measured_current,
+        .enable = hal_enable,
+        .amplifier_ready = hal_amplifier_ready,
+        .inputs = hal_inputs,
+        .set_rate = hal_set_rate,
+        .link_read = hal_link_read,
+        .link_write = hal_link_write,
+        .feed_watchdog = hal_feed_watchdog,
+        .sync = hal_sync,
+        .sync_time = hal_sync_time,
+    };
+    bridge->hal = hal;
+    bridge->setup = *setup;
+    bridge->facts = facts;
+    bridge->adapter.checksum = setup->checksum != 0;
+    bridge->board.dictionary = setup->dictionary;
+    bridge->board.dictionary_bytes = (uint16_t)setup->dictionary_bytes;
+    bridge->board.dictionary_hash = setup->dictionary_hash;
+    bridge->board.rate_initial = setup->rate_initial;
+    bridge->board.encoder_sign = (int8_t)setup->encoder_sign;
+    bridge->board.over_current = (uint16_t)setup->over_current;
+    bridge->board.mechanics = setup->mechanics;
+    bridge->board.current_sensor = setup->current_sensor;
+    bridge->board.narrower = bridge->narrower;
+}
+
+void bridge_narrow(struct bridge *bridge, uint8_t parameter, uint32_t minimum, uint32_t maximum)
+{
+    const struct narrower narrower = {parameter, minimum, maximum};
+    if (bridge->board.narrower_count < BRIDGE_NARROWER)
+        bridge->narrower[bridge->board.narrower_count++] = narrower;
+}
+
+void bridge_start(struct bridge *bridge, uint64_t now)
+{
+    bridge->now = now;
+    device_start(&bridge->device, &bridge->hal, &bridge->board);
+}
+
+/* ------------------------------------------------------------------ what the drive says */
+
+static uint8_t fault_of(uint8_t code)
+{
+    switch (code) {
+    case 33: case 44:
+        return BRIDGE_DRIVER;
+    case 34:
+        return BRIDGE_OVER_VOLTAGE;
+    case 35: case 42: case 43:
+        return HR_FAULT_ENCODER;
+    case 38:
+        return BRIDGE_TEMPERATURE;
+    case 32: case 36:
+        return BRIDGE_NOT_CALIBRATED;
+    case 39: case 48:
+        return BRIDGE_OUTSIDE_LIMIT;
+    case 40:
+        return BRIDGE_UNDER_VOLTAGE;
+    case 49: case 50:
+        return BRIDGE_CONTROL_ERROR;
+    default:
+        return BRIDGE_DRIVE_INTERNAL;
+    }
+}
+
+/* The fault that a drive's mode means, given what it was told. */
+static uint8_t fault_of_mode(struct bridge *bridge)
+{
+    const uint8_t mode = bridge->reply.mode;
+    if (bridge->wish == BRIDGE_OFF) {
+        const bool rests = mode == MOTEUS_STOPPED || mode == MOTEUS_FAULT;
+        if (bridge->since_off < SETTLES)
+            bridge->since_off++;
+        return rests || bridge->since_off < SETTLES ? HR_FAULT_NONE : BRIDGE_DRIVE_LEFT;
+    }
+    if (mode == MOTEUS_FAULT)
+        return fault_of(bridge->reply.code);
+    if (bridge->wish == BRIDGE_PREPARE)
+        return mode <= MOTEUS_LAST_PREPARING || mode == MOTEUS_POSITION || mode == MOTEUS_TIMEOUT ? HR_FAULT_NONE
+                                                                                                  : BRIDGE_DRIVE_LEFT;
+    return mode == MOTEUS_POSITION ? HR_FAULT_NONE : BRIDGE_DRIVE_LEFT;
+}
+
+static void take_count(struct bridge *bridge)
+{
+    const double counts = (double)bridge->reply.position * bridge->setup.counts_per_turn;
+    const double moved = counts - bridge->count;
+    if (bridge->known && fabs(moved) > JUMP * fabs(bridge->setup.counts_per_turn))
+        bridge->count_failed = true;
+    if (fabs(counts) < EXACT_COUNTS)
+        bridge->count = (int32_t)lrint(counts);
+    else /* nor is it a number */
+        bridge->count_failed = true;
+}
+
+static void note(struct bridge *bridge)
+{
+    struct bridge_facts *facts = bridge->facts;
+    const struct moteus_reply *reply = &bridge->reply;
+    const uint64_t us = (bridge->now - bridge->asked_at) / HR_TIME_UNITS_PER_US;
+    const uint64_t bin = us / BRIDGE_BIN_US;
+    facts->round_trips[bin < BRIDGE_BINS ? bin : BRIDGE_BINS - 1u]++;
+    if ((int64_t)us > facts->longest_us)
+        facts->longest_us = (int64_t)us;
+    if (facts->replies++ == 0 || (int64_t)reply->temperature > facts->hottest)
+        facts->hottest = (int64_t)reply->temperature;
+    facts->temperature = (int64_t)reply->temperature;
+    facts->millivolts = (int64_t)(1000.0f * reply->voltage);
+    facts->mode = reply->mode;
+    facts->code = reply->code;
+    facts->limited += reply->mode != MOTEUS_FAULT && reply->code >= MOTEUS_FIRST_LIMIT ? 1 : 0;
+}
+
+/* The awaited reply: the sample of this tick. */
+static void take_reply(struct bridge *bridge, const struct moteus_reply *reply)
+{
+    bridge->reply = *reply;
+    bridge->asked = false;
+    bridge->missed = 0;
+    note(bridge);
+    take_count(bridge);
+    bridge->known = true;
+    const uint8_t fault = fault_of_mode(bridge);
+    if (fault != HR_FAULT_NONE)
+        device_fault(&bridge->device, fault);
+    if (fault == BRIDGE_DRIVE_LEFT && reply->mode == MOTEUS_STOPPED) /* its power may have been gone */
+        device_fault(&bridge->device, HR_FAULT_ENCODER);
+    device_tick_driven(&bridge->device, bridge->active);
+}
+
+static void take_frame(struct bridge *bridge, const struct can_frame_bytes *frame)
+{
+    struct moteus_reply reply;
+    const uint32_t from = frame->id >> 8 & 0x7Fu, to = frame->id & 0x7Fu;
+    if (frame->id >> 16 != bridge->setup.prefix || (from != bridge->setup.drive && to != bridge->setup.drive))
+        return; /* of other drives */
+    if (from != bridge->setup.drive || to < MOTEUS_FIRST_SENDER || to >= MOTEUS_FIRST_SENDER + MOTEUS_SENDERS) {
+        bridge->facts->foreign++;
+        device_fault(&bridge->device, BRIDGE_OTHER_MASTER);
+    } else if (!bridge->asked || to != MOTEUS_FIRST_SENDER + bridge->sender) {
+        bridge->facts->late++;
+    } else if (!moteus_read(frame, (uint8_t)bridge->setup.switches, &reply)) {
+        bridge->facts->invalid++;
+    } else {
+        take_reply(bridge, &reply);
+    }
+}
+
+static void hear_socket(struct bridge *bridge, const uint8_t *bytes, size_t count)
+{
+    struct can_frame_bytes frame;
+    const enum socketcan_kind kind = socketcan_take(bytes, count, &frame);
+    if (kind == SOCKETCAN_FRAME)
+        take_frame(bridge, &frame);
+    else if (kind == SOCKETCAN_BUS_OFF)
+        device_fault(&bridge->device, BRIDGE_BUS_LOST);
+}
+
+static void hear_adapter(struct bridge *bridge, const uint8_t *bytes, size_t count)
+{
+    struct can_frame_bytes frame;
+    const uint32_t garbled = bridge->adapter.garbled;
+    for (size_t i = 0; i < count; i++)
+        if (fdcanusb_take(&bridge->adapter, bytes[i], &frame))
+            take_frame(bridge, &frame);
+    bridge->facts->invalid += bridge->adapter.garbled - garbled;
+    bridge->facts->refused = bridge->adapter.refused;
+}
+
+void bridge_hear_bus(struct bridge *bridge, const uint8_t *bytes, size_t count, uint64_t now)
+{
+    bridge->now = now;
+    (bridge->setup.socket ? hear_socket : hear_adapter)(bridge, bytes, count);
+}
+
+/* ------------------------------------------------------------------ time passes */
+
+/* Without a reply the core gets no sample, and after some its session no current. Then its host still hears of it. */
+static void miss_reply(struct bridge *bridge)
+{
+    const uint64_t silent = ++bridge->missed * bridge->period;
+    const bool forgets = silent >= FORGETS && silent - bridge->period < FORGETS;
+    bridge->asked = false;
+    bridge->facts->lost++;
+    if (forgets || (bridge->missed >= BRIDGE_SILENT && device_is_armed(&bridge->device)))
+        device_fault(&bridge->device, bridge->bus_lost ? BRIDGE_BUS_LOST : BRIDGE_DRIVE_SILENT);
+    if (forgets)
+        device_fault(&bridge->device, HR_FAULT_ENCODER);
+    if (bridge->missed >= BRIDGE_SILENT)
+        device_tick_driven(&bridge->device, bridge->active);
+}
+
+void bridge_tick(struct bridge *bridge, uint64_t now)
+{
+    bridge->now = now;
+    if (bridge->asked)
+        miss_reply(bridge);
+    if (bridge->wish == BRIDGE_PREPARE && now > bridge->wished_until)
+        hal_enable(bridge, false);
+    bridge->active = bridge->current;
+    bridge->driving = true;
+    device_drive(&bridge->device);
+    bridge->driving = false;
+    bridge->at_once = false;
+    send(bridge, true, next_action(bridge));
+    bridge->asked = true;
+    bridge->asked_at = now;
+}
+
+void bridge_hear_host(struct bridge *bridge, const uint8_t *bytes, size_t count, uint64_t now)
+{
+    bridge->now = now;
+    bridge->input = bytes;
+    bridge->input_count = count;
+    while (bridge->input_count > 0)
+        device_poll(&bridge->device);
+}
+
+void bridge_poll(struct bridge *bridge, uint64_t now)
+{
+    bridge->now = now;
+    device_poll(&bridge->device);
+    for (unsigned i = 0; i < POLLS && (device_is_sending(&bridge->device) || device_is_changing(&bridge->device)); i++)
+        device_poll(&bridge->device);
+    if (bridge->at_once)
+        send(bridge, false, bridge->wish == BRIDGE_OFF ? MOTEUS_STOP : MOTEUS_TORQUE);
+    bridge->at_once = false;
+}
+
+void bridge_lose_bus(struct bridge *bridge, uint64_t now)
+{
+    bridge->now = now;
+    bridge->bus_lost = true;
+    bridge->bus_count = 0;
+    device_fault(&bridge->device, BRIDGE_BUS_LOST);
+}
+
+void bridge_stop(struct bridge *bridge)
+{
+    for (unsigned i = 0; i < ENDING_FRAMES; i++)
+        send(bridge, false, MOTEUS_STOP);
+}
+
+/* ------------------------------------------------------------------ outside */
+
+static size_t take(uint8_t *from, size_t *there, uint8_t *into, size_t capacity)
+{
+    const size_t count = *there < capacity ? *there : capacity;
+    memcpy(into, from, count);
+    memmove(from, from + count, *there - count);
+    *there -= count;
+    return count;
+}
+
+size_t bridge_take(struct bridge *bridge, uint8_t *into, size_t capacity)
+{
+    return take(bridge->output, &bridge->output_count, into, capacity);
+}
+
+size_t bridge_take_bus(struct bridge *bridge, uint8_t *into, size_t capacity)
+{
+    return take(bridge->bus, &bridge->bus_count, into, capacity);
+}
+
+uint8_t bridge_state(const struct bridge *bridge)
+{
+    return bridge->device.connection.state;
+}
+
+uint8_t bridge_fault_now(const struct bridge *bridge)
+{
+    return bridge->device.faults.latched;
+}
+
+double bridge_torque(const struct bridge *bridge)
+{
+    return bridge->wish == BRIDGE_ON ? bridge->current * bridge->setup.torque_per_quantum : 0.0;
+}

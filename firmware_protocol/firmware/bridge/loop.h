@@ -1,0 +1,20 @@
+/* A bridge in real time: waits for its host, its bus and the next period, and moves bytes. Linux. */
+#ifndef HR_BRIDGE_LOOP_H
+#define HR_BRIDGE_LOOP_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "bridge.h"
+
+struct bridge_ends {
+    int host; /* a pseudo-terminal's master, or a socket */
+    int bus;
+    int wake; /* readable when it is to end */
+    bool host_stays; /* a host that hangs up may come again: a pseudo-terminal */
+};
+
+/* Run until `wake` is readable, or the host of a socket has gone. The drive is off when it returns. */
+void bridge_run(struct bridge *bridge, const struct bridge_ends *ends);
+
+#endif

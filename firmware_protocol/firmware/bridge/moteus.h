@@ -1,0 +1,60 @@
+/* What a moteus is told and tells, in frames of its register protocol.
+ *
+ * Source: mjbots/moteus, docs/protocol/can.md and docs/protocol/registers.md (register map 5), opened. */
+#ifndef HR_MOTEUS_H
+#define HR_MOTEUS_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "can_frame.h"
+
+/* A query names its sender, and the reply repeats it: sixteen senders number the queries, so that a late reply is not
+ * taken for the one that is awaited. Other programs are sender 0 unless they are told otherwise. */
+#define MOTEUS_FIRST_SENDER 0x10u
+#define MOTEUS_SENDERS 16u
+
+enum moteus_mode {
+    MOTEUS_STOPPED = 0,
+    MOTEUS_FAULT = 1,
+    MOTEUS_LAST_PREPARING = 4, /* from 2 on */
+    MOTEUS_POSITION = 10,
+    MOTEUS_TIMEOUT = 11,
+    MOTEUS_STAY_WITHIN = 13,
+};
+
+/* Codes of register 0x00f: faults below, beyond them what limits the torque of a mode that goes on. */
+#define MOTEUS_FIRST_LIMIT 96u
+
+enum moteus_action {
+    MOTEUS_ASK,   /* changes nothing, and does not feed the drive's watchdog */
+    MOTEUS_STOP,  /* the driver off; clears a fault and a time-out of its watchdog */
+    MOTEUS_TORQUE,
+};
+
+struct moteus_command {
+    enum moteus_action action;
+    float torque;     /* N·m at the output */
+    float limit;      /* N·m that it may give at most, whatever it is told */
+    float watchdog_s; /* after which it gives none, unless it is told again */
+    uint8_t switches; /* register that a reply is to have too, 0: none (0x05e and 0x05f are the pins of aux1 and aux2) */
+};
+
+struct moteus_reply {
+    uint8_t mode; /* enum moteus_mode */
+    uint8_t code; /* register 0x00f */
+    float position;    /* turns of the output */
+    float torque;      /* N·m at the output, measured */
+    float voltage;     /* V */
+    float temperature; /* °C, of the board */
+    uint8_t switches;  /* that register */
+};
+
+/* A frame for the drive `id`, on a bus whose ids have a prefix of 13 bits (0: none). `reply` asks for one. */
+void moteus_make(struct can_frame_bytes *frame, uint32_t prefix, uint8_t id, uint8_t sender, bool reply,
+                 const struct moteus_command *command);
+
+/* Read the registers that a command asks for; false when one is missing, or the frame is no reply. */
+bool moteus_read(const struct can_frame_bytes *frame, uint8_t switches, struct moteus_reply *reply);
+
+#endif

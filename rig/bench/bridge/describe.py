@@ -1,0 +1,108 @@
+"""An experiment file to start from, with what a drive tells of itself: encoder, torque constant, limits.
+
+What it cannot tell (what hangs on it) is assumed, and marked: `rig identify` measures it.
+"""
+
+from __future__ import annotations
+
+import sys
+from string import Template
+
+if sys.platform == "linux":
+    from rig.bench.bridge.moteus import Facts
+
+assert sys.platform == "linux"
+
+DECODING = 4
+EFFORT = 0.3  # N·m that is given at most, to start with
+TEXT = Template("""\
+# A handle on the shaft of a moteus. [drive] as it told, [assumed] to be replaced by what you know, or by
+#   rig identify FILE --url moteus://$place --verified -o identified.toml
+preset = "koul-rigid"
+
+[rig]
+name = "moteus-$id"
+description = "a handle on the shaft of moteus $id, firmware $firmware"
+source = "the drive itself; mechanics assumed"
+
+[rig.mechanics]
+motor_inertia = 2.0e-4               # [assumed] kg·m², rotor and hub
+link_inertia = 4.0e-4                # [assumed] kg·m², a light handle of 10 cm
+motor_damping = 1.0e-3               # [assumed] N·m·s/rad
+motor_coulomb = 0.01                 # [assumed] N·m
+end_mass = 0.0                       # [assumed] kg
+
+[rig.amplifier]
+effort_per_ampere = $per_ampere      # [drive] N·m/A, by motor.Kv
+effort_limit = $most                 # [drive] N·m at servo.max_current_A
+lag_s = 1.0e-3                       # [assumed] s, of the current loop and of the reply that tells the torque
+current_quantum_a = $quantum         # [chosen] A
+current_noise_a = $noise             # [assumed] A rms, of the torque that the drive tells
+
+[rig.encoder]
+counts_per_revolution = $lines       # [drive] its $source encoder, without the decoding
+decoding = $decoding
+ratio = $ratio                       # [drive] turns of that encoder for one of the handle
+
+[rig.limits]
+nominal_effort = $effort             # [assumed] N·m
+effort = $effort                     # [assumed] N·m
+speed = 20.0                         # [chosen] rad/s
+
+[controller]
+position_rate = 1000                 # Hz
+velocity_rate = 1000
+parameters.cutoff_hz = 100.0
+
+[wall]
+stiffness = 4.0                      # [chosen] N·m/rad; rig doctor --url lists what the link supports
+damping = 0.02
+
+[homing]
+stiffness = 2.0
+damping = 0.02
+effort = 0.1
+
+[trial]
+effort = 0.05                        # [chosen] N·m
+start = -0.1                         # rad
+minimum_rest_counts = 0.0
+
+[verdict]
+lowpass_hz = 400.0
+
+[realtime]
+""")
+
+
+def text(found: Facts, place: str) -> str:
+    """Return the file."""
+    decoding = DECODING if found.counts % DECODING == 0 else 1
+    gear = (
+        1.0 / found.rotor_to_output if found.on_rotor else 1.0
+    )  # turns of its encoder for one of the output
+    per_ampere = found.torque_constant / found.rotor_to_output
+    most = per_ampere * found.most_current
+    effort = min(EFFORT, most)
+    quantum = max(found.most_current / 32_000.0, 1e-3)  # a current is 16 bits
+    filled = TEXT.substitute(
+        place=place,
+        id=found.id,
+        firmware=found.firmware,
+        source=found.source,
+        per_ampere=f"{per_ampere:.6g}",
+        most=f"{most:.4g}",
+        quantum=f"{quantum:.3g}",
+        noise=f"{5 * quantum:.3g}",
+        lines=found.counts // decoding,
+        decoding=decoding,
+        ratio=f"{gear:.6g}",
+        effort=f"{effort:.4g}",
+    )
+    return "".join(map(_aligned, filled.splitlines(keepends=True)))
+
+
+def _aligned(line: str) -> str:
+    """Put the comment behind a value where the others are."""
+    value, mark, comment = line.partition(" #")
+    return f"{value.rstrip():36}{mark}{comment}" if mark and value.strip() else line

@@ -1,0 +1,88 @@
+"""What a bridge may find wrong with a drive: codes of its own, which its dictionary explains to a host.
+
+The numbers are those of `enum bridge_fault` in ``firmware/bridge/bridge.h``. The texts of a moteus are those of its
+register 0x00f (mjbots/moteus, docs/protocol/registers.md).
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+from firmware_protocol.dictionary import CodeInfo
+
+AGAIN = "then clear the fault"
+
+
+class DriveFault(IntEnum):
+    """Codes of a bridge, behind those of the firmware."""
+
+    DRIVE_SILENT = 20
+    OTHER_MASTER = 21
+    DRIVE_LEFT = 22
+    OVER_VOLTAGE = 23
+    UNDER_VOLTAGE = 24
+    DRIVER = 25
+    TEMPERATURE = 26
+    NOT_CALIBRATED = 27
+    OUTSIDE_LIMIT = 28
+    CONTROL_ERROR = 29
+    DRIVE_INTERNAL = 30
+    BUS_LOST = 31
+
+
+MOTEUS = {
+    DriveFault.DRIVE_SILENT: (
+        "the drive did not answer two queries in succession",
+        f"check its power, the bus and its termination, and that this computer is not too busy; {AGAIN}",
+    ),
+    DriveFault.OTHER_MASTER: (
+        "another program commands the drive, or asks it: a second master",
+        f"close tview, moteus_tool and other programs on this bus; {AGAIN}",
+    ),
+    DriveFault.DRIVE_LEFT: (
+        "the drive left the mode that it was told: its watchdog ended it, its power was gone, or somebody stopped it",
+        f"look for a busy computer, a loose supply or a second program on the bus; {AGAIN}",
+    ),
+    DriveFault.OVER_VOLTAGE: (
+        "the drive stopped with its fault 34, over voltage: the bus voltage exceeded servo.max_voltage",
+        f"give it a supply that takes energy back, or set up flux braking; {AGAIN}",
+    ),
+    DriveFault.UNDER_VOLTAGE: (
+        "the drive stopped with its fault 40, under voltage: the voltage was too low",
+        f"check its supply; {AGAIN}",
+    ),
+    DriveFault.DRIVER: (
+        "the drive stopped with its fault 33 or 44, motor driver: most often the supply could not give the current",
+        f"check supply and motor leads; {AGAIN}",
+    ),
+    DriveFault.TEMPERATURE: (
+        "the drive stopped with its fault 38, over temperature: the maximum configured temperature was exceeded",
+        f"let it cool; {AGAIN}",
+    ),
+    DriveFault.NOT_CALIBRATED: (
+        "the drive stopped with its fault 36 or 32, motor not configured or calibration fault",
+        f"run moteus_tool --calibrate with the motor free; {AGAIN}",
+    ),
+    DriveFault.OUTSIDE_LIMIT: (
+        "the drive stopped with its fault 39 or 48, outside limit: servopos.position_min and position_max forbid this "
+        "position",
+        f"move the handle back, or change these limits; {AGAIN}",
+    ),
+    DriveFault.CONTROL_ERROR: (
+        "the drive stopped with its fault 49 or 50, control error: servo.fault_position_error or fault_velocity_error",
+        f"set both to nan; {AGAIN}",
+    ),
+    DriveFault.DRIVE_INTERNAL: (
+        "the drive stopped with an internal fault of its own",
+        f"read register 0x00f with moteus_tool; {AGAIN}",
+    ),
+    DriveFault.BUS_LOST: (
+        "the adapter is gone, or its bus is off after too many errors",
+        "plug it in, check bit rate, wiring and termination, and start again",
+    ),
+}
+
+
+def explained() -> tuple[CodeInfo, ...]:
+    """All of them, for a dictionary."""
+    return tuple(CodeInfo(int(code), code.name, text, remedy) for code, (text, remedy) in MOTEUS.items())

@@ -1,0 +1,105 @@
+"""``moteus://``: a bridge as a process of the run, which begins and ends with its link.
+
+The process speaks through a pair of sockets: when this end closes, by kill -9 too, it switches the drive off and ends.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import multiprocessing
+import os
+import socket
+import sys
+from contextlib import ExitStack
+from typing import Any
+
+from rig.bench.bridge.library import Facts, library
+from rig.config import presets, rig_model
+from rig.core.errors import ConfigError
+from rig.core.model import RigModel
+from rig.core.this_system import processors
+from rig.devices.child import announced
+from rig.devices.device import DeviceUrl
+
+if sys.platform == "linux":
+    from rig.bench.bridge.serve import Address, Found, serve
+    from rig.devices.descriptor import CLOSED, DescriptorLink
+
+assert sys.platform == "linux"
+
+
+def open_link(url: DeviceUrl, model: RigModel | None = None) -> BridgeLink:
+    """Open ``moteus:///dev/fdcanusb?id=1&rig=mine.toml``; see `rig.devices.open_link` for what it raises.
+
+    `rig` names the rig, a preset or a file, where no experiment does.
+    """
+    named = url.options.get("rig")
+    plain = {name: text for name, text in url.options.items() if name != "rig"}
+    asked = DeviceUrl(url.scheme, url.place, plain, url.text)
+    Address.of(asked)  # what is wrong there is said at once
+    if named is not None:
+        model = rig_model(presets.load_named(named))
+    if model is None:
+        raise ConfigError(f"{url.text}: a bridge must know its rig", remedy="add ?rig=mine.toml to the URL")
+    return BridgeLink(asked, model)
+
+
+class BridgeLink(DescriptorLink):
+    """`rig.devices.device.Link` to a bridge.
+
+    Attributes
+    ----------
+    drive, process
+        The drive that was found; number of the process.
+    cpu
+        Processor of the bridge, for the loop to share.
+    """
+
+    bytes_per_second: float | None = None
+
+    def __init__(self, url: DeviceUrl, model: RigModel) -> None:
+        library()  # compiled here, not by two processes
+        self._shared = multiprocessing.get_context("spawn").RawArray(ctypes.c_byte, ctypes.sizeof(Facts))
+        self.facts = Facts.from_buffer(self._shared)
+        self.cpu = max(processors())
+        ours, theirs = socket.socketpair()
+        self._running = ExitStack()
+        with theirs:
+            try:
+                found: Found = self._running.enter_context(
+                    announced(
+                        _serve, url, model, theirs, self._shared, self.cpu,
+                        name="rig-bridge", by_hand="rig bridge moteus",
+                    )
+                )  # fmt: skip
+            except BaseException:
+                ours.close()
+                raise
+        ours.setblocking(False)
+        self.drive, self.messages, self.process = found.drive, found.messages, found.process
+        super().__init__(url, ours.detach())
+
+    def bus_facts(self) -> dict[str, float]:
+        """What happened on the bus so far: replies, lost ones, round trips (µs), the drive's temperature (°C)."""
+        return self.facts.as_mapping()
+
+    def close(self) -> None:
+        """End the process; the drive is off then."""
+        if self._descriptor != CLOSED:
+            os.close(self._descriptor)
+            self._descriptor = CLOSED
+            self._running.close()
+
+
+def _serve(
+    announce: Any, url: DeviceUrl, model: RigModel, host: socket.socket, shared: Any, cpu: int
+) -> None:
+    """Serve in the process of the bridge."""
+    serve(
+        url,
+        model,
+        host=host,
+        announce=lambda place, found: announce(found),
+        facts=Facts.from_buffer(shared),
+        cpu=cpu,
+    )

@@ -1,0 +1,168 @@
+"""The process that runs a bridge: it finds the drive, compares it with the rig, and lets the C code have its ends.
+
+The drive is off before and after, whatever ends it: SIGINT, SIGTERM, the host of a socket that goes. Where this process
+cannot see to that any more (kill -9, a computer that stands), the drive's own watchdog does, after five periods.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import socket
+import sys
+import tty
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Self
+
+from rig.bench.bridge.library import Bridge, Drive, Facts, Switches
+from rig.core.errors import ConfigError
+from rig.core.model import RigModel
+from rig.devices.child import Board
+from rig.devices.device import DeviceUrl
+from rig.realtime.scheduling import obtained
+
+if sys.platform == "linux":
+    from rig.bench.bridge import moteus
+    from rig.bench.bridge.bus import OPTIONS, Bus, open_bus
+
+assert sys.platform == "linux"
+
+SWITCHES = ("hold", "stop")
+DRIVE_OPTIONS = (*OPTIONS, "id", "prefix", *SWITCHES)
+_LARGEST_ID, _LARGEST_PREFIX = 127, 0x1FFF
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """What is told when a bridge is ready: the drive, what could not be obtained, and its process."""
+
+    drive: Drive
+    messages: tuple[str, ...]
+    process: int
+
+
+def number(url: DeviceUrl, name: str, default: int, largest: int) -> int:
+    """Return a whole number among the options of a URL; `ConfigError` for another."""
+    text = url.options.get(name, str(default))
+    try:
+        value = int(text, 0)
+    except ValueError:
+        value = -1
+    if not 0 <= value <= largest:
+        raise ConfigError(f"{url.text}: {name} = {text!r}", remedy=f"give a whole number, 0 to {largest}")
+    return value
+
+
+@dataclass(frozen=True, slots=True)
+class Address:
+    """What a URL says of a drive: its id, the prefix of its bus, and what is wired to its pins."""
+
+    drive: int
+    prefix: int
+    switches: Switches
+
+    @classmethod
+    def of(cls, url: DeviceUrl) -> Self:
+        """Read it; raises `ConfigError`."""
+        url.allow(DRIVE_OPTIONS)
+        return cls(
+            number(url, "id", 1, _LARGEST_ID),
+            number(url, "prefix", 0, _LARGEST_PREFIX),
+            moteus.switches_of({name: url.options[name] for name in SWITCHES if name in url.options}),
+        )
+
+    def find(self, bus: Bus) -> moteus.Facts:
+        """Ask the drive who it is; errors as `rig.bench.bridge.moteus.find`."""
+        return moteus.find(moteus.Conversation(bus, self.drive, self.prefix), self.drive)
+
+
+def look(url: DeviceUrl) -> moteus.Facts:
+    """Ask the drive who it is, and let it be; errors as `serve`."""
+    address = Address.of(url)
+    with contextlib.closing(open_bus(url)) as bus:
+        return address.find(bus)
+
+
+def serve(
+    url: DeviceUrl,
+    model: RigModel,
+    *,
+    host: socket.socket | None = None,
+    announce: Callable[[str, Found], object] = lambda place, found: None,
+    facts: Facts | None = None,
+    realtime: str = "try",
+    cpu: int | None = None,
+) -> None:
+    """Run a bridge until it is stopped.
+
+    Parameters
+    ----------
+    url
+        Of the drive: ``moteus:///dev/fdcanusb?id=1``, ``moteus://can0``.
+    model
+        The rig that it moves.
+    host
+        Connected socket to the host, whose end ends the bridge; a pseudo-terminal of its own unless given, which serves
+        one host after the other.
+    announce
+        Called once with the path of the port ("" for a socket), when a host may talk.
+    facts
+        Memory for what happens on the bus.
+    realtime, cpu
+        Scheduling, as ``host.realtime``, and the processor.
+
+    Raises
+    ------
+    RigError
+        There is no drive, it answers wrongly, or it is not as the rig describes it: nothing has moved.
+    """
+    address = Address.of(url)
+    bus = open_bus(url)
+    with contextlib.closing(bus), obtained(Board(realtime, cpu=cpu)) as granted:
+        found = moteus.fit(address.find(bus), model, prefix=address.prefix, switches=address.switches)
+        bridge = Bridge(model, found, checksum=bus.checksum, socket=bus.is_socket, facts=facts)
+        with _end_of(host) as (descriptor, place), _wakes() as wake:
+            granted.enter_thread()
+            try:
+                announce(place, Found(found, (*bus.messages, *granted.messages), os.getpid()))
+                bridge.run(host=descriptor, bus=bus.descriptor, wake=wake, host_stays=host is None)
+            finally:
+                granted.leave_thread()
+
+
+@contextlib.contextmanager
+def _end_of(host: socket.socket | None) -> Iterator[tuple[int, str]]:
+    """The bridge's end of the line to its host, and the path of the other one."""
+    if host is not None:
+        host.setblocking(False)
+        yield host.fileno(), ""
+        return
+    master, slave = os.openpty()
+    try:
+        place = os.ttyname(slave)
+        tty.setraw(slave)
+        os.close(slave)  # from now on a hang-up shows that no host has it open
+        os.set_blocking(master, False)
+        yield master, place
+    finally:
+        os.close(master)
+
+
+@contextlib.contextmanager
+def _wakes() -> Iterator[int]:
+    """A descriptor that is readable once SIGINT or SIGTERM came: while C code runs, Python hears of none."""
+    ear, mouth = os.pipe()
+    os.set_blocking(mouth, False)
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before = [signal.signal(one, lambda *_: None) for one in numbers]
+    wakes_before = signal.set_wakeup_fd(mouth)
+    try:
+        yield ear
+    finally:
+        signal.set_wakeup_fd(wakes_before)
+        for one, handler in zip(numbers, before, strict=True):
+            signal.signal(one, handler)
+        os.close(ear)
+        os.close(mouth)

@@ -1,0 +1,129 @@
+"""C code of this package as a library of this machine: compiled by its C compiler on first use, and kept.
+
+The library lies beside the compiled kernels, under a name that says of which sources, flags and compiler it was made.
+Two processes that want it at once both make it, and the later one's replaces the other's in one step.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import os
+import shlex
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from rig.core.errors import ConfigError
+
+# Without contraction, as golden vectors have it; what is missing is an error here, not when it is opened.
+FLAGS: tuple[str, ...] = ("-std=c99", "-O1", "-shared", "-ffp-contract=off")
+if sys.platform == "linux":  # the linkers of the others want all symbols defined anyway
+    FLAGS += ("-Wl,-z,defs",)
+if sys.platform != "win32":  # where code is relocated
+    FLAGS += ("-fPIC",)
+COMPILERS = ("cc", "gcc", "clang")
+ZIG = "ziglang"  # a C compiler as a package of Python, for systems that have none
+COMPILE_S = 600.0  # which builds its C library first, once
+_SHOWN_LINES = 6  # of what a compiler says
+
+
+def doubles(numbers: Any) -> Any:
+    """Return the C struct of doubles whose members are those of a dataclass, in their order."""
+    members = [(field.name, ctypes.c_double) for field in fields(numbers)]
+    return type(numbers.__name__, (ctypes.Structure,), {"_fields_": members})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CLibrary:
+    """What a library is made of.
+
+    Attributes
+    ----------
+    name
+        Of its file, and of the library in messages.
+    root, parts
+        Directory of the sources, and those of its directories that go into it.
+    purpose
+        What for, in messages.
+    instead
+        What to do without it: the end of a remedy; "" where nothing helps but a compiler.
+    flags
+        For the compiler.
+    """
+
+    name: str
+    root: Path
+    parts: tuple[str, ...]
+    purpose: str
+    instead: str = ""
+    flags: tuple[str, ...] = FLAGS
+
+    def sources(self) -> list[Path]:
+        """The C files that it is made of."""
+        return [path for part in self.parts for path in sorted((self.root / part).glob("*.c"))]
+
+    def compiler(self) -> list[str]:
+        """Command of the C compiler: ``$CC``, the first of `COMPILERS`, or `ZIG`; `ConfigError` without one."""
+        named = shlex.split(os.environ.get("CC", ""))
+        for command in (named, *([name] for name in COMPILERS)):
+            found = shutil.which(command[0]) if command else None
+            if found is not None:
+                return [found, *command[1:]]
+        if find_spec(ZIG) is not None:
+            return [sys.executable, "-P", "-m", ZIG, "cc"]
+        raise ConfigError(
+            f"there is no C compiler: {self.purpose}, compiled on first use",
+            remedy="install one (Debian: apt install gcc libc6-dev; elsewhere: pip install ziglang) or name it in CC"
+            + (f"; or {self.instead}" if self.instead else ""),
+        )
+
+    def compiled(self, directory: Path) -> Path:
+        """Make the library in a directory unless it is there; `ConfigError` where that fails."""
+        command = self.compiler()
+        path = directory / f"{self.name}-{self.key(command)}.so"
+        if path.exists():
+            return path
+        with tempfile.TemporaryDirectory(dir=directory, prefix=f"{self.name}-") as workplace:
+            made = Path(workplace) / f"{self.name}.so"
+            self._compile([*command, *self.flags, "-o", str(made), *map(str, self.sources()), "-lm"])
+            made.replace(path)
+        return path
+
+    def opened(self, directory: Path, load: Callable[[Path], ctypes.CDLL]) -> ctypes.CDLL:
+        """Open the library by `load`, compiled before if it has to be; `ConfigError` where that fails."""
+        path = self.compiled(directory)
+        try:
+            return load(path)
+        except (OSError, AttributeError) as error:
+            raise ConfigError(
+                f"the {self.name} library {path} does not open: {error}",
+                remedy="remove it: it is built again",
+            ) from error
+
+    def key(self, command: list[str]) -> str:
+        """Sixteen hex digits over the sources, the flags and the compiler."""
+        facts = Path(command[0]).resolve().stat()
+        digest = hashlib.sha256(f"{command} {facts.st_size} {facts.st_mtime_ns} {self.flags}".encode())
+        for part in self.parts:
+            for path in sorted((self.root / part).glob("*.[ch]")):
+                digest.update(f"{part}/{path.name}\0".encode() + hashlib.sha256(path.read_bytes()).digest())
+        return digest.hexdigest()[:16]
+
+    def _compile(self, command: list[str]) -> None:
+        remedy = "name another compiler in CC" + (f", or {self.instead}" if self.instead else "")
+        try:
+            done = subprocess.run(command, capture_output=True, text=True, timeout=COMPILE_S, check=False)
+        except (OSError, subprocess.TimeoutExpired) as error:
+            raise ConfigError(f"the C compiler {command[0]} does not run: {error}", remedy=remedy) from error
+        if done.returncode != 0:
+            said = "\n".join((done.stderr or done.stdout).strip().splitlines()[:_SHOWN_LINES])
+            raise ConfigError(
+                f"the C compiler {command[0]} failed on the {self.name}:\n{said}", remedy=remedy
+            )

@@ -1,0 +1,99 @@
+"""What a bridge adds to the way to a drive and back, and whether it keeps its periods.
+
+A drive that costs nothing sits behind a pseudo-terminal. A C program sends it the bridge's own bytes once a period, and
+the bridge does, in turns: the ratio of their medians is asserted, lost replies and periods that were slept through are
+printed, since another program can take the processor at any time.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import threading
+import time
+import tty
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rig.bench.bridge.library import Bridge, Facts
+from tests.benchmarks.realtime.workbench import FULL, compile_c, print_table, quantiles
+from tests.conformance.bridged import bridged_rig, plain_drive
+
+RATES = (1000, 2500)
+SECONDS = 10.0 if FULL else 1.0
+MOST_RATIO = 1.5
+TRIES = 5
+
+
+@contextmanager
+def drive(program: Path) -> Iterator[int]:
+    """A descriptor whose other end is the drive."""
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    process = subprocess.Popen([str(program), str(master)], pass_fds=(master,))
+    os.close(master)
+    try:
+        yield slave
+    finally:
+        process.kill()
+        process.wait()
+        os.close(slave)
+
+
+def by_a_client(client: Path, line: int, rate: int, text: str) -> tuple[np.ndarray, int]:
+    """Round trips (µs) of a C program, and those that were lost."""
+    ticks = round(rate * SECONDS)
+    done = subprocess.run(
+        [str(client), str(line), str(rate), str(ticks), text],
+        pass_fds=(line,),
+        capture_output=True,
+        check=True,
+    )
+    took = np.frombuffer(done.stdout, np.int64)
+    return took[took >= 0] / 1e3, int(np.sum(took < 0))
+
+
+def by_the_bridge(line: int, rate: int) -> Facts:
+    """What the bridge saw in as many periods, with nobody at its other end."""
+    bridge = Bridge(bridged_rig(), plain_drive(), checksum=False, rate=rate)
+    host, other = os.openpty()
+    ear, mouth = os.pipe()
+    os.set_blocking(line, False)
+    os.set_blocking(host, False)
+    ends = {"host": host, "bus": line, "wake": ear, "host_stays": True}
+    thread = threading.Thread(target=bridge.run, kwargs=ends)
+    thread.start()
+    time.sleep(SECONDS)
+    os.write(mouth, b"x")
+    thread.join()
+    for descriptor in (host, other, ear, mouth):
+        os.close(descriptor)
+    os.set_blocking(line, True)
+    return bridge.facts
+
+
+@pytest.mark.parametrize("rate", RATES)
+def test_a_bridge_costs_little_more_than_its_bytes(rate: int, tmp_path: Path) -> None:
+    end, client = compile_c(tmp_path, "drive_end"), compile_c(tmp_path, "drive_client")
+    question = "can send 9001 1100" + "1F01" + "130D" + "5050 BF"
+    rows, ratios = [], []
+    with drive(end) as line:
+        for _ in range(TRIES):
+            took, lost = by_a_client(client, line, rate, question)
+            facts = by_the_bridge(line, rate)
+            ratios.append(facts.quantile_us(0.5) / float(np.median(took)))
+            rows.append(("C client", *(f"{one:.0f}" for one in quantiles(took)), lost, ""))
+            ours = [facts.quantile_us(share) for share in (0.5, 0.99, 0.999)]
+            rows.append(
+                ("bridge", *(f"{one:.0f}" for one in ours), facts.longest_us, facts.lost, facts.skipped)
+            )
+            if ratios[-1] <= MOST_RATIO:
+                break
+    print_table(
+        f"µs there and back at {rate} Hz", ("", "p50", "p99", "p99.9", "max", "lost", "skipped"), rows
+    )
+    assert min(ratios) <= MOST_RATIO

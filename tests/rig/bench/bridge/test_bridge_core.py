@@ -1,0 +1,399 @@
+"""The bridge in virtual time: what it tells a drive, and that every way ends in zero torque."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+
+import pytest
+
+from firmware_protocol import messages as m
+from firmware_protocol.connection import State
+from firmware_protocol.faults import Fault, Input
+from rig.bench.bridge import library
+from rig.bench.bridge.faults import MOTEUS, DriveFault
+from rig.bench.bridge.library import BRIDGE
+from rig.core.errors import DeviceRefusedError
+from rig.devices.framed import FramedDevice
+from sim_backend.drives.moteus_registers import WHOLE
+from tests.conformance.bridged import CURRENT, Bridged, Strike, Way, armed, bridged_rig, push
+from tests.conformance.device import check_device
+from tests.conformance.firmware import need_compiler
+from tests.conformance.host import RUN_PARAMETERS, Host
+
+WATCHDOG_S = 0.005  # five periods: the drive's own
+LIFETIME_S, RAMP_S = 0.020, 0.010  # of a command; in which the effort falls behind it
+SLACK_S = 0.003
+RUN_TICKS = 8
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _compiler() -> None:
+    need_compiler()
+
+
+def test_a_bridge_is_a_device_like_any_other() -> None:
+    check_device(Bridged)
+
+
+def test_a_command_turns_the_drive_as_the_rig_says() -> None:
+    world, host = armed()
+    push(host, 20)
+    assert world.mode == 10
+    assert world.torque == pytest.approx(CURRENT * 1e-3 * 0.1 / 2.0, rel=1e-6)  # 0.1 N·m/A, geared 1:2
+    state = host.next_state()
+    assert state.current_commanded == CURRENT
+    assert state.current_measured == pytest.approx(CURRENT, abs=20)  # behind a lag of 1 ms
+    assert state.count > 0
+    truth = world.drive.motor.count
+    assert state.count == pytest.approx(
+        truth, abs=0.01 * truth + 3
+    )  # behind the drive's own filter of 400 Hz
+
+
+def test_a_can_socket_in_place_of_an_adapter() -> None:
+    world, host = armed(Bridged(socket=True))
+    push(host, 20)
+    assert world.torque == pytest.approx(CURRENT * 1e-3 * 0.1 / 2.0, rel=1e-6)
+    assert world.bridge.facts.lost == 0
+    bus_off = (0x20000000 | 0x40).to_bytes(4, "little") + bytes(12)  # CAN_ERR_FLAG, CAN_ERR_BUSOFF
+    world._to_drive(world.bridge.hear_bus(bus_off, world._now))
+    assert host.next_state().fault == DriveFault.BUS_LOST
+    world.run(0.004)
+    assert world.torque == 0.0
+
+
+def test_where_counts_fall_while_the_position_rises_the_drive_is_turned_the_other_way() -> None:
+    world, host = armed(Bridged(bridged_rig(sign=-1)), encoder_sign=-1)
+    push(host, 20)
+    assert world.torque == pytest.approx(-CURRENT * 1e-3 * 0.1 / 2.0, rel=1e-6)
+    assert host.next_state().count < 0
+
+
+def test_a_command_acts_at_the_next_tick_and_its_sample_comes_with_it() -> None:
+    """One tick from a sample to its torque: host and bus take part of the same period."""
+    world, host = armed()
+    host.next_state()
+    host.command(CURRENT)
+    sent_ns = world.clock.now_ns()
+    while world.torque == 0.0:
+        world.step(sent_ns + 5_000_000)
+    assert world.clock.now_ns() - sent_ns <= world.period_ns
+
+
+def test_a_drive_at_rest_is_only_asked() -> None:
+    world = Bridged()
+    world.run(0.05)
+    assert world.mode == 0
+    assert world.bridge.facts.lost == 0
+    assert world.bridge.facts.replies > 40
+
+
+def test_arming_waits_until_the_drive_is_prepared_and_gives_no_torque_meanwhile() -> None:
+    world = Bridged()
+    device = FramedDevice(world)
+    device.configure(RUN_PARAMETERS)
+    assert world.mode == 0
+    device.arm()
+    assert world.mode == 10
+    assert world.torque == 0.0
+    device.disarm()
+    world.run(0.01)
+    assert world.mode == 0
+
+
+def test_a_drive_that_nobody_arms_is_switched_off_again() -> None:
+    world = Bridged()
+    host = Host(world)
+    host.identify()
+    ack = host.configure(**RUN_PARAMETERS)
+    host.send(m.Arm(host.nonce(), host.hash, ack.crc), 1)
+    world.run(0.1)
+    assert world.mode == 10
+    world.run(1.5)
+    assert world.mode == 0
+
+
+# ---------------------------------------------------------------------- every way ends in zero torque
+
+
+def test_a_host_that_falls_silent() -> None:
+    world, host = armed()
+    push(host, 10)
+    world.run(LIFETIME_S + RAMP_S + SLACK_S)
+    assert world.torque == 0.0
+    assert world.bridge.fault == Fault.LINK_LOST
+    world.run(0.01)
+    assert world.mode == 0
+
+
+def test_a_bridge_that_is_killed_leaves_it_to_the_watchdog_of_the_drive() -> None:
+    world, host = armed()
+    push(host, 10)
+    assert world.torque != 0.0
+    world.alive = False
+    world.run(WATCHDOG_S + SLACK_S)
+    assert world.mode == 11
+    assert world.torque == 0.0
+    assert abs(world.register(0x003)) < 1e-3  # and none is measured, with timeout_mode 0
+
+
+def test_a_bridge_that_ends_switches_the_drive_off() -> None:
+    world, host = armed()
+    push(host, 10)
+    world._to_drive(world.bridge.stop())
+    world.alive = False
+    world.run(0.001)
+    assert world.mode == 0
+
+
+def test_an_adapter_that_is_pulled_out() -> None:
+    world, host = armed()
+    push(host, 10)
+    world.bridge.lose_bus(world._now)
+    world.strikes = {("to drive", number): lambda line: b"" for number in range(10_000)}
+    state = host.next_state()
+    assert (state.state, state.fault) == (State.FAULT, DriveFault.BUS_LOST)
+    world.run(WATCHDOG_S + SLACK_S)
+    assert world.torque == 0.0
+
+
+def drop(line: bytes) -> bytes:
+    return b""
+
+
+def garble(line: bytes) -> bytes:
+    place = len(line) // 2
+    return line[:place] + bytes((line[place] ^ 1,)) + line[place + 1 :]
+
+
+ENDINGS: dict[str, tuple[Way, Strike, int]] = {
+    "a lost question": ("to drive", drop, 1),
+    "lost questions": ("to drive", drop, 4),
+    "a lost answer": ("from drive", drop, 1),
+    "lost answers": ("from drive", drop, 8),
+    "a garbled question": ("to drive", garble, 1),
+    "a garbled answer": ("from drive", garble, 1),
+    "a line that stays dead": ("from drive", drop, 10_000),
+}
+
+
+@pytest.mark.parametrize("ending", ENDINGS)
+def test_a_fault_at_any_line_of_a_run(ending: str) -> None:
+    """Zero torque in bounds, whatever is lost where; it is counted, and no old count is told as a new one."""
+    way, strike, length = ENDINGS[ending]
+    of_the_run = RUN_TICKS * (1 if way == "to drive" else 2)  # the adapter says OK, too
+    for first in range(0, of_the_run, 1 if strike is drop and length == 1 else 5):
+        world, host = armed()
+        begin = world.lines[way] + first
+        world.strikes = {(way, number): strike for number in range(begin, begin + length)}
+        indices = []
+        for _ in range(RUN_TICKS):
+            state = host.next_state()
+            indices.append(state.sample_index)
+            if state.fault:
+                break
+            host.command(CURRENT)
+        assert indices == sorted(set(indices))
+        if state.fault:
+            assert state.fault == DriveFault.DRIVE_SILENT
+            world.run(WATCHDOG_S + SLACK_S)
+        else:
+            world.run(LIFETIME_S + RAMP_S + SLACK_S)
+        assert world.torque == 0.0
+        facts = world.bridge.facts
+        assert facts.lost >= (1 if way == "from drive" and strike is drop and length > 1 else 0)
+
+
+HAPPENINGS: dict[str, tuple[Callable[[Bridged], None], int]] = {
+    "over voltage": (lambda world: world.happen("fault", 34), DriveFault.OVER_VOLTAGE),
+    "too hot": (lambda world: world.happen("temperature", 90.0), DriveFault.TEMPERATURE),
+    "under voltage": (lambda world: world.happen("voltage", 3.0), DriveFault.UNDER_VOLTAGE),
+    "its watchdog": (lambda world: world.happen("expire"), DriveFault.DRIVE_LEFT),
+    "a power cut": (lambda world: world.happen("reboot"), DriveFault.DRIVE_LEFT),
+    "stopped by somebody": (lambda world: world.happen("mode", 0), DriveFault.DRIVE_LEFT),
+    "held by somebody": (lambda world: world.happen("mode", 12), DriveFault.DRIVE_LEFT),
+    "a second master": (lambda world: world.happen("master", 0.1), DriveFault.OTHER_MASTER),
+}
+
+
+@pytest.mark.parametrize("what", HAPPENINGS)
+def test_a_drive_that_stops_by_itself_or_for_somebody_else(what: str) -> None:
+    happen, fault = HAPPENINGS[what]
+    world, host = armed()
+    push(host, 10)
+    happen(world)
+    for _ in range(5):
+        state = host.next_state()
+        if state.fault:
+            break
+        host.command(CURRENT)
+    assert state.fault == fault
+    world.run(0.004)
+    assert world.torque == 0.0
+    text = FramedDevice(world).dictionary.explain_fault(fault).text
+    assert text == MOTEUS[DriveFault(fault)][0]
+
+
+def test_a_drive_that_fell_silent_is_homed_again() -> None:
+    """Without power it forgets its turns."""
+    world = Bridged()
+    device = FramedDevice(world)
+    device.configure(RUN_PARAMETERS)
+    here = world.lines["from drive"]
+    world.strikes = {("from drive", number): drop for number in range(here, here + 2 * 30)}
+    world.run(0.05)
+    with pytest.raises(DeviceRefusedError, match="has lost counts"):
+        device.configure(RUN_PARAMETERS)
+
+
+def test_a_drive_that_hiccups_before_it_is_armed_is_only_counted() -> None:
+    world = Bridged()
+    device = FramedDevice(world)
+    device.configure(RUN_PARAMETERS)
+    here = world.lines["from drive"]
+    world.strikes = {("from drive", number): drop for number in range(here, here + 2 * 5)}
+    world.run(0.05)
+    assert world.bridge.facts.lost == 5
+    device.arm()
+
+
+@pytest.mark.parametrize("turns", [-1, 1])
+def test_a_position_that_jumps_by_turns_is_no_motion(turns: int) -> None:
+    """A drive that has started again knows where in a turn it is, and not in which."""
+    world, host = armed()
+    push(host, 5)
+    world.happen("slip", turns * 4 * 4096)
+    for _ in range(5):
+        state = host.next_state()
+        if state.fault:
+            break
+        host.command(0)
+    assert state.fault in {Fault.ENCODER, Fault.OVER_SPEED}
+    world.run(0.004)
+    assert (world.torque, world.mode) == (0.0, 0)
+
+
+def test_a_fault_while_the_drive_is_prepared_is_told_in_the_words_of_the_drive() -> None:
+    world = Bridged()
+    device = FramedDevice(world)
+    device.configure(RUN_PARAMETERS)
+    world.happen("voltage", 3.0)
+    with pytest.raises(DeviceRefusedError, match="fault 40, under voltage"):
+        device.arm()
+    assert world.torque == 0.0
+
+
+def test_replies_that_are_late_are_not_taken_for_the_ones_that_are_awaited() -> None:
+    world, host = armed(Bridged(travel_ns=300_000))
+    push(host, 5)
+    world.travel_ns = 700_000  # there and back in more than a period
+    for _ in range(4):
+        if host.next_state().fault:
+            break
+        host.command(CURRENT)
+    world.run(0.01)
+    assert world.bridge.facts.late > 0
+    assert world.bridge.fault == DriveFault.DRIVE_SILENT
+    assert world.torque == 0.0
+
+
+def test_an_answer_of_before_is_not_taken_for_a_new_one() -> None:
+    """Each question names another sender, which the answer repeats."""
+    world, host = armed()
+    push(host, 5)
+    said: list[bytes] = []
+
+    def keep(line: bytes) -> bytes:
+        said.append(line)
+        return line
+
+    def stale(line: bytes) -> bytes:
+        return said[0] if line.startswith(b"rcv") else line
+
+    now = world.lines["from drive"]
+    world.strikes = {("from drive", now + place): keep for place in (0, 1)}
+    before = host.next_state().sample_index
+    host.command(CURRENT)
+    said[:] = [line for line in said if line.startswith(b"rcv")]
+    now = world.lines["from drive"]
+    world.strikes = {("from drive", now + place): stale for place in (0, 1)}
+    state = host.next_state()
+    facts = world.bridge.facts
+    assert (facts.late, facts.lost) == (1, 1)
+    assert state.sample_index == before + 2
+    assert state.missed_ticks == 1
+
+
+def test_the_drive_limits_the_torque_too() -> None:
+    """Register 0x025 has the amplifier's limit, in case what is sent is wrong."""
+    world, host = armed()
+    push(host, 5)
+    assert world.drive._words[world_word("max_torque")] == pytest.approx(1.0 / 2.0)
+
+
+def world_word(name: str) -> int:
+    from sim_backend.drives.moteus_law import W  # noqa: PLC0415
+
+    return int(getattr(W, name))
+
+
+# ---------------------------------------------------------------------- the C code and its mirror
+
+
+def test_codes_are_those_of_the_header() -> None:
+    header = (BRIDGE.root / "bridge" / "bridge.h").read_text()
+    codes = {
+        name: int(code) for name, code in re.findall(r"^    BRIDGE_(\w+) = (\d+),", header, re.MULTILINE)
+    }
+    assert codes == {fault.name: int(fault) for fault in DriveFault}
+    assert set(MOTEUS) == set(DriveFault)
+
+
+def test_structures_are_those_of_the_header() -> None:
+    made = library.library()
+    assert made.bridge_facts_bytes() == library.ctypes.sizeof(library.Facts)
+    header = (BRIDGE.root / "bridge" / "bridge.h").read_text()
+    facts = header[header.index("struct bridge_facts {") :]
+    names = re.findall(r"\b(\w+)(?:\[\w+\])?[;,]", re.sub(r"/\*.*?\*/", "", facts[: facts.index("};")]))
+    assert names == [name for name, *_ in library.Facts._fields_]
+    setup = header[header.index("struct bridge_setup {") :]
+    names = re.findall(r"(\w+);", re.sub(r"/\*.*?\*/", "", setup[: setup.index("};")]))
+    assert names == [name for name, *_ in library.Setup._fields_]
+
+
+def switched(world: Bridged, pins: int) -> None:
+    """Let the drive tell these pins of aux1."""
+    world.drive._others[0x05E] = (lambda words: pins, WHOLE)
+
+
+def test_a_hold_to_run_switch_on_a_pin_of_the_drive() -> None:
+    world, host = armed(Bridged(switches={"hold": "aux1.2"}), hold_to_run=1)
+    push(host, 5)
+    assert world.torque == 0.0
+    switched(world, 1 << 2)
+    push(host, 5)
+    assert world.torque > 0.0
+    assert host.next_state().inputs & Input.HOLD_TO_RUN
+    switched(world, 0)
+    push(host, 2)
+    assert world.torque == 0.0
+
+
+def test_an_emergency_stop_on_a_pin_of_the_drive_and_its_broken_wire() -> None:
+    world = Bridged(switches={"stop": "aux1.3"})
+    switched(world, 1 << 3)
+    world.run(0.01)  # before it has replied, it counts as pressed
+    world, host = armed(world)
+    push(host, 5)
+    switched(world, 0)
+    push(host, 3)
+    assert host.next_state().fault == Fault.EMERGENCY_STOP
+    world.run(0.01)
+    assert (world.torque, world.mode) == (0.0, 0)
+
+
+def test_no_switch_is_pressed() -> None:
+    world, host = armed()
+    assert not host.next_state().inputs & (Input.EMERGENCY_STOP | Input.HOLD_TO_RUN)
+    assert world.bridge.state is State.ARMED

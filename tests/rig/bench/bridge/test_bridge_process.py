@@ -1,0 +1,138 @@
+"""A bridge as a process, in real time: the link that starts it, the command, and what is left when either is killed."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from firmware_protocol.connection import State
+from rig import devices
+from rig.bench.bridge import describe
+from rig.bench.bridge.library import Bridge
+from rig.bench.bridge.link import BridgeLink
+from rig.bench.bridge.serve import look
+from rig.core.errors import ConfigError, DeviceRefusedError, LinkLostError
+from rig.devices.device import DeviceUrl
+from rig.devices.framed import FramedDevice
+from sim_backend.drives import simulated_drive
+from sim_backend.drives.process import serve as serve_drive
+from tests.conformance.bridged import SAFE, SLOW, bridged_rig, plain_drive
+from tests.conformance.firmware import need_compiler
+
+PATIENCE_S = 5.0
+
+
+@pytest.fixture(scope="module")
+def port() -> Iterator[str]:
+    """A simulated moteus behind a port, for all tests."""
+    need_compiler()
+    with simulated_drive("moteus", bridged_rig(), settings=SAFE) as served:
+        yield served.path
+
+
+def opened(port: str, options: str = "") -> FramedDevice:
+    return devices.open_device(f"moteus://{port}{options}", bridged_rig())
+
+
+def test_a_link_starts_a_bridge_and_ends_it_and_one_that_is_killed_is_a_lost_link(port: str) -> None:
+    """The drive's own watchdog ends the torque then; the next bridge takes the drive as it is."""
+    with opened(port) as device:
+        assert isinstance(device.link, BridgeLink)
+        device.configure(SLOW)
+        device.arm()
+        os.kill(device.link.process, signal.SIGKILL)
+        with pytest.raises(LinkLostError):
+            device.states(PATIENCE_S)
+    with opened(port) as device:
+        assert isinstance(device.link, BridgeLink)
+        bridge = device.link.process
+        assert device.dictionary.firmware == "bridge to moteus 1.0.0"
+        assert not device.dictionary.simulated
+        device.configure(SLOW)
+        device.arm()
+        assert len(device.states(0.3)) > 5
+        assert device.link.bus_facts()["replies"] > 20
+        device.disarm()
+    assert not Path(f"/proc/{bridge}").exists()
+
+
+def test_a_drive_on_a_can_bus_is_asked_by_its_frames(tmp_path: Path) -> None:
+    need_compiler()
+    there, stop, bus = threading.Event(), threading.Event(), str(tmp_path / "bus")
+    options = {"place": bus, "settings": SAFE, "stop": stop, "announce": lambda _: there.set()}
+    drive = threading.Thread(target=serve_drive, args=("moteus", bridged_rig()), kwargs=options)
+    drive.start()
+    try:
+        assert there.wait(PATIENCE_S)
+        found = look(DeviceUrl("moteus", bus, {}, f"moteus://{bus}"))
+    finally:
+        stop.set()
+        drive.join(PATIENCE_S)
+    assert (found.counts, found.source) == (4 * 4096, "SPI")
+
+
+def test_a_host_that_goes_ends_its_bridge_and_the_drive_is_told_to_stop() -> None:
+    """However it goes: the kernel closes the socket of one that is killed."""
+    need_compiler()
+    bus, drive = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    near, host = socket.socketpair()
+    ear, mouth = os.pipe()
+    for end in (bus, near):
+        end.setblocking(False)
+    bridge = Bridge(bridged_rig(), plain_drive(), socket=True)
+    ends = {"host": near.fileno(), "bus": bus.fileno(), "wake": ear, "host_stays": False}
+    running = threading.Thread(target=bridge.run, kwargs=ends)
+    running.start()
+    assert drive.recv(100)[8:10] == b"\x11\x00"  # it is asked, and told nothing
+    host.close()
+    running.join(PATIENCE_S)
+    assert not running.is_alive()
+    bus.close()
+    frames = list(iter(lambda: drive.recv(100), b""))
+    assert [frame[8:11] for frame in frames[-3:]] == [b"\x01\x00\x00"] * 3  # mode: stopped
+    for end in (near, drive):
+        end.close()
+    os.close(ear)
+    os.close(mouth)
+
+
+def test_what_is_wrong_with_the_drive_is_said_by_the_link(port: str) -> None:
+    model = bridged_rig()
+    other = replace(model, amplifier=replace(model.amplifier, effort_per_ampere=1.0))
+    with pytest.raises(DeviceRefusedError, match="the experiment says 1"):
+        devices.open_device(f"moteus://{port}", other)
+    with pytest.raises(ConfigError, match="must know its rig"):
+        devices.open_device(f"moteus://{port}")
+    with pytest.raises(ConfigError, match="whole number"):
+        opened(port, "?id=nine")
+
+
+def test_the_command_serves_one_host_after_the_other(port: str, tmp_path: Path) -> None:
+    mine = tmp_path / "mine.toml"
+    mine.write_text(describe.text(look(DeviceUrl("moteus", port, {}, port)), port))
+    bridge = subprocess.Popen(
+        [sys.executable, "-m", "rig", "bridge", "moteus", port, "--rig", str(mine)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    )
+    assert bridge.stdout is not None
+    try:
+        url = bridge.stdout.readline().strip()
+        for _ in range(2):
+            with devices.open_device(url) as device:
+                assert device.dictionary.device == "moteus-1"
+                assert device.connection.state >= State.IDENTIFIED
+    finally:
+        bridge.send_signal(signal.SIGINT)
+        bridge.stdout.close()
+        assert bridge.wait(PATIENCE_S) == 0
