@@ -16,7 +16,7 @@ from rig.config.schemes import Scheme
 from rig.control.bilateral import clinging_law
 from rig.core.errors import PlanError
 from rig.experiments import maps
-from rig.experiments.disagreement import (
+from rig.experiments.ablation import (
     CONTACT,
     EACH,
     FINER,
@@ -26,12 +26,11 @@ from rig.experiments.disagreement import (
     OTHERS,
     QUANTUM,
     SATURATION,
-    DisagreementPlan,
     cause_of,
     cures,
-    edges_of,
     without,
 )
+from rig.experiments.disagreement import DisagreementPlan, edges_of
 from rig.experiments.hit_simulator import start_of
 from rig.experiments.searches import Search
 from rig.experiments.zwidth import MapPlan
