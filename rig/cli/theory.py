@@ -58,7 +58,8 @@ def theory(
 
     For each scheme: the largest stable stiffness at B = 0 and at the wall's damping, the largest damping, islands of
     stability beyond, and the conditions for passivity. Friction, quantum and saturation are left out: Coulomb friction
-    raises K_max by 1.4 to 2 times, the quantum takes 30 to 50 % off the range of B.
+    raises K_max by 1.4 to 2 times, the quantum takes 30 to 50 % off the range of B. `rig zwidth --explain` shows where
+    that matters.
     """
     experiment = options.chosen_experiment(file, preset)
     changes = options.changes(rate=None, sets=sets, damping=damping)

@@ -29,8 +29,8 @@ from rig.control.verdict import percent
 from rig.core.errors import PlanError
 from rig.core.present import Item, Row, Table, reported, written
 from rig.core.shown import Shown
+from rig.experiments.ablation import FRICTION, SATURATION, without
 from rig.experiments.compare import Start, simulate
-from rig.experiments.disagreement import FRICTION, SATURATION, without
 
 DAMPINGS, STIFFNESSES = (0.0, 0.25, 0.5, 0.75), (0.25, 0.5, 0.75)
 DEPTH, AWAY, OFFSET = 3.5, 3.0, 0.5  # counts

@@ -9,18 +9,8 @@ import numpy as np
 
 from rig.analysis.theory import stability_map
 from rig.core.sample import unit_of
-from rig.experiments.disagreement import (
-    CAUSES,
-    CONTACT,
-    EACH,
-    FRICTION,
-    NONE,
-    OTHERS,
-    QUANTUM,
-    SATURATION,
-    Disagreement,
-    edges_of,
-)
+from rig.experiments.ablation import CAUSES, CONTACT, EACH, FRICTION, NONE, OTHERS, QUANTUM, SATURATION
+from rig.experiments.disagreement import Disagreement, edges_of
 from rig.views.plots import style
 
 COLOURS = {

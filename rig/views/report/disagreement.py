@@ -6,7 +6,8 @@ The sentences stand in ``disagreement.j2``.
 from __future__ import annotations
 
 from rig.core.sample import unit_of
-from rig.experiments.disagreement import FINER, Disagreement
+from rig.experiments.ablation import FINER, FOUR
+from rig.experiments.disagreement import Disagreement
 from rig.views.report.template import fill_text
 
 
@@ -19,6 +20,7 @@ def paragraph(found: Disagreement) -> str:
         plan=plan,
         found=found,
         finer=FINER,
+        absent=[one for one in FOUR if not any(one in shares.differ.causes for shares in found.schemes)],
         unit=lambda quantity: unit_of(quantity, plan.experiment.rig.motion),
     )
     return " ".join(text.split())

@@ -16,7 +16,7 @@ from rig.config.schemes import Scheme
 from rig.control.bilateral import clinging_law
 from rig.core.errors import PlanError
 from rig.experiments import maps
-from rig.experiments.disagreement import (
+from rig.experiments.ablation import (
     CONTACT,
     EACH,
     FINER,
@@ -26,12 +26,11 @@ from rig.experiments.disagreement import (
     OTHERS,
     QUANTUM,
     SATURATION,
-    DisagreementPlan,
     cause_of,
     cures,
-    edges_of,
     without,
 )
+from rig.experiments.disagreement import DisagreementPlan, edges_of
 from rig.experiments.hit_simulator import start_of
 from rig.experiments.searches import Search
 from rig.experiments.zwidth import MapPlan
@@ -183,4 +182,5 @@ def test_the_paragraph_has_every_scheme_its_share_and_its_causes(experiment: Any
         "Dual 20/2 kHz, fdm-butterworth 200 Hz: theory and hits differ in 100.0 % of the K–B plane." in text
     )
     assert "Of what holds 100 % is unstable in theory (100 % friction)." in text
+    assert "Quantum, saturation and contact alone are the cause of none." in text
     assert "Of what theory calls stable" not in text

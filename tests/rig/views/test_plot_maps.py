@@ -11,9 +11,11 @@ import pytest
 from rig.config import presets
 from rig.config.schemes import Scheme
 from rig.control.verdict import CRITERIA
+from rig.experiments.disagreement import DisagreementPlan
 from rig.experiments.kmax import KMax, kmax_plan
 from rig.experiments.searches import Search, StiffnessLimit
 from rig.experiments.zwidth import Boundary, MapPlan, ZWidth
+from rig.views.plots.disagreement import disagreement_figure
 from rig.views.plots.zwidth import draw_kmax, draw_zwidth, kmax_figure, zwidth_figure
 
 SEARCH = Search(lowest=10.0, highest=1000.0, ratio=1.1)
@@ -129,3 +131,22 @@ def test_next_to_nothing_is_drawn(some: Any, dampings: Any, tmp_path: Path) -> N
     for ending in ("png", "svg", "pdf"):
         assert draw_zwidth(found, tmp_path / f"map.{ending}").stat().st_size > 4000
         assert draw_kmax(over_rates(lambda *_: some, [1000]), tmp_path / f"k.{ending}").stat().st_size > 4000
+
+
+# --- explained ------------------------------------------------------------------------------------------------
+
+
+def test_an_explained_map_has_a_panel_for_each_scheme_and_names_the_causes_that_there_are() -> None:
+    plan = a_map((0.0, 0.5), schemes=SCHEMES[:2]).plan
+    row = {"radius": 0.9, "holds_without": True, "hits": 1, "ticks": 1}
+    fails = {**row, "holds": False, "cures": [["quantum"]]}
+    holds = {**row, "holds": True, "cures": None}
+    column = [{**(holds if k < 100.0 else fails), "stiffness": k} for k in plan.search.rungs]
+    figure = disagreement_figure(DisagreementPlan(map=plan).found([column] * 4))
+    assert len(figure.axes) == 2
+    (key,) = figure.legends
+    told = [text.get_text() for text in key.get_texts()]
+    assert told == ["quantum", "edge of stability in linear theory", "edge of the walls that hold"]
+    mesh = next(one for one in figure.axes[0].collections if hasattr(one, "get_coordinates"))
+    seen = mesh.get_array().reshape(len(plan.search.rungs), 2, 4)[..., 3] > 0.0
+    assert seen.tolist() == [[k >= 100.0] * 2 for k in plan.search.rungs], "agreement has no colour"
