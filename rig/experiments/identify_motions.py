@@ -399,8 +399,9 @@ def _moved(x: Experiment, at: float, duration_s: float, rate: int, changes: Mapp
         "controller.parameters.cutoff_hz": CUTOFF_SHARE * velocity_rate,
         "verdict.lowpass_hz": min(x.verdict.lowpass_hz, 0.4 * rate),
     }
-    # Its own friction is what is looked for: nothing may compensate it meanwhile.
-    return config.override(x, {**still, **changes, "controller.friction_compensation": 0.0}, "identification")
+    # Its own friction and cogging are what is looked for: nothing may compensate them meanwhile.
+    plain = {"controller.friction_compensation": 0.0, "controller.cogging_compensation": False}
+    return config.override(x, {**still, **changes, **plain}, "identification")
 
 
 _NO_WALL: dict[str, Any] = {

@@ -97,7 +97,7 @@ class Lifted:
     def ticks(self, stiffness: ArrayLike, damping: ArrayLike) -> tuple[Matrix, Matrix]:
         """First tick and any other one, for walls of any broadcast shape: shape (…, n, n)."""
         k, b = np.broadcast_arrays(np.asarray(stiffness, float), np.asarray(damping, float))
-        law = k[..., None] * self.position + b[..., None] * self.velocity
+        law = (k[..., None] - self.loop.compensated) * self.position + b[..., None] * self.velocity
         closed = self.tick - self.into[:, None] * law[..., None, :]
         return closed @ self.first, closed @ self.other
 
@@ -118,7 +118,7 @@ class Lifted:
         own = np.concatenate([np.empty(0), *parts]).reshape(k.shape)
         if self.softest is None:
             return own
-        rests = k + self.softest.loop.cogging > 0.0
+        rests = k + self.softest.loop.cogging - self.softest.loop.compensated > 0.0
         return np.where(rests, np.maximum(own, self.softest.radius(k, b)), own)
 
     def _radius(self, stiffness: Vector, damping: Vector) -> Vector:

@@ -76,7 +76,8 @@ class LinearLoop:
 
     ``phi``, ``gamma`` step the plant over T1 with a held command; ``sensed`` is the index of the position that the
     encoder sees. `subject` and `controller` say where all this comes from. `cogging` is the stiffness that cogging
-    gives the motor (N·m/rad or N/m) at the place that this is about; `softest` the loop at the other one, if there is.
+    gives the motor (N·m/rad or N/m) at the place that this is about, `compensated` how much of that the law takes away;
+    `softest` is the loop at the other place, if there is one.
     """
 
     subject: Subject
@@ -90,6 +91,7 @@ class LinearLoop:
     extrapolate: bool
     delay_ticks: int
     cogging: float = 0.0
+    compensated: float = 0.0
     softest: LinearLoop | None = None
 
     @property
@@ -171,11 +173,13 @@ def linear_loop(
         extrapolate=controller.prediction == "extrapolate",
         delay_ticks=model.delay_ticks(tick_s),
         cogging=most,
+        compensated=most if controller.cogging_compensation else 0.0,
     )
     if least == most:
         return loop
     phi, gamma = _over_tick(_stiffer(continuous, least), tick_s)
-    return replace(loop, softest=replace(loop, phi=phi, gamma=gamma, cogging=least))
+    taken = least if controller.cogging_compensation else 0.0
+    return replace(loop, softest=replace(loop, phi=phi, gamma=gamma, cogging=least, compensated=taken))
 
 
 def cogging_stiffness(subject: Subject) -> tuple[float, float]:
