@@ -31,6 +31,12 @@ from rig.views.plots.identify import draw_identification
 @options.seed_option("Of the phases of the excitation.", default=0, show_default=True)
 @option("--realisations", type=int, default=6, show_default=True, help="How often the rig is excited.")
 @option("--period", "period_s", type=float, default=0.5, show_default=True, help="Of the excitation (s).")
+@option(
+    "--cogging",
+    type=int,
+    metavar="ORDER",
+    help="Also map cogging, up to this harmonic of the motor's turn, by slow sweeps over the window.",
+)
 @option("--plan", "only_plan", is_flag=True, help="List and check what would be done; touches no device.")
 @option(
     "--weight",
@@ -62,6 +68,7 @@ def identify(
     verified: bool,
     realisations: int,
     period_s: float,
+    cogging: int | None,
     seed: int,
     file_out: Path | None,
     recordings: Path,
@@ -77,6 +84,9 @@ def identify(
     strokes at constant speeds, and excitation by random-phase multisines. FILE or --rig describes the rig as far as it
     is known; limits of effort, speed and window in it are kept, and checked before anything moves. Every motion is
     recorded. Keep hands off the handle.
+
+    With --cogging ORDER it also maps the motor's effort over position, both ways, so that friction stands apart. The
+    map needs a zero that an encoder's index gives ([rig.reference]); it is kept in the file ([rig.cogging]).
 
     With --weight it measures effort_per_ampere alone, by a known mass that a person hangs on the rig when told.
     """
@@ -110,6 +120,7 @@ def identify(
         realisations=realisations,
         period_s=period_s,
         seed=seed,
+        cogging=cogging,
         output=recordings,
     )
     plan = _plan(request)
@@ -172,7 +183,9 @@ def _write(found: Identification, path: Path) -> Path:
 
 def _print(found: Identification, picture: str | None, written: Path | None) -> None:
     click.echo(click.style(f"{found.experiment.rig.name}, identified (± 95 %, scatter only)", bold=True))
-    output.print_pairs([*_sign_pairs(found), *_friction_pairs(found), *_dynamics_pairs(found)])
+    output.print_pairs(
+        [*_sign_pairs(found), *_friction_pairs(found), *_cogging_pairs(found), *_dynamics_pairs(found)]
+    )
     for warning in found.warnings:
         click.echo(f"  {click.style('warning', fg='yellow')}  {warning}")
     pairs = [("recordings", f"{found.recordings['signs'][0].parent} ({_count(found)} files)")]
@@ -216,6 +229,23 @@ def _friction_pairs(found: Identification) -> list[tuple[str, str]]:
         ("  bias", sliding.bias.text(unit["effort"])),
         ("viscous damping", sliding.damping.text(unit["damping"])),
     ]
+
+
+def _cogging_pairs(found: Identification) -> list[tuple[str, str]]:
+    map_, unit = found.cogging, _units(found.experiment)
+    if map_ is None:
+        return []
+    if not map_.orders:
+        return [("cogging", f"no harmonic of {map_.unseen:.2g} {unit['effort']} or more")]
+    least, most = map_.stiffness
+    position = unit_of("position", found.experiment.rig.motion)
+    return [
+        ("cogging", f"at most {map_.peak:.3g} ± {map_.ci95:.2g} {unit['effort']}, harmonics "
+         f"{', '.join(map(str, map_.orders))} of {map_.period:.4g} {position}"),
+        ("  from, to", f"{map_.minimum:.4g}, {map_.maximum:.4g} {position}"),
+        ("  stiffness", f"{least:.3g} to {most:.3g} {unit['stiffness']}"),
+        ("  friction there", map_.friction.text(unit["effort"])),
+    ]  # fmt: skip
 
 
 def _dynamics_pairs(found: Identification) -> list[tuple[str, str]]:

@@ -18,7 +18,7 @@ from firmware_protocol.parameters import BY_NAME
 from rig.config import device_law
 from rig.config.derive import free_s, motor_push, push_s, verdict_thresholds
 from rig.config.sections import Experiment
-from rig.control import estimators, friction, laws
+from rig.control import cogging, estimators, friction, laws
 from rig.control.law import Law
 from rig.control.step import CONTROL, Controller, new_memory
 from rig.control.watch import TRAVEL, TRAVEL_COUNTS
@@ -158,14 +158,22 @@ def _free_space(experiment: Experiment) -> dict[str, float]:
 
 
 def _law(experiment: Experiment, law: Law) -> Law:
-    """The law with friction compensation around it, if the experiment wants that.
+    """The law with friction and cogging compensated, as far as the experiment wants that."""
+    rates, rig = experiment.controller, experiment.rig
+    if rates.friction_compensation > 0.0:
+        law = _without_friction(experiment, law)
+    if rates.cogging_compensation:
+        law = cogging.compensated(law, rig.cogging, rates.cogging_limit * rig.limits.nominal_effort)
+    return law
+
+
+def _without_friction(experiment: Experiment, law: Law) -> Law:
+    """The law with the Coulomb friction of the experiment compensated.
 
     On two masses only the motor side's friction is compensated: the link's lies behind the capstan, and compensating it
     from the motor would add more energy than it removes.
     """
     rates, mechanics = experiment.controller, experiment.rig.mechanics
-    if rates.friction_compensation == 0.0:
-        return law
     behind = mechanics.link_coulomb if mechanics.structure == "rigid" else 0.0
     level, cutoff = mechanics.motor_coulomb + behind, rates.parameters.get("cutoff_hz", math.inf)
     usual = friction.dead_band_of(experiment.rig.encoder.resolution, rates.velocity_rate, float(cutoff))

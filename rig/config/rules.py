@@ -159,6 +159,34 @@ def cogging(x: Experiment) -> Iterator[Problem]:
         )
 
 
+def cogging_compensation(x: Experiment) -> Iterator[Problem]:
+    """What is compensated was mapped in a range, from a zero that is the same tomorrow, and the host does it."""
+    if not x.controller.cogging_compensation:
+        return
+    given, key = x.rig.cogging, "controller.cogging_compensation"
+    if not given.orders or given.minimum is None or given.maximum is None:
+        yield _problem(
+            x,
+            key,
+            "needs a map: rig.cogging.orders, minimum and maximum",
+            "`rig identify --cogging` measures it",
+        )
+    if not x.rig.reference.index:
+        yield _problem(
+            x,
+            key,
+            "needs a position zero that is an index's (rig.reference.index): else the map may be of another place",
+            "wire the encoder's index and describe it in [rig.reference], or set it to false",
+        )
+    if x.controller.loop == "device":
+        yield _problem(
+            x,
+            key,
+            'must be false with controller.loop = "device": a device does not have it',
+            'set it to false, or let the host run the law (controller.loop = "host")',
+        )
+
+
 def handle(x: Experiment) -> Iterator[Problem]:
     """On a linear rig the handle moves as far as the encoder."""
     if x.rig.motion == "linear" and x.rig.mechanics.handle_radius != 1.0:
@@ -468,6 +496,7 @@ RULES: tuple[Callable[[Experiment], Iterator[Problem]], ...] = (
     encoder,
     reference,
     cogging,
+    cogging_compensation,
     handle,
     current,
     profile,

@@ -181,6 +181,16 @@ class Controller:
             "speed from which the whole share acts; left out: four times what one count makes of the estimate",
         ),
     ] = None
+    cogging_compensation: Annotated[
+        bool,
+        Quantity("", "the motor takes its own cogging away in a trial, as [rig.cogging] has it in its range"),
+    ] = False
+    cogging_limit: Annotated[
+        float,
+        Gt(0),
+        Le(1),
+        Quantity("1", "most effort of that, as a share of rig.limits.nominal_effort"),
+    ] = 0.2
     command_lifetime_s: Annotated[
         float | None,
         Gt(0),

@@ -1,13 +1,43 @@
-"""Cogging: the effort that a motor's position alone decides, in compiled code."""
+"""Cogging in compiled code: the effort that a motor's position alone decides, and its compensation around any law.
+
+    effort = −fade(x) · clip(F(x), ± limit)
+
+F is the identified map. The fade falls from one to zero over the last part of the range in which it was measured;
+outside of it nothing is known and nothing is done.
+
+**It cannot drive the rig.** A map of effort over position alone gives back on any way home what it took: its work along
+a closed path is zero, true map or false. What is left is what any wall has too: with the delay τ of the loop a slope s
+of F, taken away late, damps by s·τ where cogging stiffens and takes as much damping where it softens; theory counts it
+(`rig.analysis.theory.loop`). A zero that has slipped can double the cogging, no more, and the limit bounds it whatever
+the map says; guard, window and the watch over energy see its effort as any other.
+
+It is off unless a law is wrapped in it, and works where that law does: in trial and release, inside the wall and
+outside, not in homing. It is part of the law's effort in a recording's columns, wanted before the guard and sent behind
+it; the recording names it in the law, and its parameters are the first of that.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
+from functools import lru_cache
 from typing import Any
 
-from rig.realtime.kernel import kernel
+import numpy as np
+from numpy.typing import NDArray
 
+from rig.control.law import Law
+from rig.core.model import Cogging
+from rig.realtime.kernel import kernel
+from rig.realtime.plugs import LAW_SIGNATURE
+
+Floats = NDArray[np.float64]
+
+SUFFIX = "+cogging"  # of the name of a wrapped law
+FADE = 0.05  # share of the range, at each end
 WAVENUMBER, COSINE, SINE, HARMONIC = range(4)  # of one harmonic; how many numbers it has
+# Parameters; OWN: where those of the wrapped law begin, behind the harmonics.
+WALL, SIDE, MINIMUM, MAXIMUM, LIMIT, OWN, HARMONICS = range(7)
 
 
 @kernel("f8(f8, f8[::1])", inline=True, no_refcount=True)
@@ -18,3 +48,59 @@ def effort_at(position: float, harmonics: Any) -> float:
         angle = harmonics[i + WAVENUMBER] * position
         effort += harmonics[i + COSINE] * math.cos(angle) + harmonics[i + SINE] * math.sin(angle)
     return effort
+
+
+@kernel("f8(f8, f8, f8, f8, f8[::1])", inline=True)
+def bounded_at(position: float, minimum: float, maximum: float, limit: float, harmonics: Any) -> float:
+    """What of the effort at a position is compensated (N·m or N); see the module."""
+    inside = min(position - minimum, maximum - position) / (FADE * (maximum - minimum))
+    if inside <= 0.0:
+        return 0.0
+    effort = effort_at(position, harmonics)
+    return float(min(inside, 1.0) * min(max(effort, -limit), limit))
+
+
+def compensated(law: Law, cogging: Cogging, limit: float) -> Law:
+    """Return a law that does what `law` does, and compensates cogging up to a limit (N·m or N).
+
+    The wrapper is compiled for the law when it is first used (a second or two).
+    """
+    harmonics = cogging.harmonics
+
+    def design(wall: Mapping[str, Any]) -> list[float]:
+        own = float(HARMONICS + len(harmonics))
+        ends = [cogging.minimum or 0.0, cogging.maximum or 0.0]
+        return [wall["position"], wall["side"], *ends, limit, own, *harmonics, *law.design(wall)]
+
+    return Law(
+        law.name + SUFFIX,
+        f"{law.summary}, with cogging compensated",
+        _wrapped(law.function),
+        law.floats,
+        design,
+    )
+
+
+def around(law: Law) -> Law:
+    """Return the wrapper of a law without numbers of its own: what a replay needs, whose recording has them."""
+    return compensated(law, Cogging(), 0.0)
+
+
+@lru_cache(maxsize=32)  # compiling takes a second or two
+def _wrapped(function: Callable[..., float]) -> Any:
+    @kernel(LAW_SIGNATURE, cache=False)
+    def law_with_cogging_compensated(
+        penetration: float, penetration_velocity: float, elapsed_ticks: int, state: Floats, parameters: Floats
+    ) -> float:
+        own = int(parameters[OWN])
+        reaction = function(penetration, penetration_velocity, elapsed_ticks, state, parameters[own:])
+        effort = bounded_at(
+            parameters[WALL] + parameters[SIDE] * penetration,
+            parameters[MINIMUM],
+            parameters[MAXIMUM],
+            parameters[LIMIT],
+            parameters[HARMONICS:own],
+        )
+        return float(reaction + parameters[SIDE] * effort)
+
+    return law_with_cogging_compensated

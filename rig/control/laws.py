@@ -26,7 +26,10 @@ _OF_RECORDINGS = {
     "traced": "rig.control.motions:traced_law",
     "nudges": "rig.control.motions:nudged_law",
 }
-_COMPENSATED = "+friction"  # a wrapper around any of them: rig.control.friction
+_COMPENSATED = {  # wrappers around any of them
+    "+cogging": "rig.control.cogging:around",
+    "+friction": "rig.control.friction:around",
+}
 
 
 def names() -> list[str]:
@@ -39,8 +42,9 @@ def get(name: str) -> Law:
     maker = (BUILT_IN | _OF_RECORDINGS).get(name)
     if maker is not None:
         return cast("Law", _made_by(maker)())
-    if name.endswith(_COMPENSATED):
-        return cast("Law", _made_by("rig.control.friction:around")(get(name.removesuffix(_COMPENSATED))))
+    for suffix, around in _COMPENSATED.items():
+        if name.endswith(suffix):
+            return cast("Law", _made_by(around)(get(name.removesuffix(suffix))))
     found = plugins.load("rig.laws", "law", name, lambda part: isinstance(part, Law))
     if found is not None:
         return cast("Law", found)

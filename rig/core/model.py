@@ -181,6 +181,11 @@ class Cogging:
         rows = [(wave * n, c, s) for n, c, s in zip(self.orders, self.cosine, self.sine, strict=True)]
         return np.array(rows, dtype=np.float64).ravel()
 
+    @property
+    def crest(self) -> float:
+        """What the effort cannot exceed (N·m or N): the crests of all harmonics in one place."""
+        return math.fsum(math.hypot(c, s) for c, s in zip(self.cosine, self.sine, strict=True))
+
     def effort(self, position: ArrayLike) -> NDArray[np.float64]:
         """Effort at positions (N·m or N)."""
         k, c, s = self.harmonics.reshape(-1, 3).T

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from rig.analysis.identification.cogging import CoggingMap
 from rig.analysis.identification.dynamics import Dynamics, Mode
+from rig.analysis.identification.interval import Interval
 from rig.analysis.identification.sliding import Sliding
 from rig.config import Experiment
 from rig.core.model import Mechanics
@@ -36,7 +39,9 @@ class Identified:
                 self.put(f"rig.mechanics.{side}_{name}", part * total, words, motion)
 
 
-def identified_values(x: Experiment, sliding: Sliding, dynamics: Dynamics) -> Identified:
+def identified_values(
+    x: Experiment, sliding: Sliding, dynamics: Dynamics, cogging: CoggingMap | None = None
+) -> Identified:
     """Turn the fits into keys of the experiment.
 
     One sensor sees sums. What it cannot split between motor and link keeps the description's proportion: friction and
@@ -67,7 +72,26 @@ def identified_values(x: Experiment, sliding: Sliding, dynamics: Dynamics) -> Id
     )  # counted by itself, at any rate
     ticks = max(0, dynamics.delay_ticks - beside)
     found.put("rig.simulation.computation_delay_ticks", ticks, whole, "dynamics")
+    if cogging is not None:
+        _put_cogging(found, cogging, unit("effort"))
     return found
+
+
+def _put_cogging(found: Identified, map_: CoggingMap, effort: str) -> None:
+    certain = f"certain, of those looked for; others have less than {map_.unseen:.2g} {effort}"
+    for key, value, words in (
+        ("period", map_.period, "as described, or a turn of the motor"),
+        ("orders", list(map_.orders), certain),
+        ("cosine", [c.value for c in map_.cosine], _each(map_.cosine, effort)),
+        ("sine", [s.value for s in map_.sine], _each(map_.sine, effort)),
+        ("minimum", map_.minimum, "of the sweeps"),
+        ("maximum", map_.maximum, f"of the sweeps; within, the map is ± {map_.ci95:.2g} {effort}"),
+    ):
+        found.put(f"rig.cogging.{key}", value, words, "cogging")
+
+
+def _each(values: Sequence[Interval], unit: str) -> str:
+    return ", ".join(value.text() for value in values) + f" {unit}" if values else "none"
 
 
 def _put_mode(

@@ -11,12 +11,14 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig import config, devices
+from rig.analysis.identification.cogging import CoggingMap, fit_cogging
 from rig.analysis.identification.dynamics import Dynamics, fit_dynamics
 from rig.analysis.identification.quality import IdentificationError
 from rig.analysis.identification.signs import SignCheck, stiction_warning
@@ -26,6 +28,7 @@ from rig.config import Experiment
 from rig.control.excitation import Multisine
 from rig.core.check import refuse
 from rig.core.errors import ConfigError, PlanError
+from rig.core.model import Cogging
 from rig.core.present import reported
 from rig.core.same_rig import check_rig
 from rig.core.sample import RowFlag, unit_of
@@ -35,6 +38,9 @@ from rig.experiments.identify_motions import (
     PERIODS,
     PUSHES,
     Motion,
+    cogging_motion,
+    cogging_period,
+    cogging_sweeps,
     excitation,
     excitation_motion,
     excited_s,
@@ -59,6 +65,8 @@ from rig.experiments.planned import Plan
 from rig.experiments.zero import position_zero
 from rig.recording.files import free_name, plain_errors
 
+MOST_ORDER = 200  # of cogging, in `rig identify`: a sweep is the slower, the finer the waves are
+
 Tell = Callable[[str], None]
 
 
@@ -72,17 +80,25 @@ class IdentifyRequest(FreeRigRequest):
         Of the multisine: how many draws of phases, and the period of each (s).
     seed
         Of the phases.
+    cogging
+        Highest harmonic of cogging that is looked for; None: none is.
     """
 
     realisations: int = 6
     period_s: float = 0.5
     seed: int = 0
+    cogging: int | None = None
 
     def __post_init__(self) -> None:
         if self.realisations < 2:
             raise ConfigError(
                 f"{self.realisations} realisation is too few for an interval",
                 remedy="use 2 or more; 6 are usual",
+            )
+        if self.cogging is not None and not 1 <= self.cogging <= MOST_ORDER:
+            raise ConfigError(
+                f"cogging up to harmonic {self.cogging} is out of range",
+                remedy=f"choose 1 to {MOST_ORDER}: the least common multiple of slots and poles, or twice that",
             )
         if not 0.1 <= self.period_s <= 10.0:
             raise ConfigError(
@@ -100,8 +116,10 @@ class Identification:
         The experiment as it was described, and with the identified values.
     signs, sliding, dynamics
         The three fits; see `rig.analysis.identification`.
+    cogging
+        A fourth one, if it was asked for.
     recordings
-        ``"signs"``, ``"sliding"`` and ``"dynamics"`` → the files.
+        ``"signs"``, ``"sliding"``, ``"dynamics"`` and ``"cogging"`` → the files.
     sources
         Identified key → its value and interval in words, and where it comes from.
     warnings
@@ -115,6 +133,7 @@ class Identification:
     signs: SignCheck
     sliding: Sliding
     dynamics: Dynamics
+    cogging: CoggingMap | None
     recordings: Mapping[str, tuple[Path, ...]]
     sources: Mapping[str, str]
     warnings: tuple[str, ...]
@@ -165,12 +184,21 @@ def identify(request: IdentifyRequest, tell: Tell | None = None) -> Identificati
         say(f"signs: {PUSHES} small pushes, at most {most_push(base):.3g} {_unit(base, 'effort')}")
         signs = session.signs(base)
         _check_signs(signs)
+        if request.cogging is not None:
+            say(f"cogging: slow sweeps for {cogging_sweeps(base, request.cogging)[1][-1].end_s:.3g} s")
+            session.sweep(base, request.cogging)
         say("friction: strokes at constant speeds")
         sliding = session.sliding(base)
         say(f"dynamics: excited {request.realisations} times for {excited_s(request.period_s):.3g} s")
         dynamics = session.dynamics(base, signs, sliding)
+        cogging = None
+        if request.cogging is not None:
+            damping = sliding.damping.value + base.rig.amplifier.back_emf
+            cogging = session.cogging(dynamics.inertia.value, damping)
         simulated = device.dictionary.simulated
-    return _identified(request, base, signs, sliding, dynamics, session.recordings, simulated=simulated)
+    return _identified(
+        request, base, signs, sliding, dynamics, cogging, session.recordings, simulated=simulated
+    )
 
 
 def without_end_mass(request: IdentifyRequest) -> Experiment:
@@ -197,7 +225,11 @@ def plan_of(free: Experiment, request: IdentifyRequest) -> Plan:
             remedy='set controller.loop = "host", and a rate that the link carries',
         )
     return identification_plan(
-        free, realisations=request.realisations, period_s=request.period_s, seed=request.seed
+        free,
+        realisations=request.realisations,
+        period_s=request.period_s,
+        seed=request.seed,
+        cogging=request.cogging,
     )
 
 
@@ -211,6 +243,8 @@ class _Session:
         self._device, self._request = device, request
         self._stem = f"identify-{datetime.now():%Y%m%d-%H%M%S}"
         self._reference = position_zero(device, x)
+        self._fit_cogging: Callable[..., CoggingMap]
+        self._cogging = Cogging()  # as measured: what comes after knows it as an effort of the motor's
         self.recordings: dict[str, tuple[Path, ...]] = {}
 
     def signs(self, x: Experiment) -> SignCheck:
@@ -222,7 +256,7 @@ class _Session:
         rows, rate = self._run(strokes_motion(x), "sliding")
         return fit_sliding(
             np.arange(len(rows)) / rate,
-            rows["effort_sent"],
+            self._effort(rows),
             rows["position"],
             strokes_of(x)[1],
             resolution=x.rig.encoder.resolution,
@@ -237,7 +271,7 @@ class _Session:
             multisine = excitation(x, request.seed, request.period_s, inertia, number)
             rows, rate = self._run(excitation_motion(x, multisine, inertia), "dynamics", number)
             _check_undisturbed(rows)
-            runs.append(excited_run_of(rows, rate, multisine))
+            runs.append(excited_run_of(rows, rate, multisine, self._effort(rows)))
         return fit_dynamics(
             runs,
             resolution=x.rig.encoder.resolution,
@@ -246,6 +280,28 @@ class _Session:
             damping=sliding.damping,
             back_emf=x.rig.amplifier.back_emf,
         )
+
+    def sweep(self, x: Experiment, most_order: int) -> None:
+        """Sweep for cogging; from here on it is known, with the inertia that is described."""
+        rows, rate = self._run(cogging_motion(x, most_order), "cogging")
+        self._fit_cogging = partial(
+            fit_cogging,
+            np.arange(len(rows)) / rate,
+            rows["effort_sent"],
+            rows["position"],
+            cogging_sweeps(x, most_order)[1],
+            period=cogging_period(x),
+            most_order=most_order,
+        )
+        self._cogging = self.cogging(inertia_of(x), config.rig_model(x).damping).cogging
+
+    def cogging(self, inertia: float, damping: float) -> CoggingMap:
+        """The map by the sweeps, as what else resists the motion becomes better known: inertia, and all damping."""
+        return self._fit_cogging(inertia=inertia, damping=damping)
+
+    def _effort(self, rows: NDArray[np.void]) -> NDArray[np.float64]:
+        """Effort of the motor, cogging included as far as it is known."""
+        return np.asarray(rows["effort_sent"] + self._cogging.effort(rows["position"]))
 
     def _run(self, motion: Motion, name: str, number: int = 0) -> tuple[NDArray[np.void], float]:
         """Run one trial; return its rows and their rate (Hz)."""
@@ -262,7 +318,9 @@ class _Session:
         return rows, float(x.controller.position_rate)
 
 
-def excited_run_of(rows: NDArray[np.void], rate: float, multisine: Multisine) -> ExcitedRun:
+def excited_run_of(
+    rows: NDArray[np.void], rate: float, multisine: Multisine, effort: NDArray[np.float64]
+) -> ExcitedRun:
     """The whole periods of one realisation, the settling ones cut.
 
     The effort of a row is held from its sample to the next; whatever comes later is a delay to be identified.
@@ -275,7 +333,7 @@ def excited_run_of(rows: NDArray[np.void], rate: float, multisine: Multisine) ->
         period_samples=n,
         periods=PERIODS,
         excitation=np.tile(multisine.period(rate), PERIODS),
-        effort=rows["effort_sent"][kept],
+        effort=effort[kept],
         position=rows["position"][kept],
         lines_hz=multisine.lines_hz,
         effort_hold_s=1.0 / rate,
@@ -325,12 +383,13 @@ def _identified(
     signs: SignCheck,
     sliding: Sliding,
     dynamics: Dynamics,
+    cogging: CoggingMap | None,
     recordings: Mapping[str, tuple[Path, ...]],
     *,
     simulated: bool,
 ) -> Identification:
     before = config.override(request.experiment, request.changes)
-    values = identified_values(base, sliding, dynamics)
+    values = identified_values(base, sliding, dynamics, cogging)
     named = {key: f"{text}; {_files(recordings[kind])}" for key, (text, kind) in values.sources.items()}
     sticking = stiction_warning(0.5 * (signs.breakaway_up + signs.breakaway_down), sliding.coulomb.value)
     return Identification(
@@ -339,6 +398,7 @@ def _identified(
         signs=signs,
         sliding=sliding,
         dynamics=dynamics,
+        cogging=cogging,
         recordings=dict(recordings),
         sources=named,
         warnings=(*signs.warnings, *([sticking] if sticking else [])),

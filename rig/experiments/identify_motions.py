@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig import config
+from rig.analysis.identification.cogging import SETTLE_S
 from rig.analysis.identification.sliding import Stroke
 from rig.config import Experiment
 from rig.control import bilateral
@@ -48,6 +49,10 @@ CUTOFF_SHARE = 0.2  # cut-off of the velocity filter over its rate
 FILTER_DELAY = 0.225  # of that filter: its delay times its cut-off, √2/(2π)
 SERVO_TICKS, SERVO_PHASE = 3.0, 0.5  # delay that a servo must bear besides, and phase (rad) that it may cost
 
+# Sweeps for cogging: half their travel as a share of the window; speeds of the pairs, over the fastest, at which the
+# servo still follows the highest harmonic (its corner over that harmonic's frequency); rest at each end.
+SWEEP_SHARE, SWEEP_SPEEDS, FOLLOWS, SWEEP_REST_S = 0.42, (1.0, 0.8, 0.6), 6.0, 0.3
+
 # Excitation: its band, and where it ends as a share of the rate; before the kept periods a time, and periods at least.
 LOWEST_HZ, HIGHEST_HZ, HIGHEST_SHARE = 4.0, 1000.0, 0.15
 EXCITATION_SETTLE_S, LEAST_SETTLE, PERIODS = 1.0, 2, 2
@@ -72,8 +77,13 @@ class Motion:
     phases: tuple[Phase, ...] = (Phase.TRIAL,)
 
 
-def identification_plan(x: Experiment, *, realisations: int, period_s: float, seed: int) -> Plan:
-    """List and check what will be done, from the described rig; no device is touched."""
+def identification_plan(
+    x: Experiment, *, realisations: int, period_s: float, seed: int, cogging: int | None = None
+) -> Plan:
+    """List and check what will be done, from the described rig; no device is touched.
+
+    With `cogging` it is looked for up to that harmonic.
+    """
     limits = x.rig.limits
     effort, position, speed = (_unit(x, quantity) for quantity in ("effort", "position", "velocity"))
     multisine = excitation(x, seed, period_s, inertia_of(x))
@@ -83,7 +93,7 @@ def identification_plan(x: Experiment, *, realisations: int, period_s: float, se
     coulomb = coulomb_of(x)
     rms_load = multisine.rms / limits.nominal_effort
     travel, top_speed = TRAVEL_SHARE * 2.0 * half, max(abs(s.velocity) for s in strokes_of(x)[1])
-    settings = (
+    settings: tuple[Step, ...] = (
         Step("pushes", f"{PUSHES} pushes of at most {most_push(x):.3g} {effort}, each until the handle has "
              f"moved {push_way(x):.3g} {position}", pushes_s()),
         Step("strokes", f"± {travel:.3g} {position} about the middle of the window at up to {top_speed:.3g} {speed}",
@@ -92,7 +102,7 @@ def identification_plan(x: Experiment, *, realisations: int, period_s: float, se
              f"{multisine.lines_hz[-1]:g} Hz, {multisine.rms:.3g} {effort} rms",
              realisations * excited_s(period_s)),
     )  # fmt: skip
-    checks = (
+    checks: tuple[Check, ...] = (
         _check("push", most_push(x), limits.effort, effort, "raise rig.limits.effort"),
         _check("stroke speed", top_speed, limits.speed, speed, "raise rig.limits.speed"),
         _check("peak effort of the excitation", multisine.peak, limits.effort, effort, "raise rig.limits.effort"),
@@ -107,7 +117,49 @@ def identification_plan(x: Experiment, *, realisations: int, period_s: float, se
             "the inertia will be some per cent too large: allow more effort, speed or way",
         ),
     )  # fmt: skip
+    if cogging is not None:
+        sweeps = cogging_sweeps(x, cogging)[1]
+        way, most = sweeps[0].velocity * (sweeps[0].end_s - sweeps[0].begin_s), abs(sweeps[0].velocity)
+        settings += (
+            Step("sweeps", f"{len(sweeps)} slow ways of {way:.3g} {position} at {most:.3g} {speed} or less, both ways",
+                 sweeps[-1].end_s + SWEEP_REST_S),
+        )  # fmt: skip
+        checks += (_repeatable(x), _whole_period(x, way - 2.0 * SETTLE_S * most))
     return Plan(x.rig.name, 1, settings, checks)
+
+
+def _repeatable(x: Experiment) -> Check:
+    """Whether a position means the same place of the mechanism tomorrow: only an index says so."""
+    if x.rig.reference.index:
+        return Check("position zero", Outcome.OK, "comes from the encoder's index")
+    return Check(
+        "position zero",
+        Outcome.REFUSED,
+        "is where the handle happens to stand: a map of cogging would be of no use after the next start",
+        "wire the encoder's index, with a limit switch where the motor turns more than once, and describe it in "
+        "[rig.reference]",
+    )
+
+
+def _whole_period(x: Experiment, measured: float) -> Check:
+    """Whether the sweeps see a whole period, as telling its harmonics apart needs."""
+    period, unit = cogging_period(x), _unit(x, "position")
+    return limited(
+        "period of cogging", period <= measured, f"{period:.3g} {unit}, the sweeps measure {measured:.3g}",
+        "widen the window of positions, or give rig.cogging.period if it is shorter",
+    )  # fmt: skip
+
+
+def cogging_period(x: Experiment) -> float:
+    """Way after which cogging repeats (rad or m): as described, else a turn of a rotary encoder's disc, and motor."""
+    if x.rig.cogging.period is not None:
+        return x.rig.cogging.period
+    if x.rig.motion == "linear":
+        raise ConfigError(
+            "rig.cogging.period is not given: nothing tells after which way the motor's cogging repeats",
+            remedy="give it: the pitch of a linear motor's magnets, or what a turn of its pinion moves",
+        )
+    return 2.0 * math.pi / x.rig.encoder.ratio
 
 
 def pushes_motion(x: Experiment, at: float, pushes: int = PUSHES) -> Motion:
@@ -233,6 +285,32 @@ def weighing_strokes(x: Experiment) -> tuple[list[tuple[float, float]], list[Str
     return path, strokes
 
 
+def cogging_motion(x: Experiment, most_order: int) -> Motion:
+    """Slow sweeps both ways by the homing servo, with as much effort as the motor gives for hours."""
+    path, _ = cogging_sweeps(x, most_order)
+    rate, limit = slow_rate(x), min(x.rig.limits.effort, x.rig.limits.nominal_effort)
+    stiffness, damping = servo_of(x, rate)
+    law = tracing(path, stiffness=stiffness, damping=damping, limit=limit, rate_hz=rate)
+    return Motion(_moved(x, path[0][1], path[-1][0], rate, _homing(x, rate)), law)
+
+
+def cogging_sweeps(x: Experiment, most_order: int) -> tuple[list[tuple[float, float]], list[Stroke]]:
+    """Path of pairs of sweeps over most of the window, each pair at a speed of its own, and each of them."""
+    stiffness, damping = servo_of(x, slow_rate(x))
+    wave = cogging_period(x) / most_order / (2.0 * math.pi)
+    fastest = min(STROKE_SPEED * x.rig.limits.speed, 2.0 * stiffness / damping / FOLLOWS * wave)
+    travel = SWEEP_SHARE * (x.rig.limits.position_maximum - x.rig.limits.position_minimum)
+    start = _middle(x) - travel
+    path, sweeps, time_s = [(0.0, start)], [], 0.0
+    for share in SWEEP_SPEEDS:
+        for way in (travel, -travel):
+            begin_s, time_s = time_s, time_s + 2.0 * travel / (share * fastest)
+            sweeps.append(Stroke(begin_s, time_s, math.copysign(share * fastest, way)))
+            path += [(time_s, _middle(x) + way), (time_s + SWEEP_REST_S, _middle(x) + way)]
+            time_s += SWEEP_REST_S
+    return path, sweeps
+
+
 def excitation_motion(x: Experiment, multisine: Multisine, inertia: float) -> Motion:
     """One realisation of a multisine about the middle of the window, kept there by a soft spring."""
     rate = x.controller.position_rate
@@ -254,9 +332,9 @@ def servo_of(x: Experiment, rate: int) -> tuple[float, float]:
 
 
 def _homing(x: Experiment, rate: int) -> dict[str, Any]:
-    """Homing by that servo, as close to the start as friction lets it come."""
+    """Homing by that servo, as close to the start as friction and cogging let it come."""
     stiffness, damping = servo_of(x, rate)
-    held = 2.0 * coulomb_of(x) / stiffness / x.rig.encoder.resolution
+    held = 2.0 * (coulomb_of(x) + x.rig.cogging.crest) / stiffness / x.rig.encoder.resolution
     return {
         "homing.stiffness": stiffness,
         "homing.damping": damping,
@@ -357,8 +435,9 @@ def _moved(x: Experiment, at: float, duration_s: float, rate: int, changes: Mapp
     }
     if x.controller.loop == "device":  # in integers, which every board has
         still["controller.estimator"] = "fdm-butterworth-fixed"
-    # Its own friction is what is looked for: nothing may compensate it meanwhile.
-    return config.override(x, {**still, **changes, "controller.friction_compensation": 0.0}, "identification")
+    # Its own friction and cogging are what is looked for: nothing may compensate them meanwhile.
+    plain = {"controller.friction_compensation": 0.0, "controller.cogging_compensation": False}
+    return config.override(x, {**still, **changes, **plain}, "identification")
 
 
 _NO_WALL: dict[str, Any] = {

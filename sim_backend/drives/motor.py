@@ -150,7 +150,7 @@ class Motor:
         self._memory = np.zeros(-(-group_bytes(Moving) // 8), np.int64)
         self._handle = int(self._memory.ctypes.data)
         arguments = self._plant.arguments(self._state)
-        prepare(arguments.held, law, put, run)
+        prepare(arguments.other, law, put, run)
         self._play(Script.silent())
 
     def _play(self, script: Script) -> None:

@@ -46,6 +46,10 @@ class Lifted:
         V and E: what happens to the velocity before the law, in the first and in the other ticks, n × n.
     position, velocity
         Rows that read what the law sees, length n.
+    softest
+        The same where cogging is softest, if the motor cogs: a wall is judged at the place that is worse for it. A wall
+        that is softer than the cogging there lets the handle slide to the next detent, which is no oscillation: it is
+        judged without that place.
     """
 
     loop: LinearLoop
@@ -55,6 +59,7 @@ class Lifted:
     other: Matrix
     position: Vector
     velocity: Vector
+    softest: Lifted | None = None
 
     @classmethod
     def of(cls, loop: LinearLoop) -> Lifted:
@@ -81,6 +86,7 @@ class Lifted:
             _between(loop, size, plant),
             position,
             velocity,
+            None if loop.softest is None else cls.of(loop.softest),
         )
 
     @cached_property
@@ -91,7 +97,7 @@ class Lifted:
     def ticks(self, stiffness: ArrayLike, damping: ArrayLike) -> tuple[Matrix, Matrix]:
         """First tick and any other one, for walls of any broadcast shape: shape (…, n, n)."""
         k, b = np.broadcast_arrays(np.asarray(stiffness, float), np.asarray(damping, float))
-        law = k[..., None] * self.position + b[..., None] * self.velocity
+        law = (k[..., None] - self.loop.compensated) * self.position + b[..., None] * self.velocity
         closed = self.tick - self.into[:, None] * law[..., None, :]
         return closed @ self.first, closed @ self.other
 
@@ -109,7 +115,11 @@ class Lifted:
         parts = [
             self._radius(k.ravel()[i : i + block], b.ravel()[i : i + block]) for i in range(0, k.size, block)
         ]
-        return np.concatenate([np.empty(0), *parts]).reshape(k.shape)
+        own = np.concatenate([np.empty(0), *parts]).reshape(k.shape)
+        if self.softest is None:
+            return own
+        rests = k + self.softest.loop.cogging - self.softest.loop.compensated > 0.0
+        return np.where(rests, np.maximum(own, self.softest.radius(k, b)), own)
 
     def _radius(self, stiffness: Vector, damping: Vector) -> Vector:
         phi = self.period(stiffness, damping)
@@ -124,6 +134,10 @@ class Lifted:
         the latter says which multiple is meant. What remains is the alias of the position rate, which is the
         plant's own.
         """
+        if self.softest is not None and self.softest.radius(stiffness, damping) >= self.radius(
+            stiffness, damping
+        ):
+            return self.softest.frequency(stiffness, damping)
         phi = self.period(stiffness, damping)
         values, vectors = np.linalg.eig(phi)
         i = int(np.argmax(np.abs(values)))

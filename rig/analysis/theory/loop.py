@@ -4,6 +4,9 @@
 Coulomb friction (which raises the real K_max by 1.4 to 2 times), the encoder's quantum (which takes 30 to 50 % off the
 range of damping of a dual-rate wall and nearly all of a uniform 20 kHz one's), saturation, and the release from the
 wall: the handle is pressed against a wall that may pull, τ = −(K·θ + B·v).
+
+Cogging enters by its slope, a stiffness of the motor's side: the loop is asked at the place where it is stiffest and at
+the one where it is softest, of all from the wall to the end of the window.
 """
 
 from __future__ import annotations
@@ -29,6 +32,7 @@ SchemeLike = str | Scheme
 Vector = NDArray[np.float64]
 
 NO_OPERATOR = "none"
+SLOPES = 64  # places in a wave of the highest harmonic of cogging at which its slope is looked at
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +75,9 @@ class LinearLoop:
     """What `rig.analysis.theory.lifted` multiplies: matrices of the plant over one tick, and the law's timing.
 
     ``phi``, ``gamma`` step the plant over T1 with a held command; ``sensed`` is the index of the position that the
-    encoder sees. `subject` and `controller` say where all this comes from.
+    encoder sees. `subject` and `controller` say where all this comes from. `cogging` is the stiffness that cogging
+    gives the motor (N·m/rad or N/m) at the place that this is about, `compensated` how much of that the law takes away;
+    `softest` is the loop at the other place, if there is one.
     """
 
     subject: Subject
@@ -84,6 +90,9 @@ class LinearLoop:
     divider: int
     extrapolate: bool
     delay_ticks: int
+    cogging: float = 0.0
+    compensated: float = 0.0
+    softest: LinearLoop | None = None
 
     @property
     def period_s(self) -> float:
@@ -149,8 +158,9 @@ def linear_loop(
     tick_s = 1.0 / controller.position_rate
     resolution = model.encoder.sign * model.encoder.resolution
     continuous = state_space(model.mechanics, model.amplifier, subject.operator)
-    phi, gamma = _over_tick(continuous, tick_s)
-    return LinearLoop(
+    least, most = cogging_stiffness(subject)
+    phi, gamma = _over_tick(_stiffer(continuous, most), tick_s)
+    loop = LinearLoop(
         subject=subject,
         controller=controller,
         estimator=estimator
@@ -162,7 +172,41 @@ def linear_loop(
         divider=controller.position_rate // controller.velocity_rate,
         extrapolate=controller.prediction == "extrapolate",
         delay_ticks=model.delay_ticks(tick_s),
+        cogging=most,
+        compensated=most if controller.cogging_compensation else 0.0,
     )
+    if least == most:
+        return loop
+    phi, gamma = _over_tick(_stiffer(continuous, least), tick_s)
+    taken = least if controller.cogging_compensation else 0.0
+    return replace(loop, softest=replace(loop, phi=phi, gamma=gamma, cogging=least, compensated=taken))
+
+
+def cogging_stiffness(subject: Subject) -> tuple[float, float]:
+    """Stiffness that cogging gives the motor (N·m/rad or N/m) where it is softest and stiffest; 0 counts, too.
+
+    Asked is from the experiment's wall to the end of the window; of a model alone, a whole period.
+    """
+    cogging, x = subject.model.cogging, subject.experiment
+    if cogging.period is None or not cogging.orders:
+        return 0.0, 0.0
+    low, high = 0.0, cogging.period
+    if x is not None:
+        limits = x.rig.limits
+        ends = (x.wall.position, limits.position_maximum if x.wall.side > 0 else limits.position_minimum)
+        low, high = min(ends), max(ends)
+    steps = math.ceil(SLOPES * max(cogging.orders) * (high - low) / cogging.period)
+    stiffness = -cogging.slope(np.linspace(low, high, steps + 1))
+    return min(0.0, float(stiffness.min())), max(0.0, float(stiffness.max()))
+
+
+def _stiffer(continuous: StateSpace, stiffness: float) -> StateSpace:
+    """The rig with a spring at its motor."""
+    if stiffness == 0.0:
+        return continuous
+    a, motor = continuous.a.copy(), continuous.sensed_position
+    a[:, motor] -= stiffness * continuous.b[:, continuous.friction_inputs.start]
+    return replace(continuous, a=a)
 
 
 def _hand(operator: str | Operator | None, model: RigModel) -> Operator | None:

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from rig.core.sample import unit_of
+from rig.analysis.identification.cogging import CoggingMap
+from rig.core.sample import Motion, unit_of
 from rig.experiments.identify import Identification
 from rig.experiments.motion_run import trial_rows
 from rig.recording.reader import open_recording
@@ -16,8 +17,12 @@ from rig.views.plots import style
 
 def draw_identification(found: Identification, picture: str | Path) -> Path:
     """Draw data, fits and residuals into a file; returns its path."""
-    figure = style.new_figure(12.0, 8.5)
-    (pushes, response), (sliding, phase), (left, residual) = figure.subplots(3, 2, height_ratios=(3, 3, 2))
+    mapped = found.cogging is not None
+    figure = style.new_figure(12.0, 11.5 if mapped else 8.5)
+    rows = figure.subplots(3 + mapped, 2, height_ratios=(3, 3, 2, 3)[: 3 + mapped])
+    (pushes, response), (sliding, phase), (left, residual) = rows[:3]
+    if found.cogging is not None:
+        _draw_cogging(rows[3], found.cogging, found.experiment.rig.motion)
     _draw_pushes(pushes, found)
     _draw_sliding(sliding, left, found)
     _draw_response(response, phase, residual, found)
@@ -42,6 +47,21 @@ def _draw_pushes(axes: Any, found: Identification) -> None:
     effort.spines["top"].set_visible(False)
     axes.set_xlabel("time (s)")
     axes.set_title("pushes", fontsize=11)
+
+
+def _draw_cogging(both: Any, fit: CoggingMap, motion: Motion) -> None:
+    cogging, friction = both
+    at = np.linspace(fit.minimum, fit.maximum, 1000)
+    effort, position = unit_of("effort", motion), unit_of("position", motion)
+    cogging.plot(fit.position, fit.effort, ".", color=style.MEASURED, markersize=3)
+    cogging.plot(at, fit.cogging.effort(at), color=style.SENT, linewidth=1.0)
+    cogging.set_title("cogging: half the sum of both ways", fontsize=11)
+    friction.plot(fit.position, fit.rubbing, ".", color=style.MEASURED, markersize=3)
+    friction.axhline(fit.friction.value, color=style.SENT, linewidth=1.0)
+    friction.set_title("friction: half the difference", fontsize=11)
+    for axes in (cogging, friction):
+        style.tidy(axes, f"effort ({effort})")
+        axes.set_xlabel(f"position ({position})")
 
 
 def _draw_sliding(axes: Any, left: Any, found: Identification) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import cmath
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -332,3 +334,60 @@ def test_a_model_without_an_experiment_has_the_usual_filter() -> None:
     assert loop.controller.parameters == {"cutoff_hz": 200.0}
     kalman = theory.linear_loop(RIGID, "dual:20k/2k,estimator=kalman,bandwidth_hz=100")
     assert kalman.controller.parameters == {"bandwidth_hz": 100.0}
+
+
+CHAWDA = presets.load("chawda-linear")
+COGS = {
+    "rig.cogging.period": 0.02,
+    "rig.cogging.orders": [1],
+    "rig.cogging.cosine": [0.0],
+    "rig.cogging.sine": [0.5],
+}
+SLOPE = 0.5 * 2.0 * math.pi / 0.02  # N/m
+
+
+def test_cogging_is_a_spring_at_the_motor_where_it_is_stiffest_and_where_it_is_softest() -> None:
+    """Without a wall, m·s² + b·s + k = 0: the radius over a velocity period is e^(Re s·T2), in closed form."""
+    experiment = config.override(CHAWDA, COGS)
+    mass, damping = 0.52, 13.2
+    loop = theory.linear_loop(experiment, "uniform:1k")
+    assert loop.softest is not None
+    assert (loop.softest.cogging, loop.cogging) == (
+        pytest.approx(-SLOPE, rel=2e-3),
+        pytest.approx(SLOPE, rel=2e-3),
+    )
+    lifted = theory.Lifted.of(loop)
+    assert lifted.softest is not None
+    for place in (lifted, lifted.softest):
+        k = place.loop.cogging
+        s = (-damping + cmath.sqrt(damping**2 - 4.0 * mass * k)) / (2.0 * mass)
+        alone = replace(place, softest=None)
+        assert float(alone.radius(0.0, 0.0)) == pytest.approx(math.exp(s.real * 1e-3), rel=1e-9)
+    assert float(lifted.softest.radius(0.0, 0.0)) > 1.0 > float(lifted.softest.radius(1.1 * SLOPE, 0.0))
+    assert float(lifted.radius(0.9 * SLOPE, 0.0)) < 1.0, (
+        "softer than the detents: it slides, and oscillates nowhere"
+    )
+
+
+def test_a_wall_is_judged_at_the_worse_place_from_it_to_the_end_of_the_window() -> None:
+    loop = theory.linear_loop(config.override(CHAWDA, COGS), "uniform:1k")
+    lifted = theory.Lifted.of(loop)
+    stiffness = np.array([2.0 * SLOPE, 2e3, 1e4, 2.6e4, 3e4])
+    places = [replace(place, softest=None) for place in (lifted, lifted.softest) if place is not None]
+    both = [place.radius(stiffness, 20.0) for place in places]
+    np.testing.assert_array_equal(lifted.radius(stiffness, 20.0), np.maximum(*both))
+    worse = min(theory.k_max(place, None, 20.0).highest for place in places)
+    assert theory.k_max(lifted, None, 20.0).stiffness == pytest.approx(worse, rel=1e-6)
+    # A window that ends before the slope turns: cogging there only softens the wall.
+    short = {
+        **COGS,
+        "rig.limits.position_maximum": 0.004,
+        "trial.effort": 1.0,
+        "trial.minimum_rest_counts": 0.0,
+    }
+    near = theory.linear_loop(config.override(CHAWDA, short), "uniform:1k")
+    assert (near.cogging, near.softest is not None and near.softest.cogging) == (
+        0.0,
+        pytest.approx(-SLOPE, rel=2e-3),
+    )
+    assert theory.linear_loop(CHAWDA, "uniform:1k").softest is None

@@ -128,6 +128,60 @@ def test_a_named_simulated_rig_keeps_its_end_mass_which_is_subtracted(tmp_path: 
     assert mechanics.end_mass == 0.07
 
 
+INDEXED = {
+    "rig.reference.index": True,
+    "rig.reference.limit_switch": "minimum",
+    "rig.reference.position": -0.25,
+    "rig.reference.travel": 1.2,
+}
+COGS = {
+    "rig.cogging.period": 2.0 * np.pi / 10.0,  # a turn of the motor
+    "rig.cogging.orders": [1, 7],
+    "rig.cogging.cosine": [0.002, 0.005],
+    "rig.cogging.sine": [-0.001, 0.009],
+}
+
+
+def test_cogging_beyond_the_friction_is_mapped_and_spoils_no_other_parameter(tmp_path: Path) -> None:
+    changes = {**INDEXED, **COGS, "controller.position_rate": 6000}
+    found = identified(COMPLIANT, tmp_path, period_s=0.25, realisations=2, changes=changes, cogging=8)
+    map_, true = found.cogging, config.override(COMPLIANT, changes).rig.cogging
+    assert map_.orders == (1, 7)
+    at = np.linspace(map_.minimum, map_.maximum, 500)
+    assert map_.maximum - map_.minimum > true.period
+    assert np.abs(map_.cogging.effort(at) - true.effort(at)).max() <= map_.ci95 < 2e-4
+    assert map_.friction.holds(0.0067)
+    assert found.sliding.coulomb.value == pytest.approx(0.0067, rel=0.03)
+    assert found.dynamics.inertia.value == pytest.approx(1.77e-3, rel=0.04)
+    assert found.experiment.rig.cogging == map_.cogging
+    path = tmp_path / "rig.toml"
+    path.write_text(file_text(found))
+    assert config.load_experiment(path) == found.experiment
+    assert "orders = [1, 7]" in path.read_text()
+
+
+@pytest.mark.parametrize(
+    ("experiment", "changes", "words"),
+    [
+        (COMPLIANT, {}, "position zero: is where the handle happens to stand"),
+        (COMPLIANT, INDEXED | {"rig.cogging.period": 0.9}, "period of cogging"),
+    ],
+)
+def test_a_map_that_would_be_of_no_use_is_refused_before_anything_moves(
+    experiment: Any, changes: Any, words: str, tmp_path: Path
+) -> None:
+    with pytest.raises(PlanError, match=words):
+        identified(experiment, tmp_path, changes=changes, cogging=7)
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_period_of_a_linear_motor_must_be_given(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"rig\.cogging\.period is not given"):
+        identified(CHAWDA, tmp_path, cogging=7)
+    with pytest.raises(ConfigError, match="harmonic 0 is out of range"):
+        IdentifyRequest(experiment=CHAWDA, cogging=0)
+
+
 # ---------------------------------------------------------------------- the file that it leaves
 
 

@@ -1,0 +1,106 @@
+"""A map of cogging from slow sweeps: what is put into the data comes out within its interval, friction beside it."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rig.analysis.identification.cogging import fit_cogging
+from rig.analysis.identification.quality import IdentificationError
+from rig.analysis.identification.sliding import Stroke
+from rig.core.model import Cogging
+
+RATE, TRAVEL, SPEEDS, REST_S = 500.0, 0.5, (0.10, 0.08, 0.06), 0.2
+PERIOD, QUANTUM, EFFORT_QUANTUM = 2.0 * math.pi / 10.0, 1.57e-4, 2.3e-4
+INERTIA, DAMPING, UP, DOWN = 1.8e-3, 4e-3, 0.008, 0.006
+
+
+def swept(cogging: Cogging, wobble: float = 0.2, travel: float = TRAVEL) -> Any:
+    """Time, effort, position and sweeps: a motion that is prescribed, and the effort that it takes by Newton's law."""
+    sweeps, at, speeds, time_s = [], [], [], 0.0
+    for speed in SPEEDS:
+        for side in (1.0, -1.0):
+            n = round(2.0 * travel / speed * RATE)
+            t = np.arange(n) / RATE
+            swing = wobble * speed / 30.0 * np.sin(30.0 * t)  # no servo keeps a speed
+            at.append(side * (speed * t - travel + swing))
+            speeds.append(np.full(n, side))
+            sweeps.append(Stroke(time_s, time_s + n / RATE, side * speed))
+            rest = round(REST_S * RATE)
+            at.append(np.full(rest, at[-1][-1]))
+            speeds.append(np.zeros(rest))
+            time_s += (n + rest) / RATE
+    x, side = np.concatenate(at), np.concatenate(speeds)
+    velocity = np.gradient(x, 1.0 / RATE)
+    rubs = np.where(side > 0.0, UP, -DOWN) + DAMPING * velocity
+    effort = INERTIA * np.gradient(velocity, 1.0 / RATE) + rubs - cogging.effort(x)
+    counted = QUANTUM * np.floor(x / QUANTUM + 0.5)
+    sent = EFFORT_QUANTUM * np.rint(effort / EFFORT_QUANTUM)
+    return np.arange(len(x)) / RATE, sent, counted, sweeps
+
+
+def fitted(cogging: Cogging, most: int = 14, **options: Any) -> Any:
+    return fit_cogging(
+        *swept(cogging, **options), period=PERIOD, most_order=most, inertia=INERTIA, damping=DAMPING
+    )
+
+
+@given(
+    harmonics=st.dictionaries(
+        st.integers(1, 14),
+        st.tuples(st.floats(0.002, 0.02), st.floats(-math.pi, math.pi)),
+        min_size=1,
+        max_size=3,
+    )
+)
+@settings(max_examples=8, deadline=None, derandomize=True)
+def test_whatever_harmonics_there_are_come_out_within_the_interval_and_no_others(harmonics: Any) -> None:
+    """Three times the interval of three pairs bounds their scatter for certain; what was not seen is stated."""
+    true = Cogging(
+        period=PERIOD,
+        orders=tuple(harmonics),
+        cosine=tuple(a * math.cos(phase) for a, phase in harmonics.values()),
+        sine=tuple(a * math.sin(phase) for a, phase in harmonics.values()),
+    )
+    found = fitted(true)
+    assert set(found.orders) >= {n for n, (a, _) in harmonics.items() if a > found.unseen}
+    at = np.linspace(found.minimum, found.maximum, 500)
+    spread = 3.0 * found.ci95 + 0.5 * EFFORT_QUANTUM
+    assert np.abs(found.cogging.effort(at) - true.effort(at)).max() <= spread
+    assert found.ci95 < 5e-4
+    assert found.friction.value == pytest.approx(0.5 * (UP + DOWN), abs=1e-4), (
+        "the half difference is friction's"
+    )
+    measured = ~np.isnan(found.effort)
+    assert np.abs(found.effort - true.effort(found.position))[measured].mean() < 6e-4
+    assert found.peak == pytest.approx(np.abs(true.effort(at)).max(), abs=spread)
+
+
+def test_without_cogging_no_harmonic_is_certain_and_a_bound_is_stated() -> None:
+    found = fitted(Cogging())
+    assert all(math.hypot(c.value, s.value) < 1e-4 for c, s in zip(found.cosine, found.sine, strict=True))
+    assert 0.0 < found.unseen < 3e-4
+
+
+def test_sweeps_of_less_than_a_period_are_refused() -> None:
+    with pytest.raises(IdentificationError, match="cannot be told apart"):
+        fitted(Cogging(), travel=0.25)
+
+
+def test_a_handle_that_is_held_is_refused() -> None:
+    time_s, effort, _, sweeps = swept(Cogging())
+    with pytest.raises(IdentificationError, match="of a period"):
+        fit_cogging(
+            time_s, effort, np.zeros(len(time_s)), sweeps,
+            period=PERIOD, most_order=7, inertia=INERTIA, damping=DAMPING,
+        )  # fmt: skip
+    with pytest.raises(IdentificationError, match="fewer than two pairs"):
+        fit_cogging(
+            time_s, effort, np.zeros(len(time_s)), sweeps[:2],
+            period=PERIOD, most_order=7, inertia=INERTIA, damping=DAMPING,
+        )  # fmt: skip
