@@ -22,8 +22,8 @@ def exists(areas: Mapping[tuple[str, ...], Sequence[float]]) -> Ruling:
 def predicts(areas: Sequence[float], models: Mapping[str, Sequence[float]]) -> Ruling:
     """The best cut-off of each model that misses the rig by `ERROR` is that of the rig, or its neighbour.
 
-    `areas` of the Z-width over the cut-offs, of the rig and of each model. Where the rig has no best cut-off between the
-    ends of the list, there is nothing to predict.
+    `areas` of the Z-width over the cut-offs, of the rig and of each model. Where the rig has no best cut-off between
+    the ends of the list, there is nothing to predict.
     """
     best = place_of_best(areas)
     near = {name: abs(place_of_best(of) - best) <= 1 for name, of in models.items()}
