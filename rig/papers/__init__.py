@@ -1,1 +1,1 @@
-"""The two papers: every claim computed, every sentence about a result taken from its numbers."""
+"""Papers and measured data: every claim computed, every sentence about a result taken from its numbers."""

@@ -77,6 +77,33 @@ def test_quick_reproduces_the_second_paper_too(tmp_path: Path, capfd: pytest.Cap
         assert by_key[key] == "not reproduced", key
 
 
+@pytest.mark.timeout(300)
+def test_quick_judges_measured_data_over_the_rigs_that_could_have_given_it(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert rig.cli.run(["reproduce", "paddle", "--quick", "--json", "-o", str(tmp_path)]) == 0
+    found = json.loads(capfd.readouterr().out)
+    page = (tmp_path / "paddle.html").read_text(encoding="utf-8")
+    for section in ("curves", "decides", "fourth"):
+        assert f'id="{section}"' in page
+    assert "unattributed" in page
+    assert "(no picture)" not in page
+    assert found["numbers"]["plausible"], "or nothing is judged"
+    by_key = {claim["key"]: claim["verdict"] for claim in found["claims"]}
+    assert by_key["apart"] == "not reproduced"  # at B = 0 no estimate enters the wall, on any rig
+
+
+@pytest.mark.timeout(300)
+def test_quick_judges_the_abstract_of_a_third_paper(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rig.papers.reproduction.draw", lambda found: {})
+    assert rig.cli.run(["reproduce", "cutoff", "--quick", "--json", "-o", str(tmp_path)]) == 0
+    found = json.loads(capfd.readouterr().out)
+    assert {claim["key"] for claim in found["claims"]} == {"exists", "predicts"}
+    assert "abstract" in (tmp_path / "cutoff.html").read_text(encoding="utf-8")
+
+
 def test_an_unknown_paper_is_refused_with_those_that_there_are(capfd: pytest.CaptureFixture[str]) -> None:
     assert rig.cli.run(["reproduce", "nobody"]) == 2
     assert "koul" in capfd.readouterr().err

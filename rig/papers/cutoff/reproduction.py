@@ -78,13 +78,14 @@ def rulings(cutoff: Cutoff) -> dict[str, Ruling]:
         for name, found in cutoff.maps.items()
         for criterion in CRITERIA
     }
-    found = {name: rules.place_of_best(cutoff.areas(of)) for name, of in cutoff.models.items()}
-    best = rules.place_of_best(cutoff.areas(cutoff.maps[rigs.MODELLED]))
+    rig = cutoff.areas(cutoff.maps[rigs.MODELLED])
+    models = {name: cutoff.areas(of) for name, of in cutoff.models.items()}
     cutoffs = cutoff.scale.cutoffs
     return {
         "exists": rules.exists(cases),
-        "predicts": rules.predicts(best, found).having(
-            best=cutoffs[best], found=[(name, cutoffs[place]) for name, place in found.items()]
+        "predicts": rules.predicts(rig, models).having(
+            best=cutoffs[rules.place_of_best(rig)],
+            found=[(name, cutoffs[rules.place_of_best(of)]) for name, of in models.items()],
         ),
     }
 

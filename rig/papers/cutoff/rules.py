@@ -15,16 +15,19 @@ def exists(areas: Mapping[tuple[str, ...], Sequence[float]]) -> Ruling:
 
     `areas` of the Z-width over the cut-offs, by encoder and criterion; an encoder can be chosen.
     """
-    held = {case: _inside(of) for case, of in areas.items()}
+    held = {case: inside(of) for case, of in areas.items()}
     return judge_settable(held, [0], gains=[(", ".join(case), gain(of)) for case, of in areas.items()])
 
 
-def predicts(best: int, found: Mapping[str, int]) -> Ruling:
+def predicts(areas: Sequence[float], models: Mapping[str, Sequence[float]]) -> Ruling:
     """The best cut-off of each model that misses the rig by `ERROR` is that of the rig, or its neighbour.
 
-    `best` and `found` are places in the list of cut-offs.
+    `areas` of the Z-width over the cut-offs, of the rig and of each model. Where the rig has no best cut-off between
+    the ends of the list, there is nothing to predict.
     """
-    return judge({name: abs(place - best) <= 1 for name, place in found.items()})
+    best = place_of_best(areas)
+    near = {name: abs(place_of_best(of) - best) <= 1 for name, of in models.items()}
+    return judge({"the rig has one": inside(areas), **near})
 
 
 def gain(areas: Sequence[float]) -> float:
@@ -38,5 +41,6 @@ def place_of_best(areas: Sequence[float]) -> int:
     return max(range(len(areas)), key=areas.__getitem__)
 
 
-def _inside(areas: Sequence[float]) -> bool:
+def inside(areas: Sequence[float]) -> bool:
+    """Whether the widest lies clearly between the ends."""
     return 0 < place_of_best(areas) < len(areas) - 1 and gain(areas) >= CLEARLY

@@ -163,7 +163,6 @@ def numbers(paddle: Paddle) -> dict[str, Any]:
             {
                 **rig.values,
                 "delay": rig.delay,
-                "order": rig.order,
                 "gains": rig.gains,
                 "curves": curves,
                 "told": told,

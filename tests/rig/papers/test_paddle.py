@@ -149,8 +149,10 @@ def test_a_best_cut_off_lies_inside_and_is_clearly_best() -> None:
 
 
 def test_a_model_predicts_the_cut_off_or_its_neighbour() -> None:
-    assert cutoff_rules.predicts(3, {"mass": 2, "friction": 4}).status is Status.REPRODUCED
-    assert cutoff_rules.predicts(3, {"mass": 1, "friction": 4}).failed == ["mass"]
+    low, middle, high = [2.0, 1.0, 1.0, 1.0], [1.0, 1.0, 2.0, 1.0], [1.0, 1.0, 1.0, 2.0]
+    assert cutoff_rules.predicts(middle, {"mass": middle, "friction": high}).status is Status.REPRODUCED
+    assert cutoff_rules.predicts(middle, {"mass": low, "friction": high}).failed == ["mass"]
+    assert cutoff_rules.predicts(high, {"mass": high}).failed == ["the rig has one"]
 
 
 def test_the_models_miss_the_rig_by_a_fifth() -> None:
