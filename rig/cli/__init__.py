@@ -92,6 +92,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "rig.cli.completion:completion",
         "Print the script by which a shell completes commands, rigs, estimators, schemes and recordings.",
     ),
+    "docs": ("rig.cli.docs:docs", "Build these documents as a site, and open it in the browser."),
     "sim": ("rig.cli.sim:sim", "Serve a simulated rig on a serial port of its own."),
 }
 
