@@ -30,6 +30,7 @@ exclude_patterns = [
     "**/recordings",
 ]  # sphinx-gallery makes pages of the scripts there
 root_doc = "index"
+smartquotes = False  # an option begins with two hyphens
 default_role = "code"  # docstrings write names between single backticks
 
 myst_enable_extensions = ["colon_fence", "deflist", "attrs_inline"]
@@ -46,6 +47,7 @@ html_title = f"haptic-rig {release}"
 html_static_path = ["style"]
 html_css_files = ["site.css"]
 html_copy_source = False
+html_show_copyright = False
 html_show_sourcelink = False
 html_theme_options = {"navigation_with_keys": True}
 

@@ -24,7 +24,7 @@ import rig.testing
 from firmware_protocol.faults import Described, DescribedFlag, Fault, Input, LimitFlag, Status
 from firmware_protocol.fmea import SingleFault, single_faults
 from rig import cli
-from rig.cli.command import Option
+from rig.cli.command import RESULT, Option
 from rig.config import presets
 from rig.config.table import Parameter, parameters, parameters_of, shown
 from rig.control import estimators
@@ -64,9 +64,7 @@ def make_pages(place: Path) -> None:
 
     Raises ValueError for a link that leads to no file, and KeyError for a part that does not exist.
     """
-    origins = {
-        page.relative_to(place): SOURCES / page.relative_to(place) for page in sorted(place.rglob("*.md"))
-    }
+    origins = {page.relative_to(SOURCES): page for page in sorted(SOURCES.rglob("*.md"))}
     origins |= {Path(page): source for page, source in TAKEN.items()}
     texts = {page: origin.read_text(encoding="utf-8") for page, origin in origins.items()}
     pages = {origin.resolve(): page for page, origin in origins.items()}
@@ -144,9 +142,9 @@ def _command(command: click.Command, name: str, above: click.Context, level: int
     yield f"```text\n{context.command_path} {' '.join(command.collect_usage_pieces(context))}\n```"
     groups: dict[str, list[tuple[str, str]]] = {}
     for parameter in command.get_params(context):
-        record = parameter.get_help_record(context)
+        record = parameter.get_help_record(context) if isinstance(parameter, click.Option) else None
         if record is not None:
-            group = parameter.group if isinstance(parameter, Option) else "Other"
+            group = parameter.group if isinstance(parameter, Option) else RESULT
             groups.setdefault(group, []).append((f"`{record[0]}`", _prose(record[1])))
     for group, records in groups.items():
         yield table((group, ""), records)

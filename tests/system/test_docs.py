@@ -18,6 +18,7 @@ import click
 import numba
 import pytest
 
+import rig
 import rig.cli
 from firmware_protocol.faults import Fault
 from rig.config.table import parameters
@@ -154,6 +155,12 @@ def test_a_fault_has_its_remedy_and_what_breaks_when_it_comes(made: Path) -> Non
     assert Fault.ENCODER.remedy[1:] in page
     assert "Found by" in page
     assert "(../../explanation/single-faults.md)" in page
+
+
+def test_the_page_of_public_names_has_them_all() -> None:
+    text = (site.SOURCES / "reference" / "python.md").read_text(encoding="utf-8")
+    rows = [line.split("|")[1] for line in text.splitlines() if line.startswith("| `")]
+    assert sorted([*re.findall(r"`(\w+)`", "".join(rows)), "__version__"]) == rig.__all__
 
 
 def test_links_between_pages_are_those_of_the_site(made: Path) -> None:

@@ -1,6 +1,6 @@
 """A lab's own package, and every example, against the wheel alone: types, an entry point's law, hits, maps, its CI.
 
-Its CI is the recipe that the package brings, copied as the README says, and run by the commands of its workflow.
+Its CI is the recipe that the package brings, copied as its tutorial says, and run by the commands of its workflow.
 """
 
 from __future__ import annotations
