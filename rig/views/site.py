@@ -6,6 +6,7 @@ installed package, and nothing is asked of a network.
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 import sys
@@ -75,10 +76,13 @@ def build_site(output: Path, *, strict: bool = False) -> Site:
             f"cannot write {error.filename or output}: {error.strerror or error}",
             remedy="choose another `output`",
         ) from error
+    commands = os.pathsep.join(
+        [str(Path(sys.executable).parent), os.environ.get("PATH", "")]
+    )  # longer examples run ours
     strictly = ["-n", "-W", "--keep-going"] if strict else []
     built = subprocess.run(
         [sys.executable, "-P", "-m", "sphinx", "-q", "-E", *strictly, str(sources), str(pages)],
-        env=with_this_package() | {"MPLBACKEND": "Agg"},
+        env=with_this_package() | {"MPLBACKEND": "Agg", "PATH": commands},
         capture_output=True,
         text=True,
         check=False,

@@ -80,6 +80,6 @@ for name, settings in CANDIDATES.items():
     print(f"{name:16}" + "".join(f"{kind:>14}" for kind in kinds))
 
 # %%
-# The estimator to take is the one that still holds where you need damping. For the settings: ``rig estimators tune NAME
-# RECORDING`` finds them for a recording of your own, and ``rig zwidth --scheme dual:20k/2k,estimator=NAME`` draws the
-# whole curve.
+# One hit each: a map repeats them at several places of the encoder. The estimator to take is the one that still holds
+# where you need damping. For the settings: ``rig estimators tune NAME RECORDING`` finds them for a recording of yours,
+# and ``rig zwidth --scheme dual:20k/2k,estimator=NAME`` draws the whole curve.
