@@ -55,6 +55,7 @@ _LINK = re.compile(r"(!?)\[([^\]\n]*(?:\n[^\]\n]*)?)\]\(([^)\s]+)\)")
 _COMMENT = re.compile(r"<!--.*?-->\n?", re.DOTALL)
 _FENCE = re.compile(r"(^(?:```|~~~)[^\n]*\n.*?^(?:```|~~~)$)", re.DOTALL | re.MULTILINE)
 _PICTURES = {".svg", ".png"}
+_BELOW = "\n```{toctree}\n:hidden:\n:glob:\n\n*\n```\n"  # of an index that reads well in the tree as it is
 
 Rows = Iterable[Sequence[object]]
 
@@ -69,7 +70,8 @@ def make_pages(place: Path) -> None:
     texts = {page: origin.read_text(encoding="utf-8") for page, origin in origins.items()}
     pages = {origin.resolve(): page for page, origin in origins.items()}
     for page, text in texts.items():
-        linked = _linked(text, page, origins[page], pages, place)
+        whole = text + _BELOW if page.name == "index.md" and "{toctree}" not in text else text
+        linked = _linked(whole, page, origins[page], pages, place)
         _write(place / page, _COMMENT.sub("", _PART.sub(lambda match: PARTS[match[1]](), linked)))
     for page, text in {**commands(), **faults()}.items():
         _write(place / page, text)
