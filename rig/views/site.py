@@ -47,7 +47,7 @@ def build_site(output: Path, *, strict: bool = False) -> Site:
     Parameters
     ----------
     output
-        Directory of the site; one that is there is made anew.
+        Directory of the site: the pages lie in ``html``, and replace those of the same name.
     strict
         Whether a warning, a link into nothing among them, is an error.
 
