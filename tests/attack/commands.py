@@ -26,8 +26,8 @@ _CODES = re.compile(r"Exit codes: (.*?)\n\n", re.DOTALL)
 
 
 def documented() -> frozenset[int]:
-    """Exit codes that the README explains."""
-    found = _CODES.search((ROOT / "README.md").read_text())
+    """Exit codes that the documents explain."""
+    found = _CODES.search((ROOT / "rig" / "docs" / "reference" / "exit-codes.md").read_text())
     assert found is not None
     return frozenset(int(code) for code in re.findall(r"(?:^|;\s+)(\d+)\s", found[1]))
 

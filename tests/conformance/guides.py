@@ -5,11 +5,41 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 _EXAMPLE = re.compile(r"```python\n(.*?)```", re.DOTALL)
+_BLOCK = re.compile(r"(?:<!-- (not run|file|command): (.*?) -->\n)?```(sh|python|toml)\n(.*?)```", re.DOTALL)
+_PAGE = re.compile(r"<!-- none is run: (.*?) -->")
 _SECTION = re.compile(r"<!-- generated: (\w+) -->\n.*?<!-- end -->", re.DOTALL)
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """A block of code of a page: run where it stands, unless a comment before it says why not, or names its file."""
+
+    language: str
+    text: str
+    reason: str = ""  # why it is not run
+    file: str = ""
+
+    def commands(self) -> list[str]:
+        """Its lines of a shell."""
+        return [line for line in self.text.splitlines() if line.strip()] if self.language == "sh" else []
+
+
+def blocks(page: Path) -> list[Block]:
+    """The blocks of a page, in order; ``<!-- none is run: … -->`` on it is a reason for all of its commands."""
+    text = page.read_text(encoding="utf-8")
+    for_all = _PAGE.search(text)
+    found = []
+    for mark, said, language, code in _BLOCK.findall(text):
+        reason = {"not run": said, "command": f".ci/run runs it: {said}"}.get(mark, "")
+        if language == "sh" and for_all is not None:
+            reason = for_all[1]
+        found.append(Block(language, code, reason, said if mark == "file" else ""))
+    return found
 
 
 def examples(guide: Path) -> list[str]:

@@ -1,6 +1,6 @@
 """Windows and macOS as `emulated` plays them: what works off Linux works there to the end, and what does not says so.
 
-What this cannot show stands in README.md, "On other systems".
+What this cannot show stands in rig/docs/how-to/other-systems.md.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """A lab's own package, and every example, against the wheel alone: types, an entry point's law, hits, maps, its CI.
 
-Its CI is the recipe that the package brings, copied as the README says, and run by the commands of its workflow.
+Its CI is the recipe that the package brings, copied as its tutorial says, and run by the commands of its workflow.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.conformance.guides import ROOT, examples
+from tests.conformance.guides import ROOT, blocks
 
 pytest.importorskip("hatchling")
 
@@ -68,10 +68,12 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     guides = place / "guides"
     guides.mkdir()
     for guide in (ROOT / "README.md", *(ROOT / "rig").rglob("*.md")):
-        for number, text in enumerate(examples(guide)):
-            (guides / f"{guide.parent.name}_{guide.stem.lower()}_{number}.py".replace("-", "_")).write_text(
-                text
-            )
+        shown = [block for block in blocks(guide) if block.language == "python"]
+        whole = "\n".join(block.text for block in shown if not block.file)
+        for number, text in enumerate([whole, *(block.text for block in shown if block.file)]):
+            if text:
+                name = f"{guide.parent.name}_{guide.stem.lower()}_{number}.py".replace("-", "_")
+                (guides / name).write_text(text)
     (place / "wrong.py").write_text(WRONG)
     return place
 
@@ -79,7 +81,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_it_and_every_example_pass_mypy_strict_and_what_is_wrong_is_found(lab: Path) -> None:
     """One run for all: most of it is reading the package."""
     shown = [str(path.relative_to(lab)) for path in sorted((lab / "guides").iterdir())]
-    assert len(shown) == 6
+    assert len(shown) == 10
     command = ("mypy", "--cache-dir=types", "mylab", "tests", *shown, "wrong.py")
     checked = done(*command, cwd=lab, PYTHONPATH=str(lab / "site"))
     errors = [line for line in checked.stdout.splitlines() if ": error: " in line]
@@ -92,6 +94,7 @@ def test_it_and_every_example_pass_mypy_strict_and_what_is_wrong_is_found(lab: P
 
 
 def test_its_tests_pass_with_the_wheel_and_without_the_sources(lab: Path) -> None:
+    assert (lab / "site" / "rig" / "docs" / "index.md").is_file(), "rig docs builds from what is installed"
     where = "import rig, mylab, sim_backend; print(rig.__file__, mylab.__file__, sim_backend.__file__)"
     environment = {"PYTHONPATH": str(lab / "site"), "PYTEST_ADDOPTS": ""}
     found = subprocess.run(

@@ -32,7 +32,7 @@ _FLOATS, _INTS = types.float64[::1], types.int64[::1]
 
 
 def quantise(position: ArrayLike, resolution: float, *, offset: float = 0.5) -> NDArray[np.int64]:
-    """Counts that an ideal encoder shows: sign(resolution) · floor(position / |resolution| + offset).
+    """Counts that an ideal encoder shows: sign(resolution) · floor(position / abs(resolution) + offset).
 
     Parameters
     ----------

@@ -21,7 +21,7 @@ from rig.core.errors import RigError
 from rig.experiments import live
 from rig.realtime.source_files import source_files
 
-README = Path(__file__).parents[3] / "README.md"
+EXIT_CODES = Path(rig.__file__).parent / "docs" / "reference" / "exit-codes.md"
 
 
 def commands(
@@ -73,7 +73,7 @@ def test_every_exit_code_is_in_the_readme_and_no_other() -> None:
         for node in ast.walk(ast.parse(inspect.getsource(function)))
         if isinstance(node, ast.Return) and isinstance(node.value, ast.Constant)
     }
-    paragraph = re.search(r"^Exit codes: (.*?)\n\n", README.read_text(), re.DOTALL | re.MULTILINE)
+    paragraph = re.search(r"^Exit codes: (.*?)\n\n", EXIT_CODES.read_text(), re.DOTALL | re.MULTILINE)
     assert paragraph
     written = [int(entry.split()[0]) for entry in paragraph[1].split(";")]
     assert written == sorted(codes_of(RigError) | returned | {click.UsageError.exit_code})

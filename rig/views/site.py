@@ -1,0 +1,93 @@
+"""The site of documents, built by Sphinx from the sources in ``rig/docs`` and from the tables that run.
+
+Sphinx executes the gallery, so it runs in a process of its own, on a copy of the sources: nothing is written into the
+installed package, and nothing is asked of a network.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+
+from rig.core.child import with_this_package
+from rig.core.errors import ConfigError, RecordingError, RigError
+from rig.core.present import Item, Row
+
+SOURCES = Path(__file__).parents[1] / "docs"
+NEEDED = ("sphinx", "myst_parser", "furo", "sphinx_gallery", "sphinx_design")  # the extra `docs`
+_SHOWN_LINES = 20  # of what Sphinx complains about
+
+
+@dataclass(frozen=True, slots=True)
+class Site:
+    """A built site: its first page, how many pages it has, and how long it took."""
+
+    index: Path
+    pages: int
+    seconds: float
+
+    def items(self) -> list[Item]:
+        """What a command prints."""
+        return [
+            Row("site", str(self.index)),
+            Row("pages", self.pages),
+            Row("built in", round(self.seconds, 1), "s"),
+        ]
+
+
+def build_site(output: Path, *, strict: bool = False) -> Site:
+    """Build the site.
+
+    Parameters
+    ----------
+    output
+        Directory of the site: the pages lie in ``html``, and replace those of the same name.
+    strict
+        Whether a warning, a link into nothing among them, is an error.
+
+    Raises
+    ------
+    ConfigError
+        The extra ``docs`` is not installed.
+    RecordingError
+        The directory cannot be written.
+    RigError
+        Sphinx, or a script of the gallery, failed: with the end of what it said.
+    """
+    missing = [name for name in NEEDED if find_spec(name) is None]
+    if missing:
+        raise ConfigError(
+            f"the documents need {', '.join(missing)}, not installed here",
+            remedy="pip install 'haptic-rig[docs]'",
+        )
+    began = time.monotonic()
+    sources, pages = output / ".sources", output / "html"
+    try:
+        shutil.rmtree(sources, ignore_errors=True)
+        shutil.copytree(SOURCES, sources, ignore=shutil.ignore_patterns("__pycache__"))
+    except OSError as error:
+        raise RecordingError(
+            f"cannot write {error.filename or output}: {error.strerror or error}",
+            remedy="choose another `output`",
+        ) from error
+    commands = os.pathsep.join(
+        [str(Path(sys.executable).parent), os.environ.get("PATH", "")]
+    )  # longer examples run ours
+    strictly = ["-n", "-W", "--keep-going"] if strict else []
+    built = subprocess.run(
+        [sys.executable, "-P", "-m", "sphinx", "-q", "-E", *strictly, str(sources), str(pages)],
+        env=with_this_package() | {"MPLBACKEND": "Agg", "PATH": commands},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if built.returncode:
+        said = (built.stderr or built.stdout).strip().splitlines()[-_SHOWN_LINES:]
+        raise RigError("the documents were not built:\n" + "\n".join(said), remedy="mend what is named there")
+    return Site(pages / "index.html", len(list(pages.rglob("*.html"))), time.monotonic() - began)

@@ -1,0 +1,241 @@
+"""The site: every command and example of its pages runs as it stands; what cannot says why, and exists."""
+
+from __future__ import annotations
+
+import inspect
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from contextlib import redirect_stdout
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import click
+import numba
+import pytest
+
+import rig
+import rig.cli
+from firmware_protocol.faults import Fault
+from rig.config.table import parameters
+from rig.core.errors import ConfigError, RigError
+from rig.core.sample import COLUMNS
+from rig.views import site
+from tests.conformance.guides import ROOT, Block, blocks
+
+GUIDES = [
+    ROOT / "README.md",
+    *sorted((ROOT / "rig").rglob("*.md")),
+    *sorted((ROOT / "firmware_protocol").rglob("*.md")),
+]
+# The course has tests of its own, of its answers.
+PAGES = {
+    str(page.relative_to(site.SOURCES)): page
+    for page in GUIDES
+    if site.SOURCES in page.parents and page.parent.name != "course"
+}
+# What some pages must say when they are run; the others must end without an error.
+SAYS = {
+    "index.md": r"stable|limit cycle",
+    "first-walls.md": r"(?s)K_max.*stable",
+    "reference/python.md": r"stable 0\.0 N·m|stable -",
+    "tutorials/first-hit.md": r"True\nFalse",
+    "tutorials/ci.md": r"",
+}
+
+
+def runs(page: Path) -> list[Block]:
+    return [one for one in blocks(page) if not one.reason]
+
+
+@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="the loop is compiled")
+@pytest.mark.parametrize(
+    "name", [name for name, page in PAGES.items() if any(b.language != "toml" for b in runs(page))]
+)
+def test_what_a_page_shows_runs(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {"__name__": name}
+    said = StringIO()
+    with redirect_stdout(said):
+        for number, block in enumerate(runs(PAGES[name])):
+            if block.file:
+                Path(block.file).write_text(block.text, encoding="utf-8")
+            elif block.language == "python":
+                exec(compile(block.text, f"{name}, block {number}", "exec"), names)
+            for line in block.commands():
+                run_line(line)
+        for test in [one for key, one in names.items() if key.startswith("test_")]:
+            test(**{"tmp_path": tmp_path} if "tmp_path" in inspect.signature(test).parameters else {})
+    assert re.search(SAYS.get(name, ""), said.getvalue()), said.getvalue()
+
+
+def run_line(line: str) -> None:
+    """Run a line of a shell: a plain command of ours in this process, which has compiled the loop already."""
+    words = shlex.split(line, comments=True)
+    words = words[: words.index("||")] if "||" in words else words  # what follows is for when it fails
+    if words[0] != "rig" or {"&&", "|"} & set(words):
+        path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+        around = {"PATH": path, "PYTHONPATH": str(ROOT), "PYTEST_ADDOPTS": "-p rig.testing.plugin"}
+        done = subprocess.run(
+            ["bash", "-euc", line], env={**os.environ, **around},
+            capture_output=True, text=True, timeout=100, check=False,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stdout + done.stderr
+        return
+    target = words[words.index(">") + 1] if ">" in words else None
+    arguments = words[1 : words.index(">")] if target else words[1:]
+    out = StringIO()
+    with redirect_stdout(out):
+        code = rig.cli.run(arguments)
+    assert code == 0, f"{line}\n{out.getvalue()}"
+    print(out.getvalue())
+    if target:
+        Path(target).write_text(out.getvalue(), encoding="utf-8")
+
+
+COMMANDS = [
+    pytest.param(line, id=f"{page.relative_to(ROOT)}: {line[:50]}")
+    for page in GUIDES
+    for block in blocks(page)
+    if block.reason
+    for line in block.commands()
+    if line.startswith("rig ")
+]
+
+
+@pytest.mark.parametrize("line", COMMANDS)
+def test_a_command_that_is_not_run_exists_with_its_options(line: str) -> None:
+    words = shlex.split(line, comments=True)[1:]
+    command: click.Command = rig.cli.rig
+    context = click.Context(command, info_name="rig")
+    while isinstance(command, click.Group):
+        found = command.get_command(context, words[0])
+        assert found is not None, f"no command {words[0]!r}"
+        command, words = found, words[1:]
+        context = click.Context(command, info_name=command.name, parent=context)
+    command.make_parser(context).parse_args(list(words))  # raises for an option that is not there
+
+
+def test_every_page_of_commands_is_looked_at() -> None:
+    """A reason is a sentence, not a way out."""
+    reasons = {block.reason for page in GUIDES for block in blocks(page) if block.reason}
+    assert all(len(reason) > 10 for reason in reasons)
+    shown = [line for page in PAGES.values() for block in runs(page) for line in block.commands()]
+    assert len(shown) >= 25
+
+
+# ------------------------------------------------------------------ what is made of the tables
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The sources with every page that is made, as Sphinx gets them; a link into nothing is an error."""
+    place = tmp_path_factory.mktemp("docs") / "docs"
+    shutil.copytree(site.SOURCES, place)
+    script = "import sys; sys.path[:0] = sys.argv[1:]; import made, pathlib; made.make_pages(pathlib.Path(sys.argv[1]))"
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", script, str(place)], env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return place
+
+
+def test_every_command_fault_key_and_column_has_its_place(made: Path) -> None:
+    reference = made / "reference"
+    assert {page.stem for page in (reference / "commands").iterdir()} == set(rig.cli.COMMANDS)
+    assert len(list((reference / "faults").iterdir())) == len(Fault) - 1
+    configuration = (reference / "configuration.md").read_text()
+    assert all(f"| `{key.rpartition('.')[2]}` |" in configuration for key in parameters())
+    columns = (reference / "columns.md").read_text()
+    assert all(f"| `{column.name}` |" in columns for column in COLUMNS)
+    assert "<!--" not in "".join(page.read_text() for page in made.rglob("*.md"))
+
+
+def test_a_fault_has_its_remedy_and_what_breaks_when_it_comes(made: Path) -> None:
+    page = (made / "reference" / "faults" / "encoder.md").read_text()
+    assert Fault.ENCODER.remedy[1:] in page
+    assert "Found by" in page
+    assert "(../../explanation/single-faults.md)" in page
+
+
+def test_the_page_of_public_names_has_them_all() -> None:
+    text = (site.SOURCES / "reference" / "python.md").read_text(encoding="utf-8")
+    rows = [line.split("|")[1] for line in text.splitlines() if line.startswith("| `")]
+    assert sorted([*re.findall(r"`(\w+)`", "".join(rows)), "__version__"]) == rig.__all__
+
+
+def test_links_between_pages_are_those_of_the_site(made: Path) -> None:
+    sessions = (made / "how-to" / "sessions.md").read_text()
+    assert "(../explanation/safety.md)" in sessions
+    assert "(../reference/searches.md)" in sessions
+
+
+# ------------------------------------------------------------------ the gallery
+
+
+def test_the_gallery_has_twenty_scripts_of_forty_lines_on_the_public_face() -> None:
+    scripts = sorted((site.SOURCES / "gallery").glob("*.py"))
+    assert len(scripts) == 20
+    for script in scripts:
+        text = script.read_text(encoding="utf-8")
+        assert len(text.splitlines()) <= 40, script.name
+        ours = re.findall(
+            r"^(?:from|import) (rig\S*|sim_backend\S*|firmware_protocol\S*)", text, re.MULTILINE
+        )
+        assert set(ours) <= {"rig", "rig.testing"}, script.name
+
+
+def test_every_figure_of_a_page_is_made_by_a_script() -> None:
+    for page in PAGES.values():
+        for name in re.findall(r"sphx_glr_(\w+)_001\.png", page.read_text(encoding="utf-8")):
+            assert (site.SOURCES / "gallery" / f"{name}.py").is_file(), f"{page.name}: {name}"
+
+
+# ------------------------------------------------------------------ building
+
+
+@pytest.fixture
+def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A site of one page in place of ours."""
+    pytest.importorskip("sphinx")
+    sources = tmp_path / "small"
+    sources.mkdir()
+    (sources / "conf.py").write_text('extensions = ["myst_parser"]\n')
+    (sources / "index.md").write_text("# One page\n")
+    monkeypatch.setattr(site, "SOURCES", sources)
+    return sources
+
+
+def test_a_site_is_built_and_told(small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    assert rig.cli.run(["docs", "--no-open", "--strict", "-o", str(out)]) == 0
+    assert "One page" in (out / "html" / "index.html").read_text()
+    assert str(out / "html" / "index.html") in capsys.readouterr().out
+
+
+def test_a_warning_is_an_error_where_that_is_asked_for(small: Path, tmp_path: Path) -> None:
+    (small / "index.md").write_text("# One page\n\n[nothing](nowhere.md)\n")
+    assert site.build_site(tmp_path / "out").pages > 0
+    with pytest.raises(RigError, match=r"nowhere\.md"):
+        site.build_site(tmp_path / "out", strict=True)
+
+
+def test_a_missing_extra_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(site, "find_spec", lambda name: None if name == "furo" else name)
+    with pytest.raises(ConfigError, match="furo"):
+        site.build_site(tmp_path)
+    assert rig.cli.run(["docs", "--no-open", "-o", str(tmp_path)]) == 2
+    assert "haptic-rig[docs]" in capsys.readouterr().err
+
+
+def test_a_directory_that_cannot_be_made_is_an_error(tmp_path: Path) -> None:
+    pytest.importorskip("sphinx")
+    (tmp_path / "file").write_text("")
+    assert rig.cli.run(["docs", "--no-open", "-o", str(tmp_path / "file")]) == 9
