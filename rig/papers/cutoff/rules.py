@@ -1,4 +1,8 @@
-"""Rules for Chawda, Celik and O'Malley (2015), from the abstract alone; written before the first result."""
+"""Rules for Chawda, Celik and O'Malley (2015), from the abstract alone.
+
+They were committed before the first full run; that a prediction needs a rig with a best cut-off was added after a
+coarse run.
+"""
 
 from __future__ import annotations
 

@@ -93,6 +93,13 @@ class Paddle:
         found = [(name, _rank(self._values(name), leads)) for name in (*rigs.PRIORS, "delay")]
         return sorted(found, key=lambda one: -abs(one[1]))
 
+    @property
+    def chance(self) -> float:
+        """What the largest coefficient of `decides` exceeds in one of twenty such lists of unrelated quantities."""
+        free = len(self.plausible) - 2
+        t = float(stats.t.isf(0.05 / len(self.decides) / 2, free))
+        return t / float(np.hypot(t, free**0.5))
+
     def thirds(self, name: str) -> list[tuple[float, float, int, int]]:
         """Plausible rigs in three parts by a quantity: its bounds, how many, and in how many Levant leads or ties."""
         values, step = np.array(self._values(name)), self.scale.ratio

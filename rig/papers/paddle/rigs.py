@@ -5,7 +5,8 @@ needed. The priors are wide, log-uniform where a quantity has a scale, and centr
 firmware is public (preset course-paddle: a tick every 350 µs, 0.062 kg and 16 µm at its handle of 75 mm, 0.14 N of dry
 friction, which other projects on that board measured as 0.14 to 0.18 N; a motor of 21 to 32 mN·m, 4.2 to 6.5 N).
 
-Two of them come from the difference's measured range of damping, which linear theory ties to the inertia: with a
+Two of them were chosen after results: a first full run, with up to 0.15 kg and either order, left 5 of 60 rigs
+plausible. They come from the difference's measured range of damping, which linear theory ties to the inertia: with a
 filter of second order it is some 310 N·s/m for each kilogram, with one of first order it was more than twice the
 measured range on all of the first rigs drawn. So the filter is of second order here, and nothing is heavier than 80 g.
 """

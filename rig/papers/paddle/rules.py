@@ -1,4 +1,8 @@
-"""Rules for what the measured curves say; written before the first result. Words are in `claims.j2` beside this file.
+"""Rules for what the measured curves say. Words are in `claims.j2` beside this file.
+
+They were committed before the first full run and not changed since, but not unseen: a coarse run of six rigs had been
+looked at, and the range of damping was asked of a plausible rig only after it. The priors were narrowed after a full
+run (see `rigs`).
 
 Two limits of a simulated rig that differ by no more than a rung of its search are a tie, as two of one measured rung
 are. A statement about the curves counts as reproduced when it holds on `MOST` of the plausible rigs.
