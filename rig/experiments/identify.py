@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -253,7 +253,7 @@ class _Session:
         return signs_of(x, rows, rate)
 
     def sliding(self, x: Experiment) -> Sliding:
-        rows, rate = self._run(strokes_motion(x), "sliding")
+        rows, rate = self._run(self._evened(strokes_motion(x)), "sliding")
         return fit_sliding(
             np.arange(len(rows)) / rate,
             self._effort(rows),
@@ -269,7 +269,7 @@ class _Session:
         runs = []
         for number in range(request.realisations):
             multisine = excitation(x, request.seed, request.period_s, inertia, number)
-            rows, rate = self._run(excitation_motion(x, multisine, inertia), "dynamics", number)
+            rows, rate = self._run(self._evened(excitation_motion(x, multisine, inertia)), "dynamics", number)
             _check_undisturbed(rows)
             runs.append(excited_run_of(rows, rate, multisine, self._effort(rows)))
         return fit_dynamics(
@@ -298,6 +298,15 @@ class _Session:
     def cogging(self, inertia: float, damping: float) -> CoggingMap:
         """The map by the sweeps, as what else resists the motion becomes better known: inertia, and all damping."""
         return self._fit_cogging(inertia=inertia, damping=damping)
+
+    def _evened(self, motion: Motion) -> Motion:
+        """The motion with the cogging compensated that is known: else a handle may fall from detent to detent."""
+        x = motion.experiment
+        if not self._cogging.orders:
+            return motion
+        taken = replace(x.controller, cogging_compensation=True, cogging_limit=1.0)
+        evened = replace(x, rig=replace(x.rig, cogging=self._cogging), controller=taken)
+        return Motion(config.checked(evened, "identification"), motion.law)
 
     def _effort(self, rows: NDArray[np.void]) -> NDArray[np.float64]:
         """Effort of the motor, cogging included as far as it is known."""

@@ -63,8 +63,17 @@ def test_a_push_rests_where_the_wall_holds_it_on_both_sides() -> None:
         )  # of a count, and of a current quantum
 
 
-@pytest.mark.parametrize("name", ["chawda-linear", "koul-rigid", "koul-compliant"])
-@pytest.mark.parametrize(("delay", "cogging"), [(0, {}), (2, {}), (0, COGS)], ids=["0", "2", "cogging"])
+@pytest.mark.parametrize(
+    ("name", "delay", "cogging"),
+    [
+        *(
+            (name, delay, {})
+            for name in ("chawda-linear", "koul-rigid", "koul-compliant")
+            for delay in (0, 2)
+        ),
+        ("koul-compliant", 0, COGS),
+    ],
+)
 def test_it_is_the_plant_and_the_law_stepped_by_hand(name: str, delay: int, cogging: Any) -> None:
     """To the last bit, with a delay that stays as many ticks of the law, and with a motor that cogs."""
     changes = {"rig.simulation.computation_delay_ticks": delay, **cogging}

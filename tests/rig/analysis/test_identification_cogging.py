@@ -58,7 +58,7 @@ def fitted(cogging: Cogging, most: int = 14, **options: Any) -> Any:
         max_size=3,
     )
 )
-@settings(max_examples=8, deadline=None, derandomize=True)
+@settings(max_examples=5, deadline=None, derandomize=True)
 def test_whatever_harmonics_there_are_come_out_within_the_interval_and_no_others(harmonics: Any) -> None:
     """Three times the interval of three pairs bounds their scatter for certain; what was not seen is stated."""
     true = Cogging(

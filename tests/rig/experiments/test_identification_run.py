@@ -29,6 +29,7 @@ from rig.experiments.identified_file import file_text
 from rig.experiments.identify import IdentifyRequest, identify
 from rig.experiments.motion_run import trial_rows
 from rig.recording.reader import open_recording
+from rig.views.plots.identify import draw_identification
 from sim_backend import device as simulated
 from sim_backend.device import SimulatedDevice
 from sim_backend.hardware import Hardware
@@ -137,8 +138,11 @@ INDEXED = {
 COGS = {
     "rig.cogging.period": 2.0 * np.pi / 10.0,  # a turn of the motor
     "rig.cogging.orders": [1, 7],
-    "rig.cogging.cosine": [0.002, 0.005],
-    "rig.cogging.sine": [-0.001, 0.009],
+    "rig.cogging.cosine": [0.0, 0.0],
+    "rig.cogging.sine": [
+        0.002,
+        0.01,
+    ],  # out of the middle, harder than the spring that centres an excited handle
 }
 
 
@@ -154,6 +158,8 @@ def test_cogging_beyond_the_friction_is_mapped_and_spoils_no_other_parameter(tmp
     assert found.sliding.coulomb.value == pytest.approx(0.0067, rel=0.03)
     assert found.dynamics.inertia.value == pytest.approx(1.77e-3, rel=0.04)
     assert found.experiment.rig.cogging == map_.cogging
+    picture = draw_identification(found, tmp_path / "map.png")
+    assert picture.read_bytes().startswith(b"\x89PNG")
     path = tmp_path / "rig.toml"
     path.write_text(file_text(found))
     assert config.load_experiment(path) == found.experiment
