@@ -27,6 +27,7 @@ FEW = [*BRIEF, "--scheme", "uniform:10k,estimator=fdm-butterworth,cutoff_hz=400"
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(margin, "SAMPLES", 1)
     monkeypatch.setattr(margin, "RATIO", 1.7)
+    monkeypatch.setattr(margin, "OFFSETS", (0.1,))
     monkeypatch.setattr(command, "ON_RIG_COLUMNS", 1)
     monkeypatch.setattr(command, "ON_RIG_RATIO", 4.0)
     monkeypatch.setattr(

@@ -49,7 +49,7 @@ class Standing:
         return any(one.capped for one in self.boundary)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class Design(Shown, Drawn):
     """A finished design.
 
@@ -137,7 +137,9 @@ class Design(Shown, Drawn):
             f"design of {self.experiment.rig.name}: {self.recommended.label}",
             Row("goal", self._goal_text()),
             Row("on new seeds", self._held_out_text()),
+            Row("as good", self._as_good_text()),
             Row("margin", self._margin_text()),
+            *([Row("fitted", self.experiment.rig.source)] if self.fitted else []),
             Row(
                 "looked at",
                 f"{self.listed} schemes by theory, {self.kept} by hits ({sum(self.hits.values())})",
@@ -270,6 +272,15 @@ class Design(Shown, Drawn):
             else "not shown to be no worse"
         )
         return f"{rules.measure_of(self.wishes.goal)} {mean:+.1%} ({low:+.1%} to {high:+.1%}): {shown}"
+
+    def _as_good_text(self) -> str:
+        others = f"{len(self.standings) - 1} others of the second round"
+        measures = "the experiment's own scheme in K at B = 0, peak and range of B, each"
+        if not self.as_good:
+            return f"none of the {others} reaches {measures}, to a rung of {self.step - 1.0:.0%}"
+        keys = {one.candidate.key for one in self.as_good}
+        among = "" if self.recommended.candidate.key not in keys else ", the recommended one among them"
+        return f"{len(keys)} of the {others} reach {measures}{among}"
 
     def _margin_text(self) -> str:
         margin = self.margin

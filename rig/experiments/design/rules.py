@@ -41,7 +41,7 @@ Goal = Literal["stiffness", "damping", "area", "quiet"]
 GOALS: tuple[Goal, ...] = get_args(Goal)
 OBJECTIVES: Mapping[str, int] = {"stiffness": 1, "damping": 1, "noise": -1, "fidelity_hz": 1, "cost": -1}
 OF_A_PAPER = ("undamped", "stiffness", "damping")
-NEGLIGIBLE = 0.02  # of a measure: a rung of the last round
+NEGLIGIBLE = 0.02  # of a measure
 CONFIDENCE = 0.95
 
 

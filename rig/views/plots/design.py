@@ -8,7 +8,7 @@ from typing import Any
 from rig.core.sample import unit_of
 from rig.experiments.design import Design, Standing
 from rig.views.plots import style
-from rig.views.plots.zwidth import draw_boundaries
+from rig.views.plots.zwidth import draw_boundaries, explain
 
 RECOMMENDED, OWN = style.SENT, style.MEASURED
 _SMALLEST, _LARGEST = 20.0, 180.0  # area of a marker (point²)
@@ -36,14 +36,16 @@ def design_figure(found: Design) -> Any:
         face = colour if one.candidate.key in front else "none"
         size = _size(found, one.measures.noise)
         at = one.measures.damping, one.measures.stiffness
-        traded.scatter(*at, s=size, facecolors=face, edgecolors=colour, alpha=0.8)
+        traded.scatter(*at, s=size, facecolors=face, edgecolors=colour, alpha=0.8, zorder=3)
     traded.set_xlabel(f"range of damping B ({damping})")
     style.tidy(traded, f"stiffest wall K ({stiffness})")
     traded.set_title("hits of the second round; filled: the front; larger: noisier at rest", fontsize=9)
 
-    shown = [(found.own, OWN, "the experiment's own: ")]
-    if found.recommended is not found.own:
-        shown.append((found.recommended, RECOMMENDED, "recommended: "))
+    shown = [(found.recommended, RECOMMENDED, "recommended: ")]
+    if found.recommended is found.own:
+        shown = [(found.own, RECOMMENDED, "recommended, the experiment's own: ")]
+    else:
+        shown.append((found.own, OWN, "the experiment's own: "))
     for one, colour, name in shown:
         along = [boundary.damping for boundary in one.boundary]
         draw_boundaries(walls, along, one.boundary, colour, name + one.label)
@@ -52,6 +54,8 @@ def design_figure(found: Design) -> Any:
         walls.plot([wall[1]], [wall[0]], "k*", markersize=11, label="wall that must be stable")
     walls.set_xlabel(f"damping B ({damping})")
     style.tidy(walls, f"largest stable K ({stiffness})")
+    explain(walls, [boundary for one, _, _ in shown for boundary in one.boundary])
+    traded.margins(0.08)
     for axes in (traded, walls):
         axes.set_xlim(left=0.0)
         axes.set_ylim(bottom=0.0)

@@ -58,7 +58,7 @@ SCHEMES = tuple(
 )
 ROUNDS = (
     Round(name="first", enter=5, ratio=2.0, columns=4, offsets=(0.1,)),
-    Round(name="second", enter=3, ratio=1.3, columns=4, offsets=(0.1, 0.6)),
+    Round(name="second", enter=3, way="ladder", ratio=1.3, columns=4, offsets=(0.1, 0.6)),
 )
 REQUEST = Request(experiment=X, schemes=SCHEMES, rounds=ROUNDS, places=places_for(X))
 
@@ -69,6 +69,7 @@ def few_samples() -> Any:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(margin, "SAMPLES", 1)
         patch.setattr(margin, "RATIO", 1.7)
+        patch.setattr(margin, "OFFSETS", (0.1,))
         yield
 
 
@@ -282,7 +283,7 @@ def test_json_holds_everything(kept: Any) -> None:
 
 def test_a_wall_that_must_be_stable_decides_before_the_goal() -> None:
     wished = Request(
-        experiment=X, schemes=SCHEMES, rounds=ROUNDS, wishes=Wishes(goal="stiffness", wall=(60.0, 0.3))
+        experiment=X, schemes=SCHEMES[:2], rounds=ROUNDS, wishes=Wishes(goal="stiffness", wall=(60.0, 0.3))
     )
     with_wall = design(wished)
     assert with_wall.recommended.shares["wall"] == 1.0
@@ -316,5 +317,5 @@ def test_the_public_face_finds_the_same(kept: Any, monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(searching, "ROUNDS", ROUNDS)
     found = rig.design(X, schemes=[scheme.text for scheme in SCHEMES], directory=place.parent)
     assert found.as_mapping() == whole.as_mapping(), "read from the same directory"
-    assert found.recommended.label in repr(found)
+    assert repr(found).startswith(f"design of koul-compliant: {found.recommended.label}\n  goal")
     assert found.plot().save(tmp_path / "design.png").stat().st_size > 10_000
