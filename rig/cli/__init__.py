@@ -25,6 +25,10 @@ from rig.realtime import compiling
 COMMANDS: dict[str, tuple[str, str]] = {
     "hit": ("rig.cli.hit:hit", "Hit a virtual wall: run, judge, record and draw one automated trial."),
     "zwidth": ("rig.cli.zwidth:zwidth", "Map the walls (K, B) that a rig renders stably, scheme by scheme."),
+    "design": (
+        "rig.cli.design:design_",
+        "Find rates, estimator and filter for a rig, for stated wishes, with their margin.",
+    ),
     "kmax": ("rig.cli.kmax:kmax", "Find the stiffest undamped wall at each sampling rate."),
     "impedance": (
         "rig.cli.impedance:impedance",

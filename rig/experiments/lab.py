@@ -9,7 +9,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Annotated, Any, Unpack
+from typing import Annotated, Any, Literal, Unpack
 
 from rig import config
 from rig.config import Experiment, controller, presets
@@ -21,6 +21,7 @@ from rig.control.law import Law
 from rig.core import plugins
 from rig.core.errors import ConfigError
 from rig.devices.framed import FramedDevice
+from rig.experiments import design as designing
 from rig.experiments import hit as one_hit
 from rig.experiments import maps, sweep
 from rig.experiments import plan as planning
@@ -257,11 +258,8 @@ def zwidth(
         changes["wall.law"] = own[0].name
     if (scheduler, directory) != (None, None):
         _refuse_what_is_not_installed(*own)
-    built_in = isinstance(experiment, str) and experiment in presets.names()
-    if built_in and not {"trial.kind", "trial.effort"} & set(changes):
-        changes |= changes_of({"operator": "normal"}, Settings)
     with _lent(*own):
-        loaded = _changed(experiment, changes)
+        loaded = _held(experiment, changes)
         planned = hit_plan(
             loaded,
             [Scheme.parse(scheme) if isinstance(scheme, str) else scheme for scheme in schemes],
@@ -275,6 +273,75 @@ def zwidth(
             return maps.zwidth(planned, scheduler=scheduler, workers=workers, watch=watch)
         place = maps.directory_for(planned, Path(directory), "zwidth")
         return maps.map_into(planned, place, scheduler=scheduler, workers=workers, watch=watch)
+
+
+def design(
+    experiment: ExperimentLike = DEFAULT_PRESET,
+    goal: designing.Goal = "area",
+    *,
+    must_be_stable: tuple[float, float] | None = None,
+    fidelity_to: float | None = None,
+    most_noise: float | None = None,
+    most_cost: float | None = None,
+    where: Literal["host", "device", "both"] | None = None,
+    most_rate: int | None = None,
+    link: float | None = None,
+    round_trip_s: float | None = None,
+    schemes: Sequence[str | Scheme] = (),
+    directory: str | Path | None = None,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    watch: Callable[[str, sweep.Progress], None] | None = None,
+    **settings: Unpack[Settings],
+) -> designing.Design:
+    """Find rates, estimator and filter for a rig by simulated hits (`rig design`); `toml()` of the result is to paste.
+
+    Parameters
+    ----------
+    experiment
+        As in `zwidth`. Limits of felt, heard and moved are its own: ``changes={"verdict.heard_force": 0.5}``.
+    goal, must_be_stable, fidelity_to, most_noise, most_cost
+        What decides, K and B of a wall that must be stable, and the other wishes: `rig.experiments.design.Wishes`.
+    where
+        The law may run: on this computer, on the device, or on both; where the experiment's own does if None.
+    most_rate, link, round_trip_s
+        Highest position rate of the board (Hz), the experiment's own if None; what the link carries (bytes/s), anything
+        if None; how long a law on this computer takes to answer a sample (s), as the experiment says if None.
+    schemes
+        To choose from; the listed set of `rig.experiments.design.listing` if empty.
+    directory
+        Where the search is kept, and resumed when it was stopped; not kept if None.
+    workers, scheduler, watch
+        As in `rig.experiments.sweep.run`; `watch` is told the name of the stage, too.
+
+    Raises
+    ------
+    ConfigError, PlanError
+        A scheme that cannot be; or no scheme fulfils the wishes: which one binds, and by how much.
+    StoppedError
+        Ctrl-C; what is done stays in the directory.
+    """
+    held = _held(experiment, changes_of(settings, Settings))
+    request = designing.Request(
+        experiment=held,
+        wishes=designing.Wishes(
+            goal=goal, wall=must_be_stable, fidelity_hz=fidelity_to, noise=most_noise, cost=most_cost
+        ),
+        places=designing.places_for(
+            held, where, rate_maximum=most_rate, bytes_per_second=link, round_trip_s=round_trip_s
+        ),
+        schemes=tuple(Scheme.parse(one) if isinstance(one, str) else one for one in schemes),
+    )
+    place = None if directory is None else designing.directory_for(request, Path(directory))
+    return designing.design(request, place, scheduler=scheduler, workers=workers, watch=watch)
+
+
+def _held(experiment: ExperimentLike, changes: dict[str, Any]) -> Experiment:
+    """An experiment with changes; a preset is in a simulated hand, unless they say who pushes."""
+    built_in = isinstance(experiment, str) and experiment in presets.names()
+    if built_in and not {"trial.kind", "trial.effort"} & set(changes):
+        changes = changes | changes_of({"operator": "normal"}, Settings)
+    return _changed(experiment, changes)
 
 
 def _say(text: str) -> None:

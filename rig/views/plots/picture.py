@@ -8,6 +8,7 @@ from typing import Any
 from rig.analysis.theory import Theory
 from rig.core.drawn import Picture
 from rig.core.errors import ConfigError
+from rig.experiments.design import Design
 from rig.experiments.disagreement import Disagreement
 from rig.experiments.hit import HitResult
 from rig.experiments.ranges import linear_curves, theory_curves
@@ -16,6 +17,7 @@ from rig.experiments.zwidth import ZWidth
 from rig.experiments.zwidth_frequency import FrequencyMap
 from rig.recording.data import Column, Recording
 from rig.views.plots import style
+from rig.views.plots.design import design_figure
 from rig.views.plots.disagreement import disagreement_figure
 from rig.views.plots.hit import hit_figure
 from rig.views.plots.replay import replay_figure
@@ -25,13 +27,13 @@ from rig.views.plots.zwidth_frequency import frequency_figure
 
 
 def plot(result: object) -> Picture:
-    """Draw a hit, a recording or a column of it, a replay, a map or a theory; `ConfigError` for anything else."""
+    """Draw a hit, a recording or a column of it, a replay, a map, a design or a theory; `ConfigError` for others."""
     for kind, figure in _FIGURES.items():
         if isinstance(result, kind):
             return Picture(figure(result), style.save)
     raise ConfigError(
         f"a {type(result).__name__} has no picture",
-        remedy="give a hit, a recording or a column of it, a replay, a map or a theory",
+        remedy="give a hit, a recording or a column of it, a replay, a map, a design or a theory",
     )
 
 
@@ -55,4 +57,5 @@ _FIGURES: Mapping[type, Callable[[Any], Any]] = {
     FrequencyMap: lambda found: frequency_figure(found, theory=linear_curves(found.plan)),
     Theory: theory_figure,
     Disagreement: disagreement_figure,
+    Design: design_figure,
 }

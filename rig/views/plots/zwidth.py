@@ -69,7 +69,7 @@ def zwidth_figure(
     panels[0].set_ylabel(f"stiffness K ({unit_of('stiffness', experiment.rig.motion)})")
     if theory:
         panels[0].plot([], [], color="#333333", **_THEORY, label="linear theory, no friction")
-    _explain(panels[0], [b for b in found.boundaries if b.criterion in criteria])
+    explain(panels[0], [b for b in found.boundaries if b.criterion in criteria])
     style.key_below(figure, panels[0])
     title = f"Largest stable K of {experiment.rig.name}" if alone else f"Z-width of {experiment.rig.name}"
     figure.suptitle(f"{title}, {_how(found)}", fontsize=11)
@@ -104,7 +104,7 @@ def kmax_figure(found: KMax, *, theory: Curve | None = None, paper: Mapping[str,
     _from_zero(axes, found.map, float(axes.dataLim.y1))
     axes.set_xlabel("sampling rate 1/T1 (Hz)")
     style.tidy(axes, f"largest stiffness at B = 0 ({unit_of('stiffness', experiment.rig.motion)})")
-    _explain(axes, [b for b in found.map.boundaries if b.criterion != "any"])
+    explain(axes, [b for b in found.map.boundaries if b.criterion != "any"])
     style.key_below(figure, axes)
     axes.set_title(f"{experiment.rig.name}, {_how(found.map)}", fontsize=11)
     return figure
@@ -143,7 +143,7 @@ def _from_zero(axes: Any, found: ZWidth, highest: float) -> None:
     axes.set_ylim(-0.02 * top, top)
 
 
-def _explain(axes: Any, boundaries: Sequence[Boundary]) -> None:
+def explain(axes: Any, boundaries: Sequence[Boundary]) -> None:
     """Say in the legend what else there is to see: what mean and colour leave open."""
     if any(b.lowest < b.highest for b in boundaries):
         axes.fill_between([], [], [], color="#333333", **_BAND, label="from the lowest limit to the highest")

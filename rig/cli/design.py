@@ -1,0 +1,277 @@
+"""``rig design``."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import click
+
+from rig import config
+from rig.cli import map_options, options, output
+from rig.cli.command import RESULT, command, option
+from rig.cli.progress import SweepBar
+from rig.cli.zwidth_rig import CONFIRM, Dialogue, load_device, refuse_without_device
+from rig.config import Experiment
+from rig.config.schemes import Scheme
+from rig.core.errors import ConfigError
+from rig.experiments.design import (
+    GOALS,
+    Design,
+    Place,
+    Request,
+    Wishes,
+    design,
+    directory_for,
+    places_for,
+)
+from rig.experiments.design.device import places_of
+from rig.experiments.design.linear import STAGE
+from rig.experiments.ranges import SPAN, hit_plan
+from rig.experiments.results import write_document
+from rig.experiments.sweep import Progress
+from rig.recording.files import whole_file
+from rig.views.plots.design import draw_design
+from rig.views.report.design import write_design_report
+
+WISHES, ALLOWED = "Wishes", "What is allowed"
+SUMMARY, SECTION = "design.json", "controller.toml"
+ON_RIG_COLUMNS, ON_RIG_RATIO = 3, 1.06  # of the map on a rig: dampings, and stiffnesses of its bisection
+
+
+@command("design")
+@options.file_argument
+@options.rig_option()
+@options.operator_option(
+    "Who pushes: a hand (relaxed, normal, firm), or none: the motor. [as FILE says; a built-in rig: normal]"
+)
+@options.effort_option
+@options.set_option
+@options.seed_option("Of everything random.")
+@option(
+    "--goal", group=WISHES, type=click.Choice(GOALS), default="area", show_default=True, help="What decides."
+)
+@option(
+    "--must-be-stable",
+    group=WISHES,
+    is_flag=True,
+    help="The wall of -K and -B, or the experiment's, must be.",
+)
+@option(
+    "-K", "--stiffness", group=WISHES, type=float, help="Of the wall that must be stable (N·m/rad or N/m)."
+)
+@option(
+    "-B", "--damping", group=WISHES, type=float, help="Of the wall that must be stable (N·m·s/rad or N·s/m)."
+)
+@option("--felt", group=WISHES, type=float, help="Largest rms velocity in the tail (m/s at the handle).")
+@option("--heard", group=WISHES, type=float, help="Largest rms ripple of the effort (N at the handle).")
+@option(
+    "--moved", group=WISHES, type=float, help="Largest travel in the tail, peak to peak (m at the handle)."
+)
+@option(
+    "--fidelity-to", group=WISHES, type=float, help="Render velocity faithfully up to this frequency (Hz)."
+)
+@option("--most-noise", group=WISHES, type=float, help="Largest rms velocity at rest (rad/s or m/s).")
+@option("--most-cost", group=WISHES, type=float, help="Most cycles of the estimator per tick (Cortex-M4F).")
+@option(
+    "--most-rate",
+    group=ALLOWED,
+    type=options.Hertz(10, 200_000),
+    metavar="RATE",
+    help="Highest position rate of the board. [the experiment's]",
+)
+@option(
+    "--loop",
+    group=ALLOWED,
+    type=click.Choice(["host", "device", "both"]),
+    help="Where the law may run. [as the experiment says]",
+)
+@option(
+    "--round-trip",
+    group=ALLOWED,
+    type=float,
+    metavar="S",
+    help="Of the link, for a law on this computer (s).",
+)
+@option("--link", group=ALLOWED, type=float, metavar="BYTES/S", help="What the link carries. [any rate]")
+@options.scheme_option("a listed set of some hundred", ALLOWED)
+@options.workers_option
+@option("--scheduler", metavar="tcp://HOST:PORT", help="Run on a Dask cluster (haptic-rig[cluster]).")
+@options.url_option("simulates without a link")
+@options.verified_option
+@options.confirm_option(CONFIRM, "each hit; no with a simulated device")
+@options.output_option(None, "Write the recommended [controller] section into this file, too.", "section")
+@option(
+    "--directory",
+    group=RESULT,
+    type=click.Path(path_type=Path),
+    default=Path("designs"),
+    show_default=True,
+    help="Where a directory of each design is kept, to resume from.",
+)
+@options.plot_options()
+@options.json_option
+def design_(
+    file: Path | None,
+    preset: str | None,
+    operator: str | None,
+    effort: float | None,
+    sets: tuple[str, ...],
+    seed: int | None,
+    must_be_stable: bool,
+    stiffness: float | None,
+    damping: float | None,
+    schemes: tuple[str, ...],
+    workers: int | None,
+    scheduler: str | None,
+    url: str | None,
+    verified: bool,
+    confirm: str | None,
+    section: Path | None,
+    directory: Path,
+    plot: str,
+    as_json: bool,
+    **asked: Any,
+) -> None:
+    """Find rates, estimator and filter for a rig: a search for stated wishes, and a [controller] section to paste.
+
+    First a listed set of schemes by linear theory, then simulated hits of the best, on coarse rungs first. The same
+    command resumes a search that was stopped. The result has a front of what can be traded, the margin on rigs that
+    differ by 20 % and in other hands, a picture and a page.
+
+    With --url the set is what device and link carry, and the recommended scheme and the experiment's own are then hit
+    on the rig, as rig zwidth --url does: a person agrees.
+    """
+    if url is None:
+        refuse_without_device(verified, confirm)
+    sets = (*sets, *_limits(asked))
+    experiment = map_options.chosen(
+        file, preset or options.preset_of(url, file), operator, effort, seed, sets, device=url is not None
+    )
+    request = Request(
+        experiment=experiment,
+        wishes=Wishes(
+            goal=asked["goal"],
+            wall=_wall(experiment, must_be_stable, stiffness, damping),
+            fidelity_hz=asked["fidelity_to"],
+            noise=asked["most_noise"],
+            cost=asked["most_cost"],
+        ),
+        places=_places(experiment, url, asked),
+        schemes=tuple(Scheme.parse(text) for text in schemes),
+    )
+    place = directory_for(request, directory)
+    with ExitStack() as stack:
+        bars: dict[str, SweepBar] = {}
+
+        def watch(stage: str, progress: Progress) -> None:
+            if stage not in bars:
+                stack.close()
+                bars[stage] = stack.enter_context(
+                    SweepBar(stage, unit="tasks" if stage == STAGE else "ticks", plain=as_json)
+                )
+            bars[stage].watch(progress)
+
+        found = design(request, place, scheduler=scheduler, workers=workers, watch=watch)
+    files = _write(found, place, section, plot)
+    on_rig = [] if url is None else _on_rig(found, url, verified, confirm, place)
+    if as_json:
+        output.print_json({**found.as_mapping(), "directory": str(place), "files": files, "on_rig": on_rig})
+        return
+    output.show(found.detailed())
+    output.show([found.margin_table(5)])
+    click.echo(found.toml(), nl=False)
+    output.print_pairs([(name, path) for name, path in files.items() if path is not None])
+
+
+def _limits(asked: dict[str, Any]) -> list[str]:
+    """Limits of felt, heard and moved as the keys of an experiment that they are."""
+    keys = {"felt": "verdict.felt_velocity", "heard": "verdict.heard_force", "moved": "verdict.moved"}
+    return [f"{key}={asked[name]!r}" for name, key in keys.items() if asked[name] is not None]
+
+
+def _wall(
+    experiment: Experiment, must: bool, stiffness: float | None, damping: float | None
+) -> tuple[float, float] | None:
+    if not must:
+        if (stiffness, damping) != (None, None):
+            raise ConfigError(
+                "-K and -B are of a wall that must be stable",
+                remedy="say --must-be-stable, too, or drop them",
+            )
+        return None
+    wall = {"wall.stiffness": stiffness, "wall.damping": damping}
+    walled = config.override(
+        experiment, {key: value for key, value in wall.items() if value is not None}
+    ).wall
+    if walled.stiffness == 0.0:
+        raise ConfigError("a wall of K = 0 is none", remedy="choose -K above 0")
+    return walled.stiffness, walled.damping
+
+
+def _places(experiment: Experiment, url: str | None, asked: dict[str, Any]) -> tuple[Place, ...]:
+    """Where the law may run: as the options say, or the device."""
+    loop, names = asked["loop"], ("most_rate", "round_trip", "link")
+    if url is None:
+        rate, round_trip_s, link = (asked[name] for name in names)
+        return places_for(
+            experiment, loop, rate_maximum=rate, bytes_per_second=link, round_trip_s=round_trip_s
+        )
+    given = [f"--{name.replace('_', '-')}" for name in names if asked[name] is not None]
+    if given:
+        raise ConfigError(f"{given[0]}: the device says itself what it allows", remedy="drop it, or --url")
+    load_device(url)
+    allowed = {place.loop: place for place in places_of(url, experiment)}
+    wanted = tuple(allowed) if loop == "both" else (loop or experiment.controller.loop,)
+    if not set(wanted) <= set(allowed):
+        raise ConfigError(
+            f"{url} runs no law of its own", remedy="say --loop host, or flash a firmware that does"
+        )
+    return tuple(allowed[one] for one in wanted)
+
+
+def _write(found: Design, place: Path, section: Path | None, ending: str) -> dict[str, str | None]:
+    """Section, numbers, picture and page."""
+    write_document(place / SUMMARY, found.as_mapping())
+    for path in [place / SECTION, *([] if section is None else [section])]:
+        with whole_file(path, overwrite=True) as file:
+            file.write(found.toml().encode())
+    picture = output.drawn(lambda: draw_design(found, place / f"design.{ending}")) if ending else None
+    png = None
+    if picture is not None:
+        inline = (
+            picture if ending == "png" else output.drawn(lambda: draw_design(found, place / "design.png"))
+        )
+        png = None if inline is None else Path(inline).read_bytes()
+    page = write_design_report(found, shlex.join(["rig", *sys.argv[1:]]), png, place)
+    return {
+        "section": str(section or place / SECTION),
+        "numbers": str(place / SUMMARY),
+        "picture": picture,
+        "page": str(page),
+    }
+
+
+def _on_rig(
+    found: Design, url: str, verified: bool, confirm: str | None, place: Path
+) -> list[dict[str, Any]]:
+    """Map the recommended scheme and the experiment's own on the device, as `rig zwidth --url` does."""
+    maps = []
+    standings = [found.recommended] if found.recommended is found.own else [found.recommended, found.own]
+    for one in (standing.candidate for standing in standings):
+        experiment = one.condition(found.experiment)
+        top = found.recommended.measures.damping
+        plan = hit_plan(
+            experiment,
+            [one.scheme],
+            dampings=sorted({top * n / ON_RIG_COLUMNS for n in range(ON_RIG_COLUMNS)}),
+            search=map_options.search(experiment, None, "bisection", ON_RIG_RATIO, SPAN, device=True),
+            on_device=True,
+        )
+        _, mapped = Dialogue(plan, url, realtime=False, confirm=confirm).map(place, verified=verified)
+        output.note(repr(mapped))
+        maps.append(mapped.as_mapping())
+    return maps

@@ -1,0 +1,37 @@
+"""Which rates, estimator and filter suit a rig: a search through a listed set of schemes, for stated wishes.
+
+First all of the set by linear theory, with delay; then simulated hits of the best, on coarse rungs first, halved from
+round to round; then the one that is recommended again, on encoder offsets and seeds that the search did not see, and on
+rigs that differ from the described one.
+
+* `rules`: what is measured, and what best, no worse and margin mean; written before any result
+* `listing`: the listed set, and what link and board allow of it
+* `paths`: noise, fidelity and cost of a velocity path, without a hit
+* `linear`: the listed set by linear theory
+* `rounds`: maps of a few walls of many schemes as one sweep
+* `margin`: the recommended scheme on other rigs and in other hands
+* `result`: what comes out
+* `search`: all of it in order
+"""
+
+from rig.experiments.design.listing import Candidate, Place, listed, places_for
+from rig.experiments.design.result import Design, Standing
+from rig.experiments.design.rules import GOALS, Goal, Measures, UnmetError, Wishes
+from rig.experiments.design.search import Request, design, directory_for
+
+__all__ = [
+    "GOALS",
+    "Candidate",
+    "Design",
+    "Goal",
+    "Measures",
+    "Place",
+    "Request",
+    "Standing",
+    "UnmetError",
+    "Wishes",
+    "design",
+    "directory_for",
+    "listed",
+    "places_for",
+]

@@ -1,0 +1,34 @@
+"""What a device and its link allow of a design: its rates, and the delay of a law on this computer."""
+
+from __future__ import annotations
+
+from rig import devices
+from rig.bench.doctor.gate import measured_once
+from rig.config import Experiment, rig_model
+from rig.devices.local import opened
+from rig.experiments.design.listing import Place
+
+
+def places_of(url: str, experiment: Experiment) -> tuple[Place, ...]:
+    """Where the law may run with a device: on this computer, at the link's measured delay, and on the device.
+
+    Nothing moves. Raises what opening a device does, and `LinkLostError` for one that does not answer.
+    """
+    where = devices.url_for(url, experiment.controller.loop)
+    with opened(
+        where,
+        rig_model(experiment),
+        in_real_time=False,
+        seed=experiment.trial.seed,
+        realtime=experiment.host.realtime,
+    ) as device:
+        fastest, carried = device.dictionary.position_rate_maximum, device.link.bytes_per_second
+        round_trip_s = None
+        if not device.link.clock.virtual:
+            measured = measured_once(device, experiment.host, experiment.controller.position_rate)
+            round_trip_s = measured.travel_s.almost_all
+        host = Place(loop="host", rate_maximum=fastest, bytes_per_second=carried, round_trip_s=round_trip_s)
+        own = device.dictionary.parameter("law")
+        if own is None or own.maximum < 1:
+            return (host,)
+        return host, Place(loop="device", rate_maximum=fastest, bytes_per_second=carried)

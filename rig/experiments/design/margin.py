@@ -1,0 +1,184 @@
+"""How much of the recommended scheme's stiffness is left on other rigs than the described one, and in other hands.
+
+At one damping, the limit of K by simulated hits: on the described rig; with each identified parameter 20 % higher or
+lower alone; in each hand alone; and on `SAMPLES` rigs whose identified parameters are all drawn from ±20 %, in each
+hand. An identified parameter is one that `rig identify` measures and that is not zero. Delay is identified, too, but in
+whole ticks: one tick more stands for it. The search goes upwards (*ladder*): near the end of the range of damping a
+soft wall may fail first, and that spoils a scheme, too. What a limit is for want of push (a light hand on a stiff wall)
+is no limit of the scheme: a search that ends before a wall fails counts as nothing lost.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from rig import config
+from rig.config import Experiment
+from rig.core.errors import ConfigError
+from rig.core.operators import GRIPS
+from rig.core.present import reported
+from rig.experiments.design.listing import Candidate
+from rig.experiments.design.rounds import Grid, Sweeper
+from rig.experiments.ranges import search_for
+from rig.experiments.zwidth import ZWidth
+
+SHARE = 0.2
+SAMPLES = 16
+SEED = 20_260  # of the samples
+RATIO = 1.06  # between rungs
+SPAN = 12.0  # highest over lowest
+BEYOND = 1.2  # highest over the limit on the described rig
+OFFSETS = (0.1, 0.6)
+DELAY = "rig.simulation.computation_delay_ticks"
+IDENTIFIED = (
+    *(
+        f"rig.mechanics.{name}"
+        for name in (
+            "motor_inertia",
+            "link_inertia",
+            "motor_damping",
+            "link_damping",
+            "motor_coulomb",
+            "link_coulomb",
+            "transmission_stiffness",
+            "transmission_damping_ratio",
+        )
+    ),
+    "rig.amplifier.lag_s",
+)  # what `rig.experiments.identified_values` puts
+
+
+@dataclass(frozen=True, slots=True)
+class Left:
+    """What one change leaves of the limit (share), and whether it is only a lower bound."""
+
+    change: str
+    share: float
+    capped: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Margin:
+    """See the module's text.
+
+    Attributes
+    ----------
+    damping, stiffness
+        B at which it is taken, and the limit of K on the described rig.
+    worst
+        Lowest share over all samples and hands, with the hand.
+    alone
+        What each single change leaves, the lowest first.
+    samples
+        How many rigs, each in every hand.
+    """
+
+    damping: float
+    stiffness: float
+    worst: Left
+    alone: tuple[Left, ...]
+    samples: int
+
+    @reported
+    def spoils_first(self) -> Left:
+        """The single change that leaves least."""
+        return self.alone[0]
+
+    @reported
+    def secured(self) -> float:
+        """Stiffness that the worst of them leaves (N·m/rad or N/m)."""
+        return self.worst.share * self.stiffness
+
+
+def identified(experiment: Experiment) -> dict[str, float]:
+    """Identified parameters of a rig that are not zero, by dotted key."""
+    values = {}
+    for key in IDENTIFIED:
+        _, section, name = key.split(".")
+        value = float(getattr(getattr(experiment.rig, section), name))
+        if value > 0.0:
+            values[key] = value
+    return values
+
+
+def margin_of(
+    candidate: Candidate, experiment: Experiment, damping: float, limit: float, run: Sweeper
+) -> Margin:
+    """Take the margin of a candidate at a damping; `limit` is about its limit of K there."""
+    described = candidate.condition(experiment)
+    single, joint = dict(_single(described)), dict(_joint(described))
+    variants = {"": described, **single, **joint}
+    work = [(x, candidate.scheme, _grid(x, damping, limit)) for x in variants.values()]
+    maps = dict(zip(variants, run.map_each("margin", work), strict=True))
+    nominal = _limit(maps[""])[0]
+    left = {name: _left(name, found, nominal) for name, found in maps.items() if name}
+    return Margin(
+        damping=damping,
+        stiffness=nominal,
+        worst=min((left[name] for name in joint), key=lambda one: one.share),
+        alone=tuple(sorted((left[name] for name in single), key=lambda one: one.share)),
+        samples=SAMPLES,
+    )
+
+
+def _single(described: Experiment) -> Iterator[tuple[str, Experiment]]:
+    for key, value in identified(described).items():
+        for sign in (1.0, -1.0):
+            name = f"{key.removeprefix('rig.')} {sign * SHARE:+.0%}"
+            yield name, config.override(described, {key: value * (1.0 + sign * SHARE)}, "the margin")
+    delay = described.rig.simulation.computation_delay_ticks + 1
+    yield "a tick more of delay", config.override(described, {DELAY: delay}, "the margin")
+    for hand, changes in _hands(described).items():
+        yield hand, config.override(described, changes, "the margin")
+
+
+def _joint(described: Experiment) -> Iterator[tuple[str, Experiment]]:
+    """Samples of all parameters together, in each hand and in the experiment's own."""
+    random, values = np.random.default_rng(SEED), identified(described)
+    for number in range(1, SAMPLES + 1):
+        factors = random.uniform(1.0 - SHARE, 1.0 + SHARE, len(values)).tolist()
+        drawn = {key: value * factor for (key, value), factor in zip(values.items(), factors, strict=True)}
+        for hand, changes in {"": {}, **_hands(described)}.items():
+            name = f"sample {number}{f' in a {hand}' if hand else ''}"
+            yield name, config.override(described, {**drawn, **changes}, "the margin")
+
+
+def _hands(described: Experiment) -> dict[str, dict[str, str]]:
+    """Every other hand, as changes, whose trial the experiment's own rules allow."""
+    own = described.operator.grip if described.trial.kind == "human" else ""
+
+    def may_hold(changes: dict[str, str]) -> bool:
+        try:
+            config.override(described, changes, "the margin")
+        except ConfigError:
+            return False
+        return True
+
+    others = {f"{grip} hand": {"trial.kind": "human", "operator.grip": grip} for grip in GRIPS if grip != own}
+    return {hand: changes for hand, changes in others.items() if may_hold(changes)}
+
+
+def _grid(experiment: Experiment, damping: float, limit: float) -> Grid:
+    search = search_for(experiment, "ladder", ratio=RATIO)
+    highest = min(search.highest, BEYOND * limit) if limit > 0.0 else search.highest
+    return Grid(
+        dampings=(damping,),
+        search=search_for(experiment, "ladder", ratio=RATIO, lowest=highest / SPAN, highest=highest),
+        offsets=OFFSETS,
+    )
+
+
+def _limit(found: ZWidth) -> tuple[float, bool]:
+    (boundary,) = found.curve(0, "any")
+    return boundary.lowest, boundary.capped == len(boundary.limits)
+
+
+def _left(name: str, found: ZWidth, nominal: float) -> Left:
+    limit, capped = _limit(found)
+    if nominal <= 0.0:
+        return Left(name, 0.0, capped=False)
+    share = limit / nominal
+    return Left(name, max(1.0, share) if capped else share, capped)

@@ -1,0 +1,132 @@
+"""Noise, fidelity and cost of a velocity path: estimator, rates, extrapolation, delay and lag, without any hit.
+
+**Noise** is the rms of the estimate while the handle rests on the edge of a count and the count toggles at random from
+sample to sample: more than any rest shows, and the same for every estimator.
+
+**Fidelity** is asked of a sine of `AMPLITUDE` counts, whose quantum hardly counts. D is the rendered velocity over the
+true one: what the estimator makes of the sine (its fundamental, at whole periods in `SAMPLES`), held or extrapolated
+until the next one, late by lag and delay. Faithful is up to the first frequency where |D − 1| exceeds `ERROR`: a phase
+of 29°, or a half too little.
+
+**Cost** is that of the estimator's longest call on a Cortex-M4F, in cycles (`CYCLES`), over the ticks of a velocity
+period. All else in a tick is the same for all schemes. On a device the longest tick has to fit: `TICK` cycles and that
+call, in `SHARE` of a position period.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.bench.firmware.cortex import CORES
+from rig.config import Controller
+from rig.control import estimators
+
+AMPLITUDE = 32.0  # counts
+SAMPLES = 2048
+PERIODS = tuple(
+    int(n) for n in np.unique(np.geomspace(2, SAMPLES // 5, 24).round())
+)  # of the sines in SAMPLES
+ERROR = 0.5
+SEED = 0
+
+# Most cycles of a call, measured on 2026-11-26: rig estimators export NAME --rig koul-compliant --json (kalman with
+# gain=steady), gcc 12.2. Both windowings with 16 periods, the longest of the listed set.
+CYCLES: Mapping[str, int] = {
+    "fdm": 26,
+    "fdm-butterworth": 57,
+    "fdm-butterworth-fixed": 118,
+    "foaw-end": 2410,
+    "foaw-best": 7471,
+    "levant": 108,
+    "kalman": 57,
+}
+CORE = CORES["M4F"]  # stands for the board's processor
+TICK, SHARE = (
+    1700,
+    0.4,
+)  # cycles of all else, and the share of a period: what tests/firmware/test_core_cortex.py holds
+
+Complex = NDArray[np.complex128]
+
+
+def noise(controller: Controller, resolution: float) -> float:
+    """Rms velocity at rest (rad/s or m/s) of a controller's estimator."""
+    toggling = np.random.default_rng(SEED).integers(0, 2, 2 * SAMPLES)
+    velocity = _velocity(controller, toggling, resolution)[SAMPLES:]
+    return float(np.sqrt(np.mean(np.square(velocity))))
+
+
+def fidelity_hz(controller: Controller, resolution: float, lag_s: float, delay_ticks: int) -> float:
+    """Up to which frequency (Hz) the rendered velocity is faithful."""
+    period_s = 1.0 / controller.velocity_rate
+    frequency = np.array(PERIODS) / (SAMPLES * period_s)
+    omega = 2.0 * np.pi * frequency
+    late_s = delay_ticks / controller.position_rate
+    rendered = (
+        _estimated(controller, resolution)
+        * _held(omega * period_s, controller.prediction == "extrapolate")
+        * np.exp(-1j * omega * late_s)
+        / (1.0 + 1j * omega * lag_s)
+    )
+    error = np.abs(rendered - 1.0)
+    beyond = np.flatnonzero(error > ERROR)
+    if not len(beyond):
+        return float(frequency[-1])
+    first = int(beyond[0])
+    if first == 0:
+        return 0.0
+    share = (ERROR - error[first - 1]) / (error[first] - error[first - 1])
+    return float(frequency[first - 1] * (frequency[first] / frequency[first - 1]) ** share)
+
+
+def cost(controller: Controller) -> float | None:
+    """Cycles per tick, the mean over a velocity period; None for an estimator that no board runs."""
+    of_a_call = CYCLES.get(controller.estimator)
+    return None if of_a_call is None else of_a_call * controller.velocity_rate / controller.position_rate
+
+
+def fits_a_tick(controller: Controller) -> bool:
+    """Whether a device has the time for the longest tick of a law."""
+    of_a_call = CYCLES.get(controller.estimator)
+    return of_a_call is not None and (TICK + of_a_call) * controller.position_rate <= SHARE * CORE.clock_hz
+
+
+def _velocity(controller: Controller, counts: NDArray[np.int64], resolution: float) -> NDArray[np.float64]:
+    return estimators.estimate(
+        controller.estimator,
+        counts,
+        1.0 / controller.velocity_rate,
+        resolution=resolution,
+        **controller.parameters,
+    )
+
+
+def _estimated(controller: Controller, resolution: float) -> Complex:
+    """Estimate over true velocity of the sines, at the samples."""
+    settings = tuple(sorted(controller.parameters.items()))
+    return _of_estimator(controller.estimator, settings, controller.velocity_rate, resolution)
+
+
+@lru_cache(maxsize=64)
+def _of_estimator(
+    name: str, settings: tuple[tuple[str, float | str], ...], rate: int, resolution: float
+) -> Complex:
+    found = []
+    for periods in PERIODS:
+        phase = 2.0 * np.pi * periods * np.arange(2 * SAMPLES) / SAMPLES
+        counts = estimators.quantise(AMPLITUDE * resolution * np.sin(phase), resolution)
+        velocity = estimators.estimate(name, counts, 1.0 / rate, resolution=resolution, **dict(settings))
+        wave = np.exp(-1j * phase[SAMPLES:])
+        true = AMPLITUDE * resolution * 2.0 * np.pi * periods * rate / SAMPLES  # amplitude of a cosine
+        found.append(2.0 / SAMPLES * (velocity[SAMPLES:] @ wave) / true)
+    return np.array(found)
+
+
+def _held(turn: NDArray[np.float64], extrapolate: bool) -> Complex:
+    """What becomes of a sampled sine that is held, or extrapolated by its last difference; `turn` is ωT2."""
+    zero = (1.0 - np.exp(-1j * turn)) / (1j * turn)
+    return np.asarray((1.0 + 1j * turn) * zero**2 if extrapolate else zero)

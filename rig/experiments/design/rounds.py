@@ -1,0 +1,96 @@
+"""Maps of a few walls of many schemes as one sweep: the map's own series, tasks, hits and limits (`MapPlan`)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from rig.config import Experiment
+from rig.config.schemes import Scheme
+from rig.experiments import sweep
+from rig.experiments.results import make_directory
+from rig.experiments.searches import Search
+from rig.experiments.zwidth import MapPlan, ZWidth
+
+Watch = Callable[[str, sweep.Progress], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Grid:
+    """Walls of a map, and where zero lies in its encoder cell: `rig.experiments.zwidth.MapPlan`."""
+
+    dampings: tuple[float, ...]
+    search: Search
+    offsets: tuple[float, ...]
+    repeats: int = 1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sweeper:
+    """Runs the stages of a design as sweeps, each with a journal of its own: a stopped design resumes in its stage.
+
+    Attributes
+    ----------
+    directory
+        Of the journals; None keeps nothing.
+    scheduler, workers
+        As in `rig.experiments.sweep.run`.
+    watch
+        Told the name of the stage, and how far it is.
+    hits
+        How many each stage has run.
+    """
+
+    directory: Path | None = None
+    scheduler: str | None = None
+    workers: int | None = None
+    watch: Watch | None = None
+    hits: dict[str, int] = field(default_factory=dict)
+
+    def run(
+        self, stage: str, work: str, tasks: Sequence[sweep.Task], unit: str | None = None
+    ) -> sweep.Results:
+        """Run one stage; errors as `rig.experiments.sweep.run`."""
+        journal = None
+        if self.directory is not None:
+            make_directory(self.directory)
+            journal = self.directory / f"{stage.replace(' ', '-')}.journal"
+        watch = self.watch
+        return sweep.run(
+            work,
+            tasks,
+            journal=journal,
+            scheduler=self.scheduler,
+            workers=self.workers,
+            unit=unit,
+            watch=None if watch is None else lambda progress: watch(stage, progress),
+        )
+
+    def map_each(self, stage: str, work: Sequence[tuple[Experiment, Scheme, Grid]]) -> list[ZWidth]:
+        """Map each scheme on its experiment over its grid."""
+        plans = [
+            MapPlan(
+                experiment=experiment,
+                schemes=(scheme,),
+                dampings=grid.dampings,
+                search=grid.search,
+                offsets=grid.offsets,
+                repeats=grid.repeats,
+            )
+            for experiment, scheme, grid in work
+        ]
+        of_plan = [
+            [replace(task, key=f"{number}/{task.key}") for task in plan.tasks()]
+            for number, plan in enumerate(plans)
+        ]
+        done: Sequence[Any] = self.run(
+            stage, MapPlan.work, [task for some in of_plan for task in some], MapPlan.unit
+        )
+        maps, first = [], 0
+        for plan, some in zip(plans, of_plan, strict=True):
+            maps.append(plan.found(done[first : first + len(some)]))
+            first += len(some)
+        self.hits[stage] = sum(found.hits for found in maps)
+        return maps

@@ -1,0 +1,31 @@
+"""A design as one HTML page: what was asked and searched, the recommended section, front, margin, and every number."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rig.experiments.design import Design, rules
+from rig.recording.files import whole_file
+from rig.views.report.template import data_uris, fill
+
+TEMPLATE, PAGE = "design.html.j2", "design.html"
+
+
+def render(found: Design, command: str, picture: bytes | None) -> str:
+    """Return the page; `command` is what made it, `picture` a PNG."""
+    return fill(
+        TEMPLATE,
+        found=found,
+        command=command,
+        rules=rules.__doc__,
+        pictures=data_uris({} if picture is None else {"design": picture}),
+        data=found.as_mapping(),
+    )
+
+
+def write_design_report(found: Design, command: str, picture: bytes | None, directory: Path) -> Path:
+    """Write the page into a directory; `RecordingError` when the disk refuses."""
+    path = directory / PAGE
+    with whole_file(path, overwrite=True) as file:
+        file.write(render(found, command, picture).encode())
+    return path

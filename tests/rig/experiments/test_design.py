@@ -1,0 +1,321 @@
+"""The search for a scheme: its theory against brute force, its hits against all hits, resumed as if never stopped."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+
+if numba.config.DISABLE_JIT:
+    pytest.skip("plug points are function types of compiled code", allow_module_level=True)
+
+from scipy.optimize import brentq
+
+import rig
+from rig import config
+from rig.analysis import theory
+from rig.config import presets
+from rig.config.schemes import Scheme
+from rig.core.errors import ConfigError
+from rig.devices.device import LINK_SHARE, STATE_BYTES
+from rig.experiments import maps, sweep
+from rig.experiments.design import (
+    Candidate,
+    Place,
+    Request,
+    UnmetError,
+    Wishes,
+    design,
+    directory_for,
+    linear,
+    listed,
+    listing,
+    margin,
+    paths,
+    places_for,
+)
+from rig.experiments.design import search as searching
+from rig.experiments.design.rules import Boundary
+from rig.experiments.design.search import Round
+from rig.experiments.ranges import search_for
+from rig.experiments.zwidth import MapPlan
+from tests.conformance.maps import SHORT
+
+X = config.override(presets.load("koul-compliant"), SHORT)
+RESOLUTION = X.rig.encoder.resolution
+SCHEMES = tuple(
+    Scheme.parse(text)
+    for text in (
+        "uniform:10k,estimator=fdm",
+        "uniform:2k,estimator=fdm-butterworth,cutoff_hz=200",
+        "dual:10k/2k,estimator=fdm-butterworth,cutoff_hz=400",
+        "dual:10k/1k,estimator=kalman,bandwidth_hz=100,gain=steady",
+        "dual:10k/2k,estimator=levant,lipschitz=70",
+    )
+)
+ROUNDS = (
+    Round(name="first", enter=5, ratio=2.0, columns=4, offsets=(0.1,)),
+    Round(name="second", enter=3, way="ladder", ratio=1.3, columns=4, offsets=(0.1, 0.6)),
+)
+REQUEST = Request(experiment=X, schemes=SCHEMES, rounds=ROUNDS, places=places_for(X))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_samples() -> Any:
+    """Of rigs in a margin: what it does with them is the same."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(margin, "SAMPLES", 1)
+        patch.setattr(margin, "RATIO", 1.7)
+        patch.setattr(margin, "OFFSETS", (0.1,))
+        yield
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    place = directory_for(REQUEST, tmp_path_factory.mktemp("designs"))
+    return place, design(REQUEST, place)
+
+
+# --- velocity paths ---------------------------------------------------------------------------------------------------
+
+
+def controller(text: str) -> Any:
+    return Scheme.parse(text).applied(X).controller
+
+
+def test_noise_of_a_difference_is_that_of_two_coins() -> None:
+    """Counts that are 0 or 1 by chance differ with a variance of 1/2."""
+    expected = RESOLUTION * 10_000 / np.sqrt(2.0)
+    samples = paths.SAMPLES
+    assert paths.noise(controller("uniform:10k,estimator=fdm"), RESOLUTION) == pytest.approx(
+        expected, rel=4.0 / np.sqrt(samples)
+    )
+
+
+@pytest.mark.parametrize(
+    ("lag_s", "ticks", "extrapolate"), [(0.0, 0, False), (1e-4, 2, False), (0.0, 0, True)]
+)
+def test_fidelity_of_a_difference_is_that_of_its_formula(lag_s: float, ticks: int, extrapolate: bool) -> None:
+    period, tick = 1e-3, 1e-4
+    prediction = ",prediction=extrapolate" if extrapolate else ""
+
+    def error(hertz: float) -> float:
+        turn = 2j * np.pi * hertz * period
+        zero = (1.0 - np.exp(-turn)) / turn  # both of the difference and of the hold
+        held = (1.0 + turn) * zero**2 if extrapolate else zero
+        late = np.exp(-2j * np.pi * hertz * ticks * tick) / (1.0 + 2j * np.pi * hertz * lag_s)
+        return abs(zero * held * late - 1.0) - paths.ERROR
+
+    found = paths.fidelity_hz(controller(f"dual:10k/1k,estimator=fdm{prediction}"), RESOLUTION, lag_s, ticks)
+    assert found == pytest.approx(
+        brentq(error, 1.0, 400.0), rel=0.03
+    )  # interpolated between lines 25 % apart
+
+
+def test_cost_is_that_of_a_call_over_its_ticks() -> None:
+    call = paths.CYCLES["fdm-butterworth"]
+    assert paths.cost(controller("dual:10k/1k,estimator=fdm-butterworth")) == pytest.approx(call / 10)
+    assert paths.cost(controller("uniform:10k,estimator=fdm-butterworth")) == call
+    assert paths.cost(controller("uniform:10k,estimator=optimal,lipschitz=70")) is None, "no board runs it"
+
+
+# --- the listed set ---------------------------------------------------------------------------------------------------
+
+
+def place(**given: Any) -> Place:
+    return Place(**{"loop": "host", "rate_maximum": 5000, **given})
+
+
+@pytest.fixture
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(listing, "CUTOFFS_HZ", (100.0,))
+    monkeypatch.setattr(listing, "DIVIDERS", (1, 2))
+
+
+@pytest.mark.usefixtures("small")
+def test_the_listed_set_keeps_to_what_board_and_link_allow() -> None:
+    free = listed(X, [place()])
+    assert len({one.key for one in free}) == len(free) > 40
+    assert max(one.scheme.position_rate for one in free) == 5000
+    narrow = listed(X, [place(bytes_per_second=2500 * STATE_BYTES / LINK_SHARE)])
+    assert {one.key for one in narrow} < {one.key for one in free}
+    assert max(one.scheme.position_rate for one in narrow) == 2000
+    on_device = listed(X, [place(loop="device")])
+    assert {one.scheme.estimator for one in free} - {one.scheme.estimator for one in on_device} == {"optimal"}
+    fast = listed(X, [place(loop="device", rate_maximum=20_000)])
+    windowed = {one.scheme.position_rate for one in fast if one.scheme.estimator == "foaw-best"}
+    assert max(windowed) == 5000, "9171 cycles are more than 40 % of a period at 10 kHz"
+
+
+@pytest.mark.usefixtures("small")
+def test_a_law_on_the_host_is_late_by_the_round_trip_in_whole_ticks() -> None:
+    delays = {one.scheme.position_rate: one.delay_ticks for one in listed(X, [place(round_trip_s=0.45e-3)])}
+    assert delays == {1000: 1, 2000: 1, 5000: 3}
+    (one,) = listed(X, [place(round_trip_s=0.45e-3)], [Scheme.parse("uniform:5k,estimator=fdm")])
+    assert one.applied(X).rig.simulation.computation_delay_ticks == 3
+
+
+def test_a_scheme_that_somebody_lists_and_that_cannot_be_is_refused() -> None:
+    with pytest.raises(ConfigError, match="fmd"):
+        listed(X, [place()], [Scheme.parse("uniform:5k,estimator=fmd")])
+
+
+# --- theory -----------------------------------------------------------------------------------------------------------
+
+
+def test_the_theory_of_the_set_is_that_of_each_wall_by_itself() -> None:
+    candidates = [
+        Candidate(scheme=scheme, loop="host", delay_ticks=delay) for scheme in SCHEMES for delay in (0, 1)
+    ]
+    k, dampings = [20.0, 80.0, 320.0, 1280.0], [0.0, 0.3, 1.2]
+    tasks, order = linear.tasks(X, candidates, dampings, k)
+    assert len(tasks) == len(SCHEMES), "candidates of one estimator share its realisation"
+    found = linear.results(
+        [linear.of_estimator(json.loads(json.dumps(task.payload))) for task in tasks], order
+    )
+    for candidate, one in zip(candidates, found, strict=True):
+        nonlinear = candidate.scheme.estimator == "levant"
+        assert one.stands_in == nonlinear
+        scheme = (
+            Scheme.parse("dual:10k/2k,estimator=fdm-butterworth,cutoff_hz=200")
+            if nonlinear
+            else candidate.scheme
+        )
+        for number, damping in enumerate(dampings):
+            limit = 0.0
+            for stiffness in k:
+                radius = theory.spectral_radius(candidate.condition(X), scheme, stiffness, damping)
+                if float(radius) >= 1.0:
+                    break
+                limit = stiffness
+            assert one.stable[number] == limit
+            assert one.quiet[number] <= limit
+
+
+# --- hits -------------------------------------------------------------------------------------------------------------
+
+
+def test_the_search_finds_what_all_hits_find(kept: Any) -> None:
+    """Every scheme of the set over the walls of the last round, rung by rung: none has more area, to a rung."""
+    _, found = kept
+    dampings = tuple(b.damping for b in found.recommended.boundary)
+    whole = MapPlan(
+        experiment=X,
+        schemes=(Scheme.of(X), *SCHEMES),
+        dampings=dampings,
+        search=search_for(X, "grid", ratio=ROUNDS[-1].ratio),
+        offsets=ROUNDS[-1].offsets,
+    )
+    grid = maps.zwidth(whole)
+    areas = [
+        Boundary.of(dampings, [b.stiffness for b in grid.curve(number, "any")]).area
+        for number in range(len(whole.schemes))
+    ]
+    assert max(one.measures.area for one in found.finalists) * ROUNDS[-1].ratio >= max(areas)
+    assert found.own.measures.area == pytest.approx(areas[0], rel=ROUNDS[-1].ratio - 1.0)
+
+
+def test_the_recommended_scheme_is_a_finalist_and_no_worse_where_nobody_has_looked(kept: Any) -> None:
+    _, found = kept
+    assert found.recommended in found.finalists
+    assert found.held_out is None or found.held_out.no_worse or found.recommended is found.own
+    assert len(found.finalists) <= ROUNDS[-1].enter + 1
+    assert 0.0 < found.margin.worst.share <= found.margin.alone[-1].share
+    assert found.margin.spoils_first.share == min(one.share for one in found.margin.alone)
+
+
+def test_the_section_to_paste_is_the_recommended_scheme(kept: Any, tmp_path: Path) -> None:
+    _, found = kept
+    for one in found.finalists:
+        section = replace(found, recommended=one).toml()
+        path = tmp_path / "mine.toml"
+        path.write_text(f'preset = "koul-compliant"\n{section}')
+        pasted = config.load_experiment(path)
+        applied = one.candidate.applied(X)
+        same = Candidate.own(pasted)
+        assert same.law(pasted)[2:] == one.candidate.law(X)[2:]
+        assert pasted.controller.loop == applied.controller.loop
+
+
+def test_a_design_that_was_stopped_resumes_and_is_the_same(
+    kept: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, whole = kept
+    told: list[str] = []
+
+    def stop_in_the_second_round(stage: str, progress: sweep.Progress) -> None:
+        told.append(stage)
+        if stage == "second" and progress.done > 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(rig.errors.StoppedError, match="resumes"):
+        design(REQUEST, tmp_path, watch=stop_in_the_second_round)
+    assert told[0] == "linear theory"
+    ran: list[str] = []
+    monkeypatch.setattr(sweep.executors, "run_batch", _counted(sweep.executors.run_batch, ran))
+    again = design(REQUEST, tmp_path)
+    assert again.as_mapping() == whole.as_mapping()
+    assert not any("linear" in one for one in ran), "what was done is not done again"
+
+
+def _counted(function: Any, ran: list[str]) -> Any:
+    def counting(order: Any, batch: Any) -> Any:
+        ran.append(order.work)
+        return function(order, batch)
+
+    return counting
+
+
+def test_json_holds_everything(kept: Any) -> None:
+    _, found = kept
+    told = json.loads(json.dumps(found.as_mapping(), allow_nan=False))
+    assert told["recommended"]["scheme"] == found.recommended.candidate.scheme.text
+    assert told["fitted"] is True, "koul-compliant was fitted on a paper"
+    assert len(told["front"]) == len(found.front) > 0
+    assert told["margin"]["spoils_first"] == told["margin"]["alone"][0]
+
+
+# --- wishes -----------------------------------------------------------------------------------------------------------
+
+
+def test_a_wall_that_must_be_stable_decides_before_the_goal() -> None:
+    wished = Request(
+        experiment=X, schemes=SCHEMES[:2], rounds=ROUNDS, wishes=Wishes(goal="stiffness", wall=(60.0, 0.3))
+    )
+    with_wall = design(wished)
+    assert with_wall.recommended.shares["wall"] == 1.0
+    assert with_wall.margin.damping == 0.3
+
+
+@pytest.mark.parametrize(
+    ("wishes", "said"),
+    [
+        (Wishes(fidelity_hz=4000.0), r"none of \d schemes.*4000 \(`fidelity_to`\) binds.* of it"),
+        (Wishes(noise=1e-9), r"1e-09 \(`most_noise`\) binds"),
+        (Wishes(cost=1.0), r"1 \(`most_cost`\) binds"),
+        (Wishes(wall=(470.0, 30.0)), r"K = 470 with B = 30 \(`must_be_stable`\) binds; .* comes to 0 of it"),
+    ],
+)
+def test_a_wish_that_nothing_fulfils_is_named_with_how_far_one_comes(wishes: Wishes, said: str) -> None:
+    quick = (replace(ROUNDS[0], columns=2, enter=2),)
+    with pytest.raises(UnmetError, match=said):
+        design(Request(experiment=X, schemes=SCHEMES[:2], rounds=quick, wishes=wishes))
+
+
+def test_identified_parameters_are_those_that_a_rig_has() -> None:
+    assert len(margin.identified(X)) == len(margin.IDENTIFIED)
+    rigid = margin.identified(presets.load("koul-rigid"))
+    assert "rig.mechanics.transmission_stiffness" not in rigid
+    assert all(value > 0.0 for value in rigid.values())
+
+
+def test_the_public_face_finds_the_same(kept: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    place, whole = kept
+    monkeypatch.setattr(searching, "ROUNDS", ROUNDS)
+    found = rig.design(X, schemes=[scheme.text for scheme in SCHEMES], directory=place.parent)
+    assert found.as_mapping() == whole.as_mapping(), "read from the same directory"
+    assert repr(found).startswith(f"design of koul-compliant: {found.recommended.label}\n  goal")
+    assert found.plot().save(tmp_path / "design.png").stat().st_size > 10_000

@@ -1,0 +1,97 @@
+"""`rig design` as a person meets it: a section to paste, files, JSON, what is refused, a device."""
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numba
+import pytest
+
+if numba.config.DISABLE_JIT:
+    pytest.skip("plug points are function types of compiled code", allow_module_level=True)
+
+from rig import config
+from rig.cli import design as command
+from rig.experiments.design import margin, search
+from rig.experiments.design.search import Round
+
+BRIEF = [
+    "--set", "trial.duration_s=0.3", "--set", "verdict.tail_s=0.1", "--set", "homing.settle_s=0.02",
+    "--operator", "none",
+]  # fmt: skip
+FEW = [*BRIEF, "--scheme", "uniform:10k,estimator=fdm-butterworth,cutoff_hz=400"]
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(margin, "SAMPLES", 1)
+    monkeypatch.setattr(margin, "RATIO", 1.7)
+    monkeypatch.setattr(margin, "OFFSETS", (0.1,))
+    monkeypatch.setattr(command, "ON_RIG_COLUMNS", 1)
+    monkeypatch.setattr(command, "ON_RIG_RATIO", 4.0)
+    monkeypatch.setattr(
+        search,
+        "ROUNDS",
+        (
+            Round(name="first", enter=4, ratio=3.0, columns=3, offsets=(0.1,)),
+            Round(name="last", enter=2, ratio=2.0, columns=3, offsets=(0.1,)),
+        ),
+    )
+
+
+def test_a_design_is_a_section_to_paste_with_picture_page_and_numbers(run: Any, tmp_path: Path) -> None:
+    code, out, err = run("design", *FEW, "-o", "mine.toml")
+    assert code == 0, err
+    assert out.startswith("design of koul-compliant: ")
+    (place,) = (tmp_path / "designs").iterdir()
+    assert {"controller.toml", "design.json", "design.png", "design.html"} <= {
+        path.name for path in place.iterdir()
+    }
+    section = (tmp_path / "mine.toml").read_text()
+    assert section == (place / "controller.toml").read_text()
+    assert section in out
+    (tmp_path / "pasted.toml").write_text(f'preset = "koul-compliant"\n{section}')
+    assert config.load_experiment(tmp_path / "pasted.toml").controller.position_rate in (10_000, 20_000)
+    page = (place / "design.html").read_text()
+    assert "fitted on the stability limits" in page, "the numbers of this preset are the paper's"
+    assert "data:image/png" in page
+    told = json.loads((place / "design.json").read_text())
+    assert told["toml"] == section
+    assert page.count(told["recommended"]["label"].split(",")[0]) >= 1
+
+
+def test_json_is_one_document_and_the_same_command_reads_what_is_done(run: Any) -> None:
+    first = run("design", *FEW, "--json", "--no-plot")
+    assert first[0] == 0, first[2]
+    told = json.loads(first[1])
+    assert told["files"]["picture"] is None
+    assert told["on_rig"] == []
+    assert run("design", *FEW, "--json", "--no-plot")[1] == first[1]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["-K", "300"], r"say --must-be-stable, too"),
+        (["--must-be-stable", "-K", "-1"], r"wall.stiffness = -1"),
+        (["--goal", "best"], r"stiffness.*damping.*area.*quiet"),
+        (["--url", "sim://", "--most-rate", "10k"], r"--most-rate: the device says itself"),
+        (["--confirm", "no"], r"--confirm is about a device"),
+        (["--scheme", "uniform:10k,estimator=fmd"], r"fmd"),
+        (["--most-cost", "1"], r"1 \(--most-cost\) binds; .*\(--most-rate\)"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_a_sentence(run: Any, arguments: Any, said: str) -> None:
+    code, _, err = run("design", *FEW, *arguments)
+    assert code == 2
+    assert re.search(said, err), err
+
+
+def test_with_a_device_the_recommended_scheme_is_hit_there(run: Any, tmp_path: Path) -> None:
+    code, out, err = run("design", *FEW, "--url", "sim://koul-compliant", "--json", "--no-plot")
+    assert code == 0, err
+    told = json.loads(out)
+    assert told["on_rig"][0]["schemes"][0]["scheme"] == told["recommended"]["scheme"]
+    assert all(one["hits"] > 0 for one in told["on_rig"])
+    assert list(tmp_path.glob("designs/*/zwidth-*/hits/*.parquet"))
