@@ -79,6 +79,8 @@ def test_json_is_one_document_and_the_same_command_reads_what_is_done(run: Any) 
         (["--url", "sim://", "--most-rate", "10k"], r"--most-rate: the device says itself"),
         (["--confirm", "no"], r"--confirm is about a device"),
         (["--scheme", "uniform:10k,estimator=fmd"], r"fmd"),
+        (["--fidelity-to", "0"], r"0 \(--fidelity-to\) is out of range; .*above 0"),
+        (["--round-trip", "-1"], r"-1 \(--round-trip\) is out of range"),
         (["--most-cost", "1"], r"1 \(--most-cost\) binds; .*\(--most-rate\)"),
     ],
 )

@@ -28,6 +28,7 @@ from rig.control import estimators
 from rig.core.check import refused
 from rig.core.errors import ConfigError
 from rig.experiments.design import paths
+from rig.experiments.design.rules import check_positive
 from rig.experiments.plan import link_checks
 
 Loop = Literal["host", "device"]
@@ -154,6 +155,7 @@ def places_for(
     round_trip_s: float | None = None,
 ) -> tuple[Place, ...]:
     """Where the law may run, without a device to ask: where the experiment's own runs, at most at its rate."""
+    check_positive({"most_rate": rate_maximum, "link": bytes_per_second, "round_trip": round_trip_s})
     loops: tuple[Loop, ...] = (
         ("host", "device") if where == "both" else (where or experiment.controller.loop,)
     )

@@ -117,6 +117,13 @@ def as_good(one: Measures, other: Measures, step: float) -> bool:
     return all(getattr(one, name) * step >= getattr(other, name) for name in OF_A_PAPER)
 
 
+def check_positive(named: Mapping[str, float | None]) -> None:
+    """Raise `PlanError` for an argument that is given and is not a finite number above zero."""
+    for name, value in named.items():
+        if value is not None and not 0.0 < value < math.inf:
+            raise PlanError(f"{value:g} (`{name}`) is out of range", remedy="give a finite number above 0")
+
+
 class UnmetError(PlanError):
     """No scheme of the listed set fulfils the wishes; says which of them binds, and by how much."""
 
@@ -144,6 +151,13 @@ class Wishes:
     fidelity_hz: float | None = None
     noise: float | None = None
     cost: float | None = None
+
+    def __post_init__(self) -> None:
+        """Raise `PlanError` for a wish that is no positive number."""
+        named = {"fidelity_to": self.fidelity_hz, "most_noise": self.noise, "most_cost": self.cost}
+        if self.wall is not None:
+            named["must_be_stable"] = self.wall[0]
+        check_positive(named)
 
     def of_path(self, noise: float, fidelity_hz: float, cost: float | None) -> dict[str, float]:
         """How far a velocity path fulfils each wish about it: from 1 on it does."""
