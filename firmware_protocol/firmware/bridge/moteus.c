@@ -140,16 +140,17 @@ static unsigned take(struct moteus_reply *reply, uint8_t switches, unsigned at, 
     }
     if (type != INT8)
         return 0;
+    const uint8_t byte = (uint8_t)(int8_t)value; /* whatever came: a negative one is no uint8_t */
     if (at == MODE)
-        reply->mode = (uint8_t)value;
+        reply->mode = byte;
     else if (at == CODE)
-        reply->code = (uint8_t)value;
+        reply->code = byte;
     else if (at == VOLTAGE)
         reply->voltage = 0.5f * value;
     else if (at == TEMPERATURE)
         reply->temperature = value;
     else if (at == switches)
-        reply->switches = (uint8_t)(int8_t)value;
+        reply->switches = byte;
     else
         return 0;
     return 1;
