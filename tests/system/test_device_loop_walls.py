@@ -26,7 +26,7 @@ from rig.loop.supervised import BOUNDS, SupervisedThread
 from rig.realtime import ring
 from rig.realtime.ring import Ring
 from sim_backend.firmware import FirmwareDevice
-from sim_backend.firmware_library import compiler
+from sim_backend.firmware_library import FIRMWARE
 from sim_backend.link import MemoryLink
 
 RATE = 10_000
@@ -46,7 +46,7 @@ EXCITED = {
 @pytest.fixture(scope="module", autouse=True)
 def _has_compiler() -> None:
     try:
-        compiler()
+        FIRMWARE.compiler()
     except RigError:
         pytest.skip("no C compiler is installed (package gcc)")
 
