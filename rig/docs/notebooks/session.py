@@ -46,8 +46,8 @@ print(run("session", "show", "rehearsals/first-steps/P01"))
 print(run("session", "analyse", "rehearsals/first-steps", "-o", "analysis", "--format", "png"))
 
 # %%
-# The limits, with their intervals, are one of its tables: in the rows whose ``measure`` is ``rule``, as the search found
-# them. Names end in their units.
+# The limits, with their intervals, are one of its tables: in the rows whose ``measure`` is ``rule``, as the search
+# found them. Names end in their units.
 
 with Path("analysis/kmax.csv").open(encoding="utf-8") as table:
     rows = [row for row in csv.DictReader(table) if row["measure"] == "rule"]
