@@ -359,7 +359,9 @@ def _members(package: str, names: Iterable[str], module: Any) -> str:
     lines = [f".. py:currentmodule:: {package}", ""]
     for name in names:
         kind = "class" if inspect.isclass(getattr(module, name)) else "function"
-        lines += [f".. auto{kind}:: {package}.{name}", "   :members:" if kind == "class" else "", ""]
+        called = kind == "class" and package == "rig.testing" and "__call__" in vars(getattr(module, name))
+        lines += [f".. auto{kind}:: {package}.{name}", "   :members:" if kind == "class" else ""]
+        lines += ["   :special-members: __call__", ""] if called else [""]
     return "\n".join(["```{eval-rst}", *lines, "```"]) + "\n\n"
 
 

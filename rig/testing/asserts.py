@@ -38,8 +38,9 @@ def assert_safe(subject: Subject, *, within_ms: float) -> None:
 
     In the recording no effort is active so long after the device latched a fault, or under a command so old. Of a hit
     that a test made, the device was seen to come to zero so soon after the host's last word, and to disarm; on a rig
-    by its own STATE. A command's lifetime and the ramp behind it (PROTOCOL.md: 20 ms and 10 ms at most) are what a
-    device is owed.
+    by its own STATE. `within_ms` is all of that time: a device has the lifetime of a command (five ticks, at least
+    3 ms, at most 20 ms) and the ramp behind it (10 ms at most, PROTOCOL.md). That is 13 ms at 20 kHz and 15 ms at
+    1 kHz, so 20 ms suit either; at most it is 30 ms.
     """
     __tracebackhide__ = True
     if getattr(subject, "recorded", subject) is not None:

@@ -35,7 +35,10 @@ def with_every_frame(
     to
         ``host`` or ``device``; None for both.
 
-    Raises `ConfigError` for another kind or direction.
+    Raises
+    ------
+    ConfigError
+        Another kind or direction.
     """
     chosen = [kind_of(word) for word in kinds or KINDS]
     ways = [direction_of(word) for word in ([to] if to else DIRECTIONS)]

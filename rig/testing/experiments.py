@@ -47,7 +47,10 @@ class Experiments:
         changes
             New values by dotted key, like ``{"wall.stiffness": 400.0}``.
 
-        Raises `rig.RigError` (a `ConfigError`) for what `rig.load_experiment` and `rig.override` refuse.
+        Raises
+        ------
+        ConfigError
+            What `rig.load_experiment` and `rig.override` refuse.
         """
         experiment = self._loaded(self._default if source is None else source)
         return config.override(experiment, changes, "the test") if changes else experiment

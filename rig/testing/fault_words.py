@@ -52,7 +52,10 @@ class FaultWords:
         frame, tick
             Which: number `frame` in its direction, from 0; or the first from `tick` on, counted by the device.
 
-        Raises `ConfigError` for another kind or direction, or unless exactly one of `frame` and `tick` is given.
+        Raises
+        ------
+        ConfigError
+            Another kind or direction, or not exactly one of `frame` and `tick`.
         """
         if (frame is None) == (tick is None):
             raise ConfigError("which frame? give frame = or tick =, and not both", remedy="like frame=60")

@@ -50,7 +50,10 @@ class Maps:
         repeats
             Series of each damping.
 
-        Raises `rig.RigError` as `rig.zwidth` does; on a rig a person agrees to each hit in the terminal.
+        Raises
+        ------
+        RigError
+            As `rig.zwidth`. On a rig a person agrees to each hit in the terminal.
         """
         plan = self._plan(
             self._experiments(source, changes), schemes, dampings, lowest, highest, ratio, repeats

@@ -25,15 +25,18 @@ def run(*command: str) -> str:
 run("session", "new", "study.toml")
 study = Path("study.toml")  # shorter than a study for people would be: ten hits a search, not thirty
 study.write_text(study.read_text().replace("settings.hits = 30", "settings.hits = 10"))
-print(run("session", "check", "study.toml")[:1500])
+print(*run("session", "check", "study.toml").splitlines()[:20], sep="\n")
 
 # %%
 # 2. Two sessions, in virtual time
 # --------------------------------
-# ``--people-sd`` lets the simulated people differ.
+# Of itself a simulated person judges as the program does, and all are the same. ``--threshold`` says where half of the
+# verdicts are stable (here at the limits in the template's first lines), and ``--people-sd`` spreads people around it.
+# The title of the study names the directory.
 
+limits = ("--threshold", "uniform 500 Hz=84", "--threshold", "dual-rate 1 kHz/500 Hz=119")
 for code in ("P01", "P02"):
-    run("session", "run", "study.toml", code, "--rehearse", "--people-sd", "0.2")
+    run("session", "run", "study.toml", code, "--rehearse", *limits, "--people-sd", "0.2")
 print(run("session", "show", "rehearsals/first-steps/P01"))
 
 # %%
@@ -43,7 +46,8 @@ print(run("session", "show", "rehearsals/first-steps/P01"))
 print(run("session", "analyse", "rehearsals/first-steps", "-o", "analysis", "--format", "png"))
 
 # %%
-# The limits, with their intervals, are one of its tables. Names end in their units.
+# The limits, with their intervals, are one of its tables: in the rows whose ``measure`` is ``rule``, as the search
+# found them. Names end in their units.
 
 with Path("analysis/kmax.csv").open(encoding="utf-8") as table:
     rows = [row for row in csv.DictReader(table) if row["measure"] == "rule"]
