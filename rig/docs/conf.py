@@ -65,3 +65,5 @@ sphinx_gallery_conf = {
     "write_computation_times": False,
     "remove_config_comments": True,
 }
+# Single backticks in docstrings are prose: a word that names several attributes is no link.
+suppress_warnings = ["ref.python"]
