@@ -359,7 +359,7 @@ def _members(package: str, names: Iterable[str], module: Any) -> str:
     lines = [f".. py:currentmodule:: {package}", ""]
     for name in names:
         kind = "class" if inspect.isclass(getattr(module, name)) else "function"
-        called = kind == "class" and package == "rig.testing" and "__call__" in vars(getattr(module, name))
+        called = kind == "class" and module is rig.testing and "__call__" in vars(getattr(module, name))
         lines += [f".. auto{kind}:: {package}.{name}", "   :members:" if kind == "class" else ""]
         lines += ["   :special-members: __call__", ""] if called else [""]
     return "\n".join(["```{eval-rst}", *lines, "```"]) + "\n\n"
