@@ -183,7 +183,8 @@ def fit_clock(exchanges: NDArray[np.void], *, drift_prior_ppm: float = DRIFT_PRI
     if line.least_drift_ppm > IMPOSSIBLE_PPM:
         raise RigError(
             f"the device's clock is off by {line.least_drift_ppm * 1e-4:.2g} % against this computer's",
-            remedy="its firmware declares a wrong unit of time: report it",
+            remedy="a simulated board: this computer has no time for it, end other work; a real one: its firmware "
+            "declares a wrong unit of time, report it",
         )
     for _ in range(ROUNDS):
         allowed = OFF_LINE * line.scale * _sigma(points, keep)

@@ -24,6 +24,7 @@ from rig.experiments.judgement import experiment_of, judge
 from rig.recording.reader import open_recording
 from sim_backend import pty
 from tests.conformance.started import started
+from tests.conformance.tolerance import too_busy
 
 QUICK = ["--duration", "0.25", "--set", "verdict.tail_s=0.1", "--set", "trial.release_s=0.02"]
 
@@ -256,20 +257,24 @@ def test_devices_asks_the_port_as_well_as_the_device_behind_it(run: Any) -> None
     announced, stop = Queue(), threading.Event()
     model = config.rig_model(presets.load("koul-compliant"))
     thread = threading.Thread(
-        target=lambda: pty.serve(model, announce=announced.put, stop_event=stop), daemon=True
+        target=lambda: pty.serve(model, rate=1000, announce=announced.put, stop_event=stop), daemon=True
     )
     thread.start()
     url = f"serial://{announced.get(timeout=60.0)}"
     try:
-        code, out, _ = run("devices", url, "--json")
-        assert code == 0
+        code, out, err = run("devices", url, "--json")
+        if "clock is off" in out:
+            too_busy(out)
+        assert code == 0, err
         told = json.loads(out)
         assert told["device"] == "koul-compliant"
         assert told["port"]["device"] == url.removeprefix("serial://")
         assert told["port"]["hangs_up"] is False
         assert told["messages"] == []
-        code, out, _ = run("devices", url)
-        assert code == 0
+        code, out, err = run("devices", url)
+        if "clock is off" in err:
+            too_busy(err)
+        assert code == 0, err
         assert "port device" in out
     finally:
         stop.set()
