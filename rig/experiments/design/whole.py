@@ -248,19 +248,19 @@ class _Whole:
         self, name: str, asked: Mapping[str, float]
     ) -> Iterator[tuple[str, Callable[[Sequence[Candidate]], list[Candidate]]]]:
         """What rules schemes out, with the measure that it is about: each keeps those that may still have it."""
+        softest = self._search.lowest
+        reach = next(b for b in self._dampings if rules.reaches("damping", b, asked["damping"], RATIO))
+        below = [b for b in self._dampings if b < reach]
         if "tuned" in asked:
             yield "tuned", lambda left: [one for one in left if self._tuned(one) <= asked["tuned"]]
-        yield "undamped", lambda left: self._undamped(name, left, asked["undamped"])
-        reach = next(b for b in self._dampings if rules.reaches("damping", b, asked["damping"], RATIO))
-        softest, below = self._search.lowest, [b for b in self._dampings if b < reach]
-        yield "damping", lambda left: self._hold(f"{name} range", left, [reach], softest)
-        yield "damping", lambda left: self._hold(f"{name} below", left, below, softest)
-        yield (
-            "stiffness",
-            lambda left: self._hold(
-                f"{name} peak", left, self._dampings, self._rung("stiffness", asked["stiffness"]), every=False
-            ),
-        )
+        if asked["undamped"] > 0.0:  # else every scheme reaches it
+            yield "undamped", lambda left: self._undamped(name, left, asked["undamped"])
+        if asked["damping"] > 0.0:
+            yield "damping", lambda left: self._hold(f"{name} range", left, [reach], softest)
+            yield "damping", lambda left: self._hold(f"{name} below", left, below, softest)
+        if asked["stiffness"] > 0.0:
+            rung = self._rung("stiffness", asked["stiffness"])
+            yield "stiffness", lambda left: self._hold(f"{name} peak", left, self._dampings, rung, every=False)
 
     def _undamped(self, name: str, left: Sequence[Candidate], asked: float) -> list[Candidate]:
         """At B = 0 a law is K times the position, so that one estimator stands for all."""
