@@ -19,7 +19,11 @@ from rig.experiments.design.rounds import Sweeper
 from rig.experiments.design.whole import Paper
 from tests.conformance.maps import SHORT
 
-LOOSE = {"verdict.felt_velocity": 0.05, "verdict.heard_force": 5.0, "verdict.moved": 1e-3}  # some hold at B = 0
+LOOSE = {
+    "verdict.felt_velocity": 0.05,
+    "verdict.heard_force": 5.0,
+    "verdict.moved": 1e-3,
+}  # some hold at B = 0
 X = config.override(presets.load("koul-compliant"), {**SHORT, **LOOSE})
 PAPERS = Scheme.parse("dual:10k/2k,estimator=fdm-butterworth,cutoff_hz=200")
 LISTED = tuple(
