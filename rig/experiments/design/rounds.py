@@ -1,4 +1,8 @@
-"""Maps of a few walls of many schemes as one sweep: the map's own series, tasks, hits and limits (`MapPlan`)."""
+"""Maps of a few walls of many schemes as one sweep: the map's own series, tasks, hits and limits (`MapPlan`).
+
+Only *any* is searched for, which all measures of a design are of: the limits of felt and heard alone, which a map has
+too, would take most of its hits.
+"""
 
 from __future__ import annotations
 
@@ -82,6 +86,7 @@ class Sweeper:
                 search=grid.search,
                 offsets=grid.offsets,
                 repeats=grid.repeats,
+                criteria=("any",),
             )
             for experiment, scheme, grid in work
         ]

@@ -260,7 +260,10 @@ class _Whole:
             yield "damping", lambda left: self._hold(f"{name} below", left, below, softest)
         if asked["stiffness"] > 0.0:
             rung = self._rung("stiffness", asked["stiffness"])
-            yield "stiffness", lambda left: self._hold(f"{name} peak", left, self._dampings, rung, every=False)
+            yield (
+                "stiffness",
+                lambda left: self._hold(f"{name} peak", left, self._dampings, rung, every=False),
+            )
 
     def _undamped(self, name: str, left: Sequence[Candidate], asked: float) -> list[Candidate]:
         """At B = 0 a law is K times the position, so that one estimator stands for all."""
