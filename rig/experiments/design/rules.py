@@ -123,7 +123,9 @@ def as_good(one: Measures, other: Measures, step: float) -> bool:
 
 
 def reaches(name: str, one: float, other: float, step: float) -> bool:
-    """Whether one value of a paper's measure is as good as another; what is not there (NaN) reaches nothing."""
+    """Whether one value of a paper's measure is as good as another; one that is not there (NaN) is as bad as any."""
+    if math.isnan(other):
+        return True
     if name == "tuned":
         return one <= other
     if name == "worst_fidelity":

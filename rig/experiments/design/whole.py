@@ -13,7 +13,8 @@ either ruled out or measured.
 
 All schemes meet the same walls: the dampings of `COLUMNS`, closer near zero, up to a little beyond the linear range of
 the paper's schemes, and `BEYOND` times that for the peak alone; rungs of `RATIO`; impedances over `STIFFNESSES` rungs
-and `DAMPINGS` dampings of the default grid of `rig zwidth --domain frequency`.
+and `DAMPINGS` dampings, up to all that linear theory calls stable of an unfiltered difference. A value that reaches the
+last wall is marked ≥; as good as that is what reaches it, too, so that such a verdict is good up to that wall.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ from rig.experiments.design.rounds import Grid, Sweeper, columns_to
 from rig.experiments.design.rules import OF_A_PAPER, OF_TABLE_ONE, Boundary
 from rig.experiments.ranges import (
     PAPERS_SCHEMES,
+    SHARE,
     dampings_for,
     default_grid,
     frequency_plan,
@@ -50,11 +52,8 @@ COLUMNS, BEYOND = 12, (2.0, 4.0, 8.0)
 RATIO, OFFSETS = 1.15, (0.1, 0.6)
 BATCH = 8
 STATED = ("order", "window_limit")
-STIFFNESSES, DAMPINGS, SPAN = (
-    20,
-    6,
-    16.0,
-)  # of the impedances: rungs and columns; highest over lowest stiffness
+# Of the impedances: rungs and columns; highest over lowest stiffness.
+STIFFNESSES, DAMPINGS, SPAN = 26, 8, 40.0
 
 NAMES = {
     "undamped": "K at B = 0",
@@ -98,11 +97,16 @@ class Paper:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Measured:
-    """A scheme that was mapped whole, and its value of each measure."""
+    """A scheme that was mapped whole, its value of each measure, and which of them are only lower bounds."""
 
     candidate: Candidate
     label: str
     values: Mapping[str, float]
+    capped: tuple[str, ...]
+
+    def shown(self, name: str) -> str:
+        """A value in text."""
+        return ("≥ " if name in self.capped else "") + written(self.values[name], 3)
 
     def misses(self, other: Measured) -> list[str]:
         """Measures in which it is not as good as another."""
@@ -161,13 +165,12 @@ class Against:
         """Each measure: the paper's scheme, the best found, and how many were ruled out by it."""
         best, missed = self.best, [] if self.best is None else self.best.misses(self.paper)
         rows = []
-        for name, value in self.paper.values.items():
+        for name in self.paper.values:
             unit = f" ({unit_of(UNITS[name], motion)})" if name in UNITS else ""  # type: ignore[arg-type]
-            found = "–" if best is None else written(best.values[name], 3)
+            found = "–" if best is None else best.shown(name)
             verdict = "–" if best is None else "misses" if name in missed else "as good"
-            rows.append(
-                (NAMES[name] + unit, written(value, 3), found, verdict, f"{self.ruled_out.get(name, 0)}")
-            )
+            out = f"{self.ruled_out.get(name, 0)}"
+            rows.append((NAMES[name] + unit, self.paper.shown(name), found, verdict, out))
         head = ("measure", self.paper.label, best.label if best else "none left", "verdict", "ruled out")
         return Table(head, rows, self.text)
 
@@ -175,7 +178,12 @@ class Against:
         """Plain values, for JSON."""
 
         def told(one: Measured) -> dict[str, Any]:
-            return {"scheme": one.candidate.scheme.text, "label": one.label, "values": plain(one.values)}
+            return {
+                "scheme": one.candidate.scheme.text,
+                "label": one.label,
+                "values": plain(one.values),
+                "capped": list(one.capped),
+            }
 
         return {
             "paper": told(self.paper),
@@ -206,8 +214,8 @@ class _Whole:
         if self._impedances:
             k, b = default_grid(experiment, paper.schemes)
             self._walls = (
-                tuple(np.geomspace(k[-1] / SPAN, k[-1], STIFFNESSES).tolist()),
-                tuple(np.linspace(0.0, b[-1], DAMPINGS).tolist()),
+                tuple(np.geomspace(k[-1] / SHARE / SPAN, k[-1] / SHARE, STIFFNESSES).tolist()),
+                tuple(np.linspace(0.0, b[-1] / SHARE, DAMPINGS).tolist()),
             )
 
     def compare(self, candidates: Sequence[Candidate]) -> tuple[Against, ...]:
@@ -324,6 +332,7 @@ class _Whole:
                 candidate=one,
                 label=one.scheme.label(one.condition(x)),
                 values=self._values(one, found, width),
+                capped=self._capped(found, width),
             )
             for one, found, width in zip(some, maps, widths, strict=True)
         ]
@@ -340,6 +349,17 @@ class _Whole:
                 "tuned": float(self._tuned(one)),
             }
         return {name: values[name] for name in self._paper.measures}
+
+    def _capped(self, found: ZWidth, width: SchemeWidths | None) -> tuple[str, ...]:
+        hit = found.width(0, "any")
+        reached = {
+            "undamped": hit.undamped_capped,
+            "stiffness": hit.capped,
+            "damping": hit.range_capped,
+            "k_width": width is not None and width.together.stiffness_capped,
+            "b_width": width is not None and width.together.damping_capped,
+        }
+        return tuple(name for name in self._paper.measures if reached.get(name, False))
 
     def _tuned(self, one: Candidate) -> int:
         """Numbers to tune; the listed set states order and longest window where they keep their default, too."""
