@@ -98,6 +98,12 @@ ON_RIG_COLUMNS, ON_RIG_RATIO = 3, 1.06  # of the map on a rig: dampings, and sti
 )
 @option("--link", group=ALLOWED, type=float, metavar="BYTES/S", help="What the link carries. [any rate]")
 @options.scheme_option("a listed set of some hundred", ALLOWED)
+@option(
+    "--paper",
+    group=RESULT,
+    is_flag=True,
+    help="Hold all of the set against the schemes of the rig's own paper, too, in each of its measures.",
+)
 @options.workers_option
 @option("--scheduler", metavar="tcp://HOST:PORT", help="Run on a Dask cluster (haptic-rig[cluster]).")
 @options.url_option("simulates without a link")
@@ -125,6 +131,7 @@ def design_(
     stiffness: float | None,
     damping: float | None,
     schemes: tuple[str, ...],
+    paper: bool,
     workers: int | None,
     scheduler: str | None,
     url: str | None,
@@ -162,6 +169,7 @@ def design_(
         ),
         places=_places(experiment, url, asked),
         schemes=tuple(Scheme.parse(text) for text in schemes),
+        paper=paper,
     )
     place = directory_for(request, directory)
     with ExitStack() as stack:

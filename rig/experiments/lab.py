@@ -288,6 +288,7 @@ def design(
     link: float | None = None,
     round_trip_s: float | None = None,
     schemes: Sequence[str | Scheme] = (),
+    paper: bool = False,
     directory: str | Path | None = None,
     workers: int | None = None,
     scheduler: str | None = None,
@@ -309,6 +310,8 @@ def design(
         if None; how long a law on this computer takes to answer a sample (s), as the experiment says if None.
     schemes
         To choose from; the listed set of `rig.experiments.design.listing` if empty.
+    paper
+        Whether to hold the schemes of the rig's own paper against all of that set, too.
     directory
         Where the search is kept, and resumed when it was stopped; not kept if None.
     workers, scheduler, watch
@@ -331,6 +334,7 @@ def design(
             held, where, rate_maximum=most_rate, bytes_per_second=link, round_trip_s=round_trip_s
         ),
         schemes=tuple(Scheme.parse(one) if isinstance(one, str) else one for one in schemes),
+        paper=paper,
     )
     place = None if directory is None else designing.directory_for(request, Path(directory))
     return designing.design(request, place, scheduler=scheduler, workers=workers, watch=watch)

@@ -10,7 +10,8 @@ changes in a second; and the share of the variance that lies within `BAND` of th
 a cycle whose phase wanders, as toggling between two ticks makes it; a line fitted over the whole time finds little of
 such a cycle. A wall *rests* where no count changes any more. **The errors** are predicted over measured, less one, over
 the walls where both have a cycle; where only one of both has one is counted apart. Where less than `PURE` of the
-variance lies in the band the motion is no sinusoid, and its errors are given apart.
+variance lies in the band the motion is no sinusoid, and its errors are given apart. So are, once more, those of the
+walls whose predicted cycle is `alone` (`rig.analysis.theory.describing`), which can be said of a wall beforehand.
 """
 
 from __future__ import annotations
@@ -124,6 +125,8 @@ class Tally:
     ----------
     sinusoids, others
         Errors where the motion is a sinusoid and where it is none.
+    alone
+        Errors where the loop without friction balances at a single frequency.
     both_rest
         Walls that rest: no cycle is predicted, or friction may hold the handle instead.
     only_predicted, only_simulated
@@ -133,6 +136,7 @@ class Tally:
     friction: bool
     sinusoids: Errors
     others: Errors
+    alone: Errors
     both_rest: int
     only_predicted: int
     only_simulated: int
@@ -161,6 +165,7 @@ class LimitCycles(Shown):
             friction=friction,
             sinusoids=Errors.of([wall for wall in both if wall.simulated.share >= PURE]),
             others=Errors.of([wall for wall in both if wall.simulated.share < PURE]),
+            alone=Errors.of([wall for wall in both if wall.predicted.alone]),
             both_rest=sum(r and not m for m, r in zip(moving, may_rest, strict=True)),
             only_predicted=sum(not r and not m for m, r in zip(moving, may_rest, strict=True)),
             only_simulated=sum(m and not f for m, f in zip(moving, found, strict=True)),
@@ -200,6 +205,7 @@ def _row(tally: Tally) -> Row:
 
     parts = [said(tally.sinusoids, "sinusoids")] if tally.sinusoids.walls else []
     parts += [said(tally.others, "that are no sinusoid")] if tally.others.walls else []
+    parts += [said(tally.alone, "of these whose cycle is alone")] if tally.alone.walls else []
     parts += [f"{tally.both_rest} rest, as friction can hold them"] if tally.both_rest else []
     parts += [f"{tally.only_predicted} rest against the prediction"] if tally.only_predicted else []
     parts += [f"{tally.only_simulated} cycle without a prediction"] if tally.only_simulated else []

@@ -31,7 +31,7 @@ from rig.recording.files import plain_errors
 from rig.recording.seal import SEALED_SUFFIX
 
 JOURNAL, SUMMARY, RECORDINGS, PLAN = "journal", "map.json", "hits", "plan.json"
-VERSION = 1  # of `PLAN`
+VERSION = 2  # of `PLAN`
 
 
 class Map(Protocol):

@@ -77,6 +77,8 @@ class MapPlan:
         Series of each damping and offset; they differ in where exactly the handle starts, and in a hand's tremor.
     judged
         Whose signals decide: the simulation's truth, or what a rig records.
+    criteria
+        Whose limits are searched for: each takes hits of its own.
     """
 
     experiment: Experiment
@@ -86,6 +88,7 @@ class MapPlan:
     offsets: tuple[float, ...] = OFFSETS
     repeats: int = 1
     judged: Judged = "true"
+    criteria: tuple[str, ...] = CRITERIA
 
     work: ClassVar[str] = "rig.experiments.zwidth:run_series"
     unit: ClassVar[str] = "ticks"
@@ -128,6 +131,7 @@ class MapPlan:
                     "experiment": config.as_mapping(self.experiment_of(series, applied[series.scheme])),
                     "search": asdict(self.search),
                     "judged": self.judged,
+                    "criteria": list(self.criteria),
                 },
                 weight=float(self.schemes[series.scheme].position_rate),
             )
@@ -137,7 +141,9 @@ class MapPlan:
     def as_mapping(self) -> dict[str, Any]:
         """Plain values, which `from_mapping` turns into an equal plan."""
         own = {"search": asdict(self.search), "schemes": [scheme.text for scheme in self.schemes]}
-        named = {name: getattr(self, name) for name in ("dampings", "offsets", "repeats", "judged")}
+        named = {
+            name: getattr(self, name) for name in ("dampings", "offsets", "repeats", "judged", "criteria")
+        }
         return {**plain(named), **own, "experiment": config.as_mapping(self.experiment)}
 
     @classmethod
@@ -151,6 +157,7 @@ class MapPlan:
             offsets=tuple(mapping["offsets"]),
             repeats=mapping["repeats"],
             judged=mapping["judged"],
+            criteria=tuple(mapping["criteria"]),
         )
 
     def check(self) -> None:
@@ -172,7 +179,7 @@ def run_series(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
         rows.append({"stiffness": stiffness} | row_of(done.recorded, "") | row_of(done.true, TRUE))
         return outcomes_of(rows[-1], payload["judged"])
 
-    drive(Search(**payload["search"]).walk(CRITERIA), hit)
+    drive(Search(**payload["search"]).walk(payload["criteria"]), hit)
     return rows
 
 
@@ -261,7 +268,7 @@ class ZWidth(Shown, Drawn):
         hits = 0
         for one, rows in zip(plan.series(), series, strict=True):
             hits += len(rows)
-            for criterion in CRITERIA:
+            for criterion in plan.criteria:
                 column = (one.scheme, one.damping, criterion)
                 limits.setdefault(column, []).append(limit_of(_tried(rows, criterion, plan.judged)))
         boundaries = tuple(Boundary.of(*column, found) for column, found in limits.items())
@@ -356,8 +363,8 @@ class ZWidth(Shown, Drawn):
                 {
                     "scheme": scheme.text,
                     "label": labels[number],
-                    "widths": {name: plain(self.width(number, name)) for name in CRITERIA},
-                    "curves": {name: plain(self.curve(number, name)) for name in CRITERIA},
+                    "widths": {name: plain(self.width(number, name)) for name in plan.criteria},
+                    "curves": {name: plain(self.curve(number, name)) for name in plan.criteria},
                 }
                 for number, scheme in enumerate(plan.schemes)
             ],

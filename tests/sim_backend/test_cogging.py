@@ -12,31 +12,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import ellipk
 
-from rig.core.model import Amplifier, Cogging, Encoder, Mechanics, Operator, RigModel
+from rig.core.model import Cogging, Operator, RigModel
 from rig.core.operators import GRIPS
 from sim_backend.plant import DiscretePlant, advance, energy
+from tests.sim_backend.test_physics import CAPSTAN, SLIDE
 
 TICK_S = 1e-4
-SLIDE = RigModel(
-    name="slide",
-    motion="linear",
-    mechanics=Mechanics(structure="rigid", motor_inertia=0.5, link_inertia=0.02),
-    amplifier=Amplifier(effort_per_ampere=10.0, effort_limit=100.0),
-    encoder=Encoder(quantum=1e-6),
-)
-CAPSTAN = RigModel(
-    name="capstan",
-    motion="rotary",
-    mechanics=Mechanics(
-        structure="two-mass",
-        motor_inertia=1.9e-4,
-        link_inertia=1.58e-3,
-        transmission_stiffness=2310.0,
-        handle_radius=0.1,
-    ),
-    amplifier=Amplifier(effort_per_ampere=0.234, effort_limit=1.3, lag_s=1e-4),
-    encoder=Encoder(counts_per_revolution=1000, ratio=10.0),
-)
+LOSSLESS = replace(CAPSTAN, mechanics=replace(CAPSTAN.mechanics, transmission_damping_ratio=0.0))
 ELASTIC = replace(GRIPS["normal"], pads_damping=0.0, hand_damping=0.0)
 PERIODS = {"linear": 0.024, "rotary": 2.0 * math.pi / 10.0}
 EFFORTS = {"linear": 1.0, "rotary": 0.01}
@@ -75,7 +57,7 @@ def test_a_free_motor_that_cogs_swings_like_a_pendulum() -> None:
     assert (passed[1] - passed[0]) * 1e-3 == pytest.approx(period_s, rel=1e-6)
 
 
-@pytest.mark.parametrize("rig", [SLIDE, CAPSTAN], ids=["rigid", "two-mass"])
+@pytest.mark.parametrize("rig", [SLIDE, LOSSLESS], ids=["rigid", "two-mass"])
 @pytest.mark.parametrize("hand", [None, ELASTIC], ids=["free", "held"])
 @settings(max_examples=4, deadline=None)
 @given(
@@ -106,7 +88,7 @@ def test_cogging_neither_makes_energy_nor_takes_any(
     assert abs(np.mean(at[-10:]) - np.mean(at[:10])) <= 1e-3 * scale
 
 
-@pytest.mark.parametrize("rig", [SLIDE, CAPSTAN], ids=["rigid", "two-mass"])
+@pytest.mark.parametrize("rig", [SLIDE, LOSSLESS], ids=["rigid", "two-mass"])
 @pytest.mark.parametrize("hand", [None, GRIPS["normal"]], ids=["free", "held"])
 @pytest.mark.parametrize("lag_s", [0.0, 2e-4])
 def test_a_motor_that_hardly_cogs_moves_like_one_that_does_not(
@@ -138,7 +120,7 @@ def test_a_motor_that_hardly_cogs_moves_like_one_that_does_not(
     assert abs(a[free.sensed_position + 1]) > 0.0
 
 
-@pytest.mark.parametrize("rig", [SLIDE, CAPSTAN], ids=["rigid", "two-mass"])
+@pytest.mark.parametrize("rig", [SLIDE, LOSSLESS], ids=["rigid", "two-mass"])
 def test_friction_holds_a_motor_that_cogs_to_the_last_bit_until_both_are_overcome(rig: RigModel) -> None:
     """At a crest of cogging along the position a push breaks away at Coulomb − cogging, against it at the sum."""
     scale, share = EFFORTS[rig.motion], 0.3
@@ -162,7 +144,7 @@ def test_friction_holds_a_motor_that_cogs_to_the_last_bit_until_both_are_overcom
 
 
 def test_effort_slope_and_energy_are_derivatives_of_each_other() -> None:
-    given = cogging(CAPSTAN, (1, 0.3, -0.2), (14, -0.5, 1.0)).cogging
+    given = cogging(LOSSLESS, (1, 0.3, -0.2), (14, -0.5, 1.0)).cogging
     at, step = np.linspace(-0.7, 0.7, 101), 1e-6
     rise = (given.energy(at + step) - given.energy(at - step)) / (2.0 * step)
     assert -rise == pytest.approx(given.effort(at), abs=1e-9)

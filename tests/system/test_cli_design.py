@@ -13,7 +13,7 @@ if numba.config.DISABLE_JIT:
 
 from rig import config
 from rig.cli import design as command
-from rig.experiments.design import margin, search
+from rig.experiments.design import margin, search, whole
 from rig.experiments.design.search import Round
 
 BRIEF = [
@@ -28,6 +28,8 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(margin, "SAMPLES", 1)
     monkeypatch.setattr(margin, "RATIO", 1.7)
     monkeypatch.setattr(margin, "OFFSETS", (0.1,))
+    monkeypatch.setattr(whole, "COLUMNS", 3)
+    monkeypatch.setattr(whole, "RATIO", 2.0)
     monkeypatch.setattr(command, "ON_RIG_COLUMNS", 1)
     monkeypatch.setattr(command, "ON_RIG_RATIO", 4.0)
     monkeypatch.setattr(
@@ -41,7 +43,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_design_is_a_section_to_paste_with_picture_page_and_numbers(run: Any, tmp_path: Path) -> None:
-    code, out, err = run("design", *FEW, "-o", "mine.toml")
+    code, out, err = run("design", *FEW, "--paper", "-o", "mine.toml")
     assert code == 0, err
     assert out.startswith("design of koul-compliant: ")
     (place,) = (tmp_path / "designs").iterdir()
@@ -58,6 +60,10 @@ def test_a_design_is_a_section_to_paste_with_picture_page_and_numbers(run: Any, 
     assert "data:image/png" in page
     told = json.loads((place / "design.json").read_text())
     assert told["toml"] == section
+    (against,) = told["against"]
+    assert against["listed"] == 1, "the paper's scheme is the preset's own"
+    assert against["text"] in out
+    assert against["text"] in page
     assert page.count(told["recommended"]["label"].split(",")[0]) >= 1
 
 
@@ -81,6 +87,7 @@ def test_json_is_one_document_and_the_same_command_reads_what_is_done(run: Any) 
         (["--scheme", "uniform:10k,estimator=fmd"], r"fmd"),
         (["--fidelity-to", "0"], r"0 \(--fidelity-to\) is out of range; .*above 0"),
         (["--round-trip", "-1"], r"-1 \(--round-trip\) is out of range"),
+        (["--paper", "--rig", "hapkit"], r"hapkit is the rig of no paper \(--paper\); .*koul-rigid"),
         (["--most-cost", "1"], r"1 \(--most-cost\) binds; .*\(--most-rate\)"),
     ],
 )

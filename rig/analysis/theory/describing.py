@@ -14,7 +14,10 @@ velocity that is held (and extrapolated), the delay, and the plant at its ticks,
 
 three equations for A, ω and x0. Without friction ω is where the phase of G·C crosses −180°, whatever A, and
 A = |G·C|·q: at most (2/π)·|G·C| counts while one edge is crossed, so a wall that is linearly stable (|G·C| < 1) buzzes
-by less than 0.64 counts. Of several balances the largest is taken. `duty` is the fraction of a count that the mean
+by less than 0.64 counts. Of several balances the largest is taken, but each may be the one that is seen, and which of
+them is a matter of where the handle comes from: only the only one (`alone`) is a prediction. Friction does not decide
+between them: where a mass rests in part of its period it takes less than this makes of it, and a balance that it
+should have ended may go on. `duty` is the fraction of a count that the mean
 reading lies above a whole one: ½ buzzes most, 0 not at all (until A is half a count).
 
 What it takes for granted: one sinusoid (the loop is a low pass: harmonics of the reading, its images in the velocity's
@@ -65,11 +68,14 @@ class LimitCycle:
         Its frequency; NaN without one.
     may_rest
         Whether friction can hold the handle still instead.
+    alone
+        Whether the loop, friction left out, balances at no other frequency: else another cycle may be there as well.
     """
 
     amplitude: float
     frequency_hz: float
     may_rest: bool
+    alone: bool
 
     @property
     def found(self) -> bool:
@@ -111,10 +117,12 @@ def limit_cycle(
     open_loop = _Open.of(loop, stiffness, damping, friction=friction)
     balances = [open_loop.balance(at, duty) for at in open_loop.crossings(duty)]
     amplitude, frequency = max(balances, default=NOTHING)
+    smooth = _Open.of(loop, stiffness, damping, friction=False) if friction else open_loop
     return LimitCycle(
         amplitude=amplitude,
         frequency_hz=frequency if amplitude > 0.0 else math.nan,
         may_rest=min(duty, 1.0 - duty) * stiffness * model.encoder.resolution <= held,
+        alone=len(smooth.crossings(duty)) <= 1,
     )
 
 

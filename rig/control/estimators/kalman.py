@@ -33,6 +33,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -213,7 +214,7 @@ def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> l
     noise = intensity * process_noise(order, printed=printed)
     gain = np.zeros(3)
     if steady:
-        gain[:order] = steady_gain(noise, r)
+        gain[:order] = _steady(order, intensity, r, printed)
     q = np.zeros((3, 3))  # the double integrator is the triple one that never has an acceleration
     q[:order, :order] = noise
     return [
@@ -221,6 +222,12 @@ def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> l
         float(FADINGS.index(settings["fading"])), settings["fading_window"], settings["forgetting"],
         float(steady), *gain.tolist(),
     ]  # fmt: skip
+
+
+@lru_cache(maxsize=512)
+def _steady(order: int, intensity: float, r: float, printed: bool) -> tuple[float, ...]:
+    """Solve the Riccati equation, 14 ms of processor time, once for all the walls that meet the same filter."""
+    return tuple(steady_gain(intensity * process_noise(order, printed=printed), r).tolist())
 
 
 def _check_options(order: int, printed: bool, steady: bool, fading: str, window: float) -> None:

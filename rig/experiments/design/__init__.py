@@ -10,6 +10,7 @@ rigs that differ from the described one.
 * `linear`: the listed set by linear theory
 * `rounds`: maps of a few walls of many schemes as one sweep
 * `margin`: the recommended scheme on other rigs and in other hands
+* `whole`: all of the listed set against the schemes of a rig's own paper
 * `result`: what comes out
 * `search`: all of it in order
 """
@@ -18,9 +19,11 @@ from rig.experiments.design.listing import Candidate, Place, listed, places_for
 from rig.experiments.design.result import Design, Standing
 from rig.experiments.design.rules import GOALS, Goal, Measures, UnmetError, Wishes
 from rig.experiments.design.search import Request, design, directory_for
+from rig.experiments.design.whole import Against
 
 __all__ = [
     "GOALS",
+    "Against",
     "Candidate",
     "Design",
     "Goal",

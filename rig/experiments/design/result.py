@@ -15,6 +15,7 @@ from rig.experiments.design import rules
 from rig.experiments.design.listing import Candidate, Place
 from rig.experiments.design.margin import Margin
 from rig.experiments.design.rules import Comparison, Measures, Wishes
+from rig.experiments.design.whole import Against
 from rig.experiments.zwidth import Boundary
 
 FITTED = "FITTED"  # how a rig's source says that its numbers were fitted on a paper's limits
@@ -71,6 +72,8 @@ class Design(Shown, Drawn):
         Ratio between two stiffnesses of the second round: what limits are known to there.
     hits
         By stage.
+    against
+        Each scheme of the rig's paper against all of the listed set, where that was asked for.
     """
 
     experiment: Experiment
@@ -86,6 +89,7 @@ class Design(Shown, Drawn):
     margin: Margin
     step: float
     hits: Mapping[str, int]
+    against: tuple[Against, ...] = ()
 
     @property
     def front(self) -> list[Standing]:
@@ -137,7 +141,8 @@ class Design(Shown, Drawn):
             f"design of {self.experiment.rig.name}: {self.recommended.label}",
             Row("goal", self._goal_text()),
             Row("on new seeds", self._held_out_text()),
-            Row("as good", self._as_good_text()),
+            *([Row("as good", self._as_good_text())] if not self.against else []),
+            *(Row("the paper's", one.text) for one in self.against),
             Row("margin", self._margin_text()),
             *([Row("fitted", self.experiment.rig.source)] if self.fitted else []),
             Row(
@@ -148,7 +153,16 @@ class Design(Shown, Drawn):
 
     def detailed(self) -> list[Item]:
         """The short form, and the front."""
-        return [*self.brief(), self.table("front", self.front), self.table("last round", self.finalists)]
+        return [
+            *self.brief(),
+            *self.against_tables(),
+            self.table("front", self.front),
+            self.table("last round", self.finalists),
+        ]
+
+    def against_tables(self) -> list[Table]:
+        """Measure by measure: each scheme of the paper against all of the listed set."""
+        return [one.table(self.experiment.rig.motion) for one in self.against]
 
     def table(self, caption: str, standings: Sequence[Standing]) -> Table:
         """Measures of some schemes."""
@@ -235,6 +249,7 @@ class Design(Shown, Drawn):
             "standings": [told(one) for one in self.standings],
             "finalists": [told(one) for one in self.finalists],
             "hits": dict(self.hits),
+            "against": [one.as_mapping() for one in self.against],
             "toml": self.toml(),
         }
 

@@ -1,19 +1,27 @@
-"""Maps of a few walls of many schemes as one sweep: the map's own series, tasks, hits and limits (`MapPlan`)."""
+"""Maps of a few walls of many schemes as one sweep: the map's own series, tasks, hits and limits (`MapPlan`).
+
+Only *any* is searched for, which all measures of a design are of: the limits of felt and heard alone, which a map has
+too, would take most of its hits.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
+
+import numpy as np
 
 from rig.config import Experiment
 from rig.config.schemes import Scheme
 from rig.experiments import sweep
+from rig.experiments.maps import Map, Plan
 from rig.experiments.results import make_directory
 from rig.experiments.searches import Search
 from rig.experiments.zwidth import MapPlan, ZWidth
 
+M = TypeVar("M", bound=Map)
 Watch = Callable[[str, sweep.Progress], None]
 
 
@@ -78,19 +86,31 @@ class Sweeper:
                 search=grid.search,
                 offsets=grid.offsets,
                 repeats=grid.repeats,
+                criteria=("any",),
             )
             for experiment, scheme, grid in work
         ]
+        maps = self.each(stage, plans)
+        self.hits[stage] = sum(found.hits for found in maps)
+        return maps
+
+    def each(self, stage: str, plans: Sequence[Plan[M]]) -> list[M]:
+        """What plans of one kind find, as one sweep."""
         of_plan = [
             [replace(task, key=f"{number}/{task.key}") for task in plan.tasks()]
             for number, plan in enumerate(plans)
         ]
-        done: Sequence[Any] = self.run(
-            stage, MapPlan.work, [task for some in of_plan for task in some], MapPlan.unit
-        )
-        maps, first = [], 0
+        if not plans:
+            return []
+        tasks = [task for some in of_plan for task in some]
+        done: Sequence[Any] = self.run(stage, plans[0].work, tasks, plans[0].unit)
+        found, first = [], 0
         for plan, some in zip(plans, of_plan, strict=True):
-            maps.append(plan.found(done[first : first + len(some)]))
+            found.append(plan.found(done[first : first + len(some)]))
             first += len(some)
-        self.hits[stage] = sum(found.hits for found in maps)
-        return maps
+        return found
+
+
+def columns_to(reach: float, columns: int) -> tuple[float, ...]:
+    """Dampings from 0 to a reach that lie closer near zero, where a boundary bends most."""
+    return tuple((reach * np.linspace(0.0, 1.0, columns) ** 2).tolist())

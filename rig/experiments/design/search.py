@@ -25,8 +25,9 @@ from rig.experiments.design.linear import Linear
 from rig.experiments.design.listing import Candidate, Place, listed, places_for
 from rig.experiments.design.margin import margin_of
 from rig.experiments.design.result import Design, Standing
-from rig.experiments.design.rounds import Grid, Sweeper, Watch
+from rig.experiments.design.rounds import Grid, Sweeper, Watch, columns_to
 from rig.experiments.design.rules import Boundary, Comparison, Measures, Wishes
+from rig.experiments.design.whole import Against, Paper, against_paper
 from rig.experiments.ranges import dampings_for, search_for
 from rig.experiments.searches import Search, Way
 from rig.experiments.zwidth import ZWidth
@@ -79,6 +80,9 @@ class Request:
         The listed set, if not `rig.experiments.design.listing`.
     rounds
         Of hits.
+    paper
+        Whether to hold the schemes of the rig's own paper against all of the listed set, too
+        (`rig.experiments.design.whole`).
     """
 
     experiment: Experiment
@@ -86,9 +90,10 @@ class Request:
     places: tuple[Place, ...] = ()
     schemes: tuple[Scheme, ...] = ()
     rounds: tuple[Round, ...] = field(default_factory=lambda: ROUNDS)
+    paper: bool = False
 
     def as_mapping(self) -> dict[str, Any]:
-        """Plain values: all that decides the result."""
+        """Plain values: all that decides the search; a paper has stages of its own, which change no other."""
         return {
             "experiment": config.as_mapping(self.experiment),
             "wishes": plain(self.wishes),
@@ -129,7 +134,7 @@ def design(
     UnmetError
         No scheme of the listed set fulfils the wishes; it says which one binds.
     ConfigError
-        A scheme of `request.schemes` that cannot be, or a scheduler that is not there.
+        A scheme of `request.schemes` that cannot be, a rig of no paper, or a scheduler that is not there.
     StoppedError
         Ctrl-C; what is done stays in the directory.
     """
@@ -144,6 +149,8 @@ class _Search:
 
     def design(self) -> Design:
         x, wishes = self.request.experiment, self.request.wishes
+        if self.request.paper:
+            Paper.of(x.rig.name)  # refused before the search, not after it
         places = self.request.places or places_for(x)
         own = Candidate.own(x, places)
         others = listed(x, places, self.request.schemes)
@@ -154,7 +161,8 @@ class _Search:
         shares = [wishes.of_path(one.noise, one.fidelity_hz, one.cost) for one in known.values()]
         rules.refuse_unmet(wishes, shares)
         entering = [one for one, share in zip(candidates, shares, strict=True) if rules.fulfilled(share)]
-        entering = self._promising(entering, known, dampings, known[own.key])
+        along = dampings
+        entering = self._promising(entering, known, along, known[own.key])
         kept = entering[: self.request.rounds[0].enter]
 
         rounds: list[list[Standing]] = []
@@ -162,7 +170,7 @@ class _Search:
         for number, stage in enumerate(self.request.rounds):
             if number:
                 entrants = [one.candidate for one in rounds[-1]][: stage.enter]
-                dampings = _columns(_reach(rounds[-1]), stage.columns)
+                dampings = columns_to(_reach(rounds[-1]), stage.columns)
             else:
                 top = max(known[one.key].measures(dampings, quiet=False).damping for one in entrants)
                 dampings = _octaves(min(2.0 * top, dampings[-1]) or dampings[-1], stage.columns)
@@ -176,6 +184,9 @@ class _Search:
         held_out = None if best is of_own else self._held_out(best, of_own, dampings)
         if held_out is not None and not held_out.no_worse and self._may_be_own(of_own, places):
             best = of_own
+        against: tuple[Against, ...] = ()
+        if self.request.paper:
+            against = against_paper(x, self._promising(candidates, known, along, known[own.key]), self.run)
         damping, limit = _where(best, wishes)
         return Design(
             experiment=x,
@@ -191,6 +202,7 @@ class _Search:
             margin=margin_of(best.candidate, x, damping, limit, self.run),
             step=self.request.rounds[max(0, len(rounds) - 2)].ratio,
             hits=self.run.hits,
+            against=against,
         )
 
     def _may_be_own(self, own: Standing, places: Sequence[Place]) -> bool:
@@ -327,11 +339,6 @@ def _of(standings: Sequence[Standing], candidate: Candidate) -> Standing:
 
 def _octaves(top: float, columns: int) -> tuple[float, ...]:
     return (0.0, *(top * 2.0**-n for n in reversed(range(columns - 1))))
-
-
-def _columns(top: float, columns: int) -> tuple[float, ...]:
-    """Dampings that lie closer near zero, where a boundary bends most."""
-    return tuple((top * np.linspace(0.0, 1.0, columns) ** 2).tolist())
 
 
 def _reach(standings: Sequence[Standing]) -> float:

@@ -61,6 +61,7 @@ def test_a_relay_round_a_motor_has_the_textbooks_cycle() -> None:
     assert found.frequency_hz == pytest.approx(1.0 / (2.0 * math.pi * math.sqrt(slow * LAG)), rel=5e-3)
     assert found.amplitude == pytest.approx(BALANCED / DAMPER * slow * LAG / (slow + LAG) / COUNT, rel=5e-3)
     assert not found.may_rest
+    assert found.alone, "the phase of such a loop falls, and crosses -180 degrees once"
 
 
 @pytest.mark.parametrize("coulomb", [3e-4, 1e-3, 2e-3])

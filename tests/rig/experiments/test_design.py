@@ -42,7 +42,7 @@ from rig.experiments.design.rules import Boundary
 from rig.experiments.design.search import Round
 from rig.experiments.ranges import search_for
 from rig.experiments.zwidth import MapPlan
-from tests.conformance.maps import SHORT
+from tests.conformance.maps import SHORT, short_map
 
 X = config.override(presets.load("koul-compliant"), SHORT)
 RESOLUTION = X.rig.encoder.resolution
@@ -216,6 +216,14 @@ def test_the_search_finds_what_all_hits_find(kept: Any) -> None:
     ]
     assert max(one.measures.area for one in found.finalists) * ROUNDS[-1].ratio >= max(areas)
     assert found.own.measures.area == pytest.approx(areas[0], rel=ROUNDS[-1].ratio - 1.0)
+
+
+@pytest.mark.parametrize("way", ["ladder", "bisection"])
+def test_the_limits_of_any_alone_are_those_of_a_whole_map(way: Any) -> None:
+    whole = replace(short_map(0.1, 0.6), search=search_for(X, way, ratio=1.5))
+    every, alone = maps.zwidth(whole), maps.zwidth(replace(whole, criteria=("any",)))
+    assert [b.stiffness for b in alone.boundaries] == [b.stiffness for b in every.curve(0, "any")]
+    assert alone.hits < every.hits
 
 
 def test_the_recommended_scheme_is_a_finalist_and_no_worse_where_nobody_has_looked(kept: Any) -> None:

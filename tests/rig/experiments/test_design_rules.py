@@ -115,6 +115,24 @@ def test_as_good_asks_for_each_measure_of_the_paper_to_a_rung() -> None:
     assert not rules.as_good(plain(undamped=99.0, stiffness=400.0, damping=2.9), own, 1.02)
 
 
+@pytest.mark.parametrize(
+    ("name", "worse", "enough"),
+    [
+        ("k_width", 86.0, 87.0),
+        ("b_width", 99.0, 100.0),
+        ("worst_fidelity", 103.0, 101.0),
+        ("tuned", 101, 100),
+    ],
+)
+def test_each_row_of_the_second_papers_table_has_its_own_tolerance(
+    name: str, worse: float, enough: float
+) -> None:
+    assert not rules.reaches(name, worse, 100.0, 1.15)
+    assert rules.reaches(name, enough, 100.0, 1.15)
+    assert not rules.reaches(name, math.nan, 100.0, 1.15)
+    assert rules.reaches(name, math.nan, math.nan, 1.15)
+
+
 def test_the_interval_of_a_comparison_is_students_and_covers_what_it_says() -> None:
     random = np.random.default_rng(1)
     covered = 0

@@ -12,6 +12,7 @@ if numba.config.DISABLE_JIT:
 from rig.config import presets
 from rig.config.schemes import Scheme
 from rig.core.errors import PlanError
+from rig.experiments import limit_cycles as searched
 from rig.experiments.limit_cycles import Cycle, limit_cycles
 
 RATE = 20_000.0
@@ -52,6 +53,26 @@ def test_friction_makes_it_smaller(cycles: Any) -> None:
         assert (free.friction, rubbed.friction) == (False, True)
         assert rubbed.predicted.amplitude < free.predicted.amplitude
         assert rubbed.simulated.amplitude < free.simulated.amplitude
+
+
+def test_where_a_cycle_is_not_alone_the_start_decides_which_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The capstan's ringing at 142 Hz, which friction should end, beside the predicted 678 Hz."""
+    x, wall = presets.load("koul-compliant"), [(574.7, 2.22)]
+    seen = []
+    for away in (3.0, 2.0):
+        monkeypatch.setattr(searched, "AWAY", away)
+        _, rubbed = limit_cycles(x, [Scheme.parse("dual:20k/2k")], wall).walls
+        assert not rubbed.predicted.alone
+        seen.append(rubbed.simulated.frequency_hz)
+    assert seen[0] < 0.4 * seen[1]
+    assert abs(rubbed.frequency_error) < 0.1
+
+
+def test_the_only_cycle_is_as_predicted(cycles: Any) -> None:
+    fast, slow = cycles.walls[1], cycles.walls[3]
+    assert fast.predicted.alone
+    assert not slow.predicted.alone
+    assert cycles.tally(True).alone.walls == 1
 
 
 def test_a_soft_wall_rests_where_friction_can_hold_it() -> None:
