@@ -236,7 +236,15 @@ class Bridged:
 
 def plain_drive() -> Drive:
     """A drive that nobody was asked about."""
-    return Drive(firmware="moteus", id=1, counts_per_turn=16384.0, transmission=2.0, ranges={}, settings={})
+    return Drive(
+        kind="moteus",
+        firmware="moteus",
+        id=1,
+        counts_per_turn=16384.0,
+        transmission=2.0,
+        ranges={},
+        settings={},
+    )
 
 
 def armed(world: Bridged | None = None, **values: int) -> tuple[Bridged, Host]:

@@ -2,6 +2,8 @@
 
 #include <string.h>
 
+#include "../core/device.h"
+
 enum subframe {
     WRITE_INT8 = 0x00,
     WRITE_FLOAT = 0x0c,
@@ -127,7 +129,7 @@ static float number(const uint8_t **at, enum number type)
 }
 
 /* Take a register; returns 1 for one that is wanted, in the type that was asked for. */
-static unsigned take(struct moteus_reply *reply, uint8_t switches, unsigned at, enum number type, float value)
+static unsigned take(struct drive_sample *reply, uint8_t switches, unsigned at, enum number type, float value)
 {
     if (type == FLOAT) {
         if (at == POSITION)
@@ -156,7 +158,7 @@ static unsigned take(struct moteus_reply *reply, uint8_t switches, unsigned at, 
     return 1;
 }
 
-bool moteus_read(const struct can_frame_bytes *frame, uint8_t switches, struct moteus_reply *reply)
+bool moteus_read(const struct can_frame_bytes *frame, uint8_t switches, struct drive_sample *reply)
 {
     static const uint8_t SIZES[] = {1, 2, 4, 4};
     const uint8_t *at = frame->bytes, *end = frame->bytes + frame->count;
@@ -181,3 +183,102 @@ bool moteus_read(const struct can_frame_bytes *frame, uint8_t switches, struct m
     }
     return found == WANTED + (switches != 0 ? 1u : 0u);
 }
+
+/* ------------------------------------------------------------------ a drive of a bridge */
+
+/* What it is told. A set-point needs food, an idle drive nothing. */
+static enum moteus_action action_of(const struct drive *drive, const struct drive_order *order)
+{
+    const uint8_t mode = drive->sample.mode;
+    if (!order->asks)
+        return order->wish == DRIVE_OFF ? MOTEUS_STOP : MOTEUS_TORQUE;
+    if (!drive->known)
+        return MOTEUS_ASK;
+    if (order->wish == DRIVE_OFF)
+        return mode == MOTEUS_STOPPED ? MOTEUS_ASK : MOTEUS_STOP;
+    if (order->wish == DRIVE_PREPARE && mode == MOTEUS_TIMEOUT)
+        return MOTEUS_STOP;
+    return order->fed ? MOTEUS_TORQUE : MOTEUS_ASK;
+}
+
+static size_t tell(struct drive *drive, const struct drive_order *order, struct can_frame_bytes *frames)
+{
+    const struct moteus_command command = {
+        .action = action_of(drive, order),
+        .torque = order->torque,
+        .limit = drive->limit,
+        .watchdog_s = order->watchdog_s,
+        .switches = drive->switches,
+    };
+    if (order->asks)
+        drive->sender = (uint8_t)((drive->sender + 1u) % MOTEUS_SENDERS);
+    moteus_make(frames, drive->prefix, (uint8_t)drive->id, (uint8_t)(MOTEUS_FIRST_SENDER + drive->sender), order->asks,
+                &command);
+    return 1;
+}
+
+static enum drive_heard hear(struct drive *drive, const struct can_frame_bytes *frame, uint64_t now)
+{
+    struct drive_sample sample = {0};
+    const uint32_t from = frame->id >> 8 & 0x7Fu, to = frame->id & 0x7Fu;
+    (void)now;
+    if (frame->id >> 16 != drive->prefix || (from != drive->id && to != drive->id))
+        return DRIVE_OTHERS;
+    if (from != drive->id || to < MOTEUS_FIRST_SENDER || to >= MOTEUS_FIRST_SENDER + MOTEUS_SENDERS)
+        return DRIVE_FOREIGN;
+    if (!drive->asked || to != MOTEUS_FIRST_SENDER + drive->sender)
+        return DRIVE_LATE;
+    if (!moteus_read(frame, drive->switches, &sample))
+        return DRIVE_INVALID;
+    sample.limited = sample.mode != MOTEUS_FAULT && sample.code >= MOTEUS_FIRST_LIMIT;
+    drive->sample = sample;
+    return DRIVE_SAMPLE;
+}
+
+static bool is_on(const struct drive *drive)
+{
+    return drive->sample.mode == MOTEUS_POSITION;
+}
+
+static uint8_t fault_of(uint32_t code)
+{
+    switch (code) {
+    case 33: case 44:
+        return BRIDGE_DRIVER;
+    case 34:
+        return BRIDGE_OVER_VOLTAGE;
+    case 35: case 42: case 43:
+        return HR_FAULT_ENCODER;
+    case 38:
+        return BRIDGE_TEMPERATURE;
+    case 32: case 36:
+        return BRIDGE_NOT_CALIBRATED;
+    case 39: case 48:
+        return BRIDGE_OUTSIDE_LIMIT;
+    case 40:
+        return BRIDGE_UNDER_VOLTAGE;
+    case 49: case 50:
+        return BRIDGE_CONTROL_ERROR;
+    default:
+        return BRIDGE_DRIVE_INTERNAL;
+    }
+}
+
+static uint8_t fault(const struct drive *drive, enum drive_wish wish, uint32_t since)
+{
+    const uint8_t mode = drive->sample.mode;
+    if (wish == DRIVE_OFF)
+        return mode == MOTEUS_STOPPED || mode == MOTEUS_FAULT || since < DRIVE_SETTLES ? HR_FAULT_NONE : BRIDGE_DRIVE_LEFT;
+    if (mode == MOTEUS_FAULT)
+        return fault_of(drive->sample.code);
+    if (wish == DRIVE_PREPARE && (mode <= MOTEUS_LAST_PREPARING || mode == MOTEUS_TIMEOUT))
+        return HR_FAULT_NONE;
+    return is_on(drive) ? HR_FAULT_NONE : BRIDGE_DRIVE_LEFT;
+}
+
+static bool forgot(const struct drive *drive)
+{
+    return drive->sample.mode == MOTEUS_STOPPED;
+}
+
+const struct drive_kind moteus_kind = {.tell = tell, .hear = hear, .is_on = is_on, .fault = fault, .forgot = forgot};

@@ -8,6 +8,7 @@
 #include <stdint.h>
 
 #include "can_frame.h"
+#include "drive.h"
 
 /* A query names its sender, and the reply repeats it: sixteen senders number the queries, so that a late reply is not
  * taken for the one that is awaited. Other programs are sender 0 unless they are told otherwise. */
@@ -40,21 +41,13 @@ struct moteus_command {
     uint8_t switches; /* register that a reply is to have too, 0: none (0x05e and 0x05f are the pins of aux1 and aux2) */
 };
 
-struct moteus_reply {
-    uint8_t mode; /* enum moteus_mode */
-    uint8_t code; /* register 0x00f */
-    float position;    /* turns of the output */
-    float torque;      /* N·m at the output, measured */
-    float voltage;     /* V */
-    float temperature; /* °C, of the board */
-    uint8_t switches;  /* that register */
-};
-
 /* A frame for the drive `id`, on a bus whose ids have a prefix of 13 bits (0: none). `reply` asks for one. */
 void moteus_make(struct can_frame_bytes *frame, uint32_t prefix, uint8_t id, uint8_t sender, bool reply,
                  const struct moteus_command *command);
 
 /* Read the registers that a command asks for; false when one is missing, or the frame is no reply. */
-bool moteus_read(const struct can_frame_bytes *frame, uint8_t switches, struct moteus_reply *reply);
+bool moteus_read(const struct can_frame_bytes *frame, uint8_t switches, struct drive_sample *reply);
+
+extern const struct drive_kind moteus_kind;
 
 #endif

@@ -348,6 +348,7 @@ def fit(found: Facts, model: RigModel, *, prefix: int = 0, switches: Switches | 
     )
     speed = math.floor(min(found.most_speed * abs(found.counts_per_turn), EXACT_COUNTS))
     return Drive(
+        kind="moteus",
         firmware=f"moteus {found.firmware}",
         id=found.id,
         prefix=prefix,

@@ -11,7 +11,7 @@ from firmware_protocol import messages as m
 from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault, Input
 from rig.bench.bridge import library
-from rig.bench.bridge.faults import MOTEUS, DriveFault
+from rig.bench.bridge.faults import MOTEUS, TEXTS, DriveFault
 from rig.bench.bridge.library import BRIDGE
 from rig.core.errors import DeviceRefusedError
 from rig.devices.framed import FramedDevice
@@ -342,12 +342,12 @@ def world_word(name: str) -> int:
 
 
 def test_codes_are_those_of_the_header() -> None:
-    header = (BRIDGE.root / "bridge" / "bridge.h").read_text()
+    header = (BRIDGE.root / "bridge" / "drive.h").read_text()
     codes = {
         name: int(code) for name, code in re.findall(r"^    BRIDGE_(\w+) = (\d+),", header, re.MULTILINE)
     }
     assert codes == {fault.name: int(fault) for fault in DriveFault}
-    assert set(MOTEUS) == set(DriveFault)
+    assert all(set(texts) == set(DriveFault) for texts in TEXTS.values())
 
 
 def test_structures_are_those_of_the_header() -> None:
