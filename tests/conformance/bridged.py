@@ -231,7 +231,7 @@ class Bridged:
     @property
     def torque(self) -> float:
         """That the drive wants to give now (N·m at its output)."""
-        return self.register(0x03A) if self.mode == 10 else 0.0
+        return self.register(0x03A) if self.mode in (10, 13) else 0.0
 
 
 def plain_drive() -> Drive:

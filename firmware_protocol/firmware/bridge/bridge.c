@@ -43,6 +43,7 @@ static void tell(struct bridge *bridge, bool asks)
         .fed = bridge->fed > 0,
         .torque = (float)bridge_torque(bridge),
         .watchdog_s = (float)bridge->bite_us * 1e-6f,
+        .wall = bridge->rendering ? &bridge->wall : NULL,
     };
     struct can_frame_bytes frames[DRIVE_FRAMES] = {0};
     if (bridge->bus_lost)
@@ -89,9 +90,10 @@ static bool hal_encoder_failed(void *context)
 static void hal_set_current(void *context, int16_t quanta)
 {
     struct bridge *bridge = context;
-    if (!bridge->driving && bridge->current != 0)
+    if (!bridge->driving && (bridge->current != 0 || bridge->rendering))
         bridge->at_once = true;
     bridge->current = quanta;
+    bridge->rendering = false; /* until the tick says again how much of it */
 }
 
 static int16_t hal_measured_current(void *context)
@@ -103,6 +105,14 @@ static int16_t hal_measured_current(void *context)
     return (int16_t)(quanta < 32767.0 ? lrint(quanta) : 32767);
 }
 
+static bool hal_renders(void *context, const law_parameters *law, uint32_t rate)
+{
+    const struct bridge *bridge = context;
+    struct drive_wall wall;
+    return bridge->kind->renders != NULL && wall_of_law(&bridge->scales, law, rate, &wall)
+           && bridge->kind->renders(&bridge->drive, &wall);
+}
+
 static void hal_enable(void *context, bool on)
 {
     struct bridge *bridge = context;
@@ -110,6 +120,7 @@ static void hal_enable(void *context, bool on)
         bridge->at_once = true;
     wish(bridge, on ? DRIVE_ON : DRIVE_OFF);
     bridge->current = 0;
+    bridge->rendering = false;
 }
 
 /* A drive that is switched on measures its current sensors first, for some hundredths of a second. */
@@ -211,6 +222,7 @@ void bridge_setup(struct bridge *bridge, const struct bridge_setup *setup, struc
         .set_current = hal_set_current,
         .measured_current = hal_measured_current,
         .enable = hal_enable,
+        .renders = hal_renders,
         .amplifier_ready = hal_amplifier_ready,
         .inputs = hal_inputs,
         .set_rate = hal_set_rate,
@@ -229,6 +241,10 @@ void bridge_setup(struct bridge *bridge, const struct bridge_setup *setup, struc
     bridge->drive.id = setup->drive;
     bridge->drive.switches = (uint8_t)setup->switches;
     bridge->drive.limit = (float)setup->torque_limit;
+    bridge->drive.kp = (float)setup->kp;
+    bridge->scales.counts_per_turn = setup->counts_per_turn;
+    bridge->scales.torque_per_quantum = setup->torque_per_quantum;
+    bridge->drive.kd = (float)setup->kd;
     bridge->drive.beat = (uint64_t)setup->beat_us * HR_TIME_UNITS_PER_US;
     bridge->adapter.checksum = setup->checksum != 0;
     bridge->board.dictionary = setup->dictionary;
@@ -269,6 +285,14 @@ static void take_count(struct bridge *bridge)
         bridge->count_failed = true;
 }
 
+/* With a wall the effort is the drive's own: what it tells, in quanta. */
+static void take_effort(struct bridge *bridge)
+{
+    const double quanta = (double)bridge->drive.sample.rendered / bridge->setup.torque_per_quantum;
+    if (bridge->rendering && fabs(quanta) < 32767.0)
+        bridge->active = (int16_t)lrint(quanta);
+}
+
 static void note(struct bridge *bridge)
 {
     struct bridge_facts *facts = bridge->facts;
@@ -297,6 +321,7 @@ static void take_sample(struct bridge *bridge)
         bridge->due = bridge->now + bridge->period - bridge->cycle / 2u;
     note(bridge);
     take_count(bridge);
+    take_effort(bridge);
     bridge->drive.known = true;
     const uint8_t fault = bridge->kind->fault(&bridge->drive, bridge->wish, bridge->since);
     if (fault != HR_FAULT_NONE)
@@ -387,10 +412,12 @@ void bridge_tick(struct bridge *bridge, uint64_t now)
         miss_reply(bridge);
     if (bridge->wish == DRIVE_PREPARE && now > bridge->wished_until)
         hal_enable(bridge, false);
+    const int16_t given = bridge->active;
     bridge->active = bridge->current;
     bridge->driving = true;
     device_drive(&bridge->device);
     bridge->driving = false;
+    bridge->rendering = wall_now(&bridge->scales, &bridge->device, given, &bridge->wall);
     bridge->at_once = false;
     tell(bridge, true);
     bridge->fed -= bridge->fed > 0 ? 1u : 0u;

@@ -21,6 +21,7 @@
 #include "drive.h"
 #include "fdcanusb.h"
 #include "socketcan.h"
+#include "wall.h"
 
 #define BRIDGE_SILENT 2u         /* replies missed in succession: as many ticks as the core lets an armed device miss */
 #define BRIDGE_NARROWER 16u
@@ -63,6 +64,8 @@ struct bridge_setup {
     double counts_per_turn; /* of the output, as the drive tells it; may be negative */
     double torque_per_quantum; /* N·m at the output; may be negative */
     double torque_limit; /* N·m at the output */
+    double kp; /* gains of the drive's own law at the output, N·m/turn; 0: it renders no wall */
+    double kd; /* N·m·s/turn */
     uint32_t switches; /* register of the drive that has them, 0: none */
     uint32_t hold;     /* bits of it that are 1 while the hold-to-run switch is held */
     uint32_t stop;     /* bits of it that are 0 when the emergency stop is pressed, or its wire is broken */
@@ -101,7 +104,10 @@ struct bridge {
     bool at_once;       /* the current was taken away between two ticks: do not wait for the next one */
     bool driving;       /* inside device_drive */
     int16_t current;    /* quanta */
-    int16_t active;     /* the one before it, with which the drive takes its sample */
+    int16_t active;     /* the one before it, with which the drive takes its sample; with a wall, what its law gave there */
+    bool rendering;     /* `wall` is the drive's to render */
+    struct drive_wall wall;
+    struct wall_scales scales;
     uint32_t fed;       /* set-points that the core's last feeding is good for */
     uint32_t bite_us;
 

@@ -31,6 +31,15 @@ enum bridge_fault {
 
 enum drive_wish { DRIVE_OFF, DRIVE_PREPARE, DRIVE_ON };
 
+/* A wall that a drive renders itself, at its output: a spring to its surface and a damper, on one side. */
+struct drive_wall {
+    float surface;   /* turns */
+    bool above;      /* it fills the turns above its surface, else those below */
+    float stiffness; /* N·m/turn */
+    float damping;   /* N·m·s/turn */
+    float limit;     /* N·m of wall and torque together, at most */
+};
+
 struct drive_order {
     enum drive_wish wish;
     uint32_t since;   /* samples since that wish */
@@ -38,6 +47,7 @@ struct drive_order {
     bool fed;         /* the core's watchdog is: a set-point may go */
     float torque;     /* N·m at the output */
     float watchdog_s; /* after which the drive gives none, unless it is told again */
+    const struct drive_wall *wall; /* to render beside the torque, or NULL */
 };
 
 struct drive_sample {
@@ -45,6 +55,7 @@ struct drive_sample {
     uint32_t code;     /* of its fault */
     float position;    /* turns of the output */
     float torque;      /* N·m at the output, measured */
+    float rendered;    /* N·m at the output that its own law gives, torque and wall; NaN where it does not say */
     float voltage;     /* V */
     float temperature; /* °C */
     uint8_t switches;  /* pins */
@@ -64,12 +75,14 @@ struct drive {
     uint32_t prefix, id; /* of the bus's ids; its own */
     uint8_t switches;    /* register of its pins, 0: none */
     float limit;         /* N·m at the output, that it may give at most */
+    float kp, kd;        /* of its own law: N·m/turn, N·m·s/turn at the output; 0: it renders no wall */
     uint64_t beat;       /* device time between two heartbeats of an ODrive */
     bool asked;          /* a sample is awaited */
     bool known;          /* there was one */
     struct drive_sample sample;
 
     uint8_t sender; /* of a moteus: of the last query, from 0 */
+    uint8_t modes[DRIVE_TOLD]; /* of a moteus: that it was told last, the newest first; a sample may show any of them */
 
     struct { /* of an ODrive */
         uint32_t error;
@@ -92,6 +105,9 @@ struct drive_kind {
 
     /* Take a frame of the bus. */
     enum drive_heard (*hear)(struct drive *drive, const struct can_frame_bytes *frame, uint64_t now);
+
+    /* Whether it can render a wall itself; NULL: none. */
+    bool (*renders)(const struct drive *drive, const struct drive_wall *wall);
 
     /* Whether a set-point acts at once. */
     bool (*is_on)(const struct drive *drive);

@@ -31,6 +31,14 @@ enum moteus_action {
     MOTEUS_ASK,   /* changes nothing, and does not feed the drive's watchdog */
     MOTEUS_STOP,  /* the driver off; clears a fault and a time-out of its watchdog */
     MOTEUS_TORQUE,
+    MOTEUS_WALL, /* and the drive's own spring and damper beyond a bound: mode 13 */
+};
+
+/* Mode 13, docs/protocol/registers.md 0x040 ... 0x047: beyond a bound the drive's position controller holds that, with
+ * these shares of its gains. Nothing clamps it: it pulls, too. */
+struct moteus_wall {
+    float lower, upper; /* turns of the output; NaN: no bound */
+    float kp_scale, kd_scale;
 };
 
 struct moteus_command {
@@ -39,6 +47,7 @@ struct moteus_command {
     float limit;      /* N·m that it may give at most, whatever it is told */
     float watchdog_s; /* after which it gives none, unless it is told again */
     uint8_t switches; /* register that a reply is to have too, 0: none (0x05e and 0x05f are the pins of aux1 and aux2) */
+    struct moteus_wall wall; /* of MOTEUS_WALL */
 };
 
 /* A frame for the drive `id`, on a bus whose ids have a prefix of 13 bits (0: none). `reply` asks for one. */

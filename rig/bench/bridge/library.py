@@ -33,7 +33,8 @@ BRIDGE = CLibrary(
 RATE_INITIAL, RATE_MAXIMUM = 1_000, 2_500  # Hz; the latter is what a moteus answers at best
 DRIVES = ("moteus", "odrive")  # enum bridge_drive of bridge.h
 BINS, BIN_US = 512, 10
-NO_LAW = {"law": (0, 0), "excitation_lines": (0, 0), "excitation_period": (2, 2)}
+NO_EXCITATION = {"excitation_lines": (0, 0), "excitation_period": (2, 2)}
+LAW_HERE, LAW_ON_THE_DRIVE = 2, 3  # largest kinds of `law`
 _OUTPUT_BYTES = 65536
 _INDEX = {parameter.name: index for index, parameter in enumerate(PARAMETERS)}
 
@@ -81,7 +82,10 @@ class Setup(ctypes.Structure):
         ("mechanics", Mechanics),
         ("current_sensor", CurrentSensor),
         *((name, ctypes.c_uint32) for name in ("prefix", "drive")),
-        *((name, ctypes.c_double) for name in ("counts_per_turn", "torque_per_quantum", "torque_limit")),
+        *(
+            (name, ctypes.c_double)
+            for name in ("counts_per_turn", "torque_per_quantum", "torque_limit", "kp", "kd")
+        ),
         *(
             (name, ctypes.c_uint32)
             for name in ("switches", "hold", "stop", "checksum", "socket", "kind", "cycle_us", "beat_us")
@@ -211,6 +215,8 @@ class Drive:
         Samples a second that it gives at most.
     cycle_us, beat_us
         Between two samples, and two heartbeats, that it tells by itself; 0 where it is asked.
+    gains
+        Of its own law, spring and damper (N·m/turn and N·m·s/turn at its output); None: it renders no wall.
     """
 
     kind: str
@@ -225,6 +231,7 @@ class Drive:
     rate_maximum: int = RATE_MAXIMUM
     cycle_us: int = 0
     beat_us: int = 0
+    gains: tuple[float, float] | None = None
 
 
 def dictionary_of(model: RigModel, drive: Drive) -> dictionaries.Dictionary:
@@ -235,7 +242,7 @@ def dictionary_of(model: RigModel, drive: Drive) -> dictionaries.Dictionary:
         simulated=False,
         rate_default=min(RATE_INITIAL, drive.rate_maximum),
         rate_maximum=drive.rate_maximum,
-        narrower={**NO_LAW, **drive.ranges},
+        narrower={"law": (0, LAW_ON_THE_DRIVE if drive.gains else LAW_HERE), **NO_EXCITATION, **drive.ranges},
         settings=drive.settings,
     )
     return replace(plain, faults=(*plain.faults, *explained(drive.kind)))
@@ -271,6 +278,7 @@ class Bridge:
         self._packed = dictionaries.encode(self.dictionary)
         amplifier = model.amplifier
         torque_per_quantum = amplifier.effort_quantum / drive.transmission
+        kp, kd = drive.gains or (0.0, 0.0)
         setup = Setup(
             dictionary=self._packed,
             dictionary_hash=dictionaries.dictionary_hash(self._packed),
@@ -286,6 +294,8 @@ class Bridge:
             counts_per_turn=drive.counts_per_turn,
             torque_per_quantum=model.encoder.sign * torque_per_quantum,
             torque_limit=amplifier.effort_limit / drive.transmission,
+            kp=kp,
+            kd=kd,
             switches=drive.switches.register,
             hold=drive.switches.hold,
             stop=drive.switches.stop,
