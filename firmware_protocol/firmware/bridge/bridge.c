@@ -14,6 +14,7 @@
 #define FORGETS (UNITS_PER_SECOND / 50u) /* a drive that starts again is silent for longer (assumed) */
 #define JUMP 0.5             /* turns between two replies that no handle makes: the drive has started again */
 #define POLLS 64u            /* of the core in a row */
+#define STALE 2u             /* samples behind a wish: the first may answer what was asked before it */
 #define ENDING_FRAMES 3u
 
 static const struct drive_kind *const KINDS[] = {
@@ -134,7 +135,7 @@ static bool hal_amplifier_ready(void *context)
     if (bridge->wish == DRIVE_OFF)
         wish(bridge, DRIVE_PREPARE);
     bridge->wished_until = hal_time(bridge) + PREPARES;
-    return bridge->drive.known && bridge->missed == 0 && bridge->kind->is_on(&bridge->drive);
+    return bridge->drive.known && bridge->missed == 0 && bridge->since >= STALE && bridge->kind->is_on(&bridge->drive);
 }
 
 /* Pins of the drive, as its last reply told them. */

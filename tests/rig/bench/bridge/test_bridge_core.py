@@ -102,6 +102,18 @@ def test_arming_waits_until_the_drive_is_prepared_and_gives_no_torque_meanwhile(
     assert world.mode == 0
 
 
+def test_who_arms_right_after_disarming_waits_until_the_drive_is_on_again() -> None:
+    """Its last reply is from before it was told to stop."""
+    world, host = armed()
+    push(host, 5)
+    assert host.disarm().status == 0
+    ack = host.configure(**RUN_PARAMETERS)
+    assert host.arm(2, ack.crc).status == 0
+    push(host, 20)
+    assert world.bridge.fault == 0
+    assert world.torque > 0.0
+
+
 def test_a_drive_that_nobody_arms_is_switched_off_again() -> None:
     world = Bridged()
     host = Host(world)
