@@ -23,7 +23,7 @@ from tests.conformance.bridged import Bridged
 
 DAMPINGS = (0.005, 0.01, 0.02, 0.04)  # N·m·s/rad
 FILTER = "motor_position.sources.0.pll_filter_hz"
-GAINS = {"servo.pid_position.kp": "400", "servo.pid_position.kd": "10"}
+GAINS = {"servo.pid_position.kp": "200", "servo.pid_position.kd": "40"}
 DRIVE = {"controller.loop": "device", "controller.arithmetic": "drive"}
 CASES: dict[str, tuple[dict[str, Any], dict[str, str]]] = {
     "law behind the bridge, 1 kHz": ({}, {}),

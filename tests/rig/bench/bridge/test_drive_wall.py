@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,10 +17,15 @@ from firmware_protocol.parameters import BY_NAME
 from rig.bench.bridge.faults import DriveFault
 from rig.bench.doctor.late_loops import LateLoops
 from rig.config import Experiment, controller, rig_model
+from rig.control.verdict import Kind
 from rig.core.check import refused
 from rig.core.errors import PlanError
+from rig.core.sample import Phase
+from rig.devices.framed import FramedDevice
 from rig.experiments import on_the_drive
+from rig.experiments.hit import HitRequest, hit
 from rig.experiments.plan import device_checks, plan_of
+from rig.experiments.replay import replay
 from sim_backend.configuration import describe
 from tests.conformance.bridged import Bridged
 from tests.conformance.firmware import need_compiler
@@ -340,6 +346,37 @@ def test_a_device_that_is_no_bridge_refuses() -> None:
     simulated = describe(rig_model(run.experiment), "a board", 1000, 8000, 2)
     reasons = " ".join(check.text for check in refused(device_checks(run, simulated)))
     assert "no drive behind a bridge" in reasons
+
+
+# ---------------------------------------------------------------------- a trial, and its recording
+
+
+def test_a_recording_has_the_effort_of_the_drive_and_what_it_was_set_to(tmp_path: Path) -> None:
+    x = walled(wall__damping=0.005, trial__duration_s=0.55, rig__mechanics__motor_coulomb=0.003)
+    world = Bridged(rig_model(x), GAINS)
+    rendered: dict[int, float] = {}
+    hear = world.bridge.hear_bus
+
+    def noted(line: bytes, now: int) -> bytes:
+        said = hear(line, now)
+        if world.mode == 13:
+            rendered[world.bridge.facts.replies] = world.register(0x03A)
+        return said
+
+    world.bridge.hear_bus = noted  # type: ignore[method-assign]
+    device = FramedDevice(world)
+    (result,) = hit(HitRequest(experiment=x, url="moteus://", device=device, verified=True, output=tmp_path))
+    recording, judgement = result.recorded.recording, result.recorded.judgement
+    trial = recording.rows[recording.rows["phase"] == Phase.TRIAL]
+    told = np.array(sorted(rendered.values()))
+    assert judgement.verdict.kind == Kind.STABLE, judgement.verdict.reasons
+    assert np.abs(trial["effort_applied"]).max() == pytest.approx(np.abs(told).max(), abs=1e-3)
+    assert judgement.verdict.peak_effort == pytest.approx(np.abs(trial["effort_applied"]).max())
+    assert recording.header["extra"]["arithmetic"] == "drive"
+    settings = recording.header["identity"]["settings"]
+    assert (settings["drive_filter_hz"], settings["drive_law_hz"]) == (400.0, 30_000.0)
+    assert (settings["drive_kp"], settings["drive_kd"]) == (60.0, 2.0)
+    assert replay(recording).exact  # beside it: what the host's law made of the same counts
 
 
 # ---------------------------------------------------------------------- live changes
