@@ -24,7 +24,8 @@ def _rows() -> list[tuple[str, str, str, tuple[Value, Value], Value, str, bool]]
     """Name, C type, unit, range, default, meaning, live; in the order of their ids."""
     fixed, live = False, True
     rows: list[tuple[str, str, str, tuple[Value, Value], Value, str, bool]] = [
-        ("law", "u8", "", (0, 2), 0, "who computes the current: 0 host; device: 1 integers, 2 float32", fixed),
+        ("law", "u8", "", (0, 3), 0, "who computes the current: 0 host; device: 1 integers, 2 float32, 3 float32, "
+         "and what it drives renders the wall", fixed),
         ("batch_layout", "u8", "", (0, 2), 0, "layout of BATCH (BATCH_LAYOUTS)", fixed),
         ("batch_samples", "u8", "tick", (1, 76), 45, "most samples in a frame, if it holds as many", fixed),
         ("estimator", "u8", "", (0, 6), 0, "0 fdm-butterworth in integers; 1 fdm, 2 fdm-butterworth, "

@@ -17,7 +17,7 @@ from rig.core.present import Table, plain
 from rig.core.sample import unit_of
 from rig.experiments import compare as comparing
 from rig.experiments.compare import Comparison, Entry, SchemeImpacts, default_entries
-from rig.experiments.plan import STANDS_FOR_DEVICE
+from rig.experiments.plan import stands_for_device
 from rig.papers.koul import compare as koul
 from rig.papers.koul import impact_pictures
 from rig.papers.koul.compare import Panel, Profiles, WordLength
@@ -91,7 +91,7 @@ def run(
     )
     output.print_table(_table(comparison))
     if changed.controller.loop == "device":
-        click.echo(f"  {STANDS_FOR_DEVICE}")
+        click.echo(f"  {stands_for_device(changed)}")
     if picture is not None:
         output.print_pairs([("picture", picture)])
 

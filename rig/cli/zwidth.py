@@ -20,7 +20,7 @@ from rig.core.errors import ConfigError
 from rig.core.present import Table
 from rig.core.sample import unit_of
 from rig.experiments import maps
-from rig.experiments.plan import STANDS_FOR_DEVICE
+from rig.experiments.plan import stands_for_device
 from rig.experiments.ranges import SPAN, hit_plan, theory_curves
 from rig.experiments.searches import numbers_of
 from rig.experiments.zwidth import Width, ZWidth
@@ -182,7 +182,7 @@ def _notes(found: ZWidth) -> list[str]:
             "there are islands: stiffer walls that are stable beyond one that is not (see the picture)"
         )
     if found.of_device_loop:
-        notes.append(STANDS_FOR_DEVICE)
+        notes.append(stands_for_device(found.plan.experiment))
     unknown = sum(b.unknown for b in found.boundaries if b.criterion == "any")
     if unknown:
         why = ", ".join(f"{reason} ({number})" for reason, number in found.invalid().items())

@@ -151,10 +151,11 @@ class Controller:
         ),
     ] = "host"
     arithmetic: Annotated[
-        Literal["auto", "fixed", "float32"],
+        Literal["auto", "fixed", "float32", "drive"],
         Quantity(
             "",
-            "of a law on the device: integers, float32, or by the estimator: integers for fdm-butterworth-fixed",
+            "of a law on the device: integers, float32, or by the estimator: integers for fdm-butterworth-fixed; "
+            "drive: behind a bridge, the drive renders the wall itself, at its own rate with its own filter",
         ),
     ] = "auto"
     measured_current: Annotated[

@@ -47,13 +47,18 @@ class Signals:
     overruled: Bools  # the device limited, ramped or withheld what the law commanded
 
 
-def recorded_signals(rows: NDArray[np.void], tick_s: float, resolution: float) -> Signals:
-    """What a rig records of the trial phase of its rows (`rig.core.sample.ROW`)."""
+def recorded_signals(
+    rows: NDArray[np.void], tick_s: float, resolution: float, *, effort: str = "effort_sent"
+) -> Signals:
+    """What a rig records of the trial phase of its rows (`rig.core.sample.ROW`), its effort by a column.
+
+    That is what the law gave, but for a wall that a drive rendered itself: what the drive told, ``effort_applied``.
+    """
     trial = rows[rows["phase"] == Phase.TRIAL]
     return Signals(
         position=trial["position"].copy(),
         velocity=None,
-        effort=trial["effort_sent"].copy(),
+        effort=trial[effort].copy(),
         penetration=trial["penetration"].copy(),
         **_shared(rows, tick_s, abs(resolution)),
     )

@@ -125,7 +125,12 @@ COLUMNS: tuple[Column, ...] = (
         "effort of the command sent: guarded and rounded to the current quantum; law on the device: what the same law "
         "gives here for the same count; effort_applied of the next row is what the device computed",
     ),
-    Column("effort_applied", "<f8", "effort", "active effort on the device when the sample was taken"),
+    Column(
+        "effort_applied",
+        "<f8",
+        "effort",
+        "active effort on the device when the sample was taken; where a drive renders the wall, what the drive told",
+    ),
     Column("current_sent", "<i8", "quantum", "current of effort_sent, in current quanta"),
     Column("current_applied", "<i8", "quantum", "active current on the device, in current quanta"),
     Column("current_measured", "<f8", "A", "measured motor current"),

@@ -149,7 +149,13 @@ def judge(recording: Recording, experiment: Experiment) -> Judgement:
     """Measure and judge a recording; `experiment` is the one in effect, from `experiment_of` where nobody has it."""
     limits, wall, early = verdict_thresholds(experiment), experiment.wall, ended_early(recording)
     tick_s, thrown_out = 1.0 / experiment.controller.position_rate, early is not None
-    signals = judging.recorded_signals(recording.rows, tick_s, experiment.rig.encoder.resolution)
+    by_the_drive = recording.header["extra"].get("arithmetic") == "drive"
+    signals = judging.recorded_signals(
+        recording.rows,
+        tick_s,
+        experiment.rig.encoder.resolution,
+        effort="effort_applied" if by_the_drive else "effort_sent",
+    )
     measured, true = judging.measured(signals, limits, thrown_out=thrown_out), None
     if recording.has_truth:
         signals = judging.true_signals(recording.rows, tick_s, wall.position, wall.side)

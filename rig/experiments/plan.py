@@ -15,6 +15,7 @@ from rig.config import Experiment, controller, device_law, motor_push, push_at_r
 from rig.core.check import Check, Outcome
 from rig.core.sample import unit_of
 from rig.devices.device import LINK_SHARE, STATE_BYTES
+from rig.experiments import on_the_drive
 from rig.experiments.excitation_plan import excitation_plan
 from rig.experiments.planned import ARITHMETIC_WORDS, Plan, Step, heat_check, limited, where_it_runs
 
@@ -22,6 +23,13 @@ STANDS_FOR_DEVICE = (
     "simulated with the law of the host, in float64: it stands for that of the device, which has no more delay and "
     "rounds to a quantum or two"
 )
+
+
+def stands_for_device(experiment: Experiment) -> str:
+    """What a simulation under the host's law is worth for the law on a device."""
+    return on_the_drive.STANDS_FOR_NO_DRIVE if on_the_drive.is_on_the_drive(experiment) else STANDS_FOR_DEVICE
+
+
 FLASH = "flash the firmware of this package (rig firmware)"
 LAW_NAMES = frozenset(parameter.name for parameter in LAW_PARAMETERS)
 
@@ -36,7 +44,12 @@ def plan_of(run: controller.Run) -> Plan:
     experiment = run.experiment
     if experiment.trial.kind == "excitation":
         return replace(excitation_plan(experiment), run=run)
-    checks = (*_wall_checks(experiment), *_watch_checks(experiment), _heat_check(experiment))
+    checks = (
+        *_wall_checks(experiment),
+        *_watch_checks(experiment),
+        _heat_check(experiment),
+        *on_the_drive.lost(experiment),
+    )
     return Plan(experiment.rig.name, experiment.trial.repeats, _steps(experiment), checks, run)
 
 
@@ -124,7 +137,8 @@ def device_checks(run: controller.Run, dictionary: Dictionary) -> list[Check]:
             if narrow
             else f"{dictionary.device} runs it in {ARITHMETIC_WORDS[arithmetic]}",
             "choose another rate, estimator or arithmetic, or a firmware that has it",
-        )
+        ),
+        *on_the_drive.fits(experiment, dictionary),
     ]
 
 

@@ -10,7 +10,11 @@ from rig.core.check import Check, Outcome, refused
 from rig.core.present import Item, Row, reported, written
 from rig.core.shown import Shown
 
-ARITHMETIC_WORDS = {"fixed": "integers", "float32": "float32"}
+ARITHMETIC_WORDS = {
+    "fixed": "integers",
+    "float32": "float32",
+    "drive": "float32, but for the wall, which its drive renders",
+}
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,6 +25,7 @@ from rig.core.errors import ConfigError, PlanError
 from rig.experiments.excitation_run import Signal
 from rig.experiments.impedance import Judging
 from rig.experiments.kmax import KMax
+from rig.experiments.on_the_drive import is_on_the_drive
 from rig.experiments.plan import make_plan
 from rig.experiments.searches import Search, Way
 from rig.experiments.zwidth import OFFSETS, Judged, MapPlan
@@ -209,6 +210,8 @@ def hit_plan(
 
 def theory_curves(plan: MapPlan) -> dict[int, tuple[list[float], list[float]]]:
     """Dampings and linear limits of every scheme that the theory can take, by index of scheme."""
+    if is_on_the_drive(plan.experiment):
+        return {}
     dampings = np.linspace(min(plan.dampings), max(plan.dampings), CURVE_POINTS)
     return _linear_only(
         plan.schemes,

@@ -420,6 +420,7 @@ def _header(
             "simulated": dictionary.simulated,
             "reference": REFERENCES[int(echo.values.get("reference", 0))],
             "current_quantum_a": dictionary.current_quantum_a,
+            "settings": {info.name: info.value for info in dictionary.settings},
             "parameters": echo.values,
             "parameters_crc": echo.crc,
             "parameters_since": echo.sample_index,

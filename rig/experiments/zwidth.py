@@ -33,7 +33,7 @@ from rig.core.sample import unit_of
 from rig.core.shown import Shown
 from rig.experiments import sweep
 from rig.experiments.hit_simulator import HitSimulator
-from rig.experiments.plan import STANDS_FOR_DEVICE
+from rig.experiments.plan import stands_for_device
 from rig.experiments.searches import Outcomes, Search, StiffnessLimit, check_values, drive, limit_of
 
 Judged = Literal["true", "recorded"]
@@ -374,7 +374,7 @@ class ZWidth(Shown, Drawn):
             "judged": plan.judged,
             "hits": self.hits,
             "invalid": self.invalid(),
-            "note": STANDS_FOR_DEVICE if self.of_device_loop else None,
+            "note": stands_for_device(self.plan.experiment) if self.of_device_loop else None,
             "experiment": config.as_mapping(plan.experiment),
         }
 

@@ -24,7 +24,9 @@ from rig.realtime import mailbox as mailboxes
 from rig.realtime import ring as words
 from rig.realtime.codec import STATE
 
-BOUNDS = {"fixed": 1, "float32": 2}  # quanta by which the device's current may differ from the host's law
+# Quanta by which the device's current may differ from the host's law. A drive that renders the wall has filters of its
+# own: how far it differs is told, and nothing is demanded.
+BOUNDS = {"fixed": 1, "float32": 2, "drive": 1 << 16}
 MANY_SHARE, MANY_TICKS = (
     0.001,
     10,

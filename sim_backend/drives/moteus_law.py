@@ -343,7 +343,12 @@ def _out_of_time(w: Words) -> float:
 
 @kernel(_F(_V), no_refcount=True)
 def _stay_within(w: Words) -> float:
-    """Inside the bounds feed-forward alone; outside the controller around the bound that is violated."""
+    """Inside the bounds feed-forward alone; outside the controller around the bound that is violated.
+
+    docs/protocol/registers.md, 0x040 and 0x041, and ISR_DoStayWithinBounds (fw/bldc_servo_control.h): no clamp, no
+    trajectory, feed-forward on both sides, the limit of the command last. The scales are not limited, as in fw/pid.h;
+    the page says of kd's (0x024) that it is, to kp's.
+    """
     bound = math.nan
     if w[W.position] < w[W.lower]:
         bound = w[W.lower]

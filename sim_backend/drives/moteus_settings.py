@@ -46,6 +46,7 @@ def defaults(counts_per_turn: int, torque_constant: float) -> dict[str, Value]:
         "servo.pid_position.iratelimit": -1.0,
         "servo.pid_position.ilimit": 0.0,
         "servo.pid_position.max_desired_rate": 0.0,
+        "servo.pid_position.sign": 1,
         "servo.default_velocity_limit": math.nan,
         "servo.default_accel_limit": 50.0,
         "servo.inertia_feedforward": 0.0,

@@ -6,6 +6,8 @@ said by the number of a line, to the drive or from it.
 
 from __future__ import annotations
 
+import ctypes
+import errno
 import heapq
 import struct
 from collections.abc import Callable, Mapping
@@ -19,12 +21,15 @@ from rig.core.model import Encoder, RigModel
 from rig.devices.device import DeviceUrl
 from rig.devices.port import LoopPort
 from rig.realtime.clock import VirtualClock
+from rig.realtime.plugs import TRANSFER_SIGNATURE, WAIT_SIGNATURE, NativeFunction
 from sim_backend.drives.bus import Frame
 from sim_backend.drives.fdcanusb import Uart
 from sim_backend.drives.moteus import MoteusOptions, SimulatedMoteus
 from tests.conformance.host import RUN_PARAMETERS, Host
 from tests.conformance.rigs import rotary_rig
 
+_TRANSFER = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_int64, ctypes.c_int64)
+_WAIT = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_int64)
 UNIT_TWICE_NS = 125  # two units of device time
 CAN_BYTES = 72  # of a struct canfd_frame
 TRAVEL_NS = 80_000  # of a line, each way
@@ -129,6 +134,9 @@ class Bridged:
         self._due_ns = self.period_ns
         self._events: list[tuple[int, int, Way, bytes]] = []
         self._number = 0
+        self._at_ns = 0  # to which the world has come
+        self._said = b""  # and not yet read by a loop
+        self._failure: BaseException | None = None
         self.bridge.start(0)
 
     # ------------------------------------------------------------------ a link
@@ -136,20 +144,63 @@ class Bridged:
     def read(self, timeout_s: float) -> bytes:
         """Let time pass until the bridge has said something."""
         end_ns = self.clock.now_ns() + round(timeout_s * 1e9)
-        while not (said := self.bridge.to_host()) and self.clock.now_ns() < end_ns:
+        said, self._said = self._said, b""
+        while not (said := said + self.bridge.to_host()) and self.clock.now_ns() < end_ns:
             self.step(end_ns)
         return said
 
     def write(self, data: bytes) -> None:
-        """Hand it in."""
+        """Hand it in, now: the host may have let time pass by its clock alone."""
+        while self._at_ns < self.clock.now_ns():
+            self.step(self.clock.now_ns())
         if self.alive:
             self._to_drive(self.bridge.hear_host(data, self._now))
 
     def port(self) -> LoopPort:
-        raise NotImplementedError
+        """Plug functions that come back into this object."""
+
+        def native(kind: Any, function: Callable[..., int], signature: Any) -> NativeFunction:
+            callback = kind(self._guarded(function))
+            address = ctypes.cast(callback, ctypes.c_void_p).value
+            assert address is not None
+            return NativeFunction(address, signature, keep=callback)
+
+        return LoopPort.on(
+            self.clock,
+            read=native(_TRANSFER, self._plug_read, TRANSFER_SIGNATURE),
+            write=native(_TRANSFER, self._plug_write, TRANSFER_SIGNATURE),
+            wait=native(_WAIT, self._plug_wait, WAIT_SIGNATURE),
+            handle=0,
+        )
+
+    def _guarded(self, function: Callable[..., int]) -> Callable[..., int]:
+        def call(*arguments: int) -> int:
+            try:
+                return function(*arguments)
+            except BaseException as failure:
+                self._failure = self._failure or failure
+                return -errno.EIO
+
+        return call
+
+    def _plug_wait(self, handle: int, deadline_ns: int) -> int:
+        self._said += self.bridge.to_host()
+        while not self._said and self.clock.now_ns() < deadline_ns:
+            self.step(deadline_ns)
+            self._said = self.bridge.to_host()
+        return int(bool(self._said))
+
+    def _plug_read(self, handle: int, address: int, size: int) -> int:
+        data, self._said = self._said[:size], self._said[size:]
+        ctypes.memmove(address, data, len(data))
+        return len(data)
+
+    def _plug_write(self, handle: int, address: int, size: int) -> int:
+        self.write(ctypes.string_at(address, size))
+        return size
 
     def failure(self) -> BaseException | None:
-        return None
+        return self._failure
 
     def truth(self) -> None:
         return None
@@ -161,7 +212,7 @@ class Bridged:
 
     @property
     def _now(self) -> int:
-        return self.clock.now_ns() * 2 // UNIT_TWICE_NS
+        return self._at_ns * 2 // UNIT_TWICE_NS
 
     def run(self, seconds: float) -> None:
         """Let time pass; what the bridge says waits."""
@@ -172,6 +223,7 @@ class Bridged:
     def step(self, end_ns: int) -> None:
         """Go to what happens next, and let it."""
         next_ns = min(end_ns, self._due_ns, self._events[0][0] if self._events else end_ns)
+        self._at_ns = max(self._at_ns, next_ns)
         self.clock.sleep_until(next_ns)
         self.drive.run(self._began + next_ns * self.drive.rate_hz // 1_000_000_000)
         while self._events and self._events[0][0] <= next_ns:
@@ -200,7 +252,7 @@ class Bridged:
         line = line if strike is None else strike(line)
         if line:
             self._number += 1
-            heapq.heappush(self._events, (self.clock.now_ns() + self.travel_ns, self._number, way, line))
+            heapq.heappush(self._events, (self._at_ns + self.travel_ns, self._number, way, line))
 
     def _arrives(self, line: bytes) -> None:
         frame, said = self.adapter.open(line)
@@ -231,12 +283,20 @@ class Bridged:
     @property
     def torque(self) -> float:
         """That the drive wants to give now (N·m at its output)."""
-        return self.register(0x03A) if self.mode == 10 else 0.0
+        return self.register(0x03A) if self.mode in (10, 13) else 0.0
 
 
 def plain_drive() -> Drive:
     """A drive that nobody was asked about."""
-    return Drive(firmware="moteus", id=1, counts_per_turn=16384.0, transmission=2.0, ranges={}, settings={})
+    return Drive(
+        kind="moteus",
+        firmware="moteus",
+        id=1,
+        counts_per_turn=16384.0,
+        transmission=2.0,
+        ranges={},
+        settings={},
+    )
 
 
 def armed(world: Bridged | None = None, **values: int) -> tuple[Bridged, Host]:

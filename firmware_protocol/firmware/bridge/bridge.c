@@ -4,57 +4,60 @@
 #include <string.h>
 
 #include "../core/poll.h"
+#include "moteus.h"
+#include "odrive.h"
 
 #define UNITS_PER_SECOND (HR_TIME_UNITS_PER_US * 1000000u)
 #define PREPARES UNITS_PER_SECOND /* how long a drive stays prepared when nobody arms */
-#define SETTLES 50u          /* replies until a drive that was told to stop must have done so */
 #define FED_TICKS 2u         /* one feeding is good for a set-point behind a lost reply, too */
 #define EXACT_COUNTS 8388608.0 /* 2²³: a float32 tells such positions to half a count */
 #define FORGETS (UNITS_PER_SECOND / 50u) /* a drive that starts again is silent for longer (assumed) */
 #define JUMP 0.5             /* turns between two replies that no handle makes: the drive has started again */
 #define POLLS 64u            /* of the core in a row */
+#define STALE 2u             /* samples behind a wish: the first may answer what was asked before it */
 #define ENDING_FRAMES 3u
+
+static const struct drive_kind *const KINDS[] = {
+    [BRIDGE_MOTEUS] = &moteus_kind,
+    [BRIDGE_ODRIVE] = &odrive_kind,
+};
 
 /* ------------------------------------------------------------------ frames */
 
-static void send(struct bridge *bridge, bool reply, enum moteus_action action)
+static void send(struct bridge *bridge, const struct can_frame_bytes *frame)
 {
-    const struct moteus_command command = {
-        .action = action,
-        .torque = (float)bridge_torque(bridge),
-        .limit = (float)bridge->setup.torque_limit,
-        .watchdog_s = (float)bridge->bite_us * 1e-6f,
-        .switches = (uint8_t)bridge->setup.switches,
-    };
-    struct can_frame_bytes frame;
-    if (bridge->bus_lost)
-        return;
-    if (bridge->bus_count + FDCANUSB_LINE_BYTES > BRIDGE_BUS_BYTES) {
-        bridge->facts->unsent++;
-        return;
-    }
-    if (reply)
-        bridge->sender = (uint8_t)((bridge->sender + 1u) % MOTEUS_SENDERS);
-    moteus_make(&frame, bridge->setup.prefix, (uint8_t)bridge->setup.drive,
-                (uint8_t)(MOTEUS_FIRST_SENDER + bridge->sender), reply, &command);
     uint8_t *into = bridge->bus + bridge->bus_count;
-    bridge->bus_count += bridge->setup.socket ? socketcan_make(&frame, into) : fdcanusb_make(&bridge->adapter, &frame, into);
+    if (bridge->bus_count + FDCANUSB_LINE_BYTES > BRIDGE_BUS_BYTES)
+        bridge->facts->unsent++;
+    else
+        bridge->bus_count += bridge->setup.socket ? socketcan_make(frame, into)
+                                                  : fdcanusb_make(&bridge->adapter, frame, into);
 }
 
-/* What the drive is told in this period. A set-point needs food, an idle drive nothing. */
-static enum moteus_action next_action(struct bridge *bridge)
+/* Tell the drive what is wished: at the beginning of a period, or at once. */
+static void tell(struct bridge *bridge, bool asks)
 {
-    const uint8_t mode = bridge->reply.mode;
-    if (!bridge->known)
-        return MOTEUS_ASK;
-    if (bridge->wish == BRIDGE_OFF)
-        return mode == MOTEUS_STOPPED ? MOTEUS_ASK : MOTEUS_STOP;
-    if (bridge->wish == BRIDGE_PREPARE && mode == MOTEUS_TIMEOUT)
-        return MOTEUS_STOP;
-    if (bridge->fed == 0)
-        return MOTEUS_ASK;
-    bridge->fed--;
-    return MOTEUS_TORQUE;
+    const struct drive_order order = {
+        .wish = bridge->wish,
+        .since = bridge->since,
+        .asks = asks,
+        .fed = bridge->fed > 0,
+        .torque = (float)bridge_torque(bridge),
+        .watchdog_s = (float)bridge->bite_us * 1e-6f,
+        .wall = bridge->rendering ? &bridge->wall : NULL,
+    };
+    struct can_frame_bytes frames[DRIVE_FRAMES] = {0};
+    if (bridge->bus_lost)
+        return;
+    const size_t count = bridge->kind->tell(&bridge->drive, &order, frames);
+    for (size_t i = 0; i < count; i++)
+        send(bridge, &frames[i]);
+}
+
+static void wish(struct bridge *bridge, enum drive_wish wanted)
+{
+    bridge->wish = wanted;
+    bridge->since = 0;
 }
 
 /* ------------------------------------------------------------------ the hardware layer */
@@ -88,28 +91,37 @@ static bool hal_encoder_failed(void *context)
 static void hal_set_current(void *context, int16_t quanta)
 {
     struct bridge *bridge = context;
-    if (!bridge->driving && bridge->current != 0)
+    if (!bridge->driving && (bridge->current != 0 || bridge->rendering))
         bridge->at_once = true;
     bridge->current = quanta;
+    bridge->rendering = false; /* until the tick says again how much of it */
 }
 
 static int16_t hal_measured_current(void *context)
 {
     const struct bridge *bridge = context;
-    const double quanta = (double)bridge->reply.torque / bridge->setup.torque_per_quantum;
+    const double quanta = (double)bridge->drive.sample.torque / bridge->setup.torque_per_quantum;
     if (!(quanta > -32767.0)) /* so does what is no number: an over-current */
         return -32767;
     return (int16_t)(quanta < 32767.0 ? lrint(quanta) : 32767);
 }
 
+static bool hal_renders(void *context, const law_parameters *law, uint32_t rate)
+{
+    const struct bridge *bridge = context;
+    struct drive_wall wall;
+    return bridge->kind->renders != NULL && wall_of_law(&bridge->scales, law, rate, &wall)
+           && bridge->kind->renders(&bridge->drive, &wall);
+}
+
 static void hal_enable(void *context, bool on)
 {
     struct bridge *bridge = context;
-    if (!on && bridge->wish == BRIDGE_ON)
+    if (!on && bridge->wish == DRIVE_ON)
         bridge->at_once = true;
-    bridge->wish = on ? BRIDGE_ON : BRIDGE_OFF;
-    bridge->since_off = 0;
+    wish(bridge, on ? DRIVE_ON : DRIVE_OFF);
     bridge->current = 0;
+    bridge->rendering = false;
 }
 
 /* A drive that is switched on measures its current sensors first, for some hundredths of a second. */
@@ -120,17 +132,17 @@ static bool hal_amplifier_ready(void *context)
         device_fault(&bridge->device, BRIDGE_BUS_LOST);
         return false;
     }
-    if (bridge->wish == BRIDGE_OFF)
-        bridge->wish = BRIDGE_PREPARE;
+    if (bridge->wish == DRIVE_OFF)
+        wish(bridge, DRIVE_PREPARE);
     bridge->wished_until = hal_time(bridge) + PREPARES;
-    return bridge->known && bridge->missed == 0 && bridge->reply.mode == MOTEUS_POSITION;
+    return bridge->drive.known && bridge->missed == 0 && bridge->since >= STALE && bridge->kind->is_on(&bridge->drive);
 }
 
 /* Pins of the drive, as its last reply told them. */
 static uint8_t hal_inputs(void *context)
 {
     const struct bridge *bridge = context;
-    const uint32_t switches = bridge->known ? bridge->reply.switches : 0, hold = bridge->setup.hold;
+    const uint32_t switches = bridge->drive.known ? bridge->drive.sample.switches : 0, hold = bridge->setup.hold;
     const bool stopped = (switches & bridge->setup.stop) != bridge->setup.stop;
     const bool held = hold != 0 && (switches & hold) == hold;
     return (uint8_t)((stopped ? HR_INPUT_EMERGENCY_STOP : 0) | (held ? HR_INPUT_HOLD_TO_RUN : 0));
@@ -141,8 +153,10 @@ static bool hal_set_rate(void *context, uint32_t rate)
     struct bridge *bridge = context;
     if (rate == 0 || rate > bridge->setup.rate_maximum)
         return false;
-    bridge->rate = rate;
-    bridge->period = UNITS_PER_SECOND / rate;
+    const uint64_t period = UNITS_PER_SECOND / rate;
+    if (bridge->cycle != 0 && (UNITS_PER_SECOND % rate != 0 || period % bridge->cycle != 0))
+        return false; /* a drive that speaks by itself is heard every so many messages */
+    bridge->period = period;
     return true;
 }
 
@@ -209,6 +223,7 @@ void bridge_setup(struct bridge *bridge, const struct bridge_setup *setup, struc
         .set_current = hal_set_current,
         .measured_current = hal_measured_current,
         .enable = hal_enable,
+        .renders = hal_renders,
         .amplifier_ready = hal_amplifier_ready,
         .inputs = hal_inputs,
         .set_rate = hal_set_rate,
@@ -221,6 +236,17 @@ void bridge_setup(struct bridge *bridge, const struct bridge_setup *setup, struc
     bridge->hal = hal;
     bridge->setup = *setup;
     bridge->facts = facts;
+    bridge->kind = KINDS[setup->kind];
+    bridge->cycle = (uint64_t)setup->cycle_us * HR_TIME_UNITS_PER_US;
+    bridge->drive.prefix = setup->prefix;
+    bridge->drive.id = setup->drive;
+    bridge->drive.switches = (uint8_t)setup->switches;
+    bridge->drive.limit = (float)setup->torque_limit;
+    bridge->drive.kp = (float)setup->kp;
+    bridge->scales.counts_per_turn = setup->counts_per_turn;
+    bridge->scales.torque_per_quantum = setup->torque_per_quantum;
+    bridge->drive.kd = (float)setup->kd;
+    bridge->drive.beat = (uint64_t)setup->beat_us * HR_TIME_UNITS_PER_US;
     bridge->adapter.checksum = setup->checksum != 0;
     bridge->board.dictionary = setup->dictionary;
     bridge->board.dictionary_bytes = (uint16_t)setup->dictionary_bytes;
@@ -242,59 +268,17 @@ void bridge_narrow(struct bridge *bridge, uint8_t parameter, uint32_t minimum, u
 
 void bridge_start(struct bridge *bridge, uint64_t now)
 {
-    bridge->now = now;
+    bridge->now = bridge->due = now;
     device_start(&bridge->device, &bridge->hal, &bridge->board);
 }
 
 /* ------------------------------------------------------------------ what the drive says */
 
-static uint8_t fault_of(uint8_t code)
-{
-    switch (code) {
-    case 33: case 44:
-        return BRIDGE_DRIVER;
-    case 34:
-        return BRIDGE_OVER_VOLTAGE;
-    case 35: case 42: case 43:
-        return HR_FAULT_ENCODER;
-    case 38:
-        return BRIDGE_TEMPERATURE;
-    case 32: case 36:
-        return BRIDGE_NOT_CALIBRATED;
-    case 39: case 48:
-        return BRIDGE_OUTSIDE_LIMIT;
-    case 40:
-        return BRIDGE_UNDER_VOLTAGE;
-    case 49: case 50:
-        return BRIDGE_CONTROL_ERROR;
-    default:
-        return BRIDGE_DRIVE_INTERNAL;
-    }
-}
-
-/* The fault that a drive's mode means, given what it was told. */
-static uint8_t fault_of_mode(struct bridge *bridge)
-{
-    const uint8_t mode = bridge->reply.mode;
-    if (bridge->wish == BRIDGE_OFF) {
-        const bool rests = mode == MOTEUS_STOPPED || mode == MOTEUS_FAULT;
-        if (bridge->since_off < SETTLES)
-            bridge->since_off++;
-        return rests || bridge->since_off < SETTLES ? HR_FAULT_NONE : BRIDGE_DRIVE_LEFT;
-    }
-    if (mode == MOTEUS_FAULT)
-        return fault_of(bridge->reply.code);
-    if (bridge->wish == BRIDGE_PREPARE)
-        return mode <= MOTEUS_LAST_PREPARING || mode == MOTEUS_POSITION || mode == MOTEUS_TIMEOUT ? HR_FAULT_NONE
-                                                                                                  : BRIDGE_DRIVE_LEFT;
-    return mode == MOTEUS_POSITION ? HR_FAULT_NONE : BRIDGE_DRIVE_LEFT;
-}
-
 static void take_count(struct bridge *bridge)
 {
-    const double counts = (double)bridge->reply.position * bridge->setup.counts_per_turn;
+    const double counts = (double)bridge->drive.sample.position * bridge->setup.counts_per_turn;
     const double moved = counts - bridge->count;
-    if (bridge->known && fabs(moved) > JUMP * fabs(bridge->setup.counts_per_turn))
+    if (bridge->drive.known && fabs(moved) > JUMP * fabs(bridge->setup.counts_per_turn))
         bridge->count_failed = true;
     if (fabs(counts) < EXACT_COUNTS)
         bridge->count = (int32_t)lrint(counts);
@@ -302,56 +286,71 @@ static void take_count(struct bridge *bridge)
         bridge->count_failed = true;
 }
 
+/* With a wall the effort is the drive's own: what it tells, in quanta. */
+static void take_effort(struct bridge *bridge)
+{
+    const double quanta = (double)bridge->drive.sample.rendered / bridge->setup.torque_per_quantum;
+    if (bridge->rendering && fabs(quanta) < 32767.0)
+        bridge->active = (int16_t)lrint(quanta);
+}
+
 static void note(struct bridge *bridge)
 {
     struct bridge_facts *facts = bridge->facts;
-    const struct moteus_reply *reply = &bridge->reply;
+    const struct drive_sample *sample = &bridge->drive.sample;
     const uint64_t us = (bridge->now - bridge->asked_at) / HR_TIME_UNITS_PER_US;
     const uint64_t bin = us / BRIDGE_BIN_US;
     facts->round_trips[bin < BRIDGE_BINS ? bin : BRIDGE_BINS - 1u]++;
     if ((int64_t)us > facts->longest_us)
         facts->longest_us = (int64_t)us;
-    if (facts->replies++ == 0 || (int64_t)reply->temperature > facts->hottest)
-        facts->hottest = (int64_t)reply->temperature;
-    facts->temperature = (int64_t)reply->temperature;
-    facts->millivolts = (int64_t)(1000.0f * reply->voltage);
-    facts->mode = reply->mode;
-    facts->code = reply->code;
-    facts->limited += reply->mode != MOTEUS_FAULT && reply->code >= MOTEUS_FIRST_LIMIT ? 1 : 0;
+    if (facts->replies++ == 0 || (int64_t)sample->temperature > facts->hottest)
+        facts->hottest = (int64_t)sample->temperature;
+    facts->temperature = (int64_t)sample->temperature;
+    facts->millivolts = (int64_t)(1000.0f * sample->voltage);
+    facts->mode = sample->mode;
+    facts->code = sample->code;
+    facts->limited += sample->limited ? 1 : 0;
 }
 
-/* The awaited reply: the sample of this tick. */
-static void take_reply(struct bridge *bridge, const struct moteus_reply *reply)
+/* The awaited sample: the tick. */
+static void take_sample(struct bridge *bridge)
 {
-    bridge->reply = *reply;
-    bridge->asked = false;
+    bridge->drive.asked = false;
     bridge->missed = 0;
+    bridge->since++;
+    if (bridge->cycle != 0)
+        bridge->due = bridge->now + bridge->period - bridge->cycle / 2u;
     note(bridge);
     take_count(bridge);
-    bridge->known = true;
-    const uint8_t fault = fault_of_mode(bridge);
+    take_effort(bridge);
+    bridge->drive.known = true;
+    const uint8_t fault = bridge->kind->fault(&bridge->drive, bridge->wish, bridge->since);
     if (fault != HR_FAULT_NONE)
         device_fault(&bridge->device, fault);
-    if (fault == BRIDGE_DRIVE_LEFT && reply->mode == MOTEUS_STOPPED) /* its power may have been gone */
+    if (fault == BRIDGE_DRIVE_LEFT && bridge->kind->forgot(&bridge->drive))
         device_fault(&bridge->device, HR_FAULT_ENCODER);
     device_tick_driven(&bridge->device, bridge->active);
 }
 
 static void take_frame(struct bridge *bridge, const struct can_frame_bytes *frame)
 {
-    struct moteus_reply reply;
-    const uint32_t from = frame->id >> 8 & 0x7Fu, to = frame->id & 0x7Fu;
-    if (frame->id >> 16 != bridge->setup.prefix || (from != bridge->setup.drive && to != bridge->setup.drive))
-        return; /* of other drives */
-    if (from != bridge->setup.drive || to < MOTEUS_FIRST_SENDER || to >= MOTEUS_FIRST_SENDER + MOTEUS_SENDERS) {
+    switch (bridge->kind->hear(&bridge->drive, frame, bridge->now)) {
+    case DRIVE_FOREIGN:
         bridge->facts->foreign++;
         device_fault(&bridge->device, BRIDGE_OTHER_MASTER);
-    } else if (!bridge->asked || to != MOTEUS_FIRST_SENDER + bridge->sender) {
+        break;
+    case DRIVE_LATE:
         bridge->facts->late++;
-    } else if (!moteus_read(frame, (uint8_t)bridge->setup.switches, &reply)) {
+        break;
+    case DRIVE_INVALID:
         bridge->facts->invalid++;
-    } else {
-        take_reply(bridge, &reply);
+        break;
+    case DRIVE_SAMPLE:
+        take_sample(bridge);
+        break;
+    case DRIVE_OTHERS:
+    case DRIVE_PART:
+        break;
     }
 }
 
@@ -389,7 +388,7 @@ static void miss_reply(struct bridge *bridge)
 {
     const uint64_t silent = ++bridge->missed * bridge->period;
     const bool forgets = silent >= FORGETS && silent - bridge->period < FORGETS;
-    bridge->asked = false;
+    bridge->drive.asked = false;
     bridge->facts->lost++;
     if (forgets || (bridge->missed >= BRIDGE_SILENT && device_is_armed(&bridge->device)))
         device_fault(&bridge->device, bridge->bus_lost ? BRIDGE_BUS_LOST : BRIDGE_DRIVE_SILENT);
@@ -399,21 +398,33 @@ static void miss_reply(struct bridge *bridge)
         device_tick_driven(&bridge->device, bridge->active);
 }
 
+/* The period behind this one; what this computer slept through is left out. */
+static uint64_t next_period(struct bridge *bridge)
+{
+    const uint64_t behind = bridge->now > bridge->due ? bridge->now - bridge->due : 0, skipped = behind / bridge->period;
+    bridge->facts->skipped += (int64_t)skipped;
+    return bridge->due + (skipped + 1u) * bridge->period;
+}
+
 void bridge_tick(struct bridge *bridge, uint64_t now)
 {
     bridge->now = now;
-    if (bridge->asked)
+    if (bridge->drive.asked)
         miss_reply(bridge);
-    if (bridge->wish == BRIDGE_PREPARE && now > bridge->wished_until)
+    if (bridge->wish == DRIVE_PREPARE && now > bridge->wished_until)
         hal_enable(bridge, false);
+    const int16_t given = bridge->active;
     bridge->active = bridge->current;
     bridge->driving = true;
     device_drive(&bridge->device);
     bridge->driving = false;
+    bridge->rendering = wall_now(&bridge->scales, &bridge->device, given, &bridge->wall);
     bridge->at_once = false;
-    send(bridge, true, next_action(bridge));
-    bridge->asked = true;
+    tell(bridge, true);
+    bridge->fed -= bridge->fed > 0 ? 1u : 0u;
+    bridge->drive.asked = true;
     bridge->asked_at = now;
+    bridge->due = next_period(bridge);
 }
 
 void bridge_hear_host(struct bridge *bridge, const uint8_t *bytes, size_t count, uint64_t now)
@@ -432,7 +443,7 @@ void bridge_poll(struct bridge *bridge, uint64_t now)
     for (unsigned i = 0; i < POLLS && (device_is_sending(&bridge->device) || device_is_changing(&bridge->device)); i++)
         device_poll(&bridge->device);
     if (bridge->at_once)
-        send(bridge, false, bridge->wish == BRIDGE_OFF ? MOTEUS_STOP : MOTEUS_TORQUE);
+        tell(bridge, false);
     bridge->at_once = false;
 }
 
@@ -446,8 +457,9 @@ void bridge_lose_bus(struct bridge *bridge, uint64_t now)
 
 void bridge_stop(struct bridge *bridge)
 {
+    wish(bridge, DRIVE_OFF);
     for (unsigned i = 0; i < ENDING_FRAMES; i++)
-        send(bridge, false, MOTEUS_STOP);
+        tell(bridge, false);
 }
 
 /* ------------------------------------------------------------------ outside */
@@ -471,6 +483,11 @@ size_t bridge_take_bus(struct bridge *bridge, uint8_t *into, size_t capacity)
     return take(bridge->bus, &bridge->bus_count, into, capacity);
 }
 
+uint64_t bridge_due(const struct bridge *bridge)
+{
+    return bridge->due;
+}
+
 uint8_t bridge_state(const struct bridge *bridge)
 {
     return bridge->device.connection.state;
@@ -483,5 +500,5 @@ uint8_t bridge_fault_now(const struct bridge *bridge)
 
 double bridge_torque(const struct bridge *bridge)
 {
-    return bridge->wish == BRIDGE_ON ? bridge->current * bridge->setup.torque_per_quantum : 0.0;
+    return bridge->wish == DRIVE_ON ? bridge->current * bridge->setup.torque_per_quantum : 0.0;
 }

@@ -1,11 +1,15 @@
 /* The core on a computer whose encoder and amplifier are a drive on a bus: the port of a bridge, without its bus and
  * without waiting. Bytes and times go in, bytes come out; `loop.h` moves them in real time, a test as it likes.
  *
- * Once a period (`bridge_tick`) one frame takes the set-point to the drive and asks for its position. The tick of the
- * core comes with the reply, so that a sample without a reply does not exist: one lost is a missed tick of the device,
- * and BRIDGE_SILENT in succession end an armed run. A drive that is silent for longer may have lost its power, and with it
- * the turns that it counted. The drive's own watchdog is the core's hardware watchdog: it is fed by
- * set-points, and these stop when the core's tick or main loop does. */
+ * Once a period (`bridge_tick`) the set-point goes to the drive, and its sample is awaited. The tick of the core comes with
+ * that sample, so that one without a reply does not exist: one lost is a missed tick of the device, and BRIDGE_SILENT in
+ * succession end an armed run. A drive that is silent for longer may have lost its power, and with it the turns that it
+ * counted. The drive's own watchdog is the core's hardware watchdog: it is fed by set-points, and these stop when the
+ * core's tick or main loop does.
+ *
+ * A drive that is asked (moteus) is asked in that period's frame. One that speaks by itself, every so often by its own
+ * clock (ODrive), is followed: the next period begins half a message before the sample of the next one, so that neither
+ * clock's drift makes a sample come twice or not at all. The half message is delay, and counts as a round trip. */
 #ifndef HR_BRIDGE_H
 #define HR_BRIDGE_H
 
@@ -14,9 +18,10 @@
 #include <stdint.h>
 
 #include "../core/device.h"
+#include "drive.h"
 #include "fdcanusb.h"
-#include "moteus.h"
 #include "socketcan.h"
+#include "wall.h"
 
 #define BRIDGE_SILENT 2u         /* replies missed in succession: as many ticks as the core lets an armed device miss */
 #define BRIDGE_NARROWER 16u
@@ -25,26 +30,10 @@
 #define BRIDGE_BINS 512u         /* of the round trips, 10 µs each; the last one has all longer ones */
 #define BRIDGE_BIN_US 10u
 
-/* What may be wrong with a drive: faults of the core from here on, which the dictionary explains. */
-enum bridge_fault {
-    BRIDGE_DRIVE_SILENT = 20,
-    BRIDGE_OTHER_MASTER = 21,
-    BRIDGE_DRIVE_LEFT = 22, /* its mode is not the one it was told */
-    BRIDGE_OVER_VOLTAGE = 23,
-    BRIDGE_UNDER_VOLTAGE = 24,
-    BRIDGE_DRIVER = 25,
-    BRIDGE_TEMPERATURE = 26,
-    BRIDGE_NOT_CALIBRATED = 27,
-    BRIDGE_OUTSIDE_LIMIT = 28,
-    BRIDGE_CONTROL_ERROR = 29,
-    BRIDGE_DRIVE_INTERNAL = 30,
-    BRIDGE_BUS_LOST = 31,
-};
-
 /* What happened on the bus, for whoever watches: a row of numbers, so that another process can read them. */
 struct bridge_facts {
     int64_t replies;
-    int64_t lost;     /* queries without a reply in their period */
+    int64_t lost;     /* periods without a sample */
     int64_t late;     /* replies behind their period, and second ones */
     int64_t foreign;  /* frames of another master, or to one */
     int64_t invalid;  /* replies that lack a register, lines that are none */
@@ -75,14 +64,19 @@ struct bridge_setup {
     double counts_per_turn; /* of the output, as the drive tells it; may be negative */
     double torque_per_quantum; /* N·m at the output; may be negative */
     double torque_limit; /* N·m at the output */
+    double kp; /* gains of the drive's own law at the output, N·m/turn; 0: it renders no wall */
+    double kd; /* N·m·s/turn */
     uint32_t switches; /* register of the drive that has them, 0: none */
     uint32_t hold;     /* bits of it that are 1 while the hold-to-run switch is held */
     uint32_t stop;     /* bits of it that are 0 when the emergency stop is pressed, or its wire is broken */
     uint32_t checksum; /* on the adapter's lines */
     uint32_t socket;   /* the bus is a raw CAN socket: frames, no lines */
+    uint32_t kind;     /* enum bridge_drive */
+    uint32_t cycle_us; /* between two samples that the drive tells by itself, 0: it is asked */
+    uint32_t beat_us;  /* between two heartbeats of it */
 };
 
-enum bridge_wish { BRIDGE_OFF, BRIDGE_PREPARE, BRIDGE_ON };
+enum bridge_drive { BRIDGE_MOTEUS, BRIDGE_ODRIVE };
 
 struct bridge {
     struct device device;
@@ -91,30 +85,32 @@ struct bridge {
     struct narrower narrower[BRIDGE_NARROWER];
     struct bridge_setup setup;
     struct bridge_facts *facts;
+    const struct drive_kind *kind;
+    struct drive drive;
     struct fdcanusb adapter;
 
     uint64_t now;       /* device time, set by whoever runs it, unless `clock` tells it */
     uint64_t (*clock)(void);
     uint64_t period;    /* device time */
-    uint32_t rate;
-    uint64_t asked_at;  /* the query that is under way */
-    bool asked;
-    uint8_t sender;     /* of the last query, from 0 */
-    uint32_t missed;    /* replies in succession */
+    uint64_t cycle;     /* of the drive's samples, 0: it is asked */
+    uint64_t due;       /* device time of the next period */
+    uint64_t asked_at;  /* the sample that is awaited */
+    uint32_t missed;    /* samples in succession */
 
-    enum bridge_wish wish;
+    enum drive_wish wish;
+    uint32_t since;        /* samples since then */
     uint64_t wished_until; /* while it prepares */
     bool bus_lost;
     bool at_once;       /* the current was taken away between two ticks: do not wait for the next one */
     bool driving;       /* inside device_drive */
     int16_t current;    /* quanta */
-    int16_t active;     /* the one before it, with which the drive takes its sample */
+    int16_t active;     /* the one before it, with which the drive takes its sample; with a wall, what its law gave there */
+    bool rendering;     /* `wall` is the drive's to render */
+    struct drive_wall wall;
+    struct wall_scales scales;
     uint32_t fed;       /* set-points that the core's last feeding is good for */
     uint32_t bite_us;
-    uint32_t since_off; /* replies since the drive was to be off */
 
-    bool known;         /* there was a reply */
-    struct moteus_reply reply;
     int32_t count;
     bool count_failed;
 
@@ -133,7 +129,7 @@ void bridge_setup(struct bridge *bridge, const struct bridge_setup *setup, struc
 void bridge_narrow(struct bridge *bridge, uint8_t parameter, uint32_t minimum, uint32_t maximum);
 void bridge_start(struct bridge *bridge, uint64_t now);
 
-/* A period is over: the set-point to the drive, and the next query. */
+/* A period is over, at `due`: the set-point to the drive, and the next query. */
 void bridge_tick(struct bridge *bridge, uint64_t now);
 
 /* Bytes of the adapter, or a frame of the socket; of the host; what waits for them is in `bus` and `output`. */
@@ -151,6 +147,7 @@ void bridge_stop(struct bridge *bridge);
 
 size_t bridge_take(struct bridge *bridge, uint8_t *into, size_t capacity);     /* for the host */
 size_t bridge_take_bus(struct bridge *bridge, uint8_t *into, size_t capacity); /* for the adapter */
+uint64_t bridge_due(const struct bridge *bridge); /* device time of the next period */
 uint8_t bridge_state(const struct bridge *bridge);
 uint8_t bridge_fault_now(const struct bridge *bridge);
 double bridge_torque(const struct bridge *bridge); /* that the drive is to give, N·m at its output */

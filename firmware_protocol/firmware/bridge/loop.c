@@ -61,7 +61,8 @@ static bool say(struct bridge *bridge, int descriptor, uint8_t *from, size_t *th
 
 static void say_bus(struct bridge *bridge, int descriptor)
 {
-    const size_t most = bridge->setup.socket ? SOCKETCAN_BYTES : BRIDGE_BUS_BYTES;
+    const size_t frame = bridge->kind->classic ? SOCKETCAN_CLASSIC_BYTES : SOCKETCAN_BYTES;
+    const size_t most = bridge->setup.socket ? frame : BRIDGE_BUS_BYTES;
     if (!say(bridge, descriptor, bridge->bus, &bridge->bus_count, most, bridge_take_bus))
         bridge_lose_bus(bridge, now_units());
 }
@@ -79,15 +80,6 @@ static void wait_for(struct pollfd *ends, int64_t until_ns)
     ppoll(ends, ENDS, &left, NULL);
 }
 
-/* The period behind this one; what this computer slept through is left out. */
-static int64_t next_period(struct bridge *bridge, int64_t due_ns)
-{
-    const int64_t period_ns = NS_PER_SECOND / bridge->rate, behind_ns = now_ns() - due_ns;
-    const int64_t skipped = behind_ns > 0 ? behind_ns / period_ns : 0;
-    bridge->facts->skipped += skipped;
-    return due_ns + (skipped + 1) * period_ns;
-}
-
 void bridge_run(struct bridge *bridge, const struct bridge_ends *ends)
 {
     struct pollfd waited[ENDS] = {
@@ -97,10 +89,9 @@ void bridge_run(struct bridge *bridge, const struct bridge_ends *ends)
     };
     bridge->clock = now_units;
     bridge_start(bridge, now_units());
-    int64_t due_ns = now_ns();
     bool host_there = false;
     while (waited[WAKE].revents == 0) {
-        wait_for(waited, due_ns);
+        wait_for(waited, (int64_t)(bridge->due / 2u) * UNIT_TWICE_NS);
         if (waited[HOST].fd >= 0)
             host_there = (waited[HOST].revents & POLLHUP) == 0;
         if (waited[BUS].revents != 0 && !hear(bridge, ends->bus, bridge_hear_bus))
@@ -112,10 +103,9 @@ void bridge_run(struct bridge *bridge, const struct bridge_ends *ends)
             waited[HOST].fd = -1;     /* a terminal without one is ready all the time: it is looked at once a period */
         }
         bridge_poll(bridge, now_units());
-        if (now_ns() >= due_ns) {
+        if (now_units() >= bridge->due) {
             bridge_tick(bridge, now_units());
             say_bus(bridge, ends->bus);
-            due_ns = next_period(bridge, due_ns);
             waited[HOST].fd = ends->host;
         }
         say_bus(bridge, ends->bus);

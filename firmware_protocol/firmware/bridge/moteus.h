@@ -8,6 +8,7 @@
 #include <stdint.h>
 
 #include "can_frame.h"
+#include "drive.h"
 
 /* A query names its sender, and the reply repeats it: sixteen senders number the queries, so that a late reply is not
  * taken for the one that is awaited. Other programs are sender 0 unless they are told otherwise. */
@@ -30,6 +31,14 @@ enum moteus_action {
     MOTEUS_ASK,   /* changes nothing, and does not feed the drive's watchdog */
     MOTEUS_STOP,  /* the driver off; clears a fault and a time-out of its watchdog */
     MOTEUS_TORQUE,
+    MOTEUS_WALL, /* and the drive's own spring and damper beyond a bound: mode 13 */
+};
+
+/* Mode 13, docs/protocol/registers.md 0x040 ... 0x047: beyond a bound the drive's position controller holds that, with
+ * these shares of its gains. Nothing clamps it: it pulls, too. */
+struct moteus_wall {
+    float lower, upper; /* turns of the output; NaN: no bound */
+    float kp_scale, kd_scale;
 };
 
 struct moteus_command {
@@ -38,16 +47,7 @@ struct moteus_command {
     float limit;      /* N·m that it may give at most, whatever it is told */
     float watchdog_s; /* after which it gives none, unless it is told again */
     uint8_t switches; /* register that a reply is to have too, 0: none (0x05e and 0x05f are the pins of aux1 and aux2) */
-};
-
-struct moteus_reply {
-    uint8_t mode; /* enum moteus_mode */
-    uint8_t code; /* register 0x00f */
-    float position;    /* turns of the output */
-    float torque;      /* N·m at the output, measured */
-    float voltage;     /* V */
-    float temperature; /* °C, of the board */
-    uint8_t switches;  /* that register */
+    struct moteus_wall wall; /* of MOTEUS_WALL */
 };
 
 /* A frame for the drive `id`, on a bus whose ids have a prefix of 13 bits (0: none). `reply` asks for one. */
@@ -55,6 +55,8 @@ void moteus_make(struct can_frame_bytes *frame, uint32_t prefix, uint8_t id, uin
                  const struct moteus_command *command);
 
 /* Read the registers that a command asks for; false when one is missing, or the frame is no reply. */
-bool moteus_read(const struct can_frame_bytes *frame, uint8_t switches, struct moteus_reply *reply);
+bool moteus_read(const struct can_frame_bytes *frame, uint8_t switches, struct drive_sample *reply);
+
+extern const struct drive_kind moteus_kind;
 
 #endif

@@ -4,7 +4,7 @@
 #include <linux/can/error.h>
 #include <string.h>
 
-typedef char frame_has_its_bytes[sizeof(struct canfd_frame) == SOCKETCAN_BYTES ? 1 : -1];
+typedef char frame_has_its_bytes[CANFD_MTU == SOCKETCAN_BYTES && CAN_MTU == SOCKETCAN_CLASSIC_BYTES ? 1 : -1];
 
 enum socketcan_kind socketcan_take(const uint8_t *bytes, size_t count, struct can_frame_bytes *frame)
 {
@@ -25,10 +25,12 @@ enum socketcan_kind socketcan_take(const uint8_t *bytes, size_t count, struct ca
 size_t socketcan_make(const struct can_frame_bytes *frame, uint8_t *into)
 {
     struct canfd_frame raw = {0};
-    raw.can_id = frame->id | (frame->id > CAN_SFF_MASK ? CAN_EFF_FLAG : 0u);
+    const size_t count = frame->classic ? CAN_MTU : CANFD_MTU;
+    raw.can_id = frame->id | (frame->id > CAN_SFF_MASK ? CAN_EFF_FLAG : 0u) | (frame->remote ? CAN_RTR_FLAG : 0u);
     raw.len = frame->count;
-    raw.flags = CANFD_BRS;
+    if (!frame->classic)
+        raw.flags = CANFD_BRS;
     memcpy(raw.data, frame->bytes, frame->count);
-    memcpy(into, &raw, sizeof raw);
-    return sizeof raw;
+    memcpy(into, &raw, count);
+    return count;
 }

@@ -9,7 +9,8 @@
 
 #include "can_frame.h"
 
-#define SOCKETCAN_BYTES 72u /* of a CAN FD frame; one of classic CAN has 16 */
+#define SOCKETCAN_BYTES 72u /* of a CAN FD frame */
+#define SOCKETCAN_CLASSIC_BYTES 16u
 
 enum socketcan_kind {
     SOCKETCAN_NONE, /* no frame of this kind */
@@ -19,7 +20,7 @@ enum socketcan_kind {
 
 enum socketcan_kind socketcan_take(const uint8_t *bytes, size_t count, struct can_frame_bytes *frame);
 
-/* Write a CAN FD frame at the higher bit rate; returns SOCKETCAN_BYTES. */
+/* Write a frame, of CAN FD at the higher bit rate unless it is classic; returns its bytes, at most SOCKETCAN_BYTES. */
 size_t socketcan_make(const struct can_frame_bytes *frame, uint8_t *into);
 
 #endif

@@ -177,7 +177,7 @@ static struct refusal set_commit(struct device *device, const uint8_t *raw)
                                  device->assembler.length, &candidate);
     const bool runs_law = candidate.values[HR_PARAMETER_LAW] != LAW_OF_HOST;
     if (refusal.status == HR_STATUS_OK && runs_law)
-        refusal = law_settings_read(candidate.values, device->board, &law);
+        refusal = law_settings_read(candidate.values, device->board, device->hal, &law);
     if (refusal.status != HR_STATUS_OK)
         return refusal;
     refusal = set_while_idle(device, &candidate, runs_law ? &law : NULL);
@@ -381,6 +381,7 @@ void answer_more(struct device *device)
 {
     const struct live_change_of of = {
         .board = device->board,
+        .hal = device->hal,
         .assembler = &device->assembler,
         .configuration = &device->configuration,
         .renderer = &device->renderer,

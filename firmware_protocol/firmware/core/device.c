@@ -230,6 +230,8 @@ static int16_t next_current(struct device *device)
         return 0;
     }
     const int16_t wanted = wanted_current(device);
+    device->limits.beside = device_runs_law(device) && device->renderer.parameters.arithmetic == LAW_ELSEWHERE
+                            && (device->renderer.flags & LAW_INSIDE) != 0;
     if (device->watchdog.ramping)
         device->limits.flags |= HR_LIMIT_RAMPING;
     if (device->watchdog.lost) {

@@ -9,6 +9,8 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "../law/law.h"
+
 struct hal {
     void *context;
 
@@ -29,6 +31,10 @@ struct hal {
     void (*set_current)(void *context, int16_t quanta);
     int16_t (*measured_current)(void *context);
     void (*enable)(void *context, bool on);
+
+    /* Whether the port lets what it drives render the wall of a law (LAW_ELSEWHERE), so many ticks a second. It does so
+     * beside the set-point, and tells the current of both (device_tick_driven). NULL: it cannot. */
+    bool (*renders)(void *context, const law_parameters *law, uint32_t rate);
 
     /* Whether the amplifier can be switched on at once; asked before arming, again and again. One that takes its time
      * begins then, without effort, and gives it up when it is not asked for a while. NULL: it always can. */

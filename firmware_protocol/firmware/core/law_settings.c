@@ -160,7 +160,7 @@ static enum hr_parameter_index subject(law_verdict verdict, const law_parameters
     case LAW_BAD_FILTER:
         return law->estimator == LAW_FDM_BUTTERWORTH_FIXED ? HR_PARAMETER_BIQUAD_B0 : HR_PARAMETER_FOAW_BAND;
     case LAW_BAD_WALL:
-        return law->arithmetic == LAW_FLOAT ? HR_PARAMETER_FLOAT_STIFFNESS : HR_PARAMETER_FIXED_STIFFNESS;
+        return law->arithmetic == LAW_FIXED ? HR_PARAMETER_FIXED_STIFFNESS : HR_PARAMETER_FLOAT_STIFFNESS;
     case LAW_BAD_EXCITATION:
         return HR_PARAMETER_EXCITATION_LINES;
     case LAW_BAD_CHOICE:
@@ -176,26 +176,41 @@ static struct refusal inconsistent(enum hr_parameter_index index)
     return refusal;
 }
 
-static struct refusal judged(law_verdict verdict, const law_parameters *law)
+static bool is_rendered(const uint32_t *values, const struct hal *hal, const law_parameters *law)
+{
+    return law->arithmetic != LAW_ELSEWHERE
+           || (hal->renders != NULL && hal->renders(hal->context, law, values[HR_PARAMETER_POSITION_RATE]));
+}
+
+static struct refusal judged(law_verdict verdict, const uint32_t *values, const struct hal *hal,
+                             const law_parameters *law)
 {
     const struct refusal accepted = {HR_STATUS_OK, 0};
+    if (verdict == LAW_GOOD && !is_rendered(values, hal, law))
+        return inconsistent(HR_PARAMETER_FLOAT_STIFFNESS);
     return verdict == LAW_GOOD ? accepted : inconsistent(subject(verdict, law));
 }
 
-struct refusal law_settings_read_wall(const uint32_t *values, law_parameters *law)
+struct refusal law_settings_read_wall(const uint32_t *values, const struct hal *hal, law_parameters *law)
 {
     read_live_float(values, &law->wall);
     read_live_fixed(values, &law->fixed_wall);
-    return judged(law_check_wall(law), law);
+    return judged(law_check_wall(law), values, hal, law);
 }
 
-struct refusal law_settings_read(const uint32_t *values, const struct board *board, law_parameters *law)
+static int32_t arithmetic_of(uint32_t choice)
+{
+    return choice == LAW_IN_INTEGERS ? LAW_FIXED : choice == LAW_IN_FLOAT ? LAW_FLOAT : LAW_ELSEWHERE;
+}
+
+struct refusal law_settings_read(const uint32_t *values, const struct board *board, const struct hal *hal,
+                                 law_parameters *law)
 {
     const bool excites = values[HR_PARAMETER_EXCITATION_LINES] > 0;
     if (excites && values[HR_PARAMETER_EXCITATION_PERIOD] > board->excitation_length)
         return inconsistent(HR_PARAMETER_EXCITATION_PERIOD);
     *law = (law_parameters){0};
-    law->arithmetic = values[HR_PARAMETER_LAW] == LAW_IN_FLOAT ? LAW_FLOAT : LAW_FIXED;
+    law->arithmetic = arithmetic_of(values[HR_PARAMETER_LAW]);
     law->reference = whole(values, HR_PARAMETER_REFERENCE_COUNT);
     law->sense = board->encoder_sign;
     law->window_minimum = whole(values, HR_PARAMETER_LAW_WINDOW_MINIMUM);
@@ -212,5 +227,5 @@ struct refusal law_settings_read(const uint32_t *values, const struct board *boa
     read_float_wall(values, &law->wall);
     read_fixed_wall(values, law->sense, &law->fixed_wall);
     read_excitation(values, &law->excitation);
-    return judged(law_check(law), law);
+    return judged(law_check(law), values, hal, law);
 }

@@ -30,9 +30,9 @@ void limits_pass(struct limits *limits, int32_t count)
  * toggles the count between two neighbours, whatever the handle does. So an effort that has lasted for longer than any
  * trial holds a handle, without the count leaving two neighbours, fades out; it comes back when the hand has left the
  * wall. */
-static int16_t confirmed(struct limits *limits, int16_t wanted)
+int16_t limits_confirmed(struct limits *limits, int16_t wanted)
 {
-    if (wanted == 0 || limits->confirm == 0)
+    if ((wanted == 0 && !limits->beside) || limits->confirm == 0)
         limits->unmoved = 0;
     if (limits->unmoved <= limits->confirm)
         return wanted;
@@ -54,7 +54,7 @@ static int32_t clip(struct limits *limits, int32_t value, int32_t limit, uint16_
 
 int16_t limits_apply(struct limits *limits, const struct thermal *thermal, int16_t wanted)
 {
-    int32_t current = clip(limits, confirmed(limits, wanted), limits->largest, HR_LIMIT_CURRENT);
+    int32_t current = clip(limits, limits_confirmed(limits, wanted), limits->largest, HR_LIMIT_CURRENT);
     if (thermal_is_spent(thermal))
         current = clip(limits, current, limits->continuous, HR_LIMIT_THERMAL);
     current = limits->current + clip(limits, current - limits->current, limits->slew, HR_LIMIT_SLEW);

@@ -19,6 +19,7 @@ struct limits {
     uint32_t unmoved; /* such ticks so far; beyond `confirm` since the effort began to fade, too */
     int32_t low;      /* the lower of those two counts */
     bool moved;       /* whether the last tick left them */
+    bool beside;      /* something else is to give an effort beside this current */
 };
 
 struct limits_settings {
@@ -34,6 +35,9 @@ void limits_pass(struct limits *limits, int32_t count);
 
 /* Put into force what is allowed of a current, and return it. */
 int16_t limits_apply(struct limits *limits, const struct thermal *thermal, int16_t wanted);
+
+/* What is left of a wanted effort that nothing confirms. */
+int16_t limits_confirmed(struct limits *limits, int16_t wanted);
 
 /* Zero at once, regardless of the slew limit. */
 void limits_cut(struct limits *limits);

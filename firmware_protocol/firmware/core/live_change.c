@@ -54,7 +54,7 @@ static void read_law(struct live_change *change, const struct live_change_of *of
 {
     if (of->renderer->there) {
         change->law = of->renderer->parameters;
-        change->refusal = law_settings_read_wall(change->candidate.values, &change->law);
+        change->refusal = law_settings_read_wall(change->candidate.values, of->hal, &change->law);
     }
     change->crc = UINT32_MAX;
     go_on(change, LIVE_CRC);

@@ -10,6 +10,7 @@
 #include "../law/law.h"
 #include "assembler.h"
 #include "configuration.h"
+#include "hal.h"
 #include "renderer.h"
 
 enum live_step {
@@ -39,6 +40,7 @@ struct live_change {
 /* What a change works on, and the device as it is between two ticks. */
 struct live_change_of {
     const struct board *board;
+    const struct hal *hal;
     const struct assembler *assembler; /* with the block */
     struct configuration *configuration;
     struct renderer *renderer;

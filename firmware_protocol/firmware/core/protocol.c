@@ -45,7 +45,7 @@ const struct hr_parameter hr_parameters[HR_PARAMETERS] = {
     {16, HR_SIGNED, 1, 0, 0xFFFFFFFFu, 0x00000001u, 0x00000001u, 0x00000000u}, /* encoder_sign */
     {17, HR_UNSIGNED, 0, 0, 0x00000000u, 0x003D0900u, 0x00000000u, 0x00000000u}, /* confirm_ms */
     {18, HR_UNSIGNED, 0, 0, 0x00000000u, 0x00000001u, 0x00000000u, 0x00000000u}, /* reference */
-    {32, HR_UNSIGNED, 0, 0, 0x00000000u, 0x00000002u, 0x00000000u, 0x00000000u}, /* law */
+    {32, HR_UNSIGNED, 0, 0, 0x00000000u, 0x00000003u, 0x00000000u, 0x00000000u}, /* law */
     {33, HR_UNSIGNED, 0, 0, 0x00000000u, 0x00000002u, 0x00000000u, 0x00000000u}, /* batch_layout */
     {34, HR_UNSIGNED, 0, 0, 0x00000001u, 0x0000004Cu, 0x0000002Du, 0x00000000u}, /* batch_samples */
     {35, HR_UNSIGNED, 0, 0, 0x00000000u, 0x00000006u, 0x00000000u, 0x00000000u}, /* estimator */

@@ -27,10 +27,10 @@ static int64_t size(int64_t value)
 
 static int good_choices(const law_parameters *p)
 {
-    return between(p->arithmetic, LAW_FIXED, LAW_FLOAT) && between(p->estimator, LAW_FDM_BUTTERWORTH_FIXED, LAW_KALMAN)
+    return between(p->arithmetic, LAW_FIXED, LAW_ELSEWHERE) && between(p->estimator, LAW_FDM_BUTTERWORTH_FIXED, LAW_KALMAN)
            && is_sign(p->sense) && between(p->may_pull, 0, 1) && between(p->entry_only, 0, 1)
-           && between(p->bilateral, 0, 1) && between(p->extrapolate, 0, p->arithmetic == LAW_FLOAT)
-           && (p->arithmetic == LAW_FLOAT || p->estimator == LAW_FDM_BUTTERWORTH_FIXED);
+           && between(p->bilateral, 0, 1) && between(p->extrapolate, 0, p->arithmetic != LAW_FIXED)
+           && (p->arithmetic != LAW_FIXED || p->estimator == LAW_FDM_BUTTERWORTH_FIXED);
 }
 
 static int good_limits(const law_parameters *p)
@@ -117,9 +117,9 @@ static int good_fixed_wall(const law_fixed_wall *w, int32_t sense, int64_t excit
 
 law_verdict law_check_wall(const law_parameters *p)
 {
-    const int good = p->arithmetic == LAW_FLOAT
-                         ? good_float_wall(&p->wall)
-                         : good_fixed_wall(&p->fixed_wall, p->sense, most_excitation(&p->excitation));
+    const int good = p->arithmetic == LAW_FIXED
+                         ? good_fixed_wall(&p->fixed_wall, p->sense, most_excitation(&p->excitation))
+                         : good_float_wall(&p->wall);
     return good ? LAW_GOOD : LAW_BAD_WALL;
 }
 

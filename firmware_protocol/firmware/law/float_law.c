@@ -71,6 +71,8 @@ static float reaction(law_state *s, const law_parameters *p, float depth)
     const law_float_wall *w = &p->wall;
     float inwards = w->side * (float)p->sense * s->velocity, total;
 
+    if (p->arithmetic == LAW_ELSEWHERE)
+        return 0.0f;
     if (p->bilateral)
         return w->stiffness * depth + w->damping * inwards;
     if (depth <= 0.0f)

@@ -35,7 +35,11 @@ enum { LAW_SETPOINT_BITS = 24 }; /* of the homing set point (counts) */
 enum { LAW_SLEW_BITS = 15 };     /* of efforts and slew limits in the fixed law's guard (quanta) */
 enum { LAW_LINE_BITS = 16 };     /* of the excitation, its lines and their sum (quanta) */
 
-typedef enum { LAW_FIXED = 0, LAW_FLOAT = 1 } law_arithmetic;
+typedef enum {
+    LAW_FIXED = 0,
+    LAW_FLOAT = 1,
+    LAW_ELSEWHERE = 2 /* in float32, but for the wall's effort: what the board drives renders that itself */
+} law_arithmetic;
 
 typedef enum {
     LAW_FDM_BUTTERWORTH_FIXED = 0, /* the only one of the fixed law; serves the float law too */

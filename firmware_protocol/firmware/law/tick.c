@@ -19,7 +19,7 @@ void law_reset(law_state *s, const law_parameters *p, const int16_t *table)
 int law_inside(const law_parameters *p, int32_t count)
 {
     const int32_t travel = law_travel(p, count);
-    return p->arithmetic == LAW_FLOAT ? law_float_depth(p, travel) > 0.0f : law_fixed_depth(p, travel) > 0;
+    return p->arithmetic == LAW_FIXED ? law_fixed_depth(p, travel) > 0 : law_float_depth(p, travel) > 0.0f;
 }
 
 int law_is_free(const law_parameters *p, int32_t count)
@@ -31,9 +31,9 @@ law_output law_tick(law_state *s, const law_parameters *p, const law_input *in)
 {
     law_output out;
 
-    if (p->arithmetic == LAW_FLOAT)
-        law_float_tick(s, p, in, &out);
-    else
+    if (p->arithmetic == LAW_FIXED)
         law_fixed_tick(s, p, in, &out);
+    else
+        law_float_tick(s, p, in, &out);
     return out;
 }

@@ -1,7 +1,8 @@
 """What a bridge may find wrong with a drive: codes of its own, which its dictionary explains to a host.
 
-The numbers are those of `enum bridge_fault` in ``firmware/bridge/bridge.h``. The texts of a moteus are those of its
-register 0x00f (mjbots/moteus, docs/protocol/registers.md).
+The numbers are those of `enum bridge_fault` in ``firmware/bridge/drive.h``. The texts of a moteus are those of its
+register 0x00f (mjbots/moteus, docs/protocol/registers.md); an ODrive's errors have the names of its maker's
+description of the messages (DBC of 0.6.10).
 """
 
 from __future__ import annotations
@@ -83,6 +84,60 @@ MOTEUS = {
 }
 
 
-def explained() -> tuple[CodeInfo, ...]:
-    """All of them, for a dictionary."""
-    return tuple(CodeInfo(int(code), code.name, text, remedy) for code, (text, remedy) in MOTEUS.items())
+ODRIVE = {
+    DriveFault.DRIVE_SILENT: (
+        "the drive told no position, no torque or no heartbeat for two periods",
+        f"check its power, the bus and its termination, and that this computer is not too busy; {AGAIN}",
+    ),
+    DriveFault.OTHER_MASTER: (
+        "another program commands the drive on this bus: a second master",
+        f"end that program; {AGAIN}",
+    ),
+    DriveFault.DRIVE_LEFT: (
+        "the drive left closed loop, or works with a torque that it was not told: its watchdog ended it "
+        "(WATCHDOG_TIMER_EXPIRED), its power was gone, or somebody stopped or commands it, by USB too",
+        f"look for a busy computer, a loose supply, odrivetool or a second program on the bus; {AGAIN}",
+    ),
+    DriveFault.OVER_VOLTAGE: (
+        "the drive stopped with DC_BUS_OVER_VOLTAGE or BRAKE_RESISTOR_DISARMED",
+        f"give it a supply that takes energy back, or a brake resistor; {AGAIN}",
+    ),
+    DriveFault.UNDER_VOLTAGE: (
+        "the drive stopped with DC_BUS_UNDER_VOLTAGE: the voltage was too low",
+        f"check its supply; {AGAIN}",
+    ),
+    DriveFault.DRIVER: (
+        "the drive stopped with DRV_FAULT, DC_BUS_OVER_CURRENT, DC_BUS_OVER_REGEN_CURRENT or CURRENT_LIMIT_VIOLATION",
+        f"check supply, its limits and motor leads; {AGAIN}",
+    ),
+    DriveFault.TEMPERATURE: (
+        "the drive stopped with INVERTER_OVER_TEMP, MOTOR_OVER_TEMP or THERMISTOR_DISCONNECTED",
+        f"let it cool; {AGAIN}",
+    ),
+    DriveFault.NOT_CALIBRATED: (
+        "the drive is not calibrated, or its configuration is not valid (BAD_CONFIG, CALIBRATION_ERROR)",
+        f"run its calibration with the motor free; {AGAIN}",
+    ),
+    DriveFault.OUTSIDE_LIMIT: (
+        "the drive stopped with VELOCITY_LIMIT_VIOLATION or POSITION_LIMIT_VIOLATION",
+        f"move the handle more slowly, or raise axis0.controller.config.vel_limit; {AGAIN}",
+    ),
+    DriveFault.CONTROL_ERROR: (
+        "the drive stopped with TIMING_ERROR or MISSING_INPUT",
+        f"update its firmware, and let it do nothing else; {AGAIN}",
+    ),
+    DriveFault.DRIVE_INTERNAL: (
+        "the drive stopped with an error of its own",
+        f"read it with odrivetool: dump_errors(odrv0); {AGAIN}",
+    ),
+    DriveFault.BUS_LOST: (
+        "the CAN interface is gone, or off the bus after too many errors",
+        "plug it in, check bit rate, wiring and termination, and start again",
+    ),
+}
+TEXTS = {"moteus": MOTEUS, "odrive": ODRIVE}
+
+
+def explained(kind: str) -> tuple[CodeInfo, ...]:
+    """All of them, for the dictionary of a kind of drive."""
+    return tuple(CodeInfo(int(code), code.name, text, remedy) for code, (text, remedy) in TEXTS[kind].items())

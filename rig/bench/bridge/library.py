@@ -31,8 +31,10 @@ BRIDGE = CLibrary(
     flags=(*FLAGS, "-D_GNU_SOURCE"),
 )
 RATE_INITIAL, RATE_MAXIMUM = 1_000, 2_500  # Hz; the latter is what a moteus answers at best
+DRIVES = ("moteus", "odrive")  # enum bridge_drive of bridge.h
 BINS, BIN_US = 512, 10
-NO_LAW = {"law": (0, 0), "excitation_lines": (0, 0), "excitation_period": (2, 2)}
+NO_EXCITATION = {"excitation_lines": (0, 0), "excitation_period": (2, 2)}
+LAW_HERE, LAW_ON_THE_DRIVE = 2, 3  # largest kinds of `law`
 _OUTPUT_BYTES = 65536
 _INDEX = {parameter.name: index for index, parameter in enumerate(PARAMETERS)}
 
@@ -43,7 +45,12 @@ CurrentSensor = doubles(board.CurrentSensor)
 class Frame(ctypes.Structure):
     """Struct can_frame_bytes of can_frame.h."""
 
-    _fields_ = [("id", ctypes.c_uint32), ("count", ctypes.c_uint8), ("bytes", ctypes.c_uint8 * 64)]
+    _fields_ = [
+        ("id", ctypes.c_uint32),
+        ("count", ctypes.c_uint8),
+        ("bytes", ctypes.c_uint8 * 64),
+        *((name, ctypes.c_bool) for name in ("classic", "remote")),
+    ]
 
     @property
     def data(self) -> bytes:
@@ -75,8 +82,14 @@ class Setup(ctypes.Structure):
         ("mechanics", Mechanics),
         ("current_sensor", CurrentSensor),
         *((name, ctypes.c_uint32) for name in ("prefix", "drive")),
-        *((name, ctypes.c_double) for name in ("counts_per_turn", "torque_per_quantum", "torque_limit")),
-        *((name, ctypes.c_uint32) for name in ("switches", "hold", "stop", "checksum", "socket")),
+        *(
+            (name, ctypes.c_double)
+            for name in ("counts_per_turn", "torque_per_quantum", "torque_limit", "kp", "kd")
+        ),
+        *(
+            (name, ctypes.c_uint32)
+            for name in ("switches", "hold", "stop", "checksum", "socket", "kind", "cycle_us", "beat_us")
+        ),
     ]
 
 
@@ -138,6 +151,7 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "bridge_hear_host": (None, _HEARD),
     "bridge_lose_bus": (None, [_P, _U64]),
     "bridge_stop": (None, [_P]),
+    "bridge_due": (_U64, [_P]),
     "bridge_take": (_N, [_P, _P, _N]),
     "bridge_take_bus": (_N, [_P, _P, _N]),
     "bridge_state": (ctypes.c_uint8, [_P]),
@@ -181,6 +195,8 @@ class Drive:
 
     Attributes
     ----------
+    kind
+        Which of `DRIVES`.
     firmware
         What runs on it, in words.
     id, prefix
@@ -195,8 +211,15 @@ class Drive:
         What else is worth a recording.
     switches
         What is wired to its pins.
+    rate_maximum
+        Samples a second that it gives at most.
+    cycle_us, beat_us
+        Between two samples, and two heartbeats, that it tells by itself; 0 where it is asked.
+    gains
+        Of its own law, spring and damper (N·m/turn and N·m·s/turn at its output); None: it renders no wall.
     """
 
+    kind: str
     firmware: str
     id: int
     prefix: int = 0
@@ -205,6 +228,10 @@ class Drive:
     ranges: dict[str, tuple[int, int]]
     settings: dict[str, int | float | str]
     switches: Switches = Switches()
+    rate_maximum: int = RATE_MAXIMUM
+    cycle_us: int = 0
+    beat_us: int = 0
+    gains: tuple[float, float] | None = None
 
 
 def dictionary_of(model: RigModel, drive: Drive) -> dictionaries.Dictionary:
@@ -213,12 +240,12 @@ def dictionary_of(model: RigModel, drive: Drive) -> dictionaries.Dictionary:
         model,
         firmware=f"bridge to {drive.firmware}",
         simulated=False,
-        rate_default=RATE_INITIAL,
-        rate_maximum=RATE_MAXIMUM,
-        narrower={**NO_LAW, **drive.ranges},
+        rate_default=min(RATE_INITIAL, drive.rate_maximum),
+        rate_maximum=drive.rate_maximum,
+        narrower={"law": (0, LAW_ON_THE_DRIVE if drive.gains else LAW_HERE), **NO_EXCITATION, **drive.ranges},
         settings=drive.settings,
     )
-    return replace(plain, faults=(*plain.faults, *explained()))
+    return replace(plain, faults=(*plain.faults, *explained(drive.kind)))
 
 
 class Bridge:
@@ -251,12 +278,13 @@ class Bridge:
         self._packed = dictionaries.encode(self.dictionary)
         amplifier = model.amplifier
         torque_per_quantum = amplifier.effort_quantum / drive.transmission
+        kp, kd = drive.gains or (0.0, 0.0)
         setup = Setup(
             dictionary=self._packed,
             dictionary_hash=dictionaries.dictionary_hash(self._packed),
             dictionary_bytes=len(self._packed),
-            rate_initial=rate,
-            rate_maximum=RATE_MAXIMUM,
+            rate_initial=min(rate, drive.rate_maximum),
+            rate_maximum=drive.rate_maximum,
             encoder_sign=model.encoder.sign,
             over_current=board.over_current(model),
             mechanics=Mechanics(**asdict(board.moved_mechanics(model))),
@@ -266,11 +294,16 @@ class Bridge:
             counts_per_turn=drive.counts_per_turn,
             torque_per_quantum=model.encoder.sign * torque_per_quantum,
             torque_limit=amplifier.effort_limit / drive.transmission,
+            kp=kp,
+            kd=kd,
             switches=drive.switches.register,
             hold=drive.switches.hold,
             stop=drive.switches.stop,
             checksum=checksum,
             socket=socket,
+            kind=DRIVES.index(drive.kind),
+            cycle_us=drive.cycle_us,
+            beat_us=drive.beat_us,
         )
         self._library.bridge_setup(self._address, ctypes.byref(setup), ctypes.byref(self.facts))
         for parameter, low, high in narrower(self.dictionary):
@@ -317,6 +350,11 @@ class Bridge:
         """What it has said to its host."""
         count = self._library.bridge_take(self._address, self._taken, _OUTPUT_BYTES)
         return self._taken.raw[:count]
+
+    @property
+    def due(self) -> int:
+        """When the next period begins."""
+        return int(self._library.bridge_due(self._address))
 
     @property
     def state(self) -> State:

@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
+from rig.bench.bridge.drive_law import DriveLaw
 from rig.bench.bridge.library import Drive, Switches
 from rig.core.board import peak_current
 from rig.core.errors import ConfigError, DeviceNotFoundError, DeviceRefusedError, IncompatibleDeviceError
@@ -189,6 +190,8 @@ class Facts:
         ``servo.max_current_A`` (A), ``servo.max_velocity`` (turns/s of the output).
     minimum, maximum
         ``servopos.position_min`` and ``_max`` (turns of the output), NaN for none.
+    law
+        How it would render a wall itself.
     """
 
     id: int
@@ -204,6 +207,7 @@ class Facts:
     most_speed: float
     minimum: float
     maximum: float
+    law: DriveLaw
 
     @property
     def counts_per_turn(self) -> float:
@@ -304,6 +308,7 @@ def _facts(talk: Asked, drive: int, firmware: str, mode: int) -> Facts:
         most_speed=talk.setting("servo.max_velocity"),
         minimum=talk.setting("servopos.position_min"),
         maximum=talk.setting("servopos.position_max"),
+        law=DriveLaw.read(talk.setting, place),
     )
 
 
@@ -348,6 +353,7 @@ def fit(found: Facts, model: RigModel, *, prefix: int = 0, switches: Switches | 
     )
     speed = math.floor(min(found.most_speed * abs(found.counts_per_turn), EXACT_COUNTS))
     return Drive(
+        kind="moteus",
         firmware=f"moteus {found.firmware}",
         id=found.id,
         prefix=prefix,
@@ -369,7 +375,9 @@ def fit(found: Facts, model: RigModel, *, prefix: int = 0, switches: Switches | 
             "rotor_to_output": found.rotor_to_output,
             "torque_constant": found.torque_constant,
             "transmission": transmission,
+            **found.law.told(transmission),
         },
+        gains=found.law.gains,
         switches=switches or Switches(),
     )
 

@@ -82,6 +82,11 @@ class LateLoops:
                 f"the law {law} is not a spring and damper",
                 remedy="its stability is not computed: begin with little effort",
             )
+        if experiment.controller.arithmetic == "drive" and experiment.controller.loop == "device":
+            raise ConfigError(
+                "the drive renders the wall itself, with filters that theory here does not have",
+                remedy="its stability is not computed: begin with little effort",
+            )
         if delay_ticks > LARGEST_DELAY:
             raise ConfigError(
                 f"a delay of {delay_ticks} ticks is not computed (at most {LARGEST_DELAY})",

@@ -11,6 +11,7 @@ import numpy as np
 from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import BY_NAME
 from rig.config.device_law import walls
+from rig.config.device_law.drive import refuse_what_it_lacks
 from rig.config.device_law.estimators import estimator_parameters, velocity_format
 from rig.config.device_law.refusal import ELSE_HOST, refusal
 from rig.config.device_law.walls import Control, Values
@@ -18,8 +19,8 @@ from rig.config.sections import Controller as Rates
 from rig.control.step import Controller
 from rig.core.errors import PlanError
 
-Arithmetic = Literal["fixed", "float32"]
-ARITHMETICS: tuple[str, ...] = ("host", "fixed", "float32")  # in the order of the parameter `law`
+Arithmetic = Literal["fixed", "float32", "drive"]
+ARITHMETICS: tuple[str, ...] = ("host", "fixed", "float32", "drive")  # in the order of the parameter `law`
 FIXED_ESTIMATOR = "fdm-butterworth-fixed"  # the only one in integers
 SETPOINT_BITS = 24
 MOST_TICKS = 2**32 - 1
@@ -72,6 +73,8 @@ def law_parameters(controller: Controller, arithmetic: Arithmetic) -> Values:
     c, law = _plain(controller), controller.law.parameters
     _check_arithmetic(c, controller, arithmetic)
     _check_work(c)
+    if arithmetic == "drive":
+        refuse_what_it_lacks(controller, c)
     values: Values = {
         "law": ARITHMETICS.index(arithmetic),
         "velocity_divider": c["velocity_divider"],
@@ -90,7 +93,7 @@ def law_parameters(controller: Controller, arithmetic: Arithmetic) -> Values:
         "excitation_lines": 0,
         **_excitation(controller),
     }
-    if arithmetic == "float32":
+    if arithmetic != "fixed":
         values |= {**walls.float_wall(c, law), **walls.float_guard(c)}
         if controller.estimator.estimator.name == FIXED_ESTIMATOR:
             values["float_velocity_lsb"] = velocity_format(controller.estimator).lsb
@@ -133,7 +136,7 @@ def live_parameters(controller: Controller, arithmetic: Arithmetic, numbers: Seq
             remedy="end the run and start it with the other wall",
         )
     c: Control = {**_plain(controller), "wall_position": position}
-    if arithmetic == "float32":
+    if arithmetic != "fixed":
         values = walls.float_wall(c, after)
     else:
         values = walls.fixed_wall(walls.designed_wall(c, name, after, velocity_format(controller.estimator)))
@@ -151,8 +154,9 @@ def rendered_wall(values: Mapping[str, Value], controller: Controller) -> walls.
     controller
         That they were designed from, for its scales.
     """
-    in_si = {"fixed": walls.fixed_wall_in_si, "float32": walls.float_wall_in_si}
-    return in_si[ARITHMETICS[int(values["law"])]](values, _plain(controller))
+    fixed = ARITHMETICS[int(values["law"])] == "fixed"
+    in_si = walls.fixed_wall_in_si if fixed else walls.float_wall_in_si
+    return in_si(values, _plain(controller))
 
 
 def check_values(values: Mapping[str, Value]) -> None:

@@ -12,7 +12,7 @@ import subprocess
 import threading
 import time
 import tty
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -20,21 +20,25 @@ import numpy as np
 import pytest
 
 from rig.bench.bridge.library import Bridge, Facts
-from tests.benchmarks.realtime.workbench import FULL, compile_c, print_table, quantiles
+from tests.benchmarks.realtime.workbench import FULL, PRIORITY, compile_c, print_table, quantiles
 from tests.conformance.bridged import bridged_rig, plain_drive
 
 RATES = (1000, 2500)
 SECONDS = 10.0 if FULL else 1.0
 MOST_RATIO = 1.5
 TRIES = 5
+QUESTION = "can send 9001 1100" + "1F01" + "130D" + "5050 BF"
+
+
+AS_A_BOARD = ("chrt", "--fifo", str(PRIORITY))  # before a command: above ordinary programs
 
 
 @contextmanager
-def drive(program: Path) -> Iterator[int]:
+def drive(program: Path, before: Sequence[str] = ()) -> Iterator[int]:
     """A descriptor whose other end is the drive."""
     master, slave = os.openpty()
     tty.setraw(slave)
-    process = subprocess.Popen([str(program), str(master)], pass_fds=(master,))
+    process = subprocess.Popen([*before, str(program), str(master)], pass_fds=(master,))
     os.close(master)
     try:
         yield slave
@@ -44,11 +48,13 @@ def drive(program: Path) -> Iterator[int]:
         os.close(slave)
 
 
-def by_a_client(client: Path, line: int, rate: int, text: str) -> tuple[np.ndarray, int]:
+def by_a_client(
+    client: Path, line: int, rate: int, seconds: float = SECONDS, before: Sequence[str] = ()
+) -> tuple[np.ndarray, int]:
     """Round trips (µs) of a C program, and those that were lost."""
-    ticks = round(rate * SECONDS)
+    ticks = round(rate * seconds)
     done = subprocess.run(
-        [str(client), str(line), str(rate), str(ticks), text],
+        [*before, str(client), str(line), str(rate), str(ticks), QUESTION],
         pass_fds=(line,),
         capture_output=True,
         check=True,
@@ -57,17 +63,22 @@ def by_a_client(client: Path, line: int, rate: int, text: str) -> tuple[np.ndarr
     return took[took >= 0] / 1e3, int(np.sum(took < 0))
 
 
-def by_the_bridge(line: int, rate: int) -> Facts:
+def by_the_bridge(line: int, rate: int, seconds: float = SECONDS, *, as_a_board: bool = False) -> Facts:
     """What the bridge saw in as many periods, with nobody at its other end."""
     bridge = Bridge(bridged_rig(), plain_drive(), checksum=False, rate=rate)
     host, other = os.openpty()
     ear, mouth = os.pipe()
     os.set_blocking(line, False)
     os.set_blocking(host, False)
-    ends = {"host": host, "bus": line, "wake": ear, "host_stays": True}
-    thread = threading.Thread(target=bridge.run, kwargs=ends)
+
+    def run() -> None:
+        if as_a_board:
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+        bridge.run(host=host, bus=line, wake=ear, host_stays=True)
+
+    thread = threading.Thread(target=run)
     thread.start()
-    time.sleep(SECONDS)
+    time.sleep(seconds)
     os.write(mouth, b"x")
     thread.join()
     for descriptor in (host, other, ear, mouth):
@@ -79,11 +90,10 @@ def by_the_bridge(line: int, rate: int) -> Facts:
 @pytest.mark.parametrize("rate", RATES)
 def test_a_bridge_costs_little_more_than_its_bytes(rate: int, tmp_path: Path) -> None:
     end, client = compile_c(tmp_path, "drive_end"), compile_c(tmp_path, "drive_client")
-    question = "can send 9001 1100" + "1F01" + "130D" + "5050 BF"
     rows, ratios = [], []
     with drive(end) as line:
         for _ in range(TRIES):
-            took, lost = by_a_client(client, line, rate, question)
+            took, lost = by_a_client(client, line, rate)
             facts = by_the_bridge(line, rate)
             ratios.append(facts.quantile_us(0.5) / float(np.median(took)))
             rows.append(("C client", *(f"{one:.0f}" for one in quantiles(took)), lost, ""))

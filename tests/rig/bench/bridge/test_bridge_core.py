@@ -11,7 +11,7 @@ from firmware_protocol import messages as m
 from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault, Input
 from rig.bench.bridge import library
-from rig.bench.bridge.faults import MOTEUS, DriveFault
+from rig.bench.bridge.faults import MOTEUS, TEXTS, DriveFault
 from rig.bench.bridge.library import BRIDGE
 from rig.core.errors import DeviceRefusedError
 from rig.devices.framed import FramedDevice
@@ -100,6 +100,18 @@ def test_arming_waits_until_the_drive_is_prepared_and_gives_no_torque_meanwhile(
     device.disarm()
     world.run(0.01)
     assert world.mode == 0
+
+
+def test_who_arms_right_after_disarming_waits_until_the_drive_is_on_again() -> None:
+    """Its last reply is from before it was told to stop."""
+    world, host = armed()
+    push(host, 5)
+    assert host.disarm().status == 0
+    ack = host.configure(**RUN_PARAMETERS)
+    assert host.arm(2, ack.crc).status == 0
+    push(host, 20)
+    assert world.bridge.fault == 0
+    assert world.torque > 0.0
 
 
 def test_a_drive_that_nobody_arms_is_switched_off_again() -> None:
@@ -342,12 +354,12 @@ def world_word(name: str) -> int:
 
 
 def test_codes_are_those_of_the_header() -> None:
-    header = (BRIDGE.root / "bridge" / "bridge.h").read_text()
+    header = (BRIDGE.root / "bridge" / "drive.h").read_text()
     codes = {
         name: int(code) for name, code in re.findall(r"^    BRIDGE_(\w+) = (\d+),", header, re.MULTILINE)
     }
     assert codes == {fault.name: int(fault) for fault in DriveFault}
-    assert set(MOTEUS) == set(DriveFault)
+    assert all(set(texts) == set(DriveFault) for texts in TEXTS.values())
 
 
 def test_structures_are_those_of_the_header() -> None:

@@ -221,7 +221,7 @@ def test_what_happens_on_the_bus_is_counted() -> None:
 
 def test_the_c_code_compiles_without_a_warning() -> None:
     sources = [path for path in BRIDGE.sources() if path.parent.name == "bridge"]
-    assert len(sources) == 5
+    assert len(sources) == 7
     command = [build.compiler(), "-std=c99", "-D_GNU_SOURCE", *build.WARNINGS, "-fsyntax-only"]
     done = subprocess.run([*command, *map(str, sources)], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

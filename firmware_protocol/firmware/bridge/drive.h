@@ -1,0 +1,122 @@
+/* What a bridge needs of a drive, one file for each kind: frames that tell it what is wished, samples out of what it says,
+ * and what its state means. The rules (when a set-point may go, what a lost sample costs) are the bridge's, and shared. */
+#ifndef HR_DRIVE_H
+#define HR_DRIVE_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "can_frame.h"
+
+#define DRIVE_FRAMES 4u   /* that a drive is told in a period at most */
+#define DRIVE_SETTLES 50u /* samples until a drive must have done what it was told */
+#define DRIVE_TOLD 3u     /* set-points that may be on their way there and back */
+
+/* What may be wrong with a drive: faults of the core from here on, which the dictionary explains. */
+enum bridge_fault {
+    BRIDGE_DRIVE_SILENT = 20,
+    BRIDGE_OTHER_MASTER = 21,
+    BRIDGE_DRIVE_LEFT = 22, /* its mode is not the one it was told */
+    BRIDGE_OVER_VOLTAGE = 23,
+    BRIDGE_UNDER_VOLTAGE = 24,
+    BRIDGE_DRIVER = 25,
+    BRIDGE_TEMPERATURE = 26,
+    BRIDGE_NOT_CALIBRATED = 27,
+    BRIDGE_OUTSIDE_LIMIT = 28,
+    BRIDGE_CONTROL_ERROR = 29,
+    BRIDGE_DRIVE_INTERNAL = 30,
+    BRIDGE_BUS_LOST = 31,
+};
+
+enum drive_wish { DRIVE_OFF, DRIVE_PREPARE, DRIVE_ON };
+
+/* A wall that a drive renders itself, at its output: a spring to its surface and a damper, on one side. */
+struct drive_wall {
+    float surface;   /* turns */
+    bool above;      /* it fills the turns above its surface, else those below */
+    float stiffness; /* N·m/turn */
+    float damping;   /* N·m·s/turn */
+    float limit;     /* N·m of wall and torque together, at most */
+};
+
+struct drive_order {
+    enum drive_wish wish;
+    uint32_t since;   /* samples since that wish */
+    bool asks;        /* a period begins, and its sample is awaited; else a wish that could not wait for the next one */
+    bool fed;         /* the core's watchdog is: a set-point may go */
+    float torque;     /* N·m at the output */
+    float watchdog_s; /* after which the drive gives none, unless it is told again */
+    const struct drive_wall *wall; /* to render beside the torque, or NULL */
+};
+
+struct drive_sample {
+    uint8_t mode;
+    uint32_t code;     /* of its fault */
+    float position;    /* turns of the output */
+    float torque;      /* N·m at the output, measured */
+    float rendered;    /* N·m at the output that its own law gives, torque and wall; NaN where it does not say */
+    float voltage;     /* V */
+    float temperature; /* °C */
+    uint8_t switches;  /* pins */
+    bool limited;      /* it gives another torque than it was told */
+};
+
+enum drive_heard {
+    DRIVE_OTHERS,  /* not about this drive */
+    DRIVE_FOREIGN, /* of another master, or to one */
+    DRIVE_LATE,    /* behind its period, or a second one */
+    DRIVE_INVALID,
+    DRIVE_PART,    /* more is to come */
+    DRIVE_SAMPLE,  /* in `sample` */
+};
+
+struct drive {
+    uint32_t prefix, id; /* of the bus's ids; its own */
+    uint8_t switches;    /* register of its pins, 0: none */
+    float limit;         /* N·m at the output, that it may give at most */
+    float kp, kd;        /* of its own law: N·m/turn, N·m·s/turn at the output; 0: it renders no wall */
+    uint64_t beat;       /* device time between two heartbeats of an ODrive */
+    bool asked;          /* a sample is awaited */
+    bool known;          /* there was one */
+    struct drive_sample sample;
+
+    uint8_t sender; /* of a moteus: of the last query, from 0 */
+    uint8_t modes[DRIVE_TOLD]; /* of a moteus: that it was told last, the newest first; a sample may show any of them */
+
+    struct { /* of an ODrive */
+        uint32_t error;
+        uint8_t result;
+        bool woken;       /* it was told to enter closed loop, and has not settled at rest since */
+        uint32_t beats;   /* since the last wish */
+        uint64_t beat_at; /* device time of the last one; 0 before the first */
+        uint64_t heard_at;
+        unsigned parts;   /* of the awaited sample */
+        float told[DRIVE_TOLD];
+        unsigned differs; /* samples in succession whose set-point is none of them */
+    } odrive;
+};
+
+struct drive_kind {
+    bool classic; /* CAN frames of eight bytes */
+
+    /* Write the frames that an order takes; returns how many, at most DRIVE_FRAMES. */
+    size_t (*tell)(struct drive *drive, const struct drive_order *order, struct can_frame_bytes *frames);
+
+    /* Take a frame of the bus. */
+    enum drive_heard (*hear)(struct drive *drive, const struct can_frame_bytes *frame, uint64_t now);
+
+    /* Whether it can render a wall itself; NULL: none. */
+    bool (*renders)(const struct drive *drive, const struct drive_wall *wall);
+
+    /* Whether a set-point acts at once. */
+    bool (*is_on)(const struct drive *drive);
+
+    /* The fault that its last sample means, given a wish that is `since` samples old; 0: none. */
+    uint8_t (*fault)(const struct drive *drive, enum drive_wish wish, uint32_t since);
+
+    /* Whether its power may have been gone, and with it the turns that it counted. */
+    bool (*forgot)(const struct drive *drive);
+};
+
+#endif

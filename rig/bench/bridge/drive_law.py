@@ -1,0 +1,101 @@
+"""The wall that a moteus renders itself, by its mode 13, "stay within": what it has, and what must be true of it.
+
+Beyond a bound its position controller holds that bound, in each of its control cycles: torque = −kp_scale·kp·(position
+− bound) − kd_scale·kd·velocity + feed-forward, limited by the command's maximum torque. No page clamps it, so it pulls
+a handle that leaves.
+
+Source: mjbots/moteus at db1a762, opened: docs/protocol/registers.md 0x000 and 0x040 to 0x048, 0x023 and 0x024 (scales
+shrink; kd's is limited to kp's, which the firmware there does not do); docs/protocol/diagnostic.md "d within";
+docs/reference/configuration.md servo.pid_position (units), servo.pwm_rate_hz, pll_filter_hz; fw/bldc_servo_control.h
+ISR_DoStayWithinBounds and ISR_DoPositionCommon; fw/pid.h.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Self
+
+MOST_HZ = 30_000.0  # of its control cycles: with a faster PWM they come every second period (RateConfig)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DriveLaw:
+    """Settings that decide how a moteus renders a wall.
+
+    Attributes
+    ----------
+    kp, kd
+        Gains at its output (N·m/turn, N·m·s/turn).
+    pwm_rate_hz
+        Of its PWM; its law runs once in each period, or in every second one above 30 kHz.
+    filter_hz
+        3 dB frequency of the loop that follows its encoder, which gives position and velocity.
+    sign
+        Of its controller.
+    threshold
+        Velocity below which it damps nothing (turns/s).
+    position_slip, velocity_slip
+        How far its set point may be from the handle (turns, turns/s), NaN: anywhere.
+    """
+
+    kp: float
+    kd: float
+    pwm_rate_hz: float
+    filter_hz: float
+    sign: float
+    threshold: float
+    position_slip: float
+    velocity_slip: float
+
+    @classmethod
+    def read(cls, setting: Callable[[str], float], source: str) -> Self:
+        """Ask for the settings; `source` is the group of its output's encoder."""
+        pid = "servo.pid_position"
+        return cls(
+            kp=setting(f"{pid}.kp"),
+            kd=setting(f"{pid}.kd"),
+            sign=setting(f"{pid}.sign"),
+            pwm_rate_hz=setting("servo.pwm_rate_hz"),
+            filter_hz=setting(f"{source}.pll_filter_hz"),
+            threshold=setting("servo.velocity_threshold"),
+            position_slip=setting("servo.max_position_slip"),
+            velocity_slip=setting("servo.max_velocity_slip"),
+        )
+
+    @property
+    def rate_hz(self) -> float:
+        """Of its control cycles."""
+        return self.pwm_rate_hz if self.pwm_rate_hz <= MOST_HZ else self.pwm_rate_hz / 2.0
+
+    @property
+    def objection(self) -> str:
+        """Why its wall would be another one than it is told; empty: it would not."""
+        if not (self.kp > 0.0 and self.kd > 0.0):
+            return "servo.pid_position.kp or kd is 0, and a share of it too"
+        if self.sign != 1:
+            return "servo.pid_position.sign is not 1"
+        if not self.filter_hz > 0.0:
+            return "pll_filter_hz is 0: its encoder gives no velocity"
+        if self.threshold != 0.0:
+            return "servo.velocity_threshold is not 0: below it nothing is damped"
+        if not (math.isnan(self.position_slip) and math.isnan(self.velocity_slip)):
+            return (
+                "servo.max_position_slip or max_velocity_slip is not nan: its bound would follow the handle"
+            )
+        return ""
+
+    @property
+    def gains(self) -> tuple[float, float] | None:
+        """Spring and damper that a share of 1 gives, or None where it is not to render a wall."""
+        return None if self.objection else (self.kp, self.kd)
+
+    def told(self, transmission: float) -> dict[str, int | float | str]:
+        """What a dictionary says of it; `transmission` is the angle of its output (rad) for 1 rad or 1 m of the rig."""
+        scale = transmission**2 / (2.0 * math.pi)
+        facts: dict[str, int | float | str] = {"drive_kp": self.kp, "drive_kd": self.kd}
+        facts |= {"drive_law_hz": self.rate_hz, "drive_filter_hz": self.filter_hz}
+        if self.objection:
+            return facts | {"drive_wall": self.objection}
+        return facts | {"drive_wall_stiffness": self.kp * scale, "drive_wall_damping": self.kd * scale}

@@ -1,0 +1,73 @@
+"""How many ticks a bridge loses, by rate: ``python -m tests.benchmarks.realtime.lost_ticks --seconds 10``.
+
+A drive that costs nothing sits behind a pseudo-terminal; a C program and the bridge ask it in turns, all scheduled as a
+board is, where that is allowed. A tick is lost when no reply came within its period (a reply that took three periods is
+three lost ticks), or when the asker slept through it. What the C program loses, the computer loses: the kernel hands a
+terminal's bytes over in an ordinary worker, which any other program delays. So the load stands beside the result, which
+is about an idle machine.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from tests.benchmarks.realtime.test_bridge import AS_A_BOARD, by_a_client, by_the_bridge, drive
+from tests.benchmarks.realtime.workbench import compile_c, may_be_realtime, print_table
+
+RATES = "500,1000,1500,2000,2500"
+IDLE_LOAD = 0.3  # running programs above which a machine is not idle
+
+
+def waited() -> str:
+    """Share of the last ten seconds in which some program waited for a processor (%), where the kernel says it."""
+    try:
+        some = Path("/proc/pressure/cpu").read_text().split()
+    except OSError:
+        return "?"
+    return some[1].partition("=")[2]
+
+
+def measure(rates: list[int], seconds: float, *, as_a_board: bool) -> list[tuple[object, ...]]:
+    """Rows of the table."""
+    rows: list[tuple[object, ...]] = []
+    before = AS_A_BOARD if as_a_board else ()
+    with tempfile.TemporaryDirectory() as place:
+        end, client = (compile_c(Path(place), name) for name in ("drive_end", "drive_client"))
+        with drive(end, before) as line:
+            for rate in rates:
+                took, never = by_a_client(client, line, rate, seconds, before)
+                lost = never + int(np.sum(took * rate // 1_000_000))
+                rows.append(("C client", rate, lost, "", round(took.max()), waited()))
+                facts = by_the_bridge(line, rate, seconds, as_a_board=as_a_board)
+                rows.append(("bridge", rate, facts.lost, facts.skipped, facts.longest_us, waited()))
+    return rows
+
+
+def main() -> None:
+    """Measure, and print a table."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--seconds", type=float, default=10.0, help="of each measurement")
+    parser.add_argument("--rates", default=RATES, help="Hz")
+    chosen = parser.parse_args()
+    load, allowed = os.getloadavg()[0], may_be_realtime()
+    rates = [int(rate) for rate in chosen.rates.split(",")]
+    rows = measure(rates, chosen.seconds, as_a_board=allowed)
+    columns = ("", "Hz", "lost", "slept through", "longest µs", "others waited %")
+    print_table(
+        f"ticks lost in {chosen.seconds:g} s" + ("" if allowed else ", scheduled as any program"),
+        columns,
+        rows,
+    )
+    busy = " — not idle: this measures the others, too" if load > IDLE_LOAD else ""
+    print(f"load before: {load:.2f}{busy}")
+
+
+if __name__ == "__main__":
+    main()
