@@ -1,5 +1,4 @@
-"""The watch on a trial: it ends a run when the motor gives too much energy, the wall oscillates violently, or an effort
-that must move the handle does not.
+"""The watch on a run, which ends it: too much energy, a violent oscillation, an effort that moves nothing.
 
 At the beginning of a tick it looks at the effort of the tick before and at how far the handle moved under it. Energy
 and violence are watched in the trial and its release, the standstill where the motor moves a handle that nobody holds.
@@ -18,13 +17,14 @@ impact is one oscillation and a bounce another, each smaller; a buzz does not sp
 that makes the whole effort cannot be told from a buzz.
 
 **Standstill.** While the count stays on two neighbours (all that a dead encoder, or one with a dead channel, shows), a
-free handle would gather the momentum ∫(effort − friction). Where that is the inertia times a share of the speed limit
-(`UNMOVED_SPEED`), the encoder is dead or the rig is blocked. A handle that friction holds gathers none. With two
-solutions of one equation with friction the difference of their speeds never grows, and with damping it never grows
-beyond the faster of the two: so whatever the motor did meanwhile, no rig is faster than that share plus the larger of
-that share and the speed that it had when the encoder died, if it has at least the described inertia and friction.
-It is watched where nothing but friction may hold the handle: in homing, and in a trial's push outside of the wall. A
-push whose slew limit still binds is left out: pushes of a board grow so, and look for friction that nobody described.
+free handle gathers the momentum p = ∫(effort − friction) dt, and one that friction holds gathers none. Beyond the
+inertia times a share of the speed limit (`UNMOVED_SPEED`) the encoder is dead or the rig is blocked. Be v_b that speed,
+and v_0 the handle's when the encoder died: then no rig with the described friction and inertia, or more, whatever its
+damping, is faster than v_b + max(v_b, v_0). For e = v − p/I obeys I ė = −b v − (F(v) − F(p/I)) with a friction F that
+rises with speed, hence e ė < 0 wherever |e| > |p|/I: |e| never grows beyond the larger of v_0 and v_b. It is watched
+where nothing but friction may hold the handle: in homing, and in a trial's push outside of the wall. A push whose slew
+limit still binds is left out: pushes of a board grow so, and look for friction that nobody has described. Weight is
+counted as friction: what it does to a handle no motor stops.
 
 Source: Hannaford and Ryu 2002, "Time-domain passivity control of haptic interfaces", for the observer. The rules about
 oscillations and standstill are ours.

@@ -117,8 +117,8 @@ ENDINGS: dict[EndReason, tuple[type[RigError], str, str]] = {
     ),
     EndReason.UNMOVED: (
         GuardError,
-        "the motor has pushed for so long that the free handle would be at half of rig.limits.speed, and the count stands "
-        "still at position {position}: the encoder is dead or the rig is blocked; the effort went to zero",
+        "the encoder is dead or the rig is blocked: by now the motor would have brought the free handle to half of "
+        "rig.limits.speed, and the count stands still at position {position}; the effort went to zero",
         "check the encoder and its wires, and that nothing holds the handle; if it is friction that holds it, describe "
         "that (`rig identify` measures it)",
     ),

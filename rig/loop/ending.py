@@ -95,8 +95,8 @@ def ended_by_law(memory: Any) -> int:
     """Reason to end that `rig.control.step` or a comparison of the currents left in the tick's flags, or 0.
 
     With the law on the device this is the host's own step on the samples of a BATCH, and the device does not watch
-    energy, violence or a count that stands: it drives until our STOP arrives. That takes the rest of the batch (at most 5 ms, see
-    `rig.config.device_law.batch`), the transfer of its bytes, and the transfer of the STOP.
+    energy, violence or a count that stands: it drives until our STOP arrives. That takes the rest of the batch (at most
+    5 ms, see `rig.config.device_law.batch`), the transfer of its bytes, and the transfer of the STOP.
     """
     flags = memory[0]["flags"]
     reason = 0

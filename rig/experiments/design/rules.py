@@ -36,6 +36,7 @@ import numpy as np
 
 from rig.core.deferred import stats
 from rig.core.errors import PlanError
+from rig.experiments.planned import check_positive
 
 Goal = Literal["stiffness", "damping", "area", "quiet"]
 GOALS: tuple[Goal, ...] = get_args(Goal)
@@ -115,13 +116,6 @@ def front(found: Sequence[Measures]) -> list[int]:
 def as_good(one: Measures, other: Measures, step: float) -> bool:
     """Whether one reaches another in each measure of a paper, to a rung of `step`."""
     return all(getattr(one, name) * step >= getattr(other, name) for name in OF_A_PAPER)
-
-
-def check_positive(named: Mapping[str, float | None]) -> None:
-    """Raise `PlanError` for an argument that is given and is not a finite number above zero."""
-    for name, value in named.items():
-        if value is not None and not 0.0 < value < math.inf:
-            raise PlanError(f"{value:g} (`{name}`) is out of range", remedy="give a finite number above 0")
 
 
 class UnmetError(PlanError):
