@@ -50,7 +50,7 @@ NEAR_EDGE = 0.05  # share of the position window at each end in which STATE warn
 FADES_A_SECOND = 2  # of an effort whose position nothing confirms
 
 # Up to the described friction, and a twentieth of the limit for what friction may be beside that, an automated rig may
-# rest; above a fifth of the limit it never may.
+# rest.
 LARGEST_SHARE = 5
 FRICTION_SHARE = 0.25  # a twentieth, times LARGEST_SHARE
 STALL_MARGIN = 3.0  # times the longest time in which the free rig passes STALL_COUNTS
@@ -453,7 +453,7 @@ def large_effort(model: RigModel, limit: int) -> int:
     """`LARGEST_SHARE` times the effort above which a rig must move (quanta)."""
     mechanics = moved_mechanics(model)
     large = LARGEST_SHARE * mechanics.friction / mechanics.effort_quantum + FRICTION_SHARE * limit
-    return min(int(large), limit)
+    return min(int(large), LARGEST_SHARE * limit)
 
 
 def stall_time(model: RigModel, current: float) -> float:

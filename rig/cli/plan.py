@@ -2,34 +2,54 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from rig import config
 from rig.cli import hit_output, options, output
-from rig.cli.command import command
+from rig.cli.command import command, option
 from rig.core.check import refused
 from rig.core.errors import PlanError
-from rig.experiments.plan import make_plan
+from rig.experiments.plan import delay_checks, make_plan
 
 
 @command()
 @options.experiment_options
 @options.realtime_option("Plan what runs in real time: the [realtime] variant.")
+@options.url_option("no link, so no delay but what the file describes")
+@option(
+    "--round-trip",
+    type=float,
+    metavar="S",
+    help="Of the link, with the drive's behind a bridge, as rig doctor measures it (s). [one tick]",
+)
 @options.json_option
-def plan(file: Path | None, preset: str | None, realtime: bool, as_json: bool, **changed: Any) -> None:
+def plan(
+    file: Path | None,
+    preset: str | None,
+    realtime: bool,
+    url: str | None,
+    round_trip: float | None,
+    as_json: bool,
+    **changed: Any,
+) -> None:
     """List what an experiment will do and check it against its limits; no device is touched.
 
-    Exits with an error when something is refused.
+    With --url, --round-trip or --realtime the wall is also judged with the delay of a link, as the arming gate will
+    judge it with the measured one. Exits with an error when something is refused.
     """
-    experiment = options.chosen_experiment(file, preset)
+    experiment = options.chosen_experiment(file, preset or options.preset_of(url, file))
     changes = options.changes(**changed)
-    if realtime:
+    linked = realtime or round_trip is not None or (url is not None and not url.startswith("sim:"))
+    if linked:
         experiment = config.with_realtime(experiment, changes)
     elif changes:
         experiment = config.override(experiment, changes)
     config.check_plugins(experiment, str(file or preset or options.DEFAULT_PRESET))
     planned = make_plan(experiment)
+    if linked:
+        planned = replace(planned, checks=(*planned.checks, *delay_checks(experiment, round_trip)))
     if as_json:
         output.print_json(planned)
     else:

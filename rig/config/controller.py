@@ -16,12 +16,13 @@ import numpy as np
 from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import BY_NAME
 from rig.config import device_law
-from rig.config.derive import free_s, motor_push, push_s, verdict_thresholds
+from rig.config.derive import free_s, motor_push, push_s, rig_model, verdict_thresholds
 from rig.config.sections import Experiment
 from rig.control import cogging, estimators, friction, laws
 from rig.control.law import Law
 from rig.control.step import CONTROL, Controller, new_memory
-from rig.control.watch import TRAVEL, TRAVEL_COUNTS
+from rig.control.watch import TRAVEL, TRAVEL_COUNTS, UNMOVED_SPEED
+from rig.core.board import moved_mechanics
 from rig.core.errors import PlanError
 from rig.core.oscillation import OSCILLATIONS
 
@@ -96,6 +97,7 @@ def for_experiment(
         experiment.trial,
         experiment.rig.limits,
     )
+    mechanics = moved_mechanics(rig_model(experiment))
     tick_s = 1.0 / rates.position_rate
     divider = rates.position_rate // rates.velocity_rate
     delta = resolution(experiment)
@@ -135,6 +137,8 @@ def for_experiment(
         "energy_limit": energy_limit(experiment),
         "oscillation_limit": oscillation_limit(experiment),
         "oscillation_ticks": _ticks(limits.oscillation_s, tick_s),
+        "held_effort": mechanics.friction,
+        "impulse_limit": 0.0 if trial.kind == "human" else UNMOVED_SPEED * limits.speed * mechanics.inertia,
         "oscillation_travel": max(TRAVEL * verdict_thresholds(experiment).moved, TRAVEL_COUNTS * abs(delta)),
     }
     for name, value in values.items():

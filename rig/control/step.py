@@ -78,6 +78,11 @@ CONTROL = np.dtype(
         ("oscillation_limit", "<i8"),  # oscillations of effort in a row that end the run; 0: any
         ("oscillation_ticks", "<i8"),  # within which the next one is in a row
         ("oscillation_travel", "<f8"),  # of the handle, below which an oscillation is none
+        ("held_effort", "<f8"),  # that friction and weight hold without motion
+        (
+            "impulse_limit",
+            "<f8",
+        ),  # of what is beyond that and moves nothing, above which the run ends; 0: any
     ],
     align=True,
 )
@@ -106,6 +111,8 @@ MEMORY = np.dtype(
         ("oscillation_armed", "<i8"),  # 1: the effort has been next to nothing since then
         ("oscillation_lowest", "<f8"),  # position since then
         ("oscillation_highest", "<f8"),
+        ("unmoved_low", "<i8"),  # the lower of the two counts on which the handle stands
+        ("impulse", "<f8"),  # that a free handle would have by now
         # what the row shows of this tick
         ("position", "<f8"),
         ("penetration", "<f8"),
@@ -157,13 +164,10 @@ FREE, TRIAL, RELEASE, DONE = int(Phase.FREE), int(Phase.TRIAL), int(Phase.RELEAS
 INSIDE, VELOCITY_UPDATED = int(RowFlag.INSIDE), int(RowFlag.VELOCITY_UPDATED)
 SATURATED, SLEW_BOUND, CLAMPED = int(RowFlag.SATURATED), int(RowFlag.SLEW_BOUND), int(RowFlag.CLAMPED)
 NONFINITE, OUT_OF_WINDOW = int(RowFlag.NONFINITE), int(RowFlag.OUT_OF_WINDOW)
-HOMING_FAILED, ENERGY, VIOLENT = (
-    int(RowFlag.HOMING_FAILED),
-    int(RowFlag.ENERGY),
-    int(RowFlag.VIOLENT),
-)
+HOMING_FAILED, UNMOVED = int(RowFlag.HOMING_FAILED), int(RowFlag.UNMOVED)
+ENERGY, VIOLENT = int(RowFlag.ENERGY), int(RowFlag.VIOLENT)
 THROWN_OUT = OUT_OF_WINDOW | ENERGY | VIOLENT  # after contact that is what the wall did
-ENDS_RUN = NONFINITE | HOMING_FAILED | THROWN_OUT
+ENDS_RUN = NONFINITE | HOMING_FAILED | UNMOVED | THROWN_OUT
 
 Record = NDArray[np.void]
 
@@ -394,6 +398,28 @@ def _watched(control: Any, memory: Any, position: float, penetration: float, ela
             m["flags"] |= VIOLENT
 
 
+@kernel(types.void(CONTROL_TYPE, MEMORY_TYPE, types.int64, types.int64, types.int64), inline=True)
+def _moved(control: Any, memory: Any, count: int, elapsed_ticks: int, slewed: int) -> None:
+    """Flag an effort of the last tick that, with those before, must have moved the handle away from two counts."""
+    c, m = control[0], memory[0]
+    if c["impulse_limit"] == 0.0:
+        return
+    away = count_difference(count, m["unmoved_low"])
+    if not 0 <= away <= 1:
+        m["unmoved_low"] = count if away < 0 else count - 1
+        m["impulse"] = 0.0
+        return
+    if m["phase"] in (HOMING, SETTLE):
+        effort = m["effort_sent"]
+    elif m["phase"] == TRIAL and m["penetration"] <= 0.0 and slewed == 0:
+        effort = c["constant_effort"]
+    else:
+        return
+    m["impulse"] = watch.free_impulse(m["impulse"], effort, c["held_effort"], c["tick_s"] * elapsed_ticks)
+    if abs(m["impulse"]) > c["impulse_limit"]:
+        m["flags"] |= UNMOVED
+
+
 @kernel(types.int64(CONTROL_TYPE, MEMORY_TYPE, types.float64, types.int64), inline=True)
 def _guarded(control: Any, memory: Any, wanted: float, elapsed_ticks: int) -> int:
     """Steps 6 and 7: limit, slew and round the sum; flag what bound, and cut when the run must end."""
@@ -450,11 +476,13 @@ def step(controller: ControllerArguments, count: int, edge_age_s: float, elapsed
     """
     control, memory = controller.control, controller.memory
     c, m = control[0], memory[0]
+    slewed = m["flags"] & SLEW_BOUND
     m["flags"] = 0
     m["index"] += elapsed_ticks
     position = c["resolution"] * count_difference(count, c["reference_count"])
     m["penetration"] = c["wall_side"] * (position - c["wall_position"])
     _watched(control, memory, position, m["penetration"], elapsed_ticks)
+    _moved(control, memory, count, elapsed_ticks, slewed)
     m["position"] = position
     if m["penetration"] > 0.0:
         m["flags"] |= INSIDE

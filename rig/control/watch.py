@@ -1,7 +1,7 @@
-"""The watch on a trial: it ends a run when the motor gives too much energy or the wall oscillates violently.
+"""The watch on a run, which ends it: too much energy, a violent oscillation, an effort that moves nothing.
 
-At the beginning of a tick it looks at the effort of the tick before and at how far the handle moved under it. It acts
-in the trial and its release; homing has a servo of its own, with a small effort.
+At the beginning of a tick it looks at the effort of the tick before and at how far the handle moved under it. Energy
+and violence are watched in the trial and its release, the standstill where the motor moves a handle that nobody holds.
 
 **Energy.** The sum of effort times displacement is the energy that the motor has given to the handle (a passivity
 observer). A passive wall returns at most what it took, so with a person at the handle the sum stays at or below zero; a
@@ -16,8 +16,18 @@ impact is one oscillation and a bounce another, each smaller; a buzz does not sp
 `rig.core.oscillation`; the simulations behind them are in `rig/session/README.md`. One count of a coarse encoder
 that makes the whole effort cannot be told from a buzz.
 
-Source: Hannaford and Ryu 2002, "Time-domain passivity control of haptic interfaces", for the observer. The rule about
-oscillations is ours.
+**Standstill.** While the count stays on two neighbours (all that a dead encoder, or one with a dead channel, shows), a
+free handle gathers the momentum p = ∫(effort − friction) dt, and one that friction holds gathers none. Beyond the
+inertia times a share of the speed limit (`UNMOVED_SPEED`) the encoder is dead or the rig is blocked. Be v_b that speed,
+and v_0 the handle's when the encoder died: then no rig with the described friction and inertia, or more, whatever its
+damping, is faster than v_b + max(v_b, v_0). For e = v − p/I obeys I ė = −b v − (F(v) − F(p/I)) with a friction F that
+rises with speed, hence e ė < 0 wherever |e| > |p|/I: |e| never grows beyond the larger of v_0 and v_b. It is watched
+where nothing but friction may hold the handle: in homing, and in a trial's push outside of the wall. A push whose slew
+limit still binds is left out: pushes of a board grow so, and look for friction that nobody has described. Weight is
+counted as friction: what it does to a handle no motor stops.
+
+Source: Hannaford and Ryu 2002, "Time-domain passivity control of haptic interfaces", for the observer. The rules about
+oscillations and standstill are ours.
 """
 
 from __future__ import annotations
@@ -25,6 +35,7 @@ from __future__ import annotations
 from rig.realtime.kernel import kernel
 
 HIGH, LOW = 0.9, 0.1  # shares of the effort limit between which an oscillation goes
+UNMOVED_SPEED = 0.5  # share of the speed limit that a handle may reach without being seen
 TRAVEL, TRAVEL_COUNTS = 0.25, 1.5  # of the handle: share of what the verdict calls moved; counts at least
 
 
@@ -33,6 +44,13 @@ def energy_given(before: float, effort: float, travel: float, free: bool) -> flo
     """Energy that the motor has given (J) after a travel (rad or m) under an effort (N·m or N), in free space or no."""
     given = before + effort * travel
     return max(given, 0.0) if free else given
+
+
+@kernel("f8(f8, f8, f8, f8)", inline=True)
+def free_impulse(before: float, effort: float, held: float, time_s: float) -> float:
+    """Momentum (N·m·s or N·s) that a free handle has after an effort, with Coulomb friction `held` (N·m or N)."""
+    after, lost = before + effort * time_s, held * time_s
+    return after - min(max(after, -lost), lost)
 
 
 @kernel("i8(f8, f8, f8, f8, f8)", inline=True)

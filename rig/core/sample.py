@@ -88,6 +88,7 @@ class RowFlag(IntFlag):
     CURRENT_FOLLOWS = 4096  # a window ended in which the measured current followed the active one
     CURRENT_DIFFERS = 8192  # a window ended in which it did not: effort zero, run ended
     OTHER_CURRENT = 16384  # the active current was not the commanded one, though no limit acted
+    UNMOVED = 32768  # an effort that must have moved the rig has moved nothing: effort zero, run ended
 
 
 COLUMNS: tuple[Column, ...] = (

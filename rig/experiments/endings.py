@@ -115,6 +115,13 @@ ENDINGS: dict[EndReason, tuple[type[RigError], str, str]] = {
         "move the handle back into its travel; if the switch stood where none should be reached, find the reference "
         "again (`rig reference`), else mend the wire",
     ),
+    EndReason.UNMOVED: (
+        GuardError,
+        "the encoder is dead or the rig is blocked: by now the motor would have brought the free handle to half of "
+        "rig.limits.speed, and the count stands still at position {position}; the effort went to zero",
+        "check the encoder and its wires, and that nothing holds the handle; if it is friction that holds it, describe "
+        "that (`rig identify` measures it)",
+    ),
     EndReason.HOMING_FAILED: (
         GuardError,
         "the start was not reached in time; the effort went to zero",
@@ -131,6 +138,7 @@ IN_DOUBT = frozenset(
         EndReason.DEVICE_CONTRADICTS,
         EndReason.DEVICE_RESTARTED,
         EndReason.CURRENT_DIFFERS,
+        EndReason.UNMOVED,
     )
 )
 

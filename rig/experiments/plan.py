@@ -11,13 +11,23 @@ from dataclasses import dataclass, replace
 
 from firmware_protocol.dictionary import Dictionary
 from firmware_protocol.law_parameters import LAW_PARAMETERS
+from rig.bench.doctor.gate import late_wall
+from rig.bench.doctor.round_trip import ticks_late
 from rig.config import Experiment, controller, device_law, motor_push, push_at_rest, push_s, rig_model
 from rig.core.check import Check, Outcome
 from rig.core.sample import unit_of
 from rig.devices.device import LINK_SHARE, STATE_BYTES
 from rig.experiments import on_the_drive
 from rig.experiments.excitation_plan import excitation_plan
-from rig.experiments.planned import ARITHMETIC_WORDS, Plan, Step, heat_check, limited, where_it_runs
+from rig.experiments.planned import (
+    ARITHMETIC_WORDS,
+    Plan,
+    Step,
+    check_positive,
+    heat_check,
+    limited,
+    where_it_runs,
+)
 
 STANDS_FOR_DEVICE = (
     "simulated with the law of the host, in float64: it stands for that of the device, which has no more delay and "
@@ -78,6 +88,44 @@ def link_checks(experiment: Experiment, rate_maximum: int, bytes_per_second: flo
             )
         )
     return checks
+
+
+def delay_checks(x: Experiment, round_trip_s: float | None = None) -> list[Check]:
+    """How late commands act behind a link, and what the wall is then: as the arming gate finds it, only warned of.
+
+    Parameters
+    ----------
+    x
+        As it would run. What it describes as the delay (`rig.simulation.computation_delay_ticks`) is taken where
+        nothing else is stated, and one tick where it describes none.
+    round_trip_s
+        Of the link, and of the drive behind a bridge, as it was measured (s).
+
+    Raises `PlanError` for one that is not above zero.
+    """
+    check_positive({"round_trip": round_trip_s})
+    tick_s, described = 1.0 / x.controller.position_rate, x.rig.simulation.computation_delay_ticks
+    if x.controller.loop == "device":
+        ticks, why = 0, "the device runs the law"
+    elif round_trip_s is not None:
+        ticks = ticks_late(round_trip_s, x.controller.position_rate, x.host.pacing)
+        why = f"a round trip of {1e6 * round_trip_s:.4g} µs, as stated"
+    elif described > 0:
+        ticks, why = described, "rig.simulation.computation_delay_ticks"
+    else:
+        ticks = ticks_late(0.0, x.controller.position_rate, x.host.pacing)
+        why = "assumed, the least that a link can give: `rig doctor` measures it"
+    beside, late_s = x.rig.amplifier.set_point_ticks(tick_s), x.rig.amplifier.set_point_delay_s
+    total = ticks + beside
+    text = (
+        f"{total} tick{'' if total == 1 else 's'}, {1e6 * total * tick_s:.4g} µs, from a sample to its effort: "
+        f"{ticks} by the link ({why}), {beside} by a set-point that is {1e6 * late_s:.4g} µs late"
+    )
+    wall = [
+        replace(check, outcome=Outcome.WARNING) if check.outcome is Outcome.REFUSED else check
+        for check in late_wall(x, ticks).checks
+    ]
+    return [Check("delay", Outcome.OK, text), *wall]
 
 
 def _batch_check(x: Experiment, usable: float) -> Check:

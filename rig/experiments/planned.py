@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from rig.config import Experiment, controller, device_law
 from rig.core.check import Check, Outcome, refused
+from rig.core.errors import PlanError
 from rig.core.present import Item, Row, reported, written
 from rig.core.shown import Shown
 
@@ -68,6 +70,13 @@ class Plan(Shown):
 def limited(name: str, holds: bool, text: str, remedy: str, otherwise: Outcome = Outcome.REFUSED) -> Check:
     """Check of a value against a limit; `otherwise` is the outcome when it does not hold."""
     return Check(name, Outcome.OK if holds else otherwise, text, remedy)
+
+
+def check_positive(named: Mapping[str, float | None]) -> None:
+    """Raise `PlanError` for an argument that is given and is not a finite number above zero."""
+    for name, value in named.items():
+        if value is not None and not 0.0 < value < math.inf:
+            raise PlanError(f"{value:g} (`{name}`) is out of range", remedy="give a finite number above 0")
 
 
 def heat_check(x: Experiment, effort: float, seconds: float, remedy: str) -> Check:

@@ -54,6 +54,7 @@ SAME_COUNTS = 2  # by which the distance of two indices may be wrong: each is la
 BOTH = 2.25  # distances that a travel must hold for a second index behind the switch
 FOLLOWS = 0.05  # of a way, by which the handle may end short of it
 LOOK_S, HAND_S = 0.02, 120.0
+BLOCKED = "see that nothing stands in the travel, a stop before the switch or a hand"
 
 Tell = Callable[[str], None]
 
@@ -289,12 +290,12 @@ class _Search:
                 leaves_switch=what != "switch",
             )
         except DeviceFaultError as error:  # a handle that stands still under effort is a fault of its own
-            error.remedy = (
-                f"see that nothing stands in the travel, a stop before the switch or a hand; {error.remedy}"
-            )
+            error.remedy = f"{BLOCKED}; {error.remedy}"
             raise
         except GuardError as error:
             end = end_of(error)
+            if end is not None and end.reason is EndReason.UNMOVED:
+                error.remedy = f"{BLOCKED}; {error.remedy}"
             if end is None or end.reason is not EndReason.HOMING_FAILED:  # of a way that the board went
                 raise
             raise self._short(abs(to - self._scale * (device.count() - zero))) from error

@@ -13,6 +13,7 @@ from rig.control.step import ENERGY as FLAG_ENERGY
 from rig.control.step import HOMING_FAILED as FLAG_HOMING
 from rig.control.step import NONFINITE as FLAG_NONFINITE
 from rig.control.step import OUT_OF_WINDOW as FLAG_WINDOW
+from rig.control.step import UNMOVED as FLAG_UNMOVED
 from rig.control.step import VIOLENT as FLAG_VIOLENT
 from rig.core.sample import RowFlag
 from rig.devices.port import PORT_TYPE, LoopPort
@@ -30,7 +31,7 @@ CLOSED, SILENT, FAULT = (int(EndReason[n]) for n in ("LINK_CLOSED", "LINK_SILENT
 OVERRUN, DEVICE_ENDED = int(EndReason.OVERRUN), int(EndReason.DEVICE_ENDED)
 _NONFINITE, _WINDOW, _HOMING = (int(EndReason[n]) for n in ("NONFINITE", "OUT_OF_WINDOW", "HOMING_FAILED"))
 CONTRADICTS, RESTARTED = int(EndReason.DEVICE_CONTRADICTS), int(EndReason.DEVICE_RESTARTED)
-_ENERGY, _VIOLENT = int(EndReason.ENERGY), int(EndReason.VIOLENT)
+_ENERGY, _VIOLENT, _UNMOVED = int(EndReason.ENERGY), int(EndReason.VIOLENT), int(EndReason.UNMOVED)
 _ARMED, _RUNNING, _EMERGENCY = int(State.ARMED), int(State.RUNNING), int(Input.EMERGENCY_STOP)
 _SWITCH, _LIMIT_SWITCH = int(Input.LIMIT_SWITCH), int(EndReason.LIMIT_SWITCH)
 _ANEW = int(Contradiction.RESTARTED)
@@ -94,8 +95,8 @@ def ended_by_law(memory: Any) -> int:
     """Reason to end that `rig.control.step` or a comparison of the currents left in the tick's flags, or 0.
 
     With the law on the device this is the host's own step on the samples of a BATCH, and the device does not watch
-    energy or violence: it drives until our STOP arrives. That takes the rest of the batch (at most 5 ms, see
-    `rig.config.device_law.batch`), the transfer of its bytes, and the transfer of the STOP.
+    energy, violence or a count that stands: it drives until our STOP arrives. That takes the rest of the batch (at most
+    5 ms, see `rig.config.device_law.batch`), the transfer of its bytes, and the transfer of the STOP.
     """
     flags = memory[0]["flags"]
     reason = 0
@@ -109,6 +110,8 @@ def ended_by_law(memory: Any) -> int:
         reason = _VIOLENT
     elif flags & _FLAG_CURRENT:
         reason = _CURRENT
+    elif flags & FLAG_UNMOVED:
+        reason = _UNMOVED
     elif flags & FLAG_HOMING:
         reason = _HOMING
     elif memory[0]["phase"] == DONE:

@@ -44,6 +44,7 @@ class EndReason(IntEnum):
     LINK_DELAYED = (
         20  # nothing but commands older than their lifetime came, for a lifetime (rig.loop.link_delay)
     )
+    UNMOVED = 21  # the motor must have moved the rig by itself, and the count stands still
 
 
 SETTINGS = np.dtype(

@@ -703,9 +703,18 @@ def test_a_dead_channel_is_found_too_though_the_other_one_toggles() -> None:
     assert ticks * TICK_S == pytest.approx(stall_time(model, 75), abs=2 * TICK_S)
 
 
-def test_no_effort_is_large_enough_beyond_a_fifth_of_the_limit() -> None:
-    """Friction that nearly holds the limit itself: then as much as ever is asked for."""
-    assert large_effort(rotary_rig(coulomb=0.02), 500) == 500
+def test_a_dead_encoder_is_found_however_much_of_the_limit_friction_takes() -> None:
+    """Of the 500 quanta friction holds 200: with the next twentieth and one more the rig must move."""
+    model = rotary_rig(inertia=1e-3, coulomb=0.02)
+    safety = Safety(model)
+    safety.configure({**_values(), "current_limit": 500, "position_rate": RATE}, 0)
+    assert not any(judge(safety, 0, 225, 225) for _ in range(RATE))
+    ticks = next(k for k in range(RATE) if judge(safety, 0, 226, 226))
+    assert ticks * TICK_S == pytest.approx(stall_time(model, 225), abs=2 * TICK_S)
+
+
+def test_a_limit_that_friction_holds_makes_no_effort_large() -> None:
+    assert large_effort(rotary_rig(coulomb=0.06), 500) == LARGEST_SHARE * 500
     assert large_effort(rotary_rig(coulomb=0.0), 500) == 125
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,13 +12,15 @@ import pytest
 from firmware_protocol.faults import Fault
 from rig import config
 from rig.config import presets
-from rig.core.errors import DeviceFaultError
+from rig.core.board import moved_mechanics
+from rig.core.errors import DeviceFaultError, GuardError
 from rig.devices.fault_script import Faults, Happening
 from rig.devices.framed import FramedDevice
 from rig.experiments.hit import HitRequest, hit
 from sim_backend.device import SimulatedDevice
+from sim_backend.hardware import Hardware
 from sim_backend.link import MemoryLink
-from tests.benchmarks.pulses import Counting
+from tests.benchmarks.pulses import Counting, TickByTick
 
 DEAD: dict[str, Callable[[int], Callable[[int], int]]] = {
     "unplugged": lambda last: lambda true: last,
@@ -46,3 +49,40 @@ def test_a_homing_servo_without_an_encoder_is_a_runaway_before_the_handle_is_fas
     assert np.abs(truth["position_true"]).max() < x.rig.limits.position_maximum
     assert device.current == 0
     assert caught.value.exit_code == 7
+
+
+class Clocked(Counting):
+    """Remembers how fast its handle has been (rad/s or m/s)."""
+
+    fastest = 0.0
+
+    def advance(self, current: int) -> None:
+        super().advance(current)
+        self.fastest = max(self.fastest, abs(self._state[self._plant.handle_position + 1]))
+
+
+@pytest.mark.parametrize("loop", ["host", "device"])
+def test_a_servo_that_pushes_less_than_the_device_minds_is_stopped_by_the_host(
+    loop: str, tmp_path: Path
+) -> None:
+    """Whoever runs the law. The device lets a rig rest so, and there would be no end before the time-out."""
+    x = presets.load("hapkit")
+    friction = moved_mechanics(config.rig_model(x)).friction
+    x = config.override(x, {"homing.effort": friction + 0.04 * x.rig.limits.effort, "controller.loop": loop})
+    model = config.rig_model(x)
+    device: Any = SimulatedDevice(model) if loop == "host" else TickByTick(model)
+    if loop == "device":
+        device.stand_before(Hardware(model, 1000, seed=0, initial_position=0.0))
+    device.hardware.__class__ = Clocked
+
+    def die(device: Any) -> None:
+        device.hardware.counts = DEAD["unplugged"](device.hardware.count)
+
+    link = MemoryLink(device, Faults(device=(Happening(5, die),)))
+    with (
+        FramedDevice(link) as framed,
+        pytest.raises(GuardError, match="encoder is dead or the rig is blocked"),
+    ):
+        tuple(hit(HitRequest(experiment=x, device=framed, output=tmp_path)))
+    assert 0.0 < device.hardware.fastest < x.rig.limits.speed
+    assert device.current == 0

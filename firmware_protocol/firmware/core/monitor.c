@@ -5,7 +5,7 @@
 #include "protocol.h"
 
 /* Up to the described friction, and a twentieth of the limit for what friction may be beside that, an automated rig may
- * rest; above a fifth of the limit it never may. */
+ * rest. */
 #define LARGEST_SHARE 5
 #define FRICTION_SHARE 0.25 /* a twentieth, times LARGEST_SHARE */
 
@@ -33,7 +33,8 @@ static double stall_s(const struct mechanics *m, double current)
 static int32_t large_effort(const struct mechanics *m, uint16_t limit)
 {
     const double large = LARGEST_SHARE * m->friction / m->effort_quantum + FRICTION_SHARE * limit;
-    return large < (double)limit ? (int32_t)large : limit;
+    const int32_t most = LARGEST_SHARE * (int32_t)limit;
+    return large < (double)most ? (int32_t)large : most;
 }
 
 static uint32_t stall_ticks(const struct board *board, const struct monitor_settings *settings, int32_t large)

@@ -128,24 +128,14 @@ def gate(experiment: Experiment, measurement: LinkMeasurement) -> Gate:
     """Judge one experiment on one measured link."""
     rate, wall = experiment.controller.position_rate, experiment.wall
     delay = loop_delay_ticks(experiment, measurement, rate)
-    radius: dict[str, float] = {}
-    limits: dict[str, float] = {}
-    passive: float | None = None
-    found = _link_checks(experiment, measurement)
-    try:
-        loops = LateLoops.of(experiment, delay)
-        radius = loops.radius(wall.stiffness, wall.damping)
-        (limits,) = loops.k_max([wall.damping])
-        passive = passivity_bound(loops.by_hand[NO_OPERATOR][0], damping=wall.damping).stiffness
-    except ConfigError as error:
-        found.append(_not_computed(error))
-    else:
-        found.append(_stability(experiment, delay, radius, limits))
-        found += _theory_checks(experiment, loops, passive)
-        if experiment.controller.loop == "device" and not measurement.virtual:
-            found.append(_execution(experiment))
+    judged = late_wall(experiment, delay)
+    executed = experiment.controller.loop == "device" and not measurement.virtual and judged.radius
     return Gate(
-        checks=tuple(found),
+        checks=(
+            *_link_checks(experiment, measurement),
+            *judged.checks,
+            *([_execution(experiment)] if executed else []),
+        ),
         rate_hz=rate,
         delay_ticks=delay,
         travel_s=measurement.travel_s.almost_all,
@@ -153,11 +143,38 @@ def gate(experiment: Experiment, measurement: LinkMeasurement) -> Gate:
         loss_share=measurement.loss_share,
         stiffness=wall.stiffness,
         damping=wall.damping,
-        spectral_radius=radius,
-        k_max=limits,
-        passive_stiffness=passive,
+        spectral_radius=judged.radius,
+        k_max=judged.k_max,
+        passive_stiffness=judged.passive,
         simulated=measurement.simulated,
     )
+
+
+@dataclass(frozen=True, slots=True)
+class LateWall:
+    """What linear theory says of a wall behind a delay: checks, and by hand radius and k_max as `Gate` has them."""
+
+    checks: tuple[Check, ...]
+    radius: Mapping[str, float]
+    k_max: Mapping[str, float]
+    passive: float | None
+
+
+def late_wall(experiment: Experiment, delay: int) -> LateWall:
+    """Judge the wall of an experiment whose commands act so many ticks late."""
+    wall = experiment.wall
+    try:
+        loops = LateLoops.of(experiment, delay)
+        radius = loops.radius(wall.stiffness, wall.damping)
+        (limits,) = loops.k_max([wall.damping])
+        passive = passivity_bound(loops.by_hand[NO_OPERATOR][0], damping=wall.damping).stiffness
+    except ConfigError as error:
+        return LateWall((_not_computed(error),), {}, {}, None)
+    checks = (
+        _stability(experiment, delay, radius, limits),
+        *_theory_checks(experiment, loops, passive),
+    )
+    return LateWall(checks, radius, limits, passive)
 
 
 def refused_among(

@@ -101,7 +101,7 @@ class LinkMeasurement:
     @reported
     def loop_rate_hz(self) -> float:
         """Highest rate at which 99.9 % of the commands are there within one period (Hz); infinite in virtual time."""
-        return 1.0 / self._late_s if self._late_s > 0.0 else math.inf
+        return 1.0 / self.late_s if self.late_s > 0.0 else math.inf
 
     @property
     def sample_delay_s(self) -> float:
@@ -109,19 +109,13 @@ class LinkMeasurement:
         return 1e-6 * self.drive.get("p999_us", 0.0)
 
     @property
-    def _late_s(self) -> float:
+    def late_s(self) -> float:
         """From a tick of the device to the command that answers it (s), in 99.9 % of all cases."""
         return self.travel_s.almost_all + self.sample_delay_s
 
     def delay_ticks(self, rate: float, pacing: str = "device") -> int:
-        """Ticks from a sample to its command at a rate (Hz), in 99.9 % of all cases: one at least in real time.
-
-        A command that arrives in the course of a tick is active from the next one on, hence whole ticks. A loop that
-        the host paces lets a sample wait for its own tick, one more at most.
-        """
-        if self.virtual:
-            return 0
-        return max(1, math.ceil(self._late_s * rate)) + (1 if pacing == "host" else 0)
+        """Ticks from a sample to its command at a rate (Hz), in 99.9 % of all cases; none in virtual time."""
+        return 0 if self.virtual else ticks_late(self.late_s, rate, pacing)
 
     def rows(self) -> list[Row]:
         """Return it for people."""
@@ -146,6 +140,15 @@ class LinkMeasurement:
             Row("lost", self.lost, note=lost),
             Row("bytes", f"{there:.1f} kB/s to the device, {back:.1f} kB/s to the host", note=carries),
         ]
+
+
+def ticks_late(late_s: float, rate: float, pacing: str = "device") -> int:
+    """Ticks from a sample to its command, which is so late (s), at a rate (Hz): one at least in real time.
+
+    A command that arrives in the course of a tick is active from the next one on, hence whole ticks. A loop that the
+    host paces lets a sample wait for its own tick, one more at most.
+    """
+    return max(1, math.ceil(late_s * rate - 1e-9)) + (1 if pacing == "host" else 0)
 
 
 def _drive(facts: Mapping[str, float]) -> str:

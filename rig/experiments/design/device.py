@@ -26,7 +26,7 @@ def places_of(url: str, experiment: Experiment) -> tuple[Place, ...]:
         round_trip_s = None
         if not device.link.clock.virtual:
             measured = measured_once(device, experiment.host, experiment.controller.position_rate)
-            round_trip_s = measured.travel_s.almost_all
+            round_trip_s = measured.late_s
         host = Place(loop="host", rate_maximum=fastest, bytes_per_second=carried, round_trip_s=round_trip_s)
         own = device.dictionary.parameter("law")
         if own is None or own.maximum < 1:

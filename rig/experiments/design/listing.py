@@ -16,20 +16,20 @@ speed, which narrows a Z-width. A scheme that the experiment's own rules, the de
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
 
+from rig.bench.doctor.round_trip import ticks_late
 from rig.config import Experiment, controller
 from rig.config.schemes import Scheme
 from rig.control import estimators
 from rig.core.check import refused
 from rig.core.errors import ConfigError
 from rig.experiments.design import paths
-from rig.experiments.design.rules import check_positive
 from rig.experiments.plan import link_checks
+from rig.experiments.planned import check_positive
 
 Loop = Literal["host", "device"]
 Settings = dict[str, float | str]
@@ -68,7 +68,7 @@ class Place:
     def delay_ticks(self, experiment: Experiment, rate: int) -> int:
         """Whole ticks from a sample to its effort at a position rate."""
         if self.loop == "host" and self.round_trip_s is not None:
-            return max(1, math.ceil(self.round_trip_s * rate - 1e-9))
+            return ticks_late(self.round_trip_s, rate, experiment.host.pacing)
         return experiment.rig.simulation.computation_delay_ticks
 
     def allows(self, applied: Experiment) -> bool:

@@ -40,6 +40,7 @@ import numpy as np
 
 from rig.core.deferred import stats
 from rig.core.errors import PlanError
+from rig.experiments.planned import check_positive
 
 Goal = Literal["stiffness", "damping", "area", "quiet"]
 GOALS: tuple[Goal, ...] = get_args(Goal)
@@ -131,13 +132,6 @@ def reaches(name: str, one: float, other: float, step: float) -> bool:
     if name == "worst_fidelity":
         return one <= other * (1.0 + NEGLIGIBLE)
     return one * (1.0 if name == "b_width" else step) >= other
-
-
-def check_positive(named: Mapping[str, float | None]) -> None:
-    """Raise `PlanError` for an argument that is given and is not a finite number above zero."""
-    for name, value in named.items():
-        if value is not None and not 0.0 < value < math.inf:
-            raise PlanError(f"{value:g} (`{name}`) is out of range", remedy="give a finite number above 0")
 
 
 class UnmetError(PlanError):

@@ -117,6 +117,7 @@ def test_flags_and_phases_are_the_hosts_numbers() -> None:
                 "GAP",
                 "ENERGY",
                 "VIOLENT",
+                "UNMOVED",
                 "CURRENT_FOLLOWS",
                 "CURRENT_DIFFERS",
                 "OTHER_CURRENT",

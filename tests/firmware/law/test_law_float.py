@@ -154,7 +154,14 @@ def test_every_option_and_limit_is_the_hosts(law: Any) -> None:
             seen |= {(Phase(m["phase"]), flag) for flag in RowFlag(int(m["flags"]))}
     assert {phase for phase, _ in seen} == set(Phase) - {Phase.WAIT}
     currents = {RowFlag.CURRENT_FOLLOWS, RowFlag.CURRENT_DIFFERS, RowFlag.OTHER_CURRENT}
-    hosts = {RowFlag.LATE, RowFlag.GAP, RowFlag.NONFINITE, RowFlag.ENERGY, RowFlag.VIOLENT, *currents}
+    hosts = {
+        RowFlag.LATE,
+        RowFlag.GAP,
+        RowFlag.NONFINITE,
+        RowFlag.ENERGY,
+        RowFlag.VIOLENT,
+        RowFlag.UNMOVED,
+    } | currents
     assert {flag for _, flag in seen} == set(RowFlag) - hosts
     assert {(Phase.HOMING, RowFlag.SLEW_BOUND), (Phase.TRIAL, RowFlag.SLEW_BOUND)} <= seen
 

@@ -1,8 +1,10 @@
 """The search for a scheme: its theory against brute force, its hits against all hits, resumed as if never stopped."""
 
 import json
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numba
@@ -29,6 +31,7 @@ from rig.experiments.design import (
     UnmetError,
     Wishes,
     design,
+    device,
     directory_for,
     linear,
     listed,
@@ -43,6 +46,7 @@ from rig.experiments.design.search import Round
 from rig.experiments.ranges import search_for
 from rig.experiments.zwidth import MapPlan
 from tests.conformance.maps import SHORT, short_map
+from tests.rig.bench.test_doctor_gate import link
 
 X = config.override(presets.load("koul-compliant"), SHORT)
 RESOLUTION = X.rig.encoder.resolution
@@ -156,6 +160,16 @@ def test_a_law_on_the_host_is_late_by_the_round_trip_in_whole_ticks() -> None:
     assert delays == {1000: 1, 2000: 1, 5000: 3}
     (one,) = listed(X, [place(round_trip_s=0.45e-3)], [Scheme.parse("uniform:5k,estimator=fdm")])
     assert one.applied(X).rig.simulation.computation_delay_ticks == 3
+
+
+def test_a_place_behind_a_bridge_is_late_by_its_drive_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    carries = SimpleNamespace(bytes_per_second=None, clock=SimpleNamespace(virtual=False))
+    says = SimpleNamespace(position_rate_maximum=2500, parameter=lambda name: None)
+    opened = nullcontext(SimpleNamespace(dictionary=says, link=carries))
+    monkeypatch.setattr(device, "opened", lambda *given, **more: opened)
+    monkeypatch.setattr(device, "measured_once", lambda *given: link(0.4e-3, drive={"p999_us": 1300.0}))
+    (found,) = device.places_of("moteus:///dev/made-up", X)
+    assert found.delay_ticks(X, 1000) == 2
 
 
 def test_a_scheme_that_somebody_lists_and_that_cannot_be_is_refused() -> None:

@@ -14,16 +14,18 @@ from firmware_protocol import messages as m
 from firmware_protocol.framing import encode_frame
 from firmware_protocol.packing import pack
 from rig import config
+from rig.bench.doctor.late_loops import LateLoops
 from rig.config import controller, presets
 from rig.core.check import Outcome
 from rig.core.errors import ConfigError, PlanError
 from rig.core.present import plain
 from rig.devices.device import LINK_SHARE, STATE_BYTES
-from rig.experiments.plan import link_checks, make_plan, predict_impact
+from rig.experiments.plan import delay_checks, link_checks, make_plan, predict_impact
 from sim_backend import trial as bare
 from sim_backend.plant import DiscretePlant
 
 COMPLIANT, RIGID = presets.load("koul-compliant"), presets.load("koul-rigid")
+SLOW = presets.load("moteus-knob")  # 1 kHz
 
 
 def check(experiment: Any, name: Any) -> Any:
@@ -279,3 +281,43 @@ def test_a_uart_carries_what_its_rate_allows(baud: int, rate: int, outcome: Any)
     assert (rate <= possible) is (outcome == Outcome.OK)
     assert f"`rate` {possible} or less" in link.remedy
     assert f"{rate * STATE_BYTES / 1e3:.1f} kB/s" in link.text
+
+
+# ---------------------------------------------------------------------- delay of a link
+
+
+def late(experiment: Any, round_trip_s: float | None = None) -> dict[str, Any]:
+    return {check.name: check for check in delay_checks(experiment, round_trip_s)}
+
+
+@pytest.mark.parametrize(
+    ("changes", "round_trip_s", "ticks", "why"),
+    [
+        ({}, None, 1, "assumed"),
+        ({"rig.simulation.computation_delay_ticks": 3}, None, 3, "computation_delay_ticks"),
+        ({"rig.simulation.computation_delay_ticks": 3}, 1.7e-3, 2, "as stated"),
+        ({"host.pacing": "host"}, 1.7e-3, 3, "as stated"),
+        ({"rig.amplifier.set_point_delay_s": 1.2e-3}, None, 3, "1 by the link"),
+        ({"controller.loop": "device"}, 1.7e-3, 0, "the device runs the law"),
+    ],
+)
+def test_a_plan_states_the_delay_that_counts_as_the_gate_counts_it(
+    changes: dict[str, Any], round_trip_s: float | None, ticks: int, why: str
+) -> None:
+    found = late(changed(changes, SLOW), round_trip_s)["delay"].text
+    assert found.startswith(f"{ticks} tick")
+    assert f"{ticks * 1000} µs" in found
+    assert why in found
+
+
+def test_a_plan_warns_of_the_wall_that_the_gate_would_refuse_and_refuses_nothing() -> None:
+    limit = min(LateLoops.of(SLOW, 2).k_max([0.0])[0].values())
+    for factor, outcome in ((0.99, Outcome.OK), (1.01, Outcome.WARNING)):
+        wall = changed({"wall.stiffness": factor * limit, "wall.damping": 0.0}, SLOW)
+        assert late(wall, 1.5e-3)["stability"].outcome is outcome
+
+
+@pytest.mark.parametrize("round_trip_s", [0.0, -1.0, math.nan, math.inf])
+def test_a_round_trip_that_cannot_be_is_refused(round_trip_s: float) -> None:
+    with pytest.raises(PlanError, match="round_trip"):
+        delay_checks(SLOW, round_trip_s)

@@ -1,0 +1,149 @@
+"""A count that stands still while the motor moves a handle that nobody holds, without bytes: how fast it can become."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from firmware_protocol.messages import OLDEST_EDGE
+from rig import config
+from rig.config import Experiment, controller, presets
+from rig.control.step import step
+from rig.control.watch import UNMOVED_SPEED
+from rig.core.board import moved_mechanics
+from rig.core.model import RigModel
+from rig.core.sample import Phase, RowFlag
+from sim_backend.operator import Script
+from sim_backend.plant import DiscretePlant, advance
+from sim_backend.trial import Trace, run_arguments, run_ticks
+from tests.system.test_dead_encoder import DEAD
+
+Count = Callable[[int], int]
+
+
+@dataclass(frozen=True)
+class Ran:
+    """A trial: true speeds at the samples, the flags of the last tick, its phases, and the current that it left."""
+
+    speeds: np.ndarray
+    flags: RowFlag
+    phases: frozenset[Phase]
+    current: int
+
+
+def run(
+    x: Experiment,
+    *,
+    at: float,
+    dies: int,
+    dead: Callable[[int], Count] = DEAD["unplugged"],
+    model: RigModel | None = None,
+) -> Ran:
+    """Run a trial from rest at a position, with an encoder that dies in a tick, until a phase begins."""
+    law = controller.for_experiment(x, current_quantum_a=x.rig.amplifier.current_quantum_a)
+    plant = DiscretePlant.build(model or config.rig_model(x), 1.0 / x.controller.position_rate)
+    state, arguments, memory = plant.at_rest(at), law.arguments(), law.memory[0]
+    moved, quantum = plant.arguments(state), float(law.control[0]["effort_quantum"])
+    speeds, phases, current, read = [], set(), 0, lambda true: true
+    while Phase(memory["phase"]) is not Phase.DONE:
+        count = advance(moved, current * quantum, 0.0)
+        if len(speeds) == dies:
+            read = dead(count)
+        speeds.append(abs(state[plant.handle_position + 1]))
+        current = step(arguments, read(count), 0.0, 1)
+        phases.add(Phase(memory["phase"]))
+    return Ran(np.array(speeds), RowFlag(int(memory["flags"])), frozenset(phases), current)
+
+
+def away(x: Experiment, share: float) -> float:
+    """A place to home from: a share of the way from the start halfway to the end of the window."""
+    return x.trial.start + 0.5 * share * (x.rig.limits.position_minimum - x.trial.start)
+
+
+def assert_bounded(x: Experiment, ran: Ran, dies: int) -> None:
+    """No faster than the bound, which a tick and the amplifier's lag under the last effort add to; and at zero."""
+    m, limits = moved_mechanics(config.rig_model(x)), x.rig.limits
+    effort = max(x.homing.effort, abs(x.trial.effort))
+    late_s = 3.0 / x.controller.position_rate + m.lag_s
+    share = UNMOVED_SPEED * limits.speed
+    bound = share + max(share, ran.speeds[min(dies, len(ran.speeds) - 1)]) + effort * late_s / m.inertia
+    assert ran.speeds[dies:].max(initial=0.0) <= bound
+    assert ran.current == 0
+    ended = RowFlag.UNMOVED | RowFlag.OUT_OF_WINDOW | RowFlag.HOMING_FAILED
+    assert ran.flags & ended or Phase.RELEASE in ran.phases
+
+
+RIGS = {
+    "inertia": st.floats(0.2, 5.0),
+    "coulomb": st.floats(0.0, 4.0),
+    "stiffness": st.floats(0.05, 3.0),
+    "damping": st.floats(0.0, 2.0),
+    "effort": st.floats(0.05, 3.0),
+    "push": st.floats(0.05, 2.0),
+    "speed": st.floats(0.1, 2.0),
+    "limit": st.floats(0.1, 2.0),
+}
+
+
+@settings(deadline=None, max_examples=12)
+@given(st.fixed_dictionaries(RIGS), st.integers(0, 600), st.sampled_from(sorted(DEAD)))
+def test_whatever_the_rig_its_handle_stays_slow_with_an_encoder_that_dies(
+    times: dict[str, float], dies: int, dead: str
+) -> None:
+    x = presets.load("hapkit")
+    m, h = x.rig.mechanics, x.homing
+    x = config.override(x, {
+        "rig.mechanics.motor_inertia": times["inertia"] * m.motor_inertia,
+        "rig.mechanics.link_inertia": times["inertia"] * m.link_inertia,
+        "rig.mechanics.motor_coulomb": times["coulomb"] * m.motor_coulomb,
+        "rig.mechanics.link_coulomb": times["coulomb"] * m.link_coulomb,
+        "rig.limits.speed": times["limit"] * x.rig.limits.speed,
+        "homing.stiffness": times["stiffness"] * h.stiffness,
+        "homing.damping": times["damping"] * h.damping,
+        "homing.effort": times["effort"] * h.effort,
+        "homing.speed": min(times["speed"] * h.speed, 0.5 * times["limit"] * x.rig.limits.speed),
+        "homing.timeout_s": 2.0,
+        "trial.effort": times["push"] * x.trial.effort,
+        "trial.minimum_rest_counts": 0.0,
+    })  # fmt: skip
+    assert_bounded(x, run(x, at=away(x, 0.5), dies=dies, dead=DEAD[dead]), dies)
+
+
+@pytest.mark.parametrize("name", presets.names())
+def test_a_preset_whose_homing_pushes_less_than_a_device_minds_is_stopped(name: str) -> None:
+    x = presets.load(name)
+    friction = moved_mechanics(config.rig_model(x)).friction
+    x = config.override(x, {"homing.effort": friction + 0.04 * x.rig.limits.effort})
+    ran = run(x, at=away(x, 0.2), dies=100)
+    assert_bounded(x, ran, 100)
+    assert RowFlag.UNMOVED in ran.flags
+
+
+@pytest.mark.parametrize("name", presets.names())
+def test_an_encoder_that_lives_is_never_taken_for_dead(name: str) -> None:
+    """Near its start friction holds the handle; from afar it comes, or creeps; there may be more than was described."""
+    x = presets.load(name)
+    model, tick_s = config.rig_model(x), 1.0 / x.controller.position_rate
+    m, near = model.mechanics, x.trial.start - 0.9 * x.homing.tolerance_counts * x.rig.encoder.resolution
+    rough = replace(m, motor_coulomb=1.2 * m.motor_coulomb, link_coulomb=1.2 * m.link_coulomb)
+    slow = config.override(x, {"homing.speed": 0.05 * x.homing.speed, "homing.timeout_s": 60.0})
+    for mechanics, at, described in ((rough, near, x), (rough, away(x, 1.0), x), (m, away(x, 0.05), slow)):
+        plant = DiscretePlant.build(replace(model, mechanics=mechanics), tick_s)
+        law = controller.for_experiment(described, current_quantum_a=x.rig.amplifier.current_quantum_a)
+        trace = Trace.empty(round(20.0 / tick_s), plant)
+        ticks = run_ticks(
+            *run_arguments(law, plant, plant.at_rest(at), 0.0, OLDEST_EDGE, Script.silent()), trace
+        )
+        assert Phase.RELEASE in trace.phases[:ticks]
+
+
+def test_a_person_may_hold_the_handle_as_still_as_they_like() -> None:
+    x = presets.load("hapkit")
+    held = config.override(x, {"trial.kind": "human", "homing.timeout_s": 1.0})
+    ran = run(held, at=away(x, 1.0), dies=0, model=config.rig_model(x))
+    assert ran.flags & (RowFlag.UNMOVED | RowFlag.HOMING_FAILED) == RowFlag.HOMING_FAILED
