@@ -285,12 +285,14 @@ def _arm(
         realtime=realtime,
         heartbeat_s=experiment.host.heartbeat_s,
         nonce=device.nonce,
-        # A drive that renders the wall changes its current within a tick, and tells one of it: nothing to compare with.
-        sensor=current_sensor(model)
-        if device.dictionary.current_measured and not is_on_the_drive(experiment)
-        else None,
+        sensor=current_sensor(model) if _compares_currents(device, experiment) else None,
         encoder_sign=model.encoder.sign,
     )
+
+
+def _compares_currents(device: FramedDevice, experiment: Experiment) -> bool:
+    """Not where a drive renders the wall: it changes its current within a tick, and tells one of it."""
+    return device.dictionary.current_measured and not is_on_the_drive(experiment)
 
 
 def _switch_rule(experiment: Experiment, *, leaves: bool) -> int:
