@@ -36,6 +36,7 @@ from rig.devices.framed import Echo, FaultReport, FramedDevice
 from rig.devices.local import host_beside
 from rig.experiments.endings import IN_DOUBT, error_of
 from rig.experiments.judgement import Judgement
+from rig.experiments.on_the_drive import is_on_the_drive
 from rig.loop import exchange
 from rig.loop.layout import EndReason
 from rig.loop.run import LoopEnd, LoopSettings, LoopThread
@@ -284,9 +285,14 @@ def _arm(
         realtime=realtime,
         heartbeat_s=experiment.host.heartbeat_s,
         nonce=device.nonce,
-        sensor=current_sensor(model) if device.dictionary.current_measured else None,
+        sensor=current_sensor(model) if _compares_currents(device, experiment) else None,
         encoder_sign=model.encoder.sign,
     )
+
+
+def _compares_currents(device: FramedDevice, experiment: Experiment) -> bool:
+    """Not where a drive renders the wall: it changes its current within a tick, and tells one of it."""
+    return device.dictionary.current_measured and not is_on_the_drive(experiment)
 
 
 def _switch_rule(experiment: Experiment, *, leaves: bool) -> int:

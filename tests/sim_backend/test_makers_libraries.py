@@ -115,6 +115,30 @@ def test_its_codec_reads_each_of_our_replies_as_we_meant_it() -> None:
             assert values[register] == pytest.approx(value, abs=error)
 
 
+def test_its_command_to_stay_within_is_a_wall_of_its_gains() -> None:
+    """`make_stay_within` as the library encodes it, to a drive that stands a tenth of a turn beyond the bound."""
+    moteus = pytest.importorskip("moteus")
+    drive = Moteus(drive_rig(coulomb=1.0))  # friction holds it
+    drive.start()
+    host = moteus.Controller(id=1, transport=object())
+    wall = {
+        "lower_bound": NAN,
+        "upper_bound": -0.1,
+        "kp_scale": 0.5,
+        "kd_scale": 1.0,
+        "watchdog_timeout": NAN,
+    }
+    for feedforward, most, expected in ((0.0, 1.0, -0.2), (0.05, 1.0, -0.15), (0.0, 0.1, -0.1)):
+        command = host.make_stay_within(**wall, feedforward_torque=feedforward, maximum_torque=most)
+        drive.send(command.data)
+        drive.wait(0.001)
+        assert drive.read(0) == 13
+        assert drive.read(0x03A) == pytest.approx(expected, abs=1e-4)  # kp = 4 N·m/turn, half of it
+    drive.send(host.make_stay_within(**{**wall, "upper_bound": 0.1}, feedforward_torque=0.0).data)
+    drive.wait(0.001)
+    assert drive.read(0x03A) == 0.0
+
+
 class Described:
     """An ODrive spoken to in the names of its maker's description."""
 

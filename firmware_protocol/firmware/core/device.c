@@ -302,7 +302,11 @@ static uint32_t faults_of(struct device *device, const struct fault_entry *tick)
 {
     uint32_t bits = monitor_check(&device->monitor, tick->count, !device->limits.moved, tick->current_commanded,
                                   tick->current_measured);
-    if (current_disagrees(&device->current, tick->count, tick->current_commanded, tick->current_measured))
+    const bool disagrees =
+        current_disagrees(&device->current, tick->count, tick->current_commanded, tick->current_measured);
+    if (device->limits.beside) /* what is driven changes its current within a tick: one of it is told */
+        current_forget(&device->current);
+    else if (disagrees)
         bits |= FAULT(CURRENT_MISMATCH);
     if (thermal_is_overheated(&device->thermal))
         bits |= FAULT(THERMAL);

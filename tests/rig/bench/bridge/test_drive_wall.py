@@ -140,6 +140,15 @@ def test_the_drive_holds_stiffer_walls_than_a_law_behind_the_bridge(where: str) 
         assert rests == steady, (stiffness, np.ptp(run.angles[-60:]))
 
 
+def test_an_effort_that_changes_within_a_tick_is_no_wrong_current() -> None:
+    """Much damping makes the drive's torque follow its filter, faster than a bridge at 1 kHz hears of it."""
+    keys = {"wall__stiffness": 0.7, "wall__damping": 0.04, "wall__position": -0.02, "trial__start": -0.03}
+    x = walled(**keys, rig__mechanics__motor_coulomb=0.003)
+    run = Walled(x, {"servo.pid_position.kd": "40"}, inside=True)
+    run.run(0.1)
+    assert run.world.bridge.fault == 0
+
+
 def test_it_pulls_a_handle_that_leaves() -> None:
     """Nothing clamps it: that is why `pull` must allow it. On the way out its damping exceeds its spring."""
     push = 0.001
