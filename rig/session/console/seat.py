@@ -7,7 +7,7 @@ it has.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rig.core.errors import ConfigError
 from rig.realtime import running
@@ -15,8 +15,10 @@ from rig.session.console.conversation import Conversation, Decision, Stop
 from rig.session.console.live import Live, Snapshot
 from rig.session.console.pointer import KEYS, START_SHARE, Hand, HandKind, Pointer
 from rig.session.keymap import KeyMap
-from rig.session.protocol import Keys
-from rig.session.runner import TrialRunner
+
+if TYPE_CHECKING:  # a console, started anew within a hit, loads no loop
+    from rig.session.protocol import Keys
+    from rig.session.runner import TrialRunner
 
 PRESS_N = 4.0  # of a hand whose experiment does not say: that of a normal grip (`rig.core.operators`)
 

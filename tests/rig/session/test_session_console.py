@@ -5,6 +5,8 @@ from __future__ import annotations
 import io
 import os
 import re
+import subprocess
+import sys
 from dataclasses import replace
 from typing import Any
 
@@ -652,3 +654,8 @@ def test_only_messages_come_through(parts: list[bytes]) -> None:
     found = [message for n in range(0, len(data), 5) for message in lines.feed(data[n : n + 5])]
     expected = [part for part in parts if re.search(rb"alive|reply", part)]
     assert [line_of(**message) for message in found] == expected
+
+
+def test_a_console_that_is_started_anew_within_a_hit_loads_no_loop() -> None:
+    script = "import sys, rig.session.console.__main__; assert not {'numba', 'scipy', 'pydantic'} & set(sys.modules)"
+    subprocess.run([sys.executable, "-c", script], check=True)
