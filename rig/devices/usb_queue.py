@@ -14,6 +14,7 @@ import numpy as np
 from rig.devices import usb_transfers as compiled
 from rig.devices.usb_handle import Handle, Transfer
 from rig.devices.usb_transfers import SLOT_WORDS, SLOTS_AT, Slot, Word
+from rig.realtime.native import address_of
 
 IN_TRANSFERS = 16  # packets that may come while the host is away
 OUT_TRANSFERS = 8  # COMMANDs under way; more than the STOP frames at the end of a run
@@ -80,7 +81,7 @@ class QueuedTransfers:
         transfer.type = _BULK
         transfer.timeout = 0  # none: what waits is bounded here
         transfer.length = len(buffer)
-        transfer.callback = compiled.completed.address
+        transfer.callback = address_of(compiled.completed, compiled.COMPLETED_SIGNATURE)
         transfer.user_data = state_address
         transfer.buffer = buffer.ctypes.data
         return address

@@ -20,7 +20,6 @@ from __future__ import annotations
 
 from enum import IntEnum
 
-import numba
 from numba import types
 
 from rig.realtime.atomics import load_word, stack_words, store_word
@@ -67,6 +66,7 @@ SLOT_WORDS = 4
 STATUS_AT, LENGTH_AT, ACTUAL_AT, USER_DATA_AT = 16, 20, 24, 40
 
 _i64, _ptr = types.int64, types.uintp
+COMPLETED_SIGNATURE = types.void(_ptr)  # of the callback of a transfer
 _call_one, _call_three = native_call(1), native_call(3)
 _two_words = stack_words(2)
 _memcpy = types.ExternalFunction("memcpy", _ptr(_ptr, _ptr, types.uint64))
@@ -364,7 +364,7 @@ def flush(block: int, deadline_ns: int, cancel: int) -> int:
             return left
 
 
-@numba.cfunc(types.void(_ptr), cache=True)  # type: ignore[untyped-decorator]
+@kernel(COMPLETED_SIGNATURE)
 def completed(transfer: int) -> None:
     """Be libusb's callback: the word behind `user_data` becomes DONE, after all that the transfer brought."""
     store_word(load_word(transfer + USER_DATA_AT), DONE)

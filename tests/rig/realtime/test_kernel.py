@@ -454,6 +454,7 @@ def test_an_exception_of_a_part_reaches_the_caller() -> None:
 WITHOUT_BLAS = """
 import sys
 import numpy as np
+import rig.cli.devices, rig.cli.hit, sim_backend.link  # declare kernels, and compile none
 from rig.realtime.kernel import kernel
 
 @kernel("f8(f8)", cache=False)
