@@ -82,6 +82,7 @@ def _print(
             Row(
                 "cut from",
                 f"{facts['recording']}, {facts['first_s']:.6g} to {facts['last_s']:.6g} s, at {facts['cut_at']}",
+                note=f"sha256 {facts['sha256']}" if facts.get("sha256") else "",
             )
         )
     if trailer.get("device_host_agreement"):

@@ -45,7 +45,7 @@ from rig.console.terminal import Terminal
 from rig.control import estimators
 from rig.control.estimators.estimator import Choice, Setting
 from rig.core.errors import ConfigError, RigError
-from rig.core.sample import COLUMNS, unit_of
+from rig.core.sample import COLUMNS, UNITS, unit_of
 from rig.realtime.hand import SharedHand
 
 MOST_CLIENTS = 16  # pages, and as many participants' screens
@@ -225,6 +225,7 @@ def _facts() -> dict[str, Any]:
             }
             for column in COLUMNS
         ],
+        "units": {name: UNITS[name] for name in ("stiffness", "damping", "position")},
         "rigs": list(preset_names()),
         "estimators": [_estimator(name) for name in estimators.names()],
     }

@@ -1,7 +1,7 @@
 """A cut: some rows of a recording in a file of their own, whose header says from which one, from where and when.
 
-All columns at full rate: a cut is a recording like others, only shorter. Its trailer says that it is cut, not how the
-trial ended; what judges a trial judges the whole.
+That one is named with its digest. All columns at full rate: a cut is a recording like others, only shorter. Its trailer
+says that it is cut, not how the trial ended; what judges a trial judges the whole.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from rig.core.errors import RecordingError
 from rig.recording.canonical import lossless
 from rig.recording.capture import write_capture
 from rig.recording.data import Recording
-from rig.recording.files import free_name, make_directories, whole_file
+from rig.recording.files import free_name, make_directories, sha256_of, whole_file
 from rig.recording.ledger import CLOCK_KEY
 from rig.recording.parquet import has_pyarrow, write_parquet
 from rig.recording.seal import SEALED_SUFFIX
@@ -69,6 +69,7 @@ def cut(
     begins = {} if first else header["initial_state"]
     facts = {
         "recording": "" if recording.path is None else recording.path.name,
+        "sha256": "" if recording.path is None else sha256_of(recording.path),
         "rows_before": int(first),
         "rows_after": len(rows) - int(end),
         "first_tick": int(taken["tick"][0]),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import hashlib
 import os
 import re
 import shutil
@@ -30,6 +31,12 @@ _REMEDIES = {
 def disk_error(doing: str, path: Path, number: int) -> RecordingError:
     """Error for a refusal of the operating system, with its remedy."""
     return RecordingError(f"cannot {doing} {path}: {os.strerror(number)}", remedy=_REMEDIES.get(number, ""))
+
+
+def sha256_of(path: Path) -> str:
+    """SHA-256 of a file, in hex."""
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 @contextmanager

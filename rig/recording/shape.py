@@ -25,6 +25,7 @@ HEADER: dict[str, Any] = {
         "wall?": {"*": _NUMBER},
         "cut?": {
             "recording": str,
+            "sha256?": str,
             "first_tick": _NUMBER,
             "first_s": _NUMBER,
             "last_s": _NUMBER,

@@ -20,9 +20,8 @@ from typing import Any
 from rig import config
 from rig.config import Experiment
 from rig.core.errors import ConfigError, RecordingError
-from rig.recording.files import make_directories, plain_errors, sync_directory, whole_file
+from rig.recording.files import make_directories, plain_errors, sha256_of, sync_directory, whole_file
 from rig.session.clock import Clock, WallClock
-from rig.session.hits import sha256_of
 from rig.session.items import asked, parse_answer, wanted
 from rig.session.load import as_mapping, check_code
 from rig.session.log import Event, SessionLog, read, set_aside

@@ -33,7 +33,7 @@ from rig.experiments.pulse import Pulse, pulse
 from rig.experiments.trial import prepared_on
 from rig.experiments.zero import position_zero
 from rig.recording.data import Recording
-from rig.recording.files import free_name, plain_errors
+from rig.recording.files import free_name, plain_errors, sha256_of
 from rig.recording.header import host_facts
 from rig.session.arming import refusals
 from rig.session.bands import press_of
@@ -334,12 +334,6 @@ def heat_after(before: float, load: np.ndarray, tick_s: float, time_constant_s: 
     ages = np.arange(len(load) - 1, -1, -1, dtype=np.float64)
     added = (1.0 - decay) * float(np.dot(np.square(load), decay**ages))
     return before * decay ** len(load) + added
-
-
-def sha256_of(path: Path) -> str:
-    """SHA-256 of a file, in hex."""
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _hit_of(left: Recorded, path: Path, heat: float) -> Hit:

@@ -1,13 +1,16 @@
 """What a console costs a loop, and how long STOP takes through it: nothing that a loop would notice, and a blink.
 
     python tests/benchmarks/console.py                       10 pairs of hits each: a device at 10 kHz, a host at 4
-    python tests/benchmarks/console.py --pairs 40 --seconds 10
+    python tests/benchmarks/console.py --minutes 30          as many pairs as half an hour has room for
 
 Each pair is one hit with a console that four pages look through, one of which reads nothing, and one hit without, in
-turn. Told: rows that the console did not see, rows and samples that the loop lost, and the 99.9th percentile of the
-ticks' lateness, as the median difference of the pairs with its interval (order statistics, 95 %). Then STOP, fifty
-times: from the page's word to the loop's stop word, through a console that shows a loop at 10 kHz. The last line is
-JSON. No browser is among the pages: what pixels take is tests/browser's.
+turn; every second pair the other way round, so that a machine that becomes busier counts for neither. Told: rows that
+the console did not see, rows and samples that the loop lost, and the 99.9th percentile of the ticks' lateness: the
+median difference of the pairs with its interval (pairs drawn anew, 95 %), how much a hit differs from the next one
+without any console, and how many pairs would tell a tenth of what there is without one. An interval with zero in it
+shows no cost, and excludes none below its upper end. Then STOP, fifty times: from the page's word to the loop's stop
+word, through a console that shows a loop at 10 kHz. The last line is JSON. No browser is among the pages: what a page
+in one costs and takes, `console_page.py` tells.
 """
 
 from __future__ import annotations
@@ -15,13 +18,16 @@ from __future__ import annotations
 import argparse
 import asyncio
 import json
+import math
 import multiprocessing
 import os
 import statistics
 import sys
 import tempfile
 import time
-from contextlib import AsyncExitStack
+from collections.abc import Iterator
+from contextlib import AsyncExitStack, contextmanager, nullcontext
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +35,7 @@ ROOT = Path(__file__).resolve().parents[2]
 if __name__ == "__main__":
     sys.path.insert(0, str(ROOT))  # for tests.*
 
-LOOPS = {
+LOOPS: dict[str, dict[str, Any]] = {
     "device, 10 kHz": {
         "controller.loop": "device", "controller.position_rate": 10_000, "controller.velocity_rate": 1000,
     },
@@ -37,21 +43,25 @@ LOOPS = {
 }  # fmt: skip
 PAGES = 4
 STOPS = 50
+DRAWS = 10_000
 
 
 def arguments() -> argparse.Namespace:
     """What the command line says."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--pairs", type=int, default=10)
+    parser.add_argument(
+        "--minutes", type=float, help="in place of a number of pairs, for both loops together"
+    )
     parser.add_argument("--seconds", type=float, default=4.0, help="of each hit")
     return parser.parse_args()
 
 
-def look(ready: Any, place: str, pid: int) -> None:
-    """A console and its pages, in a process of their own, until the pipe closes; tells the rows that went unseen."""
+def look(line: Any, place: str, pid: int) -> None:
+    """A console and its pages, in a process of their own, each time that they are asked for; tells the rows unseen."""
     from tests.conformance.console import served  # noqa: PLC0415
 
-    async def whole() -> None:
+    async def once() -> None:
         async with AsyncExitStack() as stack:
             console = await stack.enter_async_context(served(Path(place)))
             pages = [
@@ -60,13 +70,25 @@ def look(ready: Any, place: str, pid: int) -> None:
             stalled = await stack.enter_async_context(console.socket())
             await stalled.send(json.dumps({"token": console.token, "client": "a-stalled-page"}))
             await pages[0].ask("look", pid=pid)
-            ready.send("ready")
-            while not ready.poll():
+            line.send("ready")
+            while not line.poll():
                 await asyncio.sleep(0.05)
+            line.recv()
             loop = (pages[0].newest("state") or {}).get("loop") or {}
-            ready.send({"unseen": loop.get("unseen"), "frames": min(len(page.frames) for page in pages)})
+            line.send({"unseen": loop.get("unseen"), "frames": min(len(page.frames) for page in pages)})
 
-    asyncio.run(whole())
+    while line.recv() == "look":
+        asyncio.run(once())
+
+
+@contextmanager
+def pages_beside(line: Any, told: dict[str, Any]) -> Iterator[None]:
+    """With a console and its pages; afterwards `told` has what they saw."""
+    line.send("look")
+    line.recv()
+    yield
+    line.send("end")
+    told |= line.recv()
 
 
 def hit(changes: dict[str, Any], seconds: float, place: Path) -> dict[str, float]:
@@ -86,27 +108,63 @@ def hit(changes: dict[str, Any], seconds: float, place: Path) -> dict[str, float
     return {"lost": lost, "late_us": float(np.percentile(rows["lateness"], 99.9)) * 1e-3, "rows": len(rows)}
 
 
-def pair(changes: dict[str, Any], seconds: float, place: Path) -> dict[str, Any]:
+def pair(
+    changes: dict[str, Any], seconds: float, place: Path, line: Any, *, console_first: bool
+) -> dict[str, Any]:
     """One hit without a console, one with."""
-    without = hit(changes, seconds, place)
-    here, there = multiprocessing.get_context("spawn").Pipe()
-    process = multiprocessing.get_context("spawn").Process(target=look, args=(there, str(place), os.getpid()))
+    told: dict[str, Any] = {}
+    for beside in (console_first, not console_first):
+        with pages_beside(line, told) if beside else nullcontext():
+            told["with" if beside else "without"] = hit(changes, seconds, place)
+    return told
+
+
+def pairs_of(changes: dict[str, Any], options: argparse.Namespace, place: Path) -> list[dict[str, Any]]:
+    """So many pairs, or as many as there is time for."""
+    context = multiprocessing.get_context("spawn")
+    here, there = context.Pipe()
+    process = context.Process(target=look, args=(there, str(place), os.getpid()), daemon=True)
     process.start()
-    here.recv()
-    beside = hit(changes, seconds, place)
-    here.send("end")
-    told = here.recv()
+    hit(changes, 0.5, place)  # compiles
+    found: list[dict[str, Any]] = []
+    until = time.monotonic() + 60.0 * (options.minutes or 0.0) / len(LOOPS)
+    while len(found) < options.pairs if options.minutes is None else time.monotonic() < until:
+        found.append(pair(changes, options.seconds, place, here, console_first=len(found) % 2 == 1))
+    here.send("done")
     process.join()
-    return {"without": without, "with": beside, **told}
+    return found
 
 
-def interval(values: list[float]) -> tuple[float, float]:
-    """Of the median, by order statistics at 95 % or as near as so few values allow."""
-    from scipy.stats import binom  # noqa: PLC0415
+def of_median(values: list[float]) -> tuple[float, float]:
+    """Interval of a median: values drawn anew, 95 %."""
+    import numpy as np  # noqa: PLC0415
 
-    ordered, count = sorted(values), len(values)
-    low = max(0, int(binom.ppf(0.025, count, 0.5)) - 1)
-    return ordered[low], ordered[count - 1 - low]
+    drawn = np.random.default_rng(0).choice(values, (DRAWS, len(values)))
+    low, high = np.percentile(np.median(drawn, axis=1), (2.5, 97.5))
+    return float(low), float(high)
+
+
+def concluded(pairs: list[dict[str, Any]]) -> dict[str, Any]:
+    """What some pairs show."""
+    without = [one["without"]["late_us"] for one in pairs]
+    differences = [one["with"]["late_us"] - one["without"]["late_us"] for one in pairs]
+    low, high = of_median(differences)
+    usual = statistics.median(without)
+    between = [abs(one - next_one) for one, next_one in pairwise(without)]
+    return {
+        "pairs": len(pairs),
+        "rows": sum(one["with"]["rows"] for one in pairs),
+        "unseen": sum(one["unseen"] or 0 for one in pairs),
+        "lost_with": sum(one["with"]["lost"] for one in pairs),
+        "lost_without": sum(one["without"]["lost"] for one in pairs),
+        "late_us_without": usual,
+        "between_hits_us": statistics.median(between) if between else None,
+        "difference_us": statistics.median(differences),
+        "interval_us": (low, high),
+        "shows_a_cost": low > 0.0,
+        "pairs_for_a_tenth": math.ceil(len(pairs) * (0.5 * (high - low) / (0.1 * usual)) ** 2),
+        "frames": min(one["frames"] for one in pairs),
+    }
 
 
 async def stops(place: Path) -> list[float]:
@@ -135,24 +193,22 @@ async def stops(place: Path) -> list[float]:
 def main() -> int:
     """Measure, and tell."""
     options = arguments()
-    told: dict[str, Any] = {"pages": PAGES, "pairs": options.pairs}
+    told: dict[str, Any] = {"pages": PAGES, "load": os.getloadavg()[0]}
     with tempfile.TemporaryDirectory() as directory:
         place = Path(directory)
         for name, changes in LOOPS.items():
-            hit(changes, 0.5, place)  # compiles
-            pairs = [pair(changes, options.seconds, place) for _ in range(options.pairs)]
-            differences = [one["with"]["late_us"] - one["without"]["late_us"] for one in pairs]
-            told[name] = {
-                "rows": sum(one["with"]["rows"] for one in pairs),
-                "unseen": sum(one["unseen"] or 0 for one in pairs),
-                "lost_with": sum(one["with"]["lost"] for one in pairs),
-                "lost_without": sum(one["without"]["lost"] for one in pairs),
-                "late_us_without": statistics.median(one["without"]["late_us"] for one in pairs),
-                "difference_us": statistics.median(differences),
-                "interval_us": interval(differences),
-                "frames": min(one["frames"] for one in pairs),
-            }
-            print(f"{name}: {told[name]}", flush=True)
+            told[name] = found = concluded(pairs_of(changes, options, place))
+            low, high = found["interval_us"]
+            cost = (
+                "shows a cost"
+                if found["shows_a_cost"]
+                else "shows no cost, and excludes none below its upper end"
+            )
+            print(
+                f"{name}: p99.9 of the lateness {found['late_us_without']:.0f} µs without a console; "
+                f"with it {low:+.0f} to {high:+.0f} µs, which {cost}. {found}",
+                flush=True,
+            )
         took = sorted(asyncio.run(stops(place)))
     told["stop_ms"] = {
         "median": statistics.median(took),

@@ -5,11 +5,13 @@
 
 A loop that is turned by hand leaves all rows of that time, in runs of 100 s, and a simulated hand its motions. Server
 and page take them in as in real time, only faster: the server looks at the loop 240 times a second, the browser draws
-as often as it can; how many frames the machine had time for is told. Eight times a minute the page collects its
-garbage, and memory is read: resident pages of the server with its errands, the page's heap with its arrays, and its
-nodes. Told is each by time, and by how much it grows in ten hours, once the first eighth has passed: a slope that no
-single value moves (Theil and Sen), with its interval at 95 %. The last line is JSON; the exit code is 0 when the upper
-end of none is beyond `MOST`.
+as often as it can; how many frames the machine had time for is told. Between two looks somebody goes through the views:
+a recording and a map that have just come are opened (the oldest ones go, so that lists stay as long), the devices are
+looked at, and now and then a hit is run and judged. Eight times a minute the page collects its garbage, and memory is
+read: resident pages of the server with its errands, the page's heap with its arrays, and its nodes. Told is each by
+time, and by how much it grows in ten hours, once the first eighth has passed: a slope that no single value moves (Theil
+and Sen), with its interval at 95 %. The last line is JSON; the exit code is 0 when the upper end of none is beyond
+`MOST`.
 """
 
 from __future__ import annotations
@@ -24,8 +26,8 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager, contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -33,27 +35,37 @@ from typing import Any
 import numpy as np
 from scipy.stats import theilslopes
 
+from rig.config import presets
 from rig.core.sample import ROW, Phase
+from rig.experiments import maps
+from rig.experiments.hit import HitRequest, hit
 from rig.realtime import ring as words
 from rig.realtime.hand import HandMotion, SharedHand
 from rig.realtime.ring import Ring
 
 ROOT = Path(__file__).resolve().parents[2]
+if __name__ == "__main__":
+    sys.path.insert(0, str(ROOT))  # for tests.*
+
 RATE_HZ = 1000
 RUN_S = 100.0
+TABLE = 100_000  # rows that come again and again
 FASTER = 4  # that the server looks at a loop, and tells how it stands
 LOOK_S = 7.5
+KEPT = 20  # recordings and maps in their lists
+HIT_EACH = 8  # visits
+PATIENCE_MS = 120_000.0
 MOST = {"server": 20.0, "heap": 2.0, "nodes": 100.0}  # in ten hours: MB, MB, and their number
-SERVER = f"""
+SERVER = """
 from rig.console import live
 from rig.cli import main
-live.FRAME_S, live.STATE_S, live.SEARCH_S = (one / {FASTER} for one in (live.FRAME_S, live.STATE_S, live.SEARCH_S))
+live.FRAME_S, live.STATE_S, live.SEARCH_S = (one / {faster} for one in (live.FRAME_S, live.STATE_S, live.SEARCH_S))
 main()
 """
 COUNTS = (
     "rigConsole.heard = 0; rigConsole.scope.link.addEventListener('frame', () => { rigConsole.heard++; })"
 )
-UNCHAINED = ("--no-sandbox", "--disable-frame-rate-limit", "--disable-gpu-vsync")
+UNCHAINED = ("--disable-frame-rate-limit", "--disable-gpu-vsync")
 
 
 @dataclass(frozen=True)
@@ -67,14 +79,29 @@ class Look:
 
 
 class Day:
-    """Runs of a loop, one after the other, faster than they would be."""
+    """Runs of a loop, one after the other, at any speed.
 
-    def __init__(self, speed: float, hand: SharedHand) -> None:
-        self._rate, self._hand = speed * RATE_HZ, hand
-        time_s = np.arange(RUN_S * RATE_HZ) / RATE_HZ
-        self._rows = np.zeros(len(time_s), ROW)
+    Parameters
+    ----------
+    speed
+        As many times as fast as they would be.
+    run_s
+        Length of a run (s).
+
+    Attributes
+    ----------
+    done, runs
+        Rows and runs so far.
+    ring
+        Of the run that goes on.
+    """
+
+    def __init__(self, speed: float, hand: SharedHand, rate_hz: int = RATE_HZ, run_s: float = RUN_S) -> None:
+        self._rate_hz, self._speed, self._hand, self._run_s = rate_hz, speed, hand, run_s
+        time_s = np.arange(TABLE) / rate_hz
+        self._rows = np.zeros(TABLE, ROW)
         self._rows["device_time"] = (time_s * 1e9).astype("<i8")
-        self._rows["tick"] = self._rows["sample_index"] = np.arange(len(time_s))
+        self._rows["tick"] = self._rows["sample_index"] = np.arange(TABLE)
         self._rows["phase"] = int(Phase.TRIAL)
         for name, size in (
             ("position", 0.01),
@@ -83,38 +110,41 @@ class Day:
             ("effort_applied", 0.1),
         ):
             self._rows[name] = (
-                size * np.sin(40.0 * time_s) + size * np.random.default_rng(0).normal(size=len(time_s)) / 50
+                size * np.sin(40.0 * time_s) + size * np.random.default_rng(0).normal(size=TABLE) / 50
             )
-        self._ring: Ring | None = None
-        self.done = self.runs = 0
-        self._place = len(time_s)
+        self.ring: Ring | None = None
+        self.done = self.runs = self._left = 0
         self._began = time.monotonic()
 
     def go_on(self) -> None:
         """Leave the rows that are due."""
-        due = int((time.monotonic() - self._began) * self._rate)
+        due = int((time.monotonic() - self._began) * self._speed * self._rate_hz)
         while self.done < due:
-            if self._place == len(self._rows):
-                self._begin()
-            count = min(due - self.done, len(self._rows) - self._place, 4000)
-            self._leave(self._rows[self._place : self._place + count])
-            self._place += count
+            if self.ring is None or self._left >= self._run_s * self._rate_hz:
+                self.begin()
+            passed, place = divmod(self._left, TABLE)
+            count = min(due - self.done, TABLE - place, 4000)
+            self._leave(self._rows[place : place + count].copy(), passed)
+            self._left += count
             self.done += count
 
-    def _begin(self) -> None:
+    def begin(self) -> Ring:
+        """Begin another run."""
         self.close()
         preset = {"name": "koul-compliant", "motion": "rotary", "limits": {"effort": 1.0, "speed": 10.0}}
         wall = {"stiffness": 60.0 + self.runs % 7, "damping": 0.2, "position": 0.0, "side": 1}
-        experiment = {"rig": preset, "controller": {"position_rate": RATE_HZ}, "wall": wall}
-        self._ring = Ring.allocate(1 << 15, info={"url": "sim://", "experiment": experiment}, shared=True)
-        self._ring.put(words.PHASE, int(Phase.TRIAL))
-        self._place, self.runs = 0, self.runs + 1
+        experiment = {"rig": preset, "controller": {"position_rate": self._rate_hz}, "wall": wall}
+        self.ring = Ring.allocate(1 << 15, info={"url": "sim://", "experiment": experiment}, shared=True)
+        self.ring.put(words.PHASE, int(Phase.TRIAL))
+        self._left, self.runs = 0, self.runs + 1
+        return self.ring
 
-    def _leave(self, rows: np.ndarray[Any, Any]) -> None:
-        assert self._ring is not None
-        ring, head = self._ring, self._ring.get(words.HEAD)
+    def _leave(self, rows: np.ndarray[Any, Any], passed: int) -> None:
+        assert self.ring is not None
+        ring, head = self.ring, self.ring.get(words.HEAD)
+        rows["device_time"] += passed * TABLE * 1_000_000_000 // self._rate_hz
+        rows["received_at"] = time.monotonic_ns()
         ring.rows[np.arange(head, head + len(rows)) % ring.capacity] = rows
-        ring.rows["received_at"][np.arange(head, head + len(rows)) % ring.capacity] = time.monotonic_ns()
         ring.put(words.HEAD, head + len(rows))
         for row in rows[::64]:
             position = float(row["position"])
@@ -124,18 +154,69 @@ class Day:
 
     def close(self) -> None:
         """End the run."""
-        if self._ring is not None:
-            self._ring.put(words.LOOP_DONE, 1)
-            self._ring.close()
+        if self.ring is not None:
+            self.ring.put(words.LOOP_DONE, 1)
+            self.ring.close()
+            self.ring = None
+
+
+class Visits:
+    """Somebody who goes through the page's views, where something has come each time."""
+
+    def __init__(self, page: Any, place: Path) -> None:
+        from tests.conformance.maps import short_map  # noqa: PLC0415
+
+        self._page, self._recordings, self._maps = page, place / "recordings", place / "maps"
+        self.made = self.hits = 0
+        list(
+            hit(HitRequest(experiment=presets.load("koul-compliant"), output=self._recordings, name="hit-0"))
+        )
+        maps.map_into(short_map(0.1, 0.6), self._maps / "map-0")
+        while self.made < KEPT:
+            self._make()
+
+    def _make(self) -> None:
+        """Leave one more recording and map, and take the oldest away, the first ones apart."""
+        self.made += 1
+        for place, name, ending in ((self._recordings, "hit", ".parquet"), (self._maps, "map", "")):
+            old = place / f"{name}-{max(1, self.made - KEPT)}{ending}"
+            if self.made > KEPT:
+                shutil.rmtree(old) if old.is_dir() else old.unlink()
+            copy = shutil.copyfile if ending else shutil.copytree
+            copy(place / f"{name}-0{ending}", place / f"{name}-{self.made}{ending}")
+
+    async def go_through(self) -> None:
+        """All views, and back to the scope."""
+        page = self._page
+        self._make()
+        await self._show("Recordings")
+        await page.get_by_role("searchbox").fill(f"hit-{self.made}")
+        await page.get_by_role("button", name=f"hit-{self.made}", exact=True).click()
+        await page.get_by_role("heading", name=f"hit-{self.made}.parquet").wait_for()
+        await page.locator("section[aria-label=Recording] .u-wrap").nth(2).wait_for()
+        await self._show("Maps")
+        await page.get_by_role("button", name=f"map-{self.made}", exact=True).click()
+        await page.get_by_text("finished: 4 of 4 columns").wait_for()
+        await self._show("Devices")
+        await self._show("Live")
+        if self.made % HIT_EACH == 0:
+            self.hits += 1
+            await page.get_by_role("button", name="Automatic hit").click()
+            await page.locator(".side [data-kind]:visible").first.wait_for()
+            await page.locator("button.first:enabled").first.wait_for()
+
+    async def _show(self, view: str) -> None:
+        await self._page.get_by_role("button", name=view, exact=True).click()
 
 
 @contextmanager
-def served(place: Path) -> Iterator[tuple[int, str, Path]]:
-    """A console in a process of its own: its number, URL, and hand."""
+def served(place: Path, faster: int = FASTER) -> Iterator[tuple[int, str, Path]]:
+    """A console in a process of its own, which looks so much more often: its number, URL, and hand."""
     temporary = place / "tmp"
     temporary.mkdir()
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "TMPDIR": str(temporary)}
-    command = (sys.executable, "-P", "-c", SERVER, "console", "--json", "-o", str(place / "recordings"))
+    code = SERVER.format(faster=faster)
+    command = (sys.executable, "-P", "-c", code, "console", "--json", "-o", str(place / "recordings"))
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=place, env=environment) as process:
         try:
             assert process.stdout is not None
@@ -154,36 +235,51 @@ def resident_mb(pid: int) -> float:
     return int(status["VmRSS"].split()[0]) / 1024 + sum(resident_mb(int(child)) for child in children)
 
 
-async def watch(options: argparse.Namespace, place: Path) -> tuple[list[Look], dict[str, int]]:
-    """Let the day pass, and look at the memory."""
+@asynccontextmanager
+async def opened(url: str, *arguments: str) -> AsyncIterator[Any]:
+    """The page of a console in a browser."""
     from playwright.async_api import async_playwright  # noqa: PLC0415
 
+    async with async_playwright() as playwright:
+        browser = await playwright.chromium.launch(
+            executable_path=shutil.which("chromium"), args=["--no-sandbox", *arguments]
+        )
+        page = await browser.new_page(viewport={"width": 1280, "height": 720})
+        page.set_default_timeout(PATIENCE_MS)
+        await page.goto(url)
+        await page.locator(".scope").wait_for()
+        yield page
+        await browser.close()
+
+
+async def watch(options: argparse.Namespace, place: Path) -> tuple[list[Look], dict[str, int]]:
+    """Let the day pass, and look at the memory."""
     looks: list[Look] = []
     speed = 60.0 * options.hours / options.minutes
     with served(place) as (pid, url, hand):
-        async with async_playwright() as playwright:
-            browser = await playwright.chromium.launch(
-                executable_path=shutil.which("chromium"), args=UNCHAINED
-            )
-            page = await browser.new_page(viewport={"width": 1280, "height": 720})
-            await page.goto(url)
-            await page.locator(".scope").wait_for()
+        async with opened(url, *UNCHAINED) as page:
+            visits = Visits(page, place)
             glass = await page.context.new_cdp_session(page)
             await page.evaluate(COUNTS)
             await page.evaluate(f"rigConsole.scope.link.ask('look', {{ pid: {os.getpid()} }})")
             day = Day(speed, SharedHand.open(hand))
-            due = LOOK_S
+            due, visit = LOOK_S, None
             while day.done < options.hours * 3600 * RATE_HZ:
                 day.go_on()
                 await asyncio.sleep(0.004)
-                if day.done / RATE_HZ / speed >= due:
+                if day.done / RATE_HZ / speed >= due and (visit is None or visit.done()):
                     due += LOOK_S
+                    if visit is not None:
+                        visit.result()
                     looks.append(await look(glass, pid, day.done / RATE_HZ / 3600))
                     print(asdict(looks[-1]), flush=True)
+                    visit = asyncio.create_task(visits.go_through())
+            if visit is not None:
+                await visit
             heard, drawn = await page.evaluate("[rigConsole.heard, rigConsole.scope.drawn.frames]")
             day.close()
-            await browser.close()
-    return looks, {"rows": day.done, "runs": day.runs, "frames": heard, "drawn": drawn}
+    counts = {"rows": day.done, "runs": day.runs, "frames": heard, "drawn": drawn}
+    return looks, {**counts, "visits": visits.made - KEPT, "hits": visits.hits}
 
 
 async def look(glass: Any, pid: int, hours: float) -> Look:

@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 
+from tests.browser.cable import Cable
 from tests.conformance.started import started
 
 ROOT = Path(__file__).parents[2]
@@ -38,9 +39,12 @@ def chromium() -> Iterator[Any]:
 
 
 @contextmanager
-def started_console(place: Path, **streams: Any) -> Iterator[Any]:
+def started_console(place: Path, *options: str, **streams: Any) -> Iterator[Any]:
     """A console as a process, which writes into the directory ``recordings`` of a place; its URL is `url`."""
-    command = (sys.executable, "-P", "-m", "rig", "console", "--own", "--json", "-o", place / "recordings")
+    command = (
+        *(sys.executable, "-P", "-m", "rig", "console", "--own", "--json", "-o", place / "recordings"),
+        *options,
+    )
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     with started(*command, cwd=place, text=True, stdout=-1, env=environment, **streams) as process:
         assert process.stdout is not None
@@ -55,6 +59,16 @@ def started_console(place: Path, **streams: Any) -> Iterator[Any]:
 def console(tmp_path: Path) -> Iterator[Any]:
     """A console in no terminal."""
     with started_console(tmp_path) as process:
+        yield process
+
+
+@pytest.fixture
+def cable(tmp_path: Path) -> Iterator[Any]:
+    """A console at the far end of a cable: `url` is that of its near end, `cut` cuts it."""
+    with Cable() as cable, started_console(tmp_path, "--allow-host", cable.name) as process:
+        far = process.url.removeprefix("http://").partition("/")[0]
+        cable.lead_to(int(far.rpartition(":")[2]))
+        process.url, process.cut = process.url.replace(far, cable.name), cable.cut
         yield process
 
 

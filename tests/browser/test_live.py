@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import time
 from pathlib import Path
@@ -10,6 +11,8 @@ from typing import Any
 
 import pytest
 
+from rig.console.lease import LOOK_S, LOST_S
+from rig.console.talk import SILENT_S
 from rig.core.sample import Phase
 from rig.experiments.replay import replay
 from rig.recording.data import Recording
@@ -17,6 +20,10 @@ from rig.recording.reader import open_recording
 from tests.conformance.tolerance import too_busy
 
 SCOPE = "rigConsole.scope"
+MACHINE_S = 1.0  # for its processes to get their turn
+BUSY = [
+    f"ended: {why}" for why in ("link silent", "device fault", "stopped")
+]  # the last: a page that was not heard of
 
 
 def recorded(place: Path) -> Recording:
@@ -59,17 +66,23 @@ def drag(page: Any, to: float = 0.6) -> None:
     for share in range(21):
         page.mouse.move(box["x"] + (0.35 + (to - 0.35) * share / 20) * box["width"], height)
         page.wait_for_timeout(20)
-    state(page, "inside the wall")
+    there = page.locator("#state", has_text=re.compile("inside the wall|ended: "))
+    there.wait_for()
+    if (told := there.inner_text()) in BUSY:
+        too_busy(told)
+    assert "inside the wall" in told
 
 
-def check_stopped(place: Path) -> None:
-    """The loop was stopped in the trial; the device had ramped its effort down when it was asked last."""
+def check_stopped(place: Path, since_ns: int | None = None, within_s: float = 0.0) -> None:
+    """The loop was stopped in the trial, its last sample of the device not later than so long after a time."""
     recording = recorded(place)
     if recording.trailer["reason"] in ("link_silent", "device_fault"):
         too_busy(recording.trailer["error"])
     assert recording.trailer["reason"] == "stopped"
     assert recording.rows["phase"][-1] == Phase.TRIAL
     assert recording.rows["penetration"].max() > 0.0
+    if since_ns is not None:
+        assert recording.rows["received_at"][-1] <= since_ns + (within_s + MACHINE_S) * 1e9
 
 
 @pytest.mark.smoke
@@ -185,19 +198,51 @@ def hang_the_page(page: Any, console: Any) -> None:
     page.evaluate("setTimeout(() => { for (;;); }, 0)")
 
 
+def freeze_the_page(page: Any, console: Any) -> None:
+    """With its worker: both are of one process."""
+    browser = page.context.browser.new_browser_cdp_session()
+    found = browser.send("SystemInfo.getProcessInfo")["processInfo"]
+    console.frozen = [int(one["id"]) for one in found if one["type"] == "renderer"]
+    for pid in console.frozen:
+        os.kill(pid, signal.SIGSTOP)
+
+
 def stop_the_server(page: Any, console: Any) -> None:
     os.kill(console.pid, signal.SIGSTOP)
 
 
-@pytest.mark.parametrize(
-    "ends", [stop_by_mouse, stop_by_space, close_the_tab, kill_the_server, hang_the_page, stop_the_server]
-)
+LEASE_S = LOST_S + 2.0 * LOOK_S
+ENDS = [
+    (stop_by_mouse, 0.0), (stop_by_space, 0.0), (close_the_tab, LEASE_S), (kill_the_server, 0.0),
+    (hang_the_page, LEASE_S), (freeze_the_page, LEASE_S), (stop_the_server, SILENT_S),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("ends", "within_s"), ENDS, ids=[ends.__name__ for ends, _ in ENDS])
 def test_whatever_ends_the_page_ends_what_it_moves(
-    ends: Any, console: Any, console_page: Any, tmp_path: Path
+    ends: Any, within_s: float, console: Any, console_page: Any, tmp_path: Path
 ) -> None:
     drag(console_page)
-    ends(console_page, console)
-    check_stopped(tmp_path)
+    console.frozen = []
+    try:
+        since_ns = time.monotonic_ns()
+        ends(console_page, console)
+        check_stopped(tmp_path, since_ns, within_s)
+    finally:
+        for pid in console.frozen:
+            os.kill(pid, signal.SIGCONT)
+
+
+def test_a_connection_that_is_cut_ends_what_its_page_moves(
+    cable: Any, open_page: Any, tmp_path: Path
+) -> None:
+    """Neither end is told: the page still shows the newest state, and its STOP goes nowhere."""
+    page = open_page(cable.url)
+    drag(page)
+    since_ns = time.monotonic_ns()
+    cable.cut()
+    stop_by_mouse(page, cable)
+    check_stopped(tmp_path, since_ns, LEASE_S)
 
 
 def test_two_pages_one_operator_and_names_as_text(console: Any, open_page: Any, tmp_path: Path) -> None:

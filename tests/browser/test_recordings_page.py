@@ -7,6 +7,7 @@ import pytest
 
 from rig.config import presets
 from rig.experiments.hit import HitRequest, hit
+from tests.browser.test_live import until
 
 WAIT_MS = 300_000
 NAME = "<img src=x onerror=alert(1)>.parquet"
@@ -29,7 +30,7 @@ def test_a_recording_is_found_opened_replayed_drawn_exported_and_kept_in_the_tra
     rows = page.locator(".found tbody tr")
     rows.nth(1).wait_for(timeout=WAIT_MS)
     assert NAME.removesuffix(".parquet") in page.locator(".found").inner_text()
-    assert page.locator(".found img").count() == 0
+    assert page.locator(".found img").count() == 0, "a name that would be markup is none"
     page.get_by_role("searchbox").fill("koul-compliant butterworth")
     rows.nth(1).wait_for(state="detached")
     page.get_by_role("button", name="one", exact=True).click()
@@ -41,6 +42,20 @@ def test_a_recording_is_found_opened_replayed_drawn_exported_and_kept_in_the_tra
     page.get_by_role("button", name="Picture").click()
     page.locator("img.picture").wait_for(timeout=WAIT_MS)
     assert (recordings / "one.png").exists()
+    recording = page.locator("section[aria-label=Recording]")
+    small = page.locator(".found img")
+    small.wait_for()
+    until(page, "document.querySelector('.found img').naturalWidth > 0")
+    page.get_by_role("button", name="Effort over penetration").click()
+    page.get_by_role("img", name="Effort over penetration").wait_for()
+    for kind, begins in (("png", b"\x89PNG"), ("svg", b"<svg"), ("csv", b"time (s),")):
+        with page.expect_download() as saved:
+            recording.get_by_label("save").select_option(kind)
+        found = Path(saved.value.path()).read_bytes()
+        assert found.startswith(begins)
+        assert kind != "svg" or b"ideal spring" in found, "what is seen"
+    recording.get_by_label("save").select_option("cut")
+    page.get_by_text("rows as one-cut.parquet").wait_for()
     with page.expect_download() as download:
         page.get_by_label("Export as").select_option("csv")
     assert download.value.suggested_filename == "one.csv"
@@ -54,3 +69,16 @@ def test_a_recording_is_found_opened_replayed_drawn_exported_and_kept_in_the_tra
     page.get_by_role("button", name="Restore").click()
     page.get_by_text("none in").wait_for()
     assert (recordings / "one.parquet").exists()
+
+
+def test_a_bucket_pairs_the_deepest_penetration_with_the_strongest_effort(console_page: Any) -> None:
+    """Of a spring that is drawn from least and greatest values every point lies on its line, whichever its side."""
+    for side in (1, -1):
+        depth, stiffness = [0.1, 0.4, 0.2, 0.5], 10.0  # least and greatest of two buckets
+        effort = [-side * stiffness * one for one in depth]
+        sent = [one for place in (0, 2) for one in sorted(effort[place : place + 2])]
+        found = console_page.evaluate(
+            "([x, y, side]) => import('./effort_plane.js').then(({ pairs }) => pairs(x, y, side, 2))",
+            [depth, sent, side],
+        )
+        assert [-side * y for _, y in found] == pytest.approx([stiffness * x for x, _ in found])

@@ -10,6 +10,7 @@ from typing import Any
 from rig.core.sample import Phase
 from rig.recording.reader import open_recording
 from rig.session.log import Event, read
+from tests.browser.test_reading import check_readable
 from tests.conformance.tolerance import too_busy
 from tests.system.test_session_console import PROTOCOL
 
@@ -74,6 +75,8 @@ def test_a_short_blind_session_by_keys(console_page: Any, tmp_path: Path) -> Non
         page.get_by_text("participant's screen").click()
     participant = opened.value
     participant.locator(".cue:text-is('ready')").wait_for()
+    for one in (page, participant):
+        check_readable(one)
     page.bring_to_front()
     free = page.locator("#operate:enabled")
     until(page, free.is_visible, "nobody who operates, since the page was reloaded")

@@ -14,11 +14,12 @@ from pathlib import Path
 
 import pytest
 
+from rig.recording.files import sha256_of
 from rig.recording.reader import open_recording
 from rig.session.analysis import analyse
 from rig.session.analysis.tables import tables
 from rig.session.directory import LOG
-from rig.session.hits import DeviceRunner, sha256_of
+from rig.session.hits import DeviceRunner
 from rig.session.log import read
 from rig.session.rehearsal import Person
 from rig.session.run import rehearsal_desk, resume_session, run_session

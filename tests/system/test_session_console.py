@@ -22,9 +22,9 @@ import pytest
 import rig.session.run  # noqa: F401  (compiles the loop before anybody waits for it)
 from rig.core.sample import Phase
 from rig.realtime import running
+from rig.recording.files import sha256_of
 from rig.recording.reader import open_recording
 from rig.session.console.live import snapshot_of
-from rig.session.hits import sha256_of
 from rig.session.log import Event, read
 from tests.conformance.terminal import PATIENCE_S, Program, Terminal
 from tests.conformance.tolerance import too_busy

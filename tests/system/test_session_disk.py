@@ -9,9 +9,10 @@ from pathlib import Path
 import pytest
 
 from rig.core.errors import ConfigError
+from rig.recording.files import sha256_of
 from rig.recording.reader import open_recording
 from rig.session.directory import LOG
-from rig.session.hits import DeviceRunner, sha256_of
+from rig.session.hits import DeviceRunner
 from rig.session.log import read
 from rig.session.rehearsal import Person
 from rig.session.run import rehearsal_desk, resume_session, run_session

@@ -20,7 +20,10 @@ export function chartOptions({ title, unit, series, last, group, range, height, 
     hooks: {
       draw: [marks],
       setSelect: [zoom],
-      ready: [(plot) => plot.over.addEventListener("click", () => click(plot))],
+      ready: [(plot) => {
+        plot.over.addEventListener("click", () => click(plot));
+        Object.assign(plot.root, { role: "img", ariaLabel: `${title} (${unit}) over time` });
+      }],
     },
   };
 }
@@ -56,17 +59,25 @@ export function shadeWall(plot, wall) {
   line(ctx, bbox.left, y, bbox.left + bbox.width, y, colour("wall"));
 }
 
-// Names of the series in their colours, along the top of a chart.
+// Names of the series along the top of a chart, each behind a stroke of its colour, on paper so that curves leave them readable.
 export function nameSeries(plot, named) {
   const { ctx, bbox } = plot;
-  let left = bbox.left + 6 * devicePixelRatio;
-  ctx.font = `${12 * devicePixelRatio}px system-ui`;
+  const ratio = devicePixelRatio;
+  let left = bbox.left + 6 * ratio;
+  ctx.font = `${12 * ratio}px system-ui`;
   ctx.textAlign = "left";
   ctx.textBaseline = "alphabetic";
   for (const [name, key] of named) {
+    const width = ctx.measureText(name).width + 18 * ratio;
+    ctx.globalAlpha = 0.8;
+    ctx.fillStyle = colour("paper");
+    ctx.fillRect(left - 3 * ratio, bbox.top, width + 6 * ratio, 17 * ratio);
+    ctx.globalAlpha = 1;
     ctx.fillStyle = colour(key);
-    ctx.fillText(name, left, bbox.top + 13 * devicePixelRatio);
-    left += ctx.measureText(name).width + 10 * devicePixelRatio;
+    ctx.fillRect(left, bbox.top + 7 * ratio, 14 * ratio, 3 * ratio);
+    ctx.fillStyle = colour("ink");
+    ctx.fillText(name, left + 18 * ratio, bbox.top + 13 * ratio);
+    left += width + 12 * ratio;
   }
 }
 

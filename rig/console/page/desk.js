@@ -1,17 +1,12 @@
 // What is asked, and how it is answered: by buttons, by their keys, or in a line; for the operator and the participant.
 
-import { make } from "./dom.js";
+import { make, setText } from "./dom.js";
 
 const MOST_BUTTONS = 11; // of a scale: a longer one is typed
 
 // A key as a protocol names it.
 export function nameOf(key) {
   return key === " " ? "space" : key.length > 1 ? key.replace(/^Arrow/, "").toLowerCase() : key;
-}
-
-// Set a text only where it is another one: what is said aloud is said once.
-export function setText(element, text) {
-  if (element.textContent !== text) element.textContent = text;
 }
 
 export class Answering {

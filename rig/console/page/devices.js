@@ -1,6 +1,6 @@
 // Devices: what is connected, what this machine and a link can do, and what each fault means.
 
-import { make } from "./dom.js";
+import { make, showStage } from "./dom.js";
 import { shown } from "./items.js";
 
 export function devicesView(link, facts) {
@@ -24,7 +24,7 @@ export function devicesView(link, facts) {
   }
 
   link.addEventListener("progress", ({ detail }) => {
-    if (detail.job === "doctor") found.replaceChildren(`${detail.told.stage} ${Math.round(100 * (detail.told.share ?? 0))} %`);
+    if (detail.job === "doctor") showStage(found, detail.told.stage, detail.told.share);
   });
   link.addEventListener("job", ({ detail: { job, told } }) => {
     if (job !== "doctor") return;

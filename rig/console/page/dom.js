@@ -12,6 +12,22 @@ export function make(tag, attributes = {}, ...children) {
   return element;
 }
 
+// Set a text only where it is another one: what is said aloud is said once.
+export function setText(element, text) {
+  if (element.textContent !== text) element.textContent = text;
+}
+
+// The stage of some work, which a live region says once, and a bar for its share.
+export function showStage(place, text, share) {
+  let bar = place.querySelector("progress");
+  if (bar?.ariaLabel !== text) {
+    bar = make("progress", { max: 1, ariaLabel: text });
+    place.replaceChildren(text, bar);
+  }
+  bar.hidden = share === undefined;
+  bar.value = share ?? 0;
+}
+
 // So many significant digits, without an exponent where none is needed.
 export function written(value, digits = 4) {
   if (value === null || value === undefined) return "unknown";

@@ -56,14 +56,18 @@ export class Estimator {
       return make("label", { className: "field", title: meaning }, label, select);
     }
     const { minimum, maximum } = setting;
+    const say = () => range?.setAttribute("aria-valuetext", `${number.value} ${unit === "1" ? "" : unit}`.trim());
     const number = make("input", { type: "number", step: "any", min: minimum, max: maximum, value: value ?? "", placeholder: "must be given", ariaLabel: name, onchange: () => {
       if (range) range.value = placeOf(setting, number.value);
+      say();
       this.#set(name, Number(number.value));
     } });
     const range = slides(setting) ? make("input", { type: "range", min: 0, max: STEPS, value: placeOf(setting, value), ariaLabel: `${name}, slider`, oninput: () => {
       number.value = written(valueOf(setting, Number(range.value)), 3);
+      say();
       this.#set(name, Number(number.value));
     } }) : null;
+    say();
     return make("label", { className: "field", title: `${meaning}; ${written(minimum)} to ${written(maximum)} ${unit}` }, label, range, number);
   }
 

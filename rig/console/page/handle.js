@@ -38,6 +38,7 @@ export class Handle {
     this.low = Math.max(wall.position - reach / 2, lowest + margin);
     this.high = Math.min(wall.position + reach / 2, highest - margin);
     this.step = (this.high - this.low) / 100;
+    Object.assign(this.canvas, { ariaValueMin: String(this.low), ariaValueMax: String(this.high) });
     this.stale = true;
   }
 
@@ -84,7 +85,7 @@ export class Handle {
     this.stale = false;
     const { context, width, height } = cleared(this.canvas);
     const x = (position) => (position - this.low) / (this.high - this.low) * width;
-    const { wall, rig } = this.experiment;
+    const { wall, rig, trial } = this.experiment;
     const at = x(wall.position);
     context.globalAlpha = 0.25;
     context.fillStyle = colour("wall");
@@ -110,7 +111,8 @@ export class Handle {
       context.strokeRect(x(this.wish) - 4, height / 2 - 4, 8, 8);
     }
     const unit = rig.motion === "rotary" ? "rad" : "m";
-    this.canvas.ariaValueNow = String(handle ?? 0);
+    this.canvas.ariaValueNow = String(handle ?? trial.start);
+    this.canvas.ariaValueText = handle === null ? "at rest" : `handle ${written(handle, 3)} ${unit}`;
     this.note.textContent = handle === null ? "Start “Drag the handle”, then drag here or use the arrow keys."
       : `handle ${written(handle, 3)} ${unit}, hand ${written(hand, 3)} ${unit}, press ${this.press} N`;
   }

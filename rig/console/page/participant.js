@@ -1,7 +1,7 @@
 // The participant's screen: the cue, what to do, and what is asked of them. It answers that, stops, and does nothing else.
 
-import { Answering, nameOf, setText } from "./desk.js";
-import { make } from "./dom.js";
+import { Answering, nameOf } from "./desk.js";
+import { make, setText } from "./dom.js";
 import { Link } from "./link.js";
 
 const link = new Link("participant");

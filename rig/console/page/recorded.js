@@ -1,9 +1,11 @@
 // The scope of a recording: the same charts as the live one; what is zoomed into is asked for in detail, a replay lies over it.
 
+import { byKeys } from "./chart_keys.js";
 import { NAMES, chartOptions, inside, nameSeries, selected, shadeWall, upright } from "./charts.js";
 import { colour, make, written } from "./dom.js";
+import { SAVED, drawPlane, planeOf } from "./effort_plane.js";
 import { frameOf } from "./link.js";
-import { savedAs } from "./save.js";
+import { FORMS, saveSeen, savedAs, saving } from "./save.js";
 import { Traces } from "./traces.js";
 
 const CHARTS = [
@@ -13,6 +15,7 @@ const CHARTS = [
 ];
 const OVER = { velocity: "velocity", effort: "effort_sent" }; // which column of a replay lies over which chart
 const TRUE = { handle_position_true: "handle (true)", handle_velocity_true: "handle (true)" };
+const PLANE = ["penetration", "effort_applied"];
 const IMPACT_S = [-0.02, 0.1]; // about the first contact
 
 export class Recorded {
@@ -29,6 +32,12 @@ export class Recorded {
     this.through = make("select", { ariaLabel: "Replay through", onchange: () => this.#again() });
     this.readout = make("p", { className: "quiet", role: "status" });
     this.charts = make("div", { className: "charts" });
+    byKeys(this.charts, { range: () => this.shown, cursor: () => this.cursors.at(-1), move: (at) => this.#setCursors([...this.cursors.slice(0, -1), at]),
+      place: (at) => this.#cursor(at), zoom: (first, last) => this.#show(first, last) });
+    this.plane = make("button", { type: "button", textContent: "Effort over penetration", ariaPressed: "false", onclick: () => {
+      this.plane.ariaPressed = String(!this.#isPlane());
+      this.#again();
+    } });
     this.element = make("div", { className: "map", hidden: true }, make("div", { className: "bar" },
       step("Whole", "Show the whole recording", () => [0, this.facts.length_s]),
       this.impact = step("Impact", "Show the first contact", () => IMPACT_S.map((at) => this.facts.contact_s + at)),
@@ -37,7 +46,7 @@ export class Recorded {
       step("◀", "Earlier", (first, last) => [first - (last - first) / 2, last - (last - first) / 2]),
       step("▶", "Later", (first, last) => [first + (last - first) / 2, last + (last - first) / 2]),
       make("label", {}, "show also ", this.also), make("label", {}, "replay through ", this.through),
-      make("button", { type: "button", textContent: "Save cut", title: "what is seen, as a recording of its own", onclick: () => this.#cut() })), this.readout, this.charts);
+      this.plane, saving(FORMS, (form) => this.#save(form))), this.readout, this.charts);
     new ResizeObserver(() => this.#size()).observe(this.charts);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.#build());
   }
@@ -49,6 +58,8 @@ export class Recorded {
     this.also.replaceChildren(...options("nothing", facts.columns.map(({ name }) => name)));
     this.through.replaceChildren(...options("nothing", facts.estimators));
     this.impact.disabled = facts.contact_s === null;
+    this.plane.disabled = !(facts.wall && PLANE.every((column) => column in this.units));
+    if (this.plane.disabled) this.plane.ariaPressed = "false";
     this.element.hidden = false;
     this.cursors = [];
     this.readout.textContent = "";
@@ -57,6 +68,26 @@ export class Recorded {
 
   clear() {
     this.element.hidden = true;
+  }
+
+  #isPlane() {
+    return this.plane.ariaPressed === "true";
+  }
+
+  #unit(column) {
+    return this.units[column] ?? "";
+  }
+
+  #save(form) {
+    if (form === "cut") {
+      this.#cut();
+      return;
+    }
+    const unit = (column) => this.#unit(column);
+    saveSeen(form, {
+      traces: this.traces, unit, charts: this.#charts(), range: this.shown, canvases: [...this.charts.querySelectorAll("canvas")],
+      plane: this.#isPlane() ? planeOf(this.traces, this.facts.wall, unit, SAVED) : undefined,
+    }, this.facts.name.replace(/\.[^.]*$/, ""));
   }
 
   async #cut() {
@@ -89,7 +120,7 @@ export class Recorded {
     try {
       const estimator = this.through.value;
       if (estimator) this.readout.textContent = `replaying through ${estimator} …`;
-      const columns = [...new Set([...this.#charts().flatMap(({ series }) => series.map(([column]) => column))])];
+      const columns = [...new Set([...this.#charts().flatMap(({ series }) => series.map(([column]) => column)), ...(this.#isPlane() ? PLANE : [])])];
       const frame = await fetch({ columns: columns.join() });
       const replay = estimator ? await fetch({ estimator }) : null;
       if (asked !== this.asked) return;
@@ -113,6 +144,14 @@ export class Recorded {
   #build() {
     if (!this.facts) return;
     for (const plot of this.plots) plot.destroy();
+    this.plots = [];
+    this.charts.replaceChildren();
+    if (this.#isPlane()) {
+      const canvas = make("canvas", { className: "plane", role: "img", ariaLabel: "Effort over penetration, with the ideal wall" });
+      this.charts.append(canvas);
+      drawPlane(canvas, this.traces, this.facts.wall, (column) => this.#unit(column));
+      return;
+    }
     const charts = this.#charts();
     this.plots = charts.map(({ title, series }, number) => {
       const over = this.replayed && OVER[title] ? [[OVER[title], "more"]] : [];
@@ -138,12 +177,17 @@ export class Recorded {
   }
 
   #size() {
+    if (this.#isPlane()) this.#build();
     for (const plot of this.plots) plot.setSize({ width: this.charts.clientWidth, height: Math.max(110, Math.floor(this.charts.clientHeight / this.plots.length)) });
   }
 
   // One cursor says what stands there, two say the differences.
   #cursor(at) {
-    this.cursors = this.cursors.length === 1 ? [this.cursors[0], at] : [at];
+    this.#setCursors(this.cursors.length === 1 ? [this.cursors[0], at] : [at]);
+  }
+
+  #setCursors(times) {
+    this.cursors = times;
     this.#read();
     for (const plot of this.plots) plot.redraw(false);
   }

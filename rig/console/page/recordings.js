@@ -5,6 +5,7 @@ import { Recorded } from "./recorded.js";
 import { offer } from "./save.js";
 
 const SEARCH_MS = 250;
+const SEEN_AHEAD = "200px"; // of the list: pictures that are about to be scrolled into sight
 const FORMS = [["CSV", "csv"], ["what its columns mean (JSON)", "json"], ["MAT", "mat"], ["Parquet", "parquet"]];
 
 export class Recordings {
@@ -15,6 +16,7 @@ export class Recordings {
     this.search = make("input", { type: "search", placeholder: "search: unstable kalman K=100 …", ariaLabel: "Search recordings", oninput: () => this.#later() });
     this.trash = make("input", { type: "checkbox", onchange: () => this.#again() });
     this.rows = make("tbody");
+    this.seen = new IntersectionObserver((found) => found.filter((one) => one.isIntersecting).forEach(({ target }) => this.#small(target)), { rootMargin: SEEN_AHEAD });
     this.note = make("p", { className: "quiet", role: "status" });
     this.more = make("button", { type: "button", textContent: "More", hidden: true, onclick: () => this.#load() });
     this.recorded = new Recorded(link, (error) => this.#trouble(error), () => this.#again());
@@ -78,8 +80,11 @@ export class Recordings {
       const { recordings, more, directory } = await this.link.ask("recordings", asked);
       if (number !== this.number) return; // another was asked for meanwhile
       const rows = recordings.map((one) => this.#row(one));
-      if (asked.first === 0) this.rows.replaceChildren(...rows);
-      else this.rows.append(...rows);
+      if (asked.first === 0) {
+        this.seen.disconnect();
+        this.rows.replaceChildren(...rows);
+      } else this.rows.append(...rows);
+      for (const image of rows.flatMap((row) => [...row.querySelectorAll("img")])) this.seen.observe(image);
       this.first = asked.first + recordings.length;
       this.more.hidden = !more;
       this.note.textContent = this.first ? `${this.first}${more ? " and more" : ""} in ${directory}` : `none in ${directory}`;
@@ -97,8 +102,21 @@ export class Recordings {
     const when = one.created ? new Date(one.created).toLocaleString([], { dateStyle: "short", timeStyle: "short" }) : "";
     return make("tr", { dataset: { name: one.name } },
       make("td", {}, make("span", { className: "verdict", dataset: { kind }, textContent: kind.replaceAll("_", " ") })),
-      make("td", {}, name, make("div", { className: "quiet", textContent: when }), ...(back ? [back] : [])),
+      make("td", {}, name, make("div", { className: "quiet", textContent: when }), this.#place(one, show), ...(back ? [back] : [])),
       make("td", { textContent: one.problem ?? `K ${written(one.stiffness)}, B ${written(one.damping)}, ${scheme(one)}` }));
+  }
+
+  // Where the picture of one comes, once it is in sight; null where there is none.
+  #place({ name, picture }, show) {
+    return picture && show ? make("img", { alt: "", dataset: { name } }) : null;
+  }
+
+  async #small(image) {
+    this.seen.unobserve(image);
+    const blob = await this.link.fetch(`/recordings/${encodeURIComponent(image.dataset.name)}/picture`).catch(() => null); // it has just gone
+    if (blob === null || !image.isConnected) return;
+    image.onload = () => URL.revokeObjectURL(image.src);
+    image.src = URL.createObjectURL(blob);
   }
 
   #mark() {
@@ -119,6 +137,7 @@ export class Recordings {
     try {
       const blob = await this.link.fetch(this.#path("picture?draw=1"));
       if (this.chosen !== asked) return;
+      if (!this.rows.querySelector("tr.chosen img")) this.#again(); // it has been drawn
       URL.revokeObjectURL(this.picture.src);
       this.picture.src = URL.createObjectURL(blob);
       this.picture.hidden = false;

@@ -1,6 +1,7 @@
 // What the scope shows, as a file: a picture of its charts, one that is drawn anew, or its numbers.
 
 import { colour, make } from "./dom.js";
+import { SAVED } from "./effort_plane.js";
 
 const WIDTH = 1000;
 const HEIGHT = 220; // of a panel
@@ -16,7 +17,28 @@ export function savedAs({ name, rows, no_replay }) {
   return `Saved ${rows} rows as ${name}.${no_replay ? ` It has no replay: ${no_replay}.` : ""}`;
 }
 
-export function savePng(canvases, name) {
+// A choice of forms, which falls back to none when one was chosen.
+export function saving(forms, save) {
+  const select = make("select", { ariaLabel: "save", onchange: () => {
+    const form = select.value;
+    select.value = "";
+    save(form);
+  } }, ...[["…", ""], ...forms].map(([textContent, value]) => make("option", { textContent, value })));
+  return make("label", {}, "save ", select);
+}
+
+export const FORMS = [["PNG", "png"], ["SVG", "svg"], ["CSV", "csv"], ["cut recording", "cut"]];
+
+// What is seen: traces with the units of their columns, the canvases that show them, and what an SVG draws anew: charts
+// over a range of time, or a plane (null: one that has nothing to show).
+export function saveSeen(form, { traces, unit, canvases, charts, range, plane }, name) {
+  if (form === "csv") saveCsv(traces, unit, name);
+  else if (form === "png") savePng(canvases, name);
+  else if (plane === undefined) saveSvg(charts, traces, unit, range, name);
+  else if (plane !== null) savePlaneSvg(plane, name);
+}
+
+function savePng(canvases, name) {
   const whole = make("canvas", { width: Math.max(...canvases.map((one) => one.width)), height: canvases.reduce((sum, one) => sum + one.height, 0) });
   const context = whole.getContext("2d");
   context.fillStyle = colour("paper");
@@ -29,14 +51,14 @@ export function savePng(canvases, name) {
   whole.toBlob((blob) => offer(blob, `${name}.png`));
 }
 
-export function saveCsv(traces, unit, name) {
+function saveCsv(traces, unit, name) {
   const columns = traces.columns;
   const head = ["time (s)", ...columns.map((column) => `${column} (${unit(column)})`)].join(",");
   const rows = [...traces.series()].map((time, i) => [time, ...columns.map((column) => traces.series(column)[i])].join(","));
   offer(new Blob([[head, ...rows].join("\n"), "\n"], { type: "text/csv" }), `${name}.csv`);
 }
 
-export function saveSvg(charts, traces, unit, [first, last], name) {
+function saveSvg(charts, traces, unit, [first, last], name) {
   const times = traces.series();
   const place = { left: 90, right: WIDTH - 15, top: 12, bottom: HEIGHT - 30 };
   const panels = charts.map(({ title, series }, number) => {
@@ -61,9 +83,8 @@ export function saveSvg(charts, traces, unit, [first, last], name) {
   offer(new Blob([svg], { type: "image/svg+xml" }), `${name}.svg`);
 }
 
-// Effort over penetration, as the scope has laid it out; nothing where there was nothing to show.
-export function savePlaneSvg(plane, { width, height }, name) {
-  if (plane === null) return;
+function savePlaneSvg(plane, name) {
+  const { width, height } = SAVED;
   const paths = plane.lines.map(([points, key]) => `<polyline fill="none" stroke="${colour(key)}" points="${points.map(([x, y]) => `${x.toFixed(2)},${y.toFixed(2)}`).join(" ")}"/>`);
   const texts = plane.texts.map(([x, y, text, key]) => `<text x="${x.toFixed(2)}" y="${y.toFixed(2)}" font-family="sans-serif" font-size="12" fill="${colour(key)}">${text}</text>`);
   const svg = `<svg xmlns="http://www.w3.org/2000/svg" width="${width}" height="${height}"><rect width="100%" height="100%" fill="${colour("paper")}"/>${paths.join("")}${texts.join("")}</svg>`;

@@ -1,8 +1,10 @@
 // The oscilloscope: charts over time, or effort over penetration; pause, zoom, cursors, trigger; what is seen is saved.
 
+import { byKeys } from "./chart_keys.js";
 import { NAMES, chartOptions, inside, nameSeries, selected, shadeWall, upright } from "./charts.js";
-import { cleared, colour, make, written } from "./dom.js";
-import { saveCsv, savePlaneSvg, savePng, saveSvg, savedAs } from "./save.js";
+import { colour, make, written } from "./dom.js";
+import { SAVED, drawPlane, planeOf } from "./effort_plane.js";
+import { FORMS, saveSeen, savedAs, saving } from "./save.js";
 import { Traces } from "./traces.js";
 
 const WINDOWS_S = [0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 60];
@@ -16,7 +18,6 @@ const TRUTH = [
   { title: "position", name: "handle (true)", place: 2, key: "true" },
   { title: "velocity", name: "true", place: 3, key: "true" },
 ];
-const PLANE = { width: 1000, height: 700 }; // as it is saved
 const ALWAYS = ["position", "velocity", "effort_wanted", "effort_sent", "effort_applied", "penetration"];
 
 export class Scope {
@@ -77,7 +78,7 @@ export class Scope {
       choice("show also", [["nothing", ""], ...columns], "", (value) => this.#also(value)),
       make("button", { type: "button", textContent: "Effort over penetration", ariaPressed: "false",
         onclick: ({ target }) => this.#planeView(target) }),
-      choice("save", [["…", ""], ["PNG", "png"], ["SVG", "svg"], ["CSV", "csv"], ["cut recording", "cut"]], "", (value) => this.#save(value)));
+      saving(FORMS, (form) => this.#save(form)));
   }
 
   pause(paused) {
@@ -160,6 +161,8 @@ export class Scope {
 
   #charts() {
     this.charts = make("div", { className: "charts" });
+    byKeys(this.charts, { range: () => this.#range(), cursor: () => this.cursors.at(-1), move: (at) => this.#setCursors([...this.cursors.slice(0, -1), at]),
+      place: (at) => this.#cursor(at), zoom: (first_s, last_s) => this.#zoom([first_s, last_s]) });
     return this.charts;
   }
 
@@ -189,8 +192,8 @@ export class Scope {
       title, series, unit: this.unit(series[0][0]), last: title === this.#shown().at(-1).title, group: "rig",
       range: () => this.#range(), height: (low, high) => this.#height(title, low, high),
       marks: (plot) => this.#marks(plot, title, series),
-      zoom: (plot) => this.#zoom(plot),
-      click: (plot) => this.#cursor(plot),
+      zoom: (plot) => this.#zoom(selected(plot)),
+      click: (plot) => this.#cursor(plot.posToVal(plot.cursor.left, "x")),
     });
   }
 
@@ -255,7 +258,7 @@ export class Scope {
     if (!this.stale || !this.element.isConnected || this.element.offsetParent === null) return;
     this.stale = false;
     const from = this.#source();
-    if (this.plane) this.#drawPlane(from);
+    if (this.plane) drawPlane(this.canvas, from, this.wall, (column) => this.unit(column));
     else this.#drawCharts(from);
     this.drawn.frames++;
     if (this.newest && !this.paused) {
@@ -268,68 +271,9 @@ export class Scope {
     this.#shown().forEach(({ series }, place) => this.plots[place]?.setData([from.series(), ...series.map(([name]) => from.series(name))]));
   }
 
-  // Effort that the wall gives over penetration, and the line that an ideal spring would give.
-  #drawPlane(from) {
-    const { context, width, height } = cleared(this.canvas);
-    const plane = this.#planeOf(from, width, height);
-    if (plane === null) return;
-    const { place, lines, texts } = plane;
-    context.save();
-    context.beginPath();
-    context.rect(place.left, place.top, place.right - place.left, place.bottom - place.top);
-    context.clip();
-    for (const [points, key] of lines) {
-      context.strokeStyle = colour(key);
-      context.beginPath();
-      points.forEach(([x, y], i) => context[i ? "lineTo" : "moveTo"](x, y));
-      context.stroke();
-    }
-    context.restore();
-    context.font = "12px system-ui";
-    for (const [x, y, text, key] of texts) {
-      context.fillStyle = colour(key);
-      context.fillText(text, x, y);
-    }
-  }
-
-  // What that picture has: its frame, lines and texts, in pixels; null where there is nothing to show.
-  #planeOf(from, width, height) {
-    const x = from.series("penetration");
-    const y = from.series("effort_applied");
-    if (!x.length || !this.wall) return null;
-    const side = this.wall.side;
-    const most = (values, sign) => values.reduce((found, value) => Math.max(found, sign * value), 0);
-    const deep = Math.max(most(x, 1), 1e-6);
-    const right = deep * 1.1;
-    const left = -0.25 * right;
-    const high = Math.max(most(y, -side), this.wall.stiffness * deep, 1e-9);
-    const top = high * 1.1;
-    const bottom = -0.15 * top;
-    const place = { left: 70, right: width - 12, top: 12, bottom: height - 40 };
-    const at = (penetration, effort) => [place.left + (penetration - left) / (right - left) * (place.right - place.left),
-      place.bottom - (effort - bottom) / (top - bottom) * (place.bottom - place.top)];
-    const spring = (penetration) => at(penetration, this.wall.stiffness * penetration);
-    const [springX, springY] = spring(right * 0.6);
-    return {
-      place,
-      lines: [
-        [[at(0, bottom), at(0, top)], "wall"],
-        [[at(left, 0), at(right, 0)], "line"],
-        [[at(0, 0), spring(right)], "true"],
-        [Array.from(x, (one, i) => at(one, -side * y[i])), "measured"],
-      ],
-      texts: [
-        [place.left, height - 12, `penetration (${this.unit("penetration")}), up to ${written(deep, 3)}`, "quiet"],
-        [place.left + 4, place.top + 10, `active effort against it (${this.unit("effort_applied")}), up to ${written(high, 3)}`, "quiet"],
-        [springX, springY - 6, "ideal spring", "true"],
-      ],
-    };
-  }
-
   // Zoom and cursors.
 
-  #zoom(plot) {
-    const times = selected(plot);
+  #zoom(times) {
     if (times === null) return;
     const [first_s, last_s] = times;
     if (!this.paused) this.pause(true);
@@ -337,9 +281,12 @@ export class Scope {
     this.link.ask("zoom", { columns: this.#columns(), first_s, last_s }).catch(() => { this.zoomed = null; });
   }
 
-  #cursor(plot) {
-    const at = plot.posToVal(plot.cursor.left, "x");
-    this.cursors = this.cursors.length === 1 ? [this.cursors[0], at] : [at];
+  #cursor(at) {
+    this.#setCursors(this.cursors.length === 1 ? [this.cursors[0], at] : [at]);
+  }
+
+  #setCursors(times) {
+    this.cursors = times;
     this.#read();
     this.stale = true;
   }
@@ -361,15 +308,18 @@ export class Scope {
 
   // Saving.
 
-  #save(kind) {
-    const from = this.#source();
-    const name = `scope-${new Date().toISOString().replace(/[:.]/g, "-")}`;
-    if (kind === "csv") saveCsv(from, (column) => this.unit(column), name);
-    if (kind === "png") savePng(this.plane ? [this.canvas] : this.plots.map((plot) => plot.root.querySelector("canvas")), name);
-    if (kind === "svg" && this.plane) savePlaneSvg(this.#planeOf(from, PLANE.width, PLANE.height), PLANE, name);
-    else if (kind === "svg") saveSvg(this.#shown(), from, (column) => this.unit(column), this.#range(), name);
-    if (kind === "cut") this.#cut();
-    for (const select of this.element.querySelectorAll("select")) if (select.options[0].textContent === "…") select.value = "";
+  #save(form) {
+    if (form === "cut") {
+      this.#cut();
+      return;
+    }
+    const unit = (column) => this.unit(column);
+    const traces = this.#source();
+    saveSeen(form, {
+      traces, unit, charts: this.#shown(), range: this.#range(),
+      canvases: this.plane ? [this.canvas] : this.plots.map((plot) => plot.root.querySelector("canvas")),
+      plane: this.plane ? planeOf(traces, this.wall, unit, SAVED) : undefined,
+    }, `scope-${new Date().toISOString().replace(/[:.]/g, "-")}`);
   }
 
   // What is seen, as a recording: of what was recorded, at full rate.

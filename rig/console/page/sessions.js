@@ -1,8 +1,8 @@
 // Sessions: begin or resume one, and operate it: the state in large, what is asked with its keys, what the rig does.
 // All texts come from the server, where the terminal's are; a key is a key there, as on a terminal.
 
-import { make } from "./dom.js";
-import { Answering, nameOf, setText } from "./desk.js";
+import { Answering, nameOf } from "./desk.js";
+import { make, setText } from "./dom.js";
 
 const HANDS = [["by its script", "simulated"], ["dragged with the mouse", "mouse"], ["moved by arrow keys", "keyboard"]];
 const COMPILING = "Compiling what this needs, once for this version and machine …";

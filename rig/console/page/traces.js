@@ -21,7 +21,7 @@ export class Traces {
       this.clear();
       for (const name of this.columns) this.values[name] = new Float64Array(CAPACITY);
     }
-    const each = frame.step === 1 ? 1 : 2;
+    const each = this.each = frame.step === 1 ? 1 : 2; // values of a point
     const skipped = Math.max(0, frame.points - Math.floor(CAPACITY / each));
     const added = (frame.points - skipped) * each;
     const over = this.length + added - CAPACITY;

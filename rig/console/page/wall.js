@@ -1,16 +1,20 @@
 // The wall and the run: fields for the next run, sliders that change the running wall, and what theory says of them.
 
-import { cleared, colour, make, written } from "./dom.js";
+import { cleared, colour, make, setText, showStage, written } from "./dom.js";
 import { Estimator } from "./estimator.js";
 
 const ASK_MS = 250; // between two questions to theory while a slider moves
 const SET_MS = 100;
 const JOBS = ["hit", "play"]; // those of this view
+const SLIDERS = { "wall.stiffness": ["stiffness K", "stiffness"], "wall.damping": ["damping B", "damping"], "wall.position": ["position", "position"] }; // label, quantity
 
 export class Wall {
   constructor(link, facts) {
     this.link = link;
+    this.units = facts.units;
     this.fields = {};
+    this.labels = {};
+    this.motion = "rotary";
     this.chosen = {};
     this.estimator = new Estimator(facts, () => this.#theory());
     this.rig = make("select", { onchange: () => this.#load() }, ...facts.rigs.map((name) => make("option", { value: name, textContent: name })));
@@ -41,7 +45,7 @@ export class Wall {
   #wall() {
     const rates = (name, label) => field(label, this.#number(name, 0));
     return make("section", { className: "panel" }, make("h2", { textContent: "Wall" }),
-      this.#slider("wall.stiffness", "stiffness K"), make("div", { className: "field" }, make("span"), this.bands), this.#slider("wall.damping", "damping B"), this.#slider("wall.position", "position"),
+      this.#slider("wall.stiffness"), make("div", { className: "field" }, make("span"), this.bands), this.#slider("wall.damping"), this.#slider("wall.position"),
       this.legend, this.sets,
       make("h2", { textContent: "For the next run" }),
       rates("controller.position_rate", "1/T1 (Hz)"), rates("controller.velocity_rate", "1/T2 (Hz)"), this.estimator.element);
@@ -53,17 +57,29 @@ export class Wall {
     return input;
   }
 
-  #slider(key, label) {
+  #slider(key) {
+    const [label] = SLIDERS[key];
     const number = this.#number(key);
-    const range = make("input", { type: "range", min: 0, max: 1000, ariaLabel: label, oninput: () => {
+    number.ariaLabel = label;
+    const range = make("input", { type: "range", min: 0, max: 1000, ariaLabel: `${label}, slider`, oninput: () => {
       number.value = written(this.#ofSlider(key, Number(range.value)), 3);
       this.#changed(key);
     } });
     this.fields[`${key}~`] = range;
-    return make("label", { className: "field" }, make("span", { textContent: label }), range, number);
+    this.labels[key] = make("span", { textContent: label });
+    return make("label", { className: "field" }, this.labels[key], range, number);
   }
 
-  // Stiffness and damping are slid over decades, so that soft and stiff walls are both within reach.
+  #unit(key) {
+    return this.units[SLIDERS[key][1]][this.motion];
+  }
+
+  // Label the wall with the units of the rig that is shown.
+  #label(motion) {
+    this.motion = motion;
+    for (const key of Object.keys(SLIDERS)) setText(this.labels[key], `${SLIDERS[key][0]} (${this.#unit(key)})`);
+  }
+
   #ofSlider(key, place) {
     const [low, high] = this.ranges?.[key] ?? [0, 1];
     return low + (high - low) * place / 1000;
@@ -71,7 +87,9 @@ export class Wall {
 
   #place(key) {
     const [low, high] = this.ranges?.[key] ?? [0, 1];
-    this.fields[`${key}~`].value = Math.round(1000 * (Number(this.fields[key].value) - low) / (high - low || 1));
+    const slider = this.fields[`${key}~`];
+    slider.value = Math.round(1000 * (Number(this.fields[key].value) - low) / (high - low || 1));
+    slider.setAttribute("aria-valuetext", `${this.fields[key].value} ${this.#unit(key)}`);
   }
 
   async #load() {
@@ -92,6 +110,7 @@ export class Wall {
       "controller.position_rate": controller.position_rate, "controller.velocity_rate": controller.velocity_rate };
     for (const [key, value] of Object.entries(values)) this.fields[key].value = written(value, 6);
     this.estimator.fill(controller);
+    this.#label(experiment.rig.motion);
     for (const key of Object.keys(this.ranges)) this.#place(key);
     this.chosen = {};
     this.#theory();
@@ -157,8 +176,8 @@ export class Wall {
     }
     const stiffness = Number(this.fields["wall.stiffness"].value);
     const now = stable === null ? "theory says nothing" : stiffness > stable ? "unstable" : passive !== null && stiffness <= passive ? "passive" : "stable, not passive";
-    const limits = stable === null ? "" : ` (passive up to ${passive === null ? "none" : written(passive, 3)}, stable up to ${written(stable, 3)}, ${hand})`;
-    this.legend.textContent = `By linear theory with ${this.delay ?? 1} tick${this.delay === 1 || !this.delay ? "" : "s"} of delay${this.delay === undefined ? " (assumed)" : " (measured)"}: ${now}${limits}${note ? `; ${note}` : ""}.`;
+    const limits = stable === null ? "" : ` (${passive === null ? "no wall is passive" : `passive up to ${written(passive, 3)}`}, stable up to ${written(stable, 3)} ${this.#unit("wall.stiffness")}, ${hand})`;
+    setText(this.legend, `By linear theory with ${this.delay ?? 1} tick${this.delay === 1 || !this.delay ? "" : "s"} of delay${this.delay === undefined ? " (assumed)" : " (measured)"}: ${now}${limits}${note ? `; ${note}` : ""}.`);
     this.bands.ariaLabel = this.legend.textContent;
   }
 
@@ -176,6 +195,7 @@ export class Wall {
     this.delay = loop.gate?.delay_ticks;
     const wall = loop.experiment?.wall;
     if (!wall) return;
+    this.#label(loop.experiment.rig?.motion ?? this.motion);
     for (const key of ["stiffness", "damping", "position"]) {
       if (document.activeElement !== this.fields[`wall.${key}~`]) this.fields[`wall.${key}`].value = written(wall[key], 6);
     }
@@ -188,12 +208,12 @@ export class Wall {
     const busy = state.job !== null;
     this.play.disabled = this.hit.disabled = busy || (state.operated && !state.operates);
     const loop = state.loop;
-    this.sets.textContent = !this.running ? "" : loop.set < (this.set ?? 0)
-      ? `Set ${this.set} waits until the handle is outside the wall; set ${loop.set} is active.` : `Parameter set ${loop.set} is active.`;
+    setText(this.sets, !this.running ? "" : loop.set < (this.set ?? 0)
+      ? `Set ${this.set} waits until the handle is outside the wall; set ${loop.set} is active.` : `Parameter set ${loop.set} is active.`);
   }
 
   #progress(told) {
-    this.verdict.replaceChildren(`${told.stage}${told.share === undefined ? "" : ` ${Math.round(100 * told.share)} %`}${told.why ? `: ${told.why}` : ""}`);
+    showStage(this.verdict, `${told.stage}${told.why ? `: ${told.why}` : ""}`, told.share);
   }
 
   #job({ job, told }) {

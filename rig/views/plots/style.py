@@ -28,7 +28,7 @@ SERIES = (
     "#2f4b7c",
     "#999999",
 )
-KINDS = {"stable": "#00703c", "limit cycle": "#b35900", "unstable": BAD, "invalid": "#666666"}
+KINDS = {"stable": "#00703c", "limit cycle": "#a85300", "unstable": BAD, "invalid": "#666666"}
 DPI = 120
 _KEY_LINE = 0.18  # height of a line of a legend (inch)
 FORMATS: Mapping[

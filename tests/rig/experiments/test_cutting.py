@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -85,6 +86,9 @@ def test_its_header_says_from_which_recording_where_and_when(whole: Recording, t
     facts = cut_facts(open_facts(result.path))
     assert facts is not None
     assert facts["recording"] == place(whole).name
+    assert facts["sha256"] == hashlib.sha256(place(whole).read_bytes()).hexdigest(), (
+        "as a session's log has it"
+    )
     assert facts["first_tick"] == facts["rows_before"] > 0
     assert facts["rows_before"] + result.rows + facts["rows_after"] == len(whole)
     assert 0.05 <= facts["first_s"] == result.first_s < result.last_s == facts["last_s"] <= 0.15

@@ -12,9 +12,9 @@ import pytest
 
 from rig.config.presets import load as preset
 from rig.core.errors import ConfigError, RecordingError
+from rig.recording.files import sha256_of
 from rig.session.conduct import conduct
 from rig.session.directory import LOG, Session, begin, resume
-from rig.session.hits import sha256_of
 from rig.session.log import read
 from rig.session.protocol import Protocol
 from rig.session.rehearsal import Day, Person, RehearsalDesk

@@ -18,10 +18,9 @@ import pytest
 
 from rig.config.presets import load as preset
 from rig.core.errors import RecordingError
-from rig.recording.files import make_directories
+from rig.recording.files import make_directories, sha256_of
 from rig.session.conduct import conduct
 from rig.session.directory import LOG, PROTOCOL, TRIALS, Session, begin, resume
-from rig.session.hits import sha256_of
 from rig.session.log import Event, SessionLog, read
 from rig.session.rehearsal import Day, Person, RehearsalDesk
 from tests.rig.session.session_fakes import FakeRunner, decisions, protocol_of

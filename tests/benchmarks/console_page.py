@@ -1,0 +1,117 @@
+"""From a row in the ring to pixels, and from STOP's key to the stop word, through a page in a real browser.
+
+    python tests/benchmarks/console_page.py                    half a minute at 20 kHz, 40 stops
+    python tests/benchmarks/console_page.py --seconds 120
+
+A loop that is turned by hand leaves 20,000 rows a second in real time; the page draws the default scope of two seconds.
+The age of a row is taken when the page has drawn the frame that it came in: a frame's newest row is the youngest, its
+oldest one waited for the server's next look; both and eight between them count, in ms (the browser's clock says no
+less). What the compositor and a screen take after that is in none of it. STOP is Escape: from the time stamp that the
+browser gives the key to the stop word as another process sees it. The last line is JSON; the exit code is 0 when the
+median and the 99th percentile of the ages and the median of STOP are within `MARKS`, which are for a machine that does
+nothing else.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import math
+import os
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[2]
+if __name__ == "__main__":
+    sys.path.insert(0, str(ROOT))  # for tests.*
+
+RATE_HZ = 20_000
+STOPS = 40
+MARKS = {"row_to_pixel_ms": 50.0, "row_to_pixel_p99_ms": 120.0, "stop_ms": 20.0}
+LISTENS = """
+rigConsole.ages = [];
+rigConsole.waiting = [];
+rigConsole.scope.link.addEventListener("frame", ({ detail: { newest } }) => {
+  if (rigConsole.last) rigConsole.waiting.push([rigConsole.last, newest]);
+  rigConsole.last = newest;
+});
+const drawn = () => {
+  requestAnimationFrame(drawn);
+  const now = Date.now();
+  for (const [oldest, newest] of rigConsole.waiting.splice(0)) rigConsole.ages.push([now - newest, now - oldest]);
+};
+requestAnimationFrame(drawn);
+addEventListener("keydown", (event) => { rigConsole.pressed = performance.timeOrigin + event.timeStamp; }, true);
+"""
+
+
+async def turn(day: Any, seconds: float) -> None:
+    """Leave rows for so long."""
+    until = time.monotonic() + seconds
+    while time.monotonic() < until:
+        day.go_on()
+        await asyncio.sleep(0.002)
+
+
+async def stop(page: Any, day: Any) -> float:
+    """Press Escape while a loop runs: how long it took to reach the loop (ms)."""
+    from rig.realtime import ring as words  # noqa: PLC0415
+
+    ring = day.begin()
+    await page.evaluate(f"rigConsole.scope.link.ask('look', {{ pid: {os.getpid()} }})")
+    await turn(day, 0.1)
+    pressed = asyncio.create_task(page.keyboard.press("Escape"))
+    while ring.get(words.STOP) == 0:
+        await asyncio.sleep(0)
+    reached_ms = time.time() * 1e3
+    await pressed
+    return float(reached_ms - await page.evaluate("rigConsole.pressed"))
+
+
+async def measured(seconds: float, place: Path) -> tuple[list[float], list[float], int]:
+    """Ages of rows (ms), times of STOP (ms), and how many frames there were."""
+    from rig.realtime.hand import SharedHand  # noqa: PLC0415
+    from tests.benchmarks.console_memory import Day, opened, served  # noqa: PLC0415
+
+    with served(place, faster=1) as (_, url, hand):
+        async with opened(url) as page:
+            day = Day(1.0, SharedHand.open(hand), RATE_HZ, run_s=math.inf)
+            day.begin()
+            await page.evaluate(f"rigConsole.scope.link.ask('look', {{ pid: {os.getpid()} }})")
+            await turn(day, 3.0)
+            await page.evaluate(LISTENS)
+            await turn(day, seconds)
+            frames = await page.evaluate("rigConsole.ages")
+            stops = [await stop(page, day) for _ in range(STOPS)]
+            day.close()
+    return [age for newest, oldest in frames for age in np.linspace(newest, oldest, 10)], stops, len(frames)
+
+
+def main() -> int:
+    """Measure, and tell."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--seconds", type=float, default=30.0)
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as directory:
+        ages, stops, frames = asyncio.run(measured(options.seconds, Path(directory)))
+    told = {
+        "row_to_pixel_ms": float(np.median(ages)),
+        "row_to_pixel_p99_ms": float(np.percentile(ages, 99)),
+        "stop_ms": float(np.median(stops)),
+        "stop_longest_ms": max(stops),
+        "frames_a_second": frames / options.seconds,
+        "load": os.getloadavg()[0],
+    }
+    within = all(told[name] <= most for name, most in MARKS.items())
+    print(json.dumps({**told, "within": within}))
+    return 0 if within else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
