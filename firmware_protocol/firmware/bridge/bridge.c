@@ -357,13 +357,19 @@ void bridge_hear_bus(struct bridge *bridge, const uint8_t *bytes, size_t count, 
 
 /* ------------------------------------------------------------------ time passes */
 
+/* Whether a drive that missed so many in succession may have started again. */
+static bool has_forgotten(const struct bridge *bridge, uint32_t missed)
+{
+    return missed >= BRIDGE_SILENT && missed * bridge->period >= FORGETS;
+}
+
 /* Without a reply the core gets no sample, and after some its session no current. Then its host still hears of it. */
 static void miss_reply(struct bridge *bridge)
 {
-    const uint64_t silent = ++bridge->missed * bridge->period;
-    const bool forgets = silent >= FORGETS && silent - bridge->period < FORGETS;
+    const bool known = bridge->drive.known, forgot_before = has_forgotten(bridge, bridge->missed++);
+    const bool forgets = !forgot_before && has_forgotten(bridge, bridge->missed);
     bridge->drive.asked = false;
-    bridge->facts->lost++;
+    bridge->facts->lost += known ? 1 : 0;
     if (forgets || (bridge->missed >= BRIDGE_SILENT && device_is_armed(&bridge->device)))
         device_fault(&bridge->device, bridge->bus_lost ? BRIDGE_BUS_LOST : BRIDGE_DRIVE_SILENT);
     if (forgets)

@@ -32,7 +32,7 @@
 /* What happened on the bus, for whoever watches: a row of numbers, so that another process can read them. */
 struct bridge_facts {
     int64_t replies;
-    int64_t lost;     /* periods without a sample */
+    int64_t lost;     /* periods without a sample, from the first one on */
     int64_t late;     /* replies behind their period, and second ones */
     int64_t foreign;  /* frames of another master, or to one */
     int64_t invalid;  /* replies that lack a register, lines that are none */

@@ -81,6 +81,7 @@ struct drive {
         unsigned parts;   /* of the awaited sample */
         float told[DRIVE_TOLD];
         unsigned differs; /* samples in succession whose set-point is none of them */
+        bool obeys_another;
     } odrive;
 };
 

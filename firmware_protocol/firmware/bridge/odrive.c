@@ -10,7 +10,7 @@
 #define LOST_BEATS 5u /* heartbeats in succession: is it there? */
 #define FRESH_BEATS 2u /* the first one may have been on its way before a wish was told */
 #define AGAIN 32u      /* samples until a wish is told again */
-#define DIFFERS 5u     /* samples in succession with a set-point that nobody told it */
+#define DIFFERS 3u     /* samples in succession with a set-point that nobody told it */
 #define RELATIVE 1e-4f /* by which a set-point may differ: of float32 arithmetic */
 #define SMALLEST 1e-6f /* N·m */
 
@@ -143,6 +143,7 @@ static void take_beat(struct drive *drive, const struct can_frame_bytes *frame, 
     drive->odrive.result = frame->bytes[5];
     drive->odrive.beats++;
     drive->odrive.beat_at = now;
+    drive->odrive.obeys_another = drive->odrive.differs >= DIFFERS; /* else it has stopped, which a heartbeat tells */
 }
 
 static void take_torques(struct drive *drive, const struct can_frame_bytes *frame)
@@ -233,7 +234,7 @@ static uint8_t fault(const struct drive *drive, enum drive_wish wish, uint32_t s
         return fault_of(drive->odrive.error);
     if (wish == DRIVE_PREPARE && drive->odrive.result == NOT_CALIBRATED)
         return BRIDGE_NOT_CALIBRATED;
-    if (state != CLOSED_LOOP || drive->odrive.differs >= DIFFERS)
+    if (state != CLOSED_LOOP || drive->odrive.obeys_another)
         return BRIDGE_DRIVE_LEFT;
     return HR_FAULT_NONE;
 }

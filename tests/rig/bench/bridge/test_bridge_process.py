@@ -118,7 +118,7 @@ def test_what_is_wrong_with_the_drive_is_said_by_the_link(port: str) -> None:
 
 def test_the_command_serves_one_host_after_the_other(port: str, tmp_path: Path) -> None:
     mine = tmp_path / "mine.toml"
-    mine.write_text(describe.text(look(DeviceUrl("moteus", port, {}, port)), port))
+    mine.write_text(describe.text(look(DeviceUrl("moteus", port, {}, port)), f"moteus://{port}"))
     bridge = subprocess.Popen(
         [sys.executable, "-m", "rig", "bridge", "moteus", port, "--rig", str(mine)],
         stdout=subprocess.PIPE,
