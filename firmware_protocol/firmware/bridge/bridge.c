@@ -13,6 +13,8 @@
 #define EXACT_COUNTS 8388608.0 /* 2²³: a float32 tells such positions to half a count */
 #define FORGETS (UNITS_PER_SECOND / 50u) /* a drive that starts again is silent for longer (assumed) */
 #define JUMP 0.5             /* turns between two replies that no handle makes: the drive has started again */
+#define GAIN 8             /* samples in which a phase is followed */
+#define SLEW 128u          /* a share of a period: less than the hundredth that a host allows a device's clock */
 #define POLLS 64u            /* of the core in a row */
 #define ENDING_FRAMES 3u
 
@@ -38,7 +40,6 @@ static void tell(struct bridge *bridge, bool asks)
 {
     const struct drive_order order = {
         .wish = bridge->wish,
-        .since = bridge->since,
         .asks = asks,
         .fed = bridge->fed > 0,
         .torque = (float)bridge_torque(bridge),
@@ -287,6 +288,25 @@ static void note(struct bridge *bridge)
     facts->limited += sample->limited ? 1 : 0;
 }
 
+static void tick(struct bridge *bridge)
+{
+    device_tick_driven(&bridge->device, bridge->active, bridge->sampleless);
+    bridge->sampleless = 0;
+}
+
+/* Move the next period to half a message ahead of its sample: at once for the first one, then by so little a tick that the
+ * device's time and its count of samples stay together. The clocks differ by parts in ten thousand, a message's way by more. */
+static void follow(struct bridge *bridge)
+{
+    const int64_t most = (int64_t)(bridge->period / SLEW);
+    const int64_t error = (int64_t)(bridge->now + bridge->period - bridge->cycle / 2u - bridge->due);
+    const int64_t step = error / GAIN;
+    if (!bridge->drive.known)
+        bridge->due += (uint64_t)error;
+    else
+        bridge->due += (uint64_t)(step > most ? most : step < -most ? -most : step);
+}
+
 /* The awaited sample: the tick. */
 static void take_sample(struct bridge *bridge)
 {
@@ -294,7 +314,7 @@ static void take_sample(struct bridge *bridge)
     bridge->missed = 0;
     bridge->since++;
     if (bridge->cycle != 0)
-        bridge->due = bridge->now + bridge->period - bridge->cycle / 2u;
+        follow(bridge);
     note(bridge);
     take_count(bridge);
     bridge->drive.known = true;
@@ -303,7 +323,7 @@ static void take_sample(struct bridge *bridge)
         device_fault(&bridge->device, fault);
     if (fault == BRIDGE_DRIVE_LEFT && bridge->kind->forgot(&bridge->drive))
         device_fault(&bridge->device, HR_FAULT_ENCODER);
-    device_tick_driven(&bridge->device, bridge->active);
+    tick(bridge);
 }
 
 static void take_frame(struct bridge *bridge, const struct can_frame_bytes *frame)
@@ -375,7 +395,9 @@ static void miss_reply(struct bridge *bridge)
     if (forgets)
         device_fault(&bridge->device, HR_FAULT_ENCODER);
     if (bridge->missed >= BRIDGE_SILENT)
-        device_tick_driven(&bridge->device, bridge->active);
+        tick(bridge);
+    else
+        bridge->sampleless++;
 }
 
 /* The period behind this one; what this computer slept through is left out. */
@@ -383,6 +405,7 @@ static uint64_t next_period(struct bridge *bridge)
 {
     const uint64_t behind = bridge->now > bridge->due ? bridge->now - bridge->due : 0, skipped = behind / bridge->period;
     bridge->facts->skipped += (int64_t)skipped;
+    bridge->sampleless += (uint32_t)skipped;
     return bridge->due + (skipped + 1u) * bridge->period;
 }
 

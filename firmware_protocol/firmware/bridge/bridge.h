@@ -93,6 +93,7 @@ struct bridge {
     uint64_t due;       /* device time of the next period */
     uint64_t asked_at;  /* the sample that is awaited */
     uint32_t missed;    /* samples in succession */
+    uint32_t sampleless; /* periods without a sample since the core's last tick */
 
     enum drive_wish wish;
     uint32_t since;        /* samples since then */

@@ -5,6 +5,7 @@ What it cannot tell (what hangs on it) is assumed, and marked: `rig identify` me
 
 from __future__ import annotations
 
+import math
 import sys
 from string import Template
 
@@ -92,7 +93,7 @@ def text(found: Facts, url: str) -> str:
         scale=output.scale_setting,
         bound=output.current_setting,
         per_ampere=f"{output.torque_constant:.6g}",
-        most=f"{most:.4g}",
+        most=f"{_down(most):.4g}",
         quantum=f"{quantum:.3g}",
         noise=f"{5 * quantum:.3g}",
         lines=output.counts // decoding,
@@ -101,6 +102,12 @@ def text(found: Facts, url: str) -> str:
         effort=f"{effort:.4g}",
     )
     return "".join(map(_aligned, filled.splitlines(keepends=True)))
+
+
+def _down(value: float) -> float:
+    """Round down to four digits: the drive gives no more."""
+    step = 10.0 ** (math.floor(math.log10(value)) - 3)
+    return math.floor(value / step) * step
 
 
 def _aligned(line: str) -> str:

@@ -81,8 +81,11 @@ class BridgeLink(DescriptorLink):
         super().__init__(url, ours.detach())
 
     def bus_facts(self) -> dict[str, float]:
-        """What happened on the bus so far: replies, lost ones, round trips (µs), the drive's temperature (°C)."""
-        return self.facts.as_mapping()
+        """What happened on the bus so far: replies, lost ones, round trips (µs), the drive's temperature (°C).
+
+        `cycle_us` is the time between two samples that the drive tells by itself, 0 where it is asked.
+        """
+        return {**self.facts.as_mapping(), "cycle_us": self.drive.cycle_us}
 
     def close(self) -> None:
         """End the process; the drive is off then."""

@@ -317,6 +317,18 @@ def test_a_fault_while_the_drive_is_prepared_is_told_in_the_words_of_the_drive(k
     assert world.torque == 0.0
 
 
+@both
+def test_a_sample_that_was_lost_is_missing_in_the_index_however_soon_the_next_one_comes(kind: str) -> None:
+    world, host = armed(Bridged(kind=kind, travel_ns=400_000))
+    push(host, 5)
+    before = host.next_state().sample_index
+    here = world.lines["from drive"]
+    world.strikes = {("from drive", number): drop for number in range(here, here + 2)}
+    world.travel_ns = 100_000
+    state = host.next_state()
+    assert (state.sample_index - before, state.missed_ticks) == (2, 1)
+
+
 def test_replies_that_are_late_are_not_taken_for_the_ones_that_are_awaited() -> None:
     world, host = armed(Bridged(travel_ns=300_000))
     push(host, 5)

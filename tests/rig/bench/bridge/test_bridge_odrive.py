@@ -202,17 +202,17 @@ def test_its_limits_are_those_of_the_device() -> None:
 # ---------------------------------------------------------------------- its own clock
 
 
-@pytest.mark.parametrize("drift", [-0.003, 0.003])
+@pytest.mark.parametrize("drift", [-0.005, 0.005])
 def test_a_drive_whose_clock_differs_is_followed(drift: float) -> None:
     """Half a message lies between a period and its sample, so that none comes twice and none is left out."""
     world = Bridged(kind="odrive", drift=drift)
     world.run(0.02)
     before = world.bridge.facts.replies
-    world.run(2.0)
+    world.run(1.0)  # five periods more, or less
     facts = world.bridge.facts
     assert (facts.lost, facts.skipped) == (0, 0)
-    assert facts.replies - before == pytest.approx(2000 * (1.0 + drift), abs=2)
-    assert 490 <= facts.quantile_us(0.5) <= 510
+    assert facts.replies - before == pytest.approx(1000 * (1.0 + drift), abs=2)
+    assert facts.quantile_us(0.5) == pytest.approx(500, rel=0.15)
 
 
 def test_a_period_is_a_whole_number_of_messages() -> None:
