@@ -45,8 +45,8 @@ FLOAT = 1e-6  # a float32 tells a number to this share
 ONBOARD_COUNTS = 16384
 INCREMENTAL, ONBOARD = 1, 13  # odrive.enums.EncoderId
 WHERE_TO_GET = (
-    "take the flat_endpoints.json of your drive's firmware and board from docs.odriverobotics.com/releases/firmware, and "
-    "name it in the URL: ?endpoints=FILE"
+    "take the flat_endpoints.json of your drive's firmware and board from docs.odriverobotics.com/releases/firmware, "
+    "and name it in the URL: ?endpoints=FILE"
 )
 FORMS = {
     "bool": "?", "uint8": "B", "int8": "b", "uint16": "H", "int16": "h", "uint32": "I", "int32": "i", "float": "f",

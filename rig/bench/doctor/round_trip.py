@@ -158,8 +158,8 @@ def _drive(facts: Mapping[str, float]) -> str:
     """From a bridge's tick to the drive's sample (ms), and what was lost there."""
     named = (("p50", "median_us"), ("p99.9", "p999_us"), ("longest", "longest_us"))
     times = ", ".join(f"{name} {1e-3 * facts[key]:.3g} ms" for name, key in named)
-    asked = facts["replies"] + facts["lost"]
-    return f"{'samples after' if facts.get('cycle_us') else 'answers in'} {times}; {facts['lost']:.0f} of {asked:.0f} replies lost; {facts['temperature']:.0f} °C"
+    asked, told = facts["replies"] + facts["lost"], "samples after" if facts.get("cycle_us") else "answers in"
+    return f"{told} {times}; {facts['lost']:.0f} of {asked:.0f} replies lost; {facts['temperature']:.0f} °C"
 
 
 def _times(times: Distribution) -> str:
