@@ -32,7 +32,9 @@ def main() -> int:
         "--adapter", choices=("uart", "fdcanusb"), default="uart", help="of a moteus without a bus"
     )
     parser.add_argument("--bus", help="a CAN interface, or the path of a socket to be made")
-    parser.add_argument("--endpoints", type=Path, help="where an ODrive's flat_endpoints.json is to be written")
+    parser.add_argument(
+        "--endpoints", type=Path, help="where an ODrive's flat_endpoints.json is to be written"
+    )
     given = parser.parse_args()
     if given.endpoints is not None:
         given.endpoints.write_text(json.dumps(SimulatedOdrive.flat_endpoints()), encoding="utf-8")

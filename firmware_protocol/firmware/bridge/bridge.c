@@ -1,7 +1,6 @@
 #include "bridge.h"
 
 #include <math.h>
-#include <string.h>
 
 #include "../core/poll.h"
 #include "moteus.h"
@@ -152,22 +151,13 @@ static bool hal_set_rate(void *context, uint32_t rate)
 static size_t hal_link_read(void *context, uint8_t *into, size_t capacity)
 {
     struct bridge *bridge = context;
-    const size_t count = bridge->input_count < capacity ? bridge->input_count : capacity;
-    if (count > 0)
-        memcpy(into, bridge->input, count);
-    bridge->input += count;
-    bridge->input_count -= count;
-    return count;
+    return memory_read(&bridge->input, &bridge->input_count, into, capacity);
 }
 
 static bool hal_link_write(void *context, const uint8_t *frame, size_t count)
 {
     struct bridge *bridge = context;
-    if (count > BRIDGE_OUTPUT_BYTES - bridge->output_count)
-        return false;
-    memcpy(bridge->output + bridge->output_count, frame, count);
-    bridge->output_count += count;
-    return true;
+    return memory_write(bridge->output, &bridge->output_count, BRIDGE_OUTPUT_BYTES, frame, count);
 }
 
 static void hal_feed_watchdog(void *context, uint32_t bite_us)
@@ -232,14 +222,7 @@ void bridge_setup(struct bridge *bridge, const struct bridge_setup *setup, struc
     bridge->drive.limit = (float)setup->torque_limit;
     bridge->drive.beat = (uint64_t)setup->beat_us * HR_TIME_UNITS_PER_US;
     bridge->adapter.checksum = setup->checksum != 0;
-    bridge->board.dictionary = setup->dictionary;
-    bridge->board.dictionary_bytes = (uint16_t)setup->dictionary_bytes;
-    bridge->board.dictionary_hash = setup->dictionary_hash;
-    bridge->board.rate_initial = setup->rate_initial;
-    bridge->board.encoder_sign = (int8_t)setup->encoder_sign;
-    bridge->board.over_current = (uint16_t)setup->over_current;
-    bridge->board.mechanics = setup->mechanics;
-    bridge->board.current_sensor = setup->current_sensor;
+    board_set_up(&bridge->board, &setup->board);
     bridge->board.narrower = bridge->narrower;
 }
 
@@ -465,23 +448,14 @@ void bridge_stop(struct bridge *bridge)
 
 /* ------------------------------------------------------------------ outside */
 
-static size_t take(uint8_t *from, size_t *there, uint8_t *into, size_t capacity)
-{
-    const size_t count = *there < capacity ? *there : capacity;
-    memcpy(into, from, count);
-    memmove(from, from + count, *there - count);
-    *there -= count;
-    return count;
-}
-
 size_t bridge_take(struct bridge *bridge, uint8_t *into, size_t capacity)
 {
-    return take(bridge->output, &bridge->output_count, into, capacity);
+    return memory_take(bridge->output, &bridge->output_count, into, capacity);
 }
 
 size_t bridge_take_bus(struct bridge *bridge, uint8_t *into, size_t capacity)
 {
-    return take(bridge->bus, &bridge->bus_count, into, capacity);
+    return memory_take(bridge->bus, &bridge->bus_count, into, capacity);
 }
 
 uint64_t bridge_due(const struct bridge *bridge)

@@ -18,6 +18,7 @@
 #include <stdint.h>
 
 #include "../core/device.h"
+#include "../core/on_a_computer.h"
 #include "drive.h"
 #include "fdcanusb.h"
 #include "socketcan.h"
@@ -49,15 +50,8 @@ struct bridge_facts {
 };
 
 struct bridge_setup {
-    const uint8_t *dictionary;
-    uint64_t dictionary_hash;
-    uint32_t dictionary_bytes;
-    uint32_t rate_initial;
+    struct board_setup board;
     uint32_t rate_maximum;
-    int32_t encoder_sign;
-    uint32_t over_current;
-    struct mechanics mechanics;
-    struct current_sensor current_sensor;
     uint32_t prefix; /* of the bus's ids */
     uint32_t drive;  /* its id */
     double counts_per_turn; /* of the output, as the drive tells it; may be negative */
