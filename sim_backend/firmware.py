@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import ctypes
 import struct
-from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -23,13 +22,13 @@ from firmware_protocol import dictionary as dictionaries
 from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault, Input
 from firmware_protocol.parameters import PARAMETERS
-from rig.core import board
 from rig.core.errors import ConfigError
 from rig.core.model import RigModel
+from rig.realtime.c_board import BoardSetup
 from rig.realtime.kernel import prepare
 from sim_backend import firmware_library
 from sim_backend.configuration import describe, packed
-from sim_backend.firmware_library import CurrentSensor, Mechanics, Setup, Status
+from sim_backend.firmware_library import Status
 from sim_backend.hardware import Hardware, World
 from sim_backend.lockstep import (
     DUE,
@@ -72,16 +71,7 @@ class Core:
         self.dictionary = describe(model, name or model.name, rate, maximum, law_maximum)
         self._packed = packed(self.dictionary)
         self.hash = dictionaries.dictionary_hash(self._packed)
-        setup = Setup(
-            self._packed,
-            self.hash,
-            len(self._packed),
-            rate,
-            model.encoder.sign,
-            board.over_current(model),
-            Mechanics(**asdict(board.moved_mechanics(model))),
-            CurrentSensor(**asdict(board.current_sensor(model))),
-        )
+        setup = BoardSetup.of(model, self._packed, self.hash, rate)
         library.host_setup(self.address, ctypes.byref(setup))
         for narrow in (  # by their numbers: the first that does not fit is the one that a refusal names
             "motion",

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import firmware_protocol
-from rig.core import board
-from rig.realtime.c_library import CLibrary, doubles
+from rig.realtime.c_board import BoardSetup
+from rig.realtime.c_library import CLibrary
 from rig.realtime.kernel import CACHE_DIRECTORY
 
 FIRMWARE = CLibrary(
@@ -23,25 +23,6 @@ FIRMWARE = CLibrary(
     purpose="a simulated device that runs the law itself is the firmware",
     instead='set controller.loop = "host"',
 )
-
-
-Mechanics = doubles(board.MovedMechanics)
-CurrentSensor = doubles(board.CurrentSensor)
-
-
-class Setup(ctypes.Structure):
-    """Struct host_setup of host.h."""
-
-    _fields_ = [
-        ("dictionary", ctypes.c_char_p),
-        ("dictionary_hash", ctypes.c_uint64),
-        ("dictionary_bytes", ctypes.c_uint32),
-        ("rate_initial", ctypes.c_uint32),
-        ("encoder_sign", ctypes.c_int32),
-        ("over_current", ctypes.c_uint32),
-        ("mechanics", Mechanics),
-        ("current_sensor", CurrentSensor),
-    ]
 
 
 class Counters(ctypes.Structure):
@@ -83,7 +64,7 @@ _P, _U8, _U32, _U64, _N = (
 )
 _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "host_bytes": (_N, []),
-    "host_setup": (None, [_P, ctypes.POINTER(Setup)]),
+    "host_setup": (None, [_P, ctypes.POINTER(BoardSetup)]),
     "host_narrow": (None, [_P, _U8, _U32, _U32]),
     "host_set_excitation": (None, [_P, _U32]),
     "host_start": (None, [_P]),

@@ -100,7 +100,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "rig.cli.completion:completion",
         "Print the script by which a shell completes commands, rigs, estimators, schemes and recordings.",
     ),
-    "bridge": ("rig.cli.bridge:bridge", "Run a bridge to a drive that you own: moteus."),
+    "bridge": ("rig.cli.bridge:bridge", "Run a bridge to a drive that you own: moteus, ODrive."),
     "docs": ("rig.cli.docs:docs", "Build these documents as a site, and open it in the browser."),
     "sim": ("rig.cli.sim:sim", "Serve a simulated rig on a serial port of its own."),
 }

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import shlex
 import sys
+from collections.abc import Callable
+from urllib.parse import quote
 
 import click
 
@@ -43,32 +45,63 @@ def bridge() -> None:
     """Drives that people already own, as devices."""
 
 
+def _bridge_options(numbers: click.IntRange, default: int, called: str) -> Callable[[options.F], options.F]:
+    """What the commands of all kinds of drives have; `numbers` and `called`: of the drive's id."""
+    return options.added(
+        options.rig_option(given=True),
+        click.option(
+            "--id", "drive", type=numbers, default=default, show_default=True, help=f"The drive's {called}."
+        ),
+        click.option(
+            "--describe",
+            is_flag=True,
+            help="Print an experiment file to start from, with what the drive tells of itself.",
+        ),
+        options.json_option,
+    )
+
+
+def _run(url: DeviceUrl, preset: str, *, describe: bool, as_json: bool) -> None:
+    """Describe the drive, or run its bridge."""
+    refuse_real_time("a bridge", "let a board drive the motor")
+    if sys.platform == "linux":
+        if describe:
+            click.echo(text(look(url), url.text), nl=False)
+        else:
+            _serve(url, preset, as_json=as_json)
+
+
 @bridge.command()
 @click.argument("place", metavar="PORT")
-@options.rig_option(given=True)
-@click.option(
-    "--id", "drive", type=click.IntRange(1, 127), default=1, show_default=True, help="The drive's id."
-)
+@_bridge_options(click.IntRange(1, 127), 1, "id")
 @click.option(
     "--baud", type=click.IntRange(300, 20_000_000), help="Of a serial adapter that has one. [921600]"
 )
-@click.option(
-    "--describe",
-    is_flag=True,
-    help="Print an experiment file to start from, with what the drive tells of itself.",
-)
-@options.json_option
 def moteus(place: str, preset: str, drive: int, baud: int | None, describe: bool, as_json: bool) -> None:
     """Run the bridge to a moteus; prints the port to open. Ctrl-C ends it.
 
     PORT is that of an fdcanusb or mjcanfd-usb-1x, such as /dev/fdcanusb, or a CAN interface, such as can0. For one run
     no bridge is needed: `--url moteus:///dev/fdcanusb` starts one.
     """
-    refuse_real_time("a bridge", "let a board drive the motor")
     chosen = {"id": str(drive)} | ({} if baud is None else {"baud": str(baud)})
-    url = DeviceUrl("moteus", place, chosen, f"moteus://{place}")
-    if sys.platform == "linux":
-        if describe:
-            click.echo(text(look(url), place), nl=False)
-        else:
-            _serve(url, preset, as_json=as_json)
+    _run(DeviceUrl("moteus", place, chosen, f"moteus://{place}"), preset, describe=describe, as_json=as_json)
+
+
+@bridge.command()
+@click.argument("place", metavar="INTERFACE")
+@_bridge_options(click.IntRange(0, 62), 0, "node")
+@click.option(
+    "--endpoints",
+    type=click.Path(exists=True, dir_okay=False),
+    required=True,
+    help="The maker's flat_endpoints.json of the drive's firmware: the numbers of its parameters.",
+)
+def odrive(place: str, preset: str, drive: int, endpoints: str, describe: bool, as_json: bool) -> None:
+    """Run the bridge to an ODrive; prints the port to open. Ctrl-C ends it.
+
+    INTERFACE is a CAN interface of Linux, such as can0. For one run no bridge is needed: `--url
+    'odrive://can0?endpoints=flat_endpoints.json'` starts one.
+    """
+    chosen = {"id": str(drive), "endpoints": endpoints}
+    text = f"odrive://{place}?id={drive}&endpoints={quote(endpoints)}"
+    _run(DeviceUrl("odrive", place, chosen, text), preset, describe=describe, as_json=as_json)

@@ -45,6 +45,7 @@ TAKEN = {
     "how-to/hardware.md": FIRMWARE / "HARDWARE.md",
     "how-to/board.md": FIRMWARE / "PORTING.md",
     "how-to/moteus.md": RIG / "bench" / "bridge" / "MOTEUS.md",
+    "how-to/odrive.md": RIG / "bench" / "bridge" / "ODRIVE.md",
     "how-to/other-drives.md": RIG / "bench" / "bridge" / "OTHERS.md",
     "how-to/pico.md": FIRMWARE / "boards" / "rp2040" / "PICO.md",
     "how-to/sessions.md": RIG / "session" / "README.md",

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import argparse
+import json
 import sys
+from pathlib import Path
 
 from rig import config
 from rig.config import presets
 from rig.core.errors import RigError
 
 if sys.platform == "linux":
+    from sim_backend.drives.odrive import SimulatedOdrive
     from sim_backend.drives.process import serve
 
 assert sys.platform == "linux"
@@ -29,7 +32,12 @@ def main() -> int:
         "--adapter", choices=("uart", "fdcanusb"), default="uart", help="of a moteus without a bus"
     )
     parser.add_argument("--bus", help="a CAN interface, or the path of a socket to be made")
+    parser.add_argument(
+        "--endpoints", type=Path, help="where an ODrive's flat_endpoints.json is to be written"
+    )
     given = parser.parse_args()
+    if given.endpoints is not None:
+        given.endpoints.write_text(json.dumps(SimulatedOdrive.flat_endpoints()), encoding="utf-8")
     try:
         serve(
             given.kind,

@@ -174,23 +174,14 @@ class SimulatedMoteus:
     def happen(self, name: str, value: float) -> list[Frame]:
         """Let the world do something to it.
 
-        ``fault`` (its own, a code), ``voltage`` (V), ``temperature`` (°C), ``slip`` (counts), ``expire`` (the watchdog,
-        now), ``reboot``, ``mode`` (somebody at its console commands one), ``master`` (a second host commands a torque
-        in N·m: the answer to it is on the bus).
+        What happens to any (`Motor.happenings`; ``fault`` is a code), ``mode`` (somebody at its console commands one),
+        ``master`` (a second host commands a torque in N·m: the answer to it is on the bus).
         """
         return self._happenings()[name](value) or []
 
     def _happenings(self) -> dict[str, Callable[[float], list[Frame] | None]]:
-        def put(word: int) -> Callable[[float], None]:
-            return lambda value: self._words.__setitem__(word, value)
-
         return {
-            "fault": put(W.struck),
-            "voltage": put(W.voltage),
-            "temperature": put(W.temperature),
-            "slip": lambda counts: self.motor.slip(round(counts)),
-            "expire": lambda _: put(W.timeout_left)(0.0),
-            "reboot": lambda _: self.power_up(),
+            **self.motor.happenings(W, W.timeout_left, self.power_up),
             "mode": lambda mode: self._obey(
                 {**registers.fresh_command(), registers.TIMEOUT_REGISTER: math.nan}, mode
             ),

@@ -12,6 +12,7 @@ whatever the model's is. What a drive reports as torque is the effort behind tha
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Annotated, Any, NamedTuple
 
@@ -175,6 +176,29 @@ class Motor:
     def run(self, ticks: int) -> None:
         """Let ticks pass."""
         run(self._handle, ticks)
+
+    def happenings(
+        self, words: Any, watchdog: int, reboot: Callable[[], None]
+    ) -> dict[str, Callable[[float], None]]:
+        """What happens to any drive, by name.
+
+        ``fault`` (its own), ``voltage`` (V), ``temperature`` (°C), ``slip`` (counts), ``expire`` (the watchdog, now),
+        ``reboot``.
+
+        `words` names the drive's words, `watchdog` is the one that counts down.
+        """
+
+        def put(word: int) -> Callable[[float], None]:
+            return lambda value: self._words.__setitem__(word, value)
+
+        return {
+            "fault": put(words.struck),
+            "voltage": put(words.voltage),
+            "temperature": put(words.temperature),
+            "slip": lambda counts: self.slip(round(counts)),
+            "expire": lambda _: put(watchdog)(0.0),
+            "reboot": lambda _: reboot(),
+        }
 
     def slip(self, counts: int) -> None:
         """Let the encoder gain or lose counts against the truth."""

@@ -219,24 +219,15 @@ class SimulatedOdrive:
     def happen(self, name: str, value: float) -> list[Frame]:
         """Let the world do something to it.
 
-        ``fault`` (its own, error bits), ``voltage`` (V), ``temperature`` (°C), ``slip`` (counts), ``expire`` (the
-        watchdog, now), ``reboot``, ``mode`` (somebody chooses a control mode), ``master`` (a second host commands a
-        torque in N·m: its frame is on the bus), ``estop``, ``bus-off`` (its controller leaves the bus for so many
-        seconds, 0: until it is switched off).
+        What happens to any (`Motor.happenings`; ``fault`` has bits of an error), ``mode`` (somebody chooses a control
+        mode), ``master`` (a second host commands a torque in N·m: its frame is on the bus), ``estop``, ``bus-off`` (its
+        controller leaves the bus for so many seconds, 0: until it is switched off).
         """
         return self._happenings()[name](value) or []
 
     def _happenings(self) -> dict[str, Callable[[float], list[Frame] | None]]:
-        def put(word: int) -> Callable[[float], None]:
-            return lambda value: self._words.__setitem__(word, value)
-
         return {
-            "fault": put(W.struck),
-            "voltage": put(W.voltage),
-            "temperature": put(W.temperature),
-            "slip": lambda counts: self.motor.slip(round(counts)),
-            "expire": lambda _: put(W.watchdog_left)(0.0),
-            "reboot": lambda _: self.power_up(),
+            **self.motor.happenings(W, W.watchdog_left, self.power_up),
             "mode": lambda mode: self._write("axis0.controller.config.control_mode", int(mode)),
             "master": self._second_master,
             "estop": lambda _: self._fail(Error.ESTOP_REQUESTED),

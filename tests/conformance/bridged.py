@@ -1,4 +1,4 @@
-"""A bridge in virtual time: a simulated moteus behind a line that takes its time, a host at the other end.
+"""A bridge in virtual time: a simulated drive behind a line that takes its time, a host at the other end.
 
 `Bridged` is a `rig.devices.device.Link`, so that a host of the tests and `FramedDevice` talk to it. What goes wrong is
 said by the number of a line, to the drive or from it.
@@ -9,33 +9,51 @@ from __future__ import annotations
 import ctypes
 import errno
 import heapq
+import json
+import math
 import struct
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, Literal
 
+from rig.bench.bridge import moteus, odrive
 from rig.bench.bridge.bus import CanFrame
+from rig.bench.bridge.faults import TEXTS
 from rig.bench.bridge.library import Bridge, Drive
-from rig.bench.bridge.moteus import Conversation, find, fit, switches_of
 from rig.core.model import Encoder, RigModel
 from rig.devices.device import DeviceUrl
 from rig.devices.port import LoopPort
 from rig.realtime.clock import VirtualClock
 from rig.realtime.plugs import TRANSFER_SIGNATURE, WAIT_SIGNATURE, NativeFunction
-from sim_backend.drives.bus import Frame
+from sim_backend.drives.bus import Adapter, Frame
+from sim_backend.drives.bus import Drive as Simulated
+from sim_backend.drives.can_simple import Command
 from sim_backend.drives.fdcanusb import Uart
 from sim_backend.drives.moteus import MoteusOptions, SimulatedMoteus
+from sim_backend.drives.multiplex import NOP
+from sim_backend.drives.odrive import OdriveOptions, SimulatedOdrive
+from sim_backend.drives.socket_can import CLASSIC_BYTES, FD_BYTES, SocketCan, from_wire, to_wire
 from tests.conformance.host import RUN_PARAMETERS, Host
 from tests.conformance.rigs import rotary_rig
 
 _TRANSFER = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_int64, ctypes.c_int64)
 _WAIT = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_int64)
 UNIT_TWICE_NS = 125  # two units of device time
-CAN_BYTES = 72  # of a struct canfd_frame
 TRAVEL_NS = 80_000  # of a line, each way
-PERIOD_NS = 1_000_000
 CURRENT = 200  # quanta of 1 mA: 0.02 N·m at the handle, 0.01 at the output
 SAFE = {"servo.timeout_mode": "0"}
+WATCHED = {
+    odrive.WATCHDOG: "1",
+    odrive.WATCHDOG_S: "0.005",
+    odrive.VELOCITY_LIMITED: "0",
+    odrive.OVERSPEED: "0",
+    odrive.ENCODER_MS: "1",
+    odrive.TORQUES_MS: "1",
+    odrive.HEARTBEAT_MS: "10",
+    "axis0.config.can.temperature_msg_rate_ms": "20",
+    "axis0.config.can.bus_voltage_msg_rate_ms": "20",
+}
 SLOW = {
     **RUN_PARAMETERS,
     "position_rate": 100,
@@ -45,7 +63,7 @@ Strike = Callable[[bytes], bytes]
 
 
 def bridged_rig(**changed: Any) -> RigModel:
-    """`rotary_rig` on the encoder of a moteus, geared 1:2, with the lag of its current loop and its coarse sensor."""
+    """`rotary_rig` on the encoder of a drive, geared 1:2, with the lag of its current loop and its coarse sensor."""
     model = rotary_rig(lag_s=1e-3, current_noise_a=0.005, **changed)
     encoder = Encoder(counts_per_revolution=4096, ratio=2.0, sign=model.encoder.sign, offset=0.0)
     return replace(model, encoder=encoder)
@@ -56,17 +74,16 @@ class MemoryBus:
 
     place, descriptor, checksum, is_socket, messages = "memory", -1, True, False, ()
 
-    def __init__(self, drive: SimulatedMoteus) -> None:
+    def __init__(self, drive: Simulated) -> None:
         self.drive = drive
         self.heard: list[CanFrame] = []  # that wait, of others too
         self.said = 0
 
     def send(self, frame: CanFrame) -> None:
         self.said += 1
-        self.drive.run(self.drive.ticks + 30)
-        self.heard += [
-            CanFrame(one.identifier, one.data) for one in self.drive.receive(Frame(frame.id, frame.data))
-        ]
+        told = self.drive.run(self.drive.ticks + self.drive.rate_hz // 1000)
+        told += self.drive.receive(Frame(frame.id, frame.data, remote=frame.remote))
+        self.heard += [CanFrame(one.identifier, one.data) for one in told]
 
     def receive(self, timeout_s: float) -> CanFrame | None:
         return self.heard.pop(0) if self.heard else None
@@ -76,20 +93,103 @@ class MemoryBus:
 
 
 def found(drive: SimulatedMoteus, model: RigModel, number: int = 1) -> Drive:
-    """What a bridge finds of a drive before it runs."""
-    return fit(find(Conversation(MemoryBus(drive), number), number), model)
+    """What a bridge finds of a moteus before it runs."""
+    return moteus.fit(moteus.find(moteus.Conversation(MemoryBus(drive), number), number), model)
 
 
-class RawCan:
-    """A raw CAN socket of Linux, in the place of an adapter: one `struct canfd_frame` a message."""
+def endpoints(firmware: tuple[int, int, int] = (0, 6, 11)) -> odrive.Endpoints:
+    """The simulated ODrive's own."""
+    return odrive.Endpoints.of("flat_endpoints.json", SimulatedOdrive.flat_endpoints(firmware))
 
-    def open(self, unit: bytes) -> tuple[Frame | None, list[bytes]]:
-        identifier, count = struct.unpack_from("<IB", unit)
-        return Frame(identifier & 0x1FFFFFFF, unit[8 : 8 + count]), []
 
-    def close(self, frame: Frame) -> list[bytes]:
-        identifier = frame.identifier | (0x80000000 if frame.identifier > 0x7FF else 0)
-        return [struct.pack("<IB3x64s", identifier, len(frame.data), frame.data)]
+def write_endpoints(place: Path) -> Path:
+    """As the maker's file."""
+    place.write_text(json.dumps(SimulatedOdrive.flat_endpoints()), encoding="utf-8")
+    return place
+
+
+def found_odrive(
+    drive: SimulatedOdrive, model: RigModel, node: int = 0, numbers: odrive.Endpoints | None = None
+) -> Drive:
+    """What a bridge finds of an ODrive before it runs."""
+    talk = odrive.Conversation(MemoryBus(drive), node, numbers or endpoints())
+    return odrive.fit(odrive.find(talk), model)
+
+
+class Moteus:
+    """A moteus under a bridge: its modes at rest and when it gives torque, and what it does behind everybody's back."""
+
+    name, texts = "moteus", TEXTS["moteus"]
+    rest, on, expired = 0, 10, 11
+    within = 13  # as `on`, beside the drive's own wall
+
+    def __init__(self, model: RigModel, settings: Mapping[str, str], switches: Mapping[str, str]) -> None:
+        self.drive = SimulatedMoteus(model, MoteusOptions(settings={**SAFE, **settings}))
+        self.found = replace(found(self.drive, model), switches=moteus.switches_of(switches))
+
+    def adapter(self, socket: bool) -> Adapter:
+        """Of its line."""
+        return SocketCan(fd=True, padding=NOP) if socket else Uart()
+
+    def register(self, number: int) -> float:
+        """A register (float)."""
+        (answer,) = self.drive.receive(Frame(0xFF00 | 1, bytes((0x1D, number))))
+        (value,) = struct.unpack_from("<f", answer.data, 2)
+        return float(value)
+
+    @property
+    def mode(self) -> int:
+        """Of the drive."""
+        return round(self.register(0x000))
+
+    @property
+    def torque(self) -> float:
+        """That it wants to give now (N·m at its output)."""
+        return self.register(0x03A) if self.mode in (self.on, self.within) else 0.0
+
+    @property
+    def measured(self) -> float:
+        """That it measures (N·m at its output)."""
+        return self.register(0x003)
+
+
+class Odrive:
+    """An ODrive under a bridge; see `Moteus`."""
+
+    name, texts = "odrive", TEXTS["odrive"]
+    rest, on, expired = 1, 8, 1
+
+    def __init__(self, model: RigModel, settings: Mapping[str, str], switches: Mapping[str, str]) -> None:
+        assert not switches
+        self.drive = SimulatedOdrive(model, OdriveOptions(settings={**WATCHED, **settings}))
+        self.found = found_odrive(self.drive, model)
+
+    def adapter(self, socket: bool) -> Adapter:
+        """Of its line: a CAN bus."""
+        return SocketCan()
+
+    def ask(self, command: Command, form: str) -> tuple[Any, ...]:
+        """Fields of a message."""
+        (answer,) = self.drive.receive(Frame(command, b"", remote=True))
+        return struct.unpack("<" + form, answer.data)
+
+    @property
+    def mode(self) -> int:
+        """Of the axis."""
+        return int(self.ask(Command.HEARTBEAT, "IBBBx")[1])
+
+    @property
+    def torque(self) -> float:
+        """That it wants to give now (N·m)."""
+        return float(self.ask(Command.GET_TORQUES, "ff")[0])
+
+    @property
+    def measured(self) -> float:
+        """That it measures (N·m)."""
+        return float(self.ask(Command.GET_TORQUES, "ff")[1])
+
+
+KINDS: dict[str, type[Moteus | Odrive]] = {"moteus": Moteus, "odrive": Odrive}
 
 
 class Bridged:
@@ -101,8 +201,12 @@ class Bridged:
         The rig.
     settings
         Of the drive, where it is not as a bridge wants it.
+    kind
+        Of drive: one of `KINDS`.
     strikes
         Way and number of a line → what becomes of it: another line, or b"".
+    drift
+        By which share the drive's clock is fast.
     """
 
     bytes_per_second: float | None = None
@@ -113,25 +217,27 @@ class Bridged:
         model: RigModel | None = None,
         settings: Mapping[str, str] | None = None,
         *,
+        kind: str = "moteus",
         strikes: Mapping[tuple[Way, int], Strike] | None = None,
         travel_ns: int = TRAVEL_NS,
         switches: Mapping[str, str] | None = None,
         socket: bool = False,
+        drift: float = 0.0,
     ) -> None:
-        self.url = DeviceUrl("moteus", "memory", {}, "moteus://memory")
+        self.url = DeviceUrl(kind, "memory", {}, f"{kind}://memory")
         self.clock = VirtualClock()
         self.model = model or bridged_rig()
-        self.drive = SimulatedMoteus(self.model, MoteusOptions(settings={**SAFE, **(settings or {})}))
-        drive = replace(found(self.drive, self.model), switches=switches_of(switches or {}))
-        self.bridge = Bridge(self.model, drive, socket=socket)
-        self.adapter = RawCan() if socket else Uart()
+        self.far = KINDS[kind](self.model, settings or {}, switches or {})
+        self.drive: Any = self.far.drive
+        self.on_a_bus = socket or kind == "odrive"
+        self.bridge = Bridge(self.model, self.far.found, socket=self.on_a_bus)
+        self.adapter = self.far.adapter(socket)
         self.strikes = dict(strikes or {})
         self.lines = {"to drive": 0, "from drive": 0}
         self.travel_ns = travel_ns
-        self.period_ns = PERIOD_NS
         self.alive = True
         self._began = self.drive.ticks
-        self._due_ns = self.period_ns
+        self._ticks_per_ns = self.drive.rate_hz * (1.0 + drift) * 1e-9
         self._events: list[tuple[int, int, Way, bytes]] = []
         self._number = 0
         self._at_ns = 0  # to which the world has come
@@ -222,10 +328,12 @@ class Bridged:
 
     def step(self, end_ns: int) -> None:
         """Go to what happens next, and let it."""
-        next_ns = min(end_ns, self._due_ns, self._events[0][0] if self._events else end_ns)
-        self._at_ns = max(self._at_ns, next_ns)
+        times = [end_ns, self._events[0][0] if self._events else end_ns, self._speaks_ns(end_ns)]
+        if self.alive:
+            times.append(-(-self.bridge.due * UNIT_TWICE_NS // 2))
+        next_ns = self._at_ns = max(self._at_ns, min(times))
         self.clock.sleep_until(next_ns)
-        self.drive.run(self._began + next_ns * self.drive.rate_hz // 1_000_000_000)
+        self._from_drive(self.drive.run(self._began + int(next_ns * self._ticks_per_ns + 1e-6)))
         while self._events and self._events[0][0] <= next_ns:
             _, _, way, line = heapq.heappop(self._events)
             if way == "to drive":
@@ -234,17 +342,26 @@ class Bridged:
                 self._to_drive(self.bridge.hear_bus(line, self._now))
         if self.alive:
             self._to_drive(self.bridge.hear_host(b"", self._now))
-        if self._due_ns <= next_ns:
-            if self.alive:
-                self._to_drive(self.bridge.tick(self._now))
-            self._due_ns += self.period_ns
+        if self.alive and self.bridge.due <= self._now:
+            self._to_drive(self.bridge.tick(self._now))
+
+    def _speaks_ns(self, otherwise_ns: int) -> int:
+        """When the drive will say something by itself."""
+        due = getattr(self.drive, "next_due", None)
+        if due is None:
+            return otherwise_ns
+        return math.ceil((due - self._began) / self._ticks_per_ns)
 
     def _to_drive(self, said: bytes) -> None:
-        frames = isinstance(self.adapter, RawCan)
-        for at in range(0, len(said), CAN_BYTES) if frames else ():
-            self._send("to drive", said[at : at + CAN_BYTES])
-        for line in said.splitlines(keepends=True) if not frames else ():
+        size = CLASSIC_BYTES if self.far.name == "odrive" else FD_BYTES
+        frames = range(0, len(said), size) if self.on_a_bus else ()
+        for line in [said[at : at + size] for at in frames] or said.splitlines(keepends=True):
             self._send("to drive", line)
+
+    def _from_drive(self, frames: list[Frame]) -> None:
+        for frame in frames:
+            for unit in self.adapter.close(frame):
+                self._send("from drive", to_wire(unit) if self.on_a_bus else unit)
 
     def _send(self, way: Way, line: bytes) -> None:
         strike = self.strikes.get((way, self.lines[way]))
@@ -255,35 +372,27 @@ class Bridged:
             heapq.heappush(self._events, (self._at_ns + self.travel_ns, self._number, way, line))
 
     def _arrives(self, line: bytes) -> None:
-        frame, said = self.adapter.open(line)
-        for answer in self.drive.receive(frame) if frame is not None else ():
-            said += self.adapter.close(answer)
+        frame, said = self.adapter.open(from_wire(line) if self.on_a_bus else line)
         for one in said:
             self._send("from drive", one)
+        if frame is not None:
+            self._from_drive(self.drive.receive(frame))
 
     def happen(self, name: str, value: float = 0.0) -> None:
-        """Let the world do something to the drive (`SimulatedMoteus.happen`)."""
-        for frame in self.drive.happen(name, value):
-            for line in self.adapter.close(frame):
-                self._send("from drive", line)
+        """Let the world do something to the drive (its `happen`)."""
+        self._from_drive(self.drive.happen(name, value))
 
     # ------------------------------------------------------------------ what is true
-
-    def register(self, number: int) -> float:
-        """A register of the drive (float), behind everybody's back."""
-        (answer,) = self.drive.receive(Frame(0xFF00 | 1, bytes((0x1D, number))))
-        (value,) = struct.unpack_from("<f", answer.data, 2)
-        return float(value)
 
     @property
     def mode(self) -> int:
         """Of the drive."""
-        return round(self.register(0x000))
+        return self.far.mode
 
     @property
     def torque(self) -> float:
         """That the drive wants to give now (N·m at its output)."""
-        return self.register(0x03A) if self.mode in (10, 13) else 0.0
+        return self.far.torque
 
 
 def plain_drive() -> Drive:

@@ -453,7 +453,7 @@ static void step(struct fuzz *fuzz)
 int main(int count, char **arguments)
 {
     static const uint8_t dictionary[] = "not a dictionary, and nobody minds";
-    const struct host_setup setup = {
+    const struct board_setup setup = {
         .dictionary = dictionary,
         .dictionary_hash = 7,
         .dictionary_bytes = sizeof dictionary,

@@ -12,12 +12,13 @@ import pytest
 from firmware_protocol.codegen import main
 from firmware_protocol.faults import Fault, LimitFlag
 from firmware_protocol.fmea import FMEA, SingleFault, single_faults
+from rig.bench.bridge.faults import DriveFault
 
 ROOT = Path(__file__).parents[2]
 ROWS = single_faults()
 PARTS = {
     "encoder", "wires", "sensor", "host", "USB", "supply", "hang", "overrun", "bridge", "converter", "image",
-    "parameters", "stop", "heat", "jam", "crystal",
+    "parameters", "stop", "heat", "jam", "crystal", "drive",
 }  # fmt: skip
 
 
@@ -33,7 +34,7 @@ def test_what_a_row_names_is_there(row: SingleFault) -> None:
         path, _, name = test.partition("::")
         assert name.startswith("test_")
         assert name in functions(path), test
-    known = {*Fault.__members__, *LimitFlag.__members__}
+    known = {*Fault.__members__, *LimitFlag.__members__, *DriveFault.__members__}
     assert set(row.codes) <= known
     steps = {
         int(number) for number in re.findall(r"^## (\d+)\. ", (FMEA.with_name("BENCH.md")).read_text(), re.M)

@@ -36,7 +36,9 @@ ENTERED = (
 )
 COMPILE = f"""
 import importlib
+from rig.bench.bridge.library import library
 from rig.realtime.kernel import prepare
+library()
 for name in {ENTERED}:
     prepare(*vars(importlib.import_module(name)).values())
 """

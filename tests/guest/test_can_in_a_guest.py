@@ -8,19 +8,29 @@ import struct
 import subprocess
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager, suppress
+from dataclasses import replace
 
 import pytest
 
+from rig.bench.bridge import moteus, odrive
+from rig.bench.bridge.bus import CanBus, open_bus
+from rig.bench.bridge.faults import DriveFault
+from rig.bench.bridge.library import Bridge, Drive
+from rig.core.model import RigModel
+from rig.devices.device import DeviceUrl
 from sim_backend.drives.can_simple import Command
 from sim_backend.drives.process import serve
+from tests.conformance.bridged import SAFE, WATCHED, bridged_rig, endpoints
 from tests.conformance.drives import drive_rig
 from tests.guest.boot import BUSYBOX
 
 pytestmark = pytest.mark.skipif(not os.path.exists("/sys/module/vcan"), reason="no vcan here: run .ci/guest")
 
 FD_MTU = 72  # include/uapi/linux/can.h: an interface that passes frames of CAN FD too
+RATE = 50  # Hz
+SLOWLY = {odrive.ENCODER_MS: "20", odrive.TORQUES_MS: "20", odrive.WATCHDOG_S: "0.05"}
 WAIT_S = 60.0  # an emulated processor loads the kernels
 FREE = {
     "axis0.controller.config.enable_torque_mode_vel_limit": "0",
@@ -28,8 +38,15 @@ FREE = {
 }
 
 
+def ip_link(*words: str) -> None:
+    """What ``ip link`` does with these words."""
+    subprocess.run([BUSYBOX, "ip", "link", *words], check=True)
+
+
 @contextmanager
-def on_the_bus(kind: str, interface: str, **options: object) -> Iterator[socket.socket]:
+def on_the_bus(
+    kind: str, interface: str, *, model: RigModel | None = None, **options: object
+) -> Iterator[socket.socket]:
     """An interface with a drive on it, and a host's socket."""
     words = (
         ("add", interface, "type", "vcan"),
@@ -37,10 +54,10 @@ def on_the_bus(kind: str, interface: str, **options: object) -> Iterator[socket.
         ("set", interface, "up"),
     )
     for command in words:
-        subprocess.run([BUSYBOX, "ip", "link", *command], check=True)
+        ip_link(*command)
     there, stop = threading.Event(), threading.Event()
     options |= {"place": interface, "stop": stop, "announce": lambda _: there.set()}
-    drive = threading.Thread(target=serve, args=(kind, drive_rig()), kwargs=options)
+    drive = threading.Thread(target=serve, args=(kind, model or drive_rig()), kwargs=options)
     host = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
     host.settimeout(WAIT_S)
     host.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, 1)
@@ -98,3 +115,74 @@ def test_a_moteus_answers_in_frames_of_can_fd() -> None:
         assert data[:3] == bytes.fromhex("240400")
         assert struct.unpack_from("<f", data, 13) == (24.0,)
         assert data[25:32] == b"\x50" * 7
+
+
+def found(kind: str, bus: CanBus, model: RigModel) -> Drive:
+    """What a bridge finds of a drive; how quickly it answers says here how slow an emulated processor is."""
+    if kind == "moteus":
+        return moteus.fit(moteus.find(moteus.Conversation(bus, 1), 1), model)
+    told = odrive.find(odrive.Conversation(bus, 0, endpoints()))
+    return odrive.fit(replace(told, quickest_s=0.0), model)
+
+
+@pytest.mark.parametrize(
+    ("kind", "settings", "end"),
+    [
+        ("moteus", SAFE, (0x0001, bytes.fromhex("010000"))),  # to the drive, no answer: mode 0
+        ("odrive", WATCHED | SLOWLY, (Command.SET_AXIS_STATE, bytes((1, 0, 0, 0)))),  # idle
+    ],
+)
+def test_a_bridge_on_the_kernels_own_can(kind: str, settings: dict[str, str], end: tuple[int, bytes]) -> None:
+    """It finds the drive, hears its samples, tells it to rest when the interface still is, and that it went."""
+    model, interface = bridged_rig(), f"bridge-{kind}"
+    with on_the_bus(kind, interface, model=model, settings=settings) as other:
+        bus = open_bus(DeviceUrl(kind, interface, {}, f"{kind}://{interface}"))
+        with closing(bus):
+            assert isinstance(bus, CanBus)
+            drive = found(kind, bus, model)
+            for goes in (False, True):
+                bridge = Bridge(model, drive, socket=True, rate=RATE)
+                with running(bridge, bus):
+                    wait_until(lambda bridge=bridge: bridge.facts.replies > 10)
+                    if goes:
+                        ip_link("set", interface, "down")
+                        wait_until(lambda bridge=bridge: bridge.fault != 0)
+                assert bridge.fault == (DriveFault.BUS_LOST if goes else 0)
+        frames = []
+        other.setblocking(False)
+        with suppress(OSError):
+            while True:
+                frames.append(other.recv(FD_MTU))
+        identifier, data = end
+        told = {
+            (struct.unpack_from("=I", frame)[0] & 0x1FFFFFFF, frame[8 : 8 + len(data)]) for frame in frames
+        }
+        assert any(one & 0xFF == identifier & 0xFF and what == data for one, what in told)
+
+
+@contextmanager
+def running(bridge: Bridge, bus: CanBus) -> Iterator[None]:
+    """A bridge in a thread, with nobody at its other end, until the block ends."""
+    ours, host = socket.socketpair()
+    ear, mouth = os.pipe()
+    ours.setblocking(False)
+    ends = {"host": ours.fileno(), "bus": bus.descriptor, "wake": ear, "host_stays": True}
+    thread = threading.Thread(target=bridge.run, kwargs=ends)
+    thread.start()
+    try:
+        yield
+    finally:
+        os.write(mouth, b"x")
+        thread.join(WAIT_S)
+        for end in (ours, host):
+            end.close()
+        os.close(ear)
+        os.close(mouth)
+
+
+def wait_until(true: Callable[[], bool]) -> None:
+    """Wait until it is."""
+    until = time.monotonic() + WAIT_S
+    while not true():
+        assert time.monotonic() < until
+        time.sleep(0.02)

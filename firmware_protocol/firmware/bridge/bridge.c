@@ -1,7 +1,6 @@
 #include "bridge.h"
 
 #include <math.h>
-#include <string.h>
 
 #include "../core/poll.h"
 #include "moteus.h"
@@ -13,6 +12,8 @@
 #define EXACT_COUNTS 8388608.0 /* 2²³: a float32 tells such positions to half a count */
 #define FORGETS (UNITS_PER_SECOND / 50u) /* a drive that starts again is silent for longer (assumed) */
 #define JUMP 0.5             /* turns between two replies that no handle makes: the drive has started again */
+#define GAIN 8             /* samples in which a phase is followed */
+#define SLEW 128u          /* a share of a period: less than the hundredth that a host allows a device's clock */
 #define POLLS 64u            /* of the core in a row */
 #define STALE 2u             /* samples behind a wish: the first may answer what was asked before it */
 #define ENDING_FRAMES 3u
@@ -39,7 +40,6 @@ static void tell(struct bridge *bridge, bool asks)
 {
     const struct drive_order order = {
         .wish = bridge->wish,
-        .since = bridge->since,
         .asks = asks,
         .fed = bridge->fed > 0,
         .torque = (float)bridge_torque(bridge),
@@ -163,22 +163,13 @@ static bool hal_set_rate(void *context, uint32_t rate)
 static size_t hal_link_read(void *context, uint8_t *into, size_t capacity)
 {
     struct bridge *bridge = context;
-    const size_t count = bridge->input_count < capacity ? bridge->input_count : capacity;
-    if (count > 0)
-        memcpy(into, bridge->input, count);
-    bridge->input += count;
-    bridge->input_count -= count;
-    return count;
+    return memory_read(&bridge->input, &bridge->input_count, into, capacity);
 }
 
 static bool hal_link_write(void *context, const uint8_t *frame, size_t count)
 {
     struct bridge *bridge = context;
-    if (count > BRIDGE_OUTPUT_BYTES - bridge->output_count)
-        return false;
-    memcpy(bridge->output + bridge->output_count, frame, count);
-    bridge->output_count += count;
-    return true;
+    return memory_write(bridge->output, &bridge->output_count, BRIDGE_OUTPUT_BYTES, frame, count);
 }
 
 static void hal_feed_watchdog(void *context, uint32_t bite_us)
@@ -248,14 +239,7 @@ void bridge_setup(struct bridge *bridge, const struct bridge_setup *setup, struc
     bridge->drive.kd = (float)setup->kd;
     bridge->drive.beat = (uint64_t)setup->beat_us * HR_TIME_UNITS_PER_US;
     bridge->adapter.checksum = setup->checksum != 0;
-    bridge->board.dictionary = setup->dictionary;
-    bridge->board.dictionary_bytes = (uint16_t)setup->dictionary_bytes;
-    bridge->board.dictionary_hash = setup->dictionary_hash;
-    bridge->board.rate_initial = setup->rate_initial;
-    bridge->board.encoder_sign = (int8_t)setup->encoder_sign;
-    bridge->board.over_current = (uint16_t)setup->over_current;
-    bridge->board.mechanics = setup->mechanics;
-    bridge->board.current_sensor = setup->current_sensor;
+    board_set_up(&bridge->board, &setup->board);
     bridge->board.narrower = bridge->narrower;
 }
 
@@ -312,6 +296,25 @@ static void note(struct bridge *bridge)
     facts->limited += sample->limited ? 1 : 0;
 }
 
+static void tick(struct bridge *bridge)
+{
+    device_tick_driven(&bridge->device, bridge->active, bridge->sampleless);
+    bridge->sampleless = 0;
+}
+
+/* Move the next period to half a message ahead of its sample: at once for the first one, then by so little a tick that the
+ * device's time and its count of samples stay together. The clocks differ by parts in ten thousand, a message's way by more. */
+static void follow(struct bridge *bridge)
+{
+    const int64_t most = (int64_t)(bridge->period / SLEW);
+    const int64_t error = (int64_t)(bridge->now + bridge->period - bridge->cycle / 2u - bridge->due);
+    const int64_t step = error / GAIN;
+    if (!bridge->drive.known)
+        bridge->due += (uint64_t)error;
+    else
+        bridge->due += (uint64_t)(step > most ? most : step < -most ? -most : step);
+}
+
 /* The awaited sample: the tick. */
 static void take_sample(struct bridge *bridge)
 {
@@ -319,7 +322,7 @@ static void take_sample(struct bridge *bridge)
     bridge->missed = 0;
     bridge->since++;
     if (bridge->cycle != 0)
-        bridge->due = bridge->now + bridge->period - bridge->cycle / 2u;
+        follow(bridge);
     note(bridge);
     take_count(bridge);
     take_effort(bridge);
@@ -329,7 +332,7 @@ static void take_sample(struct bridge *bridge)
         device_fault(&bridge->device, fault);
     if (fault == BRIDGE_DRIVE_LEFT && bridge->kind->forgot(&bridge->drive))
         device_fault(&bridge->device, HR_FAULT_ENCODER);
-    device_tick_driven(&bridge->device, bridge->active);
+    tick(bridge);
 }
 
 static void take_frame(struct bridge *bridge, const struct can_frame_bytes *frame)
@@ -383,19 +386,27 @@ void bridge_hear_bus(struct bridge *bridge, const uint8_t *bytes, size_t count, 
 
 /* ------------------------------------------------------------------ time passes */
 
+/* Whether a drive that missed so many in succession may have started again. */
+static bool has_forgotten(const struct bridge *bridge, uint32_t missed)
+{
+    return missed >= BRIDGE_SILENT && missed * bridge->period >= FORGETS;
+}
+
 /* Without a reply the core gets no sample, and after some its session no current. Then its host still hears of it. */
 static void miss_reply(struct bridge *bridge)
 {
-    const uint64_t silent = ++bridge->missed * bridge->period;
-    const bool forgets = silent >= FORGETS && silent - bridge->period < FORGETS;
+    const bool known = bridge->drive.known, forgot_before = has_forgotten(bridge, bridge->missed++);
+    const bool forgets = !forgot_before && has_forgotten(bridge, bridge->missed);
     bridge->drive.asked = false;
-    bridge->facts->lost++;
+    bridge->facts->lost += known ? 1 : 0;
     if (forgets || (bridge->missed >= BRIDGE_SILENT && device_is_armed(&bridge->device)))
         device_fault(&bridge->device, bridge->bus_lost ? BRIDGE_BUS_LOST : BRIDGE_DRIVE_SILENT);
     if (forgets)
         device_fault(&bridge->device, HR_FAULT_ENCODER);
     if (bridge->missed >= BRIDGE_SILENT)
-        device_tick_driven(&bridge->device, bridge->active);
+        tick(bridge);
+    else
+        bridge->sampleless++;
 }
 
 /* The period behind this one; what this computer slept through is left out. */
@@ -403,6 +414,7 @@ static uint64_t next_period(struct bridge *bridge)
 {
     const uint64_t behind = bridge->now > bridge->due ? bridge->now - bridge->due : 0, skipped = behind / bridge->period;
     bridge->facts->skipped += (int64_t)skipped;
+    bridge->sampleless += (uint32_t)skipped;
     return bridge->due + (skipped + 1u) * bridge->period;
 }
 
@@ -464,23 +476,14 @@ void bridge_stop(struct bridge *bridge)
 
 /* ------------------------------------------------------------------ outside */
 
-static size_t take(uint8_t *from, size_t *there, uint8_t *into, size_t capacity)
-{
-    const size_t count = *there < capacity ? *there : capacity;
-    memcpy(into, from, count);
-    memmove(from, from + count, *there - count);
-    *there -= count;
-    return count;
-}
-
 size_t bridge_take(struct bridge *bridge, uint8_t *into, size_t capacity)
 {
-    return take(bridge->output, &bridge->output_count, into, capacity);
+    return memory_take(bridge->output, &bridge->output_count, into, capacity);
 }
 
 size_t bridge_take_bus(struct bridge *bridge, uint8_t *into, size_t capacity)
 {
-    return take(bridge->bus, &bridge->bus_count, into, capacity);
+    return memory_take(bridge->bus, &bridge->bus_count, into, capacity);
 }
 
 uint64_t bridge_due(const struct bridge *bridge)

@@ -18,6 +18,7 @@
 #include <stdint.h>
 
 #include "../core/device.h"
+#include "../core/on_a_computer.h"
 #include "drive.h"
 #include "fdcanusb.h"
 #include "socketcan.h"
@@ -33,7 +34,7 @@
 /* What happened on the bus, for whoever watches: a row of numbers, so that another process can read them. */
 struct bridge_facts {
     int64_t replies;
-    int64_t lost;     /* periods without a sample */
+    int64_t lost;     /* periods without a sample, from the first one on */
     int64_t late;     /* replies behind their period, and second ones */
     int64_t foreign;  /* frames of another master, or to one */
     int64_t invalid;  /* replies that lack a register, lines that are none */
@@ -50,15 +51,8 @@ struct bridge_facts {
 };
 
 struct bridge_setup {
-    const uint8_t *dictionary;
-    uint64_t dictionary_hash;
-    uint32_t dictionary_bytes;
-    uint32_t rate_initial;
+    struct board_setup board;
     uint32_t rate_maximum;
-    int32_t encoder_sign;
-    uint32_t over_current;
-    struct mechanics mechanics;
-    struct current_sensor current_sensor;
     uint32_t prefix; /* of the bus's ids */
     uint32_t drive;  /* its id */
     double counts_per_turn; /* of the output, as the drive tells it; may be negative */
@@ -96,6 +90,7 @@ struct bridge {
     uint64_t due;       /* device time of the next period */
     uint64_t asked_at;  /* the sample that is awaited */
     uint32_t missed;    /* samples in succession */
+    uint32_t sampleless; /* periods without a sample since the core's last tick */
 
     enum drive_wish wish;
     uint32_t since;        /* samples since then */

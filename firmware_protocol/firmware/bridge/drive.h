@@ -42,7 +42,6 @@ struct drive_wall {
 
 struct drive_order {
     enum drive_wish wish;
-    uint32_t since;   /* samples since that wish */
     bool asks;        /* a period begins, and its sample is awaited; else a wish that could not wait for the next one */
     bool fed;         /* the core's watchdog is: a set-point may go */
     float torque;     /* N·m at the output */
@@ -88,12 +87,15 @@ struct drive {
         uint32_t error;
         uint8_t result;
         bool woken;       /* it was told to enter closed loop, and has not settled at rest since */
-        uint32_t beats;   /* since the last wish */
+        enum drive_wish wish; /* that it was told last */
+        uint32_t periods; /* of preparing, since then */
+        uint32_t beats;   /* since then */
         uint64_t beat_at; /* device time of the last one; 0 before the first */
         uint64_t heard_at;
         unsigned parts;   /* of the awaited sample */
         float told[DRIVE_TOLD];
         unsigned differs; /* samples in succession whose set-point is none of them */
+        bool obeys_another;
     } odrive;
 };
 

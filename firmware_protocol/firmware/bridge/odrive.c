@@ -9,8 +9,8 @@
 #define MESSAGE_BYTES 8u
 #define LOST_BEATS 5u /* heartbeats in succession: is it there? */
 #define FRESH_BEATS 2u /* the first one may have been on its way before a wish was told */
-#define AGAIN 32u      /* samples until a wish is told again */
-#define DIFFERS 5u     /* samples in succession with a set-point that nobody told it */
+#define AGAIN 32u      /* periods until it is asked into closed loop again */
+#define DIFFERS 3u     /* samples in succession with a set-point that nobody told it */
 #define RELATIVE 1e-4f /* by which a set-point may differ: of float32 arithmetic */
 #define SMALLEST 1e-6f /* N·m */
 
@@ -67,11 +67,12 @@ static size_t tell_idle(struct drive *drive, struct can_frame_bytes *frames)
 }
 
 /* Into closed loop, without torque; what stopped it before is cleared once: who armed it has been told of that. */
-static size_t tell_prepare(struct drive *drive, uint32_t since, struct can_frame_bytes *frames)
+static size_t tell_prepare(struct drive *drive, struct can_frame_bytes *frames)
 {
     size_t count = 0;
-    const bool asks = since % AGAIN == 0 && (since == 0 || drive->sample.mode != CLOSED_LOOP);
-    if (since == 0)
+    const uint32_t periods = drive->odrive.periods++;
+    const bool asks = periods % AGAIN == 0 && (periods == 0 || drive->sample.mode != CLOSED_LOOP);
+    if (periods == 0)
         put(drive, &frames[count++], CLEAR_ERRORS, 0, 0);
     if (asks)
         put(drive, &frames[count++], SET_MODE, TORQUE_CONTROL, PASSTHROUGH);
@@ -91,8 +92,11 @@ static size_t tell(struct drive *drive, const struct drive_order *order, struct 
 {
     if (order->asks) {
         drive->odrive.parts = 0;
-        if (order->since == 0 && order->wish != DRIVE_ON)
+        if (order->wish != drive->odrive.wish) {
+            drive->odrive.wish = order->wish;
+            drive->odrive.periods = 0;
             drive->odrive.beats = 0;
+        }
         if (!drive->known)
             return 0;
     }
@@ -104,7 +108,7 @@ static size_t tell(struct drive *drive, const struct drive_order *order, struct 
     if (order->asks && !order->fed)
         return 0;
     if (order->wish == DRIVE_PREPARE)
-        return tell_prepare(drive, order->since, frames);
+        return tell_prepare(drive, frames);
     put_torque(drive, frames, order->torque);
     return 1;
 }
@@ -143,6 +147,7 @@ static void take_beat(struct drive *drive, const struct can_frame_bytes *frame, 
     drive->odrive.result = frame->bytes[5];
     drive->odrive.beats++;
     drive->odrive.beat_at = now;
+    drive->odrive.obeys_another = drive->odrive.differs >= DIFFERS; /* else it has stopped, which a heartbeat tells */
 }
 
 static void take_torques(struct drive *drive, const struct can_frame_bytes *frame)
@@ -233,7 +238,7 @@ static uint8_t fault(const struct drive *drive, enum drive_wish wish, uint32_t s
         return fault_of(drive->odrive.error);
     if (wish == DRIVE_PREPARE && drive->odrive.result == NOT_CALIBRATED)
         return BRIDGE_NOT_CALIBRATED;
-    if (state != CLOSED_LOOP || drive->odrive.differs >= DIFFERS)
+    if (state != CLOSED_LOOP || drive->odrive.obeys_another)
         return BRIDGE_DRIVE_LEFT;
     return HR_FAULT_NONE;
 }

@@ -544,20 +544,23 @@ static void miss(struct device *device, uint32_t ticks)
         latch(device, FAULT(TICK_OVERRUN));
 }
 
-/* Returns when it began. */
-static uint64_t begin_tick(struct device *device)
+/* Whole periods by which a tick of the timer is late. */
+static uint32_t missed_by(const struct device *device, uint64_t begun)
+{
+    return begun > device->due ? (uint32_t)((begun - device->due) / device->period) : 0;
+}
+
+static void begin_tick(struct device *device, uint32_t missed)
 {
     const struct hal *hal = device->hal;
-    const uint64_t begun = hal->time(hal->context);
     show_sync(device, device->sync | HR_SYNC_TICK);
-    if (device->on_grid && begun > device->due && begun - device->due >= device->period)
-        miss(device, (uint32_t)((begun - device->due) / device->period));
+    if (device->on_grid && missed > 0)
+        miss(device, missed);
     device->on_grid = true;
     if (++device->unpolled <= device->most_unpolled)
         hal->feed_watchdog(hal->context, device->bite_us);
     else if (device_is_armed(device))
         latch(device, FAULT(INTERNAL));
-    return begun;
 }
 
 static void end_tick(struct device *device, uint64_t begun)
@@ -572,16 +575,18 @@ static void end_tick(struct device *device, uint64_t begun)
 
 void device_tick(struct device *device)
 {
-    const uint64_t begun = begin_tick(device);
+    const uint64_t begun = device->hal->time(device->hal->context);
+    begin_tick(device, missed_by(device, begun));
     device_sample(device);
     device_drive(device);
     tell(device);
     end_tick(device, begun);
 }
 
-void device_tick_driven(struct device *device, int16_t active)
+void device_tick_driven(struct device *device, int16_t active, uint32_t missed)
 {
-    const uint64_t begun = begin_tick(device);
+    const uint64_t begun = device->hal->time(device->hal->context);
+    begin_tick(device, missed);
     if (device_is_armed(device)) /* else it was cut */
         device->driven = active;
     device_sample(device);

@@ -114,8 +114,8 @@ void device_tick(struct device *device);
 
 /* The same for a port whose set-point and sample travel in one message, which leaves when a tick is due: it calls
  * device_drive then, and this when the sample has come. The set-point acts behind the sample: `active` is the current
- * before it. */
-void device_tick_driven(struct device *device, int16_t active);
+ * before it. `missed` periods since the last call had no sample: how late this one comes does not tell that. */
+void device_tick_driven(struct device *device, int16_t active, uint32_t missed);
 
 /* The parts of a tick, for a caller that lets time pass between them, as a simulation does: it drives, lets the world
  * move, samples and reports. */

@@ -1,7 +1,5 @@
 #include "host.h"
 
-#include <string.h>
-
 #include "../core/poll.h"
 
 static struct host *host_of(void *context)
@@ -82,24 +80,17 @@ static bool hal_set_rate(void *context, uint32_t rate)
 static size_t hal_link_read(void *context, uint8_t *into, size_t capacity)
 {
     struct host *host = host_of(context);
-    const size_t count = host->input_count < capacity ? host->input_count : capacity;
-    if (count > 0)
-        memcpy(into, host->input, count);
-    host->input += count;
-    host->input_count -= count;
-    return count;
+    return memory_read(&host->input, &host->input_count, into, capacity);
 }
 
 static bool hal_link_write(void *context, const uint8_t *frame, size_t count)
 {
     struct host *host = host_of(context);
-    if (host->output_count > host->output_room || count > host->output_room - host->output_count) {
+    if (!memory_write(host->output, &host->output_count, host->output_room, frame, count)) {
         host->dropped++;
         return false;
     }
     host->frames_driven += host->current != 0 ? 1u : 0u;
-    memcpy(host->output + host->output_count, frame, count);
-    host->output_count += count;
     return true;
 }
 
@@ -134,7 +125,7 @@ size_t host_bytes(void)
     return sizeof(struct host);
 }
 
-void host_setup(struct host *host, const struct host_setup *setup)
+void host_setup(struct host *host, const struct board_setup *setup)
 {
     const struct hal hal = {
         .context = host,
@@ -156,14 +147,7 @@ void host_setup(struct host *host, const struct host_setup *setup)
     };
     host->hal = hal;
     host->output_room = sizeof host->output;
-    host->board.dictionary = setup->dictionary;
-    host->board.dictionary_bytes = (uint16_t)setup->dictionary_bytes;
-    host->board.dictionary_hash = setup->dictionary_hash;
-    host->board.rate_initial = setup->rate_initial;
-    host->board.encoder_sign = (int8_t)setup->encoder_sign;
-    host->board.over_current = (uint16_t)setup->over_current;
-    host->board.mechanics = setup->mechanics;
-    host->board.current_sensor = setup->current_sensor;
+    board_set_up(&host->board, setup);
     host->board.narrower = host->narrower;
     host->board.excitation = host->excitation;
     host->board.excitation_length = HR_HOST_EXCITATION;
@@ -316,11 +300,7 @@ void host_receive(struct host *host, const uint8_t *bytes, size_t count)
 
 size_t host_take(struct host *host, uint8_t *into, size_t capacity)
 {
-    const size_t count = host->output_count < capacity ? host->output_count : capacity;
-    memcpy(into, host->output, count);
-    memmove(host->output, host->output + count, host->output_count - count);
-    host->output_count -= count;
-    return count;
+    return memory_take(host->output, &host->output_count, into, capacity);
 }
 
 bool host_law(const struct host *host, law_parameters *into)

@@ -7,6 +7,7 @@
 #include <stdint.h>
 
 #include "../core/device.h"
+#include "../core/on_a_computer.h"
 
 #define HR_HOST_NARROWER 16u
 #define HR_HOST_EXCITATION 65536u /* numbers of a table: what the protocol allows at most */
@@ -49,17 +50,6 @@ struct host {
     uint32_t frames_driven; /* that left while a current was set */
 };
 
-struct host_setup {
-    const uint8_t *dictionary;
-    uint64_t dictionary_hash;
-    uint32_t dictionary_bytes;
-    uint32_t rate_initial;
-    int32_t encoder_sign;
-    uint32_t over_current;
-    struct mechanics mechanics;
-    struct current_sensor current_sensor;
-};
-
 struct host_status {
     uint64_t time;
     uint64_t due;
@@ -83,7 +73,7 @@ struct host_status {
 size_t host_bytes(void);
 
 /* `host` is memory of zeroes, `host_bytes()` of it; the dictionary must live as long. Ranges rise by parameter. */
-void host_setup(struct host *host, const struct host_setup *setup);
+void host_setup(struct host *host, const struct board_setup *setup);
 void host_narrow(struct host *host, uint8_t parameter, uint32_t minimum, uint32_t maximum);
 void host_set_excitation(struct host *host, uint32_t length); /* memory for a table; HR_HOST_EXCITATION at first */
 void host_start(struct host *host);

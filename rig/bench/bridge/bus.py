@@ -30,20 +30,24 @@ assert sys.platform == "linux"
 WITHOUT_CHECKSUM = ("0483:5740", "1209:2323")
 OPTIONS = ("baud", "checksum")
 READ_BYTES = 4096
+CLASSIC = "bitrate 1000000"
+FD = "bitrate 1000000 dbitrate 5000000 sample-point 0.666 dsample-point 0.666 fd on"
 _CAN_RAW_ERR_FILTER = 2  # linux/can/raw.h
 _FRAME_KIND = 1  # SOCKETCAN_FRAME of socketcan.h
 
 
 @dataclass(frozen=True, slots=True)
 class CanFrame:
-    """An identifier and up to 64 bytes."""
+    """An identifier and up to 64 bytes; `classic` has eight at most, and as `remote` asks for such a frame."""
 
     id: int
     data: bytes
+    classic: bool = False
+    remote: bool = False
 
     def as_struct(self) -> Frame:
         """Return it for the C code."""
-        return Frame(self.id, len(self.data), (ctypes.c_uint8 * 64)(*self.data))
+        return Frame(self.id, len(self.data), (ctypes.c_uint8 * 64)(*self.data), self.classic, self.remote)
 
 
 class Bus(Protocol):
@@ -81,7 +85,7 @@ class Bus(Protocol):
 
 
 def open_bus(url: DeviceUrl) -> Bus:
-    """Open what a URL names: ``moteus:///dev/fdcanusb?checksum=off``, ``moteus://can0``, or a socket as `_connected`.
+    """Open what a URL names: ``moteus:///dev/fdcanusb?checksum=off``, ``odrive://can0``, or a socket as `_connected`.
 
     Raises
     ------
@@ -90,14 +94,18 @@ def open_bus(url: DeviceUrl) -> Bus:
     DeviceNotFoundError
         There is none, or somebody else has it.
     """
-    if not url.place:
+    classic = url.scheme == "odrive"
+    if not url.place or (classic and "/" in url.place and not Path(url.place).is_socket()):
+        either = "" if classic else f"{url.scheme}:///dev/fdcanusb or "
         raise ConfigError(
-            f"{url.text}: no port and no CAN interface",
-            remedy=f"name one, like {url.scheme}:///dev/fdcanusb or {url.scheme}://can0",
+            f"{url.text}: no {'' if classic else 'port and no '}CAN interface",
+            remedy=f"name one, like {either}{url.scheme}://can0",
         )
     if Path(url.place).is_socket():
         return CanBus(url.place, _connected(url.place))
-    return AdapterBus.open(url) if "/" in url.place else CanBus(url.place)
+    return (
+        AdapterBus.open(url) if "/" in url.place else CanBus(url.place, bit_rates=CLASSIC if classic else FD)
+    )
 
 
 def _connected(place: str) -> socket.socket:
@@ -171,15 +179,15 @@ class CanBus:
     is_socket = True
     messages: tuple[str, ...] = ()
 
-    def __init__(self, place: str, end: socket.socket | None = None) -> None:
+    def __init__(self, place: str, end: socket.socket | None = None, *, bit_rates: str = FD) -> None:
         self.place = place
-        self._socket = end or self._opened(place)
+        self._socket = end or self._opened(place, bit_rates)
         self._socket.setblocking(False)
         self.descriptor = self._socket.fileno()
         self._library = library()
 
     @staticmethod
-    def _opened(place: str) -> socket.socket:
+    def _opened(place: str, bit_rates: str) -> socket.socket:
         try:
             end = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
         except OSError as error:
@@ -195,7 +203,7 @@ class CanBus:
             raise DeviceNotFoundError(
                 f"the CAN interface {place} does not open: {error.strerror}",
                 remedy=f"name one that `ip link show type can` lists, and bring it up: sudo ip link set {place} up "
-                "type can bitrate 1000000 dbitrate 5000000 sample-point 0.666 dsample-point 0.666 fd on",
+                f"type can {bit_rates}",
             ) from None
         return end
 

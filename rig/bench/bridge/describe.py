@@ -5,24 +5,25 @@ What it cannot tell (what hangs on it) is assumed, and marked: `rig identify` me
 
 from __future__ import annotations
 
+import math
 import sys
 from string import Template
 
 if sys.platform == "linux":
-    from rig.bench.bridge.moteus import Facts
+    from rig.bench.bridge.address import Facts
 
 assert sys.platform == "linux"
 
 DECODING = 4
 EFFORT = 0.3  # N·m that is given at most, to start with
 TEXT = Template("""\
-# A handle on the shaft of a moteus. [drive] as it told, [assumed] to be replaced by what you know, or by
-#   rig identify FILE --url moteus://$place --verified -o identified.toml
+# A handle on the shaft of the $name. [drive] as it told, [assumed] to be replaced by what you know, or by
+#   rig identify FILE --url '$url' --verified -o identified.toml
 preset = "koul-rigid"
 
 [rig]
-name = "moteus-$id"
-description = "a handle on the shaft of moteus $id, firmware $firmware"
+name = "$kind-$id"
+description = "a handle on the shaft of the $name, firmware $firmware"
 source = "the drive itself; mechanics assumed"
 
 [rig.mechanics]
@@ -33,8 +34,8 @@ motor_coulomb = 0.01                 # [assumed] N·m
 end_mass = 0.0                       # [assumed] kg
 
 [rig.amplifier]
-effort_per_ampere = $per_ampere      # [drive] N·m/A, by motor.Kv
-effort_limit = $most                 # [drive] N·m at servo.max_current_A
+effort_per_ampere = $per_ampere      # [drive] N·m/A, by $scale
+effort_limit = $most                 # [drive] N·m at $bound
 lag_s = 1.0e-3                       # [assumed] s, of the current loop and of the reply that tells the torque
 current_quantum_a = $quantum         # [chosen] A
 current_noise_a = $noise             # [assumed] A rms, of the torque that the drive tells
@@ -75,31 +76,38 @@ lowpass_hz = 400.0
 """)
 
 
-def text(found: Facts, place: str) -> str:
-    """Return the file."""
-    decoding = DECODING if found.counts % DECODING == 0 else 1
-    gear = (
-        1.0 / found.rotor_to_output if found.on_rotor else 1.0
-    )  # turns of its encoder for one of the output
-    per_ampere = found.torque_constant / found.rotor_to_output
-    most = per_ampere * found.most_current
+def text(found: Facts, url: str) -> str:
+    """Return the file, for a drive that `url` names."""
+    output = found.output
+    decoding = DECODING if output.counts % DECODING == 0 else 1
+    most = output.torque_constant * output.most_current
     effort = min(EFFORT, most)
-    quantum = max(found.most_current / 32_000.0, 1e-3)  # a current is 16 bits
+    quantum = max(output.most_current / 32_000.0, 1e-3)  # a current is 16 bits
     filled = TEXT.substitute(
-        place=place,
+        url=url,
+        kind=output.kind,
+        name=f"{output.kind} {found.id}",
         id=found.id,
         firmware=found.firmware,
-        source=found.source,
-        per_ampere=f"{per_ampere:.6g}",
-        most=f"{most:.4g}",
+        source=output.encoder,
+        scale=output.scale_setting,
+        bound=output.current_setting,
+        per_ampere=f"{output.torque_constant:.6g}",
+        most=f"{_down(most):.4g}",
         quantum=f"{quantum:.3g}",
         noise=f"{5 * quantum:.3g}",
-        lines=found.counts // decoding,
+        lines=output.counts // decoding,
         decoding=decoding,
-        ratio=f"{gear:.6g}",
+        ratio=f"{output.counts_per_turn / output.counts:.6g}",
         effort=f"{effort:.4g}",
     )
     return "".join(map(_aligned, filled.splitlines(keepends=True)))
+
+
+def _down(value: float) -> float:
+    """Round down to four digits: the drive gives no more."""
+    step = 10.0 ** (math.floor(math.log10(value)) - 3)
+    return math.floor(value / step) * step
 
 
 def _aligned(line: str) -> str:

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import ctypes
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -17,10 +17,10 @@ from firmware_protocol.connection import State
 from firmware_protocol.parameters import PARAMETERS
 from rig.bench.bridge.faults import explained
 from rig.bench.firmware.board_config import narrower
-from rig.core import board
 from rig.core.board import describe
 from rig.core.model import RigModel
-from rig.realtime.c_library import FLAGS, CLibrary, doubles
+from rig.realtime.c_board import BoardSetup
+from rig.realtime.c_library import FLAGS, CLibrary
 from rig.realtime.kernel import CACHE_DIRECTORY
 
 BRIDGE = CLibrary(
@@ -37,9 +37,6 @@ NO_EXCITATION = {"excitation_lines": (0, 0), "excitation_period": (2, 2)}
 LAW_HERE, LAW_ON_THE_DRIVE = 2, 3  # largest kinds of `law`
 _OUTPUT_BYTES = 65536
 _INDEX = {parameter.name: index for index, parameter in enumerate(PARAMETERS)}
-
-Mechanics = doubles(board.MovedMechanics)
-CurrentSensor = doubles(board.CurrentSensor)
 
 
 class Frame(ctypes.Structure):
@@ -74,14 +71,8 @@ class Setup(ctypes.Structure):
     """Struct bridge_setup of bridge.h."""
 
     _fields_ = [
-        ("dictionary", ctypes.c_char_p),
-        ("dictionary_hash", ctypes.c_uint64),
-        *((name, ctypes.c_uint32) for name in ("dictionary_bytes", "rate_initial", "rate_maximum")),
-        ("encoder_sign", ctypes.c_int32),
-        ("over_current", ctypes.c_uint32),
-        ("mechanics", Mechanics),
-        ("current_sensor", CurrentSensor),
-        *((name, ctypes.c_uint32) for name in ("prefix", "drive")),
+        ("board", BoardSetup),
+        *((name, ctypes.c_uint32) for name in ("rate_maximum", "prefix", "drive")),
         *(
             (name, ctypes.c_double)
             for name in ("counts_per_turn", "torque_per_quantum", "torque_limit", "kp", "kd")
@@ -280,15 +271,13 @@ class Bridge:
         torque_per_quantum = amplifier.effort_quantum / drive.transmission
         kp, kd = drive.gains or (0.0, 0.0)
         setup = Setup(
-            dictionary=self._packed,
-            dictionary_hash=dictionaries.dictionary_hash(self._packed),
-            dictionary_bytes=len(self._packed),
-            rate_initial=min(rate, drive.rate_maximum),
+            board=BoardSetup.of(
+                model,
+                self._packed,
+                dictionaries.dictionary_hash(self._packed),
+                min(rate, drive.rate_maximum),
+            ),
             rate_maximum=drive.rate_maximum,
-            encoder_sign=model.encoder.sign,
-            over_current=board.over_current(model),
-            mechanics=Mechanics(**asdict(board.moved_mechanics(model))),
-            current_sensor=CurrentSensor(**asdict(board.current_sensor(model))),
             prefix=drive.prefix,
             drive=drive.id,
             counts_per_turn=drive.counts_per_turn,

@@ -1,4 +1,4 @@
-"""``moteus://``: a bridge as a process of the run, which begins and ends with its link.
+"""``moteus://`` and ``odrive://``: a bridge as a process of the run, which begins and ends with its link.
 
 The process speaks through a pair of sockets: when this end closes, by kill -9 too, it switches the drive off and ends.
 """
@@ -22,7 +22,8 @@ from rig.devices.child import announced
 from rig.devices.device import DeviceUrl
 
 if sys.platform == "linux":
-    from rig.bench.bridge.serve import Address, Found, serve
+    from rig.bench.bridge.address import address_of
+    from rig.bench.bridge.serve import Found, serve
     from rig.devices.descriptor import CLOSED, DescriptorLink
 
 assert sys.platform == "linux"
@@ -36,7 +37,7 @@ def open_link(url: DeviceUrl, model: RigModel | None = None) -> BridgeLink:
     named = url.options.get("rig")
     plain = {name: text for name, text in url.options.items() if name != "rig"}
     asked = DeviceUrl(url.scheme, url.place, plain, url.text)
-    Address.of(asked)  # what is wrong there is said at once
+    address_of(asked)  # what is wrong there is said at once
     if named is not None:
         model = rig_model(presets.load_named(named))
     if model is None:
@@ -69,7 +70,7 @@ class BridgeLink(DescriptorLink):
                 found: Found = self._running.enter_context(
                     announced(
                         _serve, url, model, theirs, self._shared, self.cpu,
-                        name="rig-bridge", by_hand="rig bridge moteus",
+                        name="rig-bridge", by_hand=f"rig bridge {url.scheme}",
                     )
                 )  # fmt: skip
             except BaseException:
@@ -80,8 +81,11 @@ class BridgeLink(DescriptorLink):
         super().__init__(url, ours.detach())
 
     def bus_facts(self) -> dict[str, float]:
-        """What happened on the bus so far: replies, lost ones, round trips (µs), the drive's temperature (°C)."""
-        return self.facts.as_mapping()
+        """What happened on the bus so far: replies, lost ones, round trips (µs), the drive's temperature (°C).
+
+        `cycle_us` is the time between two samples that the drive tells by itself, 0 where it is asked.
+        """
+        return {**self.facts.as_mapping(), "cycle_us": self.drive.cycle_us}
 
     def close(self) -> None:
         """End the process; the drive is off then."""

@@ -17,11 +17,10 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from rig.bench.bridge.drive_law import DriveLaw
+from rig.bench.bridge.fitting import Difference, Output, refuse
 from rig.bench.bridge.library import Drive, Switches
-from rig.core.board import peak_current
 from rig.core.errors import ConfigError, DeviceNotFoundError, DeviceRefusedError, IncompatibleDeviceError
 from rig.core.model import RigModel
-from rig.core.sample import unit_of
 
 if sys.platform == "linux":
     from rig.bench.bridge.bus import Bus, CanFrame
@@ -37,9 +36,7 @@ REST_S = 0.1  # a set-point lives for 50 ms at most
 LINE_S = 2.0  # for an answer of the diagnostic channel
 DIAGNOSTIC_BYTES = 48
 TORQUE_FACTOR = 1.5 / math.sqrt(3.0) * 60.0 / (2.0 * math.pi)  # N·m/A times Kv, from fw/bldc_servo.cc
-TORQUE_TOLERANCE = 0.1  # chosen: by how much the torque constant may differ from the experiment's
 STEPS_PER_TURN = 65536  # in which it tells its position, fw/motor_position.h
-EXACT_COUNTS = 2**23 - 1  # of a float32, to half a count
 SOURCE_KINDS = (
     "none",
     "SPI",
@@ -214,6 +211,25 @@ class Facts:
         """Encoder counts for a turn of the output."""
         return self.counts / self.rotor_to_output if self.on_rotor else float(self.counts)
 
+    @property
+    def output(self) -> Output:
+        """What it tells, of its output."""
+        return Output(
+            kind="moteus",
+            encoder=self.source,
+            counts=self.counts,
+            counts_per_turn=self.counts_per_turn,
+            torque_constant=self.torque_constant / self.rotor_to_output,
+            most_current=self.most_current,
+            most_speed=self.most_speed,
+            minimum=self.minimum,
+            maximum=self.maximum,
+            encoder_setting="motor_position.output.source",
+            scale_setting="motor.Kv",
+            current_setting="servo.max_current_A",
+            scale_remedy="calibrate again",
+        )
+
 
 # Settings that would add a torque of their own, or take some away, and the values that do not.
 REQUIRED: dict[str, tuple[Callable[[float], bool], str, str]] = {
@@ -339,19 +355,8 @@ def fit(found: Facts, model: RigModel, *, prefix: int = 0, switches: Switches | 
     DeviceRefusedError
         It is calibrated, geared or wired otherwise than the experiment says: all that is, in one sentence each.
     """
-    wrong = list(_differences(found, model))
-    if wrong:
-        raise DeviceRefusedError(
-            "\n".join(text for text, _ in wrong), remedy="; ".join(do for _, do in wrong)
-        )
-    transmission = _transmission(found, model)
-    effort = found.most_current * found.torque_constant / found.rotor_to_output * transmission
-    most = min(peak_current(model), math.floor(effort / model.amplifier.effort_quantum * (1.0 + 1e-6)))
-    low, high = (
-        _counts(turns, found.counts_per_turn, default)
-        for turns, default in ((found.minimum, -EXACT_COUNTS), (found.maximum, EXACT_COUNTS))
-    )
-    speed = math.floor(min(found.most_speed * abs(found.counts_per_turn), EXACT_COUNTS))
+    refuse(_differences(found, model))
+    transmission = found.output.transmission(model)
     return Drive(
         kind="moteus",
         firmware=f"moteus {found.firmware}",
@@ -359,13 +364,7 @@ def fit(found: Facts, model: RigModel, *, prefix: int = 0, switches: Switches | 
         prefix=prefix,
         counts_per_turn=found.counts_per_turn,
         transmission=transmission,
-        ranges={
-            "current_limit": (0, most),
-            "continuous_current": (0, most),
-            "speed_limit": (0, speed),
-            "window_minimum": (low, high),
-            "window_maximum": (low, high),
-        },
+        ranges=found.output.ranges(model),
         settings={
             "drive": "moteus",
             "drive_id": found.id,
@@ -382,22 +381,8 @@ def fit(found: Facts, model: RigModel, *, prefix: int = 0, switches: Switches | 
     )
 
 
-def _counts(turns: float, counts_per_turn: float, default: int) -> int:
-    return (
-        default
-        if math.isnan(turns)
-        else round(max(-EXACT_COUNTS, min(EXACT_COUNTS, turns * counts_per_turn)))
-    )
-
-
-def _transmission(found: Facts, model: RigModel) -> float:
-    """Angle of the drive's output (rad) for 1 rad or 1 m of the rig."""
-    return 2.0 * math.pi / (found.counts_per_turn * model.encoder.resolution)
-
-
-def _differences(found: Facts, model: RigModel) -> Iterator[tuple[str, str]]:
-    """What the drive has otherwise than the rig, with its remedy."""
-    encoder, amplifier = model.encoder, model.amplifier
+def _differences(found: Facts, model: RigModel) -> Iterator[Difference]:
+    """What the drive has otherwise than the rig."""
     if found.torque_constant == 0.0:
         yield "the motor is not calibrated (motor.poles or motor.Kv is 0)", "run moteus_tool --calibrate"
         return
@@ -415,34 +400,4 @@ def _differences(found: Facts, model: RigModel) -> Iterator[tuple[str, str]]:
             f"{found.counts_per_turn:.0f} there",
             "take an encoder at the output, or a motor without a gear",
         )
-    if encoder.counts_per_revolution is not None:
-        counts = encoder.counts_per_revolution * encoder.decoding
-        if counts != found.counts:
-            yield (
-                f"its {found.source} encoder has {found.counts} counts a turn, the experiment says {counts}",
-                f"set encoder.counts_per_revolution = {found.counts // encoder.decoding} with decoding "
-                f"{encoder.decoding}, or motor_position.output.source of the drive",
-            )
-            return
-    gear = _transmission(found, model) / found.rotor_to_output
-    per_ampere = found.torque_constant * gear
-    if not math.isclose(per_ampere, amplifier.effort_per_ampere, rel_tol=TORQUE_TOLERANCE):
-        unit = unit_of("effort/A", model.motion)
-        yield (
-            f"by its calibration the motor gives {per_ampere:.4g} {unit} at the handle, the experiment says "
-            f"{amplifier.effort_per_ampere:.4g}",
-            f"set amplifier.effort_per_ampere = {per_ampere:.4g} (and encoder.ratio: turns of the encoder for one of "
-            "the handle), or calibrate again",
-        )
-    if amplifier.drive != "current":
-        yield "it controls the current, the experiment says voltage", 'set amplifier.drive = "current"'
-    if model.reference.index or model.reference.limit_switch != "none":
-        yield (
-            "it tells no encoder index and no limit switch",
-            "leave rig.reference out: position zero is where the handle was put",
-        )
-    if not amplifier.current_monitor:
-        yield (
-            "it measures its current, the experiment says that nobody does",
-            "set amplifier.current_monitor = true",
-        )
+    yield from found.output.differences(model)

@@ -14,24 +14,19 @@ import sys
 import tty
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Self
 
-from rig.bench.bridge.library import Bridge, Drive, Facts, Switches
-from rig.core.errors import ConfigError
+from rig.bench.bridge.library import Bridge, Drive
+from rig.bench.bridge.library import Facts as BusFacts
 from rig.core.model import RigModel
 from rig.devices.child import Board
 from rig.devices.device import DeviceUrl
 from rig.realtime.scheduling import obtained
 
 if sys.platform == "linux":
-    from rig.bench.bridge import moteus
-    from rig.bench.bridge.bus import OPTIONS, Bus, open_bus
+    from rig.bench.bridge.address import Facts, address_of
+    from rig.bench.bridge.bus import open_bus
 
 assert sys.platform == "linux"
-
-SWITCHES = ("hold", "stop")
-DRIVE_OPTIONS = (*OPTIONS, "id", "prefix", *SWITCHES)
-_LARGEST_ID, _LARGEST_PREFIX = 127, 0x1FFF
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,46 +38,11 @@ class Found:
     process: int
 
 
-def number(url: DeviceUrl, name: str, default: int, largest: int) -> int:
-    """Return a whole number among the options of a URL; `ConfigError` for another."""
-    text = url.options.get(name, str(default))
-    try:
-        value = int(text, 0)
-    except ValueError:
-        value = -1
-    if not 0 <= value <= largest:
-        raise ConfigError(f"{url.text}: {name} = {text!r}", remedy=f"give a whole number, 0 to {largest}")
-    return value
-
-
-@dataclass(frozen=True, slots=True)
-class Address:
-    """What a URL says of a drive: its id, the prefix of its bus, and what is wired to its pins."""
-
-    drive: int
-    prefix: int
-    switches: Switches
-
-    @classmethod
-    def of(cls, url: DeviceUrl) -> Self:
-        """Read it; raises `ConfigError`."""
-        url.allow(DRIVE_OPTIONS)
-        return cls(
-            number(url, "id", 1, _LARGEST_ID),
-            number(url, "prefix", 0, _LARGEST_PREFIX),
-            moteus.switches_of({name: url.options[name] for name in SWITCHES if name in url.options}),
-        )
-
-    def find(self, bus: Bus) -> moteus.Facts:
-        """Ask the drive who it is; errors as `rig.bench.bridge.moteus.find`."""
-        return moteus.find(moteus.Conversation(bus, self.drive, self.prefix), self.drive)
-
-
-def look(url: DeviceUrl) -> moteus.Facts:
+def look(url: DeviceUrl) -> Facts:
     """Ask the drive who it is, and let it be; errors as `serve`."""
-    address = Address.of(url)
+    address = address_of(url)
     with contextlib.closing(open_bus(url)) as bus:
-        return address.find(bus)
+        return address.look(bus)
 
 
 def serve(
@@ -91,7 +51,7 @@ def serve(
     *,
     host: socket.socket | None = None,
     announce: Callable[[str, Found], object] = lambda place, found: None,
-    facts: Facts | None = None,
+    facts: BusFacts | None = None,
     realtime: str = "try",
     cpu: int | None = None,
 ) -> None:
@@ -100,7 +60,7 @@ def serve(
     Parameters
     ----------
     url
-        Of the drive: ``moteus:///dev/fdcanusb?id=1``, ``moteus://can0``.
+        Of the drive: ``moteus:///dev/fdcanusb?id=1``, ``moteus://can0``, ``odrive://can0?endpoints=FILE``.
     model
         The rig that it moves.
     host
@@ -118,10 +78,10 @@ def serve(
     RigError
         There is no drive, it answers wrongly, or it is not as the rig describes it: nothing has moved.
     """
-    address = Address.of(url)
+    address = address_of(url)
     bus = open_bus(url)
     with contextlib.closing(bus), obtained(Board(realtime, cpu=cpu)) as granted:
-        found = moteus.fit(address.find(bus), model, prefix=address.prefix, switches=address.switches)
+        found = address.find(bus, model)
         bridge = Bridge(model, found, checksum=bus.checksum, socket=bus.is_socket, facts=facts)
         with _end_of(host) as (descriptor, place), _wakes() as wake:
             granted.enter_thread()

@@ -100,8 +100,14 @@ class LinkMeasurement:
 
     @reported
     def loop_rate_hz(self) -> float:
-        """Highest rate at which 99.9 % of the commands are there within one period (Hz); infinite in virtual time."""
-        return 1.0 / self.late_s if self.late_s > 0.0 else math.inf
+        """Highest rate at which 99.9 % of the commands are there within one period (Hz); infinite in virtual time.
+
+        A drive that tells its samples by itself has periods of whole messages.
+        """
+        if self.late_s <= 0.0:
+            return math.inf
+        message_s = 1e-6 * self.drive.get("cycle_us", 0.0)
+        return 1.0 / (math.ceil(self.late_s / message_s) * message_s if message_s else self.late_s)
 
     @property
     def sample_delay_s(self) -> float:
@@ -152,13 +158,11 @@ def ticks_late(late_s: float, rate: float, pacing: str = "device") -> int:
 
 
 def _drive(facts: Mapping[str, float]) -> str:
-    """Round trips between a bridge and its drive (ms), and what was lost there."""
+    """From a bridge's tick to the drive's sample (ms), and what was lost there."""
     named = (("p50", "median_us"), ("p99.9", "p999_us"), ("longest", "longest_us"))
     times = ", ".join(f"{name} {1e-3 * facts[key]:.3g} ms" for name, key in named)
-    asked = facts["replies"] + facts["lost"]
-    return (
-        f"answers in {times}; {facts['lost']:.0f} of {asked:.0f} replies lost; {facts['temperature']:.0f} °C"
-    )
+    asked, told = facts["replies"] + facts["lost"], "samples after" if facts.get("cycle_us") else "answers in"
+    return f"{told} {times}; {facts['lost']:.0f} of {asked:.0f} replies lost; {facts['temperature']:.0f} °C"
 
 
 def _times(times: Distribution) -> str:

@@ -324,6 +324,8 @@ def test_the_way_to_a_drive_behind_a_bridge_is_delay_too() -> None:
     far = link(0.5e-3, drive={**replies, "p999_us": 600.0})
     assert [one.delay_ticks(1000) for one in (link(0.5e-3), near, far)] == [1, 1, 2]
     assert near.loop_rate_hz == pytest.approx(1 / 0.9e-3)
+    by_itself = link(0.5e-3, drive={**replies, "p999_us": 600.0, "cycle_us": 1000.0})
+    assert (by_itself.loop_rate_hz, by_itself.delay_ticks(500)) == (pytest.approx(500.0), 1)
     (row,) = (row for row in near.rows() if row.label == "drive")
     assert "p99.9 0.4 ms" in row.value
     assert "1 of 1000 replies lost; 31 °C" in row.value

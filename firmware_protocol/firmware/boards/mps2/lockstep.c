@@ -51,7 +51,7 @@ static size_t fill_reply(void)
 uint32_t lockstep(int32_t requests, int32_t replies)
 {
     uint8_t request[AT_BYTES + HOST_BYTES];
-    const struct host_setup nothing = {0};
+    const struct board_setup nothing = {0};
     host_setup(&host, &nothing);
     host.board = board_config;
     host_start(&host);

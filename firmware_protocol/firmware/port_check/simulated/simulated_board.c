@@ -126,7 +126,7 @@ static void power_up(struct simulated_board *board, bool bitten)
 
 void simulated_board_start(struct simulated_board *board, void (*spoil)(struct simulated_board *board))
 {
-    const struct host_setup setup = {
+    const struct board_setup setup = {
         .rate_initial = RATE_INITIAL,
         .encoder_sign = 1,
         .over_current = OVER_CURRENT,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import os
 import socket
+import struct
 import subprocess
 
 import pytest
@@ -191,6 +192,10 @@ def test_a_frame_of_a_can_socket(identifier: int, data: bytes) -> None:
     )
     end.send(packed)
     assert bus.receive(1.0) == CanFrame(identifier, data)
+    bus.send(CanFrame(identifier & 0x7FF, data[:8], classic=True, remote=not data))
+    assert end.recv(100) == ((identifier & 0x7FF) | (0 if data else 0x40000000)).to_bytes(
+        4, "little"
+    ) + bytes((len(data[:8]), 0, 0, 0)) + data[:8].ljust(8, b"\0")
     bus.close()
     end.close()
 
@@ -208,6 +213,36 @@ def test_what_is_no_data_frame_is_passed_over() -> None:
     with pytest.raises(LinkLostError):
         bus.send(CanFrame(1, b""))
     bus.close()
+
+
+def test_an_odrive_is_told_what_its_makers_description_says() -> None:
+    """Each frame of a run, from arming to the end, read by a library that knows nothing of us."""
+    base = pytest.importorskip("odrive_can").get_dbc()
+    told: list[tuple[str, dict[str, object]]] = []
+
+    def read(message: bytes) -> bytes:
+        identifier, size = struct.unpack_from("=IB", message)
+        one = base.get_message_by_frame_id(identifier)
+        told.append((one.name, dict(one.decode(message[8 : 8 + size]))))
+        return message
+
+    world = Bridged(kind="odrive")
+    world.strikes = {("to drive", number): read for number in range(1000)}
+    _, host = armed(world)
+    push(host, 20)
+    world._to_drive(world.bridge.stop())
+    assert told[:4] == [
+        ("Axis0_Clear_Errors", {"Identify": 0}),
+        ("Axis0_Set_Controller_Mode", {"Control_Mode": "TORQUE_CONTROL", "Input_Mode": "PASSTHROUGH"}),
+        ("Axis0_Set_Input_Torque", {"Input_Torque": 0.0}),
+        ("Axis0_Set_Axis_State", {"Axis_Requested_State": "CLOSED_LOOP_CONTROL"}),
+    ]
+    torques = [fields["Input_Torque"] for name, fields in told if name == "Axis0_Set_Input_Torque"]
+    assert torques.count(pytest.approx(CURRENT * 1e-3 * 0.05)) > 15
+    assert torques[-1] == 0.0
+    assert told[-1] == ("Axis0_Set_Axis_State", {"Axis_Requested_State": "IDLE"})
+    names = {name for name, _ in told}
+    assert names == {name for name, _ in told[:4]}
 
 
 def test_what_happens_on_the_bus_is_counted() -> None:

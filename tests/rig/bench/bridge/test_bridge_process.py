@@ -8,6 +8,7 @@ import socket
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +17,8 @@ import pytest
 
 from firmware_protocol.connection import State
 from rig import devices
-from rig.bench.bridge import describe
+from rig.bench.bridge import describe, odrive
+from rig.bench.bridge.bus import CanBus, _connected
 from rig.bench.bridge.library import Bridge
 from rig.bench.bridge.link import BridgeLink
 from rig.bench.bridge.serve import look
@@ -25,7 +27,7 @@ from rig.devices.device import DeviceUrl
 from rig.devices.framed import FramedDevice
 from sim_backend.drives import simulated_drive
 from sim_backend.drives.process import serve as serve_drive
-from tests.conformance.bridged import SAFE, SLOW, bridged_rig, plain_drive
+from tests.conformance.bridged import SAFE, SLOW, WATCHED, bridged_rig, plain_drive, write_endpoints
 from tests.conformance.firmware import need_compiler
 
 PATIENCE_S = 5.0
@@ -80,6 +82,40 @@ def test_a_drive_on_a_can_bus_is_asked_by_its_frames(tmp_path: Path) -> None:
     assert (found.counts, found.source) == (4 * 4096, "SPI")
 
 
+def test_an_odrive_gets_no_torque_when_its_bridge_is_killed(tmp_path: Path) -> None:
+    """A link starts its bridge on a bus; the drive's own watchdog ends the torque."""
+    need_compiler()
+    there, stop, bus = threading.Event(), threading.Event(), str(tmp_path / "bus")
+    slow = {odrive.WATCHDOG_S: "0.05", odrive.ENCODER_MS: "10", odrive.TORQUES_MS: "10"}
+    options = {"place": bus, "settings": WATCHED | slow, "stop": stop, "announce": lambda _: there.set()}
+    drive = threading.Thread(target=serve_drive, args=("odrive", bridged_rig()), kwargs=options)
+    drive.start()
+    try:
+        assert there.wait(PATIENCE_S)
+        file = write_endpoints(tmp_path / "flat_endpoints.json")
+        with devices.open_device(f"odrive://{bus}?endpoints={file}", bridged_rig()) as device:
+            assert isinstance(device.link, BridgeLink)
+            assert device.dictionary.firmware == "bridge to ODrive 0.6.11"
+            device.configure(SLOW)
+            device.arm()
+            assert len(device.states(0.3)) > 5
+            facts = device.link.bus_facts()
+            assert (facts["cycle_us"], facts["temperature"]) == (10_000, 25)
+            watching = CanBus(bus, _connected(bus))
+            os.kill(device.link.process, signal.SIGKILL)
+            until, state = time.monotonic() + PATIENCE_S, 8
+            while state != 1 and time.monotonic() < until:
+                heard = watching.receive(PATIENCE_S)
+                state = heard.data[4] if heard is not None and heard.id == odrive.Command.HEARTBEAT else state
+            assert state == 1
+            watching.close()
+            with pytest.raises(LinkLostError):
+                device.states(PATIENCE_S)
+    finally:
+        stop.set()
+        drive.join(PATIENCE_S)
+
+
 def test_a_host_that_goes_ends_its_bridge_and_the_drive_is_told_to_stop() -> None:
     """However it goes: the kernel closes the socket of one that is killed."""
     need_compiler()
@@ -118,7 +154,7 @@ def test_what_is_wrong_with_the_drive_is_said_by_the_link(port: str) -> None:
 
 def test_the_command_serves_one_host_after_the_other(port: str, tmp_path: Path) -> None:
     mine = tmp_path / "mine.toml"
-    mine.write_text(describe.text(look(DeviceUrl("moteus", port, {}, port)), port))
+    mine.write_text(describe.text(look(DeviceUrl("moteus", port, {}, port)), f"moteus://{port}"))
     bridge = subprocess.Popen(
         [sys.executable, "-m", "rig", "bridge", "moteus", port, "--rig", str(mine)],
         stdout=subprocess.PIPE,

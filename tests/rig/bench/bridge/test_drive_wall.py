@@ -167,7 +167,7 @@ def test_wall_and_push_together_end_at_the_limit_of_the_experiment() -> None:
     limit = run.world.drive._words[_word("max_torque")]
     assert limit == pytest.approx(0.1, abs=3e-5)  # register 0x025, a quantum
     assert abs(run.world.torque) == pytest.approx(0.1, abs=3e-5)
-    assert run.world.register(0x00F) == 102  # "maximum torque", says the drive
+    assert run.world.far.register(0x00F) == 102  # "maximum torque", says the drive
     run.run(0.006)
     assert run.state.limits & LimitFlag.CURRENT
 
@@ -199,7 +199,7 @@ def test_a_bridge_that_is_killed_leaves_it_to_the_watchdog_of_the_drive() -> Non
     run.world.run(WATCHDOG_S + SLACK_S)
     assert (run.world.mode, run.world.torque) == (11, 0.0)
     run.world.run(0.01)
-    assert abs(run.world.register(0x003)) < 1e-3
+    assert abs(run.world.far.register(0x003)) < 1e-3
 
 
 def test_a_bridge_that_ends_switches_the_drive_off() -> None:
@@ -369,7 +369,7 @@ def test_a_recording_has_the_effort_of_the_drive_and_what_it_was_set_to(tmp_path
     def noted(line: bytes, now: int) -> bytes:
         said = hear(line, now)
         if world.mode == 13:
-            rendered[world.bridge.facts.replies] = world.register(0x03A)
+            rendered[world.bridge.facts.replies] = world.far.register(0x03A)
         return said
 
     world.bridge.hear_bus = noted  # type: ignore[method-assign]

@@ -1,0 +1,123 @@
+"""A drive compared with the rig of an experiment: what any drive must agree about, and the bounds that it sets."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+from rig.core.board import peak_current
+from rig.core.errors import DeviceRefusedError
+from rig.core.model import RigModel
+from rig.core.sample import unit_of
+
+TORQUE_TOLERANCE = 0.1  # chosen: by how much the torque constant may differ from the experiment's
+EXACT_COUNTS = 2**23 - 1  # of a float32, to half a count
+Difference = tuple[str, str]  # what is otherwise, and its remedy
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Output:
+    """The output of a drive, as it tells it.
+
+    Attributes
+    ----------
+    encoder, counts
+        What encoder tells its position, and counts of that one for a turn of it.
+    counts_per_turn
+        Counts for a turn of the output.
+    torque_constant, most_current
+        N·m at the output for 1 A; the most that it gives (A).
+    most_speed
+        Turns a second, beyond which it does not do as it is told; inf for none.
+    minimum, maximum
+        Turns, outside of which it gives no torque; NaN for none.
+    kind
+        Of drive.
+    encoder_setting, scale_setting, current_setting
+        What of the drive chooses the encoder, the torque constant and the most current.
+    scale_remedy
+        What to do about a wrong torque constant.
+    """
+
+    kind: str
+    encoder: str
+    counts: int
+    counts_per_turn: float
+    torque_constant: float
+    most_current: float
+    most_speed: float = math.inf
+    minimum: float = math.nan
+    maximum: float = math.nan
+    encoder_setting: str
+    scale_setting: str
+    current_setting: str
+    scale_remedy: str
+
+    def transmission(self, model: RigModel) -> float:
+        """Angle of the output (rad) for 1 rad or 1 m of the rig."""
+        return 2.0 * math.pi / (self.counts_per_turn * model.encoder.resolution)
+
+    def ranges(self, model: RigModel) -> dict[str, tuple[int, int]]:
+        """Ranges of the device's parameters that the drive sets."""
+        effort = self.most_current * self.torque_constant * self.transmission(model)
+        most = min(peak_current(model), math.floor(effort / model.amplifier.effort_quantum * (1.0 + 1e-6)))
+        low, high = (
+            self._counts(turns, default)
+            for turns, default in ((self.minimum, -EXACT_COUNTS), (self.maximum, EXACT_COUNTS))
+        )
+        speed = math.floor(min(self.most_speed * abs(self.counts_per_turn), EXACT_COUNTS))
+        return {
+            "current_limit": (0, most),
+            "continuous_current": (0, most),
+            "speed_limit": (0, speed),
+            "window_minimum": (low, high),
+            "window_maximum": (low, high),
+        }
+
+    def _counts(self, turns: float, default: int) -> int:
+        counts = turns * self.counts_per_turn
+        return default if math.isnan(turns) else round(max(-EXACT_COUNTS, min(EXACT_COUNTS, counts)))
+
+    def differences(self, model: RigModel) -> Iterator[Difference]:
+        """What the drive has otherwise than the rig."""
+        encoder, amplifier = model.encoder, model.amplifier
+        if encoder.counts_per_revolution is not None:
+            counts = encoder.counts_per_revolution * encoder.decoding
+            if counts != self.counts:
+                yield (
+                    f"its {self.encoder} encoder has {self.counts} counts a turn, the experiment says {counts}",
+                    f"set encoder.counts_per_revolution = {self.counts // encoder.decoding} with decoding "
+                    f"{encoder.decoding}, or {self.encoder_setting} of the drive",
+                )
+                return
+        per_ampere = self.torque_constant * self.transmission(model)
+        if not math.isclose(per_ampere, amplifier.effort_per_ampere, rel_tol=TORQUE_TOLERANCE):
+            unit = unit_of("effort/A", model.motion)
+            yield (
+                f"by its calibration the motor gives {per_ampere:.4g} {unit} at the handle, the experiment says "
+                f"{amplifier.effort_per_ampere:.4g}",
+                f"set amplifier.effort_per_ampere = {per_ampere:.4g} (and encoder.ratio: turns of the encoder for one "
+                f"of the handle), or {self.scale_remedy}",
+            )
+        if amplifier.drive != "current":
+            yield "it controls the current, the experiment says voltage", 'set amplifier.drive = "current"'
+        if model.reference.index or model.reference.limit_switch != "none":
+            yield (
+                "it tells no encoder index and no limit switch",
+                "leave rig.reference out: position zero is where the handle was put",
+            )
+        if not amplifier.current_monitor:
+            yield (
+                "it measures its current, the experiment says that nobody does",
+                "set amplifier.current_monitor = true",
+            )
+
+
+def refuse(differences: Iterable[Difference]) -> None:
+    """Raise `DeviceRefusedError` with all of them, in one sentence each; nothing if there are none."""
+    wrong = list(differences)
+    if wrong:
+        raise DeviceRefusedError(
+            "\n".join(text for text, _ in wrong), remedy="; ".join(dict.fromkeys(do for _, do in wrong))
+        )

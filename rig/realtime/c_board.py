@@ -1,0 +1,42 @@
+"""Struct board_setup of the firmware: what its ports to this computer are told of their rig."""
+
+from __future__ import annotations
+
+import ctypes
+from dataclasses import asdict
+from typing import Self
+
+from rig.core import board
+from rig.core.model import RigModel
+from rig.realtime.c_library import doubles
+
+Mechanics = doubles(board.MovedMechanics)
+CurrentSensor = doubles(board.CurrentSensor)
+
+
+class BoardSetup(ctypes.Structure):
+    """See `firmware/core/on_a_computer.h`; the dictionary's bytes must live as long."""
+
+    _fields_ = [
+        ("dictionary", ctypes.c_char_p),
+        ("dictionary_hash", ctypes.c_uint64),
+        *((name, ctypes.c_uint32) for name in ("dictionary_bytes", "rate_initial")),
+        ("encoder_sign", ctypes.c_int32),
+        ("over_current", ctypes.c_uint32),
+        ("mechanics", Mechanics),
+        ("current_sensor", CurrentSensor),
+    ]
+
+    @classmethod
+    def of(cls, model: RigModel, dictionary: bytes, fingerprint: int, rate: int) -> Self:
+        """Return that of a rig: its encoded dictionary with its hash, and the rate that it starts with (Hz)."""
+        return cls(
+            dictionary=dictionary,
+            dictionary_hash=fingerprint,
+            dictionary_bytes=len(dictionary),
+            rate_initial=rate,
+            encoder_sign=model.encoder.sign,
+            over_current=board.over_current(model),
+            mechanics=Mechanics(**asdict(board.moved_mechanics(model))),
+            current_sensor=CurrentSensor(**asdict(board.current_sensor(model))),
+        )
