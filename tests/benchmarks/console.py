@@ -44,6 +44,12 @@ LOOPS: dict[str, dict[str, Any]] = {
 PAGES = 4
 STOPS = 50
 DRAWS = 10_000
+FEWEST = 6  # pairs: of fewer no interval of a median has 95 % (1 - 2 · 0.5^n)
+CONCLUSIONS = {
+    True: "shows a cost",
+    False: "shows no cost, and excludes none below its upper end",
+    None: "is of too few pairs to show anything",
+}
 
 
 def arguments() -> argparse.Namespace:
@@ -161,7 +167,7 @@ def concluded(pairs: list[dict[str, Any]]) -> dict[str, Any]:
         "between_hits_us": statistics.median(between) if between else None,
         "difference_us": statistics.median(differences),
         "interval_us": (low, high),
-        "shows_a_cost": low > 0.0,
+        "shows_a_cost": low > 0.0 if len(pairs) >= FEWEST else None,
         "pairs_for_a_tenth": math.ceil(len(pairs) * (0.5 * (high - low) / (0.1 * usual)) ** 2),
         "frames": min(one["frames"] for one in pairs),
     }
