@@ -19,7 +19,7 @@ MOST_DRIFT = 0.2  # change from period to period, of the speed at the lines
 LARGEST_UNEXPLAINED = 0.1  # share of the velocity, rms over the lines, that a fit leaves
 
 _LOWER_BAND = (
-    "if the highest lines move the handle by less than a count, end the band lower (--rate 1k ends it at 150 Hz) "
+    "if the highest lines move the handle by less than a count, end the band lower (a rate of 1 kHz ends it at 150 Hz) "
     "or allow more effort (rig.limits.effort)"
 )
 
