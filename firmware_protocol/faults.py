@@ -76,7 +76,8 @@ class Fault(Described):
         6,
         "the device did not finish a tick within its period, or missed two in succession",
         "lower position_rate, or take a law in integers (estimator fdm-butterworth-fixed), which is faster than "
-        "float32 on a board without floating point; then clear the fault",
+        "float32 on a board without floating point; behind a bridge to a drive, close other programs; then "
+        "clear the fault",
     )
     EMERGENCY_STOP = (
         7,

@@ -34,7 +34,8 @@ def check(asked: dict[str, Any], as_json: bool) -> None:
         effort, position = (unit_of(name, x.rig.motion) for name in ("effort", "position"))
         click.echo(
             f"{NO_HANDS}; {PUSHES} pushes of at most {most_push(x):.3g} {effort}, {push_way(x):.3g} {position} and "
-            f"{1e3 * energy_of(x):.2g} mJ each",
+            f"{1e3 * energy_of(x):.2g} mJ each; a first run "
+            "compiles before they begin",
             err=True,
         )
     found = check_rig_moves(request)

@@ -26,11 +26,22 @@ from rig.views.plots.identify import draw_identification
 @command()
 @options.file_argument
 @options.rig_option()
-@options.rate_option("Of the loop while it is excited: 20k. It bounds the band to 0.15 of it.", "HZ")
+@options.rate_option(
+    "Of the loop while it moves, not of the file that is written: 1k. The excitation ends at 0.15 of it.",
+    "HZ",
+)
 @options.set_option
 @options.seed_option("Of the phases of the excitation.", default=0, show_default=True)
-@option("--realisations", type=int, default=6, show_default=True, help="How often the rig is excited.")
-@option("--period", "period_s", type=float, default=0.5, show_default=True, help="Of the excitation (s).")
+@option(
+    "--realisations",
+    type=int,
+    default=6,
+    show_default=True,
+    help="How many times the rig is excited, each with other phases.",
+)
+@option(
+    "--period", "period_s", type=float, default=0.5, show_default=True, help="Period of the excitation (s)."
+)
 @option(
     "--cogging",
     type=int,
@@ -91,7 +102,7 @@ def identify(
     With --weight it measures effort_per_ampere alone, by a known mass that a person hangs on the rig when told.
     """
     experiment = options.chosen_experiment(file, preset or options.preset_of(url, file))
-    changes = options.changes(rate, sets)
+    changes = options.changes(None, sets)
     if file_out is not None and file_out.exists() and file_out.is_dir():
         raise ConfigError(f"{file_out} is a directory", remedy="give the name of a file, such as rig.toml")
     load_backend(url or "sim://")
@@ -104,7 +115,7 @@ def identify(
         weighing = WeighRequest(
             experiment=experiment,
             url=url,
-            changes=changes,
+            changes=options.changes(rate, sets),
             verified=verified,
             output=recordings,
             mass_kg=mass_kg,
@@ -121,6 +132,7 @@ def identify(
         period_s=period_s,
         seed=seed,
         cogging=cogging,
+        rate_hz=None if rate is None else options.parse_rate(rate)[0],
         output=recordings,
     )
     plan = _plan(request)

@@ -93,7 +93,7 @@ _REHEARSAL = "Rehearsal"
     "--people-sd",
     group=_REHEARSAL,
     type=float,
-    help="People differ; standard deviation of ln(threshold) over codes. [0]",
+    help="Spread of people about --threshold, which it needs: standard deviation of ln(threshold) over codes. [0]",
 )
 @option("--again", group=_REHEARSAL, is_flag=True, help="Delete the one that is there and begin anew.")
 @_device_options

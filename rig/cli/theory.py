@@ -108,7 +108,8 @@ def _print(found: Theory) -> None:
 
 def _in_hand(held: InHand, unit: str) -> str:
     limits = ", ".join(f"{'above ' if limit.capped else ''}{limit.stiffness:.4g}" for limit in held.limits)
-    return f"in a {held.operator} hand: {limits} {unit} at B = 0 (--operator {held.operator})"
+    each = " for the schemes in this order" if len(held.limits) > 1 else ""
+    return f"in a {held.operator} hand the largest K at B = 0 is {limits} {unit}{each} (--operator {held.operator})"
 
 
 def _pairs(found: Theory, scheme: SchemeTheory) -> list[tuple[str, str]]:

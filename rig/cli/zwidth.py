@@ -172,7 +172,8 @@ def _notes(found: ZWidth) -> list[str]:
     notes = []
     if any(b.capped for b in found.boundaries):
         notes.append(
-            "≥ before K: some series reached the highest stiffness before a wall failed; the limit lies above"
+            "≥ before K: some series reached the highest stiffness before a wall failed; the limit lies above: "
+            "push harder (--effort), which makes another map"
         )
     widths = [found.width(number, name) for number in range(len(found.plan.schemes)) for name in CRITERIA]
     if any(width.range_capped for width in widths):

@@ -41,7 +41,12 @@ def load_experiment(path: str | Path) -> Experiment:
     ConfigError
         With every problem found, one per line: file, key, value, allowed range with its unit, and what to do.
     """
-    return experiment_from_mapping(read_toml(Path(path)), str(path))
+    mapping = read_toml(Path(path))
+    if not mapping:
+        raise ConfigError(
+            f"{path}: is empty", remedy='begin with preset = "koul-compliant" (rig preset lists others)'
+        )
+    return experiment_from_mapping(mapping, str(path))
 
 
 def experiment_from_mapping(mapping: Mapping[str, Any], source: str) -> Experiment:

@@ -97,6 +97,10 @@ def _linked(text: str, page: Path, origin: Path, pages: Mapping[Path, Path], pla
             return match[0]
         file = (origin.parent / name).resolve()
         if file in pages:
+            if words.strip("`").endswith(".md"):
+                raise ValueError(
+                    f"{origin}: the link to {target} is called {words}; call it by what it is about"
+                )
             return f"[{words}]({os.path.relpath(pages[file], page.parent)}{hash_}{anchor})"
         if not file.exists():
             raise ValueError(f"{origin}: the link to {target} leads to no file")
@@ -202,6 +206,11 @@ def _default(parameter: Parameter, name: str) -> str:
     if field.default is dataclasses.MISSING:
         return "must be given"
     return "–" if field.default is None else f"`{shown(field.default)}`"
+
+
+def limit_keys() -> str:
+    """What bounds a run: the keys of ``[rig.limits]``."""
+    return _keys({key: one for key, one in parameters().items() if key.startswith("rig.limits.")})
 
 
 def configuration() -> str:
@@ -389,6 +398,7 @@ PARTS: Mapping[str, Callable[[], str]] = {
     "row_flags": row_flags,
     "phases": phases,
     "faults": fault_list,
+    "limit_keys": limit_keys,
     "limits": lambda: _codes(LimitFlag),
     "statuses": lambda: _codes(Status),
     "inputs": lambda: _codes(Input),

@@ -40,12 +40,18 @@ class Identified:
 
 
 def identified_values(
-    x: Experiment, sliding: Sliding, dynamics: Dynamics, cogging: CoggingMap | None = None
+    x: Experiment,
+    sliding: Sliding,
+    dynamics: Dynamics,
+    cogging: CoggingMap | None = None,
+    *,
+    on_board: bool = False,
 ) -> Identified:
     """Turn the fits into keys of the experiment.
 
     One sensor sees sums. What it cannot split between motor and link keeps the description's proportion: friction and
-    damping always, inertia unless a mode splits it.
+    damping always, inertia unless a mode splits it. A law that will run on the board (`on_board`) has not the whole
+    ticks of delay of the link that these motions came by.
     """
     found, m = Identified(), x.rig.mechanics
 
@@ -66,12 +72,12 @@ def identified_values(
     levels = f"{coulomb.text(unit('effort'))}: up {sliding.up.text()}, down {sliding.down.text()}"
     found.share(m, "coulomb", max(0.0, coulomb.value), levels, "sliding")
     found.put("rig.amplifier.lag_s", max(0.0, dynamics.lag_s.value), dynamics.lag_s.text("s"), "dynamics")
-    whole = f"whole ticks at {x.controller.position_rate} Hz; delay {dynamics.delay_s.text('s')} in all"
-    beside = x.rig.amplifier.set_point_ticks(
-        1.0 / x.controller.position_rate
-    )  # counted by itself, at any rate
-    ticks = max(0, dynamics.delay_ticks - beside)
-    found.put("rig.simulation.computation_delay_ticks", ticks, whole, "dynamics")
+    rate = x.controller.position_rate
+    if not on_board:
+        beside = x.rig.amplifier.set_point_ticks(1.0 / rate)  # counted by itself, at any rate
+        ticks = max(0, dynamics.delay_ticks - beside)
+        whole = f"whole ticks at {rate} Hz; delay {dynamics.delay_s.text('s')} in all"
+        found.put("rig.simulation.computation_delay_ticks", ticks, whole, "dynamics")
     if cogging is not None:
         _put_cogging(found, cogging, unit("effort"))
     return found

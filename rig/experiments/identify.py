@@ -27,7 +27,7 @@ from rig.analysis.impedance.signals import ExcitedRun
 from rig.config import Experiment
 from rig.control.excitation import Multisine
 from rig.core.check import refuse
-from rig.core.errors import ConfigError, PlanError
+from rig.core.errors import ConfigError
 from rig.core.model import Cogging
 from rig.core.present import reported
 from rig.core.same_rig import check_rig
@@ -65,6 +65,7 @@ from rig.experiments.planned import Plan
 from rig.experiments.zero import position_zero
 from rig.recording.files import free_name, plain_errors
 
+_RATES = ("controller.position_rate", "controller.velocity_rate")
 MOST_ORDER = 200  # of cogging, in `rig identify`: a sweep is the slower, the finer the waves are
 
 Tell = Callable[[str], None]
@@ -82,12 +83,16 @@ class IdentifyRequest(FreeRigRequest):
         Of the phases.
     cogging
         Highest harmonic of cogging that is looked for; None: none is.
+    rate_hz
+        Of the loop while it moves, and of nothing else: what is identified keeps the rates of the experiment. None:
+        those, or in real time the device's own.
     """
 
     realisations: int = 6
     period_s: float = 0.5
     seed: int = 0
     cogging: int | None = None
+    rate_hz: int | None = None
 
     def __post_init__(self) -> None:
         if self.realisations < 2:
@@ -202,28 +207,25 @@ def identify(request: IdentifyRequest, tell: Tell | None = None) -> Identificati
 
 
 def without_end_mass(request: IdentifyRequest) -> Experiment:
-    """The experiment with its changes, and without the end mass: a rig is identified with its handle free.
+    """The experiment with its changes as it moves: its handle free, its law on this computer, at the rate asked for.
 
-    A rig that a ``sim://name`` simulates keeps its end mass, which is then subtracted.
+    A board has none of these motions. A rig that a ``sim://name`` simulates keeps its end mass, which is then
+    subtracted.
     """
     experiment = config.override(request.experiment, request.changes)
     url = request.url or "sim://"
     named = url.startswith("sim://") and bool(url.removeprefix("sim://").partition("?")[0])
-    if named:
-        return experiment
-    return config.override(experiment, {"rig.mechanics.end_mass": 0.0}, "identification")
+    bare = {} if named else {"rig.mechanics.end_mass": 0.0}
+    free = config.override(experiment, {**bare, "controller.loop": "host"}, "identification")
+    return free if request.rate_hz is None else _at_rate(free, request.rate_hz, "identification")
+
+
+def _at_rate(free: Experiment, rate_hz: int, origin: str) -> Experiment:
+    return config.override(still(free), dict.fromkeys(_RATES, rate_hz), origin)
 
 
 def plan_of(free: Experiment, request: IdentifyRequest) -> Plan:
-    """What a request will do on a rig (`without_end_mass`).
-
-    Raises `PlanError` where a device is to run the law: it does not have these motions.
-    """
-    if free.controller.loop == "device":
-        raise PlanError(
-            'controller.loop = "device": the motions of an identification are laws that a device does not have',
-            remedy='set controller.loop = "host", and a rate that the link carries',
-        )
+    """What a request will do on a rig (`without_end_mass`)."""
     return identification_plan(
         free,
         realisations=request.realisations,
@@ -364,13 +366,10 @@ def _check_undisturbed(rows: NDArray[np.void]) -> None:
 def _for_device(free: Experiment, request: IdentifyRequest, device: FramedDevice) -> Experiment:
     """In real time the loop runs at the device's own rate, unless the user set one."""
     refuse([check_rig(config.rig_model(still(free)), device.dictionary)])
-    if device.link.clock.virtual:
+    chosen = request.rate_hz is not None or any(key in request.changes for key in _RATES)
+    if device.link.clock.virtual or chosen:
         return free
-    rates = ("controller.position_rate", "controller.velocity_rate")
-    if any(key in request.changes for key in rates):
-        return free
-    rate = device.dictionary.position_rate_default
-    return config.override(still(free), dict.fromkeys(rates, rate), "real time")
+    return _at_rate(free, device.dictionary.position_rate_default, "real time")
 
 
 def _check_signs(signs: SignCheck) -> None:
@@ -398,7 +397,7 @@ def _identified(
     simulated: bool,
 ) -> Identification:
     before = config.override(request.experiment, request.changes)
-    values = identified_values(base, sliding, dynamics, cogging)
+    values = identified_values(base, sliding, dynamics, cogging, on_board=before.controller.loop == "device")
     named = {key: f"{text}; {_files(recordings[kind])}" for key, (text, kind) in values.sources.items()}
     sticking = stiction_warning(0.5 * (signs.breakaway_up + signs.breakaway_down), sliding.coulomb.value)
     return Identification(

@@ -20,7 +20,7 @@ import pytest
 
 import rig
 import rig.cli
-from firmware_protocol.faults import Fault
+from firmware_protocol.faults import Fault, Input, LimitFlag, Status
 from rig.config.table import parameters
 from rig.core.errors import ConfigError, RigError
 from rig.core.sample import COLUMNS
@@ -149,6 +149,11 @@ def test_every_command_fault_key_and_column_has_its_place(made: Path) -> None:
     reference = made / "reference"
     assert {page.stem for page in (reference / "commands").iterdir()} == set(rig.cli.COMMANDS)
     assert len(list((reference / "faults").iterdir())) == len(Fault) - 1
+    limits = (reference / "limits.md").read_text()
+    assert all(f"| `{one.name}` |" in limits for one in (*LimitFlag, *Status, *Input))
+    assert all(
+        f"| `{key.rpartition('.')[2]}` |" in limits for key in parameters() if key.startswith("rig.limits.")
+    )
     configuration = (reference / "configuration.md").read_text()
     assert all(f"| `{key.rpartition('.')[2]}` |" in configuration for key in parameters())
     columns = (reference / "columns.md").read_text()
@@ -170,6 +175,10 @@ def test_the_page_of_public_names_has_them_all() -> None:
 
 
 def test_links_between_pages_are_those_of_the_site(made: Path) -> None:
+    called_by_files = [
+        page for page in made.rglob("*.md") if re.search(r"\[[^]\n]*\.md`?\]\(", page.read_text())
+    ]
+    assert not called_by_files
     sessions = (made / "how-to" / "sessions.md").read_text()
     assert "(../explanation/safety.md)" in sessions
     assert "(../reference/searches.md)" in sessions

@@ -18,6 +18,11 @@ LEAST_MOTION_COUNTS = 5.0  # rms
 MOST_DRIFT = 0.2  # change from period to period, of the speed at the lines
 LARGEST_UNEXPLAINED = 0.1  # share of the velocity, rms over the lines, that a fit leaves
 
+_LOWER_BAND = (
+    "if the highest lines move the handle by less than a count, end the band lower (a rate of 1 kHz ends it at 150 Hz) "
+    "or allow more effort (rig.limits.effort)"
+)
+
 
 class IdentificationError(RigError):
     """The data do not say what the rig is; the message says why, the remedy what to measure instead."""
@@ -62,7 +67,7 @@ def check_explained(unexplained: float) -> None:
         raise IdentificationError(
             f"the model leaves {100 * unexplained:.0f} % of the motion unexplained, "
             f"{100 * LARGEST_UNEXPLAINED:.0f} % is the most",
-            remedy="see the picture: a second mode, backlash or a loose part moves otherwise; end the band below it",
+            remedy=f"{_LOWER_BAND}; a second mode, backlash or a loose part needs a band that ends below it, too",
         )
 
 
@@ -82,5 +87,5 @@ def _check_motion(run: ExcitedRun, resolution: float) -> None:
             raise IdentificationError(
                 f"the speed at the lines changes by {100 * change:.0f} % from one period to the next, "
                 f"{100 * MOST_DRIFT:.0f} % is the most",
-                remedy="let more periods settle, and keep hands off the handle",
+                remedy=f"keep hands off the handle; {_LOWER_BAND}",
             )

@@ -1,5 +1,5 @@
 """
-The hand decides with
+The hand has a say
 =====================
 
 The same rig and scheme, let alone and held in three ways: a hand adds mass, damping and stiffness.

@@ -15,6 +15,6 @@ found = rig.zwidth(
 print(found)
 
 # %%
-# Fast velocity fails where it is noisy, and linear theory, dotted, does not know that.
+# Fast velocity fails where it is noisy, and linear theory, dashed, does not know that.
 
 picture = found.plot()

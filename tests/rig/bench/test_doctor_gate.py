@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -23,6 +24,7 @@ from rig.core.errors import PlanError
 from rig.core.present import plain
 from rig.realtime.clock import MonotonicClock, VirtualClock
 from rig.recording.quantiles import Distribution
+from tests.conformance.guides import ROOT, blocks
 
 KOUL = presets.load("koul-compliant")
 BY_HAND = config.override(
@@ -101,6 +103,19 @@ def test_koul_by_hand_at_20_khz_is_refused_from_359_on_with_one_tick_of_delay() 
         assert (found.spectral_radius["normal"] < 1.0) is stable
     assert not found.armable
     assert "unstable at 20000 Hz with 1 tick of delay" in found.text
+
+
+def test_the_file_of_the_first_power_on_is_armed_as_it_stands(tmp_path: Path) -> None:
+    """Its list forbids --arm-anyway, and none of its commands names another wall."""
+    page = ROOT / "firmware_protocol" / "firmware" / "BENCH.md"
+    path = tmp_path / "mine.toml"
+    path.write_text(next(block.text for block in blocks(page) if block.language == "toml"))
+    found = gate(config.load_experiment(path), link(0.5e-3))
+    assert found.armable, found.text
+    assert max(found.spectral_radius.values()) < 1.0
+    hits = [line for block in blocks(page) for line in block.commands() if line.startswith("rig hit")]
+    assert hits
+    assert not [line for line in hits if " -K " in line or " -B " in line or "--arm-anyway" in line]
 
 
 @pytest.mark.parametrize("delay", [1, 2, 3])

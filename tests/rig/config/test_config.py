@@ -146,9 +146,12 @@ def test_what_cannot_be_read_is_named(tmp_path: Path, name: str) -> None:
         load_experiment(tmp_path / name)  # a directory; a path that no system takes
 
 
-def test_an_empty_file_lists_every_section_that_is_missing(tmp_path: Path) -> None:
+def test_a_file_lists_every_section_that_is_missing_and_an_empty_one_is_called_that(tmp_path: Path) -> None:
+    """An empty file is what a command leaves that failed behind ``>``."""
+    with pytest.raises(ConfigError, match=r"hit\.toml: is empty"):
+        load_experiment(written(tmp_path, "# nothing\n"))
     with pytest.raises(ConfigError) as caught:
-        load_experiment(written(tmp_path, ""))
+        load_experiment(written(tmp_path, "verdict.tail_s = 0.4\n"))
     for section in ("rig", "controller", "wall", "homing", "trial"):
         assert f"hit.toml: [{section}]: is missing" in str(caught.value)
     assert "preset = " in str(caught.value)

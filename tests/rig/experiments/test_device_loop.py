@@ -22,7 +22,7 @@ from rig.control.excitation_table import PHASES, ExcitationTable
 from rig.core.check import Outcome
 from rig.core.errors import ConfigError, PlanError
 from rig.experiments import excitation_run, live
-from rig.experiments.identify import IdentifyRequest, plan_of
+from rig.experiments.identify import IdentifyRequest, identify
 from rig.experiments.plan import device_checks, link_checks, make_plan
 from tests.rig.bench.test_doctor_gate import link
 
@@ -218,10 +218,14 @@ def test_a_change_that_the_device_does_not_take_is_refused_before_it_is_posted()
     assert live._post(ring, {"wall.pull": "allow"})[0] == 7
 
 
-def test_an_identification_is_the_hosts() -> None:
-    with pytest.raises(PlanError, match="motions of an identification") as refused:
-        plan_of(ON_DEVICE, IdentifyRequest(experiment=ON_DEVICE))
-    assert 'controller.loop = "host"' in refused.value.remedy
+def test_an_identification_moves_by_the_host_and_leaves_the_board_its_law(tmp_path: Path) -> None:
+    """Neither the rate of its motions nor the ticks of the link that carried them are the board's."""
+    asked = IdentifyRequest(experiment=ON_DEVICE, output=tmp_path, realisations=2, rate_hz=1000)
+    found = identify(asked)
+    assert found.experiment.controller == ON_DEVICE.controller
+    assert found.dynamics.inertia.value == pytest.approx(3.2e-4, rel=0.03)
+    assert found.dynamics.lines_hz[-1] <= 150.0
+    assert "rig.simulation.computation_delay_ticks" not in found.sources
 
 
 # ---------------------------------------------------------------------- excitation
