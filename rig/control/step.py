@@ -398,9 +398,12 @@ def _watched(control: Any, memory: Any, position: float, penetration: float, ela
             m["flags"] |= VIOLENT
 
 
-@kernel(types.void(CONTROL_TYPE, MEMORY_TYPE, types.int64, types.int64, types.int64), inline=True)
-def _moved(control: Any, memory: Any, count: int, elapsed_ticks: int, slewed: int) -> None:
-    """Flag an effort of the last tick that, with those before, must have moved the handle away from two counts."""
+@kernel(types.void(CONTROL_TYPE, MEMORY_TYPE, types.int64, types.int64), inline=True)
+def _moved(control: Any, memory: Any, count: int, slewed: int) -> None:
+    """Flag an effort of the last tick that, with those before, must have moved the handle away from two counts.
+
+    A sample stands for its own tick alone: in those that were lost the command may never have come, or have expired.
+    """
     c, m = control[0], memory[0]
     if c["impulse_limit"] == 0.0:
         return
@@ -415,7 +418,7 @@ def _moved(control: Any, memory: Any, count: int, elapsed_ticks: int, slewed: in
         effort = c["constant_effort"]
     else:
         return
-    m["impulse"] = watch.free_impulse(m["impulse"], effort, c["held_effort"], c["tick_s"] * elapsed_ticks)
+    m["impulse"] = watch.free_impulse(m["impulse"], effort, c["held_effort"], c["tick_s"])
     if abs(m["impulse"]) > c["impulse_limit"]:
         m["flags"] |= UNMOVED
 
@@ -482,7 +485,7 @@ def step(controller: ControllerArguments, count: int, edge_age_s: float, elapsed
     position = c["resolution"] * count_difference(count, c["reference_count"])
     m["penetration"] = c["wall_side"] * (position - c["wall_position"])
     _watched(control, memory, position, m["penetration"], elapsed_ticks)
-    _moved(control, memory, count, elapsed_ticks, slewed)
+    _moved(control, memory, count, slewed)
     m["position"] = position
     if m["penetration"] > 0.0:
         m["flags"] |= INSIDE

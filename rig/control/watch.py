@@ -24,7 +24,8 @@ damping, is faster than v_b + max(v_b, v_0). For e = v − p/I obeys I ė = −b
 rises with speed, hence e ė < 0 wherever |e| > |p|/I: |e| never grows beyond the larger of v_0 and v_b. It is watched
 where nothing but friction may hold the handle: in homing, and in a trial's push outside of the wall. A push whose slew
 limit still binds is left out: pushes of a board grow so, and look for friction that nobody has described. Weight is
-counted as friction: what it does to a handle no motor stops.
+counted as friction: what it does to a handle no motor stops. A tick whose sample was lost is not counted, because its
+command may have been lost as well: where a share s of them is, v_b is 1/(1 − s) as much.
 
 Source: Hannaford and Ryu 2002, "Time-domain passivity control of haptic interfaces", for the observer. The rules about
 oscillations and standstill are ours.

@@ -147,3 +147,14 @@ def test_a_person_may_hold_the_handle_as_still_as_they_like() -> None:
     held = config.override(x, {"trial.kind": "human", "homing.timeout_s": 1.0})
     ran = run(held, at=away(x, 1.0), dies=0, model=config.rig_model(x))
     assert ran.flags & (RowFlag.UNMOVED | RowFlag.HOMING_FAILED) == RowFlag.HOMING_FAILED
+
+
+def test_ticks_whose_sample_was_lost_are_not_counted() -> None:
+    """A busy computer: the commands for them never came either, and the handle stood still."""
+    x = presets.load("koul-compliant")
+    law = controller.for_experiment(x, current_quantum_a=x.rig.amplifier.current_quantum_a)
+    for _ in range(4):
+        step(law.arguments(), 0, 0.0, 1600)  # 80 ms
+    assert Phase(law.memory[0]["phase"]) is Phase.HOMING
+    assert abs(law.memory[0]["effort_sent"]) > law.control[0]["held_effort"]
+    assert not law.memory[0]["flags"] & RowFlag.UNMOVED

@@ -9,7 +9,7 @@ import numpy as np
 
 from rig.control.excitation_table import ExcitationTable
 from tests.conformance.fixed_law import GoldenVectors, golden_vectors
-from tests.firmware.law.law_design import ESTIMATORS, FIXED, FLOAT, copy_wall, parameters_of
+from tests.firmware.law.law_design import ELSEWHERE, ESTIMATORS, FIXED, FLOAT, copy_wall, parameters_of
 from tests.firmware.law.law_library import Parameters, inputs
 from tests.firmware.law.law_rigs import DUAL, SHORT, controller_of, experiment_of
 
@@ -50,7 +50,7 @@ BREAKS = {
     "choice": [
         ("estimator", 7),
         ("estimator", 3),
-        ("arithmetic", 2),
+        ("arithmetic", 3),
         ("sense", 0),
         ("extrapolate", 1),
         ("may_pull", 2),
@@ -133,6 +133,9 @@ def cases() -> Iterator[tuple[ct.Structure, np.ndarray]]:
             p.foaw.stop_first = p.foaw.least_squares = stop
             p.levant.discretisation, p.levant.integrator = scheme, stop
             good.append(p)
+    elsewhere = of_estimator("kalman")
+    elsewhere.arithmetic = ELSEWHERE
+    good.append(elsewhere)
     good.append(of_estimator("fdm-butterworth", order=3))
     others: tuple[dict[str, float | str], ...] = (
         {"cutoff_hz": 900.0},

@@ -20,8 +20,8 @@ from rig.control.fixed_wall import FixedWall
 from rig.control.step import Controller
 from tests.firmware.law.law_library import Parameters
 
-__all__ = ["ESTIMATORS", "FIXED", "FLOAT"]  # of the design: for other tests
-FIXED, FLOAT = 0, 1
+__all__ = ["ELSEWHERE", "ESTIMATORS", "FIXED", "FLOAT"]  # of the design: for other tests
+FIXED, FLOAT, ELSEWHERE = 0, 1, 2
 ARITHMETICS = ("fixed", "float32")
 SECTIONS = 4
 # Where a parameter's name differs from the structure's: the beginning of it, and the structure inside.
