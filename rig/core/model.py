@@ -210,9 +210,11 @@ class Cogging:
 
     def effort(self, position: ArrayLike) -> NDArray[np.float64]:
         """Effort at positions (N·m or N)."""
-        k, c, s = self.harmonics.reshape(-1, 3).T
-        angle = np.multiply.outer(np.asarray(position, dtype=np.float64), k)
-        return np.asarray(np.cos(angle) @ c + np.sin(angle) @ s)
+        return _summed(self.harmonics, position)
+
+    def share(self, position: ArrayLike) -> NDArray[np.float64]:
+        """Share by which the motor's own effort is larger at positions."""
+        return _summed(self.ripple, position)
 
     def slope(self, position: ArrayLike) -> NDArray[np.float64]:
         """How the effort changes with the position (N·m/rad or N/m): a stiffness, of the other sign."""
@@ -225,6 +227,12 @@ class Cogging:
         k, c, s = self.harmonics.reshape(-1, 3).T
         angle = np.multiply.outer(np.asarray(position, dtype=np.float64), k)
         return np.asarray(np.cos(angle) @ (s / k) - np.sin(angle) @ (c / k))
+
+
+def _summed(harmonics: NDArray[np.float64], position: ArrayLike) -> NDArray[np.float64]:
+    k, c, s = harmonics.reshape(-1, 3).T
+    angle = np.multiply.outer(np.asarray(position, dtype=np.float64), k)
+    return np.asarray(np.cos(angle) @ c + np.sin(angle) @ s)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
