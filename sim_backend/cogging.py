@@ -7,11 +7,16 @@ One kernel serves all structures, held or not, because a plant is first written 
 velocity would take it. On a free motor that is drift, kick, drift: the leapfrog, which is symplectic, so that cogging
 stores energy and makes none. A motor at rest has no such way: stuck means stuck here too.
 
-What it mirrors: slots against magnets of an iron-cored motor; `rig.core.model.Cogging` has the harmonics.
+**Ripple.** The motor makes 1 + r(x) times its effort of it, k_t times the current: what that adds is held over the step
+like cogging, at the same place, of the effort's mean over the step. Back-EMF under voltage drive has no ripple here.
+
+What it mirrors: slots against magnets of an iron-cored motor, and a torque constant that differs from place to place;
+`rig.core.model.Cogging` has the harmonics of both.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -25,9 +30,11 @@ from sim_backend.inner import (
     ADVANCE,
     COULOMB,
     COULOMB_LINK,
+    MEAN,
     OFFSET,
     PARAMETERS,
     RESOLUTION,
+    RIPPLE,
     STEP_S,
     STEPS,
     Vector,
@@ -65,6 +72,11 @@ def in_full(rig: StateSpace) -> StateSpace:
         friction_velocity=(MOTOR + 1, LINK + 1),
         hand_position=HAND if held else None,
     )
+
+
+def mean_weight(step_s: float, lag_s: float) -> float:
+    """Weight of the last effort in the mean over a step of one that a lag of first order drives; without, 1."""
+    return 1.0 if lag_s == 0.0 else -1.0 / math.expm1(-step_s / lag_s) - lag_s / step_s
 
 
 @kernel(_FLOAT(_MATRIX, types.int64, *(_FLOAT,) * 8), inline=True, no_refcount=True)
@@ -109,7 +121,8 @@ def advance(
     """Move a plant written in full by one tick under an active effort; see `sim_backend.plant.advance`."""
     x, v, y, w, effort = state[0], state[1], state[2], state[3], state[4]  # motor, link, motor effort
     h, g, goal, velocity, press, age = state[5], state[6], state[7], state[8], state[9], state[10]
-    harmonics = parameters[PARAMETERS:]
+    begins = int(parameters[RIPPLE])
+    harmonics, ripple, last = parameters[PARAMETERS:begins], parameters[begins:], parameters[MEAN]
     step_s, resolution, offset = parameters[STEP_S], parameters[RESOLUTION], parameters[OFFSET]
     push_x = _pushed(phi, gamma, 0, command, external, velocity, press)
     push_v = _pushed(phi, gamma, 1, command, external, velocity, press)
@@ -120,8 +133,10 @@ def advance(
     push_g = _pushed(phi, gamma, 6, command, external, velocity, press)
     count = cell(x, resolution, offset)
     for _ in range(int(parameters[STEPS])):
-        cogs = effort_at(x + 0.5 * step_s * v, harmonics)
         stretch, reach, far = y - x, h - x, goal - x  # as seen from the motor, and the same from the link
+        kept = _carried(phi, 4, 0.0, v, stretch, w, effort, reach, g, far)
+        mean, halfway = effort + last * (kept + push_e - effort), x + 0.5 * step_s * v
+        cogs = effort_at(halfway, harmonics) + mean * effort_at(halfway, ripple)
         free_v = _carried(phi, 1, 0.0, v, stretch, w, effort, reach, g, far) + push_v + gamma[1, 2] * cogs
         free_w = _carried(phi, 3, -stretch, v, 0.0, w, effort, h - y, g, goal - y) + push_w
         rub_v, rub_w, v_next, w_next = rub_both(
@@ -143,8 +158,7 @@ def advance(
             y_next += push_y + _rubbed(gamma, 2, on_motor, rub_w)
         h_next = h + _carried(phi, 5, -reach, v, y - h, w, effort, 0.0, g, goal - h)
         g_next = _carried(phi, 6, -reach, v, y - h, w, effort, 0.0, g, goal - h)
-        effort = _carried(phi, 4, 0.0, v, stretch, w, effort, reach, g, far)
-        effort += push_e + _rubbed(gamma, 4, on_motor, rub_w)
+        effort = kept + (push_e + _rubbed(gamma, 4, on_motor, rub_w))
         h = h_next + push_h + _rubbed(gamma, 5, on_motor, rub_w)
         g = g_next + push_g + _rubbed(gamma, 6, on_motor, rub_w)
         count, age = encoded(count, age, x, x_next, step_s, resolution, offset)

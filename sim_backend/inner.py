@@ -23,7 +23,9 @@ COULOMB_LINK = 5  # Coulomb level of the link side (N·m or N)
 RESOLUTION = 6  # travel for one count (rad or m)
 OFFSET = 7  # where position zero lies in its encoder cell (count)
 SIGN = 8  # direction of counting, ±1
-PARAMETERS = 9  # the harmonics of a motor that cogs come after these
+MEAN = 9  # of a motor that cogs: the weight of a step's last effort in its mean over the step, the rest its first's
+RIPPLE = 10  # and where its ripple begins, behind its cogging
+PARAMETERS = 11  # both come after these, as harmonics
 
 _VECTOR = types.float64[::1]
 _MATRIX = types.float64[:, ::1]

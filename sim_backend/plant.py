@@ -49,9 +49,11 @@ from sim_backend.inner import (
     COULOMB_LINK,
     EFFORT_LIMIT,
     GRAVITY_EFFORT,
+    MEAN,
     OFFSET,
     PARAMETERS,
     RESOLUTION,
+    RIPPLE,
     SIGN,
     STEP_S,
     STEPS,
@@ -264,7 +266,7 @@ def _check_friction(continuous: StateSpace, gamma: Matrix, step_s: float) -> Non
 
 
 def _parameters(model: RigModel, continuous: StateSpace, step_s: float, steps: int) -> Vector:
-    parameters = np.concatenate([np.zeros(PARAMETERS), model.cogging.harmonics])
+    parameters = np.concatenate([np.zeros(PARAMETERS), model.cogging.harmonics, model.cogging.ripple])
     parameters[STEP_S] = step_s
     parameters[STEPS] = steps
     parameters[EFFORT_LIMIT] = model.amplifier.effort_limit
@@ -273,6 +275,8 @@ def _parameters(model: RigModel, continuous: StateSpace, step_s: float, steps: i
     parameters[RESOLUTION] = model.encoder.resolution
     parameters[OFFSET] = model.encoder.offset
     parameters[SIGN] = model.encoder.sign
+    parameters[MEAN] = cogging.mean_weight(step_s, model.amplifier.lag_s)
+    parameters[RIPPLE] = PARAMETERS + len(model.cogging.harmonics)
     return parameters
 
 

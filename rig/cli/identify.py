@@ -54,7 +54,8 @@ from rig.views.plots.identify import draw_identification
     "mass_kg",
     type=float,
     metavar="KG",
-    help="Calibrate the effort instead: slow strokes without and with this mass hung on the rig.",
+    help="Calibrate the effort instead: slow strokes without and with this mass hung on the rig. With --cogging: "
+    "also sweep with it, for the ripple of the effort.",
 )
 @option("--arm", "arm_m", type=float, metavar="M", help="Lever arm of the mass. [radius of the handle]")
 @options.url_option("simulates the rig in this process")
@@ -99,14 +100,16 @@ def identify(
     With --cogging ORDER it also maps the motor's effort over position, both ways, so that friction stands apart. The
     map needs a zero that an encoder's index gives ([rig.reference]); it is kept in the file ([rig.cogging]).
 
-    With --weight it measures effort_per_ampere alone, by a known mass that a person hangs on the rig when told.
+    With --weight it measures effort_per_ampere alone, by a known mass that a person hangs on the rig when told. With
+    both it sweeps once more with the mass at the end, which tells the ripple of the motor's effort: a share of it that
+    varies with place, and in sweeps without a mass looks like friction that does.
     """
     experiment = options.chosen_experiment(file, preset or options.preset_of(url, file))
     changes = options.changes(None, sets)
     if file_out is not None and file_out.exists() and file_out.is_dir():
         raise ConfigError(f"{file_out} is a directory", remedy="give the name of a file, such as rig.toml")
     load_backend(url or "sim://")
-    if mass_kg is not None or arm_m is not None:
+    if (mass_kg is not None or arm_m is not None) and (cogging is None or mass_kg is None):
         if mass_kg is None or only_plan or file_out is not None:
             raise ConfigError(
                 "--weight KG with --arm M weighs; it has no --plan, and writes no file",
@@ -133,6 +136,8 @@ def identify(
         seed=seed,
         cogging=cogging,
         rate_hz=None if rate is None else options.parse_rate(rate)[0],
+        mass_kg=mass_kg,
+        arm_m=arm_m,
         output=recordings,
     )
     plan = _plan(request)
@@ -142,7 +147,7 @@ def identify(
         else:
             _print_plan(plan)
         return
-    found = identifying.identify(request, None if as_json else lambda text: output.note(f"  {text} …"))
+    found = identifying.identify(request, None if as_json else lambda text: output.note(f"  {text} …"), _ask)
     picture = _draw(found, plot) if plot else None
     written = _write(found, file_out) if file_out is not None else None
     if as_json:
@@ -196,7 +201,13 @@ def _write(found: Identification, path: Path) -> Path:
 def _print(found: Identification, picture: str | None, written: Path | None) -> None:
     click.echo(click.style(f"{found.experiment.rig.name}, identified (± 95 %, scatter only)", bold=True))
     output.print_pairs(
-        [*_sign_pairs(found), *_friction_pairs(found), *_cogging_pairs(found), *_dynamics_pairs(found)]
+        [
+            *_sign_pairs(found),
+            *_friction_pairs(found),
+            *_cogging_pairs(found),
+            *_ripple_pairs(found),
+            *_dynamics_pairs(found),
+        ]
     )
     for warning in found.warnings:
         click.echo(f"  {click.style('warning', fg='yellow')}  {warning}")
@@ -258,6 +269,24 @@ def _cogging_pairs(found: Identification) -> list[tuple[str, str]]:
         ("  stiffness", f"{least:.3g} to {most:.3g} {unit['stiffness']}"),
         ("  friction there", map_.friction.text(unit["effort"])),
     ]  # fmt: skip
+
+
+def _ripple_pairs(found: Identification) -> list[tuple[str, str]]:
+    ripple = found.ripple
+    if found.cogging is None:
+        return []
+    if ripple is None:
+        return [("ripple", "not told from friction that varies with place; a mass tells it (--weight KG)")]
+    if not ripple.orders:
+        return [("ripple", f"no harmonic of {100 * ripple.unseen:.2g} % of the effort or more")]
+    each = zip(ripple.orders, ripple.amplitude, ripple.phase, strict=True)
+    return [
+        (
+            "ripple" if i == 0 else "",
+            f"{a.scaled(100.0).text('%')} of the effort at harmonic {n}, phase {p.text('rad')}",
+        )
+        for i, (n, a, p) in enumerate(each)
+    ]
 
 
 def _dynamics_pairs(found: Identification) -> list[tuple[str, str]]:

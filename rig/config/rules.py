@@ -145,6 +145,7 @@ def cogging(x: Experiment) -> Iterator[Problem]:
                 f"must have one number for each of the {len(given.orders)} orders in {key}.orders",
                 "change them together; write 0.0 for what there is not",
             )
+    yield from _ripple(x)
     if given.orders and given.period is None:
         yield _problem(
             x,
@@ -156,6 +157,24 @@ def cogging(x: Experiment) -> Iterator[Problem]:
     if (low is None) != (high is None) or (low is not None and high is not None and low >= high):
         yield _problem(
             x, f"{key}.minimum", f"must lie below {key}.maximum, and both be given", "give both, or neither"
+        )
+
+
+def _ripple(x: Experiment) -> Iterator[Problem]:
+    given, key = x.rig.cogging, "rig.cogging"
+    if not len(given.ripple_cosine) == len(given.ripple_sine) in (0, len(given.orders)):
+        yield _problem(
+            x,
+            f"{key}.ripple_cosine",
+            f"must have one number for each of the {len(given.orders)} orders in {key}.orders, as {key}.ripple_sine",
+            "change them together, 0.0 for what there is not; or give neither",
+        )
+    elif given.ripple_crest >= 1.0:
+        yield _problem(
+            x,
+            f"{key}.ripple_cosine",
+            f"gives with {key}.ripple_sine up to {given.ripple_crest:.3g} of the effort: must stay below 1",
+            "give shares of the effort, such as 0.02",
         )
 
 

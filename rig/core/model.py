@@ -150,6 +150,9 @@ class Cogging:
 
     effort(x) = Σ cosine·cos(order·2π·x/period) + sine·sin(order·2π·x/period). So cog slots against magnets, and any map
     of effort over position can be written like that. No orders: no cogging.
+
+    Ripple is the same of the torque constant: an effort that the motor is asked for comes out 1 + r(x) times as large,
+    r being a sum of the same harmonics. None given: none there.
     """
 
     period: Annotated[
@@ -165,6 +168,12 @@ class Cogging:
     sine: Annotated[
         tuple[float, ...], Quantity("effort", "of each harmonic, a quarter of its wave farther on")
     ] = ()
+    ripple_cosine: Annotated[
+        tuple[float, ...], Quantity("1", "share by which the motor's effort varies, of each harmonic")
+    ] = ()
+    ripple_sine: Annotated[
+        tuple[float, ...], Quantity("1", "the same, a quarter of its wave farther on")
+    ] = ()
     minimum: Annotated[
         float | None, Quantity("position", "lower end of the range in which this was measured")
     ] = None
@@ -177,9 +186,22 @@ class Cogging:
     @property
     def harmonics(self) -> NDArray[np.float64]:
         """Wavenumber (rad per rad or m), cosine and sine (N·m or N) of each harmonic, one after another."""
+        return self._rows(self.cosine, self.sine)
+
+    @property
+    def ripple(self) -> NDArray[np.float64]:
+        """The same of the effort's ripple, its cosine and sine shares of the effort; empty without."""
+        return self._rows(self.ripple_cosine, self.ripple_sine) if self.ripple_cosine else np.empty(0)
+
+    def _rows(self, cosine: tuple[float, ...], sine: tuple[float, ...]) -> NDArray[np.float64]:
         wave = 2.0 * math.pi / (self.period or math.inf)
-        rows = [(wave * n, c, s) for n, c, s in zip(self.orders, self.cosine, self.sine, strict=True)]
+        rows = [(wave * n, c, s) for n, c, s in zip(self.orders, cosine, sine, strict=True)]
         return np.array(rows, dtype=np.float64).ravel()
+
+    @property
+    def ripple_crest(self) -> float:
+        """What the ripple cannot exceed, a share of the effort: the crests of all harmonics in one place."""
+        return math.fsum(math.hypot(c, s) for c, s in zip(self.ripple_cosine, self.ripple_sine, strict=True))
 
     @property
     def crest(self) -> float:
@@ -188,9 +210,11 @@ class Cogging:
 
     def effort(self, position: ArrayLike) -> NDArray[np.float64]:
         """Effort at positions (N·m or N)."""
-        k, c, s = self.harmonics.reshape(-1, 3).T
-        angle = np.multiply.outer(np.asarray(position, dtype=np.float64), k)
-        return np.asarray(np.cos(angle) @ c + np.sin(angle) @ s)
+        return _summed(self.harmonics, position)
+
+    def share(self, position: ArrayLike) -> NDArray[np.float64]:
+        """Share by which the motor's own effort is larger at positions."""
+        return _summed(self.ripple, position)
 
     def slope(self, position: ArrayLike) -> NDArray[np.float64]:
         """How the effort changes with the position (N·m/rad or N/m): a stiffness, of the other sign."""
@@ -203,6 +227,12 @@ class Cogging:
         k, c, s = self.harmonics.reshape(-1, 3).T
         angle = np.multiply.outer(np.asarray(position, dtype=np.float64), k)
         return np.asarray(np.cos(angle) @ (s / k) - np.sin(angle) @ (c / k))
+
+
+def _summed(harmonics: NDArray[np.float64], position: ArrayLike) -> NDArray[np.float64]:
+    k, c, s = harmonics.reshape(-1, 3).T
+    angle = np.multiply.outer(np.asarray(position, dtype=np.float64), k)
+    return np.asarray(np.cos(angle) @ c + np.sin(angle) @ s)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -10,9 +10,10 @@ from typing import Any
 from rig.analysis.identification.cogging import CoggingMap
 from rig.analysis.identification.dynamics import Dynamics, Mode
 from rig.analysis.identification.interval import Interval
+from rig.analysis.identification.ripple import Ripple
 from rig.analysis.identification.sliding import Sliding
 from rig.config import Experiment
-from rig.core.model import Mechanics
+from rig.core.model import Cogging, Mechanics
 from rig.core.sample import unit_of
 
 
@@ -44,6 +45,7 @@ def identified_values(
     sliding: Sliding,
     dynamics: Dynamics,
     cogging: CoggingMap | None = None,
+    ripple: Ripple | None = None,
     *,
     on_board: bool = False,
 ) -> Identified:
@@ -79,21 +81,52 @@ def identified_values(
         whole = f"whole ticks at {rate} Hz; delay {dynamics.delay_s.text('s')} in all"
         found.put("rig.simulation.computation_delay_ticks", ticks, whole, "dynamics")
     if cogging is not None:
-        _put_cogging(found, cogging, unit("effort"))
+        _put_cogging(found, cogging, x.rig.cogging, ripple, unit("effort"))
     return found
 
 
-def _put_cogging(found: Identified, map_: CoggingMap, effort: str) -> None:
+def _put_cogging(
+    found: Identified, map_: CoggingMap, described: Cogging, ripple: Ripple | None, effort: str
+) -> None:
+    """Both have the same orders in a file; ripple that was not looked for stays as described."""
+    if ripple is None:
+        shares = _by_order(described.orders, described.ripple_cosine, described.ripple_sine)
+    else:
+        shares = _by_order(ripple.orders, *([i.value for i in part] for part in (ripple.cosine, ripple.sine)))
+    orders = sorted({*map_.orders, *shares})
+    efforts = _by_order(map_.orders, map_.cogging.cosine, map_.cogging.sine)
+    cosine, sine = _columns(orders, efforts)
     certain = f"certain, of those looked for; others have less than {map_.unseen:.2g} {effort}"
     for key, value, words in (
         ("period", map_.period, "as described, or a turn of the motor"),
-        ("orders", list(map_.orders), certain),
-        ("cosine", [c.value for c in map_.cosine], _each(map_.cosine, effort)),
-        ("sine", [s.value for s in map_.sine], _each(map_.sine, effort)),
+        ("orders", orders, certain),
+        ("cosine", cosine, _each(map_.cosine, effort)),
+        ("sine", sine, _each(map_.sine, effort)),
         ("minimum", map_.minimum, "of the sweeps"),
         ("maximum", map_.maximum, f"of the sweeps; within, the map is ± {map_.ci95:.2g} {effort}"),
     ):
         found.put(f"rig.cogging.{key}", value, words, "cogging")
+    ripples = _columns(orders, shares) if shares else ([], [])
+    for key, column, part in zip(("ripple_cosine", "ripple_sine"), ripples, ("cosine", "sine"), strict=True):
+        found.values[f"rig.cogging.{key}"] = column
+        if ripple is not None:
+            words = (
+                f"{_each(getattr(ripple, part), 'of the effort')}; others have less than {ripple.unseen:.2g}"
+            )
+            found.put(f"rig.cogging.{key}", column, words, "ripple")
+
+
+def _by_order(
+    orders: Sequence[int], cosine: Sequence[float], sine: Sequence[float]
+) -> dict[int, tuple[float, float]]:
+    """Return the harmonics that there are; no columns: none."""
+    return {n: (c, s) for n, c, s in zip(orders, cosine, sine, strict=False) if c or s}
+
+
+def _columns(orders: Sequence[int], each: dict[int, tuple[float, float]]) -> tuple[list[float], list[float]]:
+    """Cosines and sines, zero where there is no harmonic."""
+    rows = [each.get(n, (0.0, 0.0)) for n in orders]
+    return [c for c, _ in rows], [s for _, s in rows]
 
 
 def _each(values: Sequence[Interval], unit: str) -> str:

@@ -9,20 +9,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from datetime import datetime
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig import config, devices
-from rig.analysis.identification.cogging import CoggingMap, fit_cogging
+from rig.analysis.identification.cogging import CoggingMap, fit_cogging, pairs_of
 from rig.analysis.identification.dynamics import Dynamics, fit_dynamics
 from rig.analysis.identification.quality import IdentificationError
+from rig.analysis.identification.ripple import Ripple, fit_ripple
 from rig.analysis.identification.signs import SignCheck, stiction_warning
-from rig.analysis.identification.sliding import Sliding, fit_sliding
+from rig.analysis.identification.sliding import Sliding, Stroke, fit_sliding
 from rig.analysis.impedance.signals import ExcitedRun
 from rig.config import Experiment
 from rig.control.excitation import Multisine
@@ -46,6 +47,7 @@ from rig.experiments.identify_motions import (
     excited_s,
     identification_plan,
     inertia_of,
+    loaded_plan,
     most_push,
     pushes_motion,
     settle_periods,
@@ -62,6 +64,7 @@ from rig.experiments.motion_run import (
 )
 from rig.experiments.plan import link_checks
 from rig.experiments.planned import Plan
+from rig.experiments.weigh import STANDARD_GRAVITY, Ask, hung, refuse_load, with_mass
 from rig.experiments.zero import position_zero
 from rig.recording.files import free_name, plain_errors
 
@@ -69,6 +72,8 @@ _RATES = ("controller.position_rate", "controller.velocity_rate")
 MOST_ORDER = 200  # of cogging, in `rig identify`: a sweep is the slower, the finer the waves are
 
 Tell = Callable[[str], None]
+Floats = NDArray[np.float64]
+Swept = tuple[Floats, Floats, Floats, list[Stroke]]  # time, effort, position
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,6 +91,9 @@ class IdentifyRequest(FreeRigRequest):
     rate_hz
         Of the loop while it moves, and of nothing else: what is identified keeps the rates of the experiment. None:
         those, or in real time the device's own.
+    mass_kg, arm_m
+        Hung on the rig for the same sweeps once more (kg, m), which tell ripple; None: no mass, the radius of the
+        handle.
     """
 
     realisations: int = 6
@@ -93,8 +101,17 @@ class IdentifyRequest(FreeRigRequest):
     seed: int = 0
     cogging: int | None = None
     rate_hz: int | None = None
+    mass_kg: float | None = None
+    arm_m: float | None = None
 
     def __post_init__(self) -> None:
+        if self.mass_kg is not None and self.cogging is None:
+            raise ConfigError(
+                "a mass tells ripple in sweeps for cogging", remedy="give the highest harmonic, too"
+            )
+        for name, value in (("mass", self.mass_kg), ("arm", self.arm_m)):
+            if value is not None and not (0.0 < value < math.inf):
+                raise ConfigError(f"the {name} is {value:g}", remedy="give one above zero, in kg or m")
         if self.realisations < 2:
             raise ConfigError(
                 f"{self.realisations} realisation is too few for an interval",
@@ -123,8 +140,10 @@ class Identification:
         The three fits; see `rig.analysis.identification`.
     cogging
         A fourth one, if it was asked for.
+    ripple
+        A fifth one, if a mass was hung on the rig.
     recordings
-        ``"signs"``, ``"sliding"``, ``"dynamics"`` and ``"cogging"`` → the files.
+        ``"signs"``, ``"sliding"``, ``"dynamics"``, ``"cogging"`` and ``"ripple"`` → the files.
     sources
         Identified key → its value and interval in words, and where it comes from.
     warnings
@@ -139,6 +158,7 @@ class Identification:
     sliding: Sliding
     dynamics: Dynamics
     cogging: CoggingMap | None
+    ripple: Ripple | None
     recordings: Mapping[str, tuple[Path, ...]]
     sources: Mapping[str, str]
     warnings: tuple[str, ...]
@@ -155,7 +175,7 @@ class Identification:
         return self.experiment.rig.motion
 
 
-def identify(request: IdentifyRequest, tell: Tell | None = None) -> Identification:
+def identify(request: IdentifyRequest, tell: Tell | None = None, ask: Ask | None = None) -> Identification:
     """Run the motions and fit.
 
     Parameters
@@ -164,6 +184,8 @@ def identify(request: IdentifyRequest, tell: Tell | None = None) -> Identificati
         What to do.
     tell
         Told in a line what happens next.
+    ask
+        Has a person hang the mass on a real rig, and returns when it is done.
 
     Raises
     ------
@@ -177,7 +199,10 @@ def identify(request: IdentifyRequest, tell: Tell | None = None) -> Identificati
     say = tell or (lambda text: None)
     free = without_end_mass(request)
     url = request.url or "sim://"
-    with devices.open_device(url, config.rig_model(still(free))) as device:
+    if request.mass_kg is not None and ask is None and not url.startswith("sim:"):
+        raise ConfigError("nobody is asked to hang the mass on the rig", remedy="give a function that asks")
+    with ExitStack() as stack:
+        device = stack.enter_context(devices.open_device(url, config.rig_model(still(free))))
         base = _for_device(free, request, device)
         refuse(plan_of(base, request).checks)
         refuse(link_checks(base, device.dictionary.position_rate_maximum, device.link.bytes_per_second))
@@ -196,13 +221,22 @@ def identify(request: IdentifyRequest, tell: Tell | None = None) -> Identificati
         sliding = session.sliding(base)
         say(f"dynamics: excited {request.realisations} times for {excited_s(request.period_s):.3g} s")
         dynamics = session.dynamics(base, signs, sliding)
-        cogging = None
+        cogging = ripple = None
         if request.cogging is not None:
             damping = sliding.damping.value + base.rig.amplifier.back_emf
             cogging = session.cogging(dynamics.inertia.value, damping)
+            if request.mass_kg is not None:
+                arm = _arm(base, request)
+                say(f"ripple: the sweeps again, with {request.mass_kg:g} kg at {arm:g} m")
+                loaded = with_mass(base, request.mass_kg, arm)
+                session.device = hung(
+                    stack, device, loaded, url, ask or say, mass_kg=request.mass_kg, arm=arm
+                )
+                heavy = dynamics.inertia.value + request.mass_kg * arm**2
+                ripple = session.ripple(loaded, request.cogging, dynamics.inertia.value, heavy, damping)
         simulated = device.dictionary.simulated
     return _identified(
-        request, base, signs, sliding, dynamics, cogging, session.recordings, simulated=simulated
+        request, base, signs, sliding, dynamics, cogging, ripple, session.recordings, simulated=simulated
     )
 
 
@@ -226,13 +260,23 @@ def _at_rate(free: Experiment, rate_hz: int, origin: str) -> Experiment:
 
 def plan_of(free: Experiment, request: IdentifyRequest) -> Plan:
     """What a request will do on a rig (`without_end_mass`)."""
-    return identification_plan(
+    plan = identification_plan(
         free,
         realisations=request.realisations,
         period_s=request.period_s,
         seed=request.seed,
         cogging=request.cogging,
     )
+    if request.cogging is None or request.mass_kg is None:
+        return plan
+    arm = _arm(free, request)
+    weight = request.mass_kg * STANDARD_GRAVITY * arm
+    refuse_load(free, weight)
+    return loaded_plan(plan, with_mass(free, request.mass_kg, arm), request.cogging, weight)
+
+
+def _arm(x: Experiment, request: IdentifyRequest) -> float:
+    return x.rig.mechanics.handle_radius if request.arm_m is None else request.arm_m
 
 
 # ---------------------------------------------------------------------- running them
@@ -242,15 +286,16 @@ class _Session:
     """Trials on an open device, and what was recorded."""
 
     def __init__(self, device: FramedDevice, x: Experiment, request: IdentifyRequest) -> None:
-        self._device, self._request = device, request
+        self.device, self._request = device, request
         self._stem = f"identify-{datetime.now():%Y%m%d-%H%M%S}"
         self._reference = position_zero(device, x)
-        self._fit_cogging: Callable[..., CoggingMap]
+        self._swept: Swept  # for cogging, with nothing on the rig
+        self._swept_in: tuple[float, int]  # period and highest harmonic
         self._cogging = Cogging()  # as measured: what comes after knows it as an effort of the motor's
         self.recordings: dict[str, tuple[Path, ...]] = {}
 
     def signs(self, x: Experiment) -> SignCheck:
-        at = position_now(self._device, x, self._reference)
+        at = position_now(self.device, x, self._reference)
         rows, rate = self._run(pushes_motion(x, at), "signs")
         return signs_of(x, rows, rate)
 
@@ -285,21 +330,34 @@ class _Session:
 
     def sweep(self, x: Experiment, most_order: int) -> None:
         """Sweep for cogging; from here on it is known, with the inertia that is described."""
-        rows, rate = self._run(cogging_motion(x, most_order), "cogging")
-        self._fit_cogging = partial(
-            fit_cogging,
-            np.arange(len(rows)) / rate,
-            rows["effort_sent"],
-            rows["position"],
-            cogging_sweeps(x, most_order)[1],
-            period=cogging_period(x),
-            most_order=most_order,
-        )
+        self._swept, self._swept_in = self._sweeps(x, most_order, "cogging"), (cogging_period(x), most_order)
         self._cogging = self.cogging(inertia_of(x), config.rig_model(x).damping).cogging
 
     def cogging(self, inertia: float, damping: float) -> CoggingMap:
         """The map by the sweeps, as what else resists the motion becomes better known: inertia, and all damping."""
-        return self._fit_cogging(inertia=inertia, damping=damping)
+        period, most_order = self._swept_in
+        return fit_cogging(
+            *self._swept, period=period, most_order=most_order, inertia=inertia, damping=damping
+        )
+
+    def ripple(
+        self, loaded: Experiment, most_order: int, inertia: float, heavy: float, damping: float
+    ) -> Ripple:
+        """What the same sweeps say with a mass on the rig, whose inertia with it is `heavy`."""
+        period = cogging_period(loaded)
+        free, hanging = (
+            pairs_of(*swept, wave=period / most_order, inertia=moving, damping=damping)
+            for swept, moving in (
+                (self._swept, inertia),
+                (self._sweeps(loaded, most_order, "ripple", loaded=True), heavy),
+            )
+        )
+        return fit_ripple(free, hanging, period=period, most_order=most_order)
+
+    def _sweeps(self, x: Experiment, most_order: int, name: str, *, loaded: bool = False) -> Swept:
+        rows, rate = self._run(cogging_motion(x, most_order, loaded=loaded), name)
+        sweeps = cogging_sweeps(x, most_order, loaded=loaded)[1]
+        return np.arange(len(rows)) / rate, rows["effort_sent"], rows["position"], sweeps
 
     def _evened(self, motion: Motion) -> Motion:
         """The motion with the cogging compensated that is known: else a handle may fall from detent to detent."""
@@ -318,7 +376,7 @@ class _Session:
         """Run one trial; return its rows and their rate (Hz)."""
         x, request = motion.experiment, self._request
         rows, recording = run_motion(
-            self._device,
+            self.device,
             motion,
             free_name(Path(request.output), f"{x.rig.name}-{self._stem}-{name}-{number + 1}"),
             verified=request.verified,
@@ -392,12 +450,14 @@ def _identified(
     sliding: Sliding,
     dynamics: Dynamics,
     cogging: CoggingMap | None,
+    ripple: Ripple | None,
     recordings: Mapping[str, tuple[Path, ...]],
     *,
     simulated: bool,
 ) -> Identification:
     before = config.override(request.experiment, request.changes)
-    values = identified_values(base, sliding, dynamics, cogging, on_board=before.controller.loop == "device")
+    on_board = before.controller.loop == "device"
+    values = identified_values(base, sliding, dynamics, cogging, ripple, on_board=on_board)
     named = {key: f"{text}; {_files(recordings[kind])}" for key, (text, kind) in values.sources.items()}
     sticking = stiction_warning(0.5 * (signs.breakaway_up + signs.breakaway_down), sliding.coulomb.value)
     return Identification(
@@ -407,6 +467,7 @@ def _identified(
         sliding=sliding,
         dynamics=dynamics,
         cogging=cogging,
+        ripple=ripple,
         recordings=dict(recordings),
         sources=named,
         warnings=(*signs.warnings, *([sticking] if sticking else [])),

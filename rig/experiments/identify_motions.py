@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -126,6 +126,23 @@ def identification_plan(
         )  # fmt: skip
         checks += (_repeatable(x), _whole_period(x, way - 2.0 * SETTLE_S * most))
     return Plan(x.rig.name, 1, settings, checks)
+
+
+def loaded_plan(plan: Plan, x: Experiment, most_order: int, weight: float) -> Plan:
+    """Add the same sweeps with a weight (N·m or N) to a plan; `x` is the rig with the mass on it."""
+    limits, position, effort = x.rig.limits, _unit(x, "position"), _unit(x, "effort")
+    sweeps = cogging_sweeps(x, most_order, loaded=True)[1]
+    room = (0.5 - SWEEP_SHARE) * (limits.position_maximum - limits.position_minimum)
+    sags = (weight + coulomb_of(x) + x.rig.cogging.crest) / servo_of(x, slow_rate(x))[0]
+    step = Step(
+        "loaded sweeps",
+        f"{len(sweeps)} ways again, with {weight:.3g} {effort} hung on the rig",
+        sweeps[-1].end_s + SWEEP_REST_S,
+    )
+    sag = _check(
+        "sag under the mass", sags, room, position, "hang a smaller mass, or widen the window of positions"
+    )
+    return replace(plan, steps=(*plan.steps, step), checks=(*plan.checks, sag))
 
 
 def _repeatable(x: Experiment) -> Check:
@@ -261,15 +278,17 @@ def weighing_motion(x: Experiment) -> Motion:
     stiffness, damping = servo_of(x, rate)
     path, _ = weighing_strokes(x)
     law = tracing(path, stiffness=stiffness, damping=damping, limit=limit, rate_hz=rate)
-    hangs = (
-        limit / stiffness / x.rig.encoder.resolution
-    )  # so far below its set point the servo holds the load
-    changes = {
+    return Motion(_moved(x, path[0][1], path[-1][0], rate, _bearing(x, rate, limit)), law)
+
+
+def _bearing(x: Experiment, rate: int, limit: float) -> dict[str, Any]:
+    """Homing that bears a load: so far below its set point the servo holds it."""
+    hangs = limit / servo_of(x, rate)[0] / x.rig.encoder.resolution
+    return {
         **_homing(x, rate),
         "homing.effort": limit,
         "homing.tolerance_counts": min(1e6, x.homing.tolerance_counts + hangs),
     }
-    return Motion(_moved(x, path[0][1], path[-1][0], rate, changes), law)
 
 
 def weighing_strokes(x: Experiment) -> tuple[list[tuple[float, float]], list[Stroke]]:
@@ -285,23 +304,31 @@ def weighing_strokes(x: Experiment) -> tuple[list[tuple[float, float]], list[Str
     return path, strokes
 
 
-def cogging_motion(x: Experiment, most_order: int) -> Motion:
-    """Slow sweeps both ways by the homing servo, with as much effort as the motor gives for hours."""
-    path, _ = cogging_sweeps(x, most_order)
+def cogging_motion(x: Experiment, most_order: int, *, loaded: bool = False) -> Motion:
+    """Slow sweeps both ways by the homing servo, with as much effort as the motor gives for hours; also with a mass."""
+    path, _ = cogging_sweeps(x, most_order, loaded=loaded)
     rate, limit = slow_rate(x), min(x.rig.limits.effort, x.rig.limits.nominal_effort)
     stiffness, damping = servo_of(x, rate)
     law = tracing(path, stiffness=stiffness, damping=damping, limit=limit, rate_hz=rate)
-    return Motion(_moved(x, path[0][1], path[-1][0], rate, _homing(x, rate)), law)
+    changes = _bearing(x, rate, limit) if loaded else _homing(x, rate)
+    return Motion(_moved(x, path[0][1], path[-1][0], rate, changes), law)
 
 
-def cogging_sweeps(x: Experiment, most_order: int) -> tuple[list[tuple[float, float]], list[Stroke]]:
-    """Path of pairs of sweeps over most of the window, each pair at a speed of its own, and each of them."""
+def cogging_sweeps(
+    x: Experiment, most_order: int, *, loaded: bool = False
+) -> tuple[list[tuple[float, float]], list[Stroke]]:
+    """Path of pairs of sweeps over most of the window, each pair at a speed of its own, and each of them.
+
+    A load is let go first.
+    """
     stiffness, damping = servo_of(x, slow_rate(x))
     wave = cogging_period(x) / most_order / (2.0 * math.pi)
     fastest = min(STROKE_SPEED * x.rig.limits.speed, 2.0 * stiffness / damping / FOLLOWS * wave)
     travel = SWEEP_SHARE * (x.rig.limits.position_maximum - x.rig.limits.position_minimum)
     start = _middle(x) - travel
-    path, sweeps, time_s = [(0.0, start)], [], 0.0
+    path, sweeps, time_s = [(0.0, start)], [], HANG_S if loaded else 0.0
+    if loaded:
+        path.append((time_s, start))
     for share in SWEEP_SPEEDS:
         for way in (travel, -travel):
             begin_s, time_s = time_s, time_s + 2.0 * travel / (share * fastest)

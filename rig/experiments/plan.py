@@ -359,6 +359,10 @@ def _wall_checks(x: Experiment) -> list[Check]:
     enough = rest / delta >= x.trial.minimum_rest_counts
     if x.trial.kind == "human":
         checks.append(_let_go_check(x))
+    if share := x.rig.cogging.ripple_crest:
+        low, high = (x.wall.stiffness * (1.0 + way * share) for way in (-1.0, 1.0))
+        varies = f"K·(1 ± {share:.2g}) over position, {low:.4g} to {high:.4g} {unit_of('stiffness', motion)}"
+        checks.append(Check("ripple", Outcome.OK, f"{varies}, as much of B; not compensated"))
     return [
         *checks,
         limited(

@@ -158,7 +158,7 @@ def weigh(request: WeighRequest, ask: Ask) -> Weighing:
     arm = x.rig.mechanics.handle_radius if request.arm_m is None else request.arm_m
     weight = request.mass_kg * request.gravity * arm
     refuse_load(x, weight)
-    loaded = _loaded(x, request.mass_kg, arm)
+    loaded = with_mass(x, request.mass_kg, arm)
     url, output = request.url or "sim://", Path(request.output)
     with ExitStack() as stack:
         device = stack.enter_context(devices.open_device(url, config.rig_model(still(x))))
@@ -168,17 +168,9 @@ def weigh(request: WeighRequest, ask: Ask) -> Weighing:
             output.mkdir(parents=True, exist_ok=True)
         zero = position_zero(device, x)
         bare, first = _slide(device, x, request, zero, "bare")
-        if url.startswith("sim:"):
-            # Inertia goes with the square of the arm, weight with the arm.
-            pull = -request.gravity * x.rig.mechanics.handle_radius / arm
-            hung = replace(loaded.rig.mechanics, gravity=pull)
-            model = replace(config.rig_model(still(loaded)), mechanics=hung)
-            device = stack.enter_context(devices.open_device(url, model))
-        else:
-            ask(
-                f"hang {request.mass_kg:g} kg on it at {arm:g} m, and hold it near the middle of the travel; let go "
-                "when the motor bears it, and take it again at the end, when the motor lets go"
-            )
+        device = hung(
+            stack, device, loaded, url, ask, mass_kg=request.mass_kg, arm=arm, gravity=request.gravity
+        )
         pulled, second = _slide(device, loaded, request, zero, "loaded")
         name = device.dictionary.device
     difference = pulled.bias.value - bare.bias.value
@@ -227,8 +219,33 @@ def refuse_load(x: Experiment, weight: float) -> None:
             )
 
 
-def _loaded(x: Experiment, mass_kg: float, arm: float) -> Experiment:
-    """The rig with the mass on it: its servo carries more."""
+def hung(
+    stack: ExitStack,
+    device: FramedDevice,
+    loaded: Experiment,
+    url: str,
+    ask: Ask,
+    *,
+    mass_kg: float,
+    arm: float,
+    gravity: float = STANDARD_GRAVITY,
+) -> FramedDevice:
+    """Have the mass hung on the rig (`with_mass`); return its device, in simulation a new one, closed by the stack."""
+    if url.startswith("sim:"):
+        # Inertia goes with the square of the arm, weight with the arm.
+        pull = -gravity * loaded.rig.mechanics.handle_radius / arm
+        mechanics = replace(loaded.rig.mechanics, gravity=pull)
+        model = replace(config.rig_model(still(loaded)), mechanics=mechanics)
+        return stack.enter_context(devices.open_device(url, model))
+    ask(
+        f"hang {mass_kg:g} kg on it at {arm:g} m, and hold it near the middle of the travel; let go "
+        "when the motor bears it, and take it again at the end, when the motor lets go"
+    )
+    return device
+
+
+def with_mass(x: Experiment, mass_kg: float, arm: float) -> Experiment:
+    """Return the rig with the mass on it: its servo carries more."""
     at_the_handle = mass_kg * (arm / x.rig.mechanics.handle_radius) ** 2
     return config.override(x, {"rig.mechanics.end_mass": at_the_handle}, "weighing")
 

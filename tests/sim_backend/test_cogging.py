@@ -143,6 +143,49 @@ def test_friction_holds_a_motor_that_cogs_to_the_last_bit_until_both_are_overcom
             assert np.sign(moved[-1]) == np.sign(command)
 
 
+def rippling(
+    shares: dict[int, tuple[float, float]], lag_s: float, period: float = PERIODS["linear"]
+) -> RigModel:
+    """A mass that nothing but its motor moves, whose effort varies by these shares (order: cosine, sine)."""
+    orders, zeros = tuple(shares), (0.0,) * len(shares)
+    cosine, sine = zip(*shares.values(), strict=True)
+    return replace(
+        SLIDE,
+        mechanics=replace(SLIDE.mechanics, motor_damping=0.0, motor_coulomb=0.0),
+        amplifier=replace(SLIDE.amplifier, lag_s=lag_s),
+        cogging=Cogging(
+            period=period, orders=orders, cosine=zeros, sine=zeros, ripple_cosine=cosine, ripple_sine=sine
+        ),
+    )
+
+
+def test_an_effort_that_ripples_does_the_work_of_its_integral_over_the_way() -> None:
+    """Of a constant u from rest, ∫ u·(1 + r(x)) dx in closed form is the kinetic energy; a sensor of current sees u."""
+    command, shares = 2.0, {1: (0.05, -0.1), 5: (0.08, 0.02)}
+    plant = DiscretePlant.build(rippling(shares, 0.0), 1e-3)
+    rows = run(plant, plant.at_rest(0.0), 150, command)
+    x, v = rows[:, 0], rows[:, 1]
+    angle = np.multiply.outer(x, 2.0 * math.pi / PERIODS["linear"] * np.array(list(shares)))
+    cosine, sine = np.array(list(shares.values())).T
+    wave = 2.0 * math.pi / PERIODS["linear"] * np.array(list(shares))
+    work = command * (x + np.sin(angle) @ (cosine / wave) - np.cos(angle) @ (sine / wave))
+    kinetic = 0.5 * 0.52 * v**2
+    assert x[-1] > 1.5 * PERIODS["linear"]
+    assert kinetic - kinetic[0] == pytest.approx(work - work[0], rel=1e-5, abs=1e-6 * work[-1])
+    assert rows[-1, plant.effort] == command
+
+
+@pytest.mark.parametrize("lag_s", [0.0, 1e-5, 3e-4, 1e-2])
+def test_a_ripple_that_is_the_same_everywhere_is_a_larger_torque_constant(lag_s: float) -> None:
+    """Velocities are 1 + r times as large to the last digits, also while the effort comes up to its command."""
+    even, larger = (
+        DiscretePlant.build(rippling({1: (share, 0.0)}, lag_s, period=1e9), 1e-4) for share in (0.0, 0.07)
+    )
+    a, b = (run(plant, plant.at_rest(0.0), 20, 1.5)[:, 1] for plant in (even, larger))
+    assert b == pytest.approx(1.07 * a, rel=1e-9)
+    assert a[-1] > 0.0
+
+
 def test_effort_slope_and_energy_are_derivatives_of_each_other() -> None:
     given = cogging(LOSSLESS, (1, 0.3, -0.2), (14, -0.5, 1.0)).cogging
     at, step = np.linspace(-0.7, 0.7, 101), 1e-6

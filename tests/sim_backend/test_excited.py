@@ -25,6 +25,8 @@ COGS = {
     "rig.cogging.orders": [3],
     "rig.cogging.cosine": [0.01],
     "rig.cogging.sine": [0.02],
+    "rig.cogging.ripple_cosine": [0.05],
+    "rig.cogging.ripple_sine": [0.02],
 }
 RIGID = {"rig.mechanics.motor_coulomb": 0.0, "rig.mechanics.motor_damping": 0.0}
 

@@ -67,6 +67,8 @@ def test_the_plan_touches_nothing(run: Any, tmp_path: Path) -> None:
         (("--rig", "chawda-linear", "--rate", "50"), "50 Hz", 2),
         (("--url", "serial:///dev/does-not-exist"), "does-not-exist", 3),
         (("-o", "."), "is a directory", 2),
+        (("--cogging", "7", "--weight", "0.5"), "more than the", 2),
+        (("--cogging", "7", "--arm", "0.1"), "--weight KG with --arm M", 2),
         (("--cogging", "7"), "position zero: is where the handle happens to stand", 2),
     ],
 )

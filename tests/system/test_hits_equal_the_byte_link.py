@@ -24,6 +24,8 @@ COGS = {
     "rig.cogging.orders": [1, 3],
     "rig.cogging.cosine": [0.01, 0.0],
     "rig.cogging.sine": [0.0, -0.02],
+    "rig.cogging.ripple_cosine": [0.05, 0.0],
+    "rig.cogging.ripple_sine": [0.0, -0.03],
 }
 
 

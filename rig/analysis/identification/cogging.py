@@ -126,28 +126,16 @@ def fit_cogging(
     IdentificationError
         Fewer than two pairs that moved, or a range of less than a period.
     """
-    ways = [
-        _points(time_s, effort, position, sweep, period / most_order, inertia, damping) for sweep in sweeps
-    ]
-    if len(ways) < 4 or min(len(x) for x, _ in ways) == 0:
-        raise IdentificationError(
-            "fewer than two pairs of sweeps moved",
-            remedy="see that nothing holds the handle, and allow more effort",
-        )
-    low, high = max(x.min() for x, _ in ways), min(x.max() for x, _ in ways)
-    if high - low < LEAST_PERIODS * period:
-        raise IdentificationError(
-            f"the sweeps cover {high - low:.4g} of a period of {period:.4g}: its harmonics cannot be told apart",
-            remedy="widen the window of positions, or give rig.cogging.period if it is shorter",
-        )
-    kept = [(x[(x >= low) & (x <= high)], y[(x >= low) & (x <= high)]) for x, y in ways]
-    pairs = list(zip(kept[::2], kept[1::2], strict=True))
+    wave = period / most_order
+    pairs = pairs_of(time_s, effort, position, sweeps, wave=wave, inertia=inertia, damping=damping)
+    low, high = common_range(pairs, period)
+    pairs = [within(pair, low, high) for pair in pairs]
     orders, unseen = _orders(pairs, period, most_order)
-    each = np.array([_fitted(up, down, period, orders) for up, down in pairs])
+    each = np.array([fitted_pair(pair, period, orders) for pair in pairs])
     every = [from_scatter(float(column.mean()), column) for column in each.T]
     levels, n = each[:, -2:] @ [[0.5, -0.5], [0.5, 0.5]], len(orders)  # bias, friction
-    at, up, down = _both_ways(pairs, low, high, period / most_order)
-    maps = np.array([_basis(at, period, orders) @ row[: 2 * n] for row in each])
+    at, up, down = _both_ways(pairs, low, high, wave)
+    maps = np.array([basis(at, period, orders) @ row[: 2 * n] for row in each])
     factor = quantile(len(pairs) - 1) / math.sqrt(len(pairs))
     return CoggingMap(
         period=period,
@@ -166,6 +154,48 @@ def fit_cogging(
 
 
 Points = tuple[Floats, Floats]
+Pair = tuple[Points, Points]  # up, down
+
+
+def pairs_of(
+    time_s: Floats,
+    effort: Floats,
+    position: Floats,
+    sweeps: Sequence[Stroke],
+    *,
+    wave: float,
+    inertia: float,
+    damping: float,
+) -> list[Pair]:
+    """Positions and efforts of cogging less friction in pairs of sweeps; see `fit_cogging`.
+
+    `wave` is the shortest that is looked for (rad or m). Raises `IdentificationError` where fewer than two pairs moved.
+    """
+    ways = [_points(time_s, effort, position, sweep, wave, inertia, damping) for sweep in sweeps]
+    if len(ways) < 4 or min(len(x) for x, _ in ways) == 0:
+        raise IdentificationError(
+            "fewer than two pairs of sweeps moved",
+            remedy="see that nothing holds the handle, and allow more effort",
+        )
+    return list(zip(ways[::2], ways[1::2], strict=True))
+
+
+def common_range(pairs: Sequence[Pair], period: float) -> tuple[float, float]:
+    """Where all sweeps have been (rad or m); raises `IdentificationError` for less than a period."""
+    ways = [x for pair in pairs for x, _ in pair]
+    low, high = max(float(x.min()) for x in ways), min(float(x.max()) for x in ways)
+    if high - low < LEAST_PERIODS * period:
+        raise IdentificationError(
+            f"the sweeps cover {high - low:.4g} of a period of {period:.4g}: its harmonics cannot be told apart",
+            remedy="widen the window of positions, or give rig.cogging.period if it is shorter",
+        )
+    return low, high
+
+
+def within(pair: Pair, low: float, high: float) -> Pair:
+    """Return what of a pair lies in a range."""
+    up, down = ((x[(x >= low) & (x <= high)], y[(x >= low) & (x <= high)]) for x, y in pair)
+    return up, down
 
 
 def _points(
@@ -190,16 +220,18 @@ def _points(
     return x[1:-1], inertia * acceleration + damping * velocity - u[1:-1]
 
 
-def _basis(x: Floats, period: float, orders: Sequence[int]) -> Floats:
+def basis(x: Floats, period: float, orders: Sequence[int]) -> Floats:
+    """Cosines and then sines of harmonics at positions, shape (n, 2·orders)."""
     angle = 2.0 * math.pi / period * np.multiply.outer(x, np.asarray(orders, dtype=np.float64))
     return np.hstack([np.cos(angle), np.sin(angle)])
 
 
-def _fitted(up: Points, down: Points, period: float, orders: Sequence[int]) -> Floats:
+def fitted_pair(pair: Pair, period: float, orders: Sequence[int]) -> Floats:
     """Cosines, sines, and the level of each way, of one pair."""
+    up, down = pair
     rows = [
         np.column_stack(
-            [_basis(x, period, orders), np.full(len(x), float(rises)), np.full(len(x), float(not rises))]
+            [basis(x, period, orders), np.full(len(x), float(rises)), np.full(len(x), float(not rises))]
         )
         for (x, _), rises in ((up, True), (down, False))
     ]
@@ -207,12 +239,10 @@ def _fitted(up: Points, down: Points, period: float, orders: Sequence[int]) -> F
     return found
 
 
-def _orders(
-    pairs: Sequence[tuple[Points, Points]], period: float, most: int
-) -> tuple[tuple[int, ...], float]:
+def _orders(pairs: Sequence[Pair], period: float, most: int) -> tuple[tuple[int, ...], float]:
     """Harmonics that are there for certain, and the amplitude from which any would have been."""
     every = range(1, most + 1)
-    each = np.array([_fitted(up, down, period, every) for up, down in pairs])[:, : 2 * most]
+    each = np.array([fitted_pair(pair, period, every) for pair in pairs])[:, : 2 * most]
     mean, spread = each.mean(axis=0), each.std(axis=0, ddof=1)
     amplitude = np.hypot(mean[:most], mean[most:])
     half = quantile(len(pairs) - 1) / math.sqrt(len(pairs)) * np.hypot(spread[:most], spread[most:])
@@ -221,9 +251,7 @@ def _orders(
     return tuple(int(n) for n in np.flatnonzero(sure) + 1), float(needed[~sure].max(initial=0.0))
 
 
-def _both_ways(
-    pairs: Sequence[tuple[Points, Points]], low: float, high: float, wave: float
-) -> tuple[Floats, Floats, Floats]:
+def _both_ways(pairs: Sequence[Pair], low: float, high: float, wave: float) -> tuple[Floats, Floats, Floats]:
     """Means over bins of position, of all ways up and of all ways down."""
     edges = np.linspace(low, high, max(2, round(8.0 * (high - low) / wave)) + 1)
     means = []

@@ -6,7 +6,8 @@ range of damping of a dual-rate wall and nearly all of a uniform 20 kHz one's), 
 wall: the handle is pressed against a wall that may pull, τ = −(K·θ + B·v).
 
 Cogging enters by its slope, a stiffness of the motor's side: the loop is asked at the place where it is stiffest and at
-the one where it is softest, of all from the wall to the end of the window.
+the one where it is softest, of all from the wall to the end of the window. Ripple is no part of the loop here: it makes
+K and B 1 ± r times as large, which is to be compared with the margin to the limit (`rig plan` says how much).
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ PERIOD, QUANTUM, EFFORT_QUANTUM = 2.0 * math.pi / 10.0, 1.57e-4, 2.3e-4
 INERTIA, DAMPING, UP, DOWN = 1.8e-3, 4e-3, 0.008, 0.006
 
 
-def swept(cogging: Cogging, wobble: float = 0.2, travel: float = TRAVEL) -> Any:
+def swept(cogging: Cogging, wobble: float = 0.2, travel: float = TRAVEL, load: float = 0.0) -> Any:
     """Time, effort, position and sweeps: a motion that is prescribed, and the effort that it takes by Newton's law."""
     sweeps, at, speeds, time_s = [], [], [], 0.0
     for speed in SPEEDS:
@@ -38,7 +38,8 @@ def swept(cogging: Cogging, wobble: float = 0.2, travel: float = TRAVEL) -> Any:
     x, side = np.concatenate(at), np.concatenate(speeds)
     velocity = np.gradient(x, 1.0 / RATE)
     rubs = np.where(side > 0.0, UP, -DOWN) + DAMPING * velocity
-    effort = INERTIA * np.gradient(velocity, 1.0 / RATE) + rubs - cogging.effort(x)
+    needed = INERTIA * np.gradient(velocity, 1.0 / RATE) + rubs + load - cogging.effort(x)
+    effort = needed / (1.0 + cogging.share(x))
     counted = QUANTUM * np.floor(x / QUANTUM + 0.5)
     sent = EFFORT_QUANTUM * np.rint(effort / EFFORT_QUANTUM)
     return np.arange(len(x)) / RATE, sent, counted, sweeps

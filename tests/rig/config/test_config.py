@@ -424,6 +424,21 @@ ROTARY_RULES = [
         "rig.cogging.period = None rad: must be given with rig.cogging.orders",
     ),
     (
+        {"rig.cogging.ripple_cosine": [0.02]},
+        "rig.cogging.ripple_cosine = [0.02]: must have one number for each of the 0 orders in rig.cogging.orders",
+    ),
+    (
+        {
+            "rig.cogging.orders": [3],
+            "rig.cogging.period": 0.6,
+            "rig.cogging.cosine": [0.0],
+            "rig.cogging.sine": [0.0],
+            "rig.cogging.ripple_cosine": [0.8],
+            "rig.cogging.ripple_sine": [0.6],
+        },
+        "rig.cogging.ripple_cosine = [0.8]: gives with rig.cogging.ripple_sine up to 1 of the effort",
+    ),
+    (
         {"rig.cogging.minimum": 0.2, "rig.cogging.maximum": 0.1},
         "rig.cogging.minimum = 0.2 rad: must lie below",
     ),

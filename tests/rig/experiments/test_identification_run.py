@@ -17,15 +17,18 @@ from dataclasses import replace
 from rig import config
 from rig.analysis.identification.quality import IdentificationError
 from rig.analysis.identification.signs import check_signs
+from rig.cli.identify import _ripple_pairs
 from rig.config import controller, presets
 from rig.control.motions import nudging, tracing
 from rig.core.check import Outcome
 from rig.core.errors import ConfigError, PlanError
+from rig.core.model import Cogging
 from rig.core.sample import Phase
 from rig.devices.framed import FramedDevice
 from rig.experiments import identify as identifying
 from rig.experiments import identify_motions as motions
 from rig.experiments.identified_file import file_text
+from rig.experiments.identified_values import identified_values
 from rig.experiments.identify import IdentifyRequest, identify
 from rig.experiments.motion_run import trial_rows
 from rig.recording.reader import open_recording
@@ -36,6 +39,7 @@ from sim_backend.hardware import Hardware
 from sim_backend.link import MemoryLink
 from sim_backend.plant import DiscretePlant
 from sim_backend.trial import run_trial
+from tests.rig.analysis.test_identification_cogging import fitted
 
 CHAWDA, RIGID, COMPLIANT = (presets.load(name) for name in ("chawda-linear", "koul-rigid", "koul-compliant"))
 
@@ -166,6 +170,54 @@ def test_cogging_beyond_the_friction_is_mapped_and_spoils_no_other_parameter(tmp
     assert "orders = [1, 7]" in path.read_text()
 
 
+RIPPLES = {
+    **COGS,
+    "rig.cogging.orders": [1, 2],
+    "rig.cogging.ripple_cosine": [0.03, 0.0],
+    "rig.cogging.ripple_sine": [0.02, -0.05],
+}
+
+
+def test_ripple_of_the_effort_is_told_by_sweeps_with_a_mass_and_kept_in_the_file(tmp_path: Path) -> None:
+    changes = {**INDEXED, **RIPPLES, "controller.position_rate": 6000}
+    found = identified(
+        COMPLIANT,
+        tmp_path,
+        period_s=0.25,
+        realisations=2,
+        changes=changes,
+        cogging=4,
+        mass_kg=0.3,
+        arm_m=0.05,
+    )
+    ripple, true = found.ripple, config.override(COMPLIANT, changes).rig.cogging
+    assert ripple.orders == true.orders
+    for at, (c, s) in enumerate(zip(true.ripple_cosine, true.ripple_sine, strict=True)):
+        assert ripple.amplitude[at].value == pytest.approx(np.hypot(c, s), abs=2e-4)
+        assert ripple.phase[at].value == pytest.approx(np.arctan2(s, c), abs=5e-3)
+    assert ripple.load.value == pytest.approx(0.3 * 0.05 * 9.80665, rel=1e-3)
+    assert [path.name.split("-")[-2] for path in found.recordings["ripple"]] == ["ripple"]
+    (_, said), (_, second) = _ripple_pairs(found)
+    assert said.startswith("3.6")
+    assert "% of the effort at harmonic 1, phase 0.58" in said
+    assert "harmonic 2, phase -1.57" in second
+    assert (
+        "friction that varies with place; a mass tells it" in _ripple_pairs(replace(found, ripple=None))[0][1]
+    )
+    path = tmp_path / "rig.toml"
+    path.write_text(file_text(found))
+    kept = config.load_experiment(path).rig.cogging
+    assert kept == found.experiment.rig.cogging
+    at = np.linspace(-0.5, 0.5, 64, endpoint=False) * true.period
+    assert kept.share(at) == pytest.approx(true.share(at), abs=1e-3)
+    bent = true.effort(at) / (
+        1.0 + true.share(at)
+    )  # what a command has to be; its mean is a bias, no harmonic
+    least = found.cogging.unseen + 5e-5
+    assert np.abs(true.effort(at) - bent).max() > 2.0 * least
+    assert kept.effort(at) == pytest.approx(bent - bent.mean(), abs=least)
+
+
 @pytest.mark.parametrize(
     ("experiment", "changes", "words"),
     [
@@ -179,6 +231,49 @@ def test_a_map_that_would_be_of_no_use_is_refused_before_anything_moves(
     with pytest.raises(PlanError, match=words):
         identified(experiment, tmp_path, changes=changes, cogging=7)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("changes", "mass_kg", "words"),
+    [
+        ({}, 0.6, "more than the 0.286 N·m that the motor bears for hours"),
+        (
+            {"rig.limits.position_minimum": -0.4, "rig.limits.position_maximum": 0.4, "homing.damping": 0.1},
+            0.35,
+            "sag",
+        ),
+    ],
+)
+def test_a_mass_that_the_sweeps_cannot_carry_is_refused_before_anything_moves(
+    changes: Any, mass_kg: float, words: str, tmp_path: Path
+) -> None:
+    with pytest.raises(PlanError, match=words):
+        identified(
+            COMPLIANT, tmp_path, changes={**INDEXED, **changes}, cogging=8, mass_kg=mass_kg, arm_m=0.05
+        )
+    assert not list(tmp_path.iterdir())
+
+
+def test_ripple_that_was_not_looked_for_stays_as_it_was_described(compliant: Any) -> None:
+    """A map of other orders is written beside it: both have the same in a file."""
+    x = config.override(COMPLIANT, {**INDEXED, **RIPPLES})
+    mapped = fitted(Cogging(period=x.rig.cogging.period, orders=(4,), cosine=(0.01,), sine=(0.0,)), most=4)
+    values = identified_values(x, compliant.sliding, compliant.dynamics, mapped)
+    after = config.override(x, values.values, "test").rig.cogging
+    at = np.linspace(-0.3, 0.3, 50)
+    assert after.orders == (1, 2, 4)
+    assert after.share(at) == pytest.approx(x.rig.cogging.share(at), abs=1e-15)
+    assert after.effort(at) == pytest.approx(mapped.cogging.effort(at), abs=1e-15)
+    assert not any("ripple" in key for key in values.sources)
+
+
+def test_a_mass_needs_sweeps_and_a_real_rig_somebody_who_hangs_it(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="a mass tells ripple in sweeps"):
+        IdentifyRequest(experiment=COMPLIANT, mass_kg=0.1)
+    with pytest.raises(ConfigError, match="the arm is 0"):
+        IdentifyRequest(experiment=COMPLIANT, cogging=4, mass_kg=0.1, arm_m=0.0)
+    with pytest.raises(ConfigError, match="nobody is asked"):
+        identified(COMPLIANT, tmp_path, url="usb://1209:0001", cogging=4, mass_kg=0.1)
 
 
 def test_the_period_of_a_linear_motor_must_be_given(tmp_path: Path) -> None:

@@ -176,6 +176,15 @@ def test_resting_penetration_against_the_least_counts() -> None:
     assert check(changed({"trial.effort": 0.03, "trial.minimum_rest_counts": 0}), name).outcome == Outcome.OK
 
 
+def test_ripple_is_the_share_by_which_the_wall_varies() -> None:
+    """At most by the crests of all harmonics in one place: 0.05 and 0.05 of 300 N·m/rad are 30."""
+    zeros = {f"rig.cogging.{part}": [0.0, 0.0] for part in ("cosine", "sine")}
+    ripples = {"rig.cogging.ripple_cosine": [0.03, 0.0], "rig.cogging.ripple_sine": [0.04, -0.05]}
+    given = changed({"rig.cogging.period": 0.6, "rig.cogging.orders": [1, 7], **zeros, **ripples})
+    assert "K·(1 ± 0.1) over position, 270 to 330 N·m/rad" in check(given, "ripple").text
+    assert "ripple" not in {one.name for one in make_plan(COMPLIANT).checks}
+
+
 def test_motor_heat_over_all_repeats() -> None:
     """One time constant at load L spends L² (1 − 1/e) of the budget; above the nominal effort for ever, all of it."""
     tau, nominal = COMPLIANT.rig.limits.thermal_time_constant_s, COMPLIANT.rig.limits.nominal_effort
