@@ -16,6 +16,7 @@ export class Wall {
     this.labels = {};
     this.motion = "rotary";
     this.chosen = {};
+    this.told = {}; // to the running loop, by this page: browsers say `change` twice for one value
     this.estimator = new Estimator(facts, () => this.#theory());
     this.rig = make("select", { onchange: () => this.#load() }, ...facts.rigs.map((name) => make("option", { value: name, textContent: name })));
     this.url = make("input", { type: "text", value: "sim://", ariaLabel: "Device" });
@@ -120,7 +121,7 @@ export class Wall {
     if (this.fields[`${key}~`]) this.#place(key);
     const value = Number(this.fields[key].value);
     this.chosen[key] = key.endsWith("rate") ? Math.round(value) : value;
-    if (key.startsWith("wall.") && this.running) this.#set(key);
+    if (key.startsWith("wall.") && this.running && this.told[key] !== value) this.#set(key);
     this.#theory();
   }
 
@@ -131,11 +132,12 @@ export class Wall {
   // Change the running wall, a few times a second while a slider moves; the last value is always said.
   #set(key) {
     this.pending = { ...this.pending, [key]: this.chosen[key] };
+    this.told[key] = this.chosen[key];
     if (this.setting) return;
     this.setting = true;
     const changes = this.pending;
     this.pending = null;
-    this.link.ask("set", { changes }).then((done) => { this.set = done.number; }, (error) => this.#trouble(error))
+    this.link.ask("set", { changes }).then((done) => { this.set = done.number; }, (error) => { this.told = {}; this.#trouble(error); })
       .finally(() => setTimeout(() => {
         this.setting = false;
         if (this.pending) this.#set(Object.keys(this.pending)[0]);
@@ -208,6 +210,7 @@ export class Wall {
     const busy = state.job !== null;
     this.play.disabled = this.hit.disabled = busy || (state.operated && !state.operates);
     const loop = state.loop;
+    if (!this.running || loop.set > (this.set ?? 0)) this.told = {}; // another's set
     setText(this.sets, !this.running ? "" : loop.set < (this.set ?? 0)
       ? `Set ${this.set} waits until the handle is outside the wall; set ${loop.set} is active.` : `Parameter set ${loop.set} is active.`);
   }
