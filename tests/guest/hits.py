@@ -37,6 +37,7 @@ CHANGES: dict[str, Any] = {
     "host.realtime": "off",  # what it would lock into memory comes over 9p
     "host.heartbeat_s": 30.0,
 }
+ITS_TURN_S = 0.5
 ATTEMPTS = 3
 BOUND_S = 120.0  # "it comes back", not how soon
 COUNTED = ("frames", "bad_frames", "lost", "commands", "unsent", "late", "rows_dropped")
@@ -125,6 +126,10 @@ def check_ended_safely(ended: Ended, far_end: FarEnd, *kinds: type[RigError]) ->
 
     `kinds` are the errors of what struck the run; those of a machine that is too slow may come first.
     """
+    if isinstance(ended.error, LinkLostError):
+        time.sleep(
+            ITS_TURN_S
+        )  # `left` stops the device at once, which may have had no time for its own watchdog
     print(f"{ended.wall_s:.1f} s: {type(ended.error).__name__}: {ended.error}; {far_end.left()}")
     assert far_end.left().current == 0
     assert far_end.left().state not in (State.ARMED, State.RUNNING)
