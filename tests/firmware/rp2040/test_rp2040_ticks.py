@@ -50,10 +50,10 @@ def test_the_device_dates_its_samples_as_they_come(powered: Powered, rate: int) 
     [
         ("powered", 20_000, 2_000, 0.30),
         ("powered", 20_000, 20_000, 0.30),
-        ("powered", 50_000, 5_000, 0.75),
-        ("powered", 50_000, 50_000, 0.75),
+        ("powered", 50_000, 5_000, 0.77),
+        ("powered", 50_000, 50_000, 0.77),
         ("powered_dac", 20_000, 20_000, 0.30),
-        ("powered_dac", 50_000, 5_000, 0.75),
+        ("powered_dac", 50_000, 5_000, 0.77),
     ],
 )
 def test_the_worst_tick_with_the_law_on_the_device(
