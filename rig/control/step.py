@@ -79,10 +79,7 @@ CONTROL = np.dtype(
         ("oscillation_ticks", "<i8"),  # within which the next one is in a row
         ("oscillation_travel", "<f8"),  # of the handle, below which an oscillation is none
         ("held_effort", "<f8"),  # that friction and weight hold without motion
-        (
-            "impulse_limit",
-            "<f8",
-        ),  # of what is beyond that and moves nothing, above which the run ends; 0: any
+        ("impulse_limit", "<f8"),  # of the rest, without motion, above which the run ends; 0: any
     ],
     align=True,
 )

@@ -234,10 +234,10 @@ void bridge_setup(struct bridge *bridge, const struct bridge_setup *setup, struc
     bridge->drive.switches = (uint8_t)setup->switches;
     bridge->drive.limit = (float)setup->torque_limit;
     bridge->drive.kp = (float)setup->kp;
-    bridge->scales.counts_per_turn = setup->counts_per_turn;
-    bridge->scales.torque_per_quantum = setup->torque_per_quantum;
     bridge->drive.kd = (float)setup->kd;
     bridge->drive.beat = (uint64_t)setup->beat_us * HR_TIME_UNITS_PER_US;
+    bridge->scales.counts_per_turn = setup->counts_per_turn;
+    bridge->scales.torque_per_quantum = setup->torque_per_quantum;
     bridge->adapter.checksum = setup->checksum != 0;
     board_set_up(&bridge->board, &setup->board);
     bridge->board.narrower = bridge->narrower;

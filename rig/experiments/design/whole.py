@@ -364,7 +364,9 @@ class _Whole:
     def _tuned(self, one: Candidate) -> int:
         """Numbers to tune; the listed set states order and longest window where they keep their default, too."""
         controller = one.applied(self._x).controller
-        defaults = {one.name: one.default for one in estimators.get(controller.estimator).settings}
+        defaults = {
+            setting.name: setting.default for setting in estimators.get(controller.estimator).settings
+        }
         stated = {
             name: value
             for name, value in controller.parameters.items()
