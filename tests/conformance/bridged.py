@@ -242,6 +242,7 @@ class Bridged:
         self._number = 0
         self._at_ns = 0  # to which the world has come
         self._said = b""  # and not yet read by a loop
+        self._unheard: list[bytes] = []  # of the drive, while nobody listens
         self._failure: BaseException | None = None
         self.bridge.start(0)
 
@@ -326,6 +327,15 @@ class Bridged:
         while self.clock.now_ns() < end_ns:
             self.step(end_ns)
 
+    def sleep(self, seconds: float) -> None:
+        """Let the bridge's computer stand still; what came meanwhile is heard afterwards."""
+        self.alive = False
+        self.run(seconds)
+        self.alive = True
+        for line in self._unheard:
+            self._to_drive(self.bridge.hear_bus(line, self._now))
+        self._unheard.clear()
+
     def step(self, end_ns: int) -> None:
         """Go to what happens next, and let it."""
         times = [end_ns, self._events[0][0] if self._events else end_ns, self._speaks_ns(end_ns)]
@@ -340,6 +350,8 @@ class Bridged:
                 self._arrives(line)
             elif self.alive:
                 self._to_drive(self.bridge.hear_bus(line, self._now))
+            else:
+                self._unheard.append(line)
         if self.alive:
             self._to_drive(self.bridge.hear_host(b"", self._now))
         if self.alive and self.bridge.due <= self._now:
