@@ -23,6 +23,11 @@ THREW_OUT = {  # reasons of a trailer: what the wall did to the handle
     "violent": "the wall oscillated: the effort alternated between nothing and its limit",
 }
 THROWN_OUT = {Fault.POSITION_WINDOW.name, Fault.OVER_SPEED.name, Fault.RUNAWAY.name}
+OUT_OF_TIME = {
+    Fault.TICK_OVERRUN.name,
+    Fault.LINK_LOST.name,
+    "DRIVE_SILENT",
+}  # the last one of a bridge to a drive
 
 
 def experiment_of(recording: Recording) -> Experiment:
@@ -216,6 +221,11 @@ def thrown_out(recording: Recording) -> str:
     if (trailer.get("fault") or {}).get("name") in THROWN_OUT:
         return THREW_OUT["out_of_window"]
     return THREW_OUT.get(trailer.get("reason", ""), "")
+
+
+def out_of_time(recording: Recording) -> bool:
+    """Whether a fault ended the run that a moment without processor or link makes: another time it may end as usual."""
+    return ((recording.trailer or {}).get("fault") or {}).get("name") in OUT_OF_TIME
 
 
 def ended_early(recording: Recording) -> tuple[Kind, str] | None:
