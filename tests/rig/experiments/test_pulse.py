@@ -92,6 +92,16 @@ def test_a_fault_is_refused_by_the_check_that_is_about_it(name: str, loop: str, 
         found.insist()
 
 
+@pytest.mark.parametrize(("fault", "outcome"), [("sound", Outcome.OK), ("motor × 2", Outcome.REFUSED)])
+def test_a_push_in_coarse_steps_of_current_tells_the_scale(
+    fault: str, outcome: Outcome, tmp_path: Path
+) -> None:
+    """A quantum is a ninth of hapkit's friction, and damping takes most of what is beyond."""
+    hapkit = config.override(presets.load("hapkit"), {"rig.amplifier.current_monitor": False})
+    found = pulsed(hapkit, FAULTS[fault], 0.0, tmp_path / "pulse.rigcap")
+    assert {check.name: check.outcome for check in found.checks}["size"] is outcome
+
+
 def test_friction_beyond_a_push_is_not_called_a_dead_motor(sound: Pulse) -> None:
     """Nothing moved, and the described friction alone would explain it."""
     still = dataclasses.replace(
