@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from firmware_protocol.faults import Fault
+from rig.bench.bridge.faults import DriveFault
 from rig.config import Experiment, experiment_from_mapping, verdict_thresholds
 from rig.control import judging, verdict
 from rig.control.verdict import Kind, Measured, Objection, Verdict, percent
@@ -23,11 +24,7 @@ THREW_OUT = {  # reasons of a trailer: what the wall did to the handle
     "violent": "the wall oscillated: the effort alternated between nothing and its limit",
 }
 THROWN_OUT = {Fault.POSITION_WINDOW.name, Fault.OVER_SPEED.name, Fault.RUNAWAY.name}
-OUT_OF_TIME = {
-    Fault.TICK_OVERRUN.name,
-    Fault.LINK_LOST.name,
-    "DRIVE_SILENT",
-}  # the last one of a bridge to a drive
+OUT_OF_TIME = {Fault.TICK_OVERRUN.name, Fault.LINK_LOST.name, DriveFault.DRIVE_SILENT.name}
 
 
 def experiment_of(recording: Recording) -> Experiment:

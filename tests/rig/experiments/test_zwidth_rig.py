@@ -193,8 +193,8 @@ def test_a_hit_that_ended_for_want_of_time_is_repeated(
     found = zwidth_on_rig(plan, person.session(tmp_path))
     assert [asked.attempt for asked in person.asked] == [1, 2]
     assert kinds(found) == kinds(undisturbed)
-    reasons = [open_recording(one).trailer["reason"] for one in sorted((tmp_path / "hits").glob("*.parquet"))]
-    assert reasons == ["device_fault", "finished"]
+    reasons = [open_recording(one).trailer["reason"] for one in (tmp_path / "hits").glob("*.parquet")]
+    assert sorted(reasons) == ["device_fault", "finished"]
 
 
 def test_a_lost_link_ends_the_session(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
