@@ -74,7 +74,7 @@ class Fault(Described):
     )
     TICK_OVERRUN = (
         6,
-        "the device did not finish a tick within its period, or missed two in succession",
+        "the device did not finish a tick within its period, or missed two in succession (behind a bridge: four)",
         "lower position_rate, or take a law in integers (estimator fdm-butterworth-fixed), which is faster than "
         "float32 on a board without floating point; behind a bridge to a drive, close other programs; then "
         "clear the fault",
@@ -178,7 +178,7 @@ class Status(Described):
     OUT_OF_RANGE = (
         4,
         "the value of a parameter (detail) is outside its range",
-        "see its range in the dictionary",
+        "see its range in the dictionary; rig.limits, controller.position_rate and homing give most of them",
     )
     BAD_LENGTH = 5, "the request or the block has an impossible length", "resend; report it if it persists"
     BAD_CRC = 6, "the assembled block does not have the announced CRC", "send the block again from BEGIN"

@@ -9,8 +9,6 @@ It mirrors a serial port and its driver: a bounded input buffer that drops what 
 
 from __future__ import annotations
 
-import ctypes
-import errno
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -27,8 +25,8 @@ from rig.core.model import RigModel
 from rig.devices.device import DeviceUrl
 from rig.devices.fault_script import DeviceFault, Direction, Faults
 from rig.devices.port import LoopPort
+from rig.realtime.callbacks import callback_plugs
 from rig.realtime.clock import VirtualClock
-from rig.realtime.plugs import TRANSFER_SIGNATURE, WAIT_SIGNATURE, NativeFunction
 from sim_backend.channel import Line
 from sim_backend.compiled_device import CompiledDevice, device_for
 from sim_backend.far_end import ARRIVED, CLOSED, DISCARDED, OUTPUT_BYTES, PROGRESS, TICKS, CompiledPort
@@ -55,8 +53,6 @@ CLOCK_PPM_MAXIMUM = 1000.0
 SYNC_PULSE_S = 1e-3  # how long a pulse on the sync input lasts, unless the next one comes sooner
 BUFFER_BYTES = 1 << 16  # of unread input, as in a driver; further bytes are lost
 
-_TRANSFER = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_int64, ctypes.c_int64)
-_WAIT = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_int64)
 _BILLION = 1_000_000_000
 _UNITS, _UNITS_NS = 2, 125  # of device time: 62.5 ns
 _URL = DeviceUrl("sim", "", {}, "sim://")
@@ -461,40 +457,13 @@ class MemoryLink:
     # ------------------------------------------------------------------ the compiled loop
 
     def _make_port(self) -> LoopPort:
-        def native(kind: Any, function: Callable[..., int], signature: Any) -> NativeFunction:
-            callback = kind(self._guarded(function))
-            address = ctypes.cast(callback, ctypes.c_void_p).value
-            assert address is not None
-            return NativeFunction(address, signature, keep=callback)
+        plugs = callback_plugs(read=self._read_now, write=self.write, wait=self._wait, failed=self._failed)
+        return LoopPort.on(self.clock, **plugs._asdict())
 
-        return LoopPort.on(
-            self.clock,
-            read=native(_TRANSFER, self._plug_read, TRANSFER_SIGNATURE),
-            write=native(_TRANSFER, self._plug_write, TRANSFER_SIGNATURE),
-            wait=native(_WAIT, lambda handle, deadline_ns: int(self._wait(deadline_ns)), WAIT_SIGNATURE),
-            handle=0,
-        )
+    def _failed(self, failure: BaseException) -> None:
+        if not isinstance(failure, LinkLostError):
+            self._failure = self._failure or failure
 
-    def _guarded(self, function: Callable[..., int]) -> Callable[..., int]:
-        """Wrap a callback so that nothing escapes into compiled code: a lost link and any failure become -EIO."""
-
-        def call(*arguments: int) -> int:
-            try:
-                return function(*arguments)
-            except LinkLostError:
-                return -errno.EIO
-            except BaseException as failure:
-                self._failure = self._failure or failure
-                return -errno.EIO
-
-        return call
-
-    def _plug_read(self, handle: int, address: int, size: int) -> int:
+    def _read_now(self, most: int) -> bytes:
         self._check_open()
-        data = self._taken(size)
-        ctypes.memmove(address, data, len(data))
-        return len(data)
-
-    def _plug_write(self, handle: int, address: int, size: int) -> int:
-        self.write(ctypes.string_at(address, size))
-        return size
+        return self._taken(most)

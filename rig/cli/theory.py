@@ -57,9 +57,9 @@ def theory(
     """Say which walls are stable on a rig by exact linear theory, and which bound binds; nothing is simulated.
 
     For each scheme: the largest stable stiffness at B = 0 and at the wall's damping, the largest damping, islands of
-    stability beyond, and the conditions for passivity. Friction, quantum and saturation are left out: Coulomb friction
-    raises K_max by 1.4 to 2 times, the quantum takes 30 to 50 % off the range of B. `rig zwidth --explain` shows where
-    that matters.
+    stability beyond, and the conditions for passivity. Friction, quantum and saturation are left out: on the papers'
+    rigs, with their Coulomb friction, `rig kmax` finds 1.1 to 2.5 times this K_max, without it 0.4 to 0.9 times; the
+    quantum takes 30 to 50 % off the range of B. `rig zwidth --explain` shows where that matters.
     """
     experiment = options.chosen_experiment(file, preset)
     changes = options.changes(rate=None, sets=sets, damping=damping)

@@ -28,6 +28,7 @@ PULSE, STAGE, STAGE_TICKS, ORIGIN, DRIVE, TURN, NUDGES_STATE = 2, 3, 4, 5, 6, 7,
 RATE, MOST, MOVED, REST_TICKS, BRAKE, PULSES = range(6)  # parameters of `nudges`
 RISING, RESTING = 0, 1  # stages
 ALIKE = 2  # pulses of one direction after another
+NOTHING = 0.1  # share of the way below which a push has moved nothing
 
 
 @kernel(LAW_SIGNATURE)
@@ -63,7 +64,8 @@ def nudges(
     """Push a little more in each tick until the handle has moved a little, brake, rest, and again.
 
     Two pushes one way, two the other, and so on. The brake works by the direction in which the handle went, whether or
-    not that is the direction of the push, so that a wrong sign makes nothing run away.
+    not that is the direction of the push, so that a wrong sign makes nothing run away. A push that moves nothing is the
+    last one: the handle may be moving, unseen, and another push would add to that.
     """
     state[LAW_CLAMPED] = 0.0
     if state[TICK] == 0.0:
@@ -78,6 +80,9 @@ def nudges(
         way = penetration - state[ORIGIN]
         if abs(way) < parameters[MOVED] and state[DRIVE] < parameters[MOST]:
             return float(-forth * state[DRIVE])
+        if abs(way) < NOTHING * parameters[MOVED]:
+            state[PULSE] = parameters[PULSES]
+            return 0.0
         state[STAGE], state[STAGE_TICKS] = RESTING, 0.0
         state[TURN] = 1.0 if way * forth >= 0.0 else -1.0
     elif state[STAGE_TICKS] >= parameters[REST_TICKS]:

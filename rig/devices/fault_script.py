@@ -1,6 +1,6 @@
 """A script of faults: what happens to frame n of a direction of a link, and to the device at tick n.
 
-A simulation plays it (`rig.devices.open_failing`). A test that runs it for every n of a short run has seen every place
+A simulation plays it (`rig.devices.open_watched`). A test that runs it for every n of a short run has seen every place
 where a link can break.
 
 It has what happens on USB and serial lines: noise (corrupt), full buffers (drop, truncate), retries of a hub

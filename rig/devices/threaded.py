@@ -6,20 +6,15 @@ another: thread and plugs need the GIL, so a busy interpreter delays a loop by m
 
 from __future__ import annotations
 
-import ctypes
 import errno
 import threading
 import time
-from collections.abc import Callable
-from typing import Any
 
-from rig.realtime.plugs import TRANSFER_SIGNATURE, WAIT_SIGNATURE, NativeFunction
+from rig.realtime.callbacks import CallbackPlugs, callback_plugs
 
 WAIT_S = 0.05  # of one call of the reader: how soon it sees that it shall end
 CLOSE_S = 2.0
 PENDING_BYTES = 65536
-_TRANSFER = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_int64, ctypes.c_int64)
-_WAIT = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_int64)
 
 
 class ThreadedLine:
@@ -33,7 +28,7 @@ class ThreadedLine:
         self._error = 0
         self._closing = False
         self._changed = threading.Condition()
-        self._plugs: tuple[Any, Any, Any, int] | None = None
+        self._plugs: CallbackPlugs | None = None
         self._reader = threading.Thread(target=self._fetch, name="rig-reader", daemon=True)
 
     def start(self) -> None:
@@ -67,11 +62,13 @@ class ThreadedLine:
             if error:
                 return
 
-    def _ready(self, timeout_s: float) -> int:
-        """Wait for bytes: 1, 0 at the time-out, negative errno."""
+    def _ready(self, timeout_s: float) -> bool:
+        """Wait for bytes; whether there are any. Raises the reader's `OSError` where there are no more to come."""
         with self._changed:
             self._changed.wait_for(lambda: self._pending or self._error, max(0.0, timeout_s))
-            return 1 if self._pending else -self._error
+            if self._error and not self._pending:
+                raise OSError(self._error, "read")
+            return bool(self._pending)
 
     def _take(self, size: int) -> bytes:
         with self._changed:
@@ -82,9 +79,7 @@ class ThreadedLine:
 
     def read(self, timeout_s: float) -> bytes:
         """Return what has arrived, waiting at most `timeout_s` for the first byte."""
-        ready = self._ready(timeout_s)
-        if ready < 0:
-            raise OSError(-ready, "read")
+        self._ready(timeout_s)
         return self._take(PENDING_BYTES)
 
     def write(self, data: bytes) -> None:
@@ -92,34 +87,16 @@ class ThreadedLine:
         while data:
             data = data[self.send(data) :]
 
-    def plugs(self) -> tuple[Any, Any, Any, int]:
+    def plugs(self) -> CallbackPlugs:
         """Return read, write, wait and their handle (`rig.devices.port.LoopPort`)."""
-
-        def native(kind: Any, function: Callable[..., int], signature: Any) -> Any:
-            callback = kind(_guarded(function))
-            return NativeFunction(ctypes.cast(callback, ctypes.c_void_p).value or 0, signature, keep=callback)
-
         if self._plugs is None:
-            self._plugs = (
-                native(_TRANSFER, self._plug_read, TRANSFER_SIGNATURE),
-                native(_TRANSFER, self._plug_write, TRANSFER_SIGNATURE),
-                native(_WAIT, self._plug_wait, WAIT_SIGNATURE),
-                0,
-            )
+            self._plugs = callback_plugs(read=self._read_now, write=self.send, wait=self._wait)
         return self._plugs
 
-    def _plug_read(self, handle: int, address: int, size: int) -> int:
-        ready = self._ready(0.0)
-        if ready <= 0:
-            return ready
-        data = self._take(size)
-        ctypes.memmove(address, data, len(data))
-        return len(data)
+    def _read_now(self, size: int) -> bytes:
+        return self._take(size) if self._ready(0.0) else b""
 
-    def _plug_write(self, handle: int, address: int, size: int) -> int:
-        return self.send(ctypes.string_at(address, size)) if size > 0 else 0
-
-    def _plug_wait(self, handle: int, deadline_ns: int) -> int:
+    def _wait(self, deadline_ns: int) -> bool:
         while True:
             remaining_ns = deadline_ns - time.perf_counter_ns()
             ready = self._ready(remaining_ns * 1e-9)
@@ -132,17 +109,3 @@ class ThreadedLine:
         with self._changed:
             self._changed.notify_all()
         self._reader.join(CLOSE_S)
-
-
-def _guarded(function: Callable[..., int]) -> Callable[..., int]:
-    """Wrap a callback so that nothing escapes into compiled code: what goes wrong becomes a negative errno."""
-
-    def call(*arguments: int) -> int:
-        try:
-            return function(*arguments)
-        except OSError as error:
-            return -(error.errno or errno.EIO)
-        except Exception:
-            return -errno.EIO
-
-    return call

@@ -6,9 +6,9 @@
 Where the board runs the law (`controller.loop = "device"`) no law of this computer moves anything, and none is needed.
 A push is a constant effort without a wall (`identify_motions.single_push`): the slew limit lets it grow, and the window
 of the law on the board is the way of a push. So the board bounds it alone, in whichever direction the handle goes: in
-way, with zero effort in the very tick; in effort by the constant; in time by the length of the trial, after which it
-falls as it has grown. If this computer falls silent, its effort is zero after `controller.supervise_lifetime_s` and the
-ramp, as that of any law there.
+way, with zero effort in the very tick; in effort by the constant; in time by the length of the trial, after which this
+computer ends it: left to itself it falls as it has grown. If this computer falls silent, its effort is zero after
+`controller.supervise_lifetime_s` and the ramp, as that of any law there.
 
 The device around the law keeps the limits of all pushes: a handle that leaves its window is a fault, and under the slew
 limit of a push an end would take as long as the growth.
@@ -27,12 +27,12 @@ from numpy.typing import NDArray
 from rig.analysis.identification.quality import IdentificationError
 from rig.config import Experiment
 from rig.config.controller import Run
-from rig.control.motions import ALIKE
+from rig.control.motions import ALIKE, NOTHING
 from rig.core.check import refuse
 from rig.core.errors import DeviceFaultError, GuardError
 from rig.core.sample import Phase
 from rig.devices.framed import FramedDevice
-from rig.experiments.identify_motions import REST_S, pushes_motion, single_push
+from rig.experiments.identify_motions import REST_S, push_way, pushes_motion, single_push
 from rig.experiments.motion_run import Pushes, position_now, stalled, whole
 from rig.experiments.plan import device_checks
 from rig.experiments.trial import TrialRequest, end_of, prepared_on, run_trial
@@ -104,8 +104,11 @@ def board_pushes(
         rows.append(whole(recorded[-1], recorded[-1].rows))
         if ended is not None:
             break
-        if not (rows[-1]["phase"] == Phase.TRIAL).any():
+        pushed = rows[-1]["position"][rows[-1]["phase"] == Phase.TRIAL]
+        if not len(pushed):
             raise _restless()
+        if np.ptp(pushed) < NOTHING * push_way(x):
+            break  # as in `nudges`
     path = recorded[0].path
     assert path is not None
     return Pushes(np.concatenate(rows), path, ended)

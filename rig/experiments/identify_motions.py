@@ -35,7 +35,13 @@ MARGIN_COUNTS = 1.0  # a trial starts that far before its wall
 # Pushes: how many, how far, up to which share of the nominal effort, in which time, and the rest after each.
 PUSHES, PUSH_COUNTS, PUSH_SHARE, PUSH_S, REST_S = 6, 30, 0.3, 1.5, 0.2
 PUSH_RISE_S = 0.05  # gentle: without friction the way takes that long
-PUSH_COULOMB = 5.0  # but the most effort is this multiple of the described friction
+PUSH_COULOMB = 5.0  # but it may grow to this multiple of the described friction in `PUSH_S`
+UNSEEN_SPEED = (
+    0.92  # share of the speed limit that a handle may have when a push gives up; the rest is for its end
+)
+PUSH_END_S = (
+    0.01  # of a push by a board: until this computer ends it; its effort falls as slowly as it has grown
+)
 PUSH_WINDOW, PUSH_SPEED = 20.0, 200.0  # window (ways of a push) and speed (ways a second) that end the run
 BRAKE_S = 0.02  # time constant of the brake after a push
 
@@ -195,7 +201,7 @@ def pushes_motion(x: Experiment, at: float, pushes: int = PUSHES) -> Motion:
         "homing.settle_s": REST_S,
     }
     law = nudging(
-        effort_per_s=most_push(x) / PUSH_S,
+        effort_per_s=push_growth(x),
         most_effort=most_push(x),
         moved=way,
         rest_s=REST_S,
@@ -213,17 +219,19 @@ def single_push(x: Experiment, at: float, way: Literal[-1, 1]) -> Experiment:
     a push, on both sides: whatever the signs are, the guard cuts in the very tick in which the handle has gone so far.
     """
     around, length, most = pushes_motion(x, at).experiment, push_way(x), most_push(x)
+    growth = push_growth(x)
     limits = around.rig.limits
     changes = {
         "rig.limits.position_minimum": max(limits.position_minimum, at - length),
         "rig.limits.position_maximum": min(limits.position_maximum, at + length),
-        "rig.limits.slew": most / PUSH_S,
+        "rig.limits.slew": growth,
         "rig.simulation.initial_position": at,
         "wall.position": at + way * MARGIN_COUNTS * x.rig.encoder.resolution,
         "wall.side": way,
         "trial.effort": way * most,
-        "trial.duration_s": PUSH_S,
-        "verdict.tail_s": 0.5 * PUSH_S,
+        "trial.duration_s": most / growth,
+        "trial.release_s": PUSH_END_S,
+        "verdict.tail_s": 0.5 * most / growth,
     }
     return config.override(around, changes, "a push")
 
@@ -424,11 +432,21 @@ def coulomb_of(x: Experiment) -> float:
     return x.rig.mechanics.motor_coulomb + x.rig.mechanics.link_coulomb
 
 
-def most_push(x: Experiment) -> float:
-    """Where a push gives up (N·m or N): far above the described friction, and slow enough to be stopped in time."""
+def push_growth(x: Experiment) -> float:
+    """How fast a push grows (N·m/s or N/s): beyond the described friction, and slow enough to be stopped in time."""
     gentle = 6.0 * inertia_of(x) * push_way(x) / PUSH_RISE_S**3 * PUSH_S
     bound = PUSH_SHARE * min(x.rig.limits.nominal_effort, x.rig.limits.effort)
-    return min(bound, max(gentle, PUSH_COULOMB * coulomb_of(x)))
+    return min(bound, max(gentle, PUSH_COULOMB * coulomb_of(x))) / PUSH_S
+
+
+def most_push(x: Experiment) -> float:
+    """Where a push gives up (N·m or N): after `PUSH_S`, or where a handle that nobody sees has become fast.
+
+    Under an effort g·t a free handle of inertia m and Coulomb friction F has the speed (g·t − F)²/(2·g·m): that is what
+    a dead encoder hides.
+    """
+    growth, speed = push_growth(x), UNSEEN_SPEED * x.rig.limits.speed
+    return min(growth * PUSH_S, coulomb_of(x) + math.sqrt(2.0 * growth * inertia_of(x) * speed))
 
 
 def push_way(x: Experiment) -> float:

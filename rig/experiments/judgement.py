@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from firmware_protocol.faults import Fault
+from rig.bench.bridge.faults import DriveFault
 from rig.config import Experiment, experiment_from_mapping, verdict_thresholds
 from rig.control import judging, verdict
 from rig.control.verdict import Kind, Measured, Objection, Verdict, percent
@@ -23,6 +24,7 @@ THREW_OUT = {  # reasons of a trailer: what the wall did to the handle
     "violent": "the wall oscillated: the effort alternated between nothing and its limit",
 }
 THROWN_OUT = {Fault.POSITION_WINDOW.name, Fault.OVER_SPEED.name, Fault.RUNAWAY.name}
+OUT_OF_TIME = {Fault.TICK_OVERRUN.name, Fault.LINK_LOST.name, DriveFault.DRIVE_SILENT.name}
 
 
 def experiment_of(recording: Recording) -> Experiment:
@@ -216,6 +218,11 @@ def thrown_out(recording: Recording) -> str:
     if (trailer.get("fault") or {}).get("name") in THROWN_OUT:
         return THREW_OUT["out_of_window"]
     return THREW_OUT.get(trailer.get("reason", ""), "")
+
+
+def out_of_time(recording: Recording) -> bool:
+    """Whether a fault ended the run that a moment without processor or link makes: another time it may end as usual."""
+    return ((recording.trailer or {}).get("fault") or {}).get("name") in OUT_OF_TIME
 
 
 def ended_early(recording: Recording) -> tuple[Kind, str] | None:

@@ -14,6 +14,7 @@ from firmware_protocol.law_parameters import LAW_PARAMETERS
 from rig.bench.doctor.gate import late_wall
 from rig.bench.doctor.round_trip import ticks_late
 from rig.config import Experiment, controller, device_law, motor_push, push_at_rest, push_s, rig_model
+from rig.config.device_limits import check_limits
 from rig.core.check import Check, Outcome
 from rig.core.sample import unit_of
 from rig.devices.device import LINK_SHARE, STATE_BYTES
@@ -146,7 +147,7 @@ def _batch_check(x: Experiment, usable: float) -> Check:
 
 
 def device_checks(run: controller.Run, dictionary: Dictionary) -> list[Check]:
-    """Whether a device has the law that it is to run; nothing to check where the host runs it.
+    """Whether a device takes the limits of a run, and has the law, where it is to run one.
 
     Parameters
     ----------
@@ -155,20 +156,21 @@ def device_checks(run: controller.Run, dictionary: Dictionary) -> list[Check]:
     dictionary
         What the device says of itself.
     """
-    experiment = run.experiment
+    experiment, limits = run.experiment, check_limits(run, dictionary)
     if experiment.controller.loop != "device":
-        return []
+        return [limits]
     arithmetic = device_law.arithmetic_of(experiment.controller)
     own = dictionary.parameter("law")
     if own is None or own.maximum < 1:
         simulated = "open sim://NAME?firmware=1, which runs the firmware" if dictionary.simulated else FLASH
         return [
+            limits,
             Check(
                 "law on the device",
                 Outcome.REFUSED,
                 f"{dictionary.device} ({dictionary.firmware}) runs no law of its own",
                 f'{simulated}; or let the host run it (controller.loop = "host")',
-            )
+            ),
         ]
     narrow = [
         f"{name} = {value:g} (it takes {info.minimum:g} to {info.maximum:g})"
@@ -178,6 +180,7 @@ def device_checks(run: controller.Run, dictionary: Dictionary) -> list[Check]:
         and not info.minimum <= value <= info.maximum
     ]
     return [
+        limits,
         Check(
             "law on the device",
             Outcome.REFUSED if narrow else Outcome.OK,

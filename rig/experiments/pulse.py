@@ -34,9 +34,9 @@ from rig.core.this_system import refuse_real_time
 from rig.devices.framed import FramedDevice
 from rig.experiments.board_pushes import board_pushes
 from rig.experiments.identify_motions import (
-    PUSH_S,
     coulomb_of,
     most_push,
+    push_growth,
     push_way,
     pushes_motion,
     slow_rate,
@@ -61,7 +61,7 @@ PUSHES = 4
 # one is as described; the motion begins within this factor of the described friction's time, and so long after it.
 SAME_SCALE, SAME_FRICTION, LATEST_S = 1.6, 2.0, 0.05
 # Most effort of a push over the described friction: below it a dead motor and friction look alike.
-OBSERVABLE = 2.0
+OBSERVABLE = 1.5
 
 NO_HANDS = "hands off the handle: the motor moves it a little, both ways"
 
@@ -233,13 +233,13 @@ def judged(x: Experiment, signs: SignCheck) -> tuple[Check, ...]:
         return (_not_moved(x, signs, most, coulomb, effort),)
     sizes = [push.inertia for push in moved if math.isfinite(push.inertia)]
     begins = float(np.median([push.began_s for push in moved]))
-    expected = coulomb / most * PUSH_S
+    expected = coulomb / push_growth(x)
     latest = SAME_FRICTION * expected + LATEST_S
     return (
         _check(
             "motion",
-            len(moved) == len(signs.pushes),
-            f"{len(moved)} of {len(signs.pushes)} pushes of at most {most:.3g} {effort} moved the handle",
+            len(moved) == PUSHES,
+            f"{len(moved)} of {PUSHES} pushes of at most {most:.3g} {effort} moved the handle",
             "see that nothing touches the handle, then check again; a contact of motor or encoder may be loose",
         ),
         _check(
@@ -264,7 +264,7 @@ def judged(x: Experiment, signs: SignCheck) -> tuple[Check, ...]:
         Check(
             "delay",
             Outcome.OK if begins <= latest else Outcome.WARNING,
-            f"the handle begins to move {begins:.3g} s into a push, {begins / PUSH_S * most:.3g} {effort}; described "
+            f"the handle begins to move {begins:.3g} s into a push, {begins * push_growth(x):.3g} {effort}; described "
             f"friction {coulomb:.3g} {effort}: {expected:.3g} s, at the latest {latest:.3g} s",
             "friction is larger than described, or the effort comes late: `rig identify` measures both",
         ),
@@ -279,7 +279,7 @@ def _not_moved(x: Experiment, signs: SignCheck, most: float, coulomb: float, eff
             "motion",
             False,
             f"not observed: {text}, and the described friction is {coulomb:.3g} {effort}",
-            "raise rig.limits.effort and rig.limits.nominal_effort as far as the motor bears it, or free the mechanism",
+            "raise rig.limits.effort, nominal_effort and speed as far as the rig bears it, or free the mechanism",
         )
     if seen > 0.5 * x.rig.encoder.resolution:
         return _check(
@@ -292,9 +292,9 @@ def _not_moved(x: Experiment, signs: SignCheck, most: float, coulomb: float, eff
     return _check(
         "motion",
         False,
-        f"{text}{times}: the motor is dead, the encoder is dead, or the handle is blocked",
+        f"{text}{times}: the motor is dead, the encoder is dead, or the handle is blocked or rubs more than that",
         "move the handle by hand: if the position follows (`rig devices URL`), check the motor's leads and the "
-        "amplifier's supply; if not, the encoder's",
+        "amplifier's supply, or describe its friction (rig.mechanics.motor_coulomb); if not, the encoder's",
     )
 
 

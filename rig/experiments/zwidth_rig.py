@@ -1,7 +1,8 @@
 """A map of hits on a device: hit after hit, with homing, a person who agrees, and a motor that may cool in between.
 
-A map is what the recordings of its hits say. An invalid hit is repeated; when it stays invalid, or when the rig itself
-gives up, the session ends. Series that were finished stay in the journal, and the same command resumes after them.
+A map is what the recordings of its hits say. An invalid hit is repeated, and so is one that a moment without processor
+or link ended; when it stays invalid, or when the rig itself gives up, the session ends. Series that were finished stay
+in the journal, and the same command resumes after them.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from rig.core.sample import Phase
 from rig.devices.framed import FramedDevice
 from rig.experiments import sweep
 from rig.experiments.hit import Recorded
-from rig.experiments.judgement import thrown_out
+from rig.experiments.judgement import out_of_time, thrown_out
 from rig.experiments.on_device import Ended, OnDevice, Trials, examined
 from rig.experiments.plan import device_checks, link_checks, plan_of
 from rig.experiments.searches import Outcomes, Search, drive
@@ -189,12 +190,14 @@ class _Hits:
                 raise StoppedError("ended between two hits; the effort is zero")
             left = self._hit(experiment, asked.stiffness)
             recorded, true = left.judgement.measured, left.judgement.measured_true
+            early = left.judgement.early
             self.session.report(asked, recorded)
             self.session.pause(CALM_S + _cooling_of(left.recording, experiment))
-            if recorded.passes("any") is not None:
+            if recorded.passes("any") is not None and (early is None or early[0] is Kind.UNSTABLE):
                 row = {"stiffness": asked.stiffness, RECORDING: left.path.name} | row_of(recorded, "")
                 return row if true is None else row | row_of(true, TRUE)
         _, reasons = decide(recorded.numbers, recorded.thresholds)
+        reasons = reasons if early is None else (*reasons, early[1])
         error = RigError(
             f"{ATTEMPTS} hits at K = {asked.stiffness:.4g}, B = {asked.damping:.4g} were invalid: "
             f"{'; '.join(reasons) or recorded.kind}; the effort is zero",
@@ -204,14 +207,14 @@ class _Hits:
         raise error
 
     def _hit(self, experiment: Experiment, stiffness: float) -> Recorded:
-        """Run one hit. One that the wall ended by throwing the handle out is a hit like others; other ends raise."""
+        """Run one hit. One that the wall ended, or a moment without time, is a hit like others; other ends raise."""
         self.thrown_out = False
         done = self.trials.run(experiment, {"wall.stiffness": stiffness})
         if isinstance(done, Recorded):
             return done
-        if not _by_the_wall(done):
+        self.thrown_out = _by_the_wall(done)
+        if not self.thrown_out and not out_of_time(done.recorded.recording):
             raise done.error
-        self.thrown_out = True
         return done.recorded
 
 

@@ -22,7 +22,7 @@ from rig.session.schedule import Block, asking, levels_of
 from rig.session.search.observer import Observer, run
 
 FRICTION_RAISES = (
-    2.0  # K_max of both papers' rigs over that of the linear loop: 1.4 to 2 times (`rig theory`)
+    2.5  # K_max of the papers' rigs over that of the linear loop, at most (`rig.analysis.theory.loop`)
 )
 USUALLY_RAISES = 1.2  # in the simulated hand on koul-compliant at B = 0: 620 over 519 N·m/rad
 ENCODER_LEAVES = (

@@ -6,8 +6,6 @@ said by the number of a line, to the drive or from it.
 
 from __future__ import annotations
 
-import ctypes
-import errno
 import heapq
 import json
 import math
@@ -24,8 +22,8 @@ from rig.bench.bridge.library import Bridge, Drive
 from rig.core.model import Encoder, RigModel
 from rig.devices.device import DeviceUrl
 from rig.devices.port import LoopPort
+from rig.realtime.callbacks import callback_plugs
 from rig.realtime.clock import VirtualClock
-from rig.realtime.plugs import TRANSFER_SIGNATURE, WAIT_SIGNATURE, NativeFunction
 from sim_backend.drives.bus import Adapter, Frame
 from sim_backend.drives.bus import Drive as Simulated
 from sim_backend.drives.can_simple import Command
@@ -37,8 +35,6 @@ from sim_backend.drives.socket_can import CLASSIC_BYTES, FD_BYTES, SocketCan, fr
 from tests.conformance.host import RUN_PARAMETERS, Host
 from tests.conformance.rigs import rotary_rig
 
-_TRANSFER = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_int64, ctypes.c_int64)
-_WAIT = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_int64)
 UNIT_TWICE_NS = 125  # two units of device time
 TRAVEL_NS = 80_000  # of a line, each way
 CURRENT = 200  # quanta of 1 mA: 0.02 N·m at the handle, 0.01 at the output
@@ -242,6 +238,7 @@ class Bridged:
         self._number = 0
         self._at_ns = 0  # to which the world has come
         self._said = b""  # and not yet read by a loop
+        self._unheard: list[bytes] = []  # of the drive, while nobody listens
         self._failure: BaseException | None = None
         self.bridge.start(0)
 
@@ -264,46 +261,22 @@ class Bridged:
 
     def port(self) -> LoopPort:
         """Plug functions that come back into this object."""
+        plugs = callback_plugs(read=self._read_now, write=self.write, wait=self._wait, failed=self._failed)
+        return LoopPort.on(self.clock, **plugs._asdict())
 
-        def native(kind: Any, function: Callable[..., int], signature: Any) -> NativeFunction:
-            callback = kind(self._guarded(function))
-            address = ctypes.cast(callback, ctypes.c_void_p).value
-            assert address is not None
-            return NativeFunction(address, signature, keep=callback)
+    def _failed(self, failure: BaseException) -> None:
+        self._failure = self._failure or failure
 
-        return LoopPort.on(
-            self.clock,
-            read=native(_TRANSFER, self._plug_read, TRANSFER_SIGNATURE),
-            write=native(_TRANSFER, self._plug_write, TRANSFER_SIGNATURE),
-            wait=native(_WAIT, self._plug_wait, WAIT_SIGNATURE),
-            handle=0,
-        )
-
-    def _guarded(self, function: Callable[..., int]) -> Callable[..., int]:
-        def call(*arguments: int) -> int:
-            try:
-                return function(*arguments)
-            except BaseException as failure:
-                self._failure = self._failure or failure
-                return -errno.EIO
-
-        return call
-
-    def _plug_wait(self, handle: int, deadline_ns: int) -> int:
+    def _wait(self, deadline_ns: int) -> bool:
         self._said += self.bridge.to_host()
         while not self._said and self.clock.now_ns() < deadline_ns:
             self.step(deadline_ns)
             self._said = self.bridge.to_host()
-        return int(bool(self._said))
+        return bool(self._said)
 
-    def _plug_read(self, handle: int, address: int, size: int) -> int:
+    def _read_now(self, size: int) -> bytes:
         data, self._said = self._said[:size], self._said[size:]
-        ctypes.memmove(address, data, len(data))
-        return len(data)
-
-    def _plug_write(self, handle: int, address: int, size: int) -> int:
-        self.write(ctypes.string_at(address, size))
-        return size
+        return data
 
     def failure(self) -> BaseException | None:
         return self._failure
@@ -326,6 +299,15 @@ class Bridged:
         while self.clock.now_ns() < end_ns:
             self.step(end_ns)
 
+    def sleep(self, seconds: float) -> None:
+        """Let the bridge's computer stand still; what came meanwhile is heard afterwards."""
+        self.alive = False
+        self.run(seconds)
+        self.alive = True
+        for line in self._unheard:
+            self._to_drive(self.bridge.hear_bus(line, self._now))
+        self._unheard.clear()
+
     def step(self, end_ns: int) -> None:
         """Go to what happens next, and let it."""
         times = [end_ns, self._events[0][0] if self._events else end_ns, self._speaks_ns(end_ns)]
@@ -340,6 +322,8 @@ class Bridged:
                 self._arrives(line)
             elif self.alive:
                 self._to_drive(self.bridge.hear_bus(line, self._now))
+            else:
+                self._unheard.append(line)
         if self.alive:
             self._to_drive(self.bridge.hear_host(b"", self._now))
         if self.alive and self.bridge.due <= self._now:

@@ -17,6 +17,8 @@ from rig.core.errors import DeviceFaultError, GuardError
 from rig.devices.fault_script import Faults, Happening
 from rig.devices.framed import FramedDevice
 from rig.experiments.hit import HitRequest, hit
+from rig.experiments.identify_motions import still
+from rig.experiments.pulse import pulse
 from sim_backend.device import SimulatedDevice
 from sim_backend.hardware import Hardware
 from sim_backend.link import MemoryLink
@@ -84,5 +86,33 @@ def test_a_servo_that_pushes_less_than_the_device_minds_is_stopped_by_the_host(
         pytest.raises(GuardError, match="encoder is dead or the rig is blocked"),
     ):
         tuple(hit(HitRequest(experiment=x, device=framed, output=tmp_path)))
+    assert 0.0 < device.hardware.fastest < x.rig.limits.speed
+    assert device.current == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "loop", "dead"),
+    [
+        ("koul-rigid", "host", "unplugged"),
+        ("koul-rigid", "device", "one channel"),
+        ("woodenhaptics", "device", "unplugged"),
+        ("moteus-knob", "host", "one channel"),
+    ],
+)
+def test_a_torque_pulse_ends_before_a_handle_that_it_does_not_see_is_fast(
+    name: str, loop: str, dead: str, tmp_path: Path
+) -> None:
+    """Even without the check of the device, which minds large efforts alone; and no second push adds to the first."""
+    changes = {"rig.amplifier.current_monitor": False, "controller.loop": loop}
+    x = config.override(presets.load(name), changes)
+    model = config.rig_model(still(x))
+    device: Any = SimulatedDevice(model) if loop == "host" else TickByTick(model)
+    if loop == "device":
+        device.stand_before(Hardware(model, 1000, seed=0, initial_position=0.0))
+    device.hardware.__class__ = Clocked
+    device.hardware.counts = DEAD[dead](device.hardware.count)
+    with FramedDevice(MemoryLink(device, Faults())) as framed:
+        found = pulse(framed, x, recording=tmp_path / "pulse.rigcap", verified=True, reference_count=0)
+    assert not found.ok
     assert 0.0 < device.hardware.fastest < x.rig.limits.speed
     assert device.current == 0

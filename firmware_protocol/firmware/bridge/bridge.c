@@ -10,7 +10,7 @@
 #define PREPARES UNITS_PER_SECOND /* how long a drive stays prepared when nobody arms */
 #define FED_TICKS 2u         /* one feeding is good for a set-point behind a lost reply, too */
 #define EXACT_COUNTS 8388608.0 /* 2²³: a float32 tells such positions to half a count */
-#define FORGETS (UNITS_PER_SECOND / 50u) /* a drive that starts again is silent for longer (assumed) */
+#define LONG (UNITS_PER_SECOND / 50u) /* no command lives for longer; a drive that starts again is silent for longer (assumed) */
 #define JUMP 0.5             /* turns between two replies that no handle makes: the drive has started again */
 #define GAIN 8             /* samples in which a phase is followed */
 #define SLEW 128u          /* a share of a period: less than the hundredth that a host allows a device's clock */
@@ -296,8 +296,16 @@ static void note(struct bridge *bridge)
     facts->limited += sample->limited ? 1 : 0;
 }
 
+/* Whether so many periods without a sample end an armed run: the last command but one would have outlived its life. */
+static bool is_silent(const struct bridge *bridge, uint32_t periods)
+{
+    return periods >= BRIDGE_SILENT || (periods > 1u && periods * bridge->period >= LONG);
+}
+
 static void tick(struct bridge *bridge)
 {
+    if (is_silent(bridge, bridge->sampleless) && device_is_armed(&bridge->device))
+        device_fault(&bridge->device, HR_FAULT_TICK_OVERRUN); /* this computer slept */
     device_tick_driven(&bridge->device, bridge->active, bridge->sampleless);
     bridge->sampleless = 0;
 }
@@ -349,7 +357,10 @@ static void take_frame(struct bridge *bridge, const struct can_frame_bytes *fram
         bridge->facts->invalid++;
         break;
     case DRIVE_SAMPLE:
-        take_sample(bridge);
+        if (bridge->drive.known && bridge->now >= bridge->due)
+            bridge->facts->late++; /* this computer slept: a count of before is no sample of now */
+        else
+            take_sample(bridge);
         break;
     case DRIVE_OTHERS:
     case DRIVE_PART:
@@ -389,7 +400,7 @@ void bridge_hear_bus(struct bridge *bridge, const uint8_t *bytes, size_t count, 
 /* Whether a drive that missed so many in succession may have started again. */
 static bool has_forgotten(const struct bridge *bridge, uint32_t missed)
 {
-    return missed >= BRIDGE_SILENT && missed * bridge->period >= FORGETS;
+    return is_silent(bridge, missed) && missed * bridge->period >= LONG;
 }
 
 /* Without a reply the core gets no sample, and after some its session no current. Then its host still hears of it. */
@@ -399,11 +410,11 @@ static void miss_reply(struct bridge *bridge)
     const bool forgets = !forgot_before && has_forgotten(bridge, bridge->missed);
     bridge->drive.asked = false;
     bridge->facts->lost += known ? 1 : 0;
-    if (forgets || (bridge->missed >= BRIDGE_SILENT && device_is_armed(&bridge->device)))
+    if (forgets || (is_silent(bridge, bridge->missed) && device_is_armed(&bridge->device)))
         device_fault(&bridge->device, bridge->bus_lost ? BRIDGE_BUS_LOST : BRIDGE_DRIVE_SILENT);
     if (forgets)
         device_fault(&bridge->device, HR_FAULT_ENCODER);
-    if (bridge->missed >= BRIDGE_SILENT)
+    if (is_silent(bridge, bridge->missed))
         tick(bridge);
     else
         bridge->sampleless++;

@@ -24,7 +24,7 @@
 #include "socketcan.h"
 #include "wall.h"
 
-#define BRIDGE_SILENT 2u         /* replies missed in succession: as many ticks as the core lets an armed device miss */
+#define BRIDGE_SILENT 4u         /* samples missed in succession: a command lives for five periods, and one is its way */
 #define BRIDGE_NARROWER 16u
 #define BRIDGE_OUTPUT_BYTES 65536u /* to the host, which may be slow */
 #define BRIDGE_BUS_BYTES 4096u   /* to the adapter */

@@ -540,8 +540,6 @@ static void miss(struct device *device, uint32_t ticks)
         if (device->connection.session != 0 && device->state_every == 1)
             connection_skip(&device->connection, HR_INDEX_STATE);
     }
-    if (ticks > 1 && device_is_armed(device))
-        latch(device, FAULT(TICK_OVERRUN));
 }
 
 /* Whole periods by which a tick of the timer is late. */
@@ -576,7 +574,11 @@ static void end_tick(struct device *device, uint64_t begun)
 void device_tick(struct device *device)
 {
     const uint64_t begun = device->hal->time(device->hal->context);
-    begin_tick(device, missed_by(device, begun));
+    const uint32_t missed = missed_by(device, begun);
+    const bool overran = device->on_grid && missed > 1u;
+    begin_tick(device, missed);
+    if (overran && device_is_armed(device))
+        latch(device, FAULT(TICK_OVERRUN));
     device_sample(device);
     device_drive(device);
     tell(device);

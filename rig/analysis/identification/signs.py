@@ -1,9 +1,10 @@
 """Signs and scale from small pushes: does a positive effort raise the position, and by about as much as it should.
 
-A push grows evenly, effort = g·t, until the handle has moved a little. Friction holds it first, up to the breakaway
-effort; from then on m·x″ = g·(t − t₀) − b·x′, so m·x + b·∫x dt = g·(t − t₀)³/6 and its cube root
-is a straight line in time whose slope tells m; b is the described damping, which back-EMF may make large. That is good
-to some ten per cent, enough to see a wrong torque constant, a wrong ratio or a missing factor of four in the decoding.
+A push grows evenly until the handle has moved a little. Friction F holds it first, up to the breakaway effort; from
+then on m·x″ = u − F − b·x′ with the effort u as it was commanded, in its steps: where a quantum of current is coarse, a
+push has a handful of them. So m·(x + d·∫x dt) = ∬(u − F) dt², whose fit tells m and F. The described d = b/m, which
+back-EMF may make large, is taken as it is: a wrong scale of effort or way leaves it alone. That is good to some ten per
+cent, enough to see a wrong torque constant, a wrong ratio or a missing factor of four in the decoding.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ Floats = NDArray[np.float64]
 LEAST_COUNTS = 2.0  # a way below that may be noise
 SETTLED_SHARE = 0.25  # of a push's way: before it, an inertia would be read off single counts
 SAME_SCALE = 3.0  # inertia within this factor of the expected one is as expected
+FRICTIONS = 40  # that are tried, before the best of them is refined
 STICKS = 1.5  # breakaway over sliding friction from which stiction is worth a warning
 LOOSE = 0.5  # inertia right after a reversal over that of a second push from which backlash is
 
@@ -104,7 +106,9 @@ def check_signs(
     for first, last in _spans(effort, max(1, round(rest_s / (time_s[1] - time_s[0])))):
         before = pushes[-1].direction if pushes else 0
         push = slice(first, last)
-        pushes.append(_push(time_s[push], effort[push], position[push], resolution, damping, before))
+        pushes.append(
+            _push(time_s[push], effort[push], position[push], resolution, damping / expected_inertia, before)
+        )
     moved = [push for push in pushes if push.moved]
     agreement = {int(np.sign(push.way)) * push.direction for push in moved}
     sign: Literal[-1, 0, 1] = 0
@@ -145,14 +149,16 @@ def _spans(effort: Floats, rest: int) -> list[tuple[int, int]]:
 
 
 def _push(
-    time_s: Floats, effort: Floats, position: Floats, resolution: float, damping: float, before: int
+    time_s: Floats, effort: Floats, position: Floats, resolution: float, decay: float, before: int
 ) -> Push:
     direction: Literal[-1, 1] = 1 if effort[0] > 0.0 else -1
-    top = int(np.argmax(direction * effort)) + 1  # the brake that follows never gives more
+    push = direction * effort
+    top = int(np.argmax(push)) + 1  # the brake that follows never gives more
+    top += int(np.argmax(np.append(push[top:], -np.inf) < push[top - 1]))  # its last step, in coarse quanta
     way = position[:top] - position[0]
     away = np.flatnonzero(np.abs(way) >= LEAST_COUNTS * resolution)
     first = int(away[0]) if len(away) else top - 1
-    inertia, began_s = _fitted(time_s[:top], effort[:top], way, damping)
+    inertia, began_s = _fitted(time_s[:top], effort[:top], way, decay)
     return Push(
         direction=direction,
         moved=abs(float(way[-1])) >= LEAST_COUNTS * resolution,
@@ -165,29 +171,36 @@ def _push(
     )
 
 
-def _fitted(time_s: Floats, effort: Floats, way: Floats, damping: float) -> tuple[float, float]:
-    """Inertia m and t₀ of m·x + b·∫x dt = g·(t − t₀)³/6: its cube root as a line, since the handle last was near."""
+def _fitted(time_s: Floats, effort: Floats, way: Floats, decay: float) -> tuple[float, float]:
+    """Inertia m and beginning t₀ of m·(x + d·∫x dt) = ∬(u − F) dt² by least squares in x, over every friction F.
+
+    Fitted is the way since the handle last was near.
+    """
+    step_s = time_s[1] - time_s[0]
     near = np.flatnonzero(np.abs(way) < SETTLED_SHARE * abs(way[-1]))
     since = slice(int(near[-1]) + 1 if len(near) else 0, None)
     if len(np.unique(way[since])) < 4:
         return math.nan, math.nan
-    cube = abs(float(np.polyfit(time_s, effort, 1)[0])) / 6.0
-    far = np.abs(way[since])
-    braked = damping * np.cumsum(np.abs(way))[since] * (time_s[1] - time_s[0])
+    pushed, far = np.abs(effort), np.abs(way)
+    seen = (far + decay * step_s * np.cumsum(far))[since]
 
-    def line(inertia: float) -> tuple[float, float]:
-        slope, at_zero = np.polyfit(time_s[since], np.cbrt(inertia * far + braked), 1)
-        return float(slope), float(at_zero)
+    def given(friction: float) -> Floats:
+        """∬(u − F) dt²."""
+        momentum = step_s * np.cumsum(np.maximum(pushed - friction, 0.0))
+        return np.asarray(step_s * np.cumsum(momentum)[since])
 
-    def excess(inertia: float) -> float:
-        return line(inertia)[0] ** 3 - cube
+    def excess(friction: float) -> float:
+        action = given(friction)
+        return float(np.sum((seen - action * (action @ seen) / (action @ action)) ** 2))
 
-    most = cube / float(np.polyfit(time_s[since], np.cbrt(far), 1)[0]) ** 3
-    if not (most > 0.0 and excess(0.0) < 0.0):
-        return math.nan, math.nan
-    inertia = float(optimize.brentq(excess, 0.0, 2.0 * most, xtol=1e-6 * most))
-    slope, at_zero = line(inertia)
-    return inertia, -at_zero / slope
+    most = float(pushed[np.flatnonzero(far > 0.0)[0]])
+    grid = most * np.arange(FRICTIONS) / FRICTIONS
+    best = grid[int(np.argmin([excess(friction) for friction in grid]))]
+    bounds = (max(0.0, best - most / FRICTIONS), best + most / FRICTIONS)
+    friction = float(optimize.minimize_scalar(excess, bounds=bounds, method="bounded").x)
+    action = given(friction)
+    inertia = float((action @ action) / (action @ seen))
+    return (inertia, float(time_s[np.argmax(pushed > friction)])) if inertia > 0.0 else (math.nan, math.nan)
 
 
 def _warnings(pushes: list[Push], moved: list[Push], sign: int, scale: float) -> list[str]:

@@ -16,6 +16,7 @@ assert sys.platform == "linux"
 
 DECODING = 4
 EFFORT = 0.3  # N·m that is given at most, to start with
+SPEED = 20.0  # rad/s that ends a run, to start with
 TEXT = Template("""\
 # A handle on the shaft of the $name. [drive] as it told, [assumed] to be replaced by what you know, or by
 #   rig identify FILE --url '$url' --verified -o identified.toml
@@ -48,7 +49,7 @@ ratio = $ratio                       # [drive] turns of that encoder for one of 
 [rig.limits]
 nominal_effort = $effort             # [assumed] N·m
 effort = $effort                     # [assumed] N·m
-speed = 20.0                         # [chosen] rad/s
+speed = $speed                       # [chosen] rad/s, within what the drive allows
 
 [controller]
 position_rate = 1000                 # Hz
@@ -82,6 +83,7 @@ def text(found: Facts, url: str) -> str:
     decoding = DECODING if output.counts % DECODING == 0 else 1
     most = output.torque_constant * output.most_current
     effort = min(EFFORT, most)
+    speed = min(SPEED, 2.0 * math.pi * output.most_speed)
     quantum = max(output.most_current / 32_000.0, 1e-3)  # a current is 16 bits
     filled = TEXT.substitute(
         url=url,
@@ -100,6 +102,7 @@ def text(found: Facts, url: str) -> str:
         decoding=decoding,
         ratio=f"{output.counts_per_turn / output.counts:.6g}",
         effort=f"{effort:.4g}",
+        speed=f"{_down(speed):.4g}",
     )
     return "".join(map(_aligned, filled.splitlines(keepends=True)))
 

@@ -33,7 +33,7 @@ class DriveFault(IntEnum):
 
 MOTEUS = {
     DriveFault.DRIVE_SILENT: (
-        "the drive did not answer two queries in succession",
+        "the drive did not answer for four periods, or for 20 ms",
         f"check its power, the bus and its termination, and that this computer is not too busy; {AGAIN}",
     ),
     DriveFault.OTHER_MASTER: (
@@ -86,7 +86,7 @@ MOTEUS = {
 
 ODRIVE = {
     DriveFault.DRIVE_SILENT: (
-        "the drive told no position, no torque or no heartbeat for two periods",
+        "the drive told no position or no torque for four periods or 20 ms, or no heartbeat for five of its own",
         f"check its power, the bus and its termination, and that this computer is not too busy; {AGAIN}",
     ),
     DriveFault.OTHER_MASTER: (

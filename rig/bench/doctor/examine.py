@@ -15,7 +15,8 @@ from rig.bench.doctor.in_effect import in_effect
 from rig.bench.doctor.ports import Port, ports_here, serial_port
 from rig.bench.doctor.round_trip import LinkMeasurement, measure_link
 from rig.bench.doctor.walls import Supported, supported_walls, wall_items
-from rig.config import Experiment
+from rig.config import Experiment, controller
+from rig.config.device_limits import check_limits
 from rig.core.check import Check
 from rig.core.errors import RealtimeError, RigError
 from rig.core.present import Item, Row, reported
@@ -162,7 +163,9 @@ def _with_device(
     facts, link_url = DeviceFacts.of(device), device.link.url
     experiment = in_effect(asked.experiment, device, asked.changes)
     rig = check_rig(config.rig_model(experiment), device.dictionary)
-    seen = replace(seen, device=facts, experiment=experiment, checks=(*seen.checks, rig))
+    run = controller.prepared(experiment, current_quantum_a=device.dictionary.current_quantum_a)
+    limits = check_limits(run, device.dictionary)
+    seen = replace(seen, device=facts, experiment=experiment, checks=(*seen.checks, rig, limits))
     if link_url.scheme == "serial" and all(port.url != facts.url for port in seen.ports):
         problems = serial_port(link_url.place)[1].problems()
         seen = replace(seen, checks=(*seen.checks, *problems))

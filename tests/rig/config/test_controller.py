@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,9 @@ from hypothesis import strategies as st
 from firmware_protocol.parameters import BY_NAME, check
 from rig import config
 from rig.config import controller, presets
+from rig.config.device_limits import check_limits
 from rig.control.law import Law
+from rig.core.check import Outcome
 from rig.core.errors import ConfigError, PlanError
 from rig.devices.framed import FramedDevice
 from sim_backend.configuration import describe
@@ -279,3 +282,28 @@ def test_each_controller_has_a_memory_of_its_own() -> None:
     first.law.state[0] = 1.0
     assert second.memory["index"] == -1
     assert second.law.state[0] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("name", "key"),
+    [
+        ("speed_limit", "rig.limits.speed"),
+        ("current_limit", "rig.limits.effort"),
+        ("continuous_current", "rig.limits.nominal_effort"),
+        ("window_maximum", "rig.limits.position_minimum and position_maximum"),
+    ],
+)
+def test_a_device_that_takes_less_is_known_before_it_refuses(name: str, key: str) -> None:
+    """By key and in SI units: 10 rad/s are more than the 5 that a drive allows."""
+    quantum = COMPLIANT.rig.amplifier.current_quantum_a
+    run = controller.prepared(COMPLIANT, current_quantum_a=quantum)
+    own = describe(config.rig_model(COMPLIANT), "a drive", 20_000, 20_000)
+    assert check_limits(run, own).outcome is Outcome.OK
+    half = int(run.parameters[name]) // 2
+    narrow = tuple(replace(one, maximum=half) if one.name == name else one for one in own.parameters)
+    found = check_limits(run, replace(own, parameters=narrow))
+    assert found.outcome is Outcome.REFUSED
+    assert found.text.startswith(f"{own.device} does not take {name} ")
+    assert key in found.remedy
+    if name == "speed_limit":
+        assert "10 rad/s, it takes 0 to 5 rad/s" in found.text

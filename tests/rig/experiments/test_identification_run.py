@@ -500,8 +500,12 @@ def test_a_push_ends_when_the_handle_moves_and_brakes_by_where_it_went() -> None
     assert drive(3.9, velocity=-100.0) == pytest.approx(-0.101), "never more than the push had"
     assert drive(3.9, ticks=100) == 0.0
     assert drive(3.9, ticks=1) > 0.0, "the second push has the same direction"
-    assert drive(3.9, ticks=600) == 0.0, "nothing moves: it gives up at the most effort"
-    drive(3.9, ticks=100)
-    assert drive(3.9, ticks=10) < 0.0, "the third the other"
+    assert drive(3.7, ticks=600) == 0.0, "too stiff: it gives up at the most effort"
+    drive(3.7, ticks=100)
+    assert drive(3.7, ticks=10) < 0.0, "the third the other"
+    assert drive(3.7, ticks=600) == 0.0, (
+        "nothing moves, as far as anybody sees: no other push adds to the speed"
+    )
+    assert p.state[2] == 3.0
     with pytest.raises(ValueError, match="along the position"):
         law.prepare({"side": -1})

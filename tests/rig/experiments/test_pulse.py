@@ -23,7 +23,7 @@ from rig.core.check import Outcome
 from rig.core.errors import ConfigError, DeviceFaultError, PlanError
 from rig.devices.framed import FramedDevice
 from rig.experiments.hit import HitRequest, hit
-from rig.experiments.identify_motions import PUSH_S, coulomb_of, inertia_of, most_push, push_way
+from rig.experiments.identify_motions import coulomb_of, inertia_of, most_push, push_growth, push_way
 from rig.experiments.motion_run import FreeRigRequest
 from rig.experiments.on_device import OnDevice, Trials
 from rig.experiments.pulse import NO_HANDS, PUSHES, Pulse, check_rig_moves, energy_of, judged, pulse
@@ -92,13 +92,23 @@ def test_a_fault_is_refused_by_the_check_that_is_about_it(name: str, loop: str, 
         found.insist()
 
 
+@pytest.mark.parametrize(("fault", "outcome"), [("sound", Outcome.OK), ("motor × 2", Outcome.REFUSED)])
+def test_a_push_in_coarse_steps_of_current_tells_the_scale(
+    fault: str, outcome: Outcome, tmp_path: Path
+) -> None:
+    """A quantum is a ninth of hapkit's friction, and damping takes most of what is beyond."""
+    hapkit = config.override(presets.load("hapkit"), {"rig.amplifier.current_monitor": False})
+    found = pulsed(hapkit, FAULTS[fault], 0.0, tmp_path / "pulse.rigcap")
+    assert {check.name: check.outcome for check in found.checks}["size"] is outcome
+
+
 def test_friction_beyond_a_push_is_not_called_a_dead_motor(sound: Pulse) -> None:
     """Nothing moved, and the described friction alone would explain it."""
     still = dataclasses.replace(
         sound.signs,
         pushes=tuple(dataclasses.replace(push, moved=False, seen=0.0) for push in sound.signs.pushes),
     )
-    stiff = config.override(RIGID, {"rig.mechanics.motor_coulomb": 0.9 * most_push(RIGID)})
+    stiff = config.override(RIGID, {"rig.mechanics.motor_coulomb": 0.07})
     (check,) = judged(stiff, still)
     assert check.outcome is Outcome.REFUSED
     assert check.text.startswith("not observed")
@@ -128,10 +138,8 @@ def test_a_push_against_friction_shows_the_inertia_and_when_it_began(friction: f
 def test_the_most_effort_moves_the_described_rig() -> None:
     for name in presets.names():
         x = presets.load(name)
-        reached = coulomb_of(x) + (6.0 * inertia_of(x) * push_way(x) * (most_push(x) / PUSH_S) ** 2) ** (
-            1 / 3
-        )
-        assert reached < most_push(x)
+        rises = (6.0 * inertia_of(x) * push_way(x) * push_growth(x) ** 2) ** (1 / 3)
+        assert 2.0 * coulomb_of(x) + rises < most_push(x)  # with twice the friction, too
 
 
 # ---------------------------------------------------------------------- who is armed

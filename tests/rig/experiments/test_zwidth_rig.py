@@ -1,21 +1,28 @@
 """A map on a device: recorded hits in place of simulated ones, a person who agrees, and whatever ends a session."""
 
 import json
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numba
+import numpy as np
 import pytest
 
 if numba.config.DISABLE_JIT:
     pytest.skip("plug points are function types of compiled code", allow_module_level=True)
 
+from firmware_protocol.faults import Fault
 from rig import config, devices
 from rig.config import presets
 from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError, GuardError, LinkLostError, PlanError, RigError, StoppedError
+from rig.core.sample import Phase
+from rig.devices.fault_script import DeviceFault, Faults
+from rig.devices.framed import FramedDevice
 from rig.experiments import on_device, zwidth_rig
+from rig.experiments.hit import HitResult
 from rig.experiments.hit_simulator import HitSimulator
 from rig.experiments.maps import zwidth
 from rig.experiments.on_device import OnDevice
@@ -159,6 +166,35 @@ def test_a_guard_that_trips_before_the_wall_ends_the_session(
     monkeypatch.setattr(on_device, "hit", tripped)
     with pytest.raises(GuardError, match="the start was not reached"):
         zwidth_on_rig(planned(), Person().session(tmp_path))
+
+
+def test_a_hit_that_ended_for_want_of_time_is_repeated(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its device missed ticks in the middle of the push; the map is that of an undisturbed session."""
+    plan = planned(dampings=(0.1,), search=Search(lowest=100.0, highest=110.0, ratio=1.2))
+    undisturbed = zwidth_on_rig(plan, Person().session(tmp_path / "undisturbed"))
+    (path,) = (tmp_path / "undisturbed" / "hits").glob("*.parquet")
+    rows = open_recording(path).rows
+    middle = int(np.median(rows["sample_index"][rows["phase"] == Phase.TRIAL]))
+    late = Faults(device=(DeviceFault(middle, Fault.TICK_OVERRUN),))
+    hit, scripts = on_device.hit, [late]
+
+    def disturbed(request: Any) -> Iterator[HitResult]:
+        if not scripts:
+            yield from hit(request)
+            return
+        model = config.rig_model(request.experiment)
+        with FramedDevice(devices.open_watched("sim://", model, scripts.pop())) as device:
+            yield from hit(replace(request, device=device, reference_count=0))
+
+    monkeypatch.setattr(on_device, "hit", disturbed)
+    person = Person()
+    found = zwidth_on_rig(plan, person.session(tmp_path))
+    assert [asked.attempt for asked in person.asked] == [1, 2]
+    assert kinds(found) == kinds(undisturbed)
+    reasons = [open_recording(one).trailer["reason"] for one in (tmp_path / "hits").glob("*.parquet")]
+    assert sorted(reasons) == ["device_fault", "finished"]
 
 
 def test_a_lost_link_ends_the_session(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

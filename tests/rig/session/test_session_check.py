@@ -99,7 +99,7 @@ def test_theory_says_which_levels_are_unstable_in_a_hand_and_free(plan: StudyPla
         assert cell.unstable_in_hand == tuple(k for k in cell.levels if k > softest)
         assert cell.expected.limit.least < cell.expected.limit.likely < cell.expected.limit.most
         held = [value for hand, value in cell.expected.by_hand.items() if hand != "none"]
-        assert cell.expected.limit.most == 2.0 * max(held)  # friction
+        assert cell.expected.limit.most == 2.5 * max(held)  # friction
 
 
 def test_who_does_not_see_what_is_said(plan: StudyPlan, schemes: Protocol) -> None:

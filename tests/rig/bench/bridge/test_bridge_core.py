@@ -16,7 +16,17 @@ from rig.core.errors import DeviceRefusedError
 from rig.devices.framed import FramedDevice
 from sim_backend.drives.can_simple import Error
 from sim_backend.drives.moteus_registers import WHOLE
-from tests.conformance.bridged import CURRENT, KINDS, Bridged, Strike, Way, armed, bridged_rig, push
+from tests.conformance.bridged import (
+    CURRENT,
+    KINDS,
+    UNIT_TWICE_NS,
+    Bridged,
+    Strike,
+    Way,
+    armed,
+    bridged_rig,
+    push,
+)
 from tests.conformance.device import check_device
 from tests.conformance.firmware import need_compiler
 from tests.conformance.host import RUN_PARAMETERS, Host
@@ -339,6 +349,32 @@ def test_a_sample_that_was_lost_is_missing_in_the_index_however_soon_the_next_on
     world.travel_ns = 100_000
     state = host.next_state()
     assert (state.sample_index - before, state.missed_ticks) == (2, 1)
+
+
+@both
+@pytest.mark.parametrize("awaits", [False, True])
+def test_a_computer_that_stands_still_loses_samples_and_has_no_old_ones(kind: str, awaits: bool) -> None:
+    """Fewer than the life of a command are counted, more end the run; index and clock stay together."""
+    faults = {}
+    for stood_us in range(1_300, 7_000, 500):
+        world, host = armed(Bridged(kind=kind))
+        push(host, 5)
+        before = host.next_state()
+        host.command(CURRENT)
+        world.run(0.9e-3 if awaits else 0.3e-3)  # a question is on its way, or answered
+        world.sleep(1e-6 * stood_us)
+        state = host.next_state()
+        lost = state.sample_index - before.sample_index - 1
+        apart_ns = (state.device_time - before.device_time) * UNIT_TWICE_NS // 2 - (lost + 1) * PERIOD_NS
+        assert abs(apart_ns) < PERIOD_NS
+        assert state.missed_ticks == lost
+        assert abs(stood_us * 1000 - lost * PERIOD_NS) < 2 * PERIOD_NS  # parts of a period at both ends
+        faults[lost] = state.fault
+        world.run(WATCHDOG_S + SLACK_S + LIFETIME_S + RAMP_S)
+        assert world.torque == 0.0
+    assert {2, 3, 4, 5} <= set(faults)
+    for lost, fault in faults.items():  # the drive's watchdog has five periods
+        assert fault in ((0,) if lost < 4 else (Fault.TICK_OVERRUN, DriveFault.DRIVE_LEFT))
 
 
 def test_replies_that_are_late_are_not_taken_for_the_ones_that_are_awaited() -> None:

@@ -11,10 +11,12 @@ import pytest
 
 from firmware_protocol.faults import Status
 from firmware_protocol.parameters import BY_NAME
-from rig.bench.bridge import odrive
+from rig import config
+from rig.bench.bridge import describe, odrive
 from rig.bench.bridge.address import address_of
 from rig.bench.bridge.bus import CanFrame
 from rig.bench.bridge.faults import DriveFault
+from rig.config import controller
 from rig.core.errors import (
     ConfigError,
     DeviceNotFoundError,
@@ -71,6 +73,17 @@ def test_a_drive_that_fits_is_described() -> None:
     assert (drive.counts_per_turn, drive.transmission) == (TURN, pytest.approx(2.0))
     assert drive.settings["torque_constant"] == pytest.approx(0.05)  # 0.1 N·m/A at the link, geared 1:2
     assert (drive.cycle_us, drive.beat_us, drive.rate_maximum) == (1000, 10_000, 1000)
+
+
+def test_a_file_to_start_from_stays_within_the_limits_of_the_drive(tmp_path: Path) -> None:
+    """Its speed that ends a run, too: the maker's default is an error at 2.4 turns a second."""
+    drive = drive_with({odrive.OVERSPEED: "1", "axis0.controller.config.vel_limit": "2.0"})
+    facts = odrive.find(odrive.Conversation(MemoryBus(drive), 0, endpoints()))
+    (tmp_path / "mine.toml").write_text(describe.text(facts, "odrive://can0"))
+    x = config.load_experiment(tmp_path / "mine.toml")
+    run = controller.prepared(x)
+    for name, (low, high) in odrive.fit(facts, config.rig_model(x)).ranges.items():
+        assert low <= run.parameters[name] <= high, name
 
 
 @pytest.mark.parametrize(

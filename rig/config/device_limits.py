@@ -1,0 +1,66 @@
+"""Whether a device takes what an experiment gives it: its own ranges may be narrower than those of the protocol.
+
+A drive behind a bridge has limits of its own, and so may a board: a speed, a current, a window.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from firmware_protocol.dictionary import Dictionary
+from rig.config.controller import Run, effort_quantum, resolution
+from rig.core.check import Check, Outcome
+from rig.core.sample import unit_of
+
+
+class _Limit(NamedTuple):
+    """Where a parameter comes from: key and quantity of the experiment, and what one of its quanta is there (SI)."""
+
+    key: str
+    quantity: str
+    quantum: Callable[[Run], float]
+
+
+def _of_count(run: Run) -> float:
+    return abs(resolution(run.experiment))
+
+
+def _of_current(run: Run) -> float:
+    return effort_quantum(run.experiment, run.current_quantum_a)
+
+
+_LIMITS = {
+    "speed_limit": _Limit("rig.limits.speed", "velocity", _of_count),
+    "current_limit": _Limit("rig.limits.effort", "effort", _of_current),
+    "continuous_current": _Limit("rig.limits.nominal_effort", "effort", _of_current),
+    "window_minimum": _Limit("rig.limits.position_minimum and position_maximum", "position", _of_count),
+    "window_maximum": _Limit("rig.limits.position_minimum and position_maximum", "position", _of_count),
+}
+
+
+def check_limits(run: Run, dictionary: Dictionary) -> Check:
+    """Compare the limits of a run with the ranges that its device declares.
+
+    Returns
+    -------
+    Check
+        Refused, with every limit that the device does not take, and what it takes; or ok.
+    """
+    wrong, keys = [], []
+    for name, limit in _LIMITS.items():
+        value, own = run.parameters[name], dictionary.parameter(name)
+        if own is None or own.minimum <= value <= own.maximum:
+            continue
+        quantum, unit = limit.quantum(run), unit_of(limit.quantity, run.experiment.rig.motion)
+        low, high = own.minimum * quantum, own.maximum * quantum
+        wrong.append(f"{name} {value * quantum:.4g} {unit}, it takes {low:.4g} to {high:.4g} {unit}")
+        keys.append(limit.key)
+    return Check(
+        "limits of the device",
+        Outcome.REFUSED if wrong else Outcome.OK,
+        f"{dictionary.device} does not take {'; '.join(wrong)}"
+        if wrong
+        else f"{dictionary.device} takes those of the experiment",
+        f"change {', '.join(dict.fromkeys(keys))}, or the limit of the drive or board" if wrong else "",
+    )

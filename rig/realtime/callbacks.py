@@ -1,0 +1,72 @@
+"""Plugs of the loop that come back into Python: for a simulation in memory, and what compiled code cannot reach."""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from rig.realtime.plugs import TRANSFER_SIGNATURE, WAIT_SIGNATURE, NativeFunction
+
+_TRANSFER = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_int64, ctypes.c_int64)
+_WAIT = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_int64)
+
+
+class CallbackPlugs(NamedTuple):
+    """What moves the bytes of a link; the handle means nothing."""
+
+    read: NativeFunction
+    write: NativeFunction
+    wait: NativeFunction
+    handle: int = 0
+
+
+def callback_plugs(
+    *,
+    read: Callable[[int], bytes],
+    write: Callable[[bytes], int | None],
+    wait: Callable[[int], bool],
+    failed: Callable[[BaseException], object] = lambda failure: None,
+) -> CallbackPlugs:
+    """Make plugs of functions of Python.
+
+    Parameters
+    ----------
+    read
+        Return what is there, so many bytes at most.
+    write
+        Send, and say how many bytes were taken: None for all.
+    wait
+        Wait until something is there, or to a deadline (ns, the link's clock), and say whether it is.
+    failed
+        Told what one of them raised: none of it passes into compiled code, which is given its negative errno, or -EIO.
+    """
+
+    def native(kind: Any, function: Callable[..., int], signature: Any) -> NativeFunction:
+        def guarded(*arguments: int) -> int:
+            try:
+                return function(*arguments)
+            except BaseException as failure:
+                failed(failure)
+                return -((failure.errno if isinstance(failure, OSError) else None) or errno.EIO)
+
+        callback = kind(guarded)
+        address = ctypes.cast(callback, ctypes.c_void_p).value
+        assert address is not None
+        return NativeFunction(address, signature, keep=callback)
+
+    def into(_handle: int, address: int, size: int) -> int:
+        data = read(size)
+        ctypes.memmove(address, data, len(data))
+        return len(data)
+
+    def out_of(_handle: int, address: int, size: int) -> int:
+        taken = write(ctypes.string_at(address, size)) if size > 0 else 0
+        return size if taken is None else taken
+
+    return CallbackPlugs(
+        native(_TRANSFER, into, TRANSFER_SIGNATURE),
+        native(_TRANSFER, out_of, TRANSFER_SIGNATURE),
+        native(_WAIT, lambda _handle, deadline_ns: int(wait(deadline_ns)), WAIT_SIGNATURE),
+    )
