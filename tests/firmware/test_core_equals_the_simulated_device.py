@@ -30,7 +30,6 @@ from firmware_protocol.packing import HEADER, LAYOUT_OF, LAYOUTS, data_limit
 from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import PARAMETERS, block_crc, encode_block
 from firmware_protocol.transfer import set_parameters
-from firmware_protocol.wire import wire_fields
 from rig.core.model import Reference, RigModel
 from sim_backend.compiled_device import SAID, CompiledDevice
 from sim_backend.device import SimulatedDevice
@@ -50,9 +49,9 @@ from sim_backend.lockstep import (
 from sim_backend.safety import UNITS_PER_SECOND
 from tests.conformance.host import RUN_PARAMETERS
 from tests.conformance.rigs import linear_rig, rotary_rig, unmeasured
-from tests.conformance.wire_strategies import messages_of, parameter_sets
+from tests.conformance.wire_strategies import fields_of, messages_of, parameter_sets
 
-WALKS = int(os.environ.get("HAPTIC_RIG_WALKS", "30"))
+WALKS = int(os.environ.get("HAPTIC_RIG_WALKS", "20"))
 WALK_STEPS = 120
 RATES = [50, 99, 300, 500, 700, 1_000, 1_100, 2_000, 3_000, 7_777, 20_000, 50_000]
 LIFETIMES_US = [0, 1_000, 3_000, 20_000, 2**32 - 1]
@@ -400,7 +399,7 @@ def random_message(rng: random.Random) -> Message:
     """Any request or command, of plausible or extreme values."""
     cls = rng.choice(HOST_MESSAGES)
     values: dict[str, Any] = {}
-    for name, wire in wire_fields(cls).items():
+    for name, wire in fields_of(cls).items():
         if wire.ctype == "bytes":
             values[name] = rng.randbytes(rng.randrange(data_limit(cls) + 1))
         else:
@@ -475,7 +474,7 @@ def test_a_long_walk_is_the_same_for_both(library: ctypes.CDLL, seed: int) -> No
     pair.ask_everything()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(run_values, st.lists(run_step, max_size=12), st.sampled_from([1, -1]))
 @example(
     {"position_rate": 2_000, "current_limit": 10_000, "speed_limit": 1_000},
@@ -664,7 +663,7 @@ def test_every_type_in_every_length_is_answered_alike(library: ctypes.CDLL, stat
             pair.tick()
 
 
-@pytest.mark.parametrize("rate", RATES)
+@pytest.mark.parametrize("rate", [50, 99, 700, 1_000, 7_777, 50_000])
 def test_a_long_run_ends_alike(library: ctypes.CDLL, rate: int) -> None:
     """Heat, windows and fractional periods over thousands of ticks, with a pause into LINK_LOST at the end."""
     pair = Pair(library, rig_of(), seed=rate)
@@ -725,7 +724,7 @@ def test_a_command_that_was_longer_under_way_than_its_lifetime_is_not_activated(
     assert pair.c.core.status.current == 0, "STOP is never too old"
 
 
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("seed", range(20))
 def test_the_motion_is_judged_alike_at_every_threshold(library: ctypes.CDLL, seed: int) -> None:
     """Strokes with and against the effort, rest, reversals, about as long as the windows in which they are judged."""
     rng = random.Random(seed)
