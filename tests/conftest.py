@@ -41,9 +41,30 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int | None:
     return 0 if len(files) == 1 and files.pop().endswith(".py") else None
 
 
+class LastFirst:
+    """Imports the files of a directory from the last one on; they are collected in the usual order all the same.
+
+    In a fresh clone half the time of collecting goes into rewriting asserts, which pytest keeps beside the file. One
+    worker begins at each end, rewrites half of them, and finds the others done.
+    """
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_make_collect_report(
+        self, collector: pytest.Collector
+    ) -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
+        report = yield
+        if isinstance(collector, pytest.Directory):
+            for file in reversed(report.result):
+                with suppress(Exception, pytest.skip.Exception):  # told when it is collected
+                    _ = getattr(file, "obj", None)
+        return report
+
+
 def pytest_configure(config: pytest.Config) -> None:
     if not hasattr(config, "workerinput"):
         os.environ[RUN] = uuid.uuid4().hex
+    elif config.workerinput["workerid"] == "gw1":
+        config.pluginmanager.register(LastFirst())
 
 
 @pytest.hookimpl(trylast=True)  # when the workers have ended

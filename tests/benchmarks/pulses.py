@@ -34,6 +34,7 @@ from rig.devices.framed import FramedDevice
 from rig.experiments.identify_motions import still
 from rig.experiments.pulse import Pulse, pulse
 from sim_backend import device as simulated
+from sim_backend.compiled_device import CompiledDevice
 from sim_backend.device import SimulatedDevice
 from sim_backend.firmware import FirmwareDevice
 from sim_backend.hardware import Hardware
@@ -120,18 +121,22 @@ class TickByTick(FirmwareDevice):
 def faulty(experiment: Experiment, fault: Fault, at: float) -> FramedDevice:
     """The rig of an experiment with a fault that its device knows nothing of, which runs the law where it is to."""
     sound, script = config.rig_model(still(experiment)), None
+    counts = "counts" in dict(fault.hardware)
     if experiment.controller.loop == "device":
         script = Faults()  # none, but bytes pass Python
         device = TickByTick(sound, initial_position=at)
         device.stand_before(Hardware(fault.model(sound), 1_000, seed=0, initial_position=at))
     else:
         told = simulated.describe(sound, sound.name, 1_000, 50_000)
+        kind = SimulatedDevice if counts else CompiledDevice  # as above: true counts only
         with patch.object(simulated, "describe", lambda *_: told):
-            device = SimulatedDevice(fault.model(sound), initial_position=at)
-    device.hardware.__class__ = Counting
+            device = kind(fault.model(sound), initial_position=at)
+    if counts:
+        device.hardware.__class__ = Counting
     for name, value in fault.hardware:
         setattr(device.hardware, name, value)
-    device.hardware.count = device.hardware.counts(device.hardware.count)
+    if counts:
+        device.hardware.count = device.hardware.counts(device.hardware.count)
     return FramedDevice(MemoryLink(device, script))
 
 

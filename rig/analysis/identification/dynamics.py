@@ -181,7 +181,8 @@ class _Problem:
 
     lines: Floats
     rate: float
-    held: float
+    images: Floats  # the lines and what sampling folds onto them, shape (images, lines)
+    held: Complexes  # what a held sample of the effort has of itself at each of them
     position: Complexes
     effort: Complexes
     friction: Complexes
@@ -195,10 +196,13 @@ class _Problem:
         spectra = [_spectra(run, sliding) for run in runs]
         first = runs[0]
         samples = first.period_samples * first.periods
+        which = IMAGES if first.effort_hold_s else (0,)
+        images = first.lines_hz + first.rate_hz * np.array(which)[:, np.newaxis]
         return cls(
             lines=first.lines_hz,
             rate=first.rate_hz,
-            held=first.effort_hold_s,
+            images=images,
+            held=hold(images, first.effort_hold_s),
             position=np.array([one[0] for one in spectra]),
             effort=np.array([one[1] for one in spectra]),
             friction=np.array([one[2] for one in spectra]),
@@ -208,13 +212,8 @@ class _Problem:
 
     def gain(self, parameters: Floats, ticks: int) -> Complexes:
         """Position over the samples of the effort, delay, hold and images included."""
-        if self.held == 0.0:
-            return _late(self.lines, parameters, ticks / self.rate) * self.answer(self.lines, parameters)
-        total = np.zeros(len(self.lines), np.complex128)
-        for image in IMAGES:
-            f = self.lines + image * self.rate
-            total += hold(f, self.held) * _late(f, parameters, ticks / self.rate) * self.answer(f, parameters)
-        return total
+        late = _late(self.images, parameters, ticks / self.rate)
+        return np.asarray((self.held * late * self.answer(self.images, parameters)).sum(axis=0))
 
     def answer(self, frequency_hz: Floats, parameters: Floats) -> Complexes:
         """Position over effort, the back-EMF's apart."""

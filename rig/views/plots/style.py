@@ -43,7 +43,7 @@ _AS_TEXT = {"svg.hashsalt": "haptic-rig", "svg.fonttype": "none", "pdf.fonttype"
 
 def new_figure(width: float = 9.0, height: float = 7.0) -> Any:
     """Make a figure that belongs to no window."""
-    figure = figures.Figure(figsize=(width, height), layout="constrained")
+    figure = figures.Figure(figsize=(width, height), dpi=DPI, layout="constrained")
     agg.FigureCanvasAgg(figure)
     return figure
 
@@ -110,12 +110,20 @@ def save(figure: Any, path: Path) -> Path:
         text.set_text(
             text.get_text().encode("utf-8", "backslashreplace").decode()
         )  # a file's name need not be text
+    layout = figure.get_layout_engine()
     try:
         with matplotlib.rc_context(_AS_TEXT):
+            if layout is not None:
+                layout.execute(figure)
+            figure.set_layout_engine(
+                "none"
+            )  # else all is drawn once more, in vain, for the sake of the layout
             figure.savefig(path, dpi=DPI, format=ending, metadata=FORMATS[ending])
     except OSError as error:
         raise RecordingError(
             f"cannot write the picture {path}: {error.strerror or error}",
             remedy="choose another place for it",
         ) from error
+    finally:
+        figure.set_layout_engine(layout)
     return path

@@ -10,9 +10,10 @@ import numba
 import numpy as np
 import pytest
 
+from rig.control.estimators.estimator import Estimator
 from rig.control.estimators.plain_estimator import estimator
 from rig.control.plain_functions import Memory, Parameter, Parameters
-from rig.control.plain_law import law
+from rig.control.plain_law import PlainLaw, law
 from rig.core.errors import ConfigError
 from rig.testing.estimators import velocities
 from rig.testing.laws import reactions
@@ -20,34 +21,35 @@ from rig.testing.laws import reactions
 compiled = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled here")
 
 
-@law(parameters={"quadratic": Parameter(default=1e5, minimum=0.0, maximum=1e6, unit="N·m/rad²")})
-def stiffening(penetration: float, velocity: float, p: Parameters) -> float:
-    """A wall that grows harder with depth."""
-    return p.stiffness * penetration + p.quadratic * penetration**2 + p.damping * velocity
+@pytest.fixture(scope="module")
+def stiffening() -> PlainLaw:
+    @law(parameters={"quadratic": Parameter(default=1e5, minimum=0.0, maximum=1e6, unit="N·m/rad²")})
+    def stiffening(penetration: float, velocity: float, p: Parameters) -> float:
+        """A wall that grows harder with depth."""
+        return p.stiffness * penetration + p.quadratic * penetration**2 + p.damping * velocity
+
+    return stiffening
 
 
-@law(memory=("held", "calls"), everywhere=True)
-def relaxing(elapsed_s: float, memory: Memory, penetration: float, p: Parameters) -> float:
-    memory.calls += 1.0
-    memory.held += (penetration - memory.held) * elapsed_s / (elapsed_s + 10.0 * p.tick_s)
-    return p.stiffness * (penetration - memory.held)
+@pytest.fixture(scope="module")
+def blend() -> Estimator:
+    @estimator(parameters={"weight": Parameter(default=0.5, minimum=0.0, maximum=1.0)}, memory=("slope",))
+    def blend(travel: float, elapsed_s: float, memory: Memory, p: Parameters) -> float:
+        """Two slopes, weighed."""
+        before, memory.slope = memory.slope, travel / elapsed_s
+        return p.weight * before + (1.0 - p.weight) * memory.slope
+
+    return blend
 
 
-@estimator(parameters={"weight": Parameter(default=0.5, minimum=0.0, maximum=1.0)}, memory=("slope",))
-def blend(travel: float, elapsed_s: float, memory: Memory, p: Parameters) -> float:
-    """Two slopes, weighed."""
-    before, memory.slope = memory.slope, travel / elapsed_s
-    return p.weight * before + (1.0 - p.weight) * memory.slope
-
-
-def test_a_law_knows_its_parameters_by_name_and_acts_inside_the_wall_alone() -> None:
+def test_a_law_knows_its_parameters_by_name_and_acts_inside_the_wall_alone(stiffening: PlainLaw) -> None:
     depth, speed = np.array([-0.01, 0.0, 0.01]), np.array([1.0, 1.0, -0.2])
     found = reactions(stiffening, depth, speed, stiffness=100.0, damping=0.5)
     assert found == pytest.approx([0.0, 0.0, 100.0 * 0.01 + 1e5 * 1e-4 - 0.1])
     assert (stiffening.name, stiffening.summary) == ("stiffening", "A wall that grows harder with depth.")
 
 
-def test_other_parameters_make_another_law_and_leave_this_one_alone() -> None:
+def test_other_parameters_make_another_law_and_leave_this_one_alone(stiffening: PlainLaw) -> None:
     softer = stiffening.with_parameters(quadratic=0.0)
     assert reactions(softer, [0.01], stiffness=100.0).tolist() == pytest.approx([1.0])
     assert reactions(stiffening, [0.01], stiffness=100.0).tolist() == pytest.approx([11.0])
@@ -63,6 +65,13 @@ def test_other_parameters_make_another_law_and_leave_this_one_alone() -> None:
 
 def test_memory_is_kept_and_time_is_told_in_seconds() -> None:
     """A spring in series with a damper: ten ticks after a step a share 1/e is nearly left, the faster the tick."""
+
+    @law(memory=("held", "calls"), everywhere=True)
+    def relaxing(elapsed_s: float, memory: Memory, penetration: float, p: Parameters) -> float:
+        memory.calls += 1.0
+        memory.held += (penetration - memory.held) * elapsed_s / (elapsed_s + 10.0 * p.tick_s)
+        return p.stiffness * (penetration - memory.held)
+
     made = relaxing.prepare({"stiffness": 2.0, "damping": 0.0, "tick_s": 1e-3})
     found = [made.law.function(1.0, 0.0, 1, made.state, made.parameters) for _ in range(10)]
     assert found[-1] == pytest.approx(2.0 * (10 / 11) ** 10)
@@ -71,21 +80,21 @@ def test_memory_is_kept_and_time_is_told_in_seconds() -> None:
     assert lost == pytest.approx(0.5 * found[-1]), "ten ticks at once: 10/(10 + 10)"
 
 
-def test_an_estimator_is_given_travel_whatever_encoder_and_link_do() -> None:
+def test_an_estimator_is_given_travel_whatever_encoder_and_link_do(blend: Estimator) -> None:
     made = blend.prepare({"weight": 0.0}, -1e-3, 0.5)
     counts, elapsed = [2**31 - 2, -(2**31), -(2**31) + 4], [1, 1, 2]
     assert velocities(made, counts, elapsed).tolist() == [0.0, pytest.approx(-4e-3), pytest.approx(-4e-3)]
     assert made.state_i[0] == 2, "the row shows how many periods the estimate spans"
 
 
-def test_an_estimators_settings_are_those_of_an_experiment() -> None:
+def test_an_estimators_settings_are_those_of_an_experiment(blend: Estimator) -> None:
     slopes = velocities(blend.prepare({"weight": 0.25}, 1.0, 1.0), [0, 4, 4])
     assert slopes.tolist() == [0.0, 3.0, 1.0]
     with pytest.raises(ConfigError, match="weight = 2  is out of range"):
         blend.prepare({"weight": 2.0}, 1.0, 1.0)
 
 
-def test_names_are_those_of_files_and_may_be_given() -> None:
+def test_names_are_those_of_files_and_may_be_given(blend: Estimator) -> None:
     assert blend.name == "blend"
 
     @estimator(name="mine", source="a paper")

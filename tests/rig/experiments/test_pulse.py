@@ -28,9 +28,11 @@ from rig.experiments.motion_run import FreeRigRequest
 from rig.experiments.on_device import OnDevice, Trials
 from rig.experiments.pulse import NO_HANDS, PUSHES, Pulse, check_rig_moves, energy_of, judged, pulse
 from rig.recording.reader import open_recording
-from sim_backend.device import SimulatedDevice
+from sim_backend.compiled_device import CompiledDevice
 from sim_backend.firmware import FirmwareDevice
+from sim_backend.hardware import World
 from sim_backend.link import MemoryLink
+from sim_backend.lockstep import Lockstep
 from tests.benchmarks.pulses import FAULTS, pulsed
 from tests.conformance.firmware import need_compiler
 
@@ -155,16 +157,16 @@ def real(monkeypatch: pytest.MonkeyPatch) -> None:
         )
 
 
-class Failing(SimulatedDevice):
+class Failing(CompiledDevice):
     """A device that finds a fault once it runs, if it is told to."""
 
     fails = False
 
-    def tick(self) -> bytes:
+    def compiled(self) -> tuple[Lockstep, World]:
         if self.fails and self.connection.state == State.RUNNING:
             self.fails = False
             self.inject_fault(Fault.OVER_CURRENT)
-        return super().tick()
+        return super().compiled()
 
 
 def framed(**hardware: float) -> FramedDevice:

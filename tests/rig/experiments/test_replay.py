@@ -31,7 +31,7 @@ from rig.realtime.plugs import LAW_SIGNATURE
 from rig.realtime.ring import Ring
 from rig.recording.capture import BLOCK_ROWS
 from rig.recording.reader import open_recording
-from sim_backend.device import SimulatedDevice
+from sim_backend.compiled_device import CompiledDevice
 from sim_backend.link import MemoryLink
 from tests.conformance.trials import trial_on
 
@@ -43,7 +43,7 @@ SHORT = config.override(
 
 
 def new_link(experiment: Any = SHORT, faults: Any = None) -> Any:
-    return MemoryLink(SimulatedDevice(config.rig_model(experiment), initial_position=START), faults)
+    return MemoryLink(CompiledDevice(config.rig_model(experiment), initial_position=START), faults)
 
 
 def recorded(

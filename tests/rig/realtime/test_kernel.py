@@ -96,9 +96,8 @@ class Project:
         return json.loads(done.stdout)
 
 
-@pytest.fixture
-def project(tmp_path: Path) -> Project:
-    root = tmp_path / "project"
+def project_in(place: Path) -> Project:
+    root = place / "project"
     (root / "rig" / "realtime").mkdir(parents=True)
     for package in ("rig", "rig/realtime"):
         (root / package / "__init__.py").touch()
@@ -106,37 +105,55 @@ def project(tmp_path: Path) -> Project:
         shutil.copy(copied.__file__, root / "rig" / "realtime")
     (root / "rig" / "helper.py").write_text(HELPER)
     (root / "rig" / "law.py").write_text(LAW)
-    made = Project(root, str(tmp_path / "cache"))
+    made = Project(root, str(place / "cache"))
     made.write(gain=2.0)
     return made
 
 
+@pytest.fixture
+def project(tmp_path: Path) -> Project:
+    return project_in(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def first(tmp_path_factory: pytest.TempPathFactory) -> tuple[Project, dict[str, Any]]:
+    """A project that a process has compiled, and its report: the next process may differ in one thing."""
+    made = project_in(tmp_path_factory.mktemp("first"))
+    return made, made.run()
+
+
 @compiled
-def test_the_second_process_loads_what_the_first_compiled(project: Project) -> None:
+def test_the_second_process_loads_what_the_first_compiled(first: tuple[Project, dict[str, Any]]) -> None:
     """Whoever listens is told of the one and not of the other; helpers are compiled within what calls them."""
-    first, second = project.run(), project.run()
-    assert (first["hits"], first["misses"], first["compiled"]) == (0, 1, [True, False])
-    assert (second["hits"], second["misses"], second["compiled"]) == (1, 0, [])
-    assert first["value"] == second["value"] == 3.0
-    assert first["cache"] == second["cache"]
-    assert first["cache"].startswith(project.cache)
+    project, before = first
+    after = project.run()
+    assert (before["hits"], before["misses"], before["compiled"]) == (0, 1, [True, False])
+    assert (after["hits"], after["misses"], after["compiled"]) == (1, 0, [])
+    assert before["value"] == after["value"] == 3.0
+    assert before["cache"] == after["cache"]
+    assert before["cache"].startswith(project.cache)
 
 
 @compiled
-def test_the_same_sources_in_another_place_and_of_another_time_load_it_too(project: Project) -> None:
-    """A wheel beside a clone, a fresh checkout in somebody's CI."""
-    first = project.run()
-    project.root = Path(shutil.copytree(project.root, project.root.with_name("elsewhere")))
-    for path in project.root.rglob("*.py"):
+def test_the_same_sources_in_another_place_of_another_time_and_beside_others_load_it_too(
+    first: tuple[Project, dict[str, Any]], tmp_path: Path
+) -> None:
+    """A wheel beside a clone, a fresh checkout in somebody's CI, an edit of a file that no kernel depends on."""
+    project, before = first
+    elsewhere = Path(shutil.copytree(project.root, tmp_path / "elsewhere"))
+    (elsewhere / "rig" / "command.py").write_text("from rig.law import law\n")
+    for path in elsewhere.rglob("*.py"):
         os.utime(path, (1e9, 1e9))
-    second = project.run()
-    assert (second["value"], second["hits"], second["misses"]) == (3.0, 1, 0)
-    assert second["cache"] == first["cache"]
+    after = Project(elsewhere, project.cache).run()
+    assert (after["value"], after["hits"], after["misses"], after["compiled"]) == (3.0, 1, 0, [])
+    assert after["cache"] == before["cache"]
 
 
 @compiled
-def test_an_edited_constant_of_a_file_that_only_a_helper_imports_is_seen(project: Project) -> None:
-    before = project.run()
+def test_an_edited_constant_of_a_file_that_only_a_helper_imports_is_seen(
+    first: tuple[Project, dict[str, Any]],
+) -> None:
+    project, before = first
     project.write(gain=5.0)
     after = project.run()
     assert (before["value"], after["value"]) == (3.0, 6.0)
@@ -219,14 +236,6 @@ def test_directories_that_nobody_used_for_a_month_are_removed(project: Project) 
     assert sorted(p.name for p in root.iterdir()) == sorted(
         ["kernels-recent", "something-else", Path(current).name]
     )
-
-
-@compiled
-def test_an_edit_of_a_file_that_no_kernel_depends_on_compiles_nothing(project: Project) -> None:
-    first = project.run()
-    (project.root / "rig" / "command.py").write_text("from rig.law import law\n")
-    second = project.run()
-    assert (second["hits"], second["cache"], second["compiled"]) == (1, first["cache"], [])
 
 
 @pytest.mark.parametrize(
