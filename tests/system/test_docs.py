@@ -53,6 +53,7 @@ def runs(page: Path) -> list[Block]:
 
 
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="the loop is compiled")
+@pytest.mark.usefixtures("coarse")
 @pytest.mark.parametrize(
     "name", [name for name, page in PAGES.items() if any(b.language != "toml" for b in runs(page))]
 )
