@@ -55,7 +55,6 @@ def plain(value: Any, not_finite: Callable[[float], Any] = lambda _: None) -> An
     TypeError
         Something else is in it, which only this program could read.
     """
-
     if type(value) in _AS_IT_IS:
         return value
 
