@@ -20,6 +20,8 @@ from rig.core.check import Check
 
 Value = TypeVar("Value")
 
+_AS_IT_IS = {type(None), bool, int, str}  # most of what a header holds; `plain` knows their subclasses, too
+
 
 class reported(Generic[Value]):  # noqa: N801  (used as `property` is)
     """A property that belongs to the result as much as its fields do, so that `plain` has it too."""
@@ -53,6 +55,8 @@ def plain(value: Any, not_finite: Callable[[float], Any] = lambda _: None) -> An
     TypeError
         Something else is in it, which only this program could read.
     """
+    if type(value) in _AS_IT_IS:
+        return value
 
     def inner(item: Any) -> Any:
         return plain(item, not_finite)

@@ -6,6 +6,9 @@ from typing import Any
 import pytest
 
 import rig.cli
+from rig.cli.hit import Artist
+from rig.views.plots import style
+from rig.views.plots.hit import draw_hit
 
 
 @pytest.fixture
@@ -20,3 +23,16 @@ def run(capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.M
         return code, out, err
 
     return call
+
+
+@pytest.fixture
+def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pictures have few pixels, and those of hits are drawn here: to start a process for each costs what a hit does."""
+
+    def draw(artist: Artist, recording: Path) -> str | None:
+        ending = artist._ending
+        return str(draw_hit(recording, recording.with_suffix(f".{ending}"))) if ending else None
+
+    monkeypatch.setattr(style, "DPI", 10)
+    monkeypatch.setattr(Artist, "__enter__", lambda artist: artist)
+    monkeypatch.setattr(Artist, "draw", draw)

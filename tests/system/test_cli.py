@@ -3,6 +3,7 @@
 import errno
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -29,11 +30,18 @@ from tests.conformance.tolerance import too_busy
 QUICK = ["--duration", "0.25", "--set", "verdict.tail_s=0.1", "--set", "trial.release_s=0.02"]
 
 
+@pytest.fixture(scope="module")
+def hit(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    directory = tmp_path_factory.mktemp("hit")
+    assert rig.cli.run(["hit", "-q", "--no-plot", *QUICK, "-o", str(directory)]) == 0
+    (path,) = directory.iterdir()
+    return path
+
+
 @pytest.fixture
-def recording(run: Any) -> Any:
-    code, out, _ = run("hit", "--json", "--no-plot", *QUICK)
-    assert code == 0
-    return json.loads(out)["hits"][0]["recording"]
+def recording(hit: Path, tmp_path: Path) -> str:
+    """A copy of one hit, where a test may write beside it."""
+    return str(shutil.copy(hit, tmp_path))
 
 
 def test_hit_prints_the_verdict_and_leaves_a_recording_and_a_picture(run: Any, tmp_path: Path) -> None:
@@ -52,6 +60,7 @@ def test_hit_prints_the_verdict_and_leaves_a_recording_and_a_picture(run: Any, t
     assert not list((tmp_path / "recordings").glob("*.rigcap"))
 
 
+@pytest.mark.usefixtures("coarse")
 def test_pictures_have_the_format_that_one_asks_for(run: Any, tmp_path: Path) -> None:
     code, out, err = run("hit", "--json", "--format", "svg", *QUICK)
     assert code == 0, err
@@ -345,6 +354,7 @@ def test_what_cannot_be_meant_is_refused_in_words(
     assert not list(tmp_path.rglob("*.rigcap"))
 
 
+@pytest.mark.usefixtures("coarse")
 def test_a_run_that_ends_early_still_gives_verdict_picture_and_the_hits_before_it(
     run: Any, tmp_path: Path
 ) -> None:
@@ -476,7 +486,6 @@ class Hidden:
         if name.split(".")[0] == "sim_backend":
             raise ModuleNotFoundError(name)
 sys.meta_path.insert(0, Hidden())
-import rig.cli
 import rig.cli
 from rig import config
 from rig.config import presets

@@ -16,6 +16,10 @@ CHAWDA_SECTIONS = (
     "figure-1", "figure-3", "hits", "figure-4", "figure-5", "figure-6", "figure-7", "table-1", "readings", "theory",
     "variants", "dual",
 )  # fmt: skip
+ALONE = (
+    "--workers",
+    "1",
+)  # two that share an interpreter cost a tenth more, and other tests need the other core
 VERDICTS = ("reproduced", "reproduced only with", "not reproduced")
 
 
@@ -24,11 +28,12 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Any:
     return tmp_path_factory.mktemp("reproduction")
 
 
+@pytest.mark.usefixtures("coarse")
 @pytest.mark.timeout(300)  # compiles everything when it is cold
 def test_quick_reproduces_the_paper_in_one_report_and_goes_on_from_its_journal(
     place: Any, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert rig.cli.run(["reproduce", "koul", "--quick", "-o", str(place)]) == 0
+    assert rig.cli.run(["reproduce", "koul", "--quick", *ALONE, "-o", str(place)]) == 0
     out, err = capfd.readouterr()
     assert "Traceback" not in err
     assert str(place / "koul.html") in out
@@ -59,9 +64,10 @@ def test_quick_reproduces_the_paper_in_one_report_and_goes_on_from_its_journal(
     }
 
 
+@pytest.mark.usefixtures("coarse")
 @pytest.mark.timeout(300)
 def test_quick_reproduces_the_second_paper_too(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    assert rig.cli.run(["reproduce", "chawda", "--quick", "--json", "-o", str(tmp_path)]) == 0
+    assert rig.cli.run(["reproduce", "chawda", "--quick", "--json", *ALONE, "-o", str(tmp_path)]) == 0
     found = json.loads(capfd.readouterr().out)
     page = (tmp_path / "chawda.html").read_text(encoding="utf-8")
     for section in CHAWDA_SECTIONS:
@@ -77,6 +83,7 @@ def test_quick_reproduces_the_second_paper_too(tmp_path: Path, capfd: pytest.Cap
         assert by_key[key] == "not reproduced", key
 
 
+@pytest.mark.usefixtures("coarse")
 @pytest.mark.timeout(300)
 def test_quick_judges_measured_data_over_the_rigs_that_could_have_given_it(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]

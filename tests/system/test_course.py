@@ -13,7 +13,6 @@ from typing import Any
 
 import pytest
 
-from rig.views.plots import style
 from tests.conformance.guides import ROOT
 
 COURSE = ROOT / "rig" / "docs" / "course"
@@ -33,11 +32,9 @@ def test_there_are_six_exercises_and_each_has_questions_and_answers() -> None:
         assert f"]({page.name})" in (COURSE / "index.md").read_text(encoding="utf-8")
 
 
+@pytest.mark.usefixtures("coarse")
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_every_command_runs_and_the_answers_have_its_numbers(
-    page: Path, run: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(style, "DPI", 10)  # a picture costs what its pixels cost
+def test_every_command_runs_and_the_answers_have_its_numbers(page: Path, run: Any) -> None:
     text = page.read_text(encoding="utf-8")
     printed = "".join(_run_block(kind, block, run) for kind, block in BLOCK.findall(text))
     printed = re.sub(r"\s+", " ", printed)

@@ -112,11 +112,22 @@ def test_a_sound_voltage_driven_motor_is_not_accused_however_it_is_shaken(
     assert np.count_nonzero(rows["flags"] & RowFlag.CURRENT_FOLLOWS) > 20
 
 
-@SIDES
-@DRIVES
+@pytest.mark.parametrize(
+    ("make", "loop", "drive"),
+    [
+        (SimulatedDevice, "host", "current"),
+        (SimulatedDevice, "host", "voltage"),
+        (
+            FirmwareDevice,
+            "host",
+            "voltage",
+        ),  # of drive and loop each once: the device compares, whoever commands
+        (FirmwareDevice, "device", "current"),
+    ],
+)
 @pytest.mark.parametrize("name", BROKEN)
 def test_a_current_that_is_not_the_one_that_was_set_ends_the_trial(
-    name: str, drive: str, make: Any, loop: str, tmp_path: Path
+    name: str, make: Any, loop: str, drive: str, tmp_path: Path
 ) -> None:
     tick = PUSHED if drive == "voltage" else AT_REST
     broken = (tick, hardware(**BROKEN[name]))

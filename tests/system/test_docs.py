@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import os
 import re
+import runpy
 import shlex
 import shutil
 import subprocess
@@ -53,6 +54,7 @@ def runs(page: Path) -> list[Block]:
 
 
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="the loop is compiled")
+@pytest.mark.usefixtures("coarse")
 @pytest.mark.parametrize(
     "name", [name for name, page in PAGES.items() if any(b.language != "toml" for b in runs(page))]
 )
@@ -136,12 +138,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The sources with every page that is made, as Sphinx gets them; a link into nothing is an error."""
     place = tmp_path_factory.mktemp("docs") / "docs"
     shutil.copytree(site.SOURCES, place)
-    script = "import sys; sys.path[:0] = sys.argv[1:]; import made, pathlib; made.make_pages(pathlib.Path(sys.argv[1]))"
-    done = subprocess.run(
-        [sys.executable, "-P", "-c", script, str(place)], env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
+    runpy.run_path(str(place / "made.py"))["make_pages"](place)
     return place
 
 

@@ -16,12 +16,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rig.control import estimators
 from rig.control.estimators.arrays import inputs, run
+from rig.control.estimators.estimator import Estimator
 from rig.core.errors import ConfigError
 from rig.core.model import Matrix
 
@@ -95,32 +97,40 @@ def realise(
     NotLinearError
         An estimator that is not linear.
     """
-    probe = _Probe(name, settings, period_s, resolution)
-    rest, h = _settled_response(probe)
-    reason = _nonlinearity(probe, rest, h)
-    if reason:
+    found = _watched(estimators.get(name), tuple(settings.items()), period_s, resolution)
+    if isinstance(found, str):
         said = ", ".join(f"{key} = {value}" for key, value in settings.items())
         raise NotLinearError(
-            f"estimator {name}{f' ({said})' if said else ''} is not linear: {reason}",
-            reason=reason,
+            f"estimator {name}{f' ({said})' if said else ''} is not linear: {found}",
+            reason=found,
             remedy="linear theory takes fdm, fdm-butterworth, kalman without fading, and whatever else is linear; "
             "simulate the others",
         )
-    return _realised(name, h, period_s)
+    return found
+
+
+@lru_cache(maxsize=256)  # a session's conditions, hands and delays ask for the same few again and again
+def _watched(
+    estimator: Estimator, settings: tuple[tuple[str, float | str], ...], period_s: float, resolution: float
+) -> Realisation | str:
+    """The realisation of an estimator, or why there is none."""
+    probe = _Probe(estimator, dict(settings), period_s, resolution)
+    rest, h = _settled_response(probe)
+    return _nonlinearity(probe, rest, h) or _realised(estimator.name, h, period_s)
 
 
 @dataclass(frozen=True, slots=True)
 class _Probe:
     """An estimator in its settings, begun anew for each sequence of counts."""
 
-    name: str
+    estimator: Estimator
     settings: Mapping[str, float | str]
     period_s: float
     resolution: float
 
     def motion(self, counts: NDArray[np.int64]) -> Vector:
         """Velocities per unit of travel for one count: 1/s."""
-        prepared = estimators.get(self.name).prepare(self.settings, self.resolution, self.period_s)
+        prepared = self.estimator.prepare(self.settings, self.resolution, self.period_s)
         return run(prepared, *inputs(counts, self.period_s))[0] / self.resolution
 
     def impulse(self, *, rest: int, length: int, size: int = IMPULSE, place: int = 0) -> Vector:

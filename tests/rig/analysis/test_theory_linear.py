@@ -169,6 +169,14 @@ def test_a_third_partys_linear_estimator_is_realised_too(foreign: Any) -> None:
     assert found.impulse(30) == pytest.approx(expected, abs=1e-9)
 
 
+def test_an_estimator_is_watched_once_and_another_of_its_name_anew(foreign: Any) -> None:
+    foreign(third_party("chord", moving_chord))
+    once = linear.realise("chord", {}, 1e-3, RESOLUTION)
+    assert linear.realise("chord", {}, 1e-3, RESOLUTION) is once
+    foreign(third_party("chord", lambda *heard: 2.0 * moving_chord(*heard)))
+    assert linear.realise("chord", {}, 1e-3, RESOLUTION).impulse(30) == pytest.approx(2.0 * once.impulse(30))
+
+
 def test_a_third_party_with_a_dead_zone_is_not_linear(foreign: Any) -> None:
     def deaf(count: Any, *others: Any) -> Any:
         return moving_chord(count if abs(count) > 3 else 0, *others)
