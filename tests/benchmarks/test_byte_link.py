@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from rig import config
 from rig.config import presets
 from rig.experiments.hit import HitRequest, hit
 from rig.loop.run import LoopThread
@@ -15,6 +16,7 @@ from rig.realtime import ring as words
 from tests.conformance.firmware import hide_compiler
 
 GOAL_US = 3.0
+EXPERIMENT = config.override(presets.load("koul-compliant"), {"trial.duration_s": 0.5})
 
 
 def loops_tick_us(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, url: str) -> float:
@@ -30,7 +32,7 @@ def loops_tick_us(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, url: str) -> 
     with monkeypatch.context() as patch:
         patch.setattr(LoopThread, "_run", timed)
         for _ in range(3):
-            list(hit(HitRequest(experiment=presets.load("koul-compliant"), url=url, output=tmp_path)))
+            list(hit(HitRequest(experiment=EXPERIMENT, url=url, output=tmp_path)))
     return min(found)
 
 

@@ -22,8 +22,7 @@ from sim_backend.real_time import Port, RealTime
 
 RATE = 500  # Hz; an emulated machine keeps little more, and homing needs as much
 RATE_MAXIMUM = 4_000
-STOP_S = 20.0
-READY_S = 120.0  # an emulated processor loads or compiles what the rig needs
+WAIT_S = 20.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +47,7 @@ class FarEnd:
         """Stop the device and return how it was left."""
         if self._left is None:
             self._pipe.send(None)
-            if not self._pipe.poll(STOP_S):
+            if not self._pipe.poll(WAIT_S):
                 raise TimeoutError("the device does not stop")
             self._left = self._pipe.recv()
         return self._left
@@ -71,31 +70,32 @@ def far_end(
 ) -> Iterator[FarEnd]:
     """Run a simulated rig in a process of its own behind the port that `make_port` makes there.
 
-    It outlives its host: what it does when nobody speaks to it any more is part of what is tested.
+    It outlives its host: what it does when nobody speaks to it any more is part of what is tested. It is made here, so
+    that what it imports and loads is there for the next one and for the host too.
     """
+    device = _Watched(
+        model, position_rate_default=rate, position_rate_maximum=RATE_MAXIMUM, seed=seed, keep_truth=False
+    )
+    device.hardware.prepare()
     context = multiprocessing.get_context("fork")
     here, there = context.Pipe()
-    process = context.Process(target=_run, args=(model, make_port, rate, seed, there), daemon=True)
+    process = context.Process(target=_run, args=(device, make_port, there), daemon=True)
     process.start()
     there.close()
     try:
-        if not here.poll(READY_S):
+        if not here.poll(WAIT_S):
             raise TimeoutError("the device does not start")
         here.recv()
         yield FarEnd(process, here)
     finally:
         process.terminate()
-        process.join(STOP_S)
+        process.join(WAIT_S)
         here.close()
 
 
-def _run(model: RigModel, make_port: Callable[[], Port], rate: int, seed: int, pipe: Any) -> None:
+def _run(device: _Watched, make_port: Callable[[], Port], pipe: Any) -> None:
     signal.signal(signal.SIGTERM, lambda *_: os._exit(0))
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    device = _Watched(
-        model, position_rate_default=rate, position_rate_maximum=RATE_MAXIMUM, seed=seed, keep_truth=False
-    )
-    device.hardware.prepare()
     pipe.send(None)
     stop = threading.Event()
 

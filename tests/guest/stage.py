@@ -36,6 +36,7 @@ ENTERED = (
 )
 COMPILE = f"""
 import importlib
+import {", ".join(LOADED)}
 from rig.bench.bridge.library import library
 from rig.realtime.kernel import prepare
 library()
@@ -114,7 +115,6 @@ def _prepare(kernels: Path) -> None:
         for command in (
             ["-m", "compileall", "-q", "firmware_protocol", "rig", "sim_backend"],
             ["-m", "pytest", *PYTEST, "--collect-only", "tests/guest"],  # assertions as pytest rewrites them
-            ["-c", f"import {', '.join(LOADED)}"],
             ["-c", COMPILE],
             ["-m", "rig", "hit", "--realtime", "--no-plot", "--duration", "0.5", "-o", place],
             ["-m", "rig", "hit", *ON_BOARD, "-o", place],
@@ -131,7 +131,7 @@ def _script(kernels: Path, arguments: list[str], no_pico: str) -> str:
     """What the guest does: udev, then pytest."""
     environment = {
         **ONE_CPU_FOR_ALL,
-        "HAPTIC_RIG_CACHE": "/tmp/kernels",
+        "HAPTIC_RIG_CACHE": str(kernels),  # what is written there stays in the guest's memory
         "PYTHONPATH": str(HERE),
         "PYTHONDONTWRITEBYTECODE": "1",
         "MPLBACKEND": "Agg",
@@ -150,12 +150,11 @@ mount -t configfs none /sys/kernel/config
 {UDEV} --daemon
 udevadm trigger --subsystem-match=usb --subsystem-match=tty
 udevadm settle
-cp -a {shlex.quote(str(kernels))} /tmp/kernels
 cd {shlex.quote(str(HERE))}
 echo "guest: up after $(cut -d' ' -f1 /proc/uptime) s"
 {shlex.join(pytest)}
 status=$?
-compiled=$(find /tmp/kernels -name '*.nbi' -newer /run/guest/start -printf '%f ')
+compiled=$(find {shlex.quote(str(kernels))} -name '*.nbi' -newer /run/guest/start -printf '%f ')
 echo "guest: done after $(cut -d' ' -f1 /proc/uptime) s; kernels compiled here: ${{compiled:-none}}"
 exit $status
 """
