@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import numba
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -49,6 +50,7 @@ def test_every_estimator_keeps_the_promises_of_the_family(name: Any) -> None:
     check_estimator(name, **KNOWN_LIMITS.get(name, {}))
 
 
+@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="plain Python is what the test above has tried")
 def test_every_estimator_keeps_them_as_plain_python_too() -> None:
     """Without the compiler the same text must run: coverage and debugging depend on it."""
     script = (
