@@ -23,7 +23,7 @@ class Core:
         if shutil.which("gcc") is not None:
             flags = [*build.ADDRESS, f"-I{build.FIRMWARE / 'host'}"]
             source = Path(build.__file__).with_name("fuzz.c")
-            self._program = build.compile_c(place / "fuzz", [source, *build.SOURCES], flags)
+            self._program = build.kept_c("fuzz", [source, *build.SOURCES], flags)
 
     def attack(self, case: int, chance: random.Random) -> Outcome:
         """Run it for `STEPS` steps."""

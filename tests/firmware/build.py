@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from sim_backend import firmware_library
+from tests.firmware.kept import content, identity, kept
 
 SOURCES = firmware_library.FIRMWARE.sources()
 FIRMWARE = firmware_library.FIRMWARE.root
@@ -39,9 +40,36 @@ def compile_c(output: Path, sources: Sequence[Path], flags: Sequence[str]) -> Pa
     return output
 
 
-def library(directory: Path) -> Path:
+def kept_c(name: str, sources: Sequence[Path], flags: Sequence[str]) -> Path:
+    """Return what `compile_c` makes of sources; they include headers beside them and the firmware's files."""
+    beside = {path for source in sources for path in source.parent.glob("*.h")}
+    read = content({*FIRMWARE.rglob("*.[ch]"), *beside, *sources})
+
+    def make(output: Path) -> None:
+        compile_c(output / name, sources, flags)
+
+    return kept(f"{name} {identity(compiler())} {FLAGS} {flags} {sources} {read}", make) / name
+
+
+def kept_objects(gcc: str, sources: Sequence[Path], *flags: str) -> dict[Path, Path]:
+    """Return the object file of each of the firmware's sources, made for its size."""
+    options = [*FLAGS, "-Os", "-fno-stack-protector", *flags]
+
+    def make(output: Path) -> None:
+        command = [gcc, *options, "-c", *map(str, sources)]
+        done = subprocess.run(
+            command, cwd=output, capture_output=True, text=True, timeout=COMPILE_S, check=False
+        )
+        assert done.returncode == 0, done.stderr
+        assert len(list(output.iterdir())) == len(sources), "two sources have one name"
+
+    place = kept(f"{identity(gcc)} {options} {sources} {content(FIRMWARE.rglob('*.[ch]'))}", make)
+    return {source: place / f"{source.stem}.o" for source in sources}
+
+
+def library() -> Path:
     """The core with its host port as a shared library; undefined behaviour ends the process."""
     built = os.environ.get(LIBRARY_VARIABLE)
     if built:
         return Path(built)
-    return compile_c(directory / "libfirmware.so", SOURCES, ["-fPIC", "-shared", *UNDEFINED])
+    return kept_c("libfirmware.so", SOURCES, ["-fPIC", "-shared", *UNDEFINED])

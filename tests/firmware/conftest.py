@@ -8,15 +8,15 @@ import pytest
 
 from sim_backend import firmware_library
 from tests.firmware import build
-from tests.firmware.law.law_library import LawLibrary, compile_law
+from tests.firmware.law.law_library import LawLibrary
 
 
 @pytest.fixture(scope="session")
-def library(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
-    return firmware_library.load(build.library(tmp_path_factory.mktemp("firmware")))
+def library() -> ctypes.CDLL:
+    return firmware_library.load(build.library())
 
 
 @pytest.fixture(scope="session")
-def law(tmp_path_factory: pytest.TempPathFactory) -> LawLibrary:
+def law() -> LawLibrary:
     """The law in C as a library of its own."""
-    return LawLibrary(compile_law(tmp_path_factory.mktemp("law") / "law.so", "-O2", "-fPIC", "-shared"))
+    return LawLibrary.built()

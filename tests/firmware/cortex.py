@@ -2,28 +2,36 @@
 
 from __future__ import annotations
 
-import shutil
-from collections.abc import Iterable, Sequence
+import pickle
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 
 from rig.bench.firmware import cortex
 from rig.bench.firmware.cortex import RAM, Core, Image
+from rig.bench.firmware.toolchain import find_compiler
+from tests.firmware import cross
 from tests.firmware.build import FIRMWARE
+from tests.firmware.kept import content, kept
 
 __all__ = ["CORES", "RAM", "Core", "Image", "Simulator", "build"]
 CORES = {name: core for name, core in cortex.CORES.items() if core.cycles_known}
 
 
-def build(core: Core, directory: Path, sources: Sequence[Path], entries: Iterable[str], *more: str) -> Image:
+def build(core: Core, sources: Sequence[Path], entries: Sequence[str], *more: str) -> Image:
     """Compile and link sources of the firmware for a core."""
-    if shutil.which("arm-none-eabi-gcc") is None:
-        pytest.skip(
-            "arm-none-eabi-gcc is not installed (packages gcc-arm-none-eabi, libnewlib-arm-none-eabi)"
-        )
-    includes = [f"-I{FIRMWARE / part}" for part in ("core", "law")]
-    return cortex.build(core, directory, sources, entries, *includes, *more)
+    cross.need_compiler()
+    options = [*(f"-I{FIRMWARE / part}" for part in ("core", "law")), *more]
+
+    def make(output: Path) -> None:
+        image = cortex.build(core, output, sources, entries, *options)
+        (output / "image").write_bytes(pickle.dumps(image))
+
+    read = content({*FIRMWARE.rglob("*.[ch]"), Path(cortex.__file__), *sources})
+    key = f"{core} {find_compiler()} {sources} {entries} {options} {read}"
+    image: Image = pickle.loads((kept(key, make) / "image").read_bytes())
+    return image
 
 
 class Simulator(cortex.Simulator):

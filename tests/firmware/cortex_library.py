@@ -9,7 +9,6 @@ from __future__ import annotations
 import ctypes
 import struct
 from collections import Counter
-from pathlib import Path
 from typing import Any
 
 from sim_backend.firmware_library import Status
@@ -25,9 +24,9 @@ HOST, SETUP, STATUS, BYTES, DICTIONARY = (RAM + at for at in (0x0, 0x6_0000, 0x6
 MOST_BYTES, MOST_DICTIONARY = 0x3C00, 0x7000
 
 
-def build(core: cortex.Core, directory: Path, *options: str) -> Image:
+def build(core: cortex.Core, *options: str) -> Image:
     """The core, the law and the host port for a processor."""
-    image = cortex.build(core, directory, SOURCES, ENTRIES, f"-I{FIRMWARE / 'host'}", *options)
+    image = cortex.build(core, SOURCES, ENTRIES, f"-I{FIRMWARE / 'host'}", *options)
     held = [name for name in image.sizes if image.symbols[name] >= RAM]
     assert not held, f"globals: {held}"
     return image

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import functools
-import hashlib
 import json
 import shutil
 import subprocess
-import tempfile
-from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -18,11 +16,11 @@ from rig.bench.firmware import boards
 from rig.bench.firmware.build import BuildRequest, BuildResult, build, sources_hash
 from rig.bench.firmware.toolchain import COMPILER, find_compiler
 from rig.config import presets
+from rig.core.model import RigModel
 from rig.core.present import plain
-from rig.realtime.cache import cache_key
-from rig.realtime.kernel import CACHE_DIRECTORY
 from rig.realtime.source_files import source_files
 from tests.firmware.build import FIRMWARE
+from tests.firmware.kept import content, kept
 
 RIG = "koul-rigid"
 
@@ -51,16 +49,23 @@ def need_qemu() -> str:
 
 @functools.cache
 def image(board: str, application: str = "device", rig: str = RIG) -> BuildResult:
+    """Return the image of a board for a rig of the presets."""
+    return built(board, config.rig_model(presets.load(rig)), application)
+
+
+def built(board: str, model: RigModel, application: str = "device", **settings: Any) -> BuildResult:
     """Return an image, built when nobody has yet."""
     need_compiler()
-    model = config.rig_model(presets.load(rig))
 
     def make(output: Path) -> None:
-        request = BuildRequest(model=model, board=board, output=output, application=application)
+        request = BuildRequest(
+            model=model, board=board, output=output, settings=settings, application=application
+        )
         written = plain(build(request))
         (output / "built.json").write_text(json.dumps(written))
 
-    made = cached(f"image {board} {application} {rig} {sources_of(board)} {find_compiler()}", make)
+    key = f"image {boards.load(board).name} {model} {application} {settings} {sources_of(board)} {find_compiler()}"
+    made = kept(key, make)
     written = json.loads((made / "built.json").read_text())
     paths = {
         kind: made / Path(written[kind]).name for kind in ("elf", "bin", "uf2", "facts") if written[kind]
@@ -69,23 +74,6 @@ def image(board: str, application: str = "device", rig: str = RIG) -> BuildResul
 
 
 def sources_of(board: str) -> str:
-    """Fingerprint of all C files that an image for tests may have."""
-    beside = (path for part in ("host", "port_check") for path in sorted((FIRMWARE / part).rglob("*.[ch]")))
-    host = b"".join(path.read_bytes() for path in beside)
-    return sources_hash(boards.load(board)) + hashlib.sha256(host).hexdigest()[:12]
-
-
-def cached(key: str, make: Callable[[Path], None]) -> Path:
-    """Return a directory that `make` has filled for this key, now or in an earlier run; two may try at once."""
-    key += cache_key(source_files().values())  # every Python file: what generates C, too
-    path = CACHE_DIRECTORY / f"test-{hashlib.sha256(key.encode()).hexdigest()[:16]}"
-    if not path.exists():
-        with tempfile.TemporaryDirectory(dir=CACHE_DIRECTORY, prefix="test-") as workplace:
-            made = Path(workplace) / "made"
-            made.mkdir()
-            make(made)
-            try:
-                made.rename(path)
-            except OSError:
-                assert path.exists()  # somebody else was quicker
-    return path
+    """Fingerprint of all that an image for tests is made of: C, and Python, which generates some."""
+    beside = [path for part in ("host", "port_check") for path in (FIRMWARE / part).rglob("*.[ch]")]
+    return sources_hash(boards.load(board)) + content([*beside, *source_files().values()])

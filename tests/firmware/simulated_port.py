@@ -10,7 +10,7 @@ from typing import Any
 
 from rig.devices.device import DeviceUrl
 from rig.realtime.clock import VirtualClock
-from tests.firmware.build import FIRMWARE, UNDEFINED, compile_c
+from tests.firmware.build import FIRMWARE, UNDEFINED, kept_c
 
 HERE = Path(__file__).parent
 SIMULATED = FIRMWARE / "port_check" / "simulated"
@@ -25,13 +25,13 @@ def wrong_ports() -> list[str]:
     return re.findall(r"^void wrong_(\w+)\(", WRONG.read_text(), re.MULTILINE)
 
 
-def compile_board(directory: Path, firmware: ctypes.CDLL) -> ctypes.CDLL:
+def board_with(firmware: ctypes.CDLL) -> ctypes.CDLL:
     """The board as a library of this computer, beside the firmware's; undefined behaviour ends the process."""
     core = Path(firmware._name)
     include = [f"-I{FIRMWARE / part}" for part in ("core", "law")] + [f"-I{SIMULATED}"]
     sources = [*sorted(SIMULATED.glob("*.c")), WRONG, core]
     flags = ["-fPIC", "-shared", f"-Wl,-rpath,{core.parent}", *include, *UNDEFINED]
-    library = ctypes.CDLL(str(compile_c(directory / "board.so", sources, flags)))
+    library = ctypes.CDLL(str(kept_c("board.so", sources, flags)))
     library.simulated_board_bytes.restype = library.simulated_board_run.restype = ctypes.c_size_t
     library.simulated_board_start.argtypes = [ctypes.c_void_p, ctypes.c_void_p]
     library.simulated_board_run.argtypes = [

@@ -318,10 +318,9 @@ def test_scales_of_a_port_of_ones_own_are_checked_as_far_as_it_tells_them() -> N
 
 
 @pytest.mark.parametrize("name", amplifiers.names())
-def test_every_amplifier_has_an_image_by_its_own_settings(name: str, pico: str, tmp_path: Path) -> None:
-    cross.need_compiler()
+def test_every_amplifier_has_an_image_by_its_own_settings(name: str, pico: str) -> None:
     profile = amplifiers.load(name)
-    made = build(BuildRequest(model=of_profile(name), board=pico, output=tmp_path))
+    made = cross.built(pico, of_profile(name))
     assert profile.settings.items() <= made.settings.items()
     sent = made.settings["full_scale"] / (200e6 / made.settings["pwm_frequency"])
     seen = {"escon-50-5-pwm": 2 * 10.0 / 800, "escon-50-5-dac": 2 * 10.0 / 4096}
@@ -359,22 +358,19 @@ def test_scales_that_do_not_fit_the_rig_are_refused_with_both_numbers(
 @pytest.mark.parametrize(
     "chosen", [{"pwm_frequency": 3100, "set_point": "offset"}, {"pwm_frequency": 125_000}]
 )
-def test_the_ends_of_what_the_amplifier_may_be_are_built(pico: str, tmp_path: Path, chosen: Any) -> None:
+def test_the_ends_of_what_the_amplifier_may_be_are_built(pico: str, chosen: Any) -> None:
     """At the slowest pulse width a period just fits the 16 bits of its counter; slower is refused by name."""
-    cross.need_compiler()
     model = config.rig_model(presets.load("koul-rigid"))
-    assert build(BuildRequest(model=model, board=pico, output=tmp_path, settings=chosen)).uf2.is_file()
+    assert cross.built(pico, model, **chosen).uf2.is_file()
     with pytest.raises(ConfigError, match="pwm_frequency"):
         boards.settings_of(boards.load("rp2040"), {"pwm_frequency": 3000})
 
 
 def test_settings_that_the_rig_names_are_built_in_and_told_and_the_command_wins(
-    model: Any, pico: str, tmp_path: Path
+    model: Any, pico: str
 ) -> None:
-    cross.need_compiler()
     named = replace(model, board=(("enable_pin", 20), ("full_scale", 12.5)))
-    request = BuildRequest(model=named, board=pico, output=tmp_path, settings={"enable_pin": 21})
-    built = build(request)
+    built = cross.built(pico, named, enable_pin=21)
     told = {setting.name: setting.value for setting in read_image(built.elf)[1].dictionary.settings}
     assert told == built.settings
     assert (told["enable_pin"], told["full_scale"], told["encoder_lines"]) == (21, 12.5, "single")

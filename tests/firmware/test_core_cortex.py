@@ -48,10 +48,9 @@ MEMORY_BYTES = 16_000  # one device, without its excitation
 
 
 @pytest.fixture(scope="module", params=cortex.CORES)
-def image(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> cortex.Image:
+def image(request: pytest.FixtureRequest) -> cortex.Image:
     pytest.importorskip("unicorn", reason="unicorn is not installed (pip install unicorn==2.1.4)")
-    core = cortex.CORES[request.param]
-    return build(core, tmp_path_factory.mktemp("cortex"), *OPTIONS)
+    return build(cortex.CORES[request.param], *OPTIONS)
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")

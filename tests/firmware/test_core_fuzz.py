@@ -31,10 +31,9 @@ WANTED = [
 
 
 @pytest.fixture(scope="module")
-def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def program() -> Path:
     flags = [*build.ADDRESS, f"-I{build.FIRMWARE / 'host'}"]
-    source = Path(__file__).with_name("fuzz.c")
-    return build.compile_c(tmp_path_factory.mktemp("fuzz") / "fuzz", [source, *build.SOURCES], flags)
+    return build.kept_c("fuzz", [Path(__file__).with_name("fuzz.c"), *build.SOURCES], flags)
 
 
 def test_nothing_breaks_the_core_or_makes_it_move(program: Path) -> None:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import shutil
 import subprocess
 from collections import Counter
-from pathlib import Path
 
 import pytest
 
-from tests.firmware.build import COMPILE_S, CORE, FLAGS, compiler
+from rig.bench.firmware.toolchain import find_compiler
+from tests.firmware import cross
+from tests.firmware.build import CORE, SOURCES, compiler, kept_objects
 
 BOARDS = {
     "cortex-m0plus": ["-mcpu=cortex-m0plus", "-mthumb"],
@@ -23,19 +23,9 @@ LIBRARY = {"memcpy", "memset", "expm1", "sqrt", "ceil", "floor", "sqrtf"}
 CHANGEABLE = set("BbCDdGgSs")  # symbol types of nm(1)
 
 
-def compile_objects(gcc: str, directory: Path, flags: list[str]) -> list[Path]:
-    objects = []
-    for source in CORE:
-        built = directory / f"{source.stem}.o"
-        command = [gcc, *FLAGS, "-Os", "-fno-stack-protector", *flags, "-c", "-o", str(built), str(source)]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=COMPILE_S, check=False)
-        assert done.returncode == 0, done.stderr
-        objects.append(built)
-    return objects
-
-
-def test_nothing_that_changes_stands_outside_of_the_struct_and_nothing_is_allocated(tmp_path: Path) -> None:
-    objects = compile_objects(compiler(), tmp_path, [])
+def test_nothing_that_changes_stands_outside_of_the_struct_and_nothing_is_allocated() -> None:
+    made = kept_objects(compiler(), SOURCES)
+    objects = [made[source] for source in CORE]
     listed = subprocess.run(["nm", *objects], capture_output=True, text=True, check=True).stdout
     symbols = [line.split()[-2:] for line in listed.splitlines() if len(line.split()) > 1]
     assert not [name for kind, name in symbols if kind in CHANGEABLE]
@@ -45,18 +35,9 @@ def test_nothing_that_changes_stands_outside_of_the_struct_and_nothing_is_alloca
 
 
 @pytest.mark.parametrize("board", BOARDS)
-def test_it_builds_for_a_board_and_is_small(tmp_path: Path, board: str) -> None:
-    gcc = shutil.which("arm-none-eabi-gcc")
-    if gcc is None:
-        pytest.skip(
-            "arm-none-eabi-gcc is not installed (packages gcc-arm-none-eabi, libnewlib-arm-none-eabi)"
-        )
-    has_newlib = subprocess.run(
-        [gcc, "-E", "-include", "string.h", "-x", "c", "/dev/null"], capture_output=True, check=False
-    )
-    if has_newlib.returncode != 0:
-        pytest.skip("newlib is not installed (package libnewlib-arm-none-eabi)")
-    objects = compile_objects(gcc, tmp_path, BOARDS[board])
+def test_it_builds_for_a_board_and_is_small(board: str) -> None:
+    cross.need_compiler()
+    objects = kept_objects(find_compiler().path, CORE, *BOARDS[board]).values()
     listed = subprocess.run(
         ["arm-none-eabi-size", *objects], capture_output=True, text=True, check=True
     ).stdout

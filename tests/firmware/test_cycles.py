@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.firmware.build import COMPILE_S, FIRMWARE, FLAGS, SOURCES, compiler
+from tests.firmware.build import FIRMWARE, SOURCES, compiler, kept_objects
 
 Graph = Mapping[str, set[str]]  # file without its ending → those that it needs
 INCLUDE = re.compile(r'^#include "([^"]+)"', re.MULTILINE)
@@ -44,14 +44,12 @@ def node_of(path: Path) -> str:
     return str(path.relative_to(FIRMWARE).with_suffix(""))
 
 
-def calls(directory: Path) -> Graph:
+def calls() -> Graph:
     """For each object file those that define what it calls or reads."""
     defined: dict[str, str] = {}
     wanted: dict[str, set[str]] = {}
-    for source in SOURCES:
-        built, node = directory / f"{source.parent.name}-{source.stem}.o", node_of(source)
-        command = [compiler(), *FLAGS, "-c", "-o", str(built), str(source)]
-        subprocess.run(command, timeout=COMPILE_S, check=True)
+    for source, built in kept_objects(compiler(), SOURCES).items():
+        node = node_of(source)
         listed = subprocess.run(["nm", built], capture_output=True, text=True, check=True).stdout
         wanted[node] = set()
         for line in listed.splitlines():
@@ -67,8 +65,8 @@ def test_no_file_includes_itself_around_others() -> None:
     assert cycle_of(includes()) is None
 
 
-def test_no_file_calls_itself_around_others(tmp_path: Path) -> None:
-    assert cycle_of(calls(tmp_path)) is None
+def test_no_file_calls_itself_around_others() -> None:
+    assert cycle_of(calls()) is None
 
 
 @pytest.mark.parametrize(

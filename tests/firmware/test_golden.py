@@ -10,8 +10,8 @@ import pytest
 
 from rig.core.sample import Phase, RowFlag
 from tests.firmware import cortex, golden
-from tests.firmware.build import compile_c
-from tests.firmware.law.law_library import SOURCES, LawLibrary, compile_law
+from tests.firmware.build import kept_c
+from tests.firmware.law.law_library import SOURCES, LawLibrary
 
 RUNNER = Path(__file__).with_name("golden.c")
 MET, BAD_FILE, REFUSED, DIFFERENT, OTHER_BITS = range(5)
@@ -32,20 +32,16 @@ class Result(ct.Structure):
 
 
 @pytest.fixture(scope="module")
-def vectors(tmp_path_factory: pytest.TempPathFactory) -> list[golden.Vector]:
-    library = tmp_path_factory.mktemp("law") / "law.so"
-    return list(golden.vectors(LawLibrary(compile_law(library, "-O2", "-fPIC", "-shared"))))
+def vectors(law: LawLibrary) -> list[golden.Vector]:
+    return list(golden.vectors(law))
 
 
 @pytest.fixture(scope="module")
-def runner(tmp_path_factory: pytest.TempPathFactory) -> ct.CDLL:
+def runner() -> ct.CDLL:
     """The runner and the law for this computer, without optimisation and with the sanitizer: other code."""
     options = ["-fPIC", "-shared", "-fsanitize=undefined", "-fno-sanitize-recover=all", f"-I{SOURCES}"]
     sources = [*sorted(SOURCES.glob("*.c")), RUNNER]
-    built = compile_c(
-        tmp_path_factory.mktemp("golden") / "golden.so", sources, [*options, "-ffp-contract=off"]
-    )
-    library = ct.CDLL(str(built))
+    library = ct.CDLL(str(kept_c("golden.so", sources, options)))
     library.golden_run.restype = Result
     return library
 
@@ -89,10 +85,10 @@ def test_a_runner_says_what_is_wrong(runner: ct.CDLL, vectors: list[golden.Vecto
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 @pytest.mark.filterwarnings("ignore::UserWarning")
 @pytest.mark.parametrize("core", cortex.CORES.values(), ids=lambda core: core.name)
-def test_a_processor_meets_them(core: cortex.Core, vectors: list[golden.Vector], tmp_path: Path) -> None:
+def test_a_processor_meets_them(core: cortex.Core, vectors: list[golden.Vector]) -> None:
     pytest.importorskip("unicorn", reason="unicorn is not installed (pip install unicorn==2.1.4)")
     sources = [*sorted(SOURCES.glob("*.c")), RUNNER]
-    image = cortex.build(core, tmp_path, sources, ["golden_run"])
+    image = cortex.build(core, sources, ["golden_run"])
     simulator = cortex.Simulator(image, counts=False)
     for v in vectors:
         file = v.to_bytes()

@@ -20,8 +20,8 @@ DUTIES = {duty.name: duty for duty in duties()}
 
 
 @pytest.fixture(scope="module")
-def board(tmp_path_factory: pytest.TempPathFactory, library: ctypes.CDLL) -> ctypes.CDLL:
-    return simulated_port.compile_board(tmp_path_factory.mktemp("board"), library)
+def board(library: ctypes.CDLL) -> ctypes.CDLL:
+    return simulated_port.board_with(library)
 
 
 def checked(board: ctypes.CDLL, spoilt: str = "", request: PortCheckRequest = REQUEST) -> PortCheck:

@@ -66,7 +66,7 @@ def emulated_pico(share: Path) -> Iterator[Path]:
     with tempfile.TemporaryDirectory(prefix="pico-") as scratch:
         place = Path(scratch)
         try:
-            built = emulator.image(model(), place)
+            built = emulator.image(model())
             modules = emulator.modules()
         except pytest.skip.Exception as absent:
             raise GuestAbsentError(str(absent)) from None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes as ct
-from pathlib import Path
 
 import numpy as np
 
@@ -19,9 +18,9 @@ ENTRIES = ("law_tick", "law_check", "law_reset", "law_excitation_begin", "law_ex
 __all__ = ["CORES", "Simulator", "build"]
 
 
-def build(core: Core, directory: Path) -> Image:
+def build(core: Core) -> Image:
     """Compile and link the law for a core; the test is skipped where there is no compiler for it."""
-    image = cortex.build(core, directory, sorted(SOURCES.glob("*.c")), ENTRIES)
+    image = cortex.build(core, sorted(SOURCES.glob("*.c")), ENTRIES)
     held = [name for name, at in image.symbols.items() if at >= RAM and "law" in name]
     assert not held, f"globals: {held}"
     return image

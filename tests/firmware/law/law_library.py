@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import ctypes as ct
-import shutil
 import subprocess
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Self
 
 import numpy as np
-import pytest
+
+from tests.firmware.build import compiler
+from tests.firmware.kept import content, identity, kept
 
 SOURCES = Path(__file__).parents[3] / "firmware_protocol" / "firmware" / "law"
 DRIVER = Path(__file__).with_name("law_driver.c")
@@ -22,15 +24,23 @@ WINDOW, RING, SECTIONS = 64, 128, 4
 i32, u32, i64, u64, f32 = ct.c_int32, ct.c_uint32, ct.c_int64, ct.c_uint64, ct.c_float
 
 
-def compile_law(output: Path, *options: str, driver: bool = True) -> Path:
-    """Compile the law, with the driver unless told otherwise; the test is skipped where there is no gcc."""
-    if shutil.which("gcc") is None:
-        pytest.skip("gcc is not installed (package gcc)")
-    sources = [str(path) for path in sorted(SOURCES.glob("*.c"))] + ([str(DRIVER)] if driver else [])
-    command = ["gcc", *STRICT, *options, f"-I{SOURCES}", "-o", str(output), *sources, "-lm"]
+def compile_law(output: Path, *options: str) -> Path:
+    """Compile the law with its driver; the test is skipped where there is no gcc."""
+    sources = [str(path) for path in (*sorted(SOURCES.glob("*.c")), DRIVER)]
+    command = [compiler(), *STRICT, *options, f"-I{SOURCES}", "-o", str(output), *sources, "-lm"]
     run = subprocess.run(command, capture_output=True, text=True, check=False, cwd=output.parent)
     assert run.returncode == 0, run.stderr
     return output
+
+
+def kept_law(name: str, *options: str) -> Path:
+    """The same, made before perhaps."""
+    read = content([*SOURCES.iterdir(), DRIVER])
+
+    def make(output: Path) -> None:
+        compile_law(output / name, *options)
+
+    return kept(f"law {name} {identity(compiler())} {STRICT} {options} {read}", make) / name
 
 
 def _structure(name: str, *fields: tuple[type, str]) -> type[ct.Structure]:
@@ -136,6 +146,11 @@ def inputs(counts: Sequence[int] | np.ndarray, elapsed: Sequence[int] | np.ndarr
 
 class LawLibrary:
     """The shared library."""
+
+    @classmethod
+    def built(cls) -> Self:
+        """That of this computer, as its compiler makes it at its best."""
+        return cls(kept_law("law.so", "-O2", "-fPIC", "-shared"))
 
     def __init__(self, path: Path) -> None:
         self.so = so = ct.CDLL(str(path))

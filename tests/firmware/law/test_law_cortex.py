@@ -57,9 +57,9 @@ COSINE_CYCLES = 86  # of one line at one tick, when the excitation is worked out
 
 
 @pytest.fixture(scope="module", params=CORES)
-def image(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Any:
+def image(request: pytest.FixtureRequest) -> Any:
     pytest.importorskip("unicorn", reason="unicorn is not installed (pip install unicorn==2.1.4)")
-    return build(CORES[request.param], tmp_path_factory.mktemp("cortex"))
+    return build(CORES[request.param])
 
 
 @pytest.fixture(scope="module", params=SCHEMES)

@@ -11,7 +11,15 @@ from typing import Any
 import pytest
 
 from tests.firmware.law.law_cases import cases
-from tests.firmware.law.law_library import SOURCES, TICKS, Parameters, State, case_bytes, compile_law
+from tests.firmware.law.law_library import (
+    SOURCES,
+    TICKS,
+    Parameters,
+    State,
+    case_bytes,
+    compile_law,
+    kept_law,
+)
 
 LEAST_BRANCHES = 90.0  # percent of the branches that the cases must take
 
@@ -23,11 +31,9 @@ def run_program(program: Any, data: Any) -> Any:
 
 
 @pytest.mark.parametrize("multiplier", [(), ("-DLAW_SHORT_MULTIPLIER",)], ids=["long", "short"])
-def test_no_undefined_behaviour_and_the_answers_of_the_library(
-    law: Any, tmp_path: Path, multiplier: Any
-) -> None:
+def test_no_undefined_behaviour_and_the_answers_of_the_library(law: Any, multiplier: Any) -> None:
     options = ["-O1", "-g", "-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all"]
-    program = compile_law(tmp_path / "sanitised", *options, *multiplier)
+    program = kept_law("sanitised", *options, *multiplier)
     listed = list(cases())
     answer = run_program(program, case_bytes(listed))
     refused, at = 0, 0

@@ -28,6 +28,7 @@ from sim_backend.hardware import Hardware
 from tests.conformance.started import LEASH
 from tests.firmware import cross
 from tests.firmware.build import FIRMWARE, SOURCES, UNDEFINED, compile_c
+from tests.firmware.kept import kept
 
 UNITS_PER_SECOND = 16_000_000
 REQUEST = struct.Struct("<BBhiQQ?7x64s")
@@ -132,7 +133,7 @@ def on_this_computer(model: RigModel, board: str, directory: Path) -> Partner:
         compile_c(output / "program", sources, [*include, *UNDEFINED])
 
     files = (HERE / "on_this_computer.c").read_text()
-    made = cross.cached(f"lockstep {board} {model} {cross.sources_of(board)} {files}", make)
+    made = kept(f"lockstep {board} {model} {cross.sources_of(board)} {files}", make)
     return Partner([str(made / "program")], directory)
 
 

@@ -18,7 +18,7 @@ from tests.conformance.fixed_law import golden_vectors
 from tests.firmware import cross
 from tests.firmware.law.law_cases import excited, golden_parameters
 from tests.firmware.law.law_design import FIXED, FLOAT, parameters_of
-from tests.firmware.law.law_library import INPUTS, TICKS, LawLibrary, Parameters, compile_law, inputs
+from tests.firmware.law.law_library import INPUTS, TICKS, LawLibrary, Parameters, inputs
 from tests.firmware.law.law_rigs import DUAL, SHORT, UNIFORM, controller_of, experiment_of, on_the_host
 from tests.firmware.mps2.lockstep import emulator
 
@@ -38,15 +38,8 @@ ANOTHER_ANSWER, BAD_FILE = 5, 3
 
 
 @pytest.fixture(scope="module")
-def law(tmp_path_factory: pytest.TempPathFactory) -> LawLibrary:
-    """The law built for this computer, which the tests of `tests/firmware/law` hold against the Python law."""
-    directory = tmp_path_factory.mktemp("law")
-    return LawLibrary(compile_law(directory / "law.so", "-O2", "-shared", "-fPIC"))
-
-
-@pytest.fixture(scope="module")
 def vectors(law: LawLibrary) -> bytes:
-    """All cases as a file (`boards/mps2/law_vectors.c`)."""
+    """All cases as a file (`boards/mps2/law_vectors.c`); `tests/firmware/law` holds the law against the Python law."""
     cases = [*golden(law), *hits(law), multisine(law)]
     return b"HRGOLD01" + struct.pack("<II", len(cases), ct.sizeof(Parameters)) + b"".join(cases)
 

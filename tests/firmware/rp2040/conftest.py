@@ -1,4 +1,4 @@
-"""The images, each built once in a test process, and boards that run them."""
+"""The images, and boards that run them."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ PRESET = "koul-rigid"
 
 
 @pytest.fixture(scope="session")
-def built(tmp_path_factory: pytest.TempPathFactory) -> BuildResult:
-    return emulator.image(rig_model(load(PRESET)), tmp_path_factory.mktemp("rp2040"))
+def built() -> BuildResult:
+    return emulator.image(rig_model(load(PRESET)))
 
 
 @pytest.fixture(scope="session")
-def built_dac(tmp_path_factory: pytest.TempPathFactory) -> BuildResult:
-    return emulator.image(rig_model(load(PRESET)), tmp_path_factory.mktemp("rp2040-dac"), output="dac")
+def built_dac() -> BuildResult:
+    return emulator.image(rig_model(load(PRESET)), output="dac")
 
 
 @pytest.fixture

@@ -22,11 +22,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rig.bench.firmware.build import DEVICE, BuildRequest, BuildResult, build
-from rig.bench.firmware.toolchain import ToolchainError
+from rig.bench.firmware.build import DEVICE, BuildResult
 from rig.core.model import RigModel
 from rig.realtime.clock import VirtualClock
 from sim_backend.plant import DiscretePlant
+from tests.firmware import cross
 
 HERE = Path(__file__).parent
 CLOCK_HZ = 200_000_000
@@ -53,23 +53,9 @@ PINS = {
 }
 
 
-def image(model: RigModel, directory: Path, /, *, application: str = DEVICE, **settings: Any) -> BuildResult:
-    """Build the firmware for a rig, with a current monitor; skips the test without a cross compiler."""
-    if shutil.which("arm-none-eabi-gcc") is None:
-        pytest.skip("arm-none-eabi-gcc is not installed (package gcc-arm-none-eabi)")
-    request = BuildRequest(
-        model=model,
-        board="rp2040",
-        output=directory,
-        settings={"current_monitor": "adc", **settings},
-        application=application,
-    )
-    try:
-        return build(request)
-    except ToolchainError as error:
-        if "no C library" in str(error):
-            pytest.skip("the C library is not installed (package libnewlib-arm-none-eabi)")
-        raise
+def image(model: RigModel, application: str = DEVICE, **settings: Any) -> BuildResult:
+    """The firmware for a rig, with a current monitor; skips the test without a cross compiler."""
+    return cross.built("rp2040", model, application, current_monitor="adc", **settings)
 
 
 def modules() -> Path:

@@ -101,9 +101,8 @@ def test_both_channels_at_once_are_a_fault_of_the_encoder(powered: Powered) -> N
 
 
 @pytest.fixture(scope="module")
-def complementary(tmp_path_factory: pytest.TempPathFactory) -> BuildResult:
-    place = tmp_path_factory.mktemp("complementary")
-    return emulator.image(rig_model(load(PRESET)), place, encoder_lines="complementary")
+def complementary() -> BuildResult:
+    return emulator.image(rig_model(load(PRESET)), encoder_lines="complementary")
 
 
 @pytest.mark.parametrize("wires", [{"unplugged": True}, {"broken": [True, False]}, {"broken": [False, True]}])
@@ -151,8 +150,8 @@ INDEX_SPEED = 20_000
 
 
 @pytest.fixture(scope="module")
-def marked(tmp_path_factory: pytest.TempPathFactory) -> BuildResult:
-    return emulator.image(rig_model(load(PRESET)), tmp_path_factory.mktemp("marked"), **MARKS)
+def marked() -> BuildResult:
+    return emulator.image(rig_model(load(PRESET)), **MARKS)
 
 
 def test_the_count_at_an_index_is_exact_up_to_the_speed_that_is_claimed(marked: BuildResult) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from rig.bench.firmware.build import PORT_CHECK
 from rig.bench.firmware.port_check import PortCheckRequest, check_port
 from rig.config.derive import rig_model
@@ -30,9 +28,9 @@ class Link(emulator.PicoLink):
         pass
 
 
-def test_the_pico_keeps_every_duty_that_can_be_seen(tmp_path: Path) -> None:
+def test_the_pico_keeps_every_duty_that_can_be_seen() -> None:
     model = rig_model(load(PRESET))
-    built = emulator.image(model, tmp_path, application=PORT_CHECK)
+    built = emulator.image(model, PORT_CHECK)
     with emulator.Pico(model, built.bin) as pico:
         pico.ask("loop")
         link = Link(pico)

@@ -21,8 +21,8 @@ FRAMES = st.binary(min_size=1, max_size=252).map(lambda data: bytes(byte or 1 fo
 
 
 @pytest.fixture(scope="module")
-def stack(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return program(tmp_path_factory.mktemp("usb"))
+def stack() -> Path:
+    return program()
 
 
 @pytest.fixture

@@ -27,11 +27,9 @@ class StallError(Exception):
     """The device answered STALL."""
 
 
-def program(directory: Path) -> Path:
-    """Compile the stack and the model of its controller."""
-    return build.compile_c(
-        directory / "usb", SOURCES, [*build.ADDRESS, "-DUSB_ELSEWHERE", f"-I{BOARD}", f"-I{CORE}"]
-    )
+def program() -> Path:
+    """The stack and the model of its controller."""
+    return build.kept_c("usb", SOURCES, [*build.ADDRESS, "-DUSB_ELSEWHERE", f"-I{BOARD}", f"-I{CORE}"])
 
 
 @dataclass(frozen=True)

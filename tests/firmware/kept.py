@@ -1,0 +1,39 @@
+"""What compilers made of the same inputs, kept: made once for every test process that shares a cache, and every run."""
+
+from __future__ import annotations
+
+import hashlib
+import tempfile
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+from rig.realtime.kernel import CACHE_DIRECTORY
+
+
+def kept(key: str, make: Callable[[Path], None]) -> Path:
+    """Return a directory that `make` has filled for this key, now or in an earlier run; two may try at once."""
+    path = CACHE_DIRECTORY / f"test-{hashlib.sha256(key.encode()).hexdigest()[:16]}"
+    if not path.exists():
+        with tempfile.TemporaryDirectory(dir=CACHE_DIRECTORY, prefix="test-") as workplace:
+            made = Path(workplace) / "made"
+            made.mkdir()
+            make(made)
+            try:
+                made.rename(path)
+            except OSError:
+                assert path.exists()  # somebody else was quicker
+    return path
+
+
+def identity(program: str) -> str:
+    """What tells a program from its next version."""
+    place = Path(program).resolve()
+    return f"{place} {place.stat().st_size} {place.stat().st_mtime_ns}"
+
+
+def content(files: Iterable[Path]) -> str:
+    """Fingerprint of files: places and contents."""
+    digest = hashlib.sha256()
+    for path in sorted(files):
+        digest.update(f"{path}\0".encode() + hashlib.sha256(path.read_bytes()).digest())
+    return digest.hexdigest()
