@@ -26,6 +26,13 @@ def built_dac() -> BuildResult:
     return emulator.image(rig_model(load(PRESET)), output="dac")
 
 
+@pytest.fixture(scope="session", autouse=True)
+def emulators() -> Iterator[None]:
+    """Their processes end with the tests."""
+    yield
+    emulator.end()
+
+
 @pytest.fixture
 def boards() -> Iterator[Callable[..., Session]]:
     """Power a board with an image up: without a rig behind it, or with one at a position (rad)."""
