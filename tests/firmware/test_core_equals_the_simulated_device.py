@@ -52,7 +52,7 @@ from tests.conformance.host import RUN_PARAMETERS
 from tests.conformance.rigs import linear_rig, rotary_rig, unmeasured
 from tests.conformance.wire_strategies import messages_of, parameter_sets
 
-WALKS = int(os.environ.get("HAPTIC_RIG_WALKS", "30"))
+WALKS = int(os.environ.get("HAPTIC_RIG_WALKS", "20"))
 WALK_STEPS = 120
 RATES = [50, 99, 300, 500, 700, 1_000, 1_100, 2_000, 3_000, 7_777, 20_000, 50_000]
 LIFETIMES_US = [0, 1_000, 3_000, 20_000, 2**32 - 1]
@@ -664,7 +664,7 @@ def test_every_type_in_every_length_is_answered_alike(library: ctypes.CDLL, stat
             pair.tick()
 
 
-@pytest.mark.parametrize("rate", RATES)
+@pytest.mark.parametrize("rate", [50, 99, 700, 1_000, 7_777, 50_000])
 def test_a_long_run_ends_alike(library: ctypes.CDLL, rate: int) -> None:
     """Heat, windows and fractional periods over thousands of ticks, with a pause into LINK_LOST at the end."""
     pair = Pair(library, rig_of(), seed=rate)
@@ -725,7 +725,7 @@ def test_a_command_that_was_longer_under_way_than_its_lifetime_is_not_activated(
     assert pair.c.core.status.current == 0, "STOP is never too old"
 
 
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("seed", range(20))
 def test_the_motion_is_judged_alike_at_every_threshold(library: ctypes.CDLL, seed: int) -> None:
     """Strokes with and against the effort, rest, reversals, about as long as the windows in which they are judged."""
     rng = random.Random(seed)

@@ -1,4 +1,4 @@
-"""Millions of steps of anything, under the address and undefined-behaviour sanitizers."""
+"""A million steps of anything, under the address and undefined-behaviour sanitizers."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from firmware_protocol.messages import BATCH_LAYOUTS
 from rig.core.sample import Phase
 from tests.firmware import build
 
-STEPS = int(os.environ.get("HAPTIC_RIG_FUZZ_STEPS", "1000000"))
+STEPS = int(os.environ.get("HAPTIC_RIG_FUZZ_STEPS", "500000"))
 FUZZ_S = 100.0
 SEEDS = (1, 2)
 # What must have happened: numbers of each.

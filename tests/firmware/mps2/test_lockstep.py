@@ -31,8 +31,8 @@ FIXED = {
 }
 UNIFORM = {"controller.velocity_rate": RATE}
 CASES = {
-    "M0+ code, integers, dual-rate": ("mps2-m0plus", FIXED, 50_000),
-    "M4F, float32, dual-rate": ("mps2-an386", {}, 50_000),
+    "M0+ code, integers, dual-rate": ("mps2-m0plus", FIXED, 36_000),
+    "M4F, float32, dual-rate": ("mps2-an386", {}, 36_000),
     "M3, integers, uniform": ("mps2-an385", {**FIXED, **UNIFORM}, 10_000),
     "M7, float32, Kalman": (
         "mps2-an500",
@@ -45,7 +45,7 @@ CASES = {
 def experiment_of(changes: dict[str, object]) -> Experiment:
     return config.override(
         presets.load("koul-rigid"),
-        {"controller.loop": "device", "homing.settle_s": 0.02, "trial.duration_s": 1.2, **changes},
+        {"controller.loop": "device", "homing.settle_s": 0.02, "trial.duration_s": 0.5, **changes},
     )
 
 
