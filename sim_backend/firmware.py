@@ -119,7 +119,7 @@ class Core:
     def take(self) -> bytes:
         """What the device has sent."""
         count = self.library.host_take(self.address, self._output, OUTPUT_BYTES)
-        return self._output.raw[:count]
+        return ctypes.string_at(self._output, count)  # `raw` would copy all of its 64 KiB
 
 
 class FirmwareDevice:

@@ -475,7 +475,7 @@ def test_a_long_walk_is_the_same_for_both(library: ctypes.CDLL, seed: int) -> No
     pair.ask_everything()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(run_values, st.lists(run_step, max_size=12), st.sampled_from([1, -1]))
 @example(
     {"position_rate": 2_000, "current_limit": 10_000, "speed_limit": 1_000},

@@ -5,9 +5,10 @@ from __future__ import annotations
 import ctypes
 import itertools
 import stat
-import subprocess
 import sys
+import threading
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -69,29 +70,38 @@ RIGS = {
 # ---------------------------------------------------------------------- the library
 
 
-def test_it_is_compiled_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    made = FIRMWARE.compiled(tmp_path)
+@pytest.fixture
+def small(tmp_path: Path) -> tuple[CLibrary, Path]:
+    """A library of one function, made like the firmware's, and where."""
+    (tmp_path / "sources" / "core").mkdir(parents=True)
+    (tmp_path / "sources" / "core" / "answer.c").write_text("int answer(void) { return 42; }\n")
+    (tmp_path / "made").mkdir()
+    return replace(FIRMWARE, root=tmp_path / "sources", parts=("core",)), tmp_path / "made"
+
+
+def test_it_is_compiled_once(small: tuple[CLibrary, Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    library, place = small
+    made = library.compiled(place)
     monkeypatch.setattr(CLibrary, "_compile", lambda self, command: pytest.fail("compiled again"))
-    assert FIRMWARE.compiled(tmp_path) == made
-    assert [path.name for path in tmp_path.iterdir()] == [made.name]
+    assert library.compiled(place) == made
+    assert [path.name for path in place.iterdir()] == [made.name]
 
 
-MAKE = """
-import sys
-from pathlib import Path
-from sim_backend import firmware_library
-print(firmware_library.load(firmware_library.FIRMWARE.compiled(Path(sys.argv[1]))).host_bytes())
-"""
+def test_two_may_make_it_at_once(small: tuple[CLibrary, Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    library, place = small
+    true, together = CLibrary._compile, threading.Barrier(2, timeout=30.0)
 
+    def compile_at_once(self: CLibrary, command: list[str]) -> None:
+        together.wait()  # neither has found it made
+        true(self, command)
+        together.wait()  # and neither is done before the other has made its own
 
-def test_two_processes_may_make_it_at_once(tmp_path: Path) -> None:
-    processes = [
-        subprocess.Popen([sys.executable, "-c", MAKE, str(tmp_path)], stdout=subprocess.PIPE, text=True)
-        for _ in range(2)
-    ]
-    sizes = [int(process.communicate(timeout=60.0)[0]) for process in processes]
-    assert sizes[0] == sizes[1] > 0
-    assert len(list(tmp_path.iterdir())) == 1
+    monkeypatch.setattr(CLibrary, "_compile", compile_at_once)
+    with ThreadPoolExecutor(2) as pool:
+        first, second = pool.map(library.compiled, [place] * 2)
+    assert first == second
+    assert ctypes.CDLL(str(first)).answer() == 42
+    assert list(place.iterdir()) == [first]
 
 
 def test_other_sources_flags_and_compilers_are_another_library(tmp_path: Path) -> None:
