@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 import sys
 import tomllib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +44,7 @@ def _summary(thing: object) -> str:
     return (thing.__doc__ or "").strip().splitlines()[0]
 
 
-def _bytes_of(wires: Mapping[str, Wire], start: int = 0) -> str:
+def _bytes_of(wires: dict[str, Wire], start: int = 0) -> str:
     rows, at = [], start
     for name, wire in wires.items():
         rows.append((at, wire.ctype, f"`{name}`", wire.unit, wire.meaning))
