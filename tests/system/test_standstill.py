@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from firmware_protocol.messages import OLDEST_EDGE
@@ -28,12 +28,17 @@ Count = Callable[[int], int]
 
 @dataclass(frozen=True)
 class Ran:
-    """A trial: true speeds at the samples, the flags of the last tick, its phases, and the current that it left."""
+    """A trial: true speeds at the samples, the flags of the last tick, its phases, and the current that it left.
+
+    `inside` says that the encoder died in the wall, where a rest is lawful whatever friction is: the step judges none
+    there, the device does.
+    """
 
     speeds: np.ndarray
     flags: RowFlag
     phases: frozenset[Phase]
     current: int
+    inside: bool
 
 
 def run(
@@ -49,15 +54,17 @@ def run(
     plant = DiscretePlant.build(model or config.rig_model(x), 1.0 / x.controller.position_rate)
     state, arguments, memory = plant.at_rest(at), law.arguments(), law.memory[0]
     moved, quantum = plant.arguments(state), float(law.control[0]["effort_quantum"])
-    speeds, phases, current, read = [], set(), 0, lambda true: true
+    speeds, phases, current, read, inside = [], set(), 0, lambda true: true, False
+    wall = x.wall.side * x.wall.position - 2.0 * abs(x.rig.encoder.resolution)  # where a count may be in it
     while Phase(memory["phase"]) is not Phase.DONE:
         count = advance(moved, current * quantum, 0.0)
         if len(speeds) == dies:
             read = dead(count)
+            inside = x.wall.side * state[plant.handle_position] >= wall
         speeds.append(abs(state[plant.handle_position + 1]))
         current = step(arguments, read(count), 0.0, 1)
         phases.add(Phase(memory["phase"]))
-    return Ran(np.array(speeds), RowFlag(int(memory["flags"])), frozenset(phases), current)
+    return Ran(np.array(speeds), RowFlag(int(memory["flags"])), frozenset(phases), current, inside)
 
 
 def away(x: Experiment, share: float) -> float:
@@ -111,7 +118,9 @@ def test_whatever_the_rig_its_handle_stays_slow_with_an_encoder_that_dies(
         "trial.effort": times["push"] * x.trial.effort,
         "trial.minimum_rest_counts": 0.0,
     })  # fmt: skip
-    assert_bounded(x, run(x, at=away(x, 0.5), dies=dies, dead=DEAD[dead]), dies)
+    ran = run(x, at=away(x, 0.5), dies=dies, dead=DEAD[dead])
+    assume(not ran.inside)
+    assert_bounded(x, ran, dies)
 
 
 @pytest.mark.parametrize("name", presets.names())
