@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from rig.cli import output
-from rig.control.verdict import Measured
+from rig.control.verdict import Kind, Measured
 from rig.core.errors import ConfigError, RigError, StoppedError
 from rig.core.sample import unit_of
 from rig.devices import load_backend
@@ -90,13 +90,10 @@ class Dialogue:
         elif not _asked(f"  {text}   Enter: continue, q: end "):
             raise StoppedError("ended before the torque pulse; nothing moved")
 
-    def _report(self, asked: Next, done: Measured) -> None:
-        outcomes = {criterion: done.passes(criterion) for criterion in CRITERIA}
-        if None in outcomes.values():
-            said = "it is repeated"
-        else:
-            said = f"passes: {', '.join(name for name, passes in outcomes.items() if passes) or 'none'}"
-        _say(f"    {output.coloured(str(done.kind))}; {said}")
+    def _report(self, asked: Next, done: Measured, valid: bool) -> None:
+        kind = done.kind if valid else Kind.INVALID
+        passed = ", ".join(name for name in CRITERIA if done.passes(name)) or "none"
+        _say(f"    {output.coloured(str(kind))}; {f'passes: {passed}' if valid else 'it is repeated'}")
 
     def _pause(self, seconds: float) -> None:
         if self._virtual:

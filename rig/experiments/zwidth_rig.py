@@ -63,14 +63,14 @@ class Session:
     agrees
         Asked before every hit; False ends the session.
     report
-        Called after every hit with its measurement.
+        Called after every hit with its measurement, and whether that is a valid one.
     pause
         Waits between two hits for a number of seconds, longer when the motor has to cool.
     """
 
     where: OnDevice
     agrees: Callable[[Next], bool]
-    report: Callable[[Next, Measured], None] = field(default=lambda asked, done: None)
+    report: Callable[[Next, Measured, bool], None] = field(default=lambda asked, done, valid: None)
     pause: Callable[[float], None] = field(default=time.sleep)
 
 
@@ -191,9 +191,10 @@ class _Hits:
             left = self._hit(experiment, asked.stiffness)
             recorded, true = left.judgement.measured, left.judgement.measured_true
             early = left.judgement.early
-            self.session.report(asked, recorded)
+            valid = recorded.passes("any") is not None and (early is None or early[0] is Kind.UNSTABLE)
+            self.session.report(asked, recorded, valid)
             self.session.pause(CALM_S + _cooling_of(left.recording, experiment))
-            if recorded.passes("any") is not None and (early is None or early[0] is Kind.UNSTABLE):
+            if valid:
                 row = {"stiffness": asked.stiffness, RECORDING: left.path.name} | row_of(recorded, "")
                 return row if true is None else row | row_of(true, TRUE)
         _, reasons = decide(recorded.numbers, recorded.thresholds)

@@ -58,7 +58,7 @@ class Person:
         return Session(
             where=OnDevice(url=url, recordings=directory / "hits", **others),
             agrees=self._agrees,
-            report=lambda asked, done: self.told.append(str(done.kind)),
+            report=lambda asked, done, valid: self.told.append(str(done.kind)),
             pause=self.waited_s.append,
         )
 
