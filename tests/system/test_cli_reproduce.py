@@ -16,10 +16,8 @@ CHAWDA_SECTIONS = (
     "figure-1", "figure-3", "hits", "figure-4", "figure-5", "figure-6", "figure-7", "table-1", "readings", "theory",
     "variants", "dual",
 )  # fmt: skip
-ALONE = (
-    "--workers",
-    "1",
-)  # two that share an interpreter cost a tenth more, and other tests need the other core
+# Two that share an interpreter cost a tenth more, and other tests need the other core.
+ALONE = ("--workers", "1")
 VERDICTS = ("reproduced", "reproduced only with", "not reproduced")
 
 

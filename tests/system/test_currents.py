@@ -112,16 +112,13 @@ def test_a_sound_voltage_driven_motor_is_not_accused_however_it_is_shaken(
     assert np.count_nonzero(rows["flags"] & RowFlag.CURRENT_FOLLOWS) > 20
 
 
+# Of the firmware drive and loop each once: the device compares, whoever commands.
 @pytest.mark.parametrize(
     ("make", "loop", "drive"),
     [
         (SimulatedDevice, "host", "current"),
         (SimulatedDevice, "host", "voltage"),
-        (
-            FirmwareDevice,
-            "host",
-            "voltage",
-        ),  # of drive and loop each once: the device compares, whoever commands
+        (FirmwareDevice, "host", "voltage"),
         (FirmwareDevice, "device", "current"),
     ],
 )
