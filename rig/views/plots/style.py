@@ -115,9 +115,8 @@ def save(figure: Any, path: Path) -> Path:
         with matplotlib.rc_context(_AS_TEXT):
             if layout is not None:
                 layout.execute(figure)
-            figure.set_layout_engine(
-                "none"
-            )  # else all is drawn once more, in vain, for the sake of the layout
+            # Else all is drawn once more, in vain, for the sake of the layout.
+            figure.set_layout_engine("none")
             figure.savefig(path, dpi=DPI, format=ending, metadata=FORMATS[ending])
     except OSError as error:
         raise RecordingError(
