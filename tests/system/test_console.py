@@ -57,6 +57,11 @@ async def dragged(page: Page) -> None:
     await page.until(lambda page: page.newest("hand"))
 
 
+async def over(page: Page) -> None:
+    """Wait until nothing runs."""
+    await page.until(lambda page: (page.newest("state") or {"job": 1})["job"] is None)
+
+
 def phase(page: Page) -> str:
     state = page.newest("state")
     loop = None if state is None else state["loop"]
@@ -95,7 +100,7 @@ def test_a_page_that_goes_ends_what_it_moves(tmp_path: Path) -> None:
             state: dict[str, Any] = page.newest("state") or {}
             assert state["operates"]
         async with console.page("another-page") as page:  # closed: no beat comes any more
-            await page.until(lambda page: (page.newest("state") or {"job": 1})["job"] is None)
+            await over(page)
 
     async def whole() -> None:
         async with asyncio.timeout(100), served(tmp_path, own=True) as console:
@@ -112,9 +117,13 @@ def test_an_automated_hit_may_outlive_its_page(tmp_path: Path) -> None:
         async with asyncio.timeout(100), served(tmp_path, own=True) as console:
             async with console.hold(NAME) as hold, beating(hold), console.page(NAME) as page:
                 assert "result" in await page.ask("run", job="hit", goes_on=True)
-                await page.until(lambda page: phase(page) in ("homing", "settle", "trial"))
+                try:
+                    await page.until(lambda page: phase(page) in ("homing", "settle", "trial"))
+                except BaseException:  # too busy, too: no console ends this run
+                    await over(page)
+                    raise
             async with console.page("another-page") as page:
-                await page.until(lambda page: (page.newest("state") or {"job": 1})["job"] is None)
+                await over(page)
 
     asyncio.run(whole())
     assert recorded(tmp_path).trailer["reason"] == "finished"
