@@ -441,6 +441,8 @@ void bridge_tick(struct bridge *bridge, uint64_t now)
     bridge->driving = true;
     device_drive(&bridge->device);
     bridge->driving = false;
+    if (bridge->cycle != 0)
+        bridge->active = bridge->current; /* which is half a message older than its sample */
     bridge->rendering = wall_now(&bridge->scales, &bridge->device, given, &bridge->wall);
     bridge->at_once = false;
     tell(bridge, true);

@@ -9,7 +9,7 @@ import pytest
 from firmware_protocol import messages as m
 from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault, Input
-from rig.bench.bridge import library
+from rig.bench.bridge import library, odrive
 from rig.bench.bridge.faults import TEXTS, DriveFault
 from rig.bench.bridge.library import BRIDGE
 from rig.core.errors import DeviceRefusedError
@@ -95,6 +95,18 @@ def test_a_command_acts_at_the_next_tick_and_its_sample_comes_with_it(kind: str)
     while world.torque == 0.0:
         world.step(sent_ns + 5_000_000)
     assert world.clock.now_ns() - sent_ns <= PERIOD_NS
+
+
+@both
+def test_a_sample_has_the_torque_that_its_current_gives(kind: str) -> None:
+    """At 200 Hz each change has settled: a moteus is asked in its frame, an ODrive speaks half a message later."""
+    slowly = {odrive.ENCODER_MS: "5", odrive.TORQUES_MS: "5", odrive.WATCHDOG_S: "0.025"}
+    _, host = armed(Bridged(kind=kind, settings=slowly if kind == "odrive" else {}), position_rate=200)
+    for number in range(12):
+        state = host.next_state()
+        assert not state.fault
+        assert state.current_measured == pytest.approx(state.current_commanded, abs=0.15 * CURRENT)
+        host.command(CURRENT * (number // 2 % 2))
 
 
 @both
