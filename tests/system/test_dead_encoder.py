@@ -14,6 +14,7 @@ from rig import config
 from rig.config import presets
 from rig.core.board import moved_mechanics
 from rig.core.errors import DeviceFaultError, GuardError
+from rig.core.model import RigModel
 from rig.devices.fault_script import Faults, Happening
 from rig.devices.framed import FramedDevice
 from rig.experiments.hit import HitRequest, hit
@@ -63,6 +64,15 @@ class Clocked(Counting):
         self.fastest = max(self.fastest, abs(self._state[self._plant.handle_position + 1]))
 
 
+def clocked(model: RigModel, loop: str) -> Any:
+    """A device at rest that has or has not a law of its own, and whose handle's speed is remembered."""
+    device: Any = SimulatedDevice(model) if loop == "host" else TickByTick(model)
+    if loop == "device":
+        device.stand_before(Hardware(model, 1000, seed=0, initial_position=0.0))
+    device.hardware.__class__ = Clocked
+    return device
+
+
 @pytest.mark.parametrize("loop", ["host", "device"])
 def test_a_servo_that_pushes_less_than_the_device_minds_is_stopped_by_the_host(
     loop: str, tmp_path: Path
@@ -72,10 +82,7 @@ def test_a_servo_that_pushes_less_than_the_device_minds_is_stopped_by_the_host(
     friction = moved_mechanics(config.rig_model(x)).friction
     x = config.override(x, {"homing.effort": friction + 0.04 * x.rig.limits.effort, "controller.loop": loop})
     model = config.rig_model(x)
-    device: Any = SimulatedDevice(model) if loop == "host" else TickByTick(model)
-    if loop == "device":
-        device.stand_before(Hardware(model, 1000, seed=0, initial_position=0.0))
-    device.hardware.__class__ = Clocked
+    device = clocked(model, loop)
 
     def die(device: Any) -> None:
         device.hardware.counts = DEAD["unplugged"](device.hardware.count)
@@ -106,10 +113,7 @@ def test_a_torque_pulse_ends_before_a_handle_that_it_does_not_see_is_fast(
     changes = {"rig.amplifier.current_monitor": False, "controller.loop": loop}
     x = config.override(presets.load(name), changes)
     model = config.rig_model(still(x))
-    device: Any = SimulatedDevice(model) if loop == "host" else TickByTick(model)
-    if loop == "device":
-        device.stand_before(Hardware(model, 1000, seed=0, initial_position=0.0))
-    device.hardware.__class__ = Clocked
+    device = clocked(model, loop)
     device.hardware.counts = DEAD[dead](device.hardware.count)
     with FramedDevice(MemoryLink(device, Faults())) as framed:
         found = pulse(framed, x, recording=tmp_path / "pulse.rigcap", verified=True, reference_count=0)

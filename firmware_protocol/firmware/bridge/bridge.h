@@ -99,7 +99,8 @@ struct bridge {
     bool at_once;       /* the current was taken away between two ticks: do not wait for the next one */
     bool driving;       /* inside device_drive */
     int16_t current;    /* quanta */
-    int16_t active;     /* the one before it, with which the drive takes its sample; with a wall, what its law gave there */
+    int16_t active;     /* with which the drive takes its sample: the one before it where the drive is asked beside the
+                         * set-point, this one where it speaks half a message later; with a wall, what its law gave there */
     bool rendering;     /* `wall` is the drive's to render */
     struct drive_wall wall;
     struct wall_scales scales;
