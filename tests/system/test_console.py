@@ -92,23 +92,24 @@ def check_zero(recording: Recording, reason: str) -> None:
 
 
 def test_a_page_that_goes_ends_what_it_moves(tmp_path: Path) -> None:
-    async def scenario(console: Served) -> None:
+    async def scenario(console: Served) -> tuple[dict[str, Any], dict[str, Any]]:
         async with console.hold(NAME) as hold, beating(hold), console.page(NAME) as page:
             await dragged(page)
             changed = await page.ask("set", changes={"wall.damping": 0.25})
-            assert changed["result"]["number"] == 1
             state: dict[str, Any] = page.newest("state") or {}
-            assert state["operates"]
         async with console.page("another-page") as page:  # closed: no beat comes any more
             await over(page)
+        return changed, state
 
-    async def whole() -> None:
+    async def whole() -> tuple[dict[str, Any], dict[str, Any]]:
         async with asyncio.timeout(100), served(tmp_path, own=True) as console:
-            await scenario(console)
+            return await scenario(console)
 
-    asyncio.run(whole())
+    changed, state = asyncio.run(whole())
     recording = recorded(tmp_path)
-    check_zero(recording, "stopped")
+    check_zero(recording, "stopped")  # first: a run that lost its device took no change
+    assert changed["result"]["number"] == 1
+    assert state["operates"]
     assert recording.rows["penetration"].max() > 0.0, "the hand was in the wall"
 
 
