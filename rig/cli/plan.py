@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from rig import config
 from rig.cli import hit_output, options, output
 from rig.cli.command import command, option
+from rig.config import controller
 from rig.core.check import refused
 from rig.core.errors import PlanError
-from rig.experiments.plan import delay_checks, make_plan
+from rig.experiments.plan import is_linked, plan_of
 
 
 @command()
@@ -41,15 +41,13 @@ def plan(
     """
     experiment = options.chosen_experiment(file, preset or options.preset_of(url, file))
     changes = options.changes(**changed)
-    linked = realtime or round_trip is not None or (url is not None and not url.startswith("sim:"))
+    linked = is_linked(url, realtime=realtime, round_trip_s=round_trip)
     if linked:
         experiment = config.with_realtime(experiment, changes)
     elif changes:
         experiment = config.override(experiment, changes)
     config.check_plugins(experiment, str(file or preset or options.DEFAULT_PRESET))
-    planned = make_plan(experiment)
-    if linked:
-        planned = replace(planned, checks=(*planned.checks, *delay_checks(experiment, round_trip)))
+    planned = plan_of(controller.prepared(experiment), linked=linked, round_trip_s=round_trip)
     if as_json:
         output.print_json(planned)
     else:

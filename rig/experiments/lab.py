@@ -150,20 +150,30 @@ def plan(
     *,
     law: str | Law | None = None,
     estimator: str | Estimator | None = None,
+    url: str | None = None,
     realtime: bool = False,
+    round_trip_s: float | None = None,
     **settings: Unpack[WallSettings],
 ) -> Plan:
     """List what a hit would do, and check it; no device is touched, and what is refused is in the plan.
 
-    Parameters as in `hit`. Raises `ConfigError` for what cannot be.
+    Parameters as in `hit`. With `url`, `realtime` or `round_trip_s` (of the link, with the drive's behind a bridge, as
+    `rig doctor` measures it) the wall is also judged with the delay of a link.
+
+    Raises
+    ------
+    ConfigError, PlanError
+        What cannot be; a round trip that is not above zero.
     """
     changes = changes_of(settings, WallSettings)
     own = _own({"law": law, "estimator": estimator}, changes)
     with _lent(*own):
         loaded = presets.load_named(experiment)
-        planned = config.with_realtime(loaded, changes) if realtime else _changed(loaded, changes)
+        linked = planning.is_linked(url, realtime=realtime, round_trip_s=round_trip_s)
+        planned = config.with_realtime(loaded, changes) if linked else _changed(loaded, changes)
         config.check_plugins(planned, planned.rig.name)
-        return planning.plan_of(controller.prepared(planned, law=own[0]))
+        run = controller.prepared(planned, law=own[0])
+        return planning.plan_of(run, linked=linked, round_trip_s=round_trip_s)
 
 
 def replay(

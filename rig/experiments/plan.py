@@ -50,16 +50,24 @@ def make_plan(experiment: Experiment) -> Plan:
     return plan_of(controller.prepared(experiment))
 
 
-def plan_of(run: controller.Run) -> Plan:
-    """List and check a prepared run."""
+def is_linked(url: str | None, *, realtime: bool, round_trip_s: float | None) -> bool:
+    """Whether the delay of a link belongs to a plan: it is stated, or the run is in real time."""
+    return realtime or round_trip_s is not None or (url is not None and not url.startswith("sim:"))
+
+
+def plan_of(run: controller.Run, *, linked: bool = False, round_trip_s: float | None = None) -> Plan:
+    """List and check a prepared run; one that is `linked` also as `delay_checks` do, which say what they raise."""
     experiment = run.experiment
+    delay = delay_checks(experiment, round_trip_s) if linked else []
     if experiment.trial.kind == "excitation":
-        return replace(excitation_plan(experiment), run=run)
+        planned = excitation_plan(experiment)
+        return replace(planned, run=run, checks=(*planned.checks, *delay))
     checks = (
         *_wall_checks(experiment),
         *_watch_checks(experiment),
         _heat_check(experiment),
         *on_the_drive.lost(experiment),
+        *delay,
     )
     return Plan(experiment.rig.name, experiment.trial.repeats, _steps(experiment), checks, run)
 

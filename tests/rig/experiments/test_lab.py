@@ -11,10 +11,12 @@ import numpy as np
 import pytest
 
 import rig
+from rig import config
 from rig.core import plugins
 from rig.core.errors import ConfigError, PlanError, RecordingError
 from rig.experiments.hit import HitRequest
 from rig.experiments.hit import hit as run
+from rig.experiments.plan import delay_checks
 
 SHORT: dict[str, Any] = {"duration_s": 0.25, "changes": {"verdict.tail_s": 0.1}}
 
@@ -184,6 +186,19 @@ def test_a_name_that_is_taken_and_a_part_that_is_none_are_refused() -> None:
         rig.hit(law=3)  # type: ignore[arg-type]
     with pytest.raises(ConfigError, match=r"estimator: PlainLaw is none"):
         rig.plan(estimator=stiffening)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    "link", [{"url": "serial:///dev/ttyACM0"}, {"realtime": True}, {"round_trip_s": 0.0017}], ids=str
+)
+def test_a_plan_behind_a_link_is_judged_with_its_delay(link: dict[str, Any]) -> None:
+    experiment = rig.load("koul-compliant")
+    bare, planned = rig.plan(experiment), rig.plan(experiment, **link)
+    assert "delay" not in {check.name for check in bare.checks}
+    judged = delay_checks(config.with_realtime(experiment), link.get("round_trip_s"))
+    assert list(planned.checks[-len(judged) :]) == judged
+    with pytest.raises(PlanError, match="round_trip"):
+        rig.plan(experiment, round_trip_s=0.0)
 
 
 def test_a_plan_has_what_is_refused_and_a_hit_raises_it(tmp_path: Path) -> None:
