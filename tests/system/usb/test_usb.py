@@ -151,6 +151,10 @@ def test_a_hit_from_the_command_line(rig: Bus, tmp_path: Path, url: str) -> None
         "verdict.late_fraction=0.9",
         "--set",
         "controller.command_lifetime_s=0.02",
+        "--set",
+        "trial.duration_s=0.3",
+        "--set",
+        "verdict.tail_s=0.1",
     ]
     host = rig.start(
         "-m", "rig", "hit", "--url", url, "--verified", "--no-plot", "--json", *rates, "-o", str(tmp_path)
