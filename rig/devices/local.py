@@ -33,21 +33,27 @@ def serve(
     realtime: str = "try",
     cpu: int | None = None,
     scheduled: Callable[[Realtime], object] = lambda granted: None,
+    announce: Callable[[str], None] = print,
     **options: Any,
 ) -> None:
     """Serve a simulated rig in this process until stopped (see `sim_backend.pty.serve`).
 
     The calling thread gets real-time scheduling and its processor while it serves, where that is granted, and
-    `scheduled` is told; ``realtime="off"`` requests none. Raises `DeviceNotFoundError` when the simulation does not
-    load, and `PlanError` where the system is not Linux.
+    `scheduled` is told; ``realtime="off"`` requests none. It has them from the announcement on: to load and compile
+    a device takes a second and more, in which no other device, loop or drive on that processor would run. Raises
+    `DeviceNotFoundError` when the simulation does not load, and `PlanError` where the system is not Linux.
     """
     refuse_real_time("a simulated rig", IN_VIRTUAL_TIME)
     server = devices.loaded(devices.SERVER)
     with obtained(Board(realtime, cpu=cpu)) as granted:
-        granted.enter_thread()
-        scheduled(granted)
+
+        def ready(place: str) -> None:
+            granted.enter_thread()
+            scheduled(granted)
+            announce(place)
+
         try:
-            server(model, **options)
+            server(model, announce=ready, **options)
         finally:
             granted.leave_thread()
 

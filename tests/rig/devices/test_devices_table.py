@@ -173,6 +173,23 @@ def test_a_server_that_does_not_load_is_named(monkeypatch: pytest.MonkeyPatch) -
         local.serve(rotary_rig())
 
 
+def test_a_device_is_made_before_it_has_priority_over_what_runs_already(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    happened: list[str] = []
+
+    def server(model: Any, *, announce: Any) -> None:
+        happened.append("made")
+        announce("port")
+        happened.append("served")
+
+    monkeypatch.setattr(devices, "loaded", lambda name: server)
+    local.serve(
+        rotary_rig(), announce=happened.append, scheduled=lambda granted: happened.append("scheduled")
+    )
+    assert happened == ["made", "scheduled", "port", "served"]
+
+
 def test_options_of_virtual_time_are_refused_where_they_would_do_nothing() -> None:
     with (
         pytest.raises(ConfigError, match="offset"),
