@@ -15,6 +15,7 @@ const HEAD = 48;
 const SLICE = 500e3; // ns of the board, then whoever waits is asked
 const BEHIND = 20e6; // ns of the board that are made up for; more are forgotten
 const STATUS_EVERY = 100; // ms
+const PATIENCE = 10e3; // ms without a word of the host, then the board's time stands still until the next one
 
 const settings = JSON.parse(fs.readFileSync(process.argv[2], 'utf8'));
 const pico = new UsbPico(fs.readFileSync(settings.image), settings.pins, settings);
@@ -33,6 +34,7 @@ class Peer {
     this.received = Buffer.alloc(0);
     this.pending = new Map(); // sequence number: transfer
     socket.on('data', (data) => {
+      hear();
       this.received = Buffer.concat([this.received, data]);
       while (this.take());
     });
@@ -105,13 +107,25 @@ class Peer {
 
 let worldBegan = 0;
 let boardBegan = 0;
+let heard = 0; // when the host last spoke
+let standsStill = true;
 
 function pace() {
   worldBegan = performance.now();
   boardBegan = pico.now;
 }
 
+function hear() {
+  heard = performance.now();
+  if (!standsStill) return;
+  standsStill = false;
+  pace();
+  live();
+}
+
 function live() {
+  standsStill = performance.now() - heard > PATIENCE;
+  if (standsStill) return;
   const goal = boardBegan + (performance.now() - worldBegan) * 1e6 * settings.pace;
   if (goal - pico.now > BEHIND) pace();
   if (goal <= pico.now) {
@@ -150,8 +164,6 @@ net
     tell();
     console.log('ready');
   });
-pace();
-live();
 setInterval(tell, STATUS_EVERY);
 process.stdin.on('end', () => process.exit(0));
 process.stdin.resume();
