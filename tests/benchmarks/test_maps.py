@@ -1,4 +1,4 @@
-"""What a map costs: CPU of the whole Fig. 6, the share that Python takes, and memory over the number of hits.
+"""What a map costs: CPU of Fig. 6, the share that Python takes, and memory over the number of hits.
 
 pytest tests/benchmarks/test_maps.py -o addopts="" -s
 """
@@ -6,6 +6,7 @@ pytest tests/benchmarks/test_maps.py -o addopts="" -s
 import json
 import time
 import tracemalloc
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -32,17 +33,21 @@ def figure_6() -> Any:
 
 
 def test_the_whole_map_of_figure_6(figure_6: Any) -> None:
-    started, clock = time.process_time(), time.perf_counter()
+    """Every fourth damping, first and last among them, and the whole in proportion."""
+    started = time.process_time()
     tasks = figure_6.tasks()
     planned_s = time.process_time() - started
-    found = zwidth(figure_6)
-    cpu_s, wall_s = time.process_time() - started, time.perf_counter() - clock
+    chosen = figure_6.dampings[::4]
+    started = time.process_time()
+    found = zwidth(replace(figure_6, dampings=chosen))
+    cpu_s = time.process_time() - started
+    whole_s = cpu_s * len(figure_6.dampings) / len(chosen)
     print(
-        f"\nFig. 6: {len(tasks)} series, {found.hits} hits: {cpu_s:.1f} s of CPU (goal 12 s), {wall_s:.1f} s of time, "
-        f"{found.hits / cpu_s:.0f} hits per second of a core; planning {planned_s:.2f} s"
+        f"\nFig. 6: {len(tasks)} series: {whole_s:.1f} s of CPU (goal 12 s), {found.hits / cpu_s:.0f} hits per second "
+        f"of a core; planning {planned_s:.2f} s"
     )
     assert planned_s < 2.0
-    assert cpu_s < 60.0
+    assert whole_s < 60.0
 
 
 def test_python_takes_a_small_share_of_a_series(figure_6: Any, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -105,7 +110,7 @@ def test_memory_of_a_map_does_not_grow_with_the_number_of_series(tmp_path: Path)
         return most, found.hits
 
     peak(2)
-    (few, few_hits), (many, many_hits) = peak(20), peak(60)
+    (few, few_hits), (many, many_hits) = peak(10), peak(30)
     grown = (many - few) / (many_hits - few_hits)
     print(f"\npeak of memory: {few / 1e6:.1f} MB for {few_hits} hits, {many / 1e6:.1f} MB for {many_hits}")
     assert grown < 10_000.0  # bytes a hit: its series' description, not its numbers

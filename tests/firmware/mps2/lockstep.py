@@ -27,7 +27,7 @@ from rig.realtime.clock import VirtualClock
 from sim_backend.hardware import Hardware
 from tests.conformance.started import LEASH
 from tests.firmware import cross
-from tests.firmware.build import FIRMWARE, SOURCES, UNDEFINED, compile_c
+from tests.firmware.build import FIRMWARE, SOURCES, UNDEFINED, compile_c, library
 from tests.firmware.kept import kept
 
 UNITS_PER_SECOND = 16_000_000
@@ -120,20 +120,21 @@ def in_emulator(built: BuildResult, directory: Path) -> Partner:
 
 
 def on_this_computer(model: RigModel, board: str, directory: Path) -> Partner:
-    """The same program, with the same constants, built by this computer's compiler."""
+    """The same program, with the same constants, by this computer's compiler, with the core of `library`."""
+    core = library()
 
     def make(output: Path) -> None:
         kind = boards.load(board)
         made = configure(kind, model, {}, package=package_version(), sources=sources_hash(kind))
         (output / "board_config.h").write_text(made.header)
         (output / "board_config.c").write_text(made.source)
-        own = [path for path in kind.sources("tests") if path.name not in ("start.c", "semihosting.c")]
-        sources = [*dict.fromkeys((*SOURCES, *own)), output / "board_config.c", HERE / "on_this_computer.c"]
+        port = {path for path in kind.sources("tests") if path.name not in ("start.c", "semihosting.c")}
+        sources = [*sorted(port - {*SOURCES}), output / "board_config.c", HERE / "on_this_computer.c", core]
         include = [f"-I{path}" for path in (output, FIRMWARE / "core", FIRMWARE / "law", kind.directory)]
         compile_c(output / "program", sources, [*include, *UNDEFINED])
 
     files = (HERE / "on_this_computer.c").read_text()
-    made = kept(f"lockstep {board} {model} {cross.sources_of(board)} {files}", make)
+    made = kept(f"lockstep {board} {model} {cross.sources_of(board)} {files} {core}", make)
     return Partner([str(made / "program")], directory)
 
 

@@ -73,7 +73,7 @@ class Pico {
     this.edges = []; // { at, way }: to come, rising
     this.contact = true; // of the dead-man switch, in the wire from enable to the converter's RESET
     this.onReset = () => {};
-    this.onSteps = null; // called before each instruction, with the time (ns)
+    this.motor = null; // what else lives in this time, before each instruction
     this.load({});
   }
 
@@ -323,6 +323,10 @@ class Pico {
   /* Let the state machines live through some cycles; at rest only the guard turns, in circles. */
   advancePio(from, cycles, nanos) {
     const { edges } = this;
+    if (this.awake === 0 && (edges.length === 0 || edges[0].at > from + cycles * nanos)) {
+      this.slept += cycles;
+      return;
+    }
     for (let i = 0; i < cycles; i++) {
       const at = from + i * nanos;
       while (edges.length > 0 && edges[0].at <= at) this.turn(edges.shift().way);
@@ -420,8 +424,9 @@ class Pico {
   }
 
   runUntil(nanos) {
+    const { motor } = this;
     while (this.now < nanos) {
-      if (this.onSteps) this.onSteps(this.now);
+      if (motor !== null && motor.next <= this.now) motor.upTo(this.now);
       this.step();
     }
   }

@@ -14,8 +14,7 @@ const movesUntil = () => (pico.edges.length > 0 ? pico.edges[pico.edges.length -
 const commands = {
   power({ image, pins, motor: description, ...how }) {
     pico = new Pico(fs.readFileSync(image), pins, how);
-    motor = new Motor(pico, description);
-    pico.onSteps = (now) => motor.upTo(now);
+    pico.motor = motor = new Motor(pico, description);
     return {};
   },
   send({ hex }) {

@@ -100,17 +100,21 @@ def test_both_channels_at_once_are_a_fault_of_the_encoder(powered: Powered) -> N
     assert not session.pico.look()["enabled"]
 
 
+WIRED = {"encoder_lines": "complementary", "encoder_index": "wired", "limit_switch": "wired"}
+
+
 @pytest.fixture(scope="module")
-def complementary() -> BuildResult:
-    return emulator.image(rig_model(load(PRESET)), encoder_lines="complementary")
+def wired() -> BuildResult:
+    """All that an encoder may have beside its two lines, in one image: to link one takes seconds."""
+    return emulator.image(rig_model(load(PRESET)), **WIRED)
 
 
 @pytest.mark.parametrize("wires", [{"unplugged": True}, {"broken": [True, False]}, {"broken": [False, True]}])
 def test_a_broken_line_of_two_pairs_is_a_fault_within_five_milliseconds(
-    complementary: BuildResult, wires: Any
+    wired: BuildResult, wires: Any
 ) -> None:
-    with emulator.Pico(rig_model(load(PRESET)), complementary.bin) as pico:
-        session = Session(pico, complementary)
+    with emulator.Pico(rig_model(load(PRESET)), wired.bin) as pico:
+        session = Session(pico, wired)
         streaming(session)
         pico.move(*[(1, 50_000.0)] * 200)
         session.listen(0.005)
@@ -143,21 +147,15 @@ def test_an_edge_is_dated_within_a_quarter_of_a_microsecond(powered: Powered) ->
     assert np.all(np.abs(late_ns) < 1_000.0), late_ns
 
 
-MARKS = {"encoder_index": "wired", "limit_switch": "wired"}
 EVERY = 400  # counts between two indices
 # What PICO.md claims for the count at an index: no more counts a second than this.
 INDEX_SPEED = 20_000
 
 
-@pytest.fixture(scope="module")
-def marked() -> BuildResult:
-    return emulator.image(rig_model(load(PRESET)), **MARKS)
-
-
-def test_the_count_at_an_index_is_exact_up_to_the_speed_that_is_claimed(marked: BuildResult) -> None:
+def test_the_count_at_an_index_is_exact_up_to_the_speed_that_is_claimed(wired: BuildResult) -> None:
     """While the device runs its law: the index is looked for between ticks. From above it begins at the same count."""
-    with emulator.Pico(rig_model(load(PRESET)), marked.bin) as pico:
-        session = Session(pico, marked)
+    with emulator.Pico(rig_model(load(PRESET)), wired.bin) as pico:
+        session = Session(pico, wired)
         pico.ask("marks", every=EVERY)
         session.configure_law(20_000, 2_000, **OPEN)
         session.arm()
@@ -182,10 +180,10 @@ def test_the_count_at_an_index_is_exact_up_to_the_speed_that_is_claimed(marked: 
         assert session.host.next_state().fault == Fault.NONE
 
 
-def test_an_index_that_is_passed_at_the_highest_speed_is_seen(marked: BuildResult) -> None:
+def test_an_index_that_is_passed_at_the_highest_speed_is_seen(wired: BuildResult) -> None:
     """Where it began is then as late as the look is: some ten microseconds."""
-    with emulator.Pico(rig_model(load(PRESET)), marked.bin) as pico:
-        session = Session(pico, marked)
+    with emulator.Pico(rig_model(load(PRESET)), wired.bin) as pico:
+        session = Session(pico, wired)
         pico.ask("marks", every=EVERY)
         before = session.host.ask(m.GetReference(session.host.nonce())).index_edges
         pico.move((EVERY + EVERY // 2, NANOS))
@@ -195,9 +193,9 @@ def test_an_index_that_is_passed_at_the_highest_speed_is_seen(marked: BuildResul
         assert EVERY <= answer.index_count <= EVERY + 60e-6 * HIGHEST_SPEED
 
 
-def test_a_limit_switch_is_shown_and_a_broken_wire_of_it_is_pressed(marked: BuildResult) -> None:
-    with emulator.Pico(rig_model(load(PRESET)), marked.bin) as pico:
-        session = Session(pico, marked)
+def test_a_limit_switch_is_shown_and_a_broken_wire_of_it_is_pressed(wired: BuildResult) -> None:
+    with emulator.Pico(rig_model(load(PRESET)), wired.bin) as pico:
+        session = Session(pico, wired)
         session.configure(**OPEN)
         for pressed in (-1, 0, -1):
             pico.ask("marks", pressed=pressed)

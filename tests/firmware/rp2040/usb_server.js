@@ -20,7 +20,7 @@ const PATIENCE = 10e3; // ms without a word of the host, then the board's time s
 const settings = JSON.parse(fs.readFileSync(process.argv[2], 'utf8'));
 const pico = new UsbPico(fs.readFileSync(settings.image), settings.pins, settings);
 const motor = new Motor(pico, settings.motor);
-pico.onSteps = (now) => motor.upTo(now);
+pico.motor = motor;
 const { bus } = pico;
 let peer = null;
 let urbs = 0;
