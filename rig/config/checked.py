@@ -304,7 +304,7 @@ def better(value: Any, parameter: Parameter) -> str:
 def _mistaken_choices(kind: Kind[Any], table: Table) -> Iterator[Problem]:
     """Find true or 1.0 where a choice is the whole number 1: equal in Python, but not in a file."""
     for key, parameter in kind.parameters().items():
-        value = value_at(table, key.split("."))
+        value = value_at(table, key.split(".")) if parameter.choices else None
         if isinstance(value, bool | float) and value in parameter.choices:
             must = f"must be {parameter.expected(None)} ({parameter.meaning})"
             yield Problem(key, shown(value), must, better(value, parameter))

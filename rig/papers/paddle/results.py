@@ -8,8 +8,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy import stats
 
+from rig.core.deferred import stats
 from rig.experiments.sweep.executors import code_version
 from rig.experiments.zwidth import ZWidth
 from rig.papers.paddle import data, rigs, rules

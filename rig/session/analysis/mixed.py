@@ -47,10 +47,7 @@ PARTS = {  # random: what each person has of their own, as a formula within a pe
 }
 RESIDUAL = "residual"
 _STARTS = (0.01, 1.0)  # of every variance, in the residual's
-_LEAST, _MOST = (
-    1e-7,
-    1e7,
-)  # of a variance, in the residual's: statsmodels inverts it; nothing is left beyond the most
+_MOST = 1e7  # of a variance, in the residual's: beyond it nothing is left for the residual
 _ZERO = 1e-4  # of the residual's variance: below it a variance is printed as zero
 _LOST = 1e-3  # of log likelihood, that statsmodels may end below the optimum that was found
 
@@ -235,8 +232,6 @@ class _Design:
         Of order and block, those that can be separated from cells and participants.
     notes
         Which could not.
-    models
-        Of statsmodels, by their terms and random parts: a third of the time went into parsing formulas.
     """
 
     frame: Any
@@ -245,7 +240,6 @@ class _Design:
     scale: float
     covariates: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
-    models: dict[tuple[str, ...], Any] = field(default_factory=dict)
 
     @classmethod
     def of(cls, values: Sequence[Observed], cells: Sequence[Cell]) -> _Design:
@@ -291,6 +285,11 @@ class _Design:
         """Rank of these columns."""
         return int(np.linalg.matrix_rank(self.columns(*terms)))
 
+    def alike(self, part: str) -> Floats:
+        """1 where two values have this random part in common, else 0."""
+        number = self.frame.groupby(["participant", *part.split(" × ")[1:]]).ngroup().to_numpy()
+        return np.asarray(number[:, None] == number, dtype=np.float64)
+
     @cached_property
     def participants(self) -> int:
         """How many."""
@@ -329,47 +328,53 @@ class _Optimum:
     variances: Mapping[str, float]
 
 
-def _linear(design: _Design, fixed: Sequence[str], parts: Iterable[str], *, reml: bool = True) -> Any:
-    """The model of statsmodels with these fixed terms and random parts."""
-    which = (*fixed, *parts)
-    if which not in design.models:
-        design.models[which] = mixed_linear_model.MixedLM.from_formula(
-            f"limit ~ 0 + {' + '.join(fixed)}",
-            design.frame,
-            groups="participant",
-            vc_formula={part: PARTS[part] for part in parts},
-        )
-    model = design.models[which]
-    model.reml, model.cov_pen = reml, None  # as its `fit` sets them
-    return model
+def _minus_log_likelihood(
+    variances: Floats, limits: Floats, fixed: Floats, parts: Sequence[Floats], reml: bool
+) -> tuple[float, Floats]:
+    """Minus the log likelihood at variances of the random parts, in the residual's, and its gradient.
+
+    Fixed effects and the residual's variance are the likeliest there. `parts` as `_Design.alike` has them.
+    """
+    covariance = np.eye(len(limits)) + sum(v * part for v, part in zip(variances, parts, strict=True))
+    inverse = np.linalg.inv(covariance)
+    seen = inverse @ fixed
+    known = fixed.T @ seen
+    left = inverse - seen @ np.linalg.solve(known, seen.T)  # of the inverse, without the fixed effects
+    residual = left @ limits
+    free, unlike = len(limits), float(limits @ residual)
+    value = float(np.linalg.slogdet(covariance)[1])
+    if reml:
+        free -= fixed.shape[1]
+        value += float(np.linalg.slogdet(known)[1])
+    value += free * (math.log(2.0 * math.pi * unlike / free) + 1.0)
+    gradient = [
+        np.sum((left if reml else inverse) * part) - free * (residual @ part @ residual) / unlike
+        for part in parts
+    ]
+    return 0.5 * value, 0.5 * np.array(gradient)
 
 
-def _at(variances: Sequence[float] | Floats) -> Any:
-    """Variances as `statsmodels` takes them; the fixed effects follow from them."""
-    return mixed_linear_model.MixedLMParams.from_components(
-        np.zeros(0), cov_re=np.zeros((0, 0)), vcomp=np.asarray(variances)
-    )
-
-
-def _optimum(design: _Design, fixed: Sequence[str], *, reml: bool = True) -> _Optimum | None:
-    """Search for the largest likelihood; None where the search does not converge.
+def _optimum(design: _Design, fixed: Floats, *, reml: bool = True) -> _Optimum | None:
+    """Search for the largest likelihood with these fixed columns; None where the search does not converge.
 
     The optimisers of statsmodels work on square roots of the variances, where the likelihood is flat at a variance of
     zero, and often stop short of the optimum. So the variances themselves are varied, within bounds, from two starts.
     """
-    model, size = _linear(design, fixed, design.parts, reml=reml), len(design.parts)
+    parts = [design.alike(part) for part in design.parts]
     found = [
         optimize.minimize(
-            lambda variances: -model.loglike(_at(variances)),
-            np.full(size, start),
+            _minus_log_likelihood,
+            np.full(len(parts), start),
+            args=(design.frame["limit"].to_numpy(), fixed, parts, reml),
+            jac=True,
             method="L-BFGS-B",
-            bounds=[(_LEAST, _MOST)] * size,
+            bounds=[(0.0, _MOST)] * len(parts),
             options={"ftol": 1e-13, "gtol": 1e-7},
         )
         for start in _STARTS
     ]
     best = min(found, key=lambda one: float(one.fun))
-    if not math.isfinite(best.fun) or max(best.x) >= _MOST:  # nothing is left for the residual
+    if not math.isfinite(best.fun) or max(best.x) >= _MOST:
         return None
     return _Optimum(-float(best.fun), dict(zip(design.parts, best.x.tolist(), strict=True)))
 
@@ -387,20 +392,31 @@ class _Model:
     @classmethod
     def of(cls, design: _Design) -> _Model | None:
         """REML estimates of statsmodels at the optimum, without the parts whose variance is zero there."""
-        fixed = ["cell", *design.covariates]
-        optimum = _optimum(design, fixed)
+        optimum = _optimum(design, design.columns("cell", *design.covariates))
         if optimum is None:
             return None
         parts = [part for part, variance in optimum.variances.items() if variance >= _ZERO]
         none = [part for part in design.parts if part not in parts]
+        formula = f"limit ~ 0 + {' + '.join(['cell', *design.covariates])}"
         if parts:
-            start = _at([optimum.variances[part] for part in parts])
-            fit = _linear(design, fixed, parts).fit(start_params=start, method=["bfgs", "lbfgs"])
+            fit = mixed_linear_model.MixedLM.from_formula(
+                formula,
+                design.frame,
+                groups="participant",
+                vc_formula={part: PARTS[part] for part in parts},
+            ).fit(
+                start_params=mixed_linear_model.MixedLMParams.from_components(
+                    np.zeros(0),
+                    cov_re=np.zeros((0, 0)),
+                    vcomp=np.array([optimum.variances[part] for part in parts]),
+                ),
+                method=["bfgs", "lbfgs"],
+            )
             variances = dict(zip(parts, fit.vcomp.tolist(), strict=True))
             if not fit.llf > optimum.likelihood - _LOST:
                 return None
         else:
-            fit = linear_model.OLS.from_formula(f"limit ~ 0 + {' + '.join(fixed)}", design.frame).fit()
+            fit = linear_model.OLS.from_formula(formula, design.frame).fit()
             variances = {}
         mean = np.array(fit.params[: len(design.cells) + len(design.covariates)]) * design.scale
         mean[: len(design.cells)] += design.middle
@@ -491,13 +507,13 @@ def _tests(design: _Design) -> tuple[LikelihoodRatio, ...]:
         "damping" + (", in any condition" if several else ""): ["condition"],
         "condition × damping": ["condition", "damping"],
     }
-    whole = _optimum(design, ["cell", *design.covariates], reml=False)
+    whole = _optimum(design, design.columns("cell", *design.covariates), reml=False)
     found = []
     for factor, terms in reduced.items():
-        fixed = [*terms, *design.covariates]
-        rank = design.rank(*fixed)
+        fixed = design.columns(*terms, *design.covariates)
+        rank = int(np.linalg.matrix_rank(fixed))
         degrees = len(design.cells) + len(design.covariates) - rank
-        if degrees <= 0 or rank < design.columns(*fixed).shape[1]:
+        if degrees <= 0 or rank < fixed.shape[1]:
             continue
         without = _optimum(design, fixed, reml=False)
         if whole is None or without is None:
