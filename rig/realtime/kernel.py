@@ -88,9 +88,14 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
         ):
             if self._can_compile:
                 load_implementations()
-                for signature in self.declared:
-                    self.compile(signature)
+                with self._alone():
+                    for signature in self.declared:
+                        self.compile(signature)
                 self.disable_compile()
+
+    def _alone(self) -> contextlib.AbstractContextManager[None]:
+        kept = self._cache
+        return kept.alone() if isinstance(kept, KernelCache) else contextlib.nullcontext()
 
     def _compile_for_args(self, *args: Any, **kws: Any) -> Any:
         if self.prepared:
