@@ -9,6 +9,8 @@ This file extends numba's own code libraries and disk cache; `rig.realtime.kerne
 
 from __future__ import annotations
 
+import contextlib
+import time
 from collections.abc import Iterator
 from functools import cache
 from importlib import import_module
@@ -21,8 +23,12 @@ from numba.core import caching, codegen, compiler, dispatcher, sigutils
 from numba.core.compiler_lock import require_global_compiler_lock
 from numba.core.registry import cpu_target
 
+from rig.core.locks import lock
 from rig.realtime import compiling
 from rig.realtime.handlers import interrupts_now
+
+PATIENCE_S = 60.0  # for another process: longer than the largest kernel takes
+POLL_S = 0.01
 
 
 class _Linked:
@@ -179,3 +185,27 @@ class KernelCache(caching.FunctionCache):  # type: ignore[misc]
     """numba's disk cache of one kernel, in that place."""
 
     _impl_class = _Implementation
+
+    @contextlib.contextmanager
+    def alone(self) -> Iterator[None]:
+        """Let other processes wait with this kernel, and find it in the cache then, instead of compiling it too."""
+        with contextlib.ExitStack() as held:
+            with contextlib.suppress(OSError):  # where nobody can write or lock, everybody compiles
+                place = Path(self._cache_path)
+                place.mkdir(exist_ok=True)
+                file = held.enter_context(open(place / f"{self._impl.filename_base}.lock", "ab"))
+                if not lock(file.fileno()):
+                    _wait_for(file.fileno())
+            yield
+
+
+def _wait_for(descriptor: int) -> None:
+    """Wait for a lock, `PATIENCE_S` at most: who has it may have been stopped."""
+    patience = time.monotonic() + PATIENCE_S
+    compiling.began()  # elsewhere, which takes as long
+    try:
+        while not lock(descriptor) and time.monotonic() < patience:
+            interrupts_now()
+            time.sleep(POLL_S)
+    finally:
+        compiling.ended()

@@ -78,7 +78,9 @@ def misfit(value: Any, shape: Any, name: str) -> str:
     elif isinstance(shape, dict):
         fits = isinstance(value, dict)
         inside = list(_members(value, shape, name)) if fits else []
-    elif isinstance(shape, tuple | range):
+    elif isinstance(shape, range):  # `in` would walk through it for all that is no int
+        fits = isinstance(value, int | float) and shape.start <= value < shape.stop and value == int(value)
+    elif isinstance(shape, tuple):
         fits = value in shape
     elif shape is _NUMBER:
         fits = isinstance(value, int | float) and abs(value) < _GREATEST

@@ -189,7 +189,7 @@ def check_finite(make: Make) -> None:
     for _ in range(5):
         counts = random.integers(-(2**31), 2**31, 300)
         counts[random.integers(0, 300, 60)] = random.choice(EXTREMES, 60)
-        elapsed = random.integers(1, 5000, 300)
+        elapsed = (5000.0 ** random.random(300)).astype(int)  # of every size, most of them short
         v = velocities(make(RESOLUTION_SI, PERIOD_S), counts.tolist(), elapsed.tolist())
         assert np.isfinite(v).all(), "a count sequence gives a velocity that is not finite"
 

@@ -17,7 +17,7 @@ SOURCES = firmware_library.FIRMWARE.sources()
 FIRMWARE = firmware_library.FIRMWARE.root
 CORE = [path for path in SOURCES if path.parent.name != "host"]
 WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Wpedantic", "-Werror")
-FLAGS = ("-std=c99", "-O1", "-g", "-ffp-contract=off", *WARNINGS)
+FLAGS = ("-std=c99", "-O1", "-g1", "-ffp-contract=off", *WARNINGS)
 UNDEFINED = ("-fsanitize=undefined,float-cast-overflow", "-fno-sanitize-recover=all")
 ADDRESS = ("-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all")
 LIBRARY_VARIABLE = "HAPTIC_RIG_FIRMWARE_LIBRARY"  # one that was built before: see coverage.py
@@ -53,7 +53,7 @@ def kept_c(name: str, sources: Sequence[Path], flags: Sequence[str]) -> Path:
 
 def kept_objects(gcc: str, sources: Sequence[Path], *flags: str) -> dict[Path, Path]:
     """Return the object file of each of the firmware's sources, made for its size."""
-    options = [*FLAGS, "-Os", "-fno-stack-protector", *flags]
+    options = [*FLAGS, "-g0", "-Os", "-fno-stack-protector", *flags]
 
     def make(output: Path) -> None:
         command = [gcc, *options, "-c", *map(str, sources)]

@@ -17,7 +17,7 @@ from firmware_protocol.parameters import PARAMETERS
 from rig import config
 from rig.bench.firmware import boards
 from rig.bench.firmware.board_config import configure
-from rig.bench.firmware.build import BuildRequest, build, package_version, sources_hash
+from rig.bench.firmware.build import BuildRequest, build, package_version, shared_sources, sources_hash
 from rig.bench.firmware.elf import read_segments
 from rig.bench.firmware.flash import read_image
 from rig.bench.firmware.info import info
@@ -38,7 +38,8 @@ from rig.core.model import RigModel
 from rig.core.present import plain
 from rig.core.same_rig import check_rig
 from tests.firmware import cross
-from tests.firmware.build import FIRMWARE, compile_c
+from tests.firmware.build import CORE, FIRMWARE, compile_c, kept_objects
+from tests.firmware.test_core_objects import BOARDS as PROCESSORS
 
 BOARD = "mps2-an386"  # the first processor of its directory
 
@@ -87,14 +88,19 @@ def built() -> Any:
     return cross.image(BOARD)
 
 
-@pytest.fixture(scope="module")
-def pico(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """The Pico's board as it is, but not optimised: optimising the whole program takes four fifths of a build."""
-    directory = tmp_path_factory.mktemp("boards") / "rp2040"
-    shutil.copytree(boards.BOARDS / "rp2040", directory)
+@pytest.fixture
+def pico(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    """The Pico's board, not optimised; core and law, which no setting reaches, are linked as compiled once."""
+    cross.need_compiler()
+    directory = shutil.copytree(boards.BOARDS / "rp2040", tmp_path / "rp2040")
+    core = kept_objects(find_compiler().path, CORE, *PROCESSORS["cortex-m0plus"])
+    assert set(core) == set(shared_sources())
+    monkeypatch.setattr("rig.bench.firmware.build.shared_sources", lambda _application: ())
     file = directory / "board.toml"
-    text, changed = re.subn(r"^compile = .*$", 'compile = ["-O0"]', file.read_text(), flags=re.MULTILINE)
-    assert changed == 1
+    text = file.read_text()
+    for key, words in ("compile", ["-O0", "-g0"]), ("link", ["--specs=nano.specs", *map(str, core.values())]):
+        text, changed = re.subn(rf"^{key} = .*$", f"{key} = {words}", text, flags=re.MULTILINE)
+        assert changed == 1
     file.write_text(text)
     return str(directory)
 

@@ -22,6 +22,7 @@ import numpy as np
 import pytest
 from numba import types
 
+from rig.core import locks
 from rig.realtime import cache, compiling, handlers, parts, user_cache
 from rig.realtime import kernel as module
 from rig.realtime import source_files as sources
@@ -99,10 +100,11 @@ class Project:
 def project_in(place: Path) -> Project:
     root = place / "project"
     (root / "rig" / "realtime").mkdir(parents=True)
-    for package in ("rig", "rig/realtime"):
+    (root / "rig" / "core").mkdir()
+    for package in ("rig", "rig/realtime", "rig/core"):
         (root / package / "__init__.py").touch()
-    for copied in (module, cache, sources, compiling, handlers, parts, user_cache):
-        shutil.copy(copied.__file__, root / "rig" / "realtime")
+    for copied in (module, cache, sources, compiling, handlers, parts, user_cache, locks):
+        shutil.copy(copied.__file__, root.joinpath(*copied.__name__.split(".")[:-1]))
     (root / "rig" / "helper.py").write_text(HELPER)
     (root / "rig" / "law.py").write_text(LAW)
     made = Project(root, str(place / "cache"))
@@ -132,6 +134,37 @@ def test_the_second_process_loads_what_the_first_compiled(first: tuple[Project, 
     assert before["value"] == after["value"] == 3.0
     assert before["cache"] == after["cache"]
     assert before["cache"].startswith(project.cache)
+
+
+SLOW = """
+import pathlib, time
+from rig.realtime import parts
+make = parts.Compiler._compile_core
+
+def slow(self, *args):
+    pathlib.Path("begun").touch()
+    while not pathlib.Path("waits").exists():
+        time.sleep(0.01)
+    return make(self, *args)
+
+parts.Compiler._compile_core = slow
+"""
+
+
+@compiled
+def test_of_two_processes_at_once_one_compiles_and_the_other_waits_for_it_and_says_so(
+    project: Project,
+) -> None:
+    with ThreadPoolExecutor(1) as beside:
+        slow = beside.submit(project.run, before=SLOW)
+        while not (project.root / "begun").exists() and not slow.done():
+            time.sleep(0.01)
+        waiting = "import pathlib\ncompiling.listen(lambda on: pathlib.Path('waits').touch())"
+        other = project.run(before=waiting)
+        (project.root / "waits").touch()
+    assert (slow.result()["hits"], slow.result()["misses"]) == (0, 1)
+    assert (other["value"], other["hits"], other["misses"]) == (3.0, 1, 0)
+    assert other["compiled"] == [True, False]
 
 
 @compiled

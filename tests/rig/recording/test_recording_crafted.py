@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +22,7 @@ from rig.recording.canonical import canonical_json
 from rig.recording.capture import END_MAGIC, ROWS_MAGIC, pack_block, pack_header
 from rig.recording.data import Recording
 from rig.recording.reader import open_recording
-from rig.recording.shape import DEPTH, parsed
+from rig.recording.shape import DEPTH, misfit, parsed
 
 pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="a hit takes long without the compiler")
 
@@ -153,3 +154,13 @@ def test_a_json_of_any_depth_is_read_or_refused() -> None:
     for depth in (DEPTH + 1, 900, 100_000):
         with pytest.raises(ValueError, match="nested"):
             parsed(b"[" * depth + b"]" * depth)
+
+
+@pytest.mark.parametrize("value", [1, 20_000.0, True])
+def test_a_whole_number_of_a_range_fits_it(value: Any) -> None:
+    assert not misfit(value, range(1, 10**7), "rate")
+
+
+@pytest.mark.parametrize("value", [0, 10**15, 1e-300, 2.5, math.inf, math.nan, "20000", None])
+def test_nothing_else_does_and_nobody_walks_through_the_range_to_find_that(value: Any) -> None:
+    assert misfit(value, range(1, 10**15), "rate") == "rate has a value that no recording has there"
