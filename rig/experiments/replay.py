@@ -114,8 +114,8 @@ def replay(
         bundle.estimator.estimator.name,
         bundle.law.law.name,
         exact=all(replayed[name].tobytes() == recorded[name].tobytes() for name in (*COMPUTED, "flags")),
-        velocity_difference=_rms(replayed["velocity"] - recorded["velocity"]),
-        effort_difference=_rms(replayed["effort_sent"] - recorded["effort_sent"]),
+        velocity_difference=_rms(replayed["velocity"], recorded["velocity"]),
+        effort_difference=_rms(replayed["effort_sent"], recorded["effort_sent"]),
     )
 
 
@@ -198,5 +198,5 @@ def _as_the_loop_ended(recorded: NDArray[np.void], replayed: NDArray[np.void]) -
         replayed["current_sent"][-1] = 0
 
 
-def _rms(difference: NDArray[np.float64]) -> float:
-    return float(np.sqrt(np.mean(np.square(difference)))) if len(difference) else 0.0
+def _rms(replayed: NDArray[np.float64], recorded: NDArray[np.float64]) -> float:
+    return float(np.sqrt(np.mean(np.square(replayed - recorded)))) if len(recorded) else 0.0
