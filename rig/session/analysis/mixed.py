@@ -285,10 +285,19 @@ class _Design:
         """Rank of these columns."""
         return int(np.linalg.matrix_rank(self.columns(*terms)))
 
+    def by_person(self, values: Floats) -> Floats:
+        """A row for each participant and in it one for each of their values; zeros where one has fewer than others."""
+        of = self.frame.groupby("participant")
+        person, own = of.ngroup().to_numpy(), of.cumcount().to_numpy()
+        rows = np.zeros((person.max() + 1, own.max() + 1, *values.shape[1:]))
+        rows[person, own] = values
+        return rows
+
     def alike(self, part: str) -> Floats:
-        """1 where two values have this random part in common, else 0."""
-        number = self.frame.groupby(["participant", *part.split(" × ")[1:]]).ngroup().to_numpy()
-        return np.asarray(number[:, None] == number, dtype=np.float64)
+        """1 where two values of a participant have this random part in common, else 0."""
+        groups = self.frame.groupby(["participant", *part.split(" × ")[1:]]).ngroup().to_numpy()
+        number = self.by_person(groups + 1.0)
+        return np.asarray((number[:, :, None] == number[:, None]) & (number[:, :, None] > 0.0), np.float64)
 
     @cached_property
     def participants(self) -> int:
@@ -329,29 +338,30 @@ class _Optimum:
 
 
 def _minus_log_likelihood(
-    variances: Floats, limits: Floats, fixed: Floats, parts: Sequence[Floats], reml: bool
+    variances: Floats, count: int, limits: Floats, fixed: Floats, parts: Sequence[Floats], reml: bool
 ) -> tuple[float, Floats]:
     """Minus the log likelihood at variances of the random parts, in the residual's, and its gradient.
 
-    Fixed effects and the residual's variance are the likeliest there. `parts` as `_Design.alike` has them.
+    Fixed effects and the residual's variance are the likeliest there. All arrays are as `_Design.by_person` has them:
+    `count` values, and zeros that add nothing to any sum.
     """
-    covariance = np.eye(len(limits)) + sum(v * part for v, part in zip(variances, parts, strict=True))
+    covariance = np.eye(limits.shape[1]) + sum(v * part for v, part in zip(variances, parts, strict=True))
     inverse = np.linalg.inv(covariance)
     seen = inverse @ fixed
-    known = fixed.T @ seen
-    left = inverse - seen @ np.linalg.solve(known, seen.T)  # of the inverse, without the fixed effects
-    residual = left @ limits
-    free, unlike = len(limits), float(limits @ residual)
-    value = float(np.linalg.slogdet(covariance)[1])
+    known = np.einsum("pvi,pvj->ij", fixed, seen)
+    effects = np.linalg.solve(known, np.einsum("pvi,pv->i", seen, limits))
+    residual = np.einsum("pvw,pw->pv", inverse, limits - fixed @ effects)
+    free, unlike = count, float(np.sum(limits * residual))
+    value = float(np.linalg.slogdet(covariance)[1].sum())
+    gradient = np.array([np.sum(inverse * part) for part in parts])
     if reml:
-        free -= fixed.shape[1]
+        free -= len(known)
         value += float(np.linalg.slogdet(known)[1])
+        lost = seen @ np.linalg.solve(known, np.swapaxes(seen, 1, 2))
+        gradient -= [np.sum(lost * part) for part in parts]
     value += free * (math.log(2.0 * math.pi * unlike / free) + 1.0)
-    gradient = [
-        np.sum((left if reml else inverse) * part) - free * (residual @ part @ residual) / unlike
-        for part in parts
-    ]
-    return 0.5 * value, 0.5 * np.array(gradient)
+    gradient -= [free / unlike * np.einsum("pv,pvw,pw", residual, part, residual) for part in parts]
+    return 0.5 * value, 0.5 * gradient
 
 
 def _optimum(design: _Design, fixed: Floats, *, reml: bool = True) -> _Optimum | None:
@@ -361,11 +371,13 @@ def _optimum(design: _Design, fixed: Floats, *, reml: bool = True) -> _Optimum |
     zero, and often stop short of the optimum. So the variances themselves are varied, within bounds, from two starts.
     """
     parts = [design.alike(part) for part in design.parts]
+    limits = design.frame["limit"].to_numpy()
+    data = len(limits), design.by_person(limits), design.by_person(fixed), parts
     found = [
         optimize.minimize(
             _minus_log_likelihood,
             np.full(len(parts), start),
-            args=(design.frame["limit"].to_numpy(), fixed, parts, reml),
+            args=(*data, reml),
             jac=True,
             method="L-BFGS-B",
             bounds=[(0.0, _MOST)] * len(parts),

@@ -575,6 +575,8 @@ def test_likelihood_ratios_are_those_of_the_largest_likelihoods(seed: int) -> No
     rows = runs_of_people(
         repeats=5, dampings=(0.0, 1.0, 3.0), effect=0.0, between=20.0 * (seed % 2), scatter=25.0, seed=seed
     )
+    if seed == 13:  # one person has fewer values than others
+        rows = [row for row in rows if (row.participant, row.condition, row.damping) != ("P02", "a", 3.0)]
     frame = import_module("pandas").DataFrame(
         [(row.participant, row.condition, row.damping, row.order, row.limits["rule"].value) for row in rows],
         columns=["participant", "condition", "damping", "order", "limit"],
