@@ -11,7 +11,9 @@ done
 $busybox mount -t 9p -o trans=virtio,version=9p2000.L,ro,cache=loose,msize=524288 host /lower || $busybox poweroff -f
 $busybox mount -t tmpfs none /upper
 $busybox mkdir /upper/data /upper/work
-$busybox mount -t overlay -o lowerdir=/lower,upperdir=/upper/data,workdir=/upper/work none /new || $busybox poweroff -f
+lower=/lower
+[ -b /dev/vda ] && $busybox mount -t ext4 -o ro /dev/vda /disk && lower=/disk:/lower
+$busybox mount -t overlay -o lowerdir=$lower,upperdir=/upper/data,workdir=/upper/work none /new || $busybox poweroff -f
 for place in dev proc sys; do
     $busybox mount --move /$place /new/$place
 done

@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 DIRECTORY, EXECUTABLE, PLAIN = stat.S_IFDIR | 0o755, stat.S_IFREG | 0o755, stat.S_IFREG | 0o644
-MOUNT_POINTS = ("bin", "dev", "lower", "modules", "new", "proc", "sys", "upper")
+MOUNT_POINTS = ("bin", "dev", "disk", "lower", "modules", "new", "proc", "sys", "upper")
 
 
 def archive(init: str, busybox: Path, modules: Iterable[Path]) -> bytes:

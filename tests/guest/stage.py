@@ -1,7 +1,7 @@
 """The stage of CI that needs a kernel of its own: boot a guest and run the tests of this directory in it.
 
 ``python -m tests.guest.stage [pytest arguments]``. The kernels of the loop are compiled here, for the plainest CPU,
-and so are all Python files: an emulated one takes minutes.
+and so are all Python files: an emulated one takes minutes. What was read for that goes on a disk for the guest.
 """
 
 from __future__ import annotations
@@ -15,55 +15,17 @@ import time
 from contextlib import ExitStack
 from pathlib import Path
 
+from tests.guest import image
 from tests.guest.absent import GuestAbsentError
 from tests.guest.boot import UDEV, WATCHDOG_S, GuestEnd, check_tools, run_in_guest
 from tests.guest.kernel_files import unpacked_kernel
-from tests.guest.pico import PORT, RIG, emulated_pico
+from tests.guest.pico import PORT, emulated_pico
 
 HERE = Path(__file__).resolve().parents[2]
 MODULES = ("vhci_hcd", "dummy_hcd", "usb_f_acm", "cdc_acm", "virtio_console", "vcan", "can_raw")
 SKIPPED = 77  # the exit status that says "not run", as in automake
 PREPARE_TIMEOUT_S = 600.0
 ONE_CPU_FOR_ALL = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
-LOADED = (
-    *("rig.devices.serial", "rig.devices.usb_queue", "sim_backend.usb", "sim_backend.drives"),
-    "tests.guest.hits",
-)
-# Modules of which the tests in the guest enter kernels that a hit does not.
-ENTERED = (
-    *("rig.devices.usb_transfers", "sim_backend.hardware", "sim_backend.sensors"),
-    *("sim_backend.drives.motor", "sim_backend.drives.moteus_law", "sim_backend.drives.odrive_law"),
-)
-COMPILE = f"""
-import importlib
-import {", ".join(LOADED)}
-from rig.bench.bridge.library import library
-from rig.realtime.kernel import prepare
-library()
-for name in {ENTERED}:
-    prepare(*vars(importlib.import_module(name)).values())
-"""
-HIT_STATUSES = (
-    0,
-    6,
-    7,
-    10,
-)  # on a busy machine it may lose its device or its handle: what counts is that it compiled
-ON_BOARD = (
-    *(
-        "--rig",
-        RIG,
-        "--loop",
-        "device",
-        "--estimator",
-        "fdm-butterworth-fixed",
-        "--rate",
-        "4k/1k",
-        "-K",
-        "50",
-    ),
-    *("--duration", "0.5", "--realtime", "--no-plot"),
-)
 PYTEST = ("-o", "addopts=", "--import-mode=importlib", "-p", "no:cacheprovider", "-p", "no:xdist")
 TEST_TIMEOUT_S = 150
 
@@ -76,9 +38,9 @@ def main() -> int:
     try:
         check_tools()
         unpacked_kernel(cache)
-        _prepare(kernels)
+        files = _prepare(kernels)
         prepared = time.monotonic()
-        end = _run(cache, kernels, sys.argv[1:])
+        end = _run(cache, kernels, files, sys.argv[1:])
     except GuestAbsentError as error:
         print(f"SKIPPED: no guest on this machine: {error}")
         return SKIPPED
@@ -90,41 +52,38 @@ def main() -> int:
     return 1 if end.status is None else end.status
 
 
-def _run(cache: Path, kernels: Path, arguments: list[str]) -> GuestEnd:
+def _run(cache: Path, kernels: Path, files: list[Path], arguments: list[str]) -> GuestEnd:
     """Boot the guest with the emulated board beside it, or, aloud, without one."""
     watchdog_s = float(os.environ.get("HAPTIC_RIG_GUEST_WATCHDOG_S", WATCHDOG_S))
-    with tempfile.TemporaryDirectory(prefix="guest-") as shared, ExitStack() as board:
-        share = Path(shared)
+    with tempfile.TemporaryDirectory(prefix="guest-") as scratch, ExitStack() as board:
+        share = Path(scratch, "share")
+        share.mkdir()
         try:
             channel, absent = (PORT, board.enter_context(emulated_pico(share))), ""
         except GuestAbsentError as error:
             channel, absent = None, f"no emulated board: {error}"
             print(f"SKIPPED: {absent}")
+        disk = Path(scratch, "disk")
+        image.make(disk, files)
         script = _script(kernels, arguments, absent)
         return run_in_guest(
-            script, cache, modules=MODULES, share=share, channel=channel, watchdog_s=watchdog_s
+            script, cache, modules=MODULES, share=share, channel=channel, disk=disk, watchdog_s=watchdog_s
         )
 
 
-def _prepare(kernels: Path) -> None:
-    """Compile here what a hit needs, and read it all once, so that the guest finds it in the host's memory."""
+def _prepare(kernels: Path) -> list[Path]:
+    """Compile here what the tests there enter; returns the files that they read."""
     environment = {**os.environ, **ONE_CPU_FOR_ALL, "HAPTIC_RIG_CACHE": str(kernels)}
     environment.pop("PYTHONDONTWRITEBYTECODE", None)
     environment["PYTHONPATH"] = os.pathsep.join(filter(None, (str(HERE), os.environ.get("PYTHONPATH"))))
-    with tempfile.TemporaryDirectory() as place:
-        for command in (
-            ["-m", "compileall", "-q", "firmware_protocol", "rig", "sim_backend"],
-            ["-m", "pytest", *PYTEST, "--collect-only", "tests/guest"],  # assertions as pytest rewrites them
-            ["-c", COMPILE],
-            ["-m", "rig", "hit", "--realtime", "--no-plot", "--duration", "0.5", "-o", place],
-            ["-m", "rig", "hit", *ON_BOARD, "-o", place],
-        ):
-            done = subprocess.run(
-                [sys.executable, *command], cwd=HERE, env=environment, capture_output=True,
-                text=True, timeout=PREPARE_TIMEOUT_S, check=False,
-            )  # fmt: skip
-            if done.returncode not in HIT_STATUSES:
-                raise RuntimeError(f"{command} fails here, before any guest:\n{done.stdout}{done.stderr}")
+    done = subprocess.run(
+        [sys.executable, "-m", "tests.guest.prepare"], cwd=HERE, env=environment, capture_output=True,
+        text=True, timeout=PREPARE_TIMEOUT_S, check=False,
+    )  # fmt: skip
+    if done.returncode != 0:
+        raise RuntimeError(f"the tests of the guest do not load here, before any guest:\n{done.stderr}")
+    compiled = [file for file in kernels.rglob("*") if file.is_file()]
+    return [*map(Path, done.stdout.splitlines()), *compiled]
 
 
 def _script(kernels: Path, arguments: list[str], no_pico: str) -> str:

@@ -164,6 +164,7 @@ net
     tell();
     console.log('ready');
   });
+hear(); // what was compiled meanwhile is fast when somebody really speaks
 setInterval(tell, STATUS_EVERY);
 process.stdin.on('end', () => process.exit(0));
 process.stdin.resume();

@@ -1,0 +1,72 @@
+"""Before a guest, on this machine: ``python -m tests.guest.prepare`` compiles what the tests there enter.
+
+Kernels of the loop for the CPU that the environment names, Python files, tests as pytest rewrites them. It prints the
+files that it read meanwhile, one a line: those that the guest will read.
+"""
+
+from __future__ import annotations
+
+import compileall
+import importlib
+import sys
+import sysconfig
+import tempfile
+from collections.abc import Iterator
+from contextlib import redirect_stdout
+from pathlib import Path
+
+import pytest
+
+from rig import cli
+from rig.bench.bridge.library import library
+from rig.realtime.kernel import prepare
+from tests.guest.pico import RIG
+from tests.guest.stage import PYTEST
+
+# Modules of which the tests in the guest enter kernels that a hit does not.
+ENTERED = (
+    *("rig.devices.usb_transfers", "sim_backend.hardware", "sim_backend.sensors"),
+    *("sim_backend.drives.motor", "sim_backend.drives.moteus_law", "sim_backend.drives.odrive_law"),
+)
+HIT = ("hit", "--realtime", "--no-plot", "--duration", "0.5")
+ON_BOARD = (
+    *("--rig", RIG, "--loop", "device", "--estimator", "fdm-butterworth-fixed"),
+    *("--rate", "4k/1k", "-K", "50"),
+)
+# On a busy machine a hit may lose its device or its handle: what counts is that it compiled.
+HIT_STATUSES = (0, 6, 7, 10)
+
+
+def main() -> None:
+    """Compile, then name the files; exits with another status than 0 when the tests or a hit do not load here."""
+    with tempfile.TemporaryDirectory() as place, redirect_stdout(sys.stderr):
+        for room in ("firmware_protocol", "rig", "sim_backend"):
+            compileall.compile_dir(room, quiet=1)
+        if pytest.main([*PYTEST, "--collect-only", "-q", "tests/guest"]) != pytest.ExitCode.OK:
+            sys.exit(1)
+        library()
+        for name in ENTERED:
+            prepare(*vars(importlib.import_module(name)).values())
+        for more in ((), ON_BOARD):
+            status = cli.run([*HIT, *more, "-o", place])
+            if status not in HIT_STATUSES:
+                sys.exit(status)
+    for file in sorted({file.resolve() for file in _read() if file.is_file()}):
+        print(file)
+
+
+def _read() -> Iterator[Path]:
+    """What this process has imported, source and compiled, libraries that it has mapped, names of plug-ins."""
+    for module in list(sys.modules.values()):
+        if source := getattr(module, "__file__", None):
+            path = Path(source)
+            yield path
+            yield from path.parent.glob(f"__pycache__/{path.stem}.{sys.implementation.cache_tag}*.pyc")
+    for line in Path("/proc/self/maps").read_text().splitlines():
+        if "/" in line and ".so" in line:
+            yield Path(line[line.index("/") :])
+    yield from Path(sysconfig.get_path("purelib")).glob("*.dist-info/entry_points.txt")
+
+
+if __name__ == "__main__":
+    main()
