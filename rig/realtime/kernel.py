@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import gc
 from collections.abc import Callable, Iterator
 from typing import Any, TypeVar, cast
@@ -68,6 +69,7 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
         pipeline = self._compiler.pipeline_class
         self._compiler = Compiler(py_func, self.targetdescr, self.targetoptions, self.locals, pipeline)
         self._parts: dict[Any, tuple[Any, Any]] = {}
+        self._plugged: dict[int, tuple[Any, Any]] = {}
 
     def enable_caching(self) -> None:
         """Keep its machine code on disk, by its module."""
@@ -123,9 +125,18 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
         return self._parts[args][1] if args in self._parts else super().get_overload(sig)
 
     def get_compile_result(self, sig: Any) -> Any:
-        """Machine code for a plug point: asked for at each call with one, so that it takes no lock once prepared."""
-        prepare(self)
-        return super().get_compile_result(sig)
+        """Machine code for a plug point: asked for at each call with one, so that it is looked up once.
+
+        Each plug point has one signature object; numba would compare all types in it, each time.
+        """
+        known = self._plugged.get(id(sig))
+        if known is None:
+            prepare(self)
+            result = super().get_compile_result(sig)
+            library = result.library
+            library.get_pointer_to_function = functools.cache(library.get_pointer_to_function)
+            known = self._plugged[id(sig)] = (sig, result)
+        return known[1]
 
     def get_function_type(self) -> Any:
         """Type of the plug point that it fits."""

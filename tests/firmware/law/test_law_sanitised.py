@@ -32,7 +32,7 @@ def run_program(program: Any, data: Any) -> Any:
 
 @pytest.mark.parametrize("multiplier", [(), ("-DLAW_SHORT_MULTIPLIER",)], ids=["long", "short"])
 def test_no_undefined_behaviour_and_the_answers_of_the_library(law: Any, multiplier: Any) -> None:
-    options = ["-O1", "-g", "-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all"]
+    options = ["-O1", "-g1", "-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all"]
     program = kept_law("sanitised", *options, *multiplier)
     listed = list(cases())
     answer = run_program(program, case_bytes(listed))
