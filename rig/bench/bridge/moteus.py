@@ -91,7 +91,9 @@ class Conversation:
         deadline = time.monotonic() + LISTEN_S
         while (left := deadline - time.monotonic()) > 0:
             heard = self._bus.receive(left)
-            if heard is not None and self._drive in (heard.id & 0x7F, heard.id >> 8 & 0x7F):
+            if heard is None:
+                return
+            if self._drive in (heard.id & 0x7F, heard.id >> 8 & 0x7F):
                 raise DeviceRefusedError(
                     f"another program talks to {self._name}: a second master",
                     remedy="close tview, moteus_tool and other programs on this bus",
