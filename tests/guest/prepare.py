@@ -28,6 +28,8 @@ ENTERED = (
     *("rig.devices.usb_transfers", "sim_backend.hardware", "sim_backend.sensors"),
     *("sim_backend.drives.motor", "sim_backend.drives.moteus_law", "sim_backend.drives.odrive_law"),
 )
+# Where the package is installed pytest would rewrite its plug-in, which this process has imported.
+ALREADY = ("-W", "ignore:Module already imported:pytest.PytestAssertRewriteWarning")
 HIT = ("hit", "--realtime", "--no-plot", "--duration", "0.5")
 ON_BOARD = (
     *("--rig", RIG, "--loop", "device", "--estimator", "fdm-butterworth-fixed"),
@@ -42,7 +44,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as place, redirect_stdout(sys.stderr):
         for room in ("firmware_protocol", "rig", "sim_backend"):
             compileall.compile_dir(room, quiet=1)
-        if pytest.main([*PYTEST, "--collect-only", "-q", "tests/guest"]) != pytest.ExitCode.OK:
+        if pytest.main([*PYTEST, *ALREADY, "--collect-only", "-q", "tests/guest"]) != pytest.ExitCode.OK:
             sys.exit(1)
         library()
         for name in ENTERED:
