@@ -8,9 +8,12 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 import pytest
+
+if TYPE_CHECKING:
+    from rig.recording.data import Recording
 
 PROPERTY = "tolerated"  # in the properties of a test's report
 _in_this_test: list[str] = []
@@ -25,6 +28,14 @@ def too_busy(what: object) -> NoReturn:
     """Skip the test in progress: the machine had no time for it to begin."""
     tolerated(what)
     pytest.skip(f"too busy: {what}")
+
+
+def reason_of(recording: Recording) -> str:
+    """Return why a run in real time ended; skip the test where it lost its device, which a busy machine does to any."""
+    reason = str(recording.trailer["reason"])
+    if reason in ("link_silent", "device_fault"):
+        too_busy(recording.trailer["error"])
+    return reason
 
 
 def taken() -> list[tuple[str, str]]:
