@@ -13,7 +13,7 @@ from rig.cli.command import RESULT, command, option
 from rig.config import Experiment
 from rig.core.present import Row, plain
 from rig.core.sample import unit_of
-from rig.experiments.judgement import Judgement, experiment_of, judge, unexpected
+from rig.experiments.judgement import Verdicts, experiment_of, unexpected, verdicts_of
 from rig.experiments.planned import ARITHMETIC_WORDS
 from rig.recording.cutting import cut_facts
 from rig.recording.data import Recording
@@ -37,15 +37,15 @@ def show(
     """Show what RECORDING holds: rig, wall, why it ended, verdict, losses, columns."""
     opened = open_recording(recording)
     experiment = experiment_of(opened)
-    judgement = judge(opened, experiment)
+    verdicts = verdicts_of(opened, experiment)
     target = _draw(recording, replace(picture, wanted=picture.wanted or xy), xy=xy)
     happened = marks_of(opened) if marks else None
     if as_json:
         also = {} if happened is None else {"marks": happened}
-        output.print_json({**_facts(opened, judgement), "picture": target, **also})
+        output.print_json({**_facts(opened, verdicts), "picture": target, **also})
     else:
-        _print(opened, experiment, judgement, happened, target)
-    error = unexpected([judgement.verdict], expected)
+        _print(opened, experiment, verdicts, happened, target)
+    error = unexpected([verdicts.verdict], expected)
     if error is not None:
         error.reported = as_json
         raise error
@@ -62,7 +62,7 @@ def _draw(recording: Path, picture: options.Picture, *, xy: bool) -> Path | None
 def _print(
     opened: Recording,
     experiment: Experiment,
-    judgement: Judgement,
+    verdicts: Verdicts,
     happened: list[Mark] | None,
     picture: Path | None,
 ) -> None:
@@ -91,7 +91,7 @@ def _print(
         rows.append(Row("error", trailer["error"]))
     if picture is not None:
         rows.append(Row("picture", str(picture)))
-    output.print_rows([*rows, *judgement.rows(experiment)])
+    output.print_rows([*rows, *verdicts.rows(experiment)])
     if happened is not None:
         click.echo("marks")
         output.print_pairs(_mark_pairs(happened))
@@ -135,10 +135,10 @@ def _agreement(found: dict[str, Any]) -> str:
     )
 
 
-def _facts(opened: Recording, judgement: Judgement) -> dict[str, Any]:
+def _facts(opened: Recording, verdicts: Verdicts) -> dict[str, Any]:
     return {
         "header": opened.header,
-        "trailer": {**(opened.trailer or {}), **plain(judgement)},
+        "trailer": {**(opened.trailer or {}), **plain(verdicts)},
         "rows": len(opened.rows),
         "complete": opened.complete,
         "lost": [str(loss) for loss in opened.lost],

@@ -11,6 +11,7 @@ from rig.bench.bridge.faults import DriveFault
 from rig.config import Experiment, experiment_from_mapping, verdict_thresholds
 from rig.control import judging, verdict
 from rig.control.verdict import Kind, Measured, Objection, Verdict, percent
+from rig.core.deferred import pydantic
 from rig.core.errors import ConfigError, RecordingError, UnexpectedVerdictError
 from rig.core.present import Row, written
 from rig.core.sample import Phase, unit_of
@@ -36,28 +37,21 @@ def experiment_of(recording: Recording) -> Experiment:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Judgement:
-    """What a recording says about its wall.
+class Verdicts:
+    """What is said of a recording's wall, and kept in its trailer.
 
     Attributes
     ----------
     verdict, verdict_true
         From what was recorded, and from the truth where there is one. A push that did not last is invalid, unless the
         wall threw the handle out: then it is unstable.
-    measured, measured_true
-        The numbers that these go by, and what each criterion says.
-    early
-        What an early end makes of the verdict (`ended_early`).
     began
         Position at the beginning of the trial proper (rad or m); None where it never began.
     """
 
     verdict: Verdict
     verdict_true: Verdict | None
-    measured: Measured = field(repr=False)
-    measured_true: Measured | None = field(repr=False)
-    early: tuple[Kind, str] | None = field(repr=False)
-    began: float | None = None
+    began: float | None
 
     def rows(self, experiment: Experiment) -> list[Row]:
         """The verdict and what it goes by, for people; the truth beside it where there is one."""
@@ -145,6 +139,35 @@ def _observed(windows: int) -> str:
 def _nothing(value: Any, threshold: float) -> Any:
     """What is nothing against its threshold is 0, not the rounding of a filter."""
     return 0.0 if isinstance(value, float) and abs(value) < 1e-6 * threshold else value
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Judgement(Verdicts):
+    """Verdicts with what they were made from.
+
+    Attributes
+    ----------
+    measured, measured_true
+        The numbers that these go by, and what each criterion says.
+    early
+        What an early end makes of the verdict (`ended_early`).
+    """
+
+    measured: Measured = field(repr=False)
+    measured_true: Measured | None = field(repr=False)
+    early: tuple[Kind, str] | None = field(repr=False)
+
+
+def verdicts_of(recording: Recording, experiment: Experiment) -> Verdicts:
+    """Return what was said of a recording when it was sealed; where that is not known, it is judged now.
+
+    So it is with a recording whose writer died, a cut, and one that another version wrote in its own words.
+    """
+    try:
+        told: Verdicts = pydantic.TypeAdapter(Verdicts).validate_python(recording.trailer)
+    except pydantic.ValidationError:
+        return judge(recording, experiment)
+    return told
 
 
 def judge(recording: Recording, experiment: Experiment) -> Judgement:

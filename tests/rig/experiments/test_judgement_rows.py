@@ -1,8 +1,10 @@
-"""What a judgement offers to people: each number with its unit, its limit and, in simulation, the truth."""
+"""What a judgement offers to people: each number with its unit, its limit and, in simulation, the truth; and later."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -11,6 +13,7 @@ from rig.control.verdict import Kind
 from rig.core.present import Row, plain
 from rig.core.sample import unit_of
 from rig.experiments.hit import HitRequest, HitResult, hit
+from rig.experiments.judgement import Verdicts, judge, verdicts_of
 
 
 @pytest.fixture(scope="module")
@@ -57,6 +60,33 @@ def test_what_a_count_hides_is_not_measurable_and_json_says_null(result: HitResu
     assert mapping["verdict"]["felt"] is None
     assert set(mapping["verdict"]) == set(mapping["verdict_true"])
     assert mapping["thresholds"]["felt_velocity"] == verdict_thresholds(result.experiment).felt_velocity
+
+
+def trailer_with(result: HitResult, **changes: Any) -> dict[str, Any]:
+    """A sealed trailer whose verdict says otherwise than its rows."""
+    trailer = dict(result.recorded.recording.trailer or {})
+    return trailer | {"verdict": trailer["verdict"] | {"kind": "unstable", "growth": "Infinity"} | changes}
+
+
+def test_a_sealed_recording_keeps_the_verdict_that_the_run_had(result: HitResult) -> None:
+    sealed, experiment = result.recorded.recording, result.experiment
+    assert plain(verdicts_of(sealed, experiment)) == plain(result.recorded.judgement)
+    told = verdicts_of(replace(sealed, trailer=trailer_with(result)), experiment)
+    assert (told.verdict.kind, told.verdict.growth) == (Kind.UNSTABLE, float("inf"))
+    assert told.verdict_true == result.verdict_true
+
+
+@pytest.mark.parametrize(
+    "changes", [None, {"kind": "calm"}, {"growth": None}, {"ticks": "many"}, {"reasons": 3}], ids=str
+)
+def test_where_no_verdict_can_be_read_it_is_judged_now(
+    result: HitResult, changes: dict[str, Any] | None
+) -> None:
+    trailer = {"reason": "finished"} if changes is None else trailer_with(result, **changes)
+    recording = replace(result.recorded.recording, trailer=trailer)
+    found: Verdicts = judge(recording, result.experiment)
+    assert plain(verdicts_of(recording, result.experiment)) == plain(found)
+    assert found.verdict.kind is Kind.STABLE
 
 
 @pytest.mark.parametrize("coulomb", [1.0, 0.0])
