@@ -2,9 +2,11 @@
 
 import time
 import zlib
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+import pytest
 
 from firmware_protocol import messages as m
 from firmware_protocol.connection import Connection
@@ -12,7 +14,11 @@ from firmware_protocol.framing import encode_frame
 from firmware_protocol.packing import pack
 from rig import config
 from rig.config import controller, presets
+from rig.core.clock_fit import EXCHANGE, fit_clock
+from rig.core.sample import ROW
 from rig.realtime import codec
+from rig.recording.timing import ledger
+from rig.recording.timing_summary import summarise
 from sim_backend import trial
 from sim_backend.plant import DiscretePlant
 
@@ -81,3 +87,36 @@ def test_a_trial_without_bytes_is_far_quicker_than_one_over_the_link() -> None:
         f"\none tick: {1e9 * per_tick:.0f} ns without bytes; the unarmed device alone {1e6 * device_tick:.1f} µs"
     )
     assert per_tick < device_tick
+
+
+@pytest.mark.parametrize("what", ["clock fit", "latency ledger"])
+def test_what_is_made_of_a_whole_session_grows_with_its_length_not_with_its_square(what: str) -> None:
+    few, many = 2_000, 20_000
+
+    def of_exchanges(count: int) -> Callable[[], object]:
+        exchanges = np.zeros(count, EXCHANGE)
+        waits = np.random.default_rng(1).integers(0, 20_000, (count, 2)).cumsum(axis=1)
+        exchanges["host_sent"] = np.arange(count) * 100_000_000
+        exchanges["device_received"] = exchanges["device_sent"] = (
+            exchanges["host_sent"] + 40_000 + waits[:, 0]
+        )
+        exchanges["host_received"] = exchanges["host_sent"] + 100_000 + waits[:, 1]
+        return lambda: fit_clock(exchanges)
+
+    def of_rows(count: int) -> Callable[[], object]:
+        rows = np.zeros(50 * count, ROW)
+        ticks = np.arange(len(rows))
+        rows["sample_index"] = rows["tick"] = ticks
+        rows["device_time"], rows["received_at"] = ticks * 100_000, ticks * 100_000 + 30_000
+        rows["computed_at"], rows["sent_at"] = rows["received_at"] + 3_000, rows["received_at"] + 10_000
+        rows["command_sequence"], rows["command_active"] = ticks % 65536, (ticks - 2) % 65536
+        exchanges = np.zeros(2, EXCHANGE)
+        for number, name in enumerate(EXCHANGE.names or ()):
+            exchanges[name] = (number * 20_000, number * 20_000 + rows["device_time"][-1])
+        clock = fit_clock(exchanges)
+        return lambda: summarise(ledger(rows, clock, 100_000.0), None)
+
+    made = of_exchanges if what == "clock fit" else of_rows
+    short, long = (per_call(made(count), 1) for count in (few, many))
+    print(f"\n{what}: {1e3 * short:.1f} ms, ten times as long {1e3 * long:.1f} ms")
+    assert long < 30.0 * short  # ten times; its square is a hundred
