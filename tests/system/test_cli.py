@@ -448,25 +448,24 @@ def test_a_directory_that_cannot_be_written_is_refused_before_anything_moves(
     assert "recordings" in err
 
 
-# A shell that lets Ctrl-C be ignored, as that of `nohup … &`, means it: kill ends what it starts.
 @pytest.mark.signals
-@pytest.mark.parametrize(
-    ("shell", "numbers"),
-    [((), [signal.SIGINT]), (("env", "--ignore-signal=INT"), [signal.SIGINT, signal.SIGTERM])],
-    ids=["heard", "ignored"],
-)
-def test_ctrl_c_ends_a_hit_with_its_own_exit_code_and_a_recording(
-    shell: Any, numbers: Any, tmp_path: Path
+def test_kill_ends_a_hit_that_must_not_hear_ctrl_c_with_its_own_exit_code_and_a_recording(
+    tmp_path: Path,
 ) -> None:
+    """A shell that lets Ctrl-C be ignored, as that of `nohup … &`, means it: kill ends what it starts.
+
+    Ctrl-C that is heard: `test_nothing_is_left`.
+    """
     options = ("--duration", "3000", "--no-plot", "--output", tmp_path / "out")
+    command = ("env", "--ignore-signal=INT", sys.executable, "-m", "rig", "hit", *options)
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    with started(*shell, sys.executable, "-m", "rig", "hit", *options, **pipes) as process:
+    with started(*command, **pipes) as process:
         deadline = time.monotonic() + 100.0
-        for size, number in enumerate(numbers, start=1):
+        for size, number in enumerate((signal.SIGINT, signal.SIGTERM), start=1):
             while sum(path.stat().st_size for path in tmp_path.glob("out/*.rigcap")) < size * 1_000_000:
                 assert process.poll() is None
                 assert time.monotonic() < deadline
-                time.sleep(0.05)
+                time.sleep(0.01)
             process.send_signal(number)
         _, err = process.communicate(timeout=60.0)
     assert process.returncode == 130, err

@@ -40,6 +40,7 @@ from rig.devices.fault_script import DeviceFault, Direction, Faults, FrameFault,
 from rig.devices.framed import FramedDevice
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import LAW_SIGNATURE
+from rig.recording.reader import open_recording
 from sim_backend.device import SimulatedDevice
 from sim_backend.link import MemoryLink
 from tests.conformance.census import MARK, Census, marked, nothing_left, still_there
@@ -309,8 +310,8 @@ with started("sleep", "600") as process:
 
 
 @pytest.mark.signals
-def test_no_process_and_no_memory_is_left_of_a_command_that_ctrl_c_ends(tmp_path: Path) -> None:
-    """The device's process, the one that draws, and whatever multiprocessing started all go."""
+def test_no_process_and_no_memory_is_left_of_a_command_that_ctrl_c_ends(tmp_path: Path) -> Any:
+    """The device's process, the one that draws, and whatever multiprocessing started all go; the recording stays."""
     mark = uuid.uuid4().hex
     before = set(os.listdir("/dev/shm"))
     command = (sys.executable, "-m", "rig", "hit", "--realtime", "--duration", "60")
@@ -323,7 +324,16 @@ def test_no_process_and_no_memory_is_left_of_a_command_that_ctrl_c_ends(tmp_path
     assert not still_there(mark)
     ours = {name for name in set(os.listdir("/dev/shm")) - before if "haptic" in name or "rig" in name}
     assert not ours
-    assert b"Traceback" not in (tmp_path / "said").read_bytes()
+    text = (tmp_path / "said").read_text()
+    assert "Traceback" not in text
+    assert hit.returncode in (StoppedError.exit_code, LinkLostError.exit_code, DeviceFaultError.exit_code), (
+        text
+    )
+    if hit.returncode != StoppedError.exit_code:
+        return tolerated(text.strip().splitlines()[-1])
+    assert "stopped" in text
+    (recording,) = map(open_recording, tmp_path.glob("recordings/*.parquet"))
+    assert (recording.complete, recording.trailer["reason"]) == (True, "stopped")
 
 
 def grown(directory: Any) -> Any:
