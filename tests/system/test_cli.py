@@ -566,8 +566,8 @@ def test_a_pipe_that_breaks_elsewhere_is_no_reader_that_has_gone(
 @pytest.mark.parametrize("option", [[], ["--json"]])
 def test_a_name_that_is_no_text_is_shown_in_any_locale(option: list[str]) -> None:
     environment = {**os.environ, "PYTHONUTF8": "1", "PYTHONIOENCODING": "utf-8:strict"}
-    command = [sys.executable, "-m", "rig", "firmware", "info", *option, b"\xff.toml"]
+    command = [sys.executable, "-m", "rig", "preset", *option, b"\xff.toml"]
     done = subprocess.run(command, capture_output=True, env=environment, check=False)
     assert done.returncode == 2
     assert b"\\udcff.toml" in done.stderr
-    assert not option or json.loads(done.stdout)["error"]["error"].startswith("\udcff.toml")
+    assert not option or json.loads(done.stdout)["error"]["error"].startswith("preset \udcff.toml")
