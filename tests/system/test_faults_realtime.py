@@ -336,7 +336,10 @@ def test_a_signal_stops_the_loop_and_leaves_a_whole_recording(
 def test_a_signal_to_a_host_process_leaves_the_device_at_rest(
     number: Any, far_end: Any, tmp_path: Path
 ) -> None:
-    """From outside, as a person, a session manager and the kernel send them; a stopped host is like a dead one."""
+    """From outside, as a person, a session manager and the kernel send them; a stopped host is like a dead one.
+
+    The device has latched LINK_LOST for a host that vanished; the next one clears it and says so.
+    """
     device, path = far_end(), tmp_path / "trial.rigcap"
     host = HostProcess(device.url, LONG, path)
     try:
@@ -362,6 +365,9 @@ def test_a_signal_to_a_host_process_leaves_the_device_at_rest(
     assert recording.complete == (said != "killed")
     if said == "killed":
         assert device["first_fault"] == Fault.LINK_LOST
+        assert device["state"] in (State.FAULT, State.CONFIGURED)
+        (tmp_path / "next").mkdir()
+        Run(device, tmp_path / "next").check(LinkLostError, DeviceRefusedError)
 
 
 def test_a_full_disk_is_told_at_the_end_and_the_device_is_at_rest(far_end: Any, tmp_path: Path) -> None:
@@ -393,20 +399,3 @@ def test_a_device_that_somebody_else_has_open_is_refused_before_anything_moves(
     assert isinstance(run.error, DeviceNotFoundError)
     assert device["running"] == 0
     assert not (tmp_path / "trial.rigcap").exists()
-
-
-def test_after_every_fault_the_next_trial_finds_the_device_usable(far_end: Any, tmp_path: Path) -> None:
-    """The device has latched LINK_LOST for a host that vanished; the next one clears it and says so."""
-    device = far_end()
-    host = HostProcess(device.url, LONG, tmp_path / "first.rigcap")
-    try:
-        device.wait_for(
-            lambda w: w["running"] > EARLY or not host.process.is_alive(), "the host moves nothing"
-        )
-        host.process.kill()
-        device.wait_for_rest()
-        host.ended()
-    finally:
-        host.close()
-    assert device["state"] in (State.FAULT, State.CONFIGURED)
-    Run(device, tmp_path).check(LinkLostError, DeviceRefusedError)
