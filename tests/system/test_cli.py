@@ -21,6 +21,7 @@ import pytest
 import rig.cli
 from rig import config
 from rig.config import presets
+from rig.devices import framed
 from rig.experiments.judgement import experiment_of, judge
 from rig.recording.reader import open_recording
 from sim_backend import pty
@@ -262,7 +263,10 @@ def test_devices_lists_backends_and_asks_a_simulated_one_who_it_is(run: Any) -> 
     assert facts["simulated"]
 
 
-def test_devices_asks_the_port_as_well_as_the_device_behind_it(run: Any) -> None:
+def test_devices_asks_the_port_as_well_as_the_device_behind_it(
+    run: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(framed, "DRIFT_S", 0.2)  # it is not asked here how well the drift is known
     announced, stop = Queue(), threading.Event()
     model = config.rig_model(presets.load("koul-compliant"))
     thread = threading.Thread(
