@@ -289,10 +289,9 @@ def test_a_worker_that_dies_under_a_task_is_started_again_by_its_nanny(cluster: 
     cluster.have(0)
     cluster.add_worker(nanny=True)
     tasks = sines(30, wait_s=0.02)
-    for number in (5, 20):
-        tasks[number] = Task(f"dies {number}", {"seed": number, "dies": str(tmp_path / f"died {number}")})
+    tasks[5] = Task("dies", {"seed": 5, "dies": str(tmp_path / "died")})
     results = sweep.run(KILLS, tasks, journal=tmp_path / "j", scheduler=cluster.address)
-    assert all((tmp_path / f"died {number}").exists() for number in (5, 20))
+    assert (tmp_path / "died").exists()
     cluster.have(0)
     assert_nothing_lost_and_nothing_twice(results, tmp_path / "j", tasks)
 
@@ -330,7 +329,7 @@ def test_a_scheduler_that_dies_ends_the_sweep_with_what_is_done(cluster: Any, tm
 @needs_distributed
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nonsense://x"])
 def test_no_scheduler_there_is_said_with_the_remedy(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(clusters, "CONNECT_S", 0.5)
+    monkeypatch.setattr(clusters, "CONNECT_S", 0.1)
     with pytest.raises(ConfigError, match=r"no Dask scheduler answers at .*start one with `dask scheduler`"):
         sweep.run(SINES, sines(2), scheduler=address)
 
