@@ -40,13 +40,13 @@ from tests.attack.protocol import raw_frames
 
 EXPERIMENT = config.override(
     config.with_realtime(presets.load("koul-compliant")),
-    {"trial.duration_s": 0.6, "trial.release_s": 0.02, "homing.settle_s": 0.02, "verdict.tail_s": 0.2},
+    {"trial.duration_s": 0.35, "trial.release_s": 0.02, "homing.settle_s": 0.02, "verdict.tail_s": 0.1},
 )
 MODEL = config.rig_model(EXPERIMENT)
 LIFETIME, LONGEST = 5, 40  # of a command, and by how much a link holds it back (ticks)
 START = -0.015
 REST_S = 0.05  # lifetime and ramp, and some
-TICKS = 700  # about what a run takes
+TICKS = 450  # about what a run takes
 ANSWERS_MOST = 20_000  # of one run: a host that asks for ever is a finding
 U16, U32, I16 = 0xFFFF, 0xFFFFFFFF, 0x7FFF
 

@@ -19,6 +19,8 @@ from tests.attack.area import Outcome, isolation, require
 from tests.attack.commands import Ended, documented, preload, run
 
 PATIENCE_S = 4.0  # a value may be right and the work long: then Ctrl-C has to end it
+SERVED_S = 0.5  # of what ends by Ctrl-C alone: while it begins, or when it serves
+SERVE = {("console",), ("lsl",), ("sim", "serve"), ("bridge", "moteus"), ("bridge", "odrive")}
 FILE_BYTES = 1 << 28  # that a huge value may not fill the disk
 MEMORY_BYTES = 1 << 33
 OF_ALL_LOOPS = ("stop", "set", "lsl")  # they look for loops of this user: not without processes of our own
@@ -79,7 +81,7 @@ class Options:
         (directory / "locked").chmod(0)
         words, command = self._commands[case % len(self._commands)]
         line = [*words, *self._arguments(command, chance)]
-        ended = self._run(line, directory)
+        ended = self._run(line, directory, SERVED_S if words in SERVE else PATIENCE_S)
         try:
             ended.check(self._codes)
             for elsewhere in (self._home, self._elsewhere):
@@ -97,7 +99,7 @@ class Options:
         figures = Counter({"runs": 1, "interrupted": int(ended.interrupted), f"code {ended.code}": 1})
         return Outcome(figures)
 
-    def _run(self, line: list[str], directory: Path) -> Ended:
+    def _run(self, line: list[str], directory: Path, patience_s: float) -> Ended:
         limits = {resource.RLIMIT_FSIZE: FILE_BYTES, resource.RLIMIT_AS: MEMORY_BYTES}
         before = {limit: resource.getrlimit(limit) for limit in limits}
         for limit, value in limits.items():
@@ -106,7 +108,7 @@ class Options:
             return run(
                 line,
                 directory,
-                PATIENCE_S,
+                patience_s,
                 HOME=str(self._home),
                 TMPDIR=str(self._elsewhere),
                 MPLCONFIGDIR=str(self._fonts),

@@ -41,7 +41,6 @@ class Census:
     timer_slack_ns: int
     blocked: tuple[int, ...]  # signals
     handlers: tuple[str, ...]
-    frozen: int  # objects that the garbage collector leaves out
     collecting: bool
     switch_interval_s: float
     limits: tuple[tuple[int, int], ...]
@@ -68,7 +67,6 @@ class Census:
             timer_slack_ns=int(Path("/proc/self/timerslack_ns").read_text()),
             blocked=tuple(sorted(signal.pthread_sigmask(signal.SIG_BLOCK, []))),
             handlers=tuple(repr(signal.getsignal(number)) for number in (signal.SIGINT, signal.SIGTERM)),
-            frozen=gc.get_freeze_count(),
             collecting=gc.isenabled(),
             switch_interval_s=sys.getswitchinterval(),
             limits=tuple(
@@ -80,7 +78,6 @@ class Census:
     def changes(self, after: Census) -> dict[str, tuple[Any, Any]]:
         """Return what is not the same, before and after."""
         old, new = asdict(self), asdict(after)
-        new["frozen"] = max(old["frozen"], new["frozen"])  # what dies meanwhile leaves their number
         return {name: (old[name], new[name]) for name in old if old[name] != new[name]}
 
 

@@ -38,11 +38,27 @@ ERRORS = [
     ('"Column" has no attribute "units"', "unit"),
     ('has incompatible type "str": "str"', "Parameter"),
 ]
+# Both runs of pytest in one process: what they import and the compiled kernels that they load are most of a run.
+TWICE = """
+import sys
+
+import pytest
+
+here = ["-q", "-p", "no:cacheprovider", "-W", "error", "tests"]
+code = pytest.main([*here, "--rig-golden=update", "-k", "what_it_was"]) or pytest.main(here)
+
+import mylab
+import rig
+import sim_backend
+
+print(rig.__file__, mylab.__file__, sim_backend.__file__)
+sys.exit(code)
+"""
 
 
 def done(*command: str, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-P", "-m", *command], cwd=cwd, env={**os.environ, **environment},
+        [sys.executable, "-P", *command], cwd=cwd, env={**os.environ, **environment},
         capture_output=True, text=True, timeout=100, check=False,
     )  # fmt: skip
 
@@ -52,7 +68,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The package beside a directory `site`, in which it is installed with the wheel, and the examples in `guides`."""
     place = tmp_path_factory.mktemp("lab") / "lab"
     shutil.copytree(ROOT / "tests" / "lab_package", place)
-    built = done("hatchling", "build", "-t", "wheel", "-d", str(place / "dist"), cwd=ROOT)
+    built = done("-m", "hatchling", "build", "-t", "wheel", "-d", str(place / "dist"), cwd=ROOT)
     assert built.returncode == 0, built.stderr
     (wheel,) = (place / "dist").glob("*.whl")
     offline = (
@@ -62,7 +78,9 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "--disable-pip-version-check",
         "--no-compile",
     )
-    installed = done("pip", "install", "-q", *offline, "--target", "site", str(wheel), str(place), cwd=place)
+    installed = done(
+        "-m", "pip", "install", "-q", *offline, "--target", "site", str(wheel), str(place), cwd=place
+    )
     assert installed.returncode == 0, installed.stderr
     shutil.copytree(place / "site" / "rig" / "testing" / "recipe", place, dirs_exist_ok=True)
     guides = place / "guides"
@@ -82,7 +100,7 @@ def test_it_and_every_example_pass_mypy_strict_and_what_is_wrong_is_found(lab: P
     """One run for all: most of it is reading the package."""
     shown = [str(path.relative_to(lab)) for path in sorted((lab / "guides").iterdir())]
     assert len(shown) == 10
-    command = ("mypy", "--cache-dir=types", "mylab", "tests", *shown, "wrong.py")
+    command = ("-m", "mypy", "--cache-dir=types", "mylab", "tests", *shown, "wrong.py")
     checked = done(*command, cwd=lab, PYTHONPATH=str(lab / "site"))
     errors = [line for line in checked.stdout.splitlines() if ": error: " in line]
     assert [line for line in errors if not line.startswith("wrong.py:")] == []
@@ -95,24 +113,19 @@ def test_it_and_every_example_pass_mypy_strict_and_what_is_wrong_is_found(lab: P
 
 def test_its_tests_pass_with_the_wheel_and_without_the_sources(lab: Path) -> None:
     assert (lab / "site" / "rig" / "docs" / "index.md").is_file(), "rig docs builds from what is installed"
-    where = "import rig, mylab, sim_backend; print(rig.__file__, mylab.__file__, sim_backend.__file__)"
-    environment = {"PYTHONPATH": str(lab / "site"), "PYTEST_ADDOPTS": ""}
-    found = subprocess.run(
-        [sys.executable, "-P", "-c", where],
-        cwd=lab, env={**os.environ, **environment}, capture_output=True, text=True, check=True,
-    ).stdout.split()  # fmt: skip
-    assert [Path(file).parts[: len(lab.parts) + 1] for file in found] == [(*lab.parts, "site")] * 3
     workflow = (lab / ".github" / "workflows" / "haptics.yml").read_text()
     assert re.findall(r"^      - run: (.+)$", workflow, re.MULTILINE) == [
         "pip install -r requirements.txt",
         "pytest",
     ]
+    environment = {"PYTHONPATH": str(lab / "site"), "PYTEST_ADDOPTS": ""}
     offline = {"PIP_NO_INDEX": "1", "PIP_DRY_RUN": "1"}  # what they ask for is installed
-    needed = done("pip", "install", "-q", "-r", "requirements.txt", cwd=lab, **environment, **offline)
+    needed = done("-m", "pip", "install", "-q", "-r", "requirements.txt", cwd=lab, **environment, **offline)
     assert needed.returncode == 0, needed.stderr
-    pytest_here = ("pytest", "-q", "-p", "no:cacheprovider", "-W", "error", "tests")
-    updated = done(*pytest_here, "--rig-golden=update", "-k", "what_it_was", cwd=lab, **environment)
-    assert "1 passed, 8 deselected" in updated.stdout, updated.stdout + updated.stderr  # once, and committed
-    tests = done(*pytest_here, cwd=lab, **environment)
-    assert "9 passed" in tests.stdout, tests.stdout + tests.stderr
+    tests = done("-c", TWICE, cwd=lab, **environment)
+    assert tests.returncode == 0, tests.stdout + tests.stderr
+    assert "1 passed, 8 deselected" in tests.stdout  # once, and committed
+    assert "9 passed" in tests.stdout
+    found = tests.stdout.splitlines()[-1].split()
+    assert [Path(file).parts[: len(lab.parts) + 1] for file in found] == [(*lab.parts, "site")] * 3
     assert not (lab / "rig-recordings").exists(), "only failed tests leave some"

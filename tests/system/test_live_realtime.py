@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import gc
 import json
+import os
 import subprocess
 import sys
 import time
+import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -22,6 +24,7 @@ from rig.experiments.recover import CaptureState, recover
 from rig.realtime.anonymous_memory import LINK
 from rig.realtime.running import RunningLoop, running, stop
 from rig.recording.reader import open_recording
+from tests.conformance.census import MARK, marked, still_there
 from tests.conformance.started import started
 from tests.conformance.tolerance import tolerated, too_busy
 
@@ -36,25 +39,27 @@ LOST = (
 
 
 @contextmanager
-def hit(directory: Path, *more: str) -> Iterator[tuple[subprocess.Popen[str], RunningLoop]]:
+def hit(
+    directory: Path, *more: str, ticks: int = 100, **environment: str
+) -> Iterator[tuple[subprocess.Popen[str], RunningLoop]]:
     """A hit of a simulated rig in real time that waits long before its wall; yields it when its loop steps."""
-    options = ["--set", "homing.settle_s=30", "--set", "homing.timeout_s=60", "--no-plot", "--json", *more]
+    options = ["--set", "homing.settle_s=30", "--set", "homing.timeout_s=60", "--json", *more]
     command = [sys.executable, "-m", "rig", "hit", "--realtime", "-o", str(directory), *options]
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "env": os.environ | environment}
     with started(*command, cwd=ROOT, text=True, **pipes) as process:
-        yield process, stepping(process)
+        yield process, stepping(process, ticks)
 
 
-def stepping(process: subprocess.Popen[str]) -> RunningLoop:
-    """The loop of a process, once it has made a thousand steps."""
+def stepping(process: subprocess.Popen[str], ticks: int) -> RunningLoop:
+    """The loop of a process, once it has made so many steps."""
     deadline = time.monotonic() + PATIENCE_S
     while process.poll() is None and time.monotonic() < deadline:
         for loop in running():
-            if loop.pid == process.pid and loop.ticks > 1000:
+            if loop.pid == process.pid and loop.ticks > ticks:
                 return loop
         time.sleep(0.02)
     if process.poll() in LOST:
-        too_busy("the link was lost before a thousand steps")
+        too_busy(f"the link was lost before step {ticks}")
     process.kill()
     raise AssertionError(f"no loop: {process.communicate()}")
 
@@ -74,7 +79,7 @@ ON_DEVICE = (
 def test_another_terminal_changes_the_wall_and_stops_the_loop(
     options: tuple[str, ...], tmp_path: Path
 ) -> None:
-    with hit(tmp_path, *options) as (process, loop):
+    with hit(tmp_path, "--no-plot", *options) as (process, loop):
         assert Path(loop.info["recording"]).parent == tmp_path
         try:
             done = change_wall({"stiffness": 120.0, "damping": 0.3}, process.pid, patience_s=PATIENCE_S)
@@ -108,14 +113,19 @@ def test_another_terminal_changes_the_wall_and_stops_the_loop(
 
 
 def test_what_a_killed_hit_left_is_recovered_and_nothing_else_stays(tmp_path: Path) -> None:
-    with hit(tmp_path) as (process, _):
+    """The capture is sealed; and the device's process, the one that draws, and what multiprocessing started go."""
+    mark, before = uuid.uuid4().hex, set(os.listdir("/dev/shm"))
+    with hit(tmp_path, ticks=1000, **{MARK: mark}) as (process, _):
         (capture,) = tmp_path.glob("*.rigcap")
         (result,) = recover([tmp_path])
         if process.poll() is None:
             assert result.outcome == CaptureState.IN_USE  # by its lock, or as a loop's own
+        assert len(marked(mark)) >= 3 or process.poll() is not None, "host, device and who draws at least"
         process.kill()
         process.wait()
         assert not any(other.pid == process.pid for other in running(done=True))
+    assert not still_there(mark)
+    assert not [name for name in set(os.listdir("/dev/shm")) - before if "haptic" in name or "rig" in name]
     (result,) = recover([tmp_path]) if capture.exists() else (result,)
     assert result.outcome == CaptureState.SEALED
     assert not capture.exists()

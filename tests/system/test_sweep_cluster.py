@@ -4,6 +4,7 @@ Scheduler and workers are processes of their own, as on a real cluster; this one
 """
 
 import contextlib
+import itertools
 import json
 import os
 import signal
@@ -43,17 +44,58 @@ def _no_distributed() -> Any:
 
 
 class Cluster:
-    """A scheduler and workers with one thread each, all on this machine; they end with the block."""
+    """A scheduler and workers with one thread each, all on this machine; they end with the block.
 
-    def __init__(self, directory: Any, **environment: Any) -> None:
+    All tests share it, and many kill some of it: each asks for as many workers as it needs (`have`). They stand in the
+    order in which the fewest have to be started.
+    """
+
+    def __init__(self, directory: Any) -> None:
         self._directory = directory
-        self._environment = {**os.environ, "PYTHONPATH": str(ROOT), **environment}
-        self._processes = []
+        self._numbers = itertools.count()
         self.scheduler = None
         self.workers = []
 
     def __enter__(self) -> Any:
-        facts = self._directory / "scheduler.json"
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        for process in (*self.workers, self.scheduler):
+            if process is not None:
+                _end(process)
+
+    def have(self, number: int) -> None:
+        """Return when the scheduler knows so many workers."""
+        self._have_a_scheduler()
+        alive = [worker for worker in self.workers if worker.poll() is None]
+        for worker in alive[number:]:
+            _end(worker)
+        self.workers = alive[:number]
+        while len(self.workers) < number:
+            self.add_worker()
+        until = time.monotonic() + START_S
+        while self.ask(lambda dask_scheduler: len(dask_scheduler.workers)) != number:
+            assert time.monotonic() < until, "the workers did not come, or did not go"
+            time.sleep(0.02)
+
+    def ask(self, question: Any) -> Any:
+        """What a function says that the scheduler runs."""
+        from distributed import Client  # noqa: PLC0415
+
+        with Client(self.address, set_as_default=False) as client:
+            return client.run_on_scheduler(question)
+
+    def add_worker(self, *, nanny: bool = False) -> None:
+        options = ["--nthreads", "1", "--local-directory", str(self._directory)]
+        options += ["--nanny" if nanny else "--no-nanny"]
+        self.workers.append(self._start("dask_worker", self.address, *options))
+
+    def _have_a_scheduler(self) -> None:
+        if self.scheduler is not None and self.scheduler.poll() is None:
+            return
+        while self.workers:
+            _end(self.workers.pop())
+        facts = self._directory / f"scheduler-{next(self._numbers)}.json"
         self.scheduler = self._start(
             "dask_scheduler", "--port", "0", "--scheduler-file", str(facts), "--no-jupyter"
         )
@@ -62,36 +104,10 @@ class Cluster:
             assert time.monotonic() < until, "the scheduler did not start"
             time.sleep(0.02)
         self.address = json.loads(facts.read_text())["address"]
-        return self
-
-    def __exit__(self, *error: Any) -> None:
-        # The group, since a nanny's worker would outlive it.
-        for process in self._processes:
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
-
-    def add_worker(self, *, nanny: bool = False) -> None:
-        options = [
-            "--nthreads",
-            "1",
-            "--local-directory",
-            str(self._directory),
-            "--nanny" if nanny else "--no-nanny",
-        ]
-        self.workers.append(self._start("dask_worker", self.address, *options))
-
-    def wait_for_workers(self) -> None:
-        """Return when the scheduler knows them all."""
-        from distributed import Client  # noqa: PLC0415
-
-        with Client(self.address, set_as_default=False) as client:
-            client.wait_for_workers(len(self.workers), timeout=START_S)
 
     def _start(self, command: Any, *arguments: Any) -> Any:
-        log = (self._directory / f"log-{len(self._processes)}").open("wb")
-        with log:
-            process = subprocess.Popen(
+        with (self._directory / f"log-{next(self._numbers)}").open("wb") as log:
+            return subprocess.Popen(
                 [
                     *LEASH,
                     sys.executable,
@@ -103,28 +119,23 @@ class Cluster:
                     *arguments,
                 ],
                 cwd=self._directory,
-                env=self._environment,
+                env={**os.environ, "PYTHONPATH": str(ROOT)},
                 stdout=log,
                 stderr=log,
                 start_new_session=True,
             )
-        self._processes.append(process)
-        return process
 
 
-@pytest.fixture
-def cluster(tmp_path: Path) -> Iterator[Any]:
-    with Cluster(tmp_path) as started:
-        yield started
+def _end(process: Any) -> None:
+    """Kill the whole group, since a nanny's worker would outlive it."""
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
 
 
 @pytest.fixture(scope="module")
-def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    """Two workers that no test harms."""
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     with Cluster(tmp_path_factory.mktemp("cluster")) as started:
-        started.add_worker()
-        started.add_worker()
-        started.wait_for_workers()
         yield started
 
 
@@ -148,14 +159,20 @@ def assert_nothing_lost_and_nothing_twice(results: Any, journal: Any, tasks: Any
 
 @needs_distributed
 def test_two_workers_give_the_bits_of_one_process_and_small_tasks_travel_together(
-    shared: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    cluster.have(2)
     batches, submit = [], clusters.Cluster.submit
     monkeypatch.setattr(
         clusters.Cluster, "submit", lambda self, batch: (batches.append(len(batch)), submit(self, batch))[1]
     )
     tasks, seen = sines(400), []
-    options = {"journal": tmp_path / "j", "scheduler": shared.address, "unit": "trials", "watch": seen.append}
+    options = {
+        "journal": tmp_path / "j",
+        "scheduler": cluster.address,
+        "unit": "trials",
+        "watch": seen.append,
+    }
     results = sweep.run(SINES, tasks, **options)
     assert_nothing_lost_and_nothing_twice(results, tmp_path / "j", tasks)
     assert [seen[-1].workers, seen[-1].units] == [2, 4000]
@@ -164,12 +181,60 @@ def test_two_workers_give_the_bits_of_one_process_and_small_tasks_travel_togethe
 
 
 @needs_distributed
+@pytest.mark.signals
+def test_ctrl_c_on_a_cluster_and_the_rest_in_this_process(cluster: Any, tmp_path: Path) -> None:
+    cluster.have(2)
+    tasks = sines(60, wait_s=0.02)
+
+    def watch(progress: Any) -> None:
+        if progress.done >= 6 and not progress.stopping:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    with pytest.raises(SweepStoppedError) as caught:
+        sweep.run(SINES, tasks, journal=tmp_path / "j", scheduler=cluster.address, watch=watch)
+    assert 6 <= caught.value.done < 60
+    seen = []
+    results = sweep.run(SINES, tasks, journal=tmp_path / "j", workers=2, watch=seen.append)
+    assert seen[-1].kept == caught.value.done
+    assert_nothing_lost_and_nothing_twice(results, tmp_path / "j", tasks)
+
+
+@needs_distributed
+def test_a_task_that_fails_there_is_named_here(cluster: Any) -> None:
+    cluster.have(2)
+    tasks = [Task(f"number {i}", {"number": i}) for i in range(20)]
+    tasks[7] = Task("number 7", {"number": 7, "raises": "ours"})
+    with pytest.raises(TaskError, match="task number 7 failed: this wall is out of reach") as caught:
+        sweep.run(f"{HERE}:raise_when_told", tasks, scheduler=cluster.address)
+    assert caught.value.remedy == "lower the stiffness"
+    assert "sweep_work.py" in caught.value.__notes__[0]
+    assert 7 not in list(caught.value.results)
+
+
+@needs_distributed
+def test_another_haptic_rig_on_the_workers_is_refused_with_both_versions(
+    cluster: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cluster.have(2)
+    ours = executors.code_version()
+    monkeypatch.setattr("rig.experiments.sweep.tasks.code_version", lambda: "9.9.9+0123456789ab")
+    with pytest.raises(ConfigError) as caught:
+        sweep.run(SINES, sines(4), scheduler=cluster.address)
+    assert f"runs haptic-rig {ours}, this is 9.9.9+0123456789ab" in caught.value.message
+
+
+@needs_distributed
+def test_work_that_the_workers_do_not_have_is_refused(cluster: Any) -> None:
+    cluster.have(2)
+    with pytest.raises(ConfigError, match="'nowhere:work' cannot be imported"):
+        sweep.run("nowhere:work", sines(4), scheduler=cluster.address)
+
+
+@needs_distributed
 def test_a_worker_killed_in_the_middle_loses_nothing_and_duplicates_nothing(
     cluster: Any, tmp_path: Path
 ) -> None:
-    cluster.add_worker()
-    cluster.add_worker()
-    cluster.wait_for_workers()
+    cluster.have(2)
     tasks = sines(60, wait_s=0.05)
 
     def watch(progress: Any) -> None:
@@ -183,24 +248,10 @@ def test_a_worker_killed_in_the_middle_loses_nothing_and_duplicates_nothing(
 
 
 @needs_distributed
-def test_workers_that_die_under_a_task_and_are_started_again_by_their_nannies(
-    cluster: Any, tmp_path: Path
-) -> None:
-    cluster.add_worker(nanny=True)
-    cluster.add_worker(nanny=True)
-    tasks = sines(30, wait_s=0.02)
-    for number in (5, 20):
-        tasks[number] = Task(f"dies {number}", {"seed": number, "dies": str(tmp_path / f"died {number}")})
-    results = sweep.run(KILLS, tasks, journal=tmp_path / "j", scheduler=cluster.address)
-    assert all((tmp_path / f"died {number}").exists() for number in (5, 20))
-    assert_nothing_lost_and_nothing_twice(results, tmp_path / "j", tasks)
-
-
-@needs_distributed
 def test_a_result_that_died_with_its_worker_before_it_was_fetched_is_computed_again(
     cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    cluster.add_worker()
+    cluster.have(1)
     fetch, fetched = clusters.Cluster._report, []
 
     def kill_before_the_first(self: Any, future: Any, batch: Any) -> Any:
@@ -220,69 +271,34 @@ def test_a_result_that_died_with_its_worker_before_it_was_fetched_is_computed_ag
 
 
 @needs_distributed
-@pytest.mark.signals
-def test_ctrl_c_on_a_cluster_and_the_rest_in_this_process(shared: Any, tmp_path: Path) -> None:
-    tasks = sines(60, wait_s=0.02)
-
-    def watch(progress: Any) -> None:
-        if progress.done >= 6 and not progress.stopping:
-            os.kill(os.getpid(), signal.SIGINT)
-
-    with pytest.raises(SweepStoppedError) as caught:
-        sweep.run(SINES, tasks, journal=tmp_path / "j", scheduler=shared.address, watch=watch)
-    assert 6 <= caught.value.done < 60
-    seen = []
-    results = sweep.run(SINES, tasks, journal=tmp_path / "j", workers=2, watch=seen.append)
-    assert seen[-1].kept == caught.value.done
-    assert_nothing_lost_and_nothing_twice(results, tmp_path / "j", tasks)
-
-
-@needs_distributed
-def test_a_task_that_fails_there_is_named_here(shared: Any) -> None:
-    tasks = [Task(f"number {i}", {"number": i}) for i in range(20)]
-    tasks[7] = Task("number 7", {"number": 7, "raises": "ours"})
-    with pytest.raises(TaskError, match="task number 7 failed: this wall is out of reach") as caught:
-        sweep.run(f"{HERE}:raise_when_told", tasks, scheduler=shared.address)
-    assert caught.value.remedy == "lower the stiffness"
-    assert "sweep_work.py" in caught.value.__notes__[0]
-    assert 7 not in list(caught.value.results)
-
-
-@needs_distributed
-def test_another_haptic_rig_on_the_workers_is_refused_with_both_versions(
-    shared: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    ours = executors.code_version()
-    monkeypatch.setattr("rig.experiments.sweep.tasks.code_version", lambda: "9.9.9+0123456789ab")
-    with pytest.raises(ConfigError) as caught:
-        sweep.run(SINES, sines(4), scheduler=shared.address)
-    assert f"runs haptic-rig {ours}, this is 9.9.9+0123456789ab" in caught.value.message
-
-
-@needs_distributed
-def test_work_that_the_workers_do_not_have_is_refused(shared: Any) -> None:
-    with pytest.raises(ConfigError, match="'nowhere:work' cannot be imported"):
-        sweep.run("nowhere:work", sines(4), scheduler=shared.address)
-
-
-@needs_distributed
-def test_a_task_that_kills_every_worker_is_named(tmp_path: Path) -> None:
-    with Cluster(tmp_path, DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES="0") as cluster:
-        cluster.add_worker()
-        with pytest.raises(
-            TaskError, match="task murder failed: it ended every worker that tried it, 1 in all"
-        ):
-            sweep.run(
-                f"{HERE}:always_kill_the_worker",
-                [Task("murder", {})],
-                scheduler=cluster.address,
-                journal=tmp_path / "j",
-            )
+def test_a_task_that_kills_every_worker_is_named(cluster: Any, tmp_path: Path) -> None:
+    cluster.have(1)
+    allowed = cluster.ask(lambda dask_scheduler: dask_scheduler.allowed_failures)
+    cluster.ask(lambda dask_scheduler: setattr(dask_scheduler, "allowed_failures", 0))
+    work, tasks = f"{HERE}:always_kill_the_worker", [Task("murder", {})]
+    try:
+        with pytest.raises(TaskError, match="murder failed: it ended every worker that tried it, 1 in all"):
+            sweep.run(work, tasks, scheduler=cluster.address, journal=tmp_path / "j")
+    finally:
+        cluster.ask(lambda dask_scheduler: setattr(dask_scheduler, "allowed_failures", allowed))
     assert keys_in(tmp_path / "j") == []
 
 
 @needs_distributed
+def test_a_worker_that_dies_under_a_task_is_started_again_by_its_nanny(cluster: Any, tmp_path: Path) -> None:
+    cluster.have(0)
+    cluster.add_worker(nanny=True)
+    tasks = sines(30, wait_s=0.02)
+    tasks[5] = Task("dies", {"seed": 5, "dies": str(tmp_path / "died")})
+    results = sweep.run(KILLS, tasks, journal=tmp_path / "j", scheduler=cluster.address)
+    assert (tmp_path / "died").exists()
+    cluster.have(0)
+    assert_nothing_lost_and_nothing_twice(results, tmp_path / "j", tasks)
+
+
+@needs_distributed
 def test_a_sweep_waits_for_workers_and_says_so(cluster: Any, tmp_path: Path) -> None:
+    cluster.have(0)
     tasks, waited = sines(4), []
 
     def watch(progress: Any) -> None:
@@ -297,7 +313,7 @@ def test_a_sweep_waits_for_workers_and_says_so(cluster: Any, tmp_path: Path) -> 
 
 @needs_distributed
 def test_a_scheduler_that_dies_ends_the_sweep_with_what_is_done(cluster: Any, tmp_path: Path) -> None:
-    cluster.add_worker()
+    cluster.have(1)
 
     def watch(progress: Any) -> None:
         if progress.done >= 3:
@@ -313,7 +329,7 @@ def test_a_scheduler_that_dies_ends_the_sweep_with_what_is_done(cluster: Any, tm
 @needs_distributed
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nonsense://x"])
 def test_no_scheduler_there_is_said_with_the_remedy(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(clusters, "CONNECT_S", 0.5)
+    monkeypatch.setattr(clusters, "CONNECT_S", 0.1)
     with pytest.raises(ConfigError, match=r"no Dask scheduler answers at .*start one with `dask scheduler`"):
         sweep.run(SINES, sines(2), scheduler=address)
 

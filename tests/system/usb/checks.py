@@ -5,11 +5,13 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import errno
+import json
 import os
 import threading
 import time
 from collections.abc import Callable
 from functools import partial
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -359,7 +361,7 @@ def waiting_costs_no_time_of_the_processor(cable: Cable) -> float:
     link = cable.open_silent()
     link.read(0.01)  # what is compiled or loaded for it is not the wait's
     before = time.process_time()
-    assert link.read(0.5) == b""
+    assert link.read(0.25) == b""
     return (time.process_time() - before) * 1e3
 
 
@@ -396,6 +398,25 @@ def round_trips(cable: Cable) -> dict[str, float]:
         host.ask(m.Identify(host.nonce(), 0))
         times.append((time.perf_counter() - begun) * 1e3)
     return {"median": float(np.median(times)), "worst": max(times)}
+
+
+def hits_from_the_command_line(cable: Cable, url: str, directory: str) -> tuple[int, dict[str, Any]]:
+    """Exit code, and what is told in JSON, of a short hit over the link of a URL."""
+    from rig import cli  # noqa: PLC0415
+
+    said = StringIO()
+    changes = (
+        "verdict.late_fraction=0.9",
+        "controller.command_lifetime_s=0.02",
+        "trial.duration_s=0.3",
+        "verdict.tail_s=0.1",
+    )
+    options = ("--verified", "--no-plot", "--json", "--rate", "500", "-o", directory)
+    with contextlib.redirect_stdout(said):
+        code = cli.run(
+            ["hit", "--url", url, *options, *(word for change in changes for word in ("--set", change))]
+        )
+    return code, json.loads(said.getvalue())
 
 
 def unplugged_in_a_trial(cable: Cable, directory: str) -> dict[str, Any]:
