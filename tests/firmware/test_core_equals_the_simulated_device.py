@@ -130,7 +130,7 @@ class ByAddress(CompiledDevice):
         return result
 
     def _taken(self) -> bytes:
-        size, self._counters[SAID] = self._counters.item(SAID), 0
+        size, self._counters[SAID] = self._counters[SAID], 0
         return self._said[:size].tobytes()
 
 

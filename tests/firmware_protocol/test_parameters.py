@@ -18,7 +18,7 @@ from firmware_protocol.parameters import (
     PARAMETERS,
     ParameterError,
     block_crc,
-    check,
+    check_together,
     decode_block,
     encode_block,
 )
@@ -129,9 +129,9 @@ def test_an_unknown_name_is_refused() -> None:
 
 
 def test_a_window_must_not_be_inside_out() -> None:
-    check({"window_minimum": -5, "window_maximum": 5})
+    check_together({"window_minimum": -5, "window_maximum": 5})
     with pytest.raises(ParameterError) as caught:
-        check({"window_minimum": 5, "window_maximum": -5})
+        check_together({"window_minimum": 5, "window_maximum": -5})
     assert caught.value.status is Status.INCONSISTENT
 
 
@@ -151,7 +151,7 @@ def test_the_table_is_sound() -> None:
         if parameter.ctype != "f32":
             low, high = RANGES[parameter.ctype]
             assert low <= parameter.minimum <= parameter.maximum <= high
-    check(DEFAULTS)
+    check_together(DEFAULTS)
 
 
 def test_a_device_that_was_never_configured_gives_no_current() -> None:
