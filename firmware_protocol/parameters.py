@@ -180,13 +180,11 @@ LIVE: frozenset[str] = frozenset(parameter.name for parameter in PARAMETERS if p
 BLOCK_LIMIT = 1024  # a longer block is refused at BEGIN; above one entry for every parameter
 
 
-def check(values: Mapping[str, Value]) -> None:
-    """Check names, ranges and rules between parameters; raises `ParameterError`.
+def check_together(values: Mapping[str, Value]) -> None:
+    """Check the rules between parameters, each of which is good by itself; raises `ParameterError`.
 
-    Give all active values for the rules between them: a missing one is taken at its default.
+    Give all active values: a missing one is taken at its default.
     """
-    for name, value in values.items():
-        _check_one(_by_name(name), value)
     if values.get("window_minimum", 0) > values.get("window_maximum", 0):
         parameter = BY_NAME["window_maximum"]
         raise ParameterError(
@@ -203,7 +201,11 @@ def encode_block(values: Mapping[str, Value]) -> bytes:
     f32 values are rounded to float32: `decode_block` gives back what the device will hold.
     """
     entries = []
-    for parameter in sorted((_by_name(name) for name in values), key=lambda parameter: parameter.id):
+    for name in values.keys() - BY_NAME.keys():
+        _by_name(name)
+    for parameter in PARAMETERS:  # they rise by id
+        if parameter.name not in values:
+            continue
         value = values[parameter.name]
         _check_one(parameter, value)
         if parameter.ctype == "f32":

@@ -50,6 +50,7 @@ from sim_backend.lockstep import (
     Lockstep,
     run_ticks,
 )
+from sim_backend.safety import flat
 from sim_backend.ticks import OWN, Board, drive, is_too_old, obey, report, sample
 
 OUTPUT_BYTES = 1 << 16  # that wait for the host; a STATE without room is lost
@@ -194,14 +195,14 @@ class CompiledDevice(SimulatedDevice):
     def __init__(self, model: RigModel, **options: Any) -> None:
         super().__init__(model, **options)
         prepare(put, run_ticks)
-        self._counters = np.zeros(COUNTERS, np.int64)
+        self._counters = flat(np.int64, COUNTERS)
         self._said = np.zeros(OUTPUT_BYTES, np.uint8)
         self._callback = _ASK(self._asked)
         self._failure: BaseException | None = None
         self._world: World | None = None  # while compiled ticks have it
         self._ends = Ends(  # kept, because only its address is elsewhere
             board=Board(**{name: np.asarray(view) for name, view in self.board._asdict().items()}),
-            counters=self._counters,
+            counters=np.asarray(self._counters),
             said=self._said,
             frame=np.zeros(FRAME_BYTES, np.uint8),
             raw=np.zeros(RAW_BYTES, np.uint8),
@@ -252,12 +253,13 @@ class CompiledDevice(SimulatedDevice):
     def _lend(self) -> None:
         if self._failure is not None:
             raise self._failure
-        self._counters[[NEXT_STATE, NEWEST_COMMAND, WHOLE]] = self.connection.lend_streams()
+        counters = self._counters
+        counters[NEXT_STATE], counters[NEWEST_COMMAND], counters[WHOLE] = self.connection.lend_streams()
 
     def _take_back(self) -> None:
-        next_state, newest_command, frames = self._counters[[NEXT_STATE, NEWEST_COMMAND, FRAMES]].tolist()
-        self.connection.take_streams(next_state, newest_command, frames)
-        self._counters[FRAMES] = 0
+        counters = self._counters
+        self.connection.take_streams(counters[NEXT_STATE], counters[NEWEST_COMMAND], counters[FRAMES])
+        counters[FRAMES] = 0
 
     def _asked(self, what: int) -> int:
         """Do for compiled ticks what they leave to Python; what it raises they raise when they begin anew: soon."""

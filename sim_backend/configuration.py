@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import lru_cache
 
 from firmware_protocol import dictionary as dictionaries
@@ -15,7 +16,7 @@ from firmware_protocol.parameters import (
     LIVE,
     ParameterError,
     block_crc,
-    check,
+    check_together,
     decode_block,
     encode_block,
 )
@@ -44,10 +45,23 @@ def describe(
     )
 
 
-@lru_cache(maxsize=16)
-def packed(dictionary: dictionaries.Dictionary) -> bytes:
-    """Bytes of a dictionary; a device that starts again, or for every trial, has the same ones."""
-    return dictionaries.encode(dictionary)
+@dataclass(frozen=True, slots=True)
+class Description:
+    """A dictionary, its bytes and their hash."""
+
+    dictionary: dictionaries.Dictionary
+    packed: bytes
+    hash: int
+
+
+@lru_cache(maxsize=64)
+def description(
+    model: RigModel, name: str, rate_default: int, rate_maximum: int, law_maximum: int = 0
+) -> Description:
+    """Return what `describe` does, as it is told: a device for every trial of a rig has the same."""
+    dictionary = describe(model, name, rate_default, rate_maximum, law_maximum)
+    packed = dictionaries.encode(dictionary)
+    return Description(dictionary, packed, dictionaries.dictionary_hash(packed))
 
 
 class Configuration:
@@ -55,8 +69,8 @@ class Configuration:
 
     Parameters
     ----------
-    dictionary
-        The device's dictionary; its defaults are active first.
+    description
+        The device's; the defaults of its dictionary are active first.
     apply
         Called with all values before they are activated; what it raises (`ParameterError`) refuses them.
 
@@ -72,16 +86,13 @@ class Configuration:
         Of the dictionary.
     """
 
-    def __init__(
-        self, dictionary: dictionaries.Dictionary, apply: Callable[[Mapping[str, Value]], None]
-    ) -> None:
-        self._dictionary = dictionary
-        self._packed = packed(dictionary)
-        self.hash = dictionaries.dictionary_hash(self._packed)
+    def __init__(self, description: Description, apply: Callable[[Mapping[str, Value]], None]) -> None:
+        self._dictionary = description.dictionary
+        self._packed, self.hash = description.packed, description.hash
         self._apply = apply
         self._assembler = Assembler()
         self.homed = False
-        self._activate({info.name: info.default for info in dictionary.parameters})
+        self._activate({info.name: info.default for info in self._dictionary.parameters})
 
     def identity(self, request: m.Identify, state: int) -> m.Identity:
         """Page of the dictionary."""
@@ -125,15 +136,15 @@ class Configuration:
 
     def _check_ranges(self, values: Mapping[str, Value]) -> None:
         """Refuse what is inside the table's range and outside this device's."""
-        for name, value in values.items():
-            info = self._dictionary.parameter(name)
-            if info is not None and not info.minimum <= value <= info.maximum:
-                message = f"{name} = {value} is outside {info.minimum} … {info.maximum}"
-                raise ParameterError(Status.OUT_OF_RANGE, message, detail=info.id, name=name)
+        for info in self._dictionary.parameters:
+            value = values.get(info.name, info.minimum)
+            if not info.minimum <= value <= info.maximum:
+                message = f"{info.name} = {value} is outside {info.minimum} … {info.maximum}"
+                raise ParameterError(Status.OUT_OF_RANGE, message, detail=info.id, name=info.name)
 
     def _activate(self, values: dict[str, Value]) -> None:
-        check(values)
+        block = encode_block(values)
+        check_together(values)
         self._apply(values)
-        self.values = values
-        self._block = encode_block(values)
+        self.values, self._block = values, block
         self.crc = block_crc(self._block)

@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_protocol import dictionary as dictionaries
 from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault, Input
 from firmware_protocol.parameters import PARAMETERS
@@ -27,7 +26,7 @@ from rig.core.model import RigModel
 from rig.realtime.c_board import BoardSetup
 from rig.realtime.kernel import prepare
 from sim_backend import firmware_library
-from sim_backend.configuration import describe, packed
+from sim_backend.configuration import description
 from sim_backend.firmware_library import Status
 from sim_backend.hardware import Hardware, World
 from sim_backend.lockstep import (
@@ -68,9 +67,8 @@ class Core:
         self._memory = ctypes.create_string_buffer(library.host_bytes())
         self.address = ctypes.addressof(self._memory)
         self._output = ctypes.create_string_buffer(OUTPUT_BYTES)
-        self.dictionary = describe(model, name or model.name, rate, maximum, law_maximum)
-        self._packed = packed(self.dictionary)
-        self.hash = dictionaries.dictionary_hash(self._packed)
+        told = description(model, name or model.name, rate, maximum, law_maximum)
+        self.dictionary, self._packed, self.hash = told.dictionary, told.packed, told.hash
         setup = BoardSetup.of(model, self._packed, self.hash, rate)
         library.host_setup(self.address, ctypes.byref(setup))
         for narrow in (  # by their numbers: the first that does not fit is the one that a refusal names
@@ -284,7 +282,7 @@ class FirmwareDevice:
             self.hardware.set_rate(self._seen.rate)
         if self._words[SWITCHED_ON]:
             self.hardware.begin_session()
-        self._words[[RATE_CHANGED, SWITCHED_ON]] = 0
+        self._words[RATE_CHANGED] = self._words[SWITCHED_ON] = 0
 
     def tick(self) -> bytes:
         """Let one period pass; return what is due then: the same as `run` does, by its parts."""
@@ -379,12 +377,12 @@ class FirmwareDevice:
         self.inputs = self._words.item(INPUTS)
 
     def _show_world(self) -> None:
-        hardware = self.hardware
+        hardware, words, library = self.hardware, self._words, self.core.library
         edge_age = round(min(hardware.edge_age_s * UNITS_PER_SECOND, self.time))
-        self.core.library.host_set_world(
+        library.host_set_world(
             self.core.address, self.time, hardware.count, self.time - edge_age, hardware.measured, self.inputs
         )
-        self.core.library.host_set_index(self.core.address, *self._words[[INDEX_EDGES, INDEX_COUNT]].tolist())
+        library.host_set_index(self.core.address, words.item(INDEX_EDGES), words.item(INDEX_COUNT))
 
     def _act(self) -> None:
         """Do to the plant what the device has done to its amplifier and its timer."""

@@ -8,9 +8,9 @@ quanta of `golden_vectors` for several seeds renders the wall of this project, t
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cache, cached_property
 from random import Random
 
 from rig.control.estimators import get
@@ -77,7 +77,7 @@ def exact_quanta(count: int, velocity: int, wall: FixedWall) -> int:
     return sorted((-wall.limit, math.floor(total + Fraction(1, 2)), wall.limit))[1]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class GoldenVectors:
     """One trial of a device: its integers, the count of each tick, and what it must answer."""
 
@@ -85,10 +85,22 @@ class GoldenVectors:
     wall: FixedWall
     velocity_divider: int
     counts: tuple[int, ...]
-    velocities: tuple[int, ...]  # held in each tick, LSB of the filter's state
-    quanta: tuple[int, ...]
+
+    @cached_property
+    def velocities(self) -> tuple[int, ...]:
+        """Velocity held in each tick (LSB of the filter's state): one is taken in every so many."""
+        exact, divider = ExactFilter(self.filter), self.velocity_divider
+        taken = [exact.velocity(count) for count in self.counts[::divider]]
+        return tuple(taken[tick // divider] for tick in range(len(self.counts)))
+
+    @cached_property
+    def quanta(self) -> tuple[int, ...]:
+        """Current for each count."""
+        held = zip(self.counts, self.velocities, strict=True)
+        return tuple(exact_quanta(count, velocity, self.wall) for count, velocity in held)
 
 
+@cache
 def golden_vectors(seed: int, ticks: int = 400) -> GoldenVectors:
     """Make the vectors of a seed; the same for ever, for they rest on `Random.random` alone, which Python promises.
 
@@ -139,18 +151,4 @@ def golden_vectors(seed: int, ticks: int = 400) -> GoldenVectors:
         place = k - 52 if k < 60 else ring + between(-1, 1)
         jump = between(-5000, 5000) if random.random() < 0.02 else 0.0
         counts.append(difference(reference + wall.direction * round(place + jump), 0))
-    return GoldenVectors(filter_, wall, divider, tuple(counts), *answers(filter_, wall, divider, counts))
-
-
-def answers(
-    filter_: Biquad, wall: FixedWall, velocity_divider: int, counts: Sequence[int]
-) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Velocity held and current for each count, one count a tick."""
-    exact, held = ExactFilter(filter_), 0
-    velocities, quanta = [], []
-    for tick, count in enumerate(counts):
-        if tick % velocity_divider == 0:
-            held = exact.velocity(count)
-        velocities.append(held)
-        quanta.append(exact_quanta(count, held, wall))
-    return tuple(velocities), tuple(quanta)
+    return GoldenVectors(filter_, wall, divider, tuple(counts))

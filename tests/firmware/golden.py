@@ -62,6 +62,7 @@ ESTIMATORS: dict[str, dict[str, float | str]] = {
     "kalman": {"gain": "steady"},
 }
 SCHEMES = {"dual": DUAL, "uniform": UNIFORM}
+TIMES = {**SHORT, "trial.duration_s": 0.04, "trial.release_s": 0.01}
 SIDES = (1, -1)
 
 
@@ -102,9 +103,9 @@ def vectors(law: LawLibrary) -> Iterator[Vector]:
 
 def vector(law: LawLibrary, estimator: str, scheme: str, side: int, arithmetic: int) -> Vector:
     """One of them."""
-    experiment = experiment_of(estimator, ESTIMATORS[estimator], SCHEMES[scheme], SHORT)
+    experiment = experiment_of(estimator, ESTIMATORS[estimator], SCHEMES[scheme], TIMES)
     changes = {"wall.side": side, "trial.start": START * side, "trial.effort": experiment.trial.effort * side}
-    experiment = experiment_of(estimator, ESTIMATORS[estimator], SCHEMES[scheme], SHORT, changes)
+    experiment = experiment_of(estimator, ESTIMATORS[estimator], SCHEMES[scheme], TIMES, changes)
     run = on_the_host(experiment, START * side)
     parameters = parameters_of(controller_of(experiment), arithmetic)
     records = np.zeros(len(run.counts), RECORD)

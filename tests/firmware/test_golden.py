@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes as ct
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,9 +10,9 @@ import pytest
 from rig.core.sample import Phase, RowFlag
 from tests.firmware import cortex, golden
 from tests.firmware.build import kept_c
+from tests.firmware.law.law_cortex import RUNNER, build
 from tests.firmware.law.law_library import SOURCES, LawLibrary
 
-RUNNER = Path(__file__).with_name("golden.c")
 MET, BAD_FILE, REFUSED, DIFFERENT, OTHER_BITS = range(5)
 RESULT, STATE, FILE = cortex.RAM, cortex.RAM + 0x100, cortex.RAM + 0x2000
 
@@ -87,9 +86,7 @@ def test_a_runner_says_what_is_wrong(runner: ct.CDLL, vectors: list[golden.Vecto
 @pytest.mark.parametrize("core", cortex.CORES.values(), ids=lambda core: core.name)
 def test_a_processor_meets_them(core: cortex.Core, vectors: list[golden.Vector]) -> None:
     pytest.importorskip("unicorn", reason="unicorn is not installed (pip install unicorn==2.1.4)")
-    sources = [*sorted(SOURCES.glob("*.c")), RUNNER]
-    image = cortex.build(core, sources, ["golden_run"])
-    simulator = cortex.Simulator(image, counts=False)
+    simulator = cortex.Simulator(build(core), counts=False)
     for v in vectors:
         file = v.to_bytes()
         simulator.uc.mem_write(FILE, file)

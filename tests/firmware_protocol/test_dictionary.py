@@ -34,12 +34,11 @@ DICTIONARY = build(
     constants=(ConstantInfo("inertia", "kg·m²", 2e-4),),
 )
 PACKED = encode(DICTIONARY)
+CONTENT = json.loads(zlib.decompress(PACKED))
 
 
 def repacked(**changes: Any) -> bytes:
-    content = json.loads(zlib.decompress(PACKED))
-    content.update(changes)
-    return zlib.compress(json.dumps(content).encode())
+    return zlib.compress(json.dumps({**CONTENT, **changes}).encode(), 1)
 
 
 def test_a_dictionary_comes_back() -> None:

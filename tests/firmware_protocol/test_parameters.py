@@ -18,7 +18,7 @@ from firmware_protocol.parameters import (
     PARAMETERS,
     ParameterError,
     block_crc,
-    check,
+    check_together,
     decode_block,
     encode_block,
 )
@@ -36,14 +36,12 @@ RANGES = {
 
 
 @given(parameter_sets())
-def test_a_block_comes_back(values: dict[str, Value]) -> None:
-    assert decode_block(encode_block(values)) == values
-
-
-@given(parameter_sets())
-def test_the_same_values_make_the_same_bytes_in_any_order(values: dict[str, Value]) -> None:
-    backwards = dict(reversed(list(values.items())))
-    assert encode_block(backwards) == encode_block(values)
+def test_a_block_comes_back_and_does_not_know_in_which_order_its_values_were(
+    values: dict[str, Value],
+) -> None:
+    block = encode_block(values)
+    assert decode_block(block) == values
+    assert encode_block(dict(reversed(values.items()))) == block
 
 
 @given(st.floats(0.0, 1e6))
@@ -129,9 +127,9 @@ def test_an_unknown_name_is_refused() -> None:
 
 
 def test_a_window_must_not_be_inside_out() -> None:
-    check({"window_minimum": -5, "window_maximum": 5})
+    check_together({"window_minimum": -5, "window_maximum": 5})
     with pytest.raises(ParameterError) as caught:
-        check({"window_minimum": 5, "window_maximum": -5})
+        check_together({"window_minimum": 5, "window_maximum": -5})
     assert caught.value.status is Status.INCONSISTENT
 
 
@@ -151,7 +149,7 @@ def test_the_table_is_sound() -> None:
         if parameter.ctype != "f32":
             low, high = RANGES[parameter.ctype]
             assert low <= parameter.minimum <= parameter.maximum <= high
-    check(DEFAULTS)
+    check_together(DEFAULTS)
 
 
 def test_a_device_that_was_never_configured_gives_no_current() -> None:

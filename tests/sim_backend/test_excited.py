@@ -140,7 +140,7 @@ def test_an_effort_beyond_the_limit_is_clipped_and_counted() -> None:
     assert run.withheld.max() > 0.5
 
 
-@kernel(LAW_SIGNATURE, cache=False)
+@kernel(LAW_SIGNATURE)
 def _broken(penetration: Any, velocity: Any, elapsed: Any, state: Any, parameters: Any) -> Any:
     return penetration / (penetration - penetration)
 

@@ -28,7 +28,7 @@ from rig.core.errors import ConfigError, RecordingError, ToolchainError
 from rig.core.model import RigModel
 from rig.core.present import Row, plain
 
-WARNINGS = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Werror")
+WARNINGS = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Wdate-time", "-Werror")
 # Floats must round as on the host: no contraction, no reassociation.
 CODE = (
     "-mthumb",

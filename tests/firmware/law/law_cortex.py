@@ -1,8 +1,9 @@
-"""The law alone in the instruction-set simulator."""
+"""The law in the instruction-set simulator, with the runner of golden vectors beside it."""
 
 from __future__ import annotations
 
 import ctypes as ct
+from pathlib import Path
 
 import numpy as np
 
@@ -13,14 +14,22 @@ from tests.firmware.law.law_library import SOURCES, TICKS, Output, Parameters, S
 OUTPUT, INPUT, STATE, PARAMETERS, WORK, TABLE = (
     RAM + offset for offset in (0x8000, 0x8040, 0x8100, 0x9000, 0x9800, 0xA000)
 )
-ENTRIES = ("law_tick", "law_check", "law_reset", "law_excitation_begin", "law_excitation_continue")
+ENTRIES = (
+    "law_tick",
+    "law_check",
+    "law_reset",
+    "law_excitation_begin",
+    "law_excitation_continue",
+    "golden_run",
+)
+RUNNER = Path(__file__).parents[1] / "golden.c"
 
 __all__ = ["CORES", "Simulator", "build"]
 
 
 def build(core: Core) -> Image:
     """Compile and link the law for a core; the test is skipped where there is no compiler for it."""
-    image = cortex.build(core, sorted(SOURCES.glob("*.c")), ENTRIES)
+    image = cortex.build(core, [*sorted(SOURCES.glob("*.c")), RUNNER], ENTRIES)
     held = [name for name, at in image.symbols.items() if at >= RAM and "law" in name]
     assert not held, f"globals: {held}"
     return image

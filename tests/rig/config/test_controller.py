@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from firmware_protocol.parameters import BY_NAME, check
+from firmware_protocol.parameters import BY_NAME, check_together, encode_block
 from rig import config
 from rig.config import controller, presets
 from rig.config.device_limits import check_limits
@@ -256,7 +256,8 @@ def test_all_values_are_of_the_table_and_consistent() -> None:
     for name in ALL:
         values = told(presets.load(name))
         assert set(values) <= set(BY_NAME)
-        check(values)
+        encode_block(values)  # every one is in its range
+        check_together(values)
 
 
 def test_verified_is_what_somebody_said() -> None:

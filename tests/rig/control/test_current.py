@@ -28,7 +28,7 @@ def watched(
     return words
 
 
-@kernel(types.void(WORDS, WORDS, WORDS, WORDS, WORDS), cache=False)
+@kernel(types.void(WORDS, WORDS, WORDS, WORDS, WORDS))
 def run(words: Any, counts: Any, active: Any, measured: Any, said: Any) -> None:
     """Take many ticks."""
     for i in range(len(said)):

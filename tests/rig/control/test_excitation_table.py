@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.parameters import PARAMETERS, check
+from firmware_protocol.parameters import PARAMETERS, encode_block
 from rig.control.excitation import Multisine, ramp
 from rig.control.excitation_table import PHASES, ExcitationTable, cosine, hashed_phases
 from rig.core.errors import ConfigError
@@ -82,7 +82,7 @@ def test_its_parameters_are_the_devices() -> None:
     excitation = usual(phases="hashed", seed=2**32 - 1, ramp=7)
     values = excitation.parameters()
     assert set(values) == {p.name for p in PARAMETERS if p.name.startswith("excitation_")}
-    check(values)  # every one is in its range
+    encode_block(values)  # every one is in its range
 
 
 @pytest.mark.parametrize(

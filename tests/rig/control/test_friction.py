@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cache
 from typing import Any
 
 import numba
@@ -21,7 +20,7 @@ from rig.control.step import CONTROLLER_TYPE, ControllerArguments, step
 from rig.core.errors import ConfigError
 from rig.core.sample import Phase
 from rig.realtime.groups import group_at, group_bytes
-from rig.realtime.kernel import kernel, prepare
+from rig.realtime.kernel import kernel
 from rig.realtime.plugs import LAW_SIGNATURE
 from rig.testing import Hits
 from sim_backend.plant import PLANT_TYPE, DiscretePlant, PlantArguments, advance
@@ -100,7 +99,6 @@ def bench(law: Any, external: Any, velocity: float = 0.0, seconds: float = 1.5, 
     state = plant.at_rest(0.0)
     state[1] = velocity
     states, efforts, pushes = [], [], []
-    keep, run, moved = stepping()
     law_memory = np.zeros(-(-group_bytes(ControllerArguments) // 8), np.int64)
     plant_memory = np.zeros(-(-group_bytes(PlantArguments) // 8), np.int64)
     arguments, moving = control.arguments(), plant.arguments(state)
@@ -116,27 +114,25 @@ def bench(law: Any, external: Any, velocity: float = 0.0, seconds: float = 1.5, 
     return np.array(states), np.array(efforts), np.array(pushes)
 
 
-@cache
-def stepping() -> Any:
-    """Tick and plant for plain Python, behind addresses: to take their groups apart costs more than they do."""
-    put_law, law_at = group_at(ControllerArguments)
-    put_plant, plant_at = group_at(PlantArguments)
+# Tick and plant for plain Python, behind addresses: to take their groups apart costs more than they do.
+put_law, law_at = group_at(ControllerArguments)
+put_plant, plant_at = group_at(PlantArguments)
 
-    @kernel(types.void(types.int64, types.int64, CONTROLLER_TYPE, PLANT_TYPE), cache=False)
-    def keep(law: Any, plant: Any, arguments: Any, moving: Any) -> None:
-        put_law(law, arguments)
-        put_plant(plant, moving)
 
-    @kernel(types.int64(types.int64, types.int64), cache=False, no_refcount=True)
-    def run(law: Any, count: Any) -> Any:
-        return step(law_at(law), count, 1.0, 1)
+@kernel(types.void(types.int64, types.int64, CONTROLLER_TYPE, PLANT_TYPE))
+def keep(law: Any, plant: Any, arguments: Any, moving: Any) -> None:
+    put_law(law, arguments)
+    put_plant(plant, moving)
 
-    @kernel(types.int64(types.int64, types.float64, types.float64), cache=False, no_refcount=True)
-    def moved(plant: Any, effort: Any, push: Any) -> Any:
-        return advance(plant_at(plant), effort, push)
 
-    prepare(keep, run, moved)
-    return keep, run, moved
+@kernel(types.int64(types.int64, types.int64), no_refcount=True)
+def run(law: Any, count: Any) -> Any:
+    return step(law_at(law), count, 1.0, 1)
+
+
+@kernel(types.int64(types.int64, types.float64, types.float64), no_refcount=True)
+def moved(plant: Any, effort: Any, push: Any) -> Any:
+    return advance(plant_at(plant), effort, push)
 
 
 @pytest.fixture(scope="module")

@@ -98,21 +98,21 @@ def estimator_of(function: Any) -> Any:
     return type(base)("test", "", "", function, floats=8, ints=8)
 
 
-@kernel(LAW_SIGNATURE, cache=False)
+@kernel(LAW_SIGNATURE)
 def not_a_number(
     penetration: Any, penetration_velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any
 ) -> Any:
     return math.nan if penetration > 0.0 else 0.0
 
 
-@kernel(LAW_SIGNATURE, cache=False)
+@kernel(LAW_SIGNATURE)
 def infinite(
     penetration: Any, penetration_velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any
 ) -> Any:
     return -math.inf if penetration > 0.0 else 0.0
 
 
-@kernel(LAW_SIGNATURE, cache=False)
+@kernel(LAW_SIGNATURE)
 def raises(
     penetration: Any, penetration_velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any
 ) -> Any:
@@ -121,7 +121,7 @@ def raises(
     return 0.0
 
 
-@kernel(LAW_SIGNATURE, cache=False)
+@kernel(LAW_SIGNATURE)
 def spy(penetration: Any, penetration_velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any) -> Any:
     """Remember what the law was given, behind the word that marks clamping."""
     state[1] = penetration
@@ -130,7 +130,7 @@ def spy(penetration: Any, penetration_velocity: Any, elapsed_ticks: Any, state: 
     return 0.0
 
 
-@kernel(ESTIMATOR_SIGNATURE, cache=False)
+@kernel(ESTIMATOR_SIGNATURE)
 def recorder(
     count: Any, edge_age_s: Any, elapsed_ticks: Any, state_f: Any, state_i: Any, parameters: Any
 ) -> Any:
@@ -141,7 +141,7 @@ def recorder(
     return float(state_i[0])
 
 
-@kernel(ESTIMATOR_SIGNATURE, cache=False)
+@kernel(ESTIMATOR_SIGNATURE)
 def blind(
     count: Any, edge_age_s: Any, elapsed_ticks: Any, state_f: Any, state_i: Any, parameters: Any
 ) -> Any:

@@ -6,6 +6,7 @@ import json
 import math
 import subprocess
 import sys
+from collections import Counter
 from dataclasses import replace
 from typing import Any
 
@@ -609,19 +610,18 @@ def test_a_verdict_is_plain_data() -> None:
 # --- from numbers, without texts --------------------------------------------------------------------------
 
 
-@st.composite
-def numbers_of_trials(draw: Any) -> np.ndarray:
+def numbers_of_trials() -> np.ndarray:
     """Records around every threshold, with everything that can be absent absent now and then."""
-    size = draw(st.integers(1, 6))
-    records = np.zeros(size, NUMBERS)
+    random = np.random.default_rng(1)
+    records = np.zeros(3_000, NUMBERS)
     near = {
         "felt": (0.049, 0.051, math.nan),
         "heard": (0.09, 0.11),
         "moved": (1.2e-3, 1.3e-3),
         "growth": (0.0, 1.19, 1.21),
         "exits_in_tail": (0, 3),
-        "contact_s": (math.nan, 0.02, 0.7),
-        "inside_ticks_in_tail": (0, 8000),
+        "contact_s": (0.02, math.nan, 0.7),
+        "inside_ticks_in_tail": (8000, 0),
         "stay_ticks": (0, 9000),
         "heard_in_stay": (0.0, 0.11),
         "moved_in_stay": (0.0, 1.3e-3),
@@ -636,17 +636,15 @@ def numbers_of_trials(draw: Any) -> np.ndarray:
         "current_differs": (0, 1),
         "other_current_ticks": (0, 3),
     }
-    for record in records:
-        record["ticks"] = RATE
-        calm = draw(
-            st.integers(0, 2 ** len(near) - 1)
-        )  # most conditions at their first value: all kinds come up
-        for bit, (name, values) in enumerate(near.items()):
-            record[name] = values[0] if calm >> bit & 1 else draw(st.sampled_from(values))
-        if math.isnan(record["contact_s"]):
-            record["inside_ticks_in_tail"] = 0
-        if draw(st.integers(0, 9)) == 0:
-            record["tail_begins_s"], record["ticks"] = math.nan, 3
+    records["ticks"] = RATE
+    # Share of the conditions at their first value: all kinds come up.
+    calm = random.choice([0.0, 0.5, 0.8, 0.9], len(records))
+    for name, values in near.items():
+        drawn = random.choice(values, len(records))
+        records[name] = np.where(random.random(len(records)) < calm, values[0], drawn)
+    records["inside_ticks_in_tail"][np.isnan(records["contact_s"])] = 0
+    short = random.random(len(records)) < 0.1
+    records["tail_begins_s"][short], records["ticks"][short] = math.nan, 3
     return records
 
 
@@ -669,10 +667,10 @@ def kind_in_words(n: np.void) -> Kind:
     return Kind.LIMIT_CYCLE if exceeded else Kind.STABLE
 
 
-@settings(max_examples=200, deadline=None)
-@given(records=numbers_of_trials())
-def test_an_array_of_trials_has_the_kinds_that_each_is_given_by_itself(records: Any) -> None:
+def test_an_array_of_trials_has_the_kinds_that_each_is_given_by_itself() -> None:
+    records = numbers_of_trials()
     expected = [kind_in_words(record) for record in records]
+    assert min(Counter(expected)[kind] for kind in Kind) >= 50
     assert [KINDS[code] for code in kinds(records, LIMITS)] == expected
     for record, kind in zip(records, expected, strict=True):
         decided, reasons = decide(record, LIMITS)
@@ -680,12 +678,8 @@ def test_an_array_of_trials_has_the_kinds_that_each_is_given_by_itself(records: 
         assert bool(reasons) == (kind is not Kind.STABLE)
 
 
-@settings(max_examples=200, deadline=None)
-@given(records=numbers_of_trials())
-def test_a_wall_fails_that_is_unstable_or_exceeds_the_criterion_and_a_spoilt_trial_says_nothing(
-    records: Any,
-) -> None:
-    for record in records:
+def test_a_wall_fails_that_is_unstable_or_exceeds_the_criterion_and_a_spoilt_trial_says_nothing() -> None:
+    for record in numbers_of_trials():
         kind = kind_in_words(record)
         gone = record["contact_s"] >= 0.0 and record["inside_ticks_in_tail"] == 0
         votes = {"felt": record["felt"] > 0.05, "heard": record["heard"] > 0.10}
