@@ -196,6 +196,13 @@ def test_the_first_template_fits_the_simulated_rig_in_real_time(
     assert "run at 250 Hz" in named(found, "samples").remedy
 
 
+def test_a_wall_has_the_seed_of_the_study(schemes: Protocol) -> None:
+    """As its trials have: a simulated device that was started for the checks serves them, too."""
+    seeded = replace(schemes, study=replace(schemes.study, seed=3))
+    walls = Walls(seeded, base_of(seeded, Path()))
+    assert {walls.softest(one).trial.seed for one in seeded.condition} == {3}
+
+
 def test_a_condition_that_theory_does_not_know_is_said(schemes: Protocol) -> None:
     own = Condition(name="other law", damping=(0.1,), changes={"wall.law": "bilateral"})
     found = check(replace(schemes, condition=(*schemes.condition, own), practice=Practice()), Path())
