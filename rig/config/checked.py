@@ -303,8 +303,18 @@ def better(value: Any, parameter: Parameter) -> str:
 
 def _mistaken_choices(kind: Kind[Any], table: Table) -> Iterator[Problem]:
     """Find true or 1.0 where a choice is the whole number 1: equal in Python, but not in a file."""
-    for key, parameter in kind.parameters().items():
-        value = value_at(table, key.split(".")) if parameter.choices else None
+    root: Any = kind.root
+    for key, parameter in _numbered(root):
+        value = value_at(table, key.split("."))
         if isinstance(value, bool | float) and value in parameter.choices:
             must = f"must be {parameter.expected(None)} ({parameter.meaning})"
             yield Problem(key, shown(value), must, better(value, parameter))
+
+
+@cache
+def _numbered(root: Any) -> tuple[tuple[str, Parameter], ...]:
+    """Keys below a dataclass that choose among numbers."""
+    found = parameters_of(root).items()
+    return tuple(
+        (key, one) for key, one in found if not all(isinstance(choice, str) for choice in one.choices)
+    )

@@ -107,7 +107,7 @@ class Walls:
         damping, stiffness
             B and K of the wall (`rig.core.sample.unit_of`).
         seed
-            Of a trial; that of the experiment, unless given.
+            Of a trial; that of the study, unless given.
 
         Raises
         ------
@@ -208,7 +208,7 @@ def _said(protocol: Protocol) -> dict[str, Any]:
         "rig.limits.energy": caps.energy,
     }
     given = {key: value for key, value in said.items() if value is not None}
-    return {"trial.kind": trial.kind, "trial.repeats": 1, **given}
+    return {"trial.kind": trial.kind, "trial.repeats": 1, "trial.seed": protocol.study.seed, **given}
 
 
 def _misplaced(protocol: Protocol) -> Iterator[Problem]:

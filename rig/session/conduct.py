@@ -93,11 +93,11 @@ def first_wall(walls: Walls, blocks: Sequence[Block]) -> tuple[Experiment, Mappi
     protocol = walls.protocol
     run = next(run for block in blocks for run in block.runs)
     softest = protocol.search_of(protocol.condition_named(run.condition)).lowest
-    return _wall(walls, run.condition, run.damping, softest, protocol.study.seed)
+    return _wall(walls, run.condition, run.damping, softest)
 
 
 def _wall(
-    walls: Walls, name: str, damping: float, stiffness: float, seed: int
+    walls: Walls, name: str, damping: float, stiffness: float, seed: int | None = None
 ) -> tuple[Experiment, Mapping[str, Any]]:
     """The experiment of a hit, and what a device must not change of it."""
     condition = walls.protocol.condition_named(name)

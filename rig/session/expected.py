@@ -164,8 +164,8 @@ def expected_trials(wanted: Search, limit: Range) -> Trials:
     if wanted.rule == "ascending" and settings.get("repeats", 5) != 1:  # series are all alike
         series = replace(wanted, settings={**settings, "repeats": 1})
         return expected_trials(series, limit) * float(settings.get("repeats", 5))
-    taken = [_taken(wanted, max(k50, 1e-3 * levels[0])) for k50 in limit.values]
-    count, failures = zip(*taken, strict=True)
+    taken = {k50: _taken(wanted, max(k50, 1e-3 * levels[0])) for k50 in set(limit.values)}
+    count, failures = zip(*(taken[k50] for k50 in limit.values), strict=True)
     return Trials(
         count=Range(min(count), count[1], max(count)),
         failures=Range(min(failures), failures[1], max(failures)),
@@ -175,17 +175,19 @@ def expected_trials(wanted: Search, limit: Range) -> Trials:
 def likely_trials(protocol: Protocol, blocks: Iterable[Block]) -> dict[str, float]:
     """About how many trials of each condition a session takes, whatever the limits are; practice with its own."""
     found = dict.fromkeys((condition.name for condition in protocol.condition), 0.0)
-    of_a_search: dict[str, float] = {}
+    searches = {one.name: protocol.search_of(one) for one in protocol.condition}
+    likely: dict[str, float] = {}  # by search: most conditions have the same one
     for one in (one for block in blocks for one in block.runs):
         if one.practice:
             found[one.condition] += len(protocol.practice.stiffness)
             continue
-        if one.condition not in of_a_search:
-            wanted = protocol.search_of(protocol.condition_named(one.condition))
+        wanted = searches[one.condition]
+        key = repr(wanted)
+        if key not in likely:
             levels = levels_of(wanted)
-            middle = Range(levels[0], math.sqrt(levels[0] * levels[-1]), levels[-1])
-            of_a_search[one.condition] = expected_trials(wanted, middle).count.likely
-        found[one.condition] += of_a_search[one.condition]
+            middle = math.sqrt(levels[0] * levels[-1])
+            likely[key] = expected_trials(wanted, Range(middle, middle, middle)).count.likely
+        found[one.condition] += likely[key]
     return found
 
 

@@ -10,6 +10,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
+from functools import lru_cache
 from itertools import islice
 from typing import Any
 
@@ -66,8 +67,15 @@ def spells_a_name(code: str, pattern: str) -> bool:
     return _FREE.search(left) is not None
 
 
-def _names_taken(compiled: re.Pattern[str]) -> Iterator[str]:
-    """Names that match, among those that are tried."""
+@lru_cache(
+    maxsize=64
+)  # every log of a study has its protocol with it, which is checked whenever the log is read
+def _names_taken(pattern: str) -> tuple[str, ...]:
+    """The first names that match a pattern, among those that are tried; raises as `re.compile`."""
+    return tuple(islice(_all_taken(re.compile(pattern)), 3))
+
+
+def _all_taken(compiled: re.Pattern[str]) -> Iterator[str]:
     begins = re.match(r"[\w-]*", compiled.pattern)
     before = dict.fromkeys((*BEFORE, begins[0] if begins else ""))
     yield from (name for name in NAMES if compiled.fullmatch(name))
@@ -94,7 +102,7 @@ def codes(protocol: Protocol) -> Iterator[Problem]:
     """The pattern of codes is one, and takes no names."""
     pattern = protocol.study.code
     try:
-        taken = list(islice(_names_taken(re.compile(pattern)), 3))
+        taken = _names_taken(pattern)
     except (re.error, OverflowError, RecursionError) as error:
         yield Problem(
             "study.code", shown(pattern), f"is no regular expression: {error}", 'write one like "P[0-9]{2}"'

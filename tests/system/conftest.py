@@ -36,3 +36,14 @@ def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(style, "DPI", 10)
     monkeypatch.setattr(Artist, "__enter__", lambda artist: artist)
     monkeypatch.setattr(Artist, "draw", draw)
+
+
+@pytest.fixture
+def undrawn(coarse: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pictures are composed, and their files are empty: layout and drawing are matplotlib's, and take longest."""
+
+    def save(figure: Any, path: Path) -> Path:
+        path.touch()
+        return path
+
+    monkeypatch.setattr(style, "save", save)

@@ -32,7 +32,7 @@ def test_there_are_six_exercises_and_each_has_questions_and_answers() -> None:
         assert f"]({page.name})" in (COURSE / "index.md").read_text(encoding="utf-8")
 
 
-@pytest.mark.usefixtures("coarse")
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_every_command_runs_and_the_answers_have_its_numbers(page: Path, run: Any) -> None:
     text = page.read_text(encoding="utf-8")

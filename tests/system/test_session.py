@@ -157,8 +157,10 @@ def results(directory: Path) -> dict[str, list[list[str]]]:
 def _killed_again_and_again(protocol: Path, study: Path, most: int, seed: int) -> None:
     """Run in a process without threads: each attempt is a fork, so that nothing is imported twice."""
     drawn, kills = random.Random(seed), 0
-    # What the session needs is loaded and compiled before the first fork.
-    rehearse(protocol, study / "warm")
+    # What the session needs is loaded and compiled before the first fork, by a session of one trial.
+    short = study / "warm.toml"
+    short.write_text(protocol.read_text().replace("[order]", "[stop]\ntrials = 1\n[order]"))
+    rehearse(short, study / "warm")
     while True:
         child = os.fork()
         if child == 0:

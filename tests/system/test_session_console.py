@@ -12,6 +12,8 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,13 +21,18 @@ import numba
 import numpy as np
 import pytest
 
-import rig.session.run  # noqa: F401  (compiles the loop before anybody waits for it)
 from rig.core.sample import Phase
+from rig.experiments import trial as running_trial
 from rig.realtime import running
 from rig.recording.files import sha256_of
 from rig.recording.reader import open_recording
+from rig.session.console.asking import SILENCE_S
+from rig.session.console.desk import ConsoleDesk, at_console
 from rig.session.console.live import snapshot_of
+from rig.session.desk import Desk
+from rig.session.hits import DeviceRunner
 from rig.session.log import Event, read
+from rig.session.run import DeskFor, SessionResult, resume_session, run_session
 from tests.conformance.terminal import PATIENCE_S, Program, Terminal
 from tests.conformance.tolerance import too_busy
 
@@ -75,40 +82,26 @@ text = "How tired?"
 """
 
 
-# `rig session run` and `resume` with a console, whose simulated device is asked for its current when a run is over; in
-# virtual time, where nothing ends a hit early, or as a user starts it, in real time, where keys move the hand.
+# `rig session run` as a user starts it, in real time, where keys move the hand; the simulated device is asked for its
+# current when a run is over.
 PROGRAM = """
 import sys
-from pathlib import Path
+from rig.bench.doctor import pace
 from rig.cli import run as rig
 from rig.experiments import trial
-from rig.session.console.desk import at_console
-from rig.session.hits import DeviceRunner
-from rig.session.run import resume_session, run_session
 
+pace.SECONDS = 0.1
 conclude = trial._conclude
 
 
 def witness(device, *rest):
     error = conclude(device, *rest)
-    if device.link.clock.virtual:
-        current = device.link.device.current
-    else:
-        current = device.states(0.1)[-1].current_commanded
-    print("current afterwards:", current, file=sys.stderr)
+    print("current afterwards:", device.states(0.1)[-1].current_commanded, file=sys.stderr)
     return error
 
 
 trial._conclude = witness
-clock, what, path, *more = sys.argv[1:]
-if clock == "real":
-    sys.exit(rig(["session", what, path, *more, "--hand", "keyboard", "--lossy-anyway"]))
-runner = DeviceRunner(url="sim://?firmware=0")  # whose hits last long enough for somebody to act in them
-if what == "run":
-    result = run_session(Path(path), more[0], at_console(), runner=runner, study=Path(more[2]))
-else:
-    result = resume_session(Path(path), at_console(), runner=runner)
-print(f"session of {result.code}: {result.ended or result.stopped}")
+sys.exit(rig(["session", "run", *sys.argv[1:], "--hand", "keyboard", "--lossy-anyway"]))
 """
 AT_REST = "current afterwards: 0"
 
@@ -120,13 +113,36 @@ def terminal() -> Iterator[Terminal]:
 
 
 class Operator:
-    """Somebody at the terminal of ``rig session …``."""
+    """Somebody at the terminal of a session in virtual time, which runs in this process, beside the test."""
 
-    def __init__(self, terminal: Terminal, directory: Path, *arguments: str, program: str = PROGRAM) -> None:
+    def __init__(
+        self, terminal: Terminal, directory: Path, session: Callable[[DeskFor], SessionResult]
+    ) -> None:
         self.terminal, self.directory = terminal, directory / "study" / "P01"
         self.seen: list[str] = []
-        self.rested = 0  # hits after which the device had no current
-        self.program: Program = terminal.run(sys.executable, "-c", program, *arguments, cwd=ROOT)
+        self._begin(session)
+
+    def _begin(self, session: Any) -> None:
+        self._thread, self.pid = ThreadPoolExecutor(1), os.getpid()
+        self._result = self._thread.submit(session, self._sit_down)
+
+    def _sit_down(self, *about: Any) -> Desk:
+        self.desk = at_console(place=Path(self.terminal.path))(*about)
+        return self.desk
+
+    @property
+    def over(self) -> bool:
+        """Whether the session has ended."""
+        return self._result.done()
+
+    def result(self) -> SessionResult:
+        """How the session stands, which must be over or about to."""
+        return self._result.result(PATIENCE_S)
+
+    def close(self) -> None:
+        """Leave nothing of it: without a terminal a console says so, and the session ends."""
+        self.terminal.close()
+        self._thread.shutdown()
 
     def sees(self, *texts: str) -> str:
         """Wait until one of them stands there, or the program has ended; returns which, or nothing."""
@@ -135,7 +151,7 @@ class Operator:
             screen = self.terminal.screen.text
             return next((text for text in texts if text in screen), "")
 
-        self.terminal.until(lambda: bool(found()) or not alive(self.program.pid), str(texts), START_S)
+        self.terminal.until(lambda: bool(found()) or self.over, str(texts), START_S)
         self.seen.append(self.terminal.screen.text)
         return found()
 
@@ -150,20 +166,10 @@ class Operator:
             asked = self.sees("[1] stable", "hit ended early:", "were invalid:", "ready?")
             if asked == "[1] stable":
                 return
-            assert asked, self.end()
+            assert asked, self.result()
             self.types("g", until_gone=asked)
-        self.program.end()
+        self.close()
         too_busy("every hit ended early")
-
-    def end(self) -> tuple[int, str]:
-        """Exit code and standard error of the program, which must have ended or be about to; the device was at rest
-        after each hit.
-        """
-        code, err = self.program.wait()
-        lines = err.splitlines()
-        said = [line for line in lines if line != AT_REST]
-        self.rested += len(lines) - len(said)
-        return code, "\n".join(said)
 
     @property
     def events(self) -> list[Event]:
@@ -173,22 +179,75 @@ class Operator:
         return [dict(event.content) for event in self.events if event.kind == kind]
 
 
+class OperatorOfProgram(Operator):
+    """Somebody at the terminal of ``rig session run``."""
+
+    rested = 0  # hits after which the device had no current
+
+    def _begin(self, session: Any) -> None:
+        self._program: Program = self.terminal.run(sys.executable, "-c", PROGRAM, *session, cwd=ROOT)
+        self.pid = self._program.pid
+
+    @property
+    def over(self) -> bool:
+        return not alive(self.pid)
+
+    def result(self) -> Any:
+        """Exit code and standard error of the program; the device was at rest after each hit."""
+        code, err = self._program.wait()
+        lines = err.splitlines()
+        said = [line for line in lines if line != AT_REST]
+        self.rested += len(lines) - len(said)
+        return code, "\n".join(said)
+
+    def close(self) -> None:
+        self._program.end()
+
+
+Start = Callable[..., Operator]
+
+
 @pytest.fixture
-def start(terminal: Terminal, tmp_path: Path) -> Iterator[Callable[..., Operator]]:
+def start(terminal: Terminal, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Start]:
+    monkeypatch.setenv("TERM", "xterm-256color")
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    path, study = tmp_path / "console.toml", tmp_path / "study"
     started: list[Operator] = []
 
-    def begin(clock: str, *arguments: str, duration_s: float = 0.7) -> Operator:
-        path = tmp_path / "console.toml"
+    def begin(what: str, duration_s: float = 0.7) -> Operator:
         # In real time the keys move the hand, and the one of the script would be far too slow.
-        reach_s = 0.3 if clock == "virtual" else 60.0
+        reach_s = 60.0 if what == "real" else 0.3
         path.write_text(PROTOCOL.format(duration_s=duration_s, reach_s=reach_s, rate=RATE))
-        given = arguments or ("run", str(path), "P01", "--study", str(tmp_path / "study"))
-        started.append(Operator(terminal, tmp_path, clock, *given))
+        if what == "real":
+            words = (str(path), "P01", "--study", str(study))
+            started.append(OperatorOfProgram(terminal, tmp_path, words))
+            return started[-1]
+        runner = DeviceRunner(
+            url="sim://?firmware=0"
+        )  # whose hits last long enough for somebody to act in them
+        session = partial(run_session, path, "P01", study=study)
+        if what == "resume":
+            session = partial(resume_session, study / "P01")
+        started.append(Operator(terminal, tmp_path, partial(session, runner=runner)))
         return started[-1]
 
     yield begin
     for operator in started:
-        operator.program.end()
+        operator.close()
+
+
+@pytest.fixture
+def currents(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """Of the simulated devices in this process, each when its run was over."""
+    conclude, found = running_trial._conclude, []
+
+    def witness(device: Any, *rest: Any) -> Any:
+        error = conclude(device, *rest)
+        found.append(device.link.device.current)
+        return error
+
+    monkeypatch.setattr(running_trial, "_conclude", witness)
+    return found
 
 
 def alive(pid: int) -> bool:
@@ -223,9 +282,9 @@ def eventually(condition: Callable[[], Any], what: str) -> Any:
 
 
 def test_a_session_with_a_redo_an_abort_and_a_resume(
-    terminal: Terminal, start: Callable[..., Operator]
+    terminal: Terminal, start: Start, currents: list[float]
 ) -> None:
-    operator = start("virtual")
+    operator = start("run")
     operator.hits()
     operator.types("1", until_gone="[1] stable")
     operator.hits()
@@ -234,14 +293,12 @@ def test_a_session_with_a_redo_an_abort_and_a_resume(
     operator.terminal.type("a")
     terminal.wait("leave the session (it can be resumed)?")
     terminal.type("y")
-    code, err = operator.end()
-    assert (code, err) == (0, "")
+    assert operator.result().stands == "session of P01: left: the operator left"
     assert terminal.attributes_are_back()
-    terminal.wait("session of P01:", "the operator left")
     assert operator.of_kind("stopped") == [{"reason": "the operator left"}]
-    assert operator.rested == 3
+    assert currents == [0.0] * 3
 
-    resumed = start("virtual", "resume", str(operator.directory))
+    resumed = start("resume")
     assert resumed.sees("[1] stable")  # the hit that was made, and not yet judged
     resumed.types("2", until_gone="[1] stable")
     assert resumed.sees("answer>")
@@ -251,9 +308,7 @@ def test_a_session_with_a_redo_an_abort_and_a_resume(
     terminal.type("5\r")
     assert resumed.sees("end the session?")
     terminal.type("g")
-    code, err = resumed.end()
-    assert (code, err) == (0, "")
-    terminal.wait("session of P01: complete")
+    assert resumed.result().stands == "session of P01: complete"
     assert terminal.attributes_are_back()
     assert 1049 not in terminal.screen.modes
 
@@ -284,12 +339,12 @@ def pressing(pid: int) -> bool:
     return live is not None and live.phase == "trial" and live.penetration > 0.0 and live.effort != 0.0
 
 
-def begin_to_press(operator: Operator, clock: str) -> None:
-    """Say go until a hand presses against the wall; in real time the keys move it."""
-    engine, screen = operator.program.pid, operator.terminal.screen
+def begin_to_press(operator: Operator, *, by_keys: bool) -> None:
+    """Say go until a hand presses against the wall."""
+    engine, screen = operator.pid, operator.terminal.screen
     for _ in range(HITS):
         asked = operator.sees("hit ended early:", "were invalid:", "ready?")
-        assert asked, operator.end()
+        assert asked, operator.result()
         operator.types("g", until_gone=asked)
         if asked != "ready?":
             continue
@@ -300,25 +355,24 @@ def begin_to_press(operator: Operator, clock: str) -> None:
             ),
             "the hit",
         )
-        if clock == "virtual":
+        if not by_keys:
             return
         operator.terminal.type(REACH)
-        eventually(
-            lambda: pressing(engine) or "[g] go" in screen.text or not alive(engine), "a hand on the wall"
-        )
+        eventually(lambda: pressing(engine) or "[g] go" in screen.text or operator.over, "a hand on the wall")
         if pressing(engine):
             return
         operator.terminal.type(LET_GO)
-    operator.program.end()
+    operator.close()
     too_busy("every hit ended early")
 
 
-def test_a_hit_is_stopped_while_the_console_is(terminal: Terminal, start: Callable[..., Operator]) -> None:
+def test_a_hit_is_stopped_while_the_console_is(terminal: Terminal, start: Start) -> None:
     """By `rig stop`, and the next one by ^C; and long before the console's silence would have ended it."""
     operator = start("real", duration_s=600.0)
-    engine = operator.program.pid
+    assert isinstance(operator, OperatorOfProgram)
+    engine = operator.pid
     for _ in range(HITS):
-        begin_to_press(operator, "real")
+        begin_to_press(operator, by_keys=True)
         console, before = child_of(engine), len(operator.of_kind("trial"))
         os.kill(console, signal.SIGSTOP)
         running.stop(engine, patience_s=PATIENCE_S)
@@ -334,11 +388,11 @@ def test_a_hit_is_stopped_while_the_console_is(terminal: Terminal, start: Callab
     led = rows[rows["phase"] == Phase.TRIAL]
     assert np.argmax(led["penetration"] > 0.0) < BY_KEYS_S * RATE
 
-    begin_to_press(operator, "real")
+    begin_to_press(operator, by_keys=True)
     before = len(operator.of_kind("trial"))
     os.kill(child_of(engine), signal.SIGSTOP)
     terminal.type("\x03")
-    code, err = operator.end()
+    code, err = operator.result()
     assert terminal.attributes_are_back()
     assert operator.of_kind("stopped")
     trials = operator.of_kind("trial")
@@ -351,23 +405,26 @@ def test_a_hit_is_stopped_while_the_console_is(terminal: Terminal, start: Callab
 
 
 def test_space_stops_a_hit_and_so_does_a_console_that_says_nothing(
-    terminal: Terminal, start: Callable[..., Operator]
+    terminal: Terminal, start: Start, currents: list[float]
 ) -> None:
-    operator = start("virtual", duration_s=600.0)
-    begin_to_press(operator, "virtual")
+    operator = start("run", duration_s=600.0)
+    begin_to_press(operator, by_keys=False)
     terminal.type(" ")
     terminal.wait("hit ended early: stopped at the console")
     first = operator.of_kind("trial")[-1]
     assert "stopped at the console" in check_stopped(operator, first)
-    begin_to_press(operator, "virtual")
-    console = child_of(operator.program.pid)
+    begin_to_press(operator, by_keys=False)
+    console = child_of(operator.pid)
     os.kill(console, signal.SIGSTOP)
+    assert isinstance(operator.desk, ConsoleDesk)
+    assert operator.desk._silence_s == SILENCE_S
+    operator.desk._silence_s = 0.2  # until then a loop in virtual time computes for nothing
     eventually(lambda: len(operator.of_kind("trial")) == 2, "the trial in the log")
     os.kill(console, signal.SIGCONT)
     leave(operator)
-    assert operator.rested == 2
+    assert currents == [0.0] * 2
     second = operator.of_kind("trial")[-1]
-    assert "the console was silent for 2 s while a hit ran" in check_stopped(operator, second)
+    assert "the console was silent for 0.2 s while a hit ran" in check_stopped(operator, second)
 
 
 def leave(operator: Operator) -> None:
@@ -376,7 +433,7 @@ def leave(operator: Operator) -> None:
     operator.terminal.type("a")
     operator.terminal.wait("leave the session")
     operator.terminal.type("a")
-    assert operator.end() == (0, "")
+    assert operator.result().stopped == "the operator left"
 
 
 def check_stopped(operator: Operator, trial: dict[str, Any]) -> str:

@@ -7,11 +7,17 @@ condition of a blinded study, so that the order of the trials says whose trial i
 from __future__ import annotations
 
 import re
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numba
 import pytest
 
+from rig.session.hits import DeviceRunner
+from rig.session.run import run_session
+from sim_backend.operator import Script
 from tests.conformance.terminal import Terminal
 from tests.system.test_session_console import Operator
 
@@ -68,33 +74,21 @@ changes = {{ operator.begin_s = {LEAVES} }}
 name = "secret thrown out"
 search = {{ rule = "grid", lowest = 1500, highest = 1501, step = 1, settings = {{ repeats = 1 }} }}
 """
-PROGRAM = f"""
-import sys
-from dataclasses import replace
-from pathlib import Path
-from rig.session.console.desk import at_console
-from rig.session.hits import DeviceRunner
-from rig.session.run import run_session
-from sim_backend.operator import Script
-
-as_told = Script.of.__func__
 
 
-def as_they_are(cls, model, tick_s, position, session=0):
+def as_they_are(as_told: Any, model: Any, tick_s: float, position: float, session: int = 0) -> Script:
+    """What each person does; `as_told` is the script of somebody who does what is asked."""
     who, reach = model.operator.begin_s, model.reach
-    later = {{{ANTICIPATES}: -0.3, {SLOW}: 5.0}}.get(who, 0.0)
+    later = {ANTICIPATES: -0.3, SLOW: 5.0}.get(who, 0.0)
     planned = replace(model, reach=replace(reach, wait_s=reach.wait_s + later))
-    script = as_told(cls, planned, tick_s, position, session)
-    if who != {LEAVES}:
+    script: Script = as_told(planned, tick_s, position, session)
+    if who != LEAVES:
         return script
     rows, gone = script.rows.copy(), script.again + round(0.1 / tick_s)
     rows[gone:] = reach.start, 0.0, 0.0
     return Script(rows=rows, again=gone)
 
 
-Script.of = classmethod(as_they_are)
-run_session(Path(sys.argv[1]), "P01", at_console(), runner=DeviceRunner(), study=Path(sys.argv[2]))
-"""
 OBEYS, THROWN_OUT = "[1] stable", "[3] unstable"
 FALSE_START, ABSENT = "a false start: the handle moved before the cue", "the wall was never touched"
 GONE = "the hand left the wall before the end and did not come back: ask to stay in it"
@@ -108,17 +102,23 @@ EXPECTED = {  # what the log keeps of both trials of each person: verdict, why t
 }
 
 
-def test_every_trial_has_the_reason_of_whoever_was_at_the_handle(tmp_path: Path) -> None:
+def test_every_trial_has_the_reason_of_whoever_was_at_the_handle(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TERM", "xterm-256color")
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    monkeypatch.setattr(Script, "of", partial(as_they_are, Script.of))
     path = tmp_path / "people.toml"
     path.write_text(PROTOCOL)
     with Terminal() as terminal:
-        operator = Operator(terminal, tmp_path, str(path), str(tmp_path / "study"), program=PROGRAM)
+        session = partial(run_session, path, "P01", runner=DeviceRunner(), study=tmp_path / "study")
+        operator = Operator(terminal, tmp_path, session)
 
         def hit(expected: str) -> str:
             """Say go, and wait for what the screen shows then; returns it."""
-            assert operator.sees("ready?"), operator.end()
+            assert operator.sees("ready?"), operator.result()
             terminal.type("g")
-            assert operator.sees(expected), operator.end()
+            assert operator.sees(expected), operator.result()
             return " ".join(re.sub("[│─╭╮╰╯]", " ", operator.seen[-1]).split())
 
         try:
@@ -135,9 +135,9 @@ def test_every_trial_has_the_reason_of_whoever_was_at_the_handle(tmp_path: Path)
                 operator.types("3", until_gone=THROWN_OUT)
             assert operator.sees("end the session?")
             terminal.type("g")
-            assert operator.end() == (0, "")
+            assert operator.result().ended == "complete"
         finally:
-            operator.program.end()
+            operator.close()
     kept = [
         (
             one["condition"].removeprefix("secret "),

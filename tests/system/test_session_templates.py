@@ -15,7 +15,7 @@ from rig.session.template_files import template_names
 TRIALS = 3
 
 
-@pytest.mark.usefixtures("coarse")
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("name", template_names())
 def test_a_template_is_rehearsed_and_reported(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

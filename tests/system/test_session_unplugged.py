@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from rig import config
+from rig.bench.doctor import pace
 from rig.config import Experiment, presets
 from rig.core.errors import RigError
 from rig.devices.fault_script import Direction, FrameFault, Kind
@@ -105,7 +106,10 @@ def runner_on(port: str) -> DeviceRunner:
     return DeviceRunner(url=port, realtime=True, verified=True, arm_anyway=True, lossy_anyway=True)
 
 
-def test_a_second_session_on_the_same_rig_is_refused_and_leaves_nothing(tmp_path: Path) -> None:
+def test_a_second_session_on_the_same_rig_is_refused_and_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pace, "SECONDS", 0.1)  # what is lost meanwhile is accepted
     protocol = tmp_path / "one.toml"
     protocol.write_text(written(tmp_path).read_text().replace('"koul-rigid"', '"koul-compliant"'))
     model = config.rig_model(config.override(presets.load("koul-compliant"), {"trial.kind": "human"}))

@@ -12,7 +12,7 @@ from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rig.core.errors import ConfigError, StoppedError
 from rig.core.present import plain as plain_of
@@ -23,7 +23,9 @@ from rig.session.console.pointer import HandKind
 from rig.session.console.seat import full_press, keymap_for, refuse_a_hand
 from rig.session.desk import Desk
 from rig.session.protocol import Keys, Protocol
-from rig.session.runner import TrialRunner
+
+if TYPE_CHECKING:  # a desk asks, and loads no loop
+    from rig.session.runner import TrialRunner
 
 if sys.platform != "win32":
     from rig.session.console.child import Child, Message

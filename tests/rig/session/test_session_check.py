@@ -29,6 +29,7 @@ from rig.session.disk import refuse_full_disk
 from rig.session.expected import Range, expected_trials
 from rig.session.hits import DeviceRunner
 from rig.session.load import as_mapping, load_protocol
+from rig.session.pace import pace_checks
 from rig.session.plan import StudyPlan
 from rig.session.protocol import Caps, Condition, Practice, Protocol, Rest, Search, Stop
 from rig.session.schedule import levels_of
@@ -183,17 +184,27 @@ def test_a_device_is_asked_for_its_rate_only_when_it_is_named(schemes: Protocol,
     assert "rehearse" in asked.remedy
 
 
-@pytest.mark.parametrize("hopeless", [False, True])
 def test_the_first_template_fits_the_simulated_rig_in_real_time(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, hopeless: bool
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    lost = Pace(rate_hz=1000, lost_share=0.02, longest_gap_s=0.003, hopeless=hopeless, kept_hz=250)
+    lost = Pace(rate_hz=1000, lost_share=0.02, longest_gap_s=0.003, hopeless=False, kept_hz=250)
     monkeypatch.setattr(DeviceRunner, "pace", lambda *_: lost)  # how busy this machine is, is no matter here
-    found = check(template(DEFAULT, tmp_path), tmp_path, url="sim://")
-    assert found.ok is not hopeless
+    planned = template(DEFAULT, tmp_path)
+    found = check(planned, tmp_path, url="sim://")
+    assert found.ok
     assert named(found, "device rate").outcome is Outcome.OK
-    assert named(found, "samples").outcome is (Outcome.REFUSED if hopeless else Outcome.WARNING)
+    assert named(found, "samples").outcome is Outcome.WARNING
     assert "run at 250 Hz" in named(found, "samples").remedy
+    monkeypatch.setattr(DeviceRunner, "pace", lambda *_: replace(lost, hopeless=True))
+    (hopeless,) = pace_checks(Walls(planned, base_of(planned, tmp_path)), DeviceRunner(realtime=True))
+    assert hopeless.outcome is Outcome.REFUSED
+
+
+def test_a_wall_has_the_seed_of_the_study(schemes: Protocol) -> None:
+    """As its trials have: a simulated device that was started for the checks serves them, too."""
+    seeded = replace(schemes, study=replace(schemes.study, seed=3))
+    walls = Walls(seeded, base_of(seeded, Path()))
+    assert {walls.softest(one).trial.seed for one in seeded.condition} == {3}
 
 
 def test_a_condition_that_theory_does_not_know_is_said(schemes: Protocol) -> None:

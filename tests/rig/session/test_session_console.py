@@ -657,5 +657,6 @@ def test_only_messages_come_through(parts: list[bytes]) -> None:
 
 
 def test_a_console_that_is_started_anew_within_a_hit_loads_no_loop() -> None:
-    script = "import sys, rig.session.console.__main__; assert not {'numba', 'scipy', 'pydantic'} & set(sys.modules)"
+    modules = "rig.session.console.__main__, rig.session.console.desk"
+    script = f"import sys, {modules}; assert not {{'numba', 'scipy', 'pydantic'}} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", script], check=True)
