@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from operator import attrgetter
 from typing import Any, get_type_hints
 
@@ -32,6 +33,11 @@ class Wire:
 
 def wire_fields(cls: type) -> dict[str, Wire]:
     """Return name → `Wire` of a record class whose fields are ``Annotated[int, Wire(…)]``, in wire order."""
+    return _wire_fields(cls)
+
+
+@cache
+def _wire_fields(cls: type) -> dict[str, Wire]:
     return {name: hint.__metadata__[0] for name, hint in get_type_hints(cls, include_extras=True).items()}
 
 

@@ -67,6 +67,11 @@ def pytest_configure(config: pytest.Config) -> None:
         config.pluginmanager.register(LastFirst())
 
 
+def pytest_collection_finish() -> None:
+    """Modules and tests last as long as the process: no collection looks through them again."""
+    gc.freeze()
+
+
 @pytest.hookimpl(trylast=True)  # when the workers have ended
 def pytest_sessionfinish(session: pytest.Session) -> None:
     """Fail a run that leaves processes behind, name them, and end them."""

@@ -43,8 +43,9 @@ def test_the_paths_of_the_design_go_through_files_and_enter_no_room_twice() -> N
 
 
 @cache
-def trees() -> dict[str, ast.Module]:
-    return {module: ast.parse(path.read_text()) for module, path in source_files().items()}
+def nodes() -> dict[str, list[ast.AST]]:
+    """All that stands in each module."""
+    return {module: list(ast.walk(ast.parse(path.read_text()))) for module, path in source_files().items()}
 
 
 def test_rig_holds_rooms_and_nothing_loose() -> None:
@@ -65,13 +66,13 @@ def test_a_room_says_the_same_of_itself_in_the_readme_and_in_the_design(room: An
 def imported(module: str) -> set[str]:
     """Modules of ours that a module imports anywhere in it, other than itself."""
     found: set[str] = set()
-    for node in ast.walk(trees()[module]):
+    for node in nodes()[module]:
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module:
             parts = {f"{node.module}.{alias.name}" for alias in node.names}
-            found |= {part if part in trees() else node.module for part in parts}
-    return found & set(trees()) - {module}
+            found |= {part if part in nodes() else node.module for part in parts}
+    return found & set(nodes()) - {module}
 
 
 def test_no_file_is_part_of_a_cycle() -> None:
@@ -88,7 +89,7 @@ def test_no_file_is_part_of_a_cycle() -> None:
         way.pop()
         state[module] = 2
 
-    for module in trees():
+    for module in nodes():
         if module not in state:
             visit(module)
 
@@ -96,10 +97,10 @@ def test_no_file_is_part_of_a_cycle() -> None:
 def named_by_string() -> Iterator[tuple[str, str, str]]:
     """File, its module, and every module of ours that it names in a string."""
     for module, path in source_files().items():
-        for node in ast.walk(trees()[module]):
+        for node in nodes()[module]:
             if isinstance(node, ast.Constant) and isinstance(node.value, str):
                 named = node.value.partition(":")[0]
-                if MODULE_BY_NAME.fullmatch(node.value) and named in trees():
+                if MODULE_BY_NAME.fullmatch(node.value) and named in nodes():
                     yield str(path.relative_to(ROOT)), module, named
 
 
@@ -135,8 +136,8 @@ def test_imports_stand_at_the_top_of_files() -> None:
     """But for the ring and the entry: whoever stops a loop waits neither for the compiler's library nor for click."""
     inside = {
         module
-        for module, tree in trees().items()
-        for function in ast.walk(tree)
+        for module, everything in nodes().items()
+        for function in everything
         if isinstance(function, ast.FunctionDef)
         for node in ast.walk(function)
         if isinstance(node, ast.Import | ast.ImportFrom)
@@ -147,8 +148,8 @@ def test_imports_stand_at_the_top_of_files() -> None:
 def test_every_child_of_this_interpreter_takes_no_module_from_the_working_directory() -> None:
     commands = [
         ast.unparse(node)
-        for tree in trees().values()
-        for node in ast.walk(tree)
+        for everything in nodes().values()
+        for node in everything
         if isinstance(node, ast.List) and node.elts and ast.unparse(node.elts[0]) == "sys.executable"
     ]
     assert len(commands) == 5

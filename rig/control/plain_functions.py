@@ -25,6 +25,7 @@ import numpy as np
 
 from rig.core.errors import ConfigError
 from rig.realtime.handlers import interrupts_later
+from rig.realtime.parts import load_implementations
 
 NO_NUMBERS: Mapping[str, float] = {}
 MEMORY, PARAMETERS = "memory", "p"  # arguments beside the quantities
@@ -212,6 +213,7 @@ def _compiled(
     dispatcher = numba.njit(**_OPTIONS)(function)
     try:
         with interrupts_later():
+            load_implementations()
             dispatcher.compile(tuple(others.get(argument, numba.float64) for argument in arguments))
     except Exception as error:  # whatever the compiler, or what it looks up for the function, raises
         reason, remedy = _reason(str(error), form, seen, kept)

@@ -15,6 +15,7 @@ import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core.registry import cpu_target
+from numba.experimental import function_type  # noqa: F401  (what a plug takes in memory)
 from numba.extending import intrinsic, typeof_impl
 from numba.np.numpy_support import as_dtype
 from numpy.typing import NDArray

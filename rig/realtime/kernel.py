@@ -18,7 +18,7 @@ from numba.extending import register_jitable
 from rig.realtime import compiling
 from rig.realtime.cache import open_cache
 from rig.realtime.handlers import interrupts_later
-from rig.realtime.parts import Compiler, KernelCache, load_implementations
+from rig.realtime.parts import Compiler, KernelCache
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -89,7 +89,6 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
             typeinfer.register_dispatcher(self),
         ):
             if self._can_compile:
-                load_implementations()
                 with self._alone():
                     for signature in self.declared:
                         self.compile(signature)

@@ -22,6 +22,7 @@ from llvmlite import binding
 from numba.core import caching, codegen, compiler, dispatcher, sigutils
 from numba.core.compiler_lock import require_global_compiler_lock
 from numba.core.registry import cpu_target
+from numba.core.runtime import rtsys
 
 from rig.core.locks import lock
 from rig.realtime import compiling
@@ -112,7 +113,7 @@ def _common(nrt: bool) -> _Common:
 
 @cache
 def load_implementations() -> None:
-    """Let numba load what its compiler and its cache need, without scipy.linalg.
+    """Let numba load what its compiler needs, without scipy.linalg.
 
     numba asks there for a BLAS, for the sake of ``numpy.cov``, which takes longer than all the rest. A kernel that uses
     one, a law from elsewhere, asks again.
@@ -145,6 +146,7 @@ class Compiler(dispatcher._FunctionCompiler):  # type: ignore[misc,name-defined]
         return result
 
     def _compiled(self, args: Any, return_type: Any, kind: type[Part | Whole]) -> Any:
+        load_implementations()
         target = self.targetdescr
         flags = _Flags()
         target.options.parse_as_flags(flags, self.targetoptions)
@@ -185,6 +187,12 @@ class KernelCache(caching.FunctionCache):  # type: ignore[misc]
     """numba's disk cache of one kernel, in that place."""
 
     _impl_class = _Implementation
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Load machine code, which needs the runtime that counts references: not all that numba's compiler knows."""
+        rtsys.initialize(target_context)
+        with self._guard_against_spurious_io_errors():
+            return self._load_overload(sig, target_context)
 
     @contextlib.contextmanager
     def alone(self) -> Iterator[None]:

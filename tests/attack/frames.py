@@ -10,7 +10,7 @@ from firmware_protocol import messages as m
 from firmware_protocol.framing import CRC_BYTES, HEADER_BYTES, RAW_LIMIT, encode_frame
 from firmware_protocol.messages import Message
 from firmware_protocol.packing import HEADER, LAYOUT_OF, data_limit
-from tests.conformance.wire_strategies import fields_of
+from firmware_protocol.wire import wire_fields
 
 _LONGEST = RAW_LIMIT - CRC_BYTES - HEADER_BYTES
 _SHARE_OF_NOISE = 0.02
@@ -40,7 +40,7 @@ def any_message(chance: random.Random, classes: Sequence[type[Message]]) -> Mess
         name: chance.randbytes(chance.randrange(data_limit(cls) + 1))
         if wire.ctype == "bytes"
         else any_value(chance, wire.ctype)
-        for name, wire in fields_of(cls).items()
+        for name, wire in wire_fields(cls).items()
     }
     return cls(**values)
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cache
-
 from hypothesis import strategies as st
 
 from firmware_protocol.messages import MESSAGES, Message
@@ -11,8 +9,6 @@ from firmware_protocol.packing import data_limit
 from firmware_protocol.parameter import Parameter
 from firmware_protocol.parameters import PARAMETERS
 from firmware_protocol.wire import wire_fields
-
-fields_of = cache(wire_fields)  # which resolves type hints each time
 
 
 def integers_of(ctype: str) -> st.SearchStrategy[int]:
@@ -26,7 +22,7 @@ def messages_of(cls: type[Message]) -> st.SearchStrategy[Message]:
     """Every message of a class."""
     parts = {
         name: st.binary(max_size=data_limit(cls)) if wire.ctype == "bytes" else integers_of(wire.ctype)
-        for name, wire in fields_of(cls).items()
+        for name, wire in wire_fields(cls).items()
     }
     return st.builds(cls, **parts)
 

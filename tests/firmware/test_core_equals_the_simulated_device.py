@@ -30,6 +30,7 @@ from firmware_protocol.packing import HEADER, LAYOUT_OF, LAYOUTS, data_limit
 from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import PARAMETERS, block_crc, encode_block
 from firmware_protocol.transfer import set_parameters
+from firmware_protocol.wire import wire_fields
 from rig.core.model import Reference, RigModel
 from sim_backend.compiled_device import SAID, CompiledDevice
 from sim_backend.device import SimulatedDevice
@@ -49,7 +50,7 @@ from sim_backend.lockstep import (
 from sim_backend.safety import UNITS_PER_SECOND
 from tests.conformance.host import RUN_PARAMETERS
 from tests.conformance.rigs import linear_rig, rotary_rig, unmeasured
-from tests.conformance.wire_strategies import fields_of, messages_of, parameter_sets
+from tests.conformance.wire_strategies import messages_of, parameter_sets
 
 WALKS = int(os.environ.get("HAPTIC_RIG_WALKS", "20"))
 WALK_STEPS = 120
@@ -397,7 +398,7 @@ def random_message(rng: random.Random) -> Message:
     """Any request or command, of plausible or extreme values."""
     cls = rng.choice(HOST_MESSAGES)
     values: dict[str, Any] = {}
-    for name, wire in fields_of(cls).items():
+    for name, wire in wire_fields(cls).items():
         if wire.ctype == "bytes":
             values[name] = rng.randbytes(rng.randrange(data_limit(cls) + 1))
         else:

@@ -12,6 +12,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -31,16 +32,7 @@ ROOT = Path(__file__).parents[2]
 START_S = 30.0
 
 
-def needs_distributed(test: Any) -> Any:
-    return pytest.mark.skipif(_no_distributed(), reason="distributed is not installed")(test)
-
-
-def _no_distributed() -> Any:
-    try:
-        import distributed  # noqa: F401, PLC0415
-    except ImportError:
-        return True
-    return False
+needs_distributed = pytest.mark.skipif(not find_spec("distributed"), reason="distributed is not installed")
 
 
 class Cluster:

@@ -9,6 +9,7 @@ import inspect
 import json
 import re
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import click
@@ -99,20 +100,25 @@ def test_the_package_uses_no_builtin_that_one_of_its_modules_takes_the_name_of()
     assert not taken & set(dir(builtins)) & used
 
 
-def texts() -> Iterator[tuple[str, str]]:
+@cache
+def texts() -> list[tuple[str, str]]:
     """File and text of every string outside the commands that is no docstring."""
+    found = []
     for module, path in source_files(["rig"]).items():
         if module.startswith("rig.cli"):
             continue
-        tree = ast.parse(path.read_text())
+        nodes = list(ast.walk(ast.parse(path.read_text())))
         documented = {
             id(node.value)
-            for node in ast.walk(tree)
+            for node in nodes
             if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
         }
-        for node in ast.walk(tree):
-            if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in documented:
-                yield module, node.value
+        found += [
+            (module, node.value)
+            for node in nodes
+            if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in documented
+        ]
+    return found
 
 
 def test_a_message_of_a_function_names_arguments_and_no_options() -> None:

@@ -198,19 +198,13 @@ def test_options_of_virtual_time_are_refused_where_they_would_do_nothing() -> No
         pass
 
 
-def test_a_device_process_takes_no_module_from_the_working_directory(
+def test_a_device_process_takes_no_module_from_here_answers_by_name_and_ends_with_its_context(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Ctrl-C in a terminal goes to a whole process group: the device must not be in it, or it dies before the host."""
     monkeypatch.chdir(tmp_path)
     for name in ("json", "pickle", "socket", "signal"):
         (tmp_path / f"{name}.py").write_text("raise SystemExit(77)")
-    with local.serve_locally("sim://", config.rig_model(presets.load("koul-compliant"))) as url:
-        assert url.startswith("unix://")
-    assert child.SAFE_PATH not in os.environ
-
-
-def test_a_device_process_answers_by_name_and_ends_with_its_context() -> None:
-    """Ctrl-C in a terminal goes to a whole process group: the device must not be in it, or it dies before the host."""
     with local.serve_locally("sim://chawda-linear", config.rig_model(presets.load("koul-compliant"))) as url:
         (process,) = multiprocessing.active_children()
         assert os.getpgid(process.pid) != os.getpgid(0)
@@ -218,6 +212,7 @@ def test_a_device_process_answers_by_name_and_ends_with_its_context() -> None:
         with rig.devices.open_device(url) as device:
             assert device.dictionary.device == "chawda-linear"
             assert device.dictionary.simulated
+    assert child.SAFE_PATH not in os.environ
     assert not process.is_alive()
     assert not multiprocessing.active_children()
     with pytest.raises(DeviceNotFoundError):

@@ -24,7 +24,7 @@ from rig.core.errors import DeviceRefusedError, IncompatibleDeviceError, LinkLos
 from rig.devices import framed
 from rig.devices.device import DeviceUrl
 from rig.devices.fault_script import DeviceFault, Direction, Faults, FrameFault, Kind
-from rig.devices.framed import FAULT_LOG_S, READY_AGAIN_S, READY_S, STOP_FRAMES, FramedDevice
+from rig.devices.framed import FAULT_LOG_S, READY_AGAIN_S, STOP_FRAMES, FramedDevice
 from sim_backend.device import SimulatedDevice
 from sim_backend.link import MemoryLink
 from tests.conformance.host import RUN_PARAMETERS
@@ -423,8 +423,9 @@ def test_a_stale_session_is_answered_with_another_number() -> None:
     assert simulated.connection.state is State.ARMED
 
 
-def test_a_device_that_is_not_ready_is_asked_again_until_it_is() -> None:
+def test_a_device_that_is_not_ready_is_asked_again_until_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
     """Such as one that works out its excitation; in the time of its link."""
+    monkeypatch.setattr(framed, "READY_S", 3.0)
     simulated, wire, device = make()
     device.configure(RUN_PARAMETERS)
     answers = iter([Status.NOT_READY] * 3 + [None] * 9)
@@ -444,7 +445,7 @@ def test_a_device_that_is_not_ready_is_asked_again_until_it_is() -> None:
     with pytest.raises(DeviceRefusedError) as refused:
         device.arm()
     assert refused.value.status == Status.NOT_READY
-    assert wire.clock.now_ns() - start_ns >= round(READY_S * 1e9)
+    assert 3.0 <= (wire.clock.now_ns() - start_ns) * 1e-9 < 4.0
 
 
 def test_a_device_that_calls_every_session_stale_is_not_asked_for_ever() -> None:

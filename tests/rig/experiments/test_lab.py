@@ -21,21 +21,35 @@ from rig.experiments.plan import delay_checks
 SHORT: dict[str, Any] = {"duration_s": 0.25, "changes": {"verdict.tail_s": 0.1}}
 
 
-@rig.law(parameters={"quadratic": 1e4})
-def stiffening(penetration: float, velocity: float, p: rig.Parameters) -> float:
-    """A wall that grows harder with depth."""
-    return p.stiffness * penetration + p.quadratic * penetration**2 + p.damping * velocity
+@pytest.fixture(scope="module")
+def stiffening() -> rig.Law:
+    """A law of ours, compiled when it is defined."""
 
+    @rig.law(parameters={"quadratic": 1e4})
+    def stiffening(penetration: float, velocity: float, p: rig.Parameters) -> float:
+        """A wall that grows harder with depth."""
+        return p.stiffness * penetration + p.quadratic * penetration**2 + p.damping * velocity
 
-@rig.estimator(memory=("velocity",))
-def smoothed(travel: float, elapsed_s: float, memory: rig.Memory) -> float:
-    """Slopes, smoothed."""
-    memory.velocity += 0.2 * (travel / elapsed_s - memory.velocity)
-    return memory.velocity
+    return stiffening
 
 
 @pytest.fixture(scope="module")
-def own(tmp_path_factory: pytest.TempPathFactory) -> rig.HitResult:
+def smoothed() -> rig.Estimator:
+    """An estimator of ours."""
+
+    @rig.estimator(memory=("velocity",))
+    def smoothed(travel: float, elapsed_s: float, memory: rig.Memory) -> float:
+        """Slopes, smoothed."""
+        memory.velocity += 0.2 * (travel / elapsed_s - memory.velocity)
+        return memory.velocity
+
+    return smoothed
+
+
+@pytest.fixture(scope="module")
+def own(
+    tmp_path_factory: pytest.TempPathFactory, stiffening: rig.Law, smoothed: rig.Estimator
+) -> rig.HitResult:
     """A hit of a law and an estimator of ours."""
     place = tmp_path_factory.mktemp("own")
     law = stiffening.with_parameters(quadratic=2e4)
@@ -102,7 +116,9 @@ def test_a_law_and_an_estimator_of_ones_own_run_and_are_recorded(own: rig.HitRes
     assert header["law"]["parameters"] == [100.0, 0.5, 1 / 20_000, 2e4]
 
 
-def test_they_replay_to_the_last_bit_with_the_parameters_that_were_recorded(own: rig.HitResult) -> None:
+def test_they_replay_to_the_last_bit_with_the_parameters_that_were_recorded(
+    own: rig.HitResult, stiffening: rig.Law, smoothed: rig.Estimator
+) -> None:
     for recording in (own.recording, own.path, str(own.path)):
         assert rig.replay(recording, law=stiffening, estimator=smoothed).exact
     other = rig.replay(own.path, law=stiffening, estimator="fdm")
@@ -117,7 +133,9 @@ def test_they_replay_to_the_last_bit_with_the_parameters_that_were_recorded(own:
         rig.replay("nowhere.parquet")
 
 
-def test_they_are_known_by_name_meanwhile_and_no_longer(own: rig.HitResult) -> None:
+def test_they_are_known_by_name_meanwhile_and_no_longer(
+    own: rig.HitResult, stiffening: rig.Law, smoothed: rig.Estimator
+) -> None:
     with pytest.raises(ConfigError, match=r'controller.estimator = "smoothed"'):
         rig.plan("koul-compliant", estimator="smoothed")
     planned = rig.plan("koul-compliant", estimator=smoothed, law=stiffening)
@@ -125,7 +143,9 @@ def test_they_are_known_by_name_meanwhile_and_no_longer(own: rig.HitResult) -> N
     assert "by smoothed" in repr(planned)
 
 
-def test_in_a_map_they_run_in_every_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_in_a_map_they_run_in_every_thread(
+    monkeypatch: pytest.MonkeyPatch, stiffening: rig.Law, smoothed: rig.Estimator
+) -> None:
     threads: set[int] = set()
     get = plugins.load
 
@@ -145,7 +165,9 @@ def test_in_a_map_they_run_in_every_thread(monkeypatch: pytest.MonkeyPatch) -> N
     assert found.curve(0, "any")[1].stiffness >= found.curve(0, "any")[0].stiffness
 
 
-def test_what_only_this_program_knows_goes_to_no_other_and_into_no_directory(tmp_path: Path) -> None:
+def test_what_only_this_program_knows_goes_to_no_other_and_into_no_directory(
+    tmp_path: Path, stiffening: rig.Law, smoothed: rig.Estimator
+) -> None:
     """A map that is resumed, or runs elsewhere, finds a law by its name, and may find another one."""
     with pytest.raises(ConfigError, match=r"smoothed is known to this program alone.*\"rig.estimators\""):
         rig.zwidth("koul-compliant", estimator=smoothed, directory=tmp_path)
@@ -169,7 +191,7 @@ def test_what_a_package_installs_is_known_by_its_name(
     assert result.recording.header["initial_state"]["law"]["parameters"][0] == 200.0
 
 
-def test_a_name_that_is_taken_and_a_part_that_is_none_are_refused() -> None:
+def test_a_name_that_is_taken_and_a_part_that_is_none_are_refused(stiffening: rig.Law) -> None:
     @rig.estimator(name="fdm")
     def impostor(travel: float) -> float:
         return travel
