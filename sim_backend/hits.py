@@ -7,8 +7,6 @@ core keeps it busy, and memory does not grow with the number of hits. What comes
 
 from __future__ import annotations
 
-from dataclasses import replace
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -102,9 +100,7 @@ class SimulatedRig:
     """A rig to hit again and again; see `rig.devices.simulated`."""
 
     def __init__(self, model: RigModel, tick_s: float, thresholds: Thresholds, most_ticks: int) -> None:
-        self._held = replace(
-            model, encoder=replace(model.encoder, offset=0.0)
-        )  # all that a script depends on
+        self._model = model
         self._thresholds = thresholds
         self._plant = DiscretePlant.build(model, tick_s)
         self._meter = judging.meter(thresholds, tick_s, model.encoder.resolution)
@@ -115,7 +111,7 @@ class SimulatedRig:
         """Run one trial from rest at a position and measure it."""
         plant, meter, trace = self._plant, self._meter, self._trace
         recorded, true = np.zeros(1, NUMBERS), np.zeros(1, NUMBERS)
-        state, script = plant.at_rest(start), self._script(start)
+        state, script = plant.at_rest(start), Script.of(self._model, plant.tick_s, start)
         arguments = run_arguments(controller, plant, state, 0.0, OLDEST_EDGE, script)
         ticks = hit(*arguments, trace, self._signals, meter.arguments(), recorded, true)
         ended = int(trace.flags[ticks - 1])
@@ -133,11 +129,3 @@ class SimulatedRig:
             Measured(true[0], self._thresholds, thrown_out),
             ticks,
         )
-
-    def _script(self, start: float) -> Script:
-        return _script(self._held, self._plant.tick_s, start)
-
-
-# The rigs of a map differ in little: what they share is made once, and nobody writes into it. (The exponential of a
-# matrix also wakes the threads of a linear algebra library, which then spin for a while on cores that others want.)
-_script = lru_cache(maxsize=8)(Script.of)  # 2 MB each

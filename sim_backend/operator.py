@@ -13,6 +13,7 @@ whose frequencies are multiples of half a hertz. So it lasts forever and stays s
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -65,6 +66,7 @@ class Script(NamedTuple):
         return _written(model.operator, model.reach, model.mechanics.handle_radius, tick_s, position, session)
 
 
+@lru_cache(maxsize=8)  # the rigs of a map differ in what no hand wants; 2 MB each, and nobody writes into it
 def _written(
     operator: Operator, reach: Reach, radius: float, tick_s: float, position: float, session: int
 ) -> Script:

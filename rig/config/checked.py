@@ -13,7 +13,7 @@ from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cache
 from typing import TYPE_CHECKING, Any, Generic, TypeVar, get_type_hints
 
-from rig.config.files import Table, nest
+from rig.config.files import LEAVES, Table, nest
 from rig.config.problems import Problem, did_you_mean
 from rig.config.table import Parameter, parameters_of, sections_of, shown
 from rig.core.deferred import pydantic
@@ -171,6 +171,8 @@ class _Changing:
 
 def plain(value: Any) -> Any:
     """Nested dicts of a dataclass; what is None is left out, and comes back as None."""
+    if type(value) in LEAVES:
+        return value
     if is_dataclass(value):
         inner = ((item.name, getattr(value, item.name)) for item in fields(value))
         return {name: plain(v) for name, v in inner if v is not None}
@@ -217,7 +219,7 @@ def _jsonable(value: Any) -> Any:
         return [_jsonable(inner) for inner in value]
     if isinstance(value, int) and value.bit_length() > 1024:  # no float is that large
         return math.inf
-    return value if value is None or isinstance(value, bool | int | float | str) else []
+    return value if type(value) in LEAVES or isinstance(value, int | float | str) else []
 
 
 def _problem_of(error: ErrorDetails, kind: Kind[Any], table: Table, motion: Motion | None) -> Problem:

@@ -13,6 +13,7 @@ from rig.config.problems import did_you_mean
 from rig.core.errors import ConfigError
 
 Table = dict[str, Any]
+LEAVES = {type(None), bool, int, float, str}  # most of what stands in a table: known at a glance
 DEPTH = 8  # no section lies deeper; what does is refused by name, not by a stack overflow
 
 
@@ -65,7 +66,7 @@ def preset_table(name: str) -> Table:
 
 def tidy(value: Any, depth: int = 0) -> Any:
     """Copy a table into plain dicts with text keys, cut off at `DEPTH`; other values pass as they are."""
-    if not isinstance(value, Mapping | list | tuple):
+    if type(value) in LEAVES or not isinstance(value, Mapping | list | tuple):
         return value
     if depth == DEPTH:
         return "a table nested too deeply"

@@ -39,7 +39,7 @@ class reported(Generic[Value]):  # noqa: N801  (used as `property` is)
         return self if instance is None else self.getter(instance)
 
 
-def plain(value: Any, not_finite: Callable[[float], Any] = lambda _: None) -> Any:  # noqa: PLR0911  (a table of cases)
+def plain(value: Any, not_finite: Callable[[float], Any] = lambda _: None) -> Any:  # noqa: PLR0911, PLR0912  (a table of cases)
     """Reduce a result to what JSON holds: dict, list, str, int, float, bool, None.
 
     Parameters
@@ -55,8 +55,18 @@ def plain(value: Any, not_finite: Callable[[float], Any] = lambda _: None) -> An
     TypeError
         Something else is in it, which only this program could read.
     """
-    if type(value) in _AS_IT_IS:
+    kind = type(value)
+    if kind in _AS_IT_IS:
         return value
+    if kind is float:
+        return value if math.isfinite(value) else not_finite(value)
+    if kind is dict:  # nearly all that is nested
+        return {
+            key if type(key) is str else _key(key): item
+            if type(item) in _AS_IT_IS
+            else plain(item, not_finite)
+            for key, item in value.items()
+        }
 
     def inner(item: Any) -> Any:
         return plain(item, not_finite)
@@ -71,7 +81,7 @@ def plain(value: Any, not_finite: Callable[[float], Any] = lambda _: None) -> An
         case float():
             return float(value) if math.isfinite(value) else not_finite(value)
         case Mapping():
-            return {_key(key): inner(item) for key, item in value.items()}
+            return inner(dict(value))
         case list() | tuple():
             return [inner(item) for item in value]
         case PathLike():

@@ -31,7 +31,14 @@ from tests.conformance.trials import trial_on
 
 HIT = config.override(
     presets.load("koul-compliant"),
-    {"trial.duration_s": 0.3, "trial.release_s": 0.02, "homing.settle_s": 0.01, "verdict.tail_s": 0.1},
+    {
+        "controller.position_rate": 5_000,
+        "controller.velocity_rate": 1_000,
+        "trial.duration_s": 0.3,
+        "trial.release_s": 0.02,
+        "homing.settle_s": 0.01,
+        "verdict.tail_s": 0.1,
+    },
 )
 
 

@@ -31,11 +31,22 @@ from sim_backend.link import MemoryLink
 from tests.conformance.trials import trial_on
 
 START = -0.015
-BASE = config.override(presets.load("koul-compliant"), {"trial.duration_s": 0.2, "verdict.tail_s": 0.08})
+RATE = 5_000  # Hz: a tick of the readable device is a tenth of a millisecond of Python
+BASE = config.override(
+    presets.load("koul-compliant"),
+    {
+        "controller.position_rate": RATE,
+        "controller.velocity_rate": 1_000,
+        "trial.duration_s": 0.2,
+        "verdict.tail_s": 0.08,
+    },
+)
 PERSON = {"trial.kind": "human", "homing.settle_s": 0.05}
 QUANTUM_A = BASE.rig.amplifier.current_quantum_a
-AT_REST = 5_000  # tick: in the wall, where a steady push holds it
-PUSHED = 2_800  # tick: on its way there; a voltage-driven motor soon rests in the wall without a current
+AT_REST = RATE // 4  # tick: in the wall, where a steady push holds it
+PUSHED = (
+    7 * RATE // 50
+)  # tick: on its way there; a voltage-driven motor soon rests in the wall without a current
 
 
 def hardware(**values: float) -> Callable[[Any], None]:
@@ -99,7 +110,11 @@ def test_a_sound_voltage_driven_motor_is_not_accused_however_it_is_shaken(
     make: Any, loop: str, tmp_path: Path
 ) -> None:
     """To and fro every 10 ms, into the wall and out of it; a sixth of its current is back-EMF."""
-    shakes = [(tick, hardware(external_effort=(-1.0) ** (tick // 200))) for tick in range(PUSHED, 8_000, 200)]
+    each = RATE // 100
+    shakes = [
+        (tick, hardware(external_effort=(-1.0) ** (tick // each)))
+        for tick in range(PUSHED, 2 * RATE // 5, each)
+    ]
     free = {"oscillations": 0, "energy": None, "position_minimum": -3.0, "position_maximum": 3.0}
     changes = {f"rig.limits.{name}": value for name, value in free.items()}
     _, recording, error = trial(

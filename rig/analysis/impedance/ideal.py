@@ -31,6 +31,7 @@ textbook.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -101,29 +102,43 @@ def rendered(
     ndarray of complex
         F/(jω·X) in damping units, shape (n,).
     """
+    return walls(rig, lines_hz, scheme=scheme, seen=seen, channel=channel, images=images)(stiffness, damping)
+
+
+def walls(
+    rig: RigLike | LinearLoop,
+    lines_hz: ArrayLike,
+    *,
+    scheme: SchemeLike | None = None,
+    seen: Seen = "handle",
+    channel: Channel = "external",
+    images: bool = True,
+) -> Callable[[float, float], Complexes]:
+    """What `rendered` gives for K and B, with all that no wall changes computed once."""
     loop = _loop(rig, scheme)
     plant = _Plant.of(loop)
     lines = np.atleast_1d(np.asarray(lines_hz, dtype=np.float64))
     held = hold(lines, loop.tick_s)
     loops = _sampled(loop, plant, lines, images)
-    own = channel == "motor"
+    own, row = channel == "motor", plant.row(seen)
     # Position at the samples that each unit of excitation makes, the wall aside.
     made = loops.forward[:, 0] if own else plant.response(lines, plant.sensed, EXTERNAL)
-    share = 1.0 / (1.0 + loops.forward * stiffness)
-    velocity = (loops.mean * made * share[:, 0]) / (
-        1.0 + damping * np.sum(loops.mean[:, None] * loops.pattern * loops.forward * share, axis=1)
-    )
-    sampled = share[:, 0] * (made - loops.forward[:, 0] * damping * loops.pattern[:, 0] * velocity)
-    if seen == "samples":
-        position = sampled
-    else:
-        command = stiffness * sampled + damping * loops.pattern[:, 0] * velocity
-        row = plant.row(seen)
-        by_motor = plant.response(lines, row, COMMAND) * held * loops.late
-        position = (
-            by_motor * (1.0 - command) if own else plant.response(lines, row, EXTERNAL) - by_motor * command
+    by_motor = plant.response(lines, row, COMMAND) * held * loops.late
+    free = by_motor if own else plant.response(lines, row, EXTERNAL)
+    scale = (held if own else 1.0) / _s(lines)
+
+    def wall(stiffness: float, damping: float) -> Complexes:
+        share = 1.0 / (1.0 + loops.forward * stiffness)
+        velocity = (loops.mean * made * share[:, 0]) / (
+            1.0 + damping * np.sum(loops.mean[:, None] * loops.pattern * loops.forward * share, axis=1)
         )
-    return np.asarray((held if own else 1.0) / (_s(lines) * position))
+        sampled = share[:, 0] * (made - loops.forward[:, 0] * damping * loops.pattern[:, 0] * velocity)
+        if seen == "samples":
+            return np.asarray(scale / sampled)
+        command = stiffness * sampled + damping * loops.pattern[:, 0] * velocity
+        return np.asarray(scale / (free - by_motor * command))
+
+    return wall
 
 
 COMMAND, EXTERNAL = 0, 1  # inputs of `rig.core.model.StateSpace`

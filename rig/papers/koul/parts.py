@@ -165,9 +165,9 @@ def range_with_islands(lifted: theory.Lifted, connected: float) -> float:
 
 
 def linear_limits(payload: Mapping[str, Any]) -> dict[str, Any]:
-    """Exact theory of a scheme on an experiment: K_max over some dampings, range, islands, passivity.
+    """Exact theory of a scheme on an experiment: K_max over some dampings, range; with ``passivity`` that, too.
 
-    With ``rates`` in the payload instead: K_max at B = 0 for each uniform rate.
+    With ``islands`` the range beyond gaps. With ``rates`` in the payload instead: K_max at B = 0 for each uniform rate.
     """
     experiment = config.experiment_from_mapping(payload["experiment"], "theory")
     if "rates" in payload:
@@ -180,8 +180,6 @@ def linear_limits(payload: Mapping[str, Any]) -> dict[str, Any]:
     except ConfigError as error:  # an estimator that is not linear, a rate that adapts
         return {"not_linear": error.message}
     undamped, *curve = theory.k_max_curve(lifted, None, [0.0, *payload["dampings"]])
-    passive = theory.passivity_bound(lifted)
-    dampings = np.linspace(0.0, passive.largest_damping, PASSIVE_POINTS).tolist()
     largest = theory.b_max(lifted) if payload["islands"] else None
     return {
         "undamped": undamped.stiffness,
@@ -191,6 +189,15 @@ def linear_limits(payload: Mapping[str, Any]) -> dict[str, Any]:
         "frequency_hz": None if largest is None else largest.frequency_hz,
         "curve": [[limit.damping, limit.stiffness] for limit in curve],
         "islands": [[limit.damping, i.low, i.high] for limit in curve for i in limit.islands if not i.capped],
+        **(_passivity(lifted) if payload["passivity"] else {}),
+    }
+
+
+def _passivity(lifted: theory.Lifted) -> dict[str, Any]:
+    """Of a wall that any hand may touch: the same whichever holds the rig."""
+    passive = theory.passivity_bound(lifted)
+    dampings = np.linspace(0.0, passive.largest_damping, PASSIVE_POINTS).tolist()
+    return {
         "beta": passive.beta,
         "passive_stiffness": passive.stiffness,
         "passive_damping": passive.largest_damping,

@@ -79,6 +79,7 @@ class KoulPlan:
                     "scheme": idea.scheme.text,
                     "dampings": np.linspace(0.0, scale.idea_dampings[-1], scale.idea_points).tolist(),
                     "islands": False,
+                    "passivity": False,
                 },
                 20.0,
             )
@@ -212,6 +213,7 @@ class KoulPlan:
             "scheme": scheme.text,
             "dampings": np.linspace(0.0, max(plan.dampings), points).tolist(),
             "islands": main and self._scale.theory_points > rigs.QUICK.theory_points,
+            "passivity": main,
         }
         return part(koul_parts.LINEAR, payload, 100.0 if main else 30.0)
 
