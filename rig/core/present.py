@@ -13,6 +13,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
+from functools import partial
 from os import PathLike, fspath
 from typing import Any, Generic, TypeVar, overload
 
@@ -57,10 +58,9 @@ def plain(value: Any, not_finite: Callable[[float], Any] = lambda _: None) -> An
     """
     if type(value) in _AS_IT_IS:
         return value
-
-    def inner(item: Any) -> Any:
-        return plain(item, not_finite)
-
+    if type(value) is float:
+        return value if math.isfinite(value) else not_finite(value)
+    inner = partial(plain, not_finite=not_finite)
     match value:
         case Enum():
             return inner(value.value)
@@ -70,10 +70,13 @@ def plain(value: Any, not_finite: Callable[[float], Any] = lambda _: None) -> An
             return int(value)
         case float():
             return float(value) if math.isfinite(value) else not_finite(value)
-        case Mapping():
-            return {_key(key): inner(item) for key, item in value.items()}
+        case dict() | Mapping():
+            return {
+                key if type(key) is str else _key(key): item if type(item) in _AS_IT_IS else inner(item)
+                for key, item in value.items()
+            }
         case list() | tuple():
-            return [inner(item) for item in value]
+            return [item if type(item) in _AS_IT_IS else inner(item) for item in value]
         case PathLike():
             return fspath(value)
     if hasattr(value, "tolist"):  # numpy's, without loading it for whoever has none
