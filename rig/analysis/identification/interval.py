@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rig.core.deferred import stats
+from rig.core.deferred import special
 
 CONFIDENCE = 0.95
 
@@ -50,7 +50,7 @@ def quantile(degrees_of_freedom: float) -> float:
     """Two-sided 95 % quantile of Student's distribution; infinite without a degree of freedom."""
     if degrees_of_freedom < 1:
         return math.inf
-    return float(stats.t.ppf(0.5 + 0.5 * CONFIDENCE, degrees_of_freedom))
+    return float(special.stdtrit(degrees_of_freedom, 0.5 + 0.5 * CONFIDENCE))
 
 
 def from_scatter(value: float, samples: ArrayLike) -> Interval:

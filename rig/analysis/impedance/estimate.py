@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.analysis.impedance.signals import Complexes, ExcitedRun, Floats
-from rig.core.deferred import stats
+from rig.core.deferred import special
 from rig.core.errors import ConfigError
 
 VarianceFrom = Literal["realisations", "periods", "segments", "nothing"]
@@ -108,7 +108,7 @@ class Impedance:
         """
         if math.isinf(self.degrees_of_freedom):
             return z_score * self.deviation
-        return float(stats.t.isf(stats.norm.sf(z_score), self.degrees_of_freedom)) * self.deviation
+        return -float(special.stdtrit(self.degrees_of_freedom, special.ndtr(-z_score))) * self.deviation
 
     def within(self, band: tuple[float, float] | None) -> Impedance:
         """Return the lines of a band (Hz), ends included; all of them for None.
