@@ -36,6 +36,8 @@ _WRITE = {
     "list of text": 'write texts in brackets, like ["a", "b"]',
 }
 
+_AS_IT_IS = {bool, int, float, str}  # most of what a file holds
+
 
 @dataclass(frozen=True)
 class Kind(Generic[T]):
@@ -129,7 +131,8 @@ class _Changing:
         self.errors: list[tuple[Any, Table]] = []
 
     def section(self, section: Any, changes: Table, path: tuple[str, ...]) -> Any:
-        known = {item.name: getattr(section, item.name) for item in fields(section)}
+        kind: Any = type(section)
+        known = _names(kind)
         before = len(self.errors)
         new = {
             name: self._field(section, name, changes[name], (*path, name))
@@ -171,8 +174,11 @@ class _Changing:
 
 def plain(value: Any) -> Any:
     """Nested dicts of a dataclass; what is None is left out, and comes back as None."""
+    kind: Any = type(value)  # mypy finds types not hashable
+    if kind in _AS_IT_IS:
+        return value
     if is_dataclass(value):
-        inner = ((item.name, getattr(value, item.name)) for item in fields(value))
+        inner = ((name, getattr(value, name)) for name in _names(kind))
         return {name: plain(v) for name, v in inner if v is not None}
     if isinstance(value, tuple):
         return [plain(inner) for inner in value]
@@ -196,6 +202,11 @@ def place(path: Sequence[str]) -> str:
     for part in path:
         text += f" {int(part) + 1}" if part.isdecimal() else f".{part}"
     return text.removeprefix(".")
+
+
+@cache
+def _names(section: Any) -> tuple[str, ...]:
+    return tuple(item.name for item in fields(section))
 
 
 @cache
@@ -303,8 +314,17 @@ def better(value: Any, parameter: Parameter) -> str:
 
 def _mistaken_choices(kind: Kind[Any], table: Table) -> Iterator[Problem]:
     """Find true or 1.0 where a choice is the whole number 1: equal in Python, but not in a file."""
-    for key, parameter in kind.parameters().items():
-        value = value_at(table, key.split(".")) if parameter.choices else None
+    for key, path, parameter in _with_numbers_to_choose(kind):
+        value = value_at(table, path)
         if isinstance(value, bool | float) and value in parameter.choices:
             must = f"must be {parameter.expected(None)} ({parameter.meaning})"
             yield Problem(key, shown(value), must, better(value, parameter))
+
+
+@cache
+def _with_numbers_to_choose(kind: Kind[Any]) -> tuple[tuple[str, list[str], Parameter], ...]:
+    return tuple(
+        (key, key.split("."), parameter)
+        for key, parameter in kind.parameters().items()
+        if any(isinstance(choice, int | float) for choice in parameter.choices)
+    )
