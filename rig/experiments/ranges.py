@@ -16,7 +16,7 @@ import numpy as np
 
 from rig import config
 from rig.analysis import theory
-from rig.analysis.impedance.ideal import rendered
+from rig.analysis.impedance.ideal import Walls
 from rig.analysis.impedance.signals import Floats
 from rig.analysis.theory.loop import LinearLoop, linear_loop
 from rig.config import Experiment, push_at_rest
@@ -340,9 +340,10 @@ def linear_curves(
 
 def passive_limit(loop: LinearLoop, damping: float, highest: float, lines_hz: Floats) -> float:
     """Largest stiffness up to which the closed form has no negative real part at these lines; `highest` at most."""
+    walls = Walls.of(loop, lines_hz)
 
     def passive(stiffness: float) -> bool:
-        return bool((rendered(loop, stiffness, damping, lines_hz).real >= 0.0).all())
+        return bool((walls.rendered(stiffness, damping).real >= 0.0).all())
 
     low = 0.0
     for stiffness in np.linspace(0.0, highest, SCAN + 1)[1:].tolist():

@@ -101,29 +101,60 @@ def rendered(
     ndarray of complex
         F/(jω·X) in damping units, shape (n,).
     """
-    loop = _loop(rig, scheme)
-    plant = _Plant.of(loop)
-    lines = np.atleast_1d(np.asarray(lines_hz, dtype=np.float64))
-    held = hold(lines, loop.tick_s)
-    loops = _sampled(loop, plant, lines, images)
-    own = channel == "motor"
-    # Position at the samples that each unit of excitation makes, the wall aside.
-    made = loops.forward[:, 0] if own else plant.response(lines, plant.sensed, EXTERNAL)
-    share = 1.0 / (1.0 + loops.forward * stiffness)
-    velocity = (loops.mean * made * share[:, 0]) / (
-        1.0 + damping * np.sum(loops.mean[:, None] * loops.pattern * loops.forward * share, axis=1)
+    return Walls.of(rig, lines_hz, scheme=scheme, seen=seen, channel=channel, images=images).rendered(
+        stiffness, damping
     )
-    sampled = share[:, 0] * (made - loops.forward[:, 0] * damping * loops.pattern[:, 0] * velocity)
-    if seen == "samples":
-        position = sampled
-    else:
-        command = stiffness * sampled + damping * loops.pattern[:, 0] * velocity
-        row = plant.row(seen)
+
+
+@dataclass(frozen=True, eq=False)
+class Walls:
+    """What every wall of a rig has in common, at lines of shape (n,): for whoever asks about many."""
+
+    channel: Channel
+    seen: Seen
+    s: Complexes
+    held: Complexes
+    loops: _Sampled
+    made: Complexes  # position at the samples that each unit of excitation makes, the wall aside
+    free: Complexes  # the same, where it is seen
+    by_motor: Complexes  # position there that each unit of command makes
+
+    @classmethod
+    def of(
+        cls,
+        rig: RigLike | LinearLoop,
+        lines_hz: ArrayLike,
+        *,
+        scheme: SchemeLike | None = None,
+        seen: Seen = "handle",
+        channel: Channel = "external",
+        images: bool = True,
+    ) -> Walls:
+        """Compute it; parameters are those of `rendered`."""
+        loop = _loop(rig, scheme)
+        plant = _Plant.of(loop)
+        lines = np.atleast_1d(np.asarray(lines_hz, dtype=np.float64))
+        held, loops, row = hold(lines, loop.tick_s), _sampled(loop, plant, lines, images), plant.row(seen)
         by_motor = plant.response(lines, row, COMMAND) * held * loops.late
-        position = (
-            by_motor * (1.0 - command) if own else plant.response(lines, row, EXTERNAL) - by_motor * command
+        own = channel == "motor"
+        made = loops.forward[:, 0] if own else plant.response(lines, plant.sensed, EXTERNAL)
+        free = by_motor if own else plant.response(lines, row, EXTERNAL)
+        return cls(channel, seen, _s(lines), held, loops, made, free, by_motor)
+
+    def rendered(self, stiffness: float, damping: float) -> Complexes:
+        """F/(jω·X) of a wall, shape (n,)."""
+        loops, made = self.loops, self.made
+        share = 1.0 / (1.0 + loops.forward * stiffness)
+        velocity = (loops.mean * made * share[:, 0]) / (
+            1.0 + damping * np.sum(loops.mean[:, None] * loops.pattern * loops.forward * share, axis=1)
         )
-    return np.asarray((held if own else 1.0) / (_s(lines) * position))
+        sampled = share[:, 0] * (made - loops.forward[:, 0] * damping * loops.pattern[:, 0] * velocity)
+        if self.seen == "samples":
+            position = sampled
+        else:
+            command = stiffness * sampled + damping * loops.pattern[:, 0] * velocity
+            position = self.free - self.by_motor * command
+        return np.asarray((self.held if self.channel == "motor" else 1.0) / (self.s * position))
 
 
 COMMAND, EXTERNAL = 0, 1  # inputs of `rig.core.model.StateSpace`
