@@ -129,7 +129,8 @@ class _Changing:
         self.errors: list[tuple[Any, Table]] = []
 
     def section(self, section: Any, changes: Table, path: tuple[str, ...]) -> Any:
-        known = {item.name: getattr(section, item.name) for item in fields(section)}
+        kind: Any = type(section)
+        known = _names(kind)
         before = len(self.errors)
         new = {
             name: self._field(section, name, changes[name], (*path, name))
@@ -171,10 +172,11 @@ class _Changing:
 
 def plain(value: Any) -> Any:
     """Nested dicts of a dataclass; what is None is left out, and comes back as None."""
-    if type(value) in LEAVES:
+    kind: Any = type(value)  # mypy finds types not hashable
+    if kind in LEAVES:
         return value
     if is_dataclass(value):
-        inner = ((item.name, getattr(value, item.name)) for item in fields(value))
+        inner = ((name, getattr(value, name)) for name in _names(kind))
         return {name: plain(v) for name, v in inner if v is not None}
     if isinstance(value, tuple):
         return [plain(inner) for inner in value]
@@ -198,6 +200,11 @@ def place(path: Sequence[str]) -> str:
     for part in path:
         text += f" {int(part) + 1}" if part.isdecimal() else f".{part}"
     return text.removeprefix(".")
+
+
+@cache
+def _names(section: Any) -> tuple[str, ...]:
+    return tuple(item.name for item in fields(section))
 
 
 @cache

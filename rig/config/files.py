@@ -59,8 +59,9 @@ def preset_text(name: str) -> str:
     return (files("rig.config") / "presets" / f"{name}.toml").read_text(encoding="utf-8")
 
 
+@cache
 def preset_table(name: str) -> Table:
-    """Parse a preset."""
+    """Parse a preset, once: whoever asks gets the same table, and changes nothing in it."""
     return parse_toml(preset_text(name), f"preset {name}")
 
 

@@ -13,6 +13,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
+from functools import partial
 from os import PathLike, fspath
 from typing import Any, Generic, TypeVar, overload
 
@@ -39,7 +40,7 @@ class reported(Generic[Value]):  # noqa: N801  (used as `property` is)
         return self if instance is None else self.getter(instance)
 
 
-def plain(value: Any, not_finite: Callable[[float], Any] = lambda _: None) -> Any:  # noqa: PLR0911, PLR0912  (a table of cases)
+def plain(value: Any, not_finite: Callable[[float], Any] = lambda _: None) -> Any:  # noqa: PLR0911  (a table of cases)
     """Reduce a result to what JSON holds: dict, list, str, int, float, bool, None.
 
     Parameters
@@ -55,22 +56,11 @@ def plain(value: Any, not_finite: Callable[[float], Any] = lambda _: None) -> An
     TypeError
         Something else is in it, which only this program could read.
     """
-    kind = type(value)
-    if kind in _AS_IT_IS:
+    if type(value) in _AS_IT_IS:
         return value
-    if kind is float:
+    if type(value) is float:
         return value if math.isfinite(value) else not_finite(value)
-    if kind is dict:  # nearly all that is nested
-        return {
-            key if type(key) is str else _key(key): item
-            if type(item) in _AS_IT_IS
-            else plain(item, not_finite)
-            for key, item in value.items()
-        }
-
-    def inner(item: Any) -> Any:
-        return plain(item, not_finite)
-
+    inner = partial(plain, not_finite=not_finite)
     match value:
         case Enum():
             return inner(value.value)
@@ -80,10 +70,13 @@ def plain(value: Any, not_finite: Callable[[float], Any] = lambda _: None) -> An
             return int(value)
         case float():
             return float(value) if math.isfinite(value) else not_finite(value)
-        case Mapping():
-            return inner(dict(value))
+        case dict() | Mapping():
+            return {
+                key if type(key) is str else _key(key): item if type(item) in _AS_IT_IS else inner(item)
+                for key, item in value.items()
+            }
         case list() | tuple():
-            return [inner(item) for item in value]
+            return [item if type(item) in _AS_IT_IS else inner(item) for item in value]
         case PathLike():
             return fspath(value)
     if hasattr(value, "tolist"):  # numpy's, without loading it for whoever has none

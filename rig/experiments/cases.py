@@ -94,11 +94,12 @@ class Case:
         return inputs(self.counts, self.dt, self.edge_time, self.elapsed)
 
     @cached_property
-    def delayed_truths(self) -> tuple[slice, Floats, Floats]:
-        """Which judged samples tell the delay, the delays to try (s), and the truth at each, one row a delay."""
+    def delayed_truths(self) -> tuple[slice, Floats, Floats, Floats]:
+        """Which judged samples tell the delay, the delays to try (s), the truth at each, a row, and its square."""
         chosen = slice(None, None, max(1, len(self.judged_time_s) // DELAY_SAMPLES))
         delays = np.arange(EARLIEST_S, LATEST_S + DELAY_STEP_S, DELAY_STEP_S)
-        return chosen, delays, self.truth(self.judged_time_s[chosen] - delays[:, None])
+        truths = self.truth(self.judged_time_s[chosen] - delays[:, None])
+        return chosen, delays, truths, np.sum(np.square(truths), axis=1)
 
 
 def signal_case(signal: Signal, rate_hz: float, resolution: float, *, offset: float = 0.5) -> Case:

@@ -134,12 +134,15 @@ def estimates(case: Case, variant: Variant) -> Floats:
 
 def errors(case: Case, velocity: Floats) -> tuple[float, float, float]:
     """Raw rms error of velocities of shape (n,), delay (s), and rms error without that delay."""
-    judged = velocity[case.judged]
-    raw = _rms(judged - case.true_velocity)
-    delay_s = delay(case, velocity)
+    raw, delay_s = raw_error(case, velocity), delay(case, velocity)
     if math.isnan(delay_s):
         return raw, delay_s, raw
-    return raw, delay_s, _rms(judged - case.truth(case.judged_time_s - delay_s))
+    return raw, delay_s, _rms(velocity[case.judged] - case.truth(case.judged_time_s - delay_s))
+
+
+def raw_error(case: Case, velocity: Floats) -> float:
+    """Raw rms error of velocities of shape (n,)."""
+    return _rms(velocity[case.judged] - case.true_velocity)
 
 
 def delay(case: Case, velocity: Floats) -> float:
@@ -152,9 +155,9 @@ def delay(case: Case, velocity: Floats) -> float:
     """
     if np.ptp(case.true_velocity) <= 1e-9 * case.speed_rms:
         return math.nan
-    chosen, delays, truths = case.delayed_truths
+    chosen, delays, truths, powers = case.delayed_truths
     estimate = velocity[case.judged][chosen]
-    squares = np.sum(np.square(truths), axis=1) - 2.0 * truths @ estimate + np.sum(np.square(estimate))
+    squares = powers - 2.0 * truths @ estimate + np.sum(np.square(estimate))
     best = int(np.argmin(squares))
     if not 0 < best < len(delays) - 1:
         return math.nan

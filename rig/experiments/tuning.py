@@ -25,7 +25,7 @@ from rig.control.estimators.estimator import Estimator, Floats, Setting
 from rig.core.deferred import optimize, stats
 from rig.core.errors import ConfigError
 from rig.experiments.cases import Case
-from rig.experiments.estimators import Score, Variant, errors, estimates, score
+from rig.experiments.estimators import Score, Variant, errors, estimates, raw_error, score
 
 DELAY_SCALE_S = 0.01
 NEGLIGIBLE = 0.005  # a setting whose optimum is better by less than this share stays where it was
@@ -39,10 +39,6 @@ DIGITS = 4  # significant ones that a tuned value keeps
 Settings = Mapping[str, float | str]
 
 
-def _rms(case: Case, velocity: Floats) -> float:
-    return errors(case, velocity)[0]
-
-
 def _corrected(case: Case, velocity: Floats) -> float:
     return errors(case, velocity)[2]
 
@@ -54,7 +50,7 @@ def _both(case: Case, velocity: Floats) -> float:
 
 
 OBJECTIVES: dict[str, Callable[[Case, Floats], float]] = {
-    "rms": _rms,
+    "rms": raw_error,
     "delay-corrected-rms": _corrected,
     "rms+delay": _both,
 }

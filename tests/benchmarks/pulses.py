@@ -71,7 +71,7 @@ def _mechanics(**factors: float) -> Change:
     return change
 
 
-def _encoder(*, sign: int = 1, finer: float = 1.0) -> Change:
+def _encoder(*, sign: int = 1, finer: float = 1.0, **values: float) -> Change:
     def change(model: RigModel) -> RigModel:
         encoder = model.encoder
         scale = (
@@ -79,7 +79,7 @@ def _encoder(*, sign: int = 1, finer: float = 1.0) -> Change:
             if encoder.quantum is None
             else {"quantum": encoder.quantum / finer}
         )
-        return replace(model, encoder=replace(encoder, sign=sign * encoder.sign, **scale))
+        return replace(model, encoder=replace(encoder, sign=sign * encoder.sign, **scale, **values))
 
     return change
 
@@ -92,7 +92,7 @@ FAULTS = {
     "motor reversed": Fault("direction", hardware=(("drive", -1.0),)),
     "motor × ½": Fault("size", hardware=(("drive", 0.5),)),
     "motor × 2": Fault("size", hardware=(("drive", 2.0),)),
-    "encoder frozen": Fault("motion", hardware=(("counts", lambda true: 0),)),
+    "encoder frozen": Fault("motion", _encoder(finer=1e-9, offset=0.5)),  # no travel leaves its count
     "encoder channel dead": Fault("motion", hardware=(("counts", lambda true: (true + 1) // 2 % 2),)),
     "encoder reversed": Fault("direction", _encoder(sign=-1)),
     "encoder × ½": Fault("size", _encoder(finer=0.5)),

@@ -38,6 +38,7 @@ def machine(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(examining, "machine_checks", lambda host: [check])
     monkeypatch.setattr(ports, "available_ports", lambda: [])
     monkeypatch.setattr("rig.bench.doctor.ports.available_devices", lambda: [])
+    monkeypatch.setattr(gate, "LONGEST_S", 0.3)  # of measuring: a hit at 20 kHz does so for 1 s
 
 
 @pytest.fixture
@@ -75,6 +76,12 @@ def quiet_link(monkeypatch: pytest.MonkeyPatch) -> None:
 
     for module in (examining, gate):
         monkeypatch.setattr(module, "measure_link", measured)
+
+
+@pytest.fixture
+def no_walls(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The table of the walls that a link supports, most of the work, is left out."""
+    monkeypatch.setattr(examining, "supported_walls", lambda *_: [])
 
 
 def test_without_a_device_it_looks_at_machine_and_ports(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -127,9 +134,10 @@ def test_a_device_behind_a_port(run: Any, port: Any, quiet_link: Any) -> None:
 
 
 def test_a_simulated_rig_as_a_process_of_its_own_in_json(run: Any) -> None:
-    code, out, _ = run("doctor", "--realtime", "--json", *QUICK)
+    code, out, _ = run("doctor", "--realtime", "--json", "--rig", "koul-rigid", *QUICK)
     assert code == 0
     found = json.loads(out)
+    assert found["walls"]
     assert found["device"]["simulated"] is True
     assert found["link"]["round_trip_s"]["p50"]["value"] > 0.0
     assert found["link"]["sent"] >= found["link"]["round_trip_s"]["number"]
@@ -140,7 +148,7 @@ def test_a_simulated_rig_as_a_process_of_its_own_in_json(run: Any) -> None:
 
 
 def test_a_wall_that_must_not_be_armed_on_a_real_rig_is_an_error(
-    run: Any, real: None, port: Any, quiet_link: Any
+    run: Any, real: None, port: Any, quiet_link: Any, no_walls: None
 ) -> None:
     code, out, err = run("doctor", "--url", port, *QUICK)
     assert code == 0, err
@@ -160,7 +168,7 @@ def test_a_wall_that_must_not_be_armed_on_a_real_rig_is_an_error(
 
 
 def test_scheduling_that_is_demanded_and_refused_forbids_arming_and_is_told(
-    run: Any, real: None, port: Any, quiet_link: Any, monkeypatch: pytest.MonkeyPatch
+    run: Any, real: None, port: Any, quiet_link: Any, no_walls: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     original = examining.obtained
 
@@ -189,7 +197,7 @@ def test_a_device_that_is_not_there_does_not_hide_what_the_machine_has(run: Any)
     assert found["checks"]
 
 
-def test_virtual_time_has_no_delay(run: Any) -> None:
+def test_virtual_time_has_no_delay(run: Any, no_walls: None) -> None:
     code, out, _ = run("doctor", "--url", "sim://koul-rigid", "--json", *QUICK)
     assert code == 0
     found = json.loads(out)

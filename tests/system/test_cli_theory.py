@@ -13,7 +13,14 @@ import numpy as np
 import pytest
 
 from rig.analysis import theory
-from rig.analysis.theory import limits
+from rig.analysis.theory import limits, summary
+
+
+@pytest.fixture(autouse=True)
+def few(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Curves have few points: the limits at B = 0 and at the wall's are those of a whole curve."""
+    for name, number in {"CURVE_POINTS": 5, "CORNER_POINTS": 3, "PASSIVE_POINTS": 5}.items():
+        monkeypatch.setattr(summary, name, number)
 
 
 def test_it_prints_limits_and_what_binds_and_draws_a_picture(run: Any, tmp_path: Path) -> None:
@@ -136,7 +143,7 @@ def test_json_is_the_result_of_the_function(run: Any, tmp_path: Path) -> None:
     exact = theory.k_max("koul-compliant", "dual:20k/2k", 2.0, operator="firm")
     assert first["at_wall"]["limit"]["stiffness"] == pytest.approx(exact.stiffness, rel=1e-6)
     assert first["at_zero"]["binding"]
-    assert len(first["curve"]) >= 41
+    assert len(first["curve"]) >= summary.CURVE_POINTS
 
 
 def test_a_linear_rig_has_its_units_and_no_picture_is_drawn_unless_wanted(run: Any, tmp_path: Path) -> None:

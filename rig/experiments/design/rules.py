@@ -38,7 +38,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from rig.core.deferred import stats
+from rig.core.deferred import special
 from rig.core.errors import PlanError
 from rig.experiments.planned import check_positive
 
@@ -248,7 +248,7 @@ class Comparison:
         mean, n = float(differences.mean()), len(differences)
         if n < 2:
             return mean, -math.inf, math.inf
-        half = float(stats.t.ppf(0.5 + CONFIDENCE / 2.0, n - 1) * differences.std(ddof=1) / math.sqrt(n))
+        half = float(special.stdtrit(n - 1, 0.5 + CONFIDENCE / 2.0) * differences.std(ddof=1) / math.sqrt(n))
         return mean, mean - half, mean + half
 
     @property

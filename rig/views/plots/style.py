@@ -115,8 +115,8 @@ def save(figure: Any, path: Path) -> Path:
         with matplotlib.rc_context(_AS_TEXT):
             if layout is not None:
                 layout.execute(figure)
-            # Else all is drawn once more, in vain, for the sake of the layout.
-            figure.set_layout_engine("none")
+            # Else all is drawn once more, in vain, for the sake of the layout: also with "none", which stands for it.
+            figure.set_layout_engine(None)
             figure.savefig(path, dpi=DPI, format=ending, metadata=FORMATS[ending])
     except OSError as error:
         raise RecordingError(

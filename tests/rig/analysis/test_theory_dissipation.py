@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -36,10 +37,9 @@ def passive_k(model: Any, scheme: Any, damping: Any) -> Any:
 FINE = 24  # steps of a tick
 
 
-def work_matrix(
+def work_matrices(
     k: Any,
     b: Any,
-    theta: Any,
     *,
     n: Any,
     lag_s: Any,
@@ -48,7 +48,7 @@ def work_matrix(
     extrapolate: bool = False,
     back_emf: float = 0.0,
     tick_s: float = 5e-5,
-) -> Any:
+) -> Callable[[float], Any]:
     """Mean effort in each fine step for a unit of velocity in each, where all repeats but for a phase θ each period.
 
     One state [position; Butterworth (2) and the position before; velocity, slope, velocity before; lag, back-EMF
@@ -86,15 +86,20 @@ def work_matrix(
             x[7] = settled + (x[7] - settled) * rho
             x[0, size + i * FINE + j] += step
     efforts = np.array(efforts)
-    begin = np.linalg.solve(np.exp(1j * theta) * np.eye(size) - x[:, :size], x[:, size:])
-    return efforts[:, :size] @ begin + efforts[:, size:]
+
+    def at(theta: float) -> Any:
+        begin = np.linalg.solve(np.exp(1j * theta) * np.eye(size) - x[:, :size], x[:, size:])
+        return efforts[:, :size] @ begin + efforts[:, size:]
+
+    return at
 
 
 def worst_work(k: Any, b: Any, **case: Any) -> Any:
     """Damping that a rig must have lest some motion gets work out of it: the largest eigenvalue over all phases."""
+    work = work_matrices(k, b, **case)
 
     def needed(theta: Any) -> Any:
-        matrix = work_matrix(k, b, theta, **case)
+        matrix = work(theta)
         return float(np.linalg.eigvalsh(-(matrix + matrix.conj().T) / 2)[-1])
 
     phases = np.concatenate([np.geomspace(1e-3, 0.3, 8), np.linspace(0.35, math.pi, 24)])

@@ -20,28 +20,29 @@ SECOND = 10**9
 
 
 class World:
-    """Two clocks and a link: device = (host − start)·(1 + ppm) + up, exactly, in fractions."""
+    """Two clocks and a link: device = (host − start)·(1 + ppm) + up, exactly, in whole numbers."""
 
     def __init__(
         self, ppm: float = 0.0, *, start_ns: Any = 77 * 10**12, up_ns: Any = UP_NS, seed: int = 0
     ) -> None:
-        self.rate = 1 + Fraction(ppm).limit_denominator(10**6) / 10**6
+        rate = 1 + Fraction(ppm).limit_denominator(10**6) / 10**6
+        self.over, self.under = rate.numerator, rate.denominator
         self.start_ns, self.up_ns = start_ns, up_ns
         self.rng = np.random.default_rng(seed)
 
     @property
     def drift_ppm(self) -> Any:
         """Of host − device over device time."""
-        return float((1 / self.rate - 1) * 10**6)
+        return (self.under - self.over) * 10**6 / self.over
 
     def device(self, host_ns: Any) -> Any:
         """Stamp of the device: units of 62.5 ns, cut off."""
-        exact = (host_ns - self.start_ns) * self.rate + self.up_ns
-        return int(exact * 2 // 125) * 125 // 2
+        exact = (host_ns - self.start_ns) * self.over + self.up_ns * self.under
+        return exact * 2 // (self.under * 125) * 125 // 2
 
     def host(self, device_ns: Any) -> Any:
         """True host time of device times (ns), from the origin of the session."""
-        return [float((int(d) - self.up_ns) / self.rate) for d in device_ns]
+        return [(int(d) - self.up_ns) * self.under / self.over for d in device_ns]
 
     def error_ns(self, fit: Any, device_ns: Any) -> Any:
         """What the fit gives less the truth."""

@@ -240,9 +240,19 @@ def test_few_bits_of_state_take_the_damping_from_a_uniform_wall_and_not_from_a_d
     assert fixed == {rate: pytest.approx(peaks, abs=0.5) for rate, peaks in expected.items()}
 
 
-def test_in_floating_point_the_uniform_wall_is_as_well_damped_as_the_dual_rate_one() -> None:
+@pytest.fixture(scope="module")
+def figure_7() -> Any:
+    return koul_figure_7()
+
+
+@pytest.fixture(scope="module")
+def figure_8() -> Any:
+    return koul_figure_8()
+
+
+def test_in_floating_point_the_uniform_wall_is_as_well_damped_as_the_dual_rate_one(figure_7: Any) -> None:
     """What figure 7 shows is not in the method, but in the word length."""
-    for panel in koul_figure_7():
+    for panel in figure_7:
         none, uniform, dual = panel.peaks
         assert none == 57.0
         if panel.arithmetic == FLOAT:
@@ -281,8 +291,8 @@ def test_two_word_lengths_and_cut_offs_give_figure_7_and_no_others() -> None:
 # --- figure 8 ---------------------------------------------------------------------------------------------
 
 
-def test_velocity_at_20_khz_is_noisier_late_in_the_impact_and_null_only_in_fixed_point() -> None:
-    profiles = koul_figure_8()
+def test_velocity_at_20_khz_is_noisier_late_in_the_impact_and_null_only_in_fixed_point(figure_8: Any) -> None:
+    profiles = figure_8
     slow, fast = profiles[2000, FLOAT], profiles[20_000, FLOAT]
     assert 5.0 < fast.noise_late / slow.noise_late < 10.0
     assert 1.2 < fast.noise_early / slow.noise_early < 3.0, "a fast handle shows less: many counts a period"
@@ -295,12 +305,11 @@ def test_velocity_at_20_khz_is_noisier_late_in_the_impact_and_null_only_in_fixed
     assert 0.8 < dual.reading_late < 1.0
 
 
-def test_the_delays_are_those_of_the_filters() -> None:
+def test_the_delays_are_those_of_the_filters(figure_8: Any) -> None:
     """√2·T/(2·tan(π·fc·T)) and half a period of the difference: 1.338 ms, and 0.249 ms at 20 kHz."""
-    profiles = koul_figure_8()
     for (rate, cutoff_hz), share in {(2000, 200.0): 0.03, (20_000, 1000.0): 0.05}.items():
         expected = math.sqrt(2) / rate / (2 * math.tan(math.pi * cutoff_hz / rate)) + 0.5 / rate
-        profile = profiles[rate, FLOAT]
+        profile = figure_8[rate, FLOAT]
         assert profile.cutoff_hz == cutoff_hz
         assert profile.delay_s == pytest.approx(expected, rel=share)
 
@@ -346,9 +355,9 @@ def test_without_the_simulation_there_is_a_clear_error(monkeypatch: pytest.Monke
 # --- pictures ---------------------------------------------------------------------------------------------
 
 
-def test_pictures_are_drawn_and_are_the_same_again(tmp_path: Path) -> None:
+def test_pictures_are_drawn_and_are_the_same_again(tmp_path: Path, figure_7: Any, figure_8: Any) -> None:
     comparison = compare(short("koul-rigid"), offsets=(0.5,))
     pictures = [draw_comparison(comparison, tmp_path / f"{n}.png") for n in "ab"]
     assert pictures[0].read_bytes() == pictures[1].read_bytes()
-    assert draw_figure_7(koul_figure_7(offsets=(0.1, 0.5)), tmp_path / "7.png").stat().st_size > 30_000
-    assert draw_figure_8(koul_figure_8(), tmp_path / "8.png").stat().st_size > 30_000
+    assert draw_figure_7(figure_7, tmp_path / "7.png").stat().st_size > 30_000
+    assert draw_figure_8(figure_8, tmp_path / "8.png").stat().st_size > 30_000
