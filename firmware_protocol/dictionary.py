@@ -14,6 +14,7 @@ import math
 import zlib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from typing import Any, NoReturn
 
 from firmware_protocol.errors import RemoteProtocolError
@@ -67,7 +68,7 @@ class CodeInfo:
     remedy: str
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Dictionary:
     """A device's description of itself."""
 
@@ -86,6 +87,16 @@ class Dictionary:
     parameters: tuple[ParameterInfo, ...]
     faults: tuple[CodeInfo, ...]
     statuses: tuple[CodeInfo, ...]
+
+    @cached_property
+    def packed(self) -> bytes:
+        """Its bytes (`encode`)."""
+        return encode(self)
+
+    @cached_property
+    def hash(self) -> int:
+        """What identifies it (`dictionary_hash`)."""
+        return dictionary_hash(self.packed)
 
     def parameter(self, name: str) -> ParameterInfo | None:
         """Return the device's own entry for a parameter, or None when it has none of this name."""

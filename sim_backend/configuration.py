@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import lru_cache
 
 from firmware_protocol import dictionary as dictionaries
@@ -27,6 +26,7 @@ from rig.core.model import RigModel
 FIRMWARE = "simulated 1"
 
 
+@lru_cache(maxsize=64)  # a device for every trial of a rig has the same
 def describe(
     model: RigModel, name: str, rate_default: int, rate_maximum: int, law_maximum: int = 0
 ) -> dictionaries.Dictionary:
@@ -45,32 +45,13 @@ def describe(
     )
 
 
-@dataclass(frozen=True, slots=True)
-class Description:
-    """A dictionary, its bytes and their hash."""
-
-    dictionary: dictionaries.Dictionary
-    packed: bytes
-    hash: int
-
-
-@lru_cache(maxsize=64)
-def description(
-    model: RigModel, name: str, rate_default: int, rate_maximum: int, law_maximum: int = 0
-) -> Description:
-    """Return what `describe` does, as it is told: a device for every trial of a rig has the same."""
-    dictionary = describe(model, name, rate_default, rate_maximum, law_maximum)
-    packed = dictionaries.encode(dictionary)
-    return Description(dictionary, packed, dictionaries.dictionary_hash(packed))
-
-
 class Configuration:
     """Active parameters, and how they change: all of a block between two ticks, or nothing.
 
     Parameters
     ----------
-    description
-        The device's; the defaults of its dictionary are active first.
+    dictionary
+        The device's; its defaults are active first.
     apply
         Called with all values before they are activated; what it raises (`ParameterError`) refuses them.
 
@@ -86,9 +67,11 @@ class Configuration:
         Of the dictionary.
     """
 
-    def __init__(self, description: Description, apply: Callable[[Mapping[str, Value]], None]) -> None:
-        self._dictionary = description.dictionary
-        self._packed, self.hash = description.packed, description.hash
+    def __init__(
+        self, dictionary: dictionaries.Dictionary, apply: Callable[[Mapping[str, Value]], None]
+    ) -> None:
+        self._dictionary = dictionary
+        self._packed, self.hash = dictionary.packed, dictionary.hash
         self._apply = apply
         self._assembler = Assembler()
         self.homed = False

@@ -37,7 +37,7 @@ from firmware_protocol.replies import Replies
 from rig.core.errors import ConfigError
 from rig.core.model import RigModel
 from rig.realtime.codec import STATE
-from sim_backend.configuration import Configuration, description
+from sim_backend.configuration import Configuration, describe
 from sim_backend.hardware import Hardware
 from sim_backend.lockstep import (
     COUNT,
@@ -148,9 +148,7 @@ class SimulatedDevice:
                 f"a default rate of {position_rate_default} Hz with a maximum of {position_rate_maximum} Hz",
                 remedy="choose a rate that the device can run",
             )
-        self._description = description(
-            model, name or model.name, position_rate_default, position_rate_maximum
-        )
+        self._dictionary = describe(model, name or model.name, position_rate_default, position_rate_maximum)
         self.connection = Connection(Role.DEVICE)
         self.hardware = Hardware(model, position_rate_default, seed=seed, initial_position=initial_position)
         self._replies = Replies()
@@ -177,7 +175,7 @@ class SimulatedDevice:
         self._faults.forget()
         self.hardware.reset()
         self.hardware.power_up(self.board.words)
-        self._configuration = Configuration(self._description, self._apply)
+        self._configuration = Configuration(self._dictionary, self._apply)
         self._truth = self.hardware.new_truth() if self._keep_truth else None
         self._note_protocol()
         self._begin_session()

@@ -26,7 +26,7 @@ from rig.core.model import RigModel
 from rig.realtime.c_board import BoardSetup
 from rig.realtime.kernel import prepare
 from sim_backend import firmware_library
-from sim_backend.configuration import description
+from sim_backend.configuration import describe
 from sim_backend.firmware_library import Status
 from sim_backend.hardware import Hardware, World
 from sim_backend.lockstep import (
@@ -67,8 +67,8 @@ class Core:
         self._memory = ctypes.create_string_buffer(library.host_bytes())
         self.address = ctypes.addressof(self._memory)
         self._output = ctypes.create_string_buffer(OUTPUT_BYTES)
-        told = description(model, name or model.name, rate, maximum, law_maximum)
-        self.dictionary, self._packed, self.hash = told.dictionary, told.packed, told.hash
+        self.dictionary = describe(model, name or model.name, rate, maximum, law_maximum)
+        self._packed, self.hash = self.dictionary.packed, self.dictionary.hash
         setup = BoardSetup.of(model, self._packed, self.hash, rate)
         library.host_setup(self.address, ctypes.byref(setup))
         for narrow in (  # by their numbers: the first that does not fit is the one that a refusal names

@@ -13,8 +13,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-import sim_backend.device
-import sim_backend.firmware
 from rig import config
 from rig.bench.doctor import examine as examining
 from rig.bench.doctor import gate, ports, round_trip
@@ -26,6 +24,7 @@ from rig.devices.port_facts import PortFacts
 from rig.recording.quantiles import Distribution
 from rig.recording.reader import open_recording
 from sim_backend import pty
+from tests.conformance.claimed import claim_to_be_real
 
 WAIT_S = 30.0
 QUICK = ("--seconds", "0.3", "--set", "host.realtime=off")
@@ -58,11 +57,7 @@ def port() -> Iterator[Any]:
 @pytest.fixture
 def real(monkeypatch: pytest.MonkeyPatch) -> None:
     """Simulated devices that claim to be real ones."""
-    original = sim_backend.device.describe
-    for module in (sim_backend.device, sim_backend.firmware):
-        monkeypatch.setattr(
-            module, "describe", lambda *args: dataclasses.replace(original(*args), simulated=False)
-        )
+    claim_to_be_real(monkeypatch)
 
 
 @pytest.fixture

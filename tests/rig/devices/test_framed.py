@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,6 @@ import pytest
 
 import rig.cli
 import rig.devices
-import sim_backend.device
 from firmware_protocol import dictionary as dictionaries
 from firmware_protocol import messages as m
 from firmware_protocol.connection import State
@@ -27,6 +25,7 @@ from rig.devices.fault_script import DeviceFault, Direction, Faults, FrameFault,
 from rig.devices.framed import FAULT_LOG_S, READY_AGAIN_S, STOP_FRAMES, FramedDevice
 from sim_backend.device import SimulatedDevice
 from sim_backend.link import MemoryLink
+from tests.conformance.claimed import claim_to_be_real
 from tests.conformance.host import RUN_PARAMETERS
 from tests.conformance.rigs import linear_rig, rotary_rig
 
@@ -572,10 +571,7 @@ def test_a_device_that_faulted_or_restarted_between_two_trials_is_configured_aga
 @pytest.fixture
 def real(monkeypatch: pytest.MonkeyPatch) -> None:
     """Simulated devices that claim to be real ones: where zero is, they learn from a person once a session."""
-    original = sim_backend.device.describe
-    monkeypatch.setattr(
-        sim_backend.device, "describe", lambda *arguments: replace(original(*arguments), simulated=False)
-    )
+    claim_to_be_real(monkeypatch)
 
 
 def reset(simulated: Any, wire: Any) -> None:

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 import rig
-import sim_backend.configuration
 from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault
 from rig import config
@@ -34,6 +33,7 @@ from sim_backend.hardware import World
 from sim_backend.link import MemoryLink
 from sim_backend.lockstep import Lockstep
 from tests.benchmarks.pulses import FAULTS, pulsed
+from tests.conformance.claimed import claim_to_be_real
 from tests.conformance.firmware import need_compiler
 
 RIGID = config.override(presets.load("koul-rigid"), {"rig.amplifier.current_monitor": False})
@@ -150,11 +150,7 @@ def test_the_most_effort_moves_the_described_rig() -> None:
 @pytest.fixture
 def real(monkeypatch: pytest.MonkeyPatch) -> None:
     """Simulated devices that claim to be real ones."""
-    original = sim_backend.configuration.describe
-    for module in (sim_backend.device, sim_backend.firmware):
-        monkeypatch.setattr(
-            module, "describe", lambda *each: dataclasses.replace(original(*each), simulated=False)
-        )
+    claim_to_be_real(monkeypatch)
 
 
 class Failing(CompiledDevice):

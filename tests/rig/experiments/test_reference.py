@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-import sim_backend.configuration
 from firmware_protocol.faults import Fault, Input
 from rig import config, devices
 from rig.analysis.identification.quality import IdentificationError
@@ -24,6 +23,7 @@ from rig.experiments.zero import position_zero
 from rig.recording.reader import open_recording
 from sim_backend.hardware import Hardware
 from sim_backend.plant import COULOMB
+from tests.conformance.claimed import claim_to_be_real
 from tests.conformance.firmware import need_compiler
 
 FAST = {"controller.position_rate": 2000, "controller.velocity_rate": 2000, "homing.speed": 0.5}
@@ -126,12 +126,7 @@ def test_a_run_behind_it_has_its_wall_in_the_mechanism_and_names_the_reference(t
 @pytest.fixture
 def real_rig(monkeypatch: pytest.MonkeyPatch) -> None:
     """Simulated devices that say that they are none."""
-    described = sim_backend.configuration.board.describe
-    monkeypatch.setattr(
-        sim_backend.configuration.board,
-        "describe",
-        lambda *args, **named: described(*args, **{**named, "simulated": False}),
-    )
+    claim_to_be_real(monkeypatch)
 
 
 @pytest.mark.usefixtures("real_rig")

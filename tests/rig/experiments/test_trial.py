@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import errno
 import os
 import signal
@@ -21,9 +20,6 @@ if numba.config.DISABLE_JIT:
     pytest.skip("plug points are function types of compiled code", allow_module_level=True)
 
 import rig.devices
-import sim_backend.configuration
-import sim_backend.device
-import sim_backend.firmware
 from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault
 from rig import config
@@ -60,6 +56,7 @@ from rig.recording.reader import open_recording
 from sim_backend import pty
 from sim_backend.device import SimulatedDevice
 from sim_backend.link import MemoryLink
+from tests.conformance.claimed import claim_to_be_real
 from tests.conformance.trials import trial_on
 
 WAIT_S = 20.0
@@ -683,11 +680,7 @@ def test_a_consumer_that_stops_early_closes_the_device(
 @pytest.fixture
 def real(monkeypatch: pytest.MonkeyPatch) -> None:
     """Simulated devices that claim to be real ones."""
-    original = sim_backend.configuration.describe
-    for module in (sim_backend.device, sim_backend.firmware):
-        monkeypatch.setattr(
-            module, "describe", lambda *arguments: dataclasses.replace(original(*arguments), simulated=False)
-        )
+    claim_to_be_real(monkeypatch)
 
 
 def test_a_real_device_moves_only_when_its_polarity_is_verified(tmp_path: Path, real: None) -> None:

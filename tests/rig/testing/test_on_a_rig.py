@@ -16,7 +16,6 @@ import pytest
 
 import rig
 import rig.testing.hits
-import sim_backend.configuration
 from firmware_protocol.connection import State
 from rig import config, devices
 from rig.config import presets
@@ -25,6 +24,7 @@ from rig.realtime import running
 from rig.testing import SerialRig, serve_rig
 from sim_backend.compiled_device import CompiledDevice
 from sim_backend.link import MemoryLink
+from tests.conformance.claimed import claim_to_be_real
 from tests.conformance.tolerance import too_busy
 
 URL = "serial:///dev/ttyRIG"
@@ -53,12 +53,7 @@ class Bench:
 
 @pytest.fixture
 def bench(suite: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> Bench:
-    described = sim_backend.configuration.board.describe
-    monkeypatch.setattr(
-        sim_backend.configuration.board,
-        "describe",
-        lambda *args, **named: described(*args, **{**named, "simulated": False}),
-    )
+    claim_to_be_real(monkeypatch)
     made = Bench()
     monkeypatch.setattr(devices, "open_device", made.open)
     return made
