@@ -136,9 +136,10 @@ def test_a_hit_from_the_command_line(rig: Rig, tmp_path: Path) -> None:
     """It is judged, or ends with a typed loss; either way it is recorded and every tick is accounted for."""
     url = checks.URL if rig.transfers == "queued" else f"{checks.URL}/0001?transfers=plain"
     code, told = rig.child.check("hits_from_the_command_line", url, str(tmp_path))
-    if told["error"] is not None:
+    if not (told["error"] is None and told["hits"][0]["verdict"]["kind"] == "stable"):
         rig.end()
-        rig.begin()  # a lost run may throw its handle
+        rig.begin()  # its handle may be anywhere
+    if told["error"] is not None:
         assert (
             code
             == told["error"]["exit_code"]
