@@ -67,9 +67,8 @@ def spells_a_name(code: str, pattern: str) -> bool:
     return _FREE.search(left) is not None
 
 
-@lru_cache(
-    maxsize=64
-)  # every log of a study has its protocol with it, which is checked whenever the log is read
+# Every log of a study has its protocol with it, which is checked whenever the log is read.
+@lru_cache(maxsize=64)
 def _names_taken(pattern: str) -> tuple[str, ...]:
     """The first names that match a pattern, among those that are tried; raises as `re.compile`."""
     return tuple(islice(_all_taken(re.compile(pattern)), 3))

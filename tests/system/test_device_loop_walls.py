@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
 import numba
@@ -148,10 +149,7 @@ def test_a_device_that_took_a_wall_is_no_stranger_afterwards() -> None:
     """The active parameters are ours, though a loop set them: nobody takes the device for one that restarted."""
     session = Session("fdm-butterworth-fixed", {HOMING: 500.0})
     session.run()
-    dictionary = session.host.dictionary
-    session.host._dictionary = type(dictionary)(
-        **{name: getattr(dictionary, name) for name in dictionary.__slots__} | {"simulated": False}
-    )
+    session.host._dictionary = replace(session.host.dictionary, simulated=False)
     before = session.echo.values
     assert session.host.active_parameters()["fixed_stiffness"] != before["fixed_stiffness"]
     assert (
