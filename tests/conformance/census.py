@@ -81,11 +81,24 @@ class Census:
         return {name: (old[name], new[name]) for name in old if old[name] != new[name]}
 
 
+def _settled() -> Census:
+    """A look that the next one confirms: a thread that was joined may not have left the kernel yet."""
+    deadline = time.monotonic() + SETTLED_S
+    seen = Census.of_self()
+    while time.monotonic() < deadline:
+        time.sleep(0.01)
+        again = Census.of_self()
+        if again == seen:
+            break
+        seen = again
+    return seen
+
+
 @contextmanager
 def nothing_left() -> Iterator[None]:
     """Check that this process holds after the block what it held before."""
     gc.collect()  # what earlier tests dropped goes before, not meanwhile
-    before = Census.of_self()
+    before = _settled()
     yield
     deadline = time.monotonic() + SETTLED_S
     while (changes := before.changes(Census.of_self())) and time.monotonic() < deadline:
