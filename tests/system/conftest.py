@@ -43,6 +43,7 @@ def undrawn(coarse: None, monkeypatch: pytest.MonkeyPatch) -> None:
     """Pictures are composed, and their files are empty: layout and drawing are matplotlib's, and take longest."""
 
     def save(figure: Any, path: Path) -> Path:
+        assert figure.axes
         path.touch()
         return path
 

@@ -26,7 +26,6 @@ from rig.config.table import parameters
 from rig.core.errors import ConfigError, RigError
 from rig.core.sample import COLUMNS
 from rig.views import site
-from rig.views.plots import style
 from tests.conformance.guides import ROOT, Block, blocks
 
 GUIDES = [
@@ -54,20 +53,8 @@ def runs(page: Path) -> list[Block]:
     return [one for one in blocks(page) if not one.reason]
 
 
-@pytest.fixture
-def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Figures are made and no pixels: those are tested where the figures are, and cost more than what is shown."""
-
-    def save(figure: Any, path: Path) -> Path:
-        assert figure.axes
-        path.touch()
-        return path
-
-    monkeypatch.setattr(style, "save", save)
-
-
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="the loop is compiled")
-@pytest.mark.usefixtures("coarse", "undrawn")
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize(
     "name", [name for name, page in PAGES.items() if any(b.language != "toml" for b in runs(page))]
 )
