@@ -36,7 +36,7 @@ def wire_fields(cls: type) -> dict[str, Wire]:
     return _wire_fields(cls)
 
 
-@cache
+@cache  # apart from its caller, whose types mypy finds not hashable
 def _wire_fields(cls: type) -> dict[str, Wire]:
     return {name: hint.__metadata__[0] for name, hint in get_type_hints(cls, include_extras=True).items()}
 

@@ -68,8 +68,9 @@ class Core:
         self.address = ctypes.addressof(self._memory)
         self._output = ctypes.create_string_buffer(OUTPUT_BYTES)
         self.dictionary = describe(model, name or model.name, rate, maximum, law_maximum)
-        self._packed, self.hash = self.dictionary.packed, self.dictionary.hash
-        setup = BoardSetup.of(model, self._packed, self.hash, rate)
+        self.hash = self.dictionary.hash
+        # Its bytes by their address: they last as long as the dictionary.
+        setup = BoardSetup.of(model, self.dictionary.packed, self.hash, rate)
         library.host_setup(self.address, ctypes.byref(setup))
         for narrow in (  # by their numbers: the first that does not fit is the one that a refusal names
             "motion",

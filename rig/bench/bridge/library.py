@@ -266,15 +266,14 @@ class Bridge:
         self._taken = ctypes.create_string_buffer(_OUTPUT_BYTES)
         self.facts = facts or Facts()
         self.dictionary = dictionary_of(model, drive)
-        self._packed = dictionaries.encode(self.dictionary)
         amplifier = model.amplifier
         torque_per_quantum = amplifier.effort_quantum / drive.transmission
         kp, kd = drive.gains or (0.0, 0.0)
         setup = Setup(
             board=BoardSetup.of(
                 model,
-                self._packed,
-                dictionaries.dictionary_hash(self._packed),
+                self.dictionary.packed,  # by its address: it lasts as long as the dictionary
+                self.dictionary.hash,
                 min(rate, drive.rate_maximum),
             ),
             rate_maximum=drive.rate_maximum,

@@ -64,7 +64,7 @@ def configure(
             **({} if board.excitation_ticks else {"excitation_lines": (0, 0)}),
         },
     )
-    record = Record(facts, dictionaries.encode(dictionary))
+    record = Record(facts, dictionary.packed)
     return BoardConfig(
         header=_header(board, model, settings), source=_source(board, model, record), record=record
     )
