@@ -4,7 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+from rig.core.sample import Phase
+from rig.recording.data import Recording
+from tests.conformance.tolerance import reason_of, taken
 
 pytest_plugins = ["pytester"]
 
@@ -39,3 +44,14 @@ def test_what_is_tolerated_is_counted_and_printed(
     assert "2 × test_some.py::test_of_time: TimeoutError: no answer" in summary
     assert "1 × test_some.py::test_that_never_began: nobody there" in summary
     assert "test_that_shows_all" not in summary
+
+
+def test_a_lost_device_is_told_with_its_place_in_the_run() -> None:
+    rows = np.zeros(3, [("phase", "u1"), ("device_time", "<i8")])
+    rows["device_time"] = [0, 1_000_000, 42_000_000]
+    rows["phase"] = Phase.HOMING
+    trailer = {"reason": "link_silent", "error": "the host fell silent"}
+    with pytest.raises(pytest.skip.Exception, match=r"after 3 rows, in homing; at most 41\.0 ms .* row 1"):
+        reason_of(Recording({}, rows, trailer, complete=True))
+    (tolerated,) = taken()
+    assert tolerated[1].startswith("the host fell silent; ")

@@ -19,7 +19,7 @@ from rig.console.server import Settings, run
 from rig.console.terminal import Terminal
 from rig.realtime.memories import Memory, ask_to_stop
 
-PATIENCE_S = 30.0
+PATIENCE_S = 60.0  # machine code may have to be made first, beside other work
 
 
 class Page:

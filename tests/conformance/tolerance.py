@@ -10,7 +10,10 @@ from collections import Counter
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, NoReturn
 
+import numpy as np
 import pytest
+
+from rig.core.sample import phase_name
 
 if TYPE_CHECKING:
     from rig.recording.data import Recording
@@ -34,8 +37,18 @@ def reason_of(recording: Recording) -> str:
     """Return why a run in real time ended; skip the test where it lost its device, which a busy machine does to any."""
     reason = str(recording.trailer["reason"])
     if reason in ("link_silent", "device_fault"):
-        too_busy(recording.trailer["error"])
+        too_busy(f"{recording.trailer['error']}; {_place_of_the_loss(recording)}")
     return reason
+
+
+def _place_of_the_loss(recording: Recording) -> str:
+    """Where in the run its device was lost, and how far apart samples were: was the loop held up before, too?"""
+    rows = recording.rows
+    if len(rows) < 2:
+        return f"after {len(rows)} rows"
+    phase, apart_ms = phase_name(int(rows["phase"][-1])), np.diff(rows["device_time"]) / 1e6
+    longest = int(apart_ms.argmax())
+    return f"after {len(rows)} rows, in {phase}; at most {apart_ms[longest]:.1f} ms apart, at row {longest}"
 
 
 def taken() -> list[tuple[str, str]]:
