@@ -54,13 +54,13 @@ def recorded_signals(
 
     That is what the law gave, but for a wall that a drive rendered itself: what the drive told, ``effort_applied``.
     """
-    trial = rows[rows["phase"] == Phase.TRIAL]
+    trial = rows["phase"] == Phase.TRIAL
     return Signals(
-        position=trial["position"].copy(),
+        position=rows["position"][trial],
         velocity=None,
-        effort=trial[effort].copy(),
-        penetration=trial["penetration"].copy(),
-        **_shared(rows, tick_s, abs(resolution)),
+        effort=rows[effort][trial],
+        penetration=rows["penetration"][trial],
+        **_shared(rows, trial, tick_s, abs(resolution)),
     )
 
 
@@ -70,25 +70,25 @@ def true_signals(rows: NDArray[np.void], tick_s: float, wall_position: float, wa
     A hand feels the handle, so velocity and position are those of the handle; the law lives where the encoder is, so
     penetration is that of the sensed side. On two masses the capstan lies between them.
     """
-    trial = rows[rows["phase"] == Phase.TRIAL]
+    trial = rows["phase"] == Phase.TRIAL
     return Signals(
-        position=trial["handle_position_true"].copy(),
-        velocity=trial["handle_velocity_true"].copy(),
-        effort=trial["effort_true"].copy(),
-        penetration=wall_side * (trial["position_true"] - wall_position),
-        **_shared(rows, tick_s, 0.0),
+        position=rows["handle_position_true"][trial],
+        velocity=rows["handle_velocity_true"][trial],
+        effort=rows["effort_true"][trial],
+        penetration=wall_side * (rows["position_true"][trial] - wall_position),
+        **_shared(rows, trial, tick_s, 0.0),
     )
 
 
-def _shared(rows: NDArray[np.void], tick_s: float, resolution: float) -> dict[str, Any]:
-    (places,) = np.nonzero(rows["phase"] == Phase.TRIAL)
-    trial, lost_before = rows[places], np.maximum(rows["elapsed_ticks"].astype(np.int64) - 1, 0)
-    lost = lost_before[places]
+def _shared(rows: NDArray[np.void], trial: Bools, tick_s: float, resolution: float) -> dict[str, Any]:
+    (places,) = np.nonzero(trial)
+    lost_before = np.maximum(rows["elapsed_ticks"].astype(np.int64) - 1, 0)
+    lost, flags = lost_before[trial], rows["flags"][trial]
     if len(places) and places[-1] + 1 < len(rows):
         lost[-1] += lost_before[places[-1] + 1]
 
     def flagged(flag: RowFlag) -> Bools:
-        return np.asarray((trial["flags"] & int(flag)) != 0)
+        return np.asarray((flags & int(flag)) != 0)
 
     return {
         "tick_s": tick_s,
@@ -97,8 +97,8 @@ def _shared(rows: NDArray[np.void], tick_s: float, resolution: float) -> dict[st
         "late": flagged(RowFlag.LATE),
         "lost": lost,
         "slew_bound": flagged(RowFlag.SLEW_BOUND),
-        "currents": trial["flags"] & _CURRENTS,
-        "overruled": ((trial["limits"] & _OVERRULES) != 0) | (trial["command_age"] == NO_COMMAND_YET),
+        "currents": flags & _CURRENTS,
+        "overruled": ((rows["limits"] & _OVERRULES != 0) | (rows["command_age"] == NO_COMMAND_YET))[trial],
     }
 
 
