@@ -150,10 +150,11 @@ def read_capture(path: Path) -> Recording:
         dtype = dtype_of(header.get("schema", {}))
         found = _walk(data, start, dtype.itemsize)
         rows = np.empty(sum(count for _, count in found.blocks), dtype)
-        filled = 0
+        free = rows.view(np.uint8)  # a row of many columns is slow to copy, its bytes are not
         for place, count in found.blocks:
-            rows[filled : filled + count] = np.frombuffer(data[place : place + count * dtype.itemsize], dtype)
-            filled += count
+            size = count * dtype.itemsize
+            free[:size] = np.frombuffer(data, np.uint8, size, place)
+            free = free[size:]
     return Recording(header, rows, found.trailer, found.trailer is not None, tuple(found.lost), path)
 
 
@@ -222,11 +223,11 @@ def _walk(data: mmap.mmap, place: int, row_bytes: int) -> _Findings:
 
 def _take(data: mmap.mmap, place: int, end: int, head: BlockHead, row_bytes: int, found: _Findings) -> bool:
     """Accept a block whose head is good; False when its contents are not."""
-    block = data[place:end]
-    if zlib.crc32(memoryview(block)[:-CRC_BYTES]) != _BLOCK_CRC.unpack(block[-CRC_BYTES:])[0]:
+    end -= CRC_BYTES
+    if zlib.crc32(memoryview(data)[place:end]) != _BLOCK_CRC.unpack_from(data, end)[0]:
         return False
     if head.magic == END_MAGIC:
-        found.trailer = _json_object(block[HEAD_BYTES:-CRC_BYTES])
+        found.trailer = _json_object(data[place + HEAD_BYTES : end])
         return found.trailer is not None
     if head.size != head.rows * row_bytes or head.first_row < found.next_row:
         return False
