@@ -130,6 +130,8 @@ def _to_numpy(column: Any) -> NDArray[Any]:
         for chunk in column.chunks
         if len(chunk)
     ]
+    if len(chunks) == 1:
+        return chunks[0]
     return np.concatenate(chunks) if chunks else np.empty(0, dtype)
 
 

@@ -47,7 +47,7 @@ def seal(
     Parameters
     ----------
     recording
-        Read from a ``.rigcap`` file whose writer has ended, cleanly or not.
+        Read from a ``.rigcap`` file whose writer has ended, cleanly or not; its rows take up the ledger.
     truth
         The simulation's truth (`rig.core.sample.TRUTH`); joined by sample index, NaN where it has no such sample.
     judge
@@ -80,7 +80,7 @@ def seal(
     if not has_pyarrow():
         _log.warning("pyarrow is not installed: %s stays a capture", capture)
         if sealed is recording or not recording.complete or recording.lost:
-            return recording
+            return open_recording(capture)
         with whole_file(capture, overwrite=True, check=read_back) as file:
             write_capture(file, sealed)
         return read_back.at(capture)
@@ -108,8 +108,7 @@ def with_truth(recording: Recording, truth: NDArray[np.void]) -> Recording:
     moved = [{**column, "offset": column["offset"] + before} for column in added["columns"]]
     joined = {"row_bytes": before + added["row_bytes"], "columns": [*schema["columns"], *moved]}
     rows = np.zeros(len(recording.rows), dtype_of(joined))
-    for name in recording.names:
-        rows[name] = recording.rows[name]
+    _bytes_of(rows)[:, :before] = _bytes_of(recording.rows)
     wanted = recording.rows["sample_index"]
     order = np.argsort(truth["sample_index"], kind="stable")
     have = truth["sample_index"][order]
@@ -120,6 +119,10 @@ def with_truth(recording: Recording, truth: NDArray[np.void]) -> Recording:
         rows[column.name] = np.nan
         rows[column.name][known] = truth[column.name][order[place[known]]]
     return replace(recording, header={**recording.header, "schema": joined}, rows=rows)
+
+
+def _bytes_of(rows: NDArray[np.void]) -> NDArray[np.uint8]:
+    return rows.view(np.uint8).reshape(len(rows), rows.itemsize)
 
 
 class _ReadBack:
@@ -136,9 +139,7 @@ class _ReadBack:
             and set(expected.names) <= set(found.names)
             and {**found.header, "schema": None} == {**expected.header, "schema": None}
             and (found.complete, found.lost) == (expected.complete, expected.lost)
-            and all(
-                found.column(name).tobytes() == expected.column(name).tobytes() for name in expected.names
-            )
+            and _same_bits(found.rows, expected.rows)
         )
         if not same:
             raise RecordingError(
@@ -150,3 +151,10 @@ class _ReadBack:
     def at(self, path: Path) -> Recording:
         """What was read, by the name that its file has now."""
         return replace(self._found, path=path)
+
+
+def _same_bits(found: NDArray[np.void], expected: NDArray[np.void]) -> bool:
+    """Whether rows hold the expected ones: at once where nothing else is in them, else column by column."""
+    if found.dtype == expected.dtype and found.tobytes() == expected.tobytes():
+        return True
+    return all(found[name].tobytes() == expected[name].tobytes() for name in expected.dtype.names or ())

@@ -283,6 +283,7 @@ def test_without_pyarrow_the_capture_serves(tmp_path: Path, recording: Recording
         for name in sys.argv[1:3]:
             sealed = seal(open_recording(name), truth, judge=lambda _: {"verdict": {"kind": "stable"}})
             assert str(sealed.path) == name
+            assert open_recording(name).rows.tobytes() == sealed.rows.tobytes()
         found = open_recording(sys.argv[1])
         assert found.column("position_true").tolist() == found.column("sample_index").tolist()
         assert found.trailer["verdict"]["kind"] == "stable" and found.complete
