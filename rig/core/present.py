@@ -13,7 +13,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
-from functools import partial
+from functools import cache, partial
 from os import PathLike, fspath
 from typing import Any, Generic, TypeVar, overload
 
@@ -96,6 +96,7 @@ def _key(key: Any) -> str:
     return str(key)
 
 
+@cache
 def _names(result: type) -> list[str]:
     """Fields that ``repr`` shows, then reported properties, base classes first."""
     also = [

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -83,8 +84,7 @@ def quantile(ordered: ArrayLike, share: float, confidence: float = CONFIDENCE) -
     """
     sample = np.asarray(ordered)
     number = len(sample)
-    low = math.ceil(special.bdtrik(1.0 - confidence, number, share))
-    high = math.ceil(special.bdtrik(confidence, number, share)) + 1
+    low, high = _ranks_of_bounds(number, share, confidence)
 
     def ranked(rank: int) -> float:  # from 1
         value: float = sample[rank - 1].item()
@@ -95,6 +95,12 @@ def quantile(ordered: ArrayLike, share: float, confidence: float = CONFIDENCE) -
         low=ranked(low) if low >= 1 else None,
         high=ranked(high) if high <= number else None,
     )
+
+
+@lru_cache  # the stages of a ledger have as many ticks
+def _ranks_of_bounds(number: int, share: float, confidence: float) -> tuple[int, int]:
+    low, high = (math.ceil(special.bdtrik(one, number, share)) for one in (1.0 - confidence, confidence))
+    return low, high + 1
 
 
 def share_bounded_by_largest(number: int, confidence: float = CONFIDENCE) -> float:

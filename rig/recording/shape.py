@@ -12,6 +12,7 @@ from typing import Any
 
 DEPTH = 32  # of a JSON: ours has half of it; the interpreter's own stack allows some hundreds
 _GREATEST = 1 << 62
+_NESTS = (dict, list)
 _NUMBER = object()  # one that numpy can hold
 HEADER: dict[str, Any] = {
     "rig": str,
@@ -52,12 +53,11 @@ def parsed(text: bytes) -> Any:
         value = json.loads(text)
     except RecursionError:
         raise ValueError("nested too deeply") from None
-    level, depth = [value], 0
-    while level:
-        level = [below for one in level if isinstance(one, dict | list) for below in _parts(one)]
-        depth += 1
-        if depth > DEPTH:
-            raise ValueError("nested too deeply")
+    level = [value]
+    for _ in range(DEPTH):
+        level = [below for one in level if type(one) in _NESTS for below in _parts(one)]
+    if level:
+        raise ValueError("nested too deeply")
     return value
 
 
