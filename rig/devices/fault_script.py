@@ -23,6 +23,8 @@ class Direction(Enum):
     TO_DEVICE = "to device"
     TO_HOST = "to host"
 
+    __hash__ = object.__hash__  # that of Enum is written in Python, and a line looks up six for each frame
+
 
 class Kind(Enum):
     """What can happen to a frame."""
