@@ -131,7 +131,7 @@ def k_max_curve(
     lifted = as_lifted(rig, scheme, operator)
     b = _dampings(dampings)
     k = stiffnesses(lifted, float(b.max(initial=0.0)))
-    stable = lifted.radius(k, b[:, None]) < 1.0
+    stable = lifted.stable(k, b[:, None])
     row, column = np.nonzero(stable[:, :-1] != stable[:, 1:])
     edges = _between(lifted, k[column], k[column + 1], b[row], stable[row, column])
     return tuple(
@@ -148,7 +148,7 @@ def b_max(
     highest = DAMPING_REACH * loop.subject.inertia / loop.period_s + loop.subject.damping
     b = highest * np.geomspace(10.0**-DAMPING_DECADES, 1.0, POINTS)
     lowest = _lowest_stiffness(lifted)
-    unstable = np.flatnonzero(lifted.radius(lowest, b) >= 1.0)
+    unstable = np.flatnonzero(~lifted.stable(lowest, b))
     if len(unstable) == 0:
         return DampingLimit(highest, math.nan, True, highest, lowest)
     first = int(unstable[0])
@@ -162,7 +162,7 @@ def b_max(
         damping = float(low)
     islands, stiffness = _last_island(lifted, damping, highest)
     frequency = lifted.frequency(lowest, damping * (1.0 + 1e-6) if damping else float(b[0]))
-    return DampingLimit(damping, frequency, False, islands, stiffness if islands > damping else lowest)
+    return DampingLimit(damping, frequency, False, islands, stiffness)
 
 
 def stability_map(
@@ -233,24 +233,17 @@ def _limit(lifted: Lifted, damping: float, k: Vector, edges: list[float], stable
 
 
 def _last_island(lifted: Lifted, damping: float, highest: float) -> tuple[float, float]:
-    """Largest damping at which some stiffness is stable, and that stiffness: from a grid, then by bisection."""
+    """Largest damping at which some stiffness is stable, and the most stable one: from a grid, then by bisection."""
     reach = min(highest, ISLAND_REACH * damping) if damping > 0.0 else highest
     scanned = stiffnesses(lifted, reach)
     k = np.geomspace(float(scanned[0]), float(scanned[-1]), ISLAND_STIFFNESSES)
     tried = np.linspace(damping, reach, ISLAND_DAMPINGS)[1:]
-    radius = lifted.radius(k, tried[:, None])
-    some = np.flatnonzero((radius < 1.0).any(axis=1))
-    if len(some) == 0:
-        low, stiffness, high = damping, 0.0, float(tried[0])
-    else:
-        last = int(some[-1])
-        low, stiffness = float(tried[last]), float(k[int(np.argmin(radius[last]))])
-        high = float(tried[min(last + 1, len(tried) - 1)])
+    some = np.flatnonzero(lifted.stable(k, tried[:, None]).any(axis=1))
+    last = int(some[-1]) if len(some) else -1
+    low = float(tried[last]) if len(some) else damping
+    high = float(tried[min(last + 1, len(tried) - 1)])
     for _ in range(ISLAND_BISECTIONS):
         middle = 0.5 * (low + high)
-        at = lifted.radius(k, middle)
-        if at.min() < 1.0:
-            low, stiffness = middle, float(k[int(np.argmin(at))])
-        else:
-            high = middle
-    return low, stiffness
+        low, high = (middle, high) if lifted.stable(k, middle).any() else (low, middle)
+    best = int(np.argmin(lifted.radius(k, low))) if low > damping else 0
+    return low, float(k[best])

@@ -146,7 +146,7 @@ def _stable(lifted: Lifted, k: Floats, b: Floats) -> NDArray[np.bool_]:
     stable = np.zeros((len(k), len(b)), np.bool_)
     left = np.arange(len(b))
     for some in np.array_split(np.arange(len(k)), max(1, len(k) // CHUNK)):
-        found = lifted.radius(k[some, None], b[left]) < 1.0
+        found = lifted.stable(k[some, None], b[left])
         stable[np.ix_(some, left)] = found
         left = left[found.all(axis=0)]
         if not len(left):

@@ -146,7 +146,7 @@ def linear_range(lifted: theory.Lifted) -> float:
     top = 8.0 * loop.subject.inertia / loop.period_s + loop.subject.damping
     b = np.geomspace(1e-5 * top, top, _GRID)
     for _ in range(_REFINEMENTS):
-        unstable = np.flatnonzero(lifted.radius(lowest, b) >= 1.0)
+        unstable = np.flatnonzero(~lifted.stable(lowest, b))
         if len(unstable) == 0:
             return float(b[-1])
         first = int(unstable[0])
@@ -160,7 +160,7 @@ def range_with_islands(lifted: theory.Lifted, connected: float) -> float:
     """Largest damping at which some stiffness is stable, as far as a coarse grid sees; at least the connected range."""
     k = np.geomspace(float(stiffnesses(lifted, 0.0)[0]), _ISLAND_HIGHEST, _ISLAND_STIFFNESSES)
     b = np.geomspace(1.0, _ISLAND_REACH, _ISLAND_DAMPINGS) * connected
-    some = np.flatnonzero((lifted.radius(k, b[:, None]) < 1.0).any(axis=1))
+    some = np.flatnonzero(lifted.stable(k, b[:, None]).any(axis=1))
     return float(b[some[-1]]) if len(some) else connected
 
 

@@ -336,6 +336,26 @@ def test_a_model_without_an_experiment_has_the_usual_filter() -> None:
     assert kalman.controller.parameters == {"bandwidth_hz": 100.0}
 
 
+@pytest.mark.parametrize("scheme", ["dual:20k/2k", "uniform:20k", "uniform:1k,estimator=fdm"])
+@pytest.mark.parametrize(
+    ("rig", "operator"), [("koul-compliant", "normal"), ("koul-rigid", "none"), ("cogged", "none")]
+)
+def test_powers_of_the_period_tell_what_its_eigenvalues_tell(rig: str, scheme: str, operator: str) -> None:
+    """From a handle that is free (an eigenvalue of 1) to walls whose powers overflow, and densely near the limits."""
+    cogged = config.override(CHAWDA, COGS)
+    lifted = theory.Lifted.of(
+        theory.linear_loop(cogged if rig == "cogged" else rig, scheme, operator=operator)
+    )
+    b = np.linspace(0.0, 1.2 * theory.b_max(lifted).damping, 6)
+    edges = np.array([limit.stiffness for limit in theory.k_max_curve(lifted, None, b)])
+    near = edges * (1.0 + np.geomspace(1e-8, 0.1, 8) * np.array([[1.0], [-1.0]])).reshape(-1, 1)
+    for k in (np.append(0.0, np.geomspace(1e-3, 1e25, 100))[:, None], near):
+        told = lifted.stable(k, b)
+        np.testing.assert_array_equal(told, lifted.radius(k, b) < 1.0)
+        assert 0 < np.count_nonzero(told) < told.size
+    assert lifted.stable([], 1.0).shape == (0,)
+
+
 CHAWDA = presets.load("chawda-linear")
 COGS = {
     "rig.cogging.period": 0.02,
