@@ -41,6 +41,18 @@ def test_vector_formats_hold_text(tmp_path: Path) -> None:
     )  # TrueType, not drawn outlines
 
 
+@pytest.mark.parametrize("name", ["\udcff.png", "\udcff.svg"])
+def test_a_name_that_is_no_text_can_be_written_and_drawn(name: str, tmp_path: Path) -> None:
+    assert style.save(a_figure("\udcff"), tmp_path / name).stat().st_size > 1000
+
+
+def test_a_place_that_cannot_be_written_is_said(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match=r"cannot write the picture .*nowhere") as caught:
+        style.save(a_figure(), tmp_path / "nowhere" / "x.png")
+    assert caught.value.remedy
+    assert not (tmp_path / "nowhere").exists()
+
+
 @pytest.mark.parametrize("name", ["a.jpg", "a", "a.png.rigcap", "a.parquet", ".png"])
 def test_no_other_name_is_written(name: str, tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"not a name for a picture") as caught:
