@@ -5,13 +5,13 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterator
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from rig.realtime.source_files import source_files
+from tests.conformance.sources import nodes
 
 ROOT = Path(__file__).parents[1]
 RIG = ROOT / "rig"
@@ -40,12 +40,6 @@ def test_the_paths_of_the_design_go_through_files_and_enter_no_room_twice() -> N
         rooms = [step.split("/")[1] if step.startswith("rig/") else step.split("/")[0] for step in steps]
         entered = [room for room, before in zip(rooms, [None, *rooms], strict=False) if room != before]
         assert len(entered) == len(set(entered)), entered
-
-
-@cache
-def nodes() -> dict[str, list[ast.AST]]:
-    """All that stands in each module."""
-    return {module: list(ast.walk(ast.parse(path.read_text()))) for module, path in source_files().items()}
 
 
 def test_rig_holds_rooms_and_nothing_loose() -> None:
@@ -137,6 +131,7 @@ def test_imports_stand_at_the_top_of_files() -> None:
     inside = {
         module
         for module, everything in nodes().items()
+        if any(isinstance(node, ast.Import | ast.ImportFrom) and node.col_offset for node in everything)
         for function in everything
         if isinstance(function, ast.FunctionDef)
         for node in ast.walk(function)

@@ -153,6 +153,8 @@ def kernels() -> Iterator[Any]:
     """Every function with the decorator: its name, its parameters, and its lines."""
     for module, path in source_files().items():
         text = path.read_text(encoding="utf-8")
+        if "@kernel(" not in text:
+            continue
         lines = text.splitlines()
         for node in ast.walk(ast.parse(text)):
             if isinstance(node, ast.FunctionDef) and any(
