@@ -379,7 +379,7 @@ def test_a_run_that_ends_early_still_gives_verdict_picture_and_the_hits_before_i
     assert "threw the handle out" in out
     assert "position 0.005" in err
     assert list((tmp_path / "recordings").glob("*.png"))
-    code, out, _ = run("hit", "--json", *throwing)
+    code, out, _ = run("hit", "--json", "--no-plot", *throwing)
     told = json.loads(out)
     assert told["hits"] == []
     assert told["error"]["exit_code"] == code == 10
