@@ -31,12 +31,14 @@ SERIES = (
 KINDS = {"stable": "#00703c", "limit cycle": "#a85300", "unstable": BAD, "invalid": "#666666"}
 DPI = 120
 _KEY_LINE = 0.18  # height of a line of a legend (inch)
-FORMATS: Mapping[
-    str, Mapping[str, None]
-] = {  # by ending: what would differ from one minute or version to the next
-    "png": {"Software": None},
-    "svg": {"Date": None, "Creator": None},
-    "pdf": {"CreationDate": None, "Creator": None, "Producer": None},
+# By ending how it is saved: without what would differ from one minute or version to the next.
+FORMATS: Mapping[str, Mapping[str, Any]] = {
+    "png": {
+        "metadata": {"Software": None},
+        "pil_kwargs": {"compress_level": 3},
+    },  # a tenth larger, a third faster
+    "svg": {"metadata": {"Date": None, "Creator": None}},
+    "pdf": {"metadata": {"CreationDate": None, "Creator": None, "Producer": None}},
 }
 _AS_TEXT = {"svg.hashsalt": "haptic-rig", "svg.fonttype": "none", "pdf.fonttype": 42}
 
@@ -117,7 +119,7 @@ def save(figure: Any, path: Path) -> Path:
                 layout.execute(figure)
             # Else all is drawn once more, in vain, for the sake of the layout: also with "none", which stands for it.
             figure.set_layout_engine(None)
-            figure.savefig(path, dpi=DPI, format=ending, metadata=FORMATS[ending])
+            figure.savefig(path, dpi=DPI, format=ending, **FORMATS[ending])
     except OSError as error:
         raise RecordingError(
             f"cannot write the picture {path}: {error.strerror or error}",
