@@ -480,7 +480,7 @@ def test_legends_lie_within_their_picture(found: Any, tmp_path: Path) -> None:
     for some in (found, one_person(tmp_path)):
         for name in ("psychometric", tracks_name("P01")):
             figure = pictures(some)[name](some)
-            figure.draw_without_rendering()
+            figure.get_layout_engine().execute(figure)
             (legend,) = figure.legends
             box = legend.get_window_extent()
             assert box.x0 >= 0.0
@@ -542,7 +542,8 @@ def test_a_session_that_has_hardly_begun_has_a_page(trials: int, tmp_path: Path)
     read = _Page(render(found, {}))
     assert "no limit" in read.text.lower()
     for draw in pictures(found).values():
-        draw(found).draw_without_rendering()
+        figure = draw(found)
+        figure.get_layout_engine().execute(figure)
 
 
 def test_a_study_beyond_the_levels_has_bounds_and_no_tests(tmp_path: Path) -> None:
@@ -566,7 +567,8 @@ def test_a_study_beyond_the_levels_has_bounds_and_no_tests(tmp_path: Path) -> No
     assert "5 above of 5" in text
     assert "No model for censored values (Tobit) was used" in text
     for draw in pictures(found).values():
-        draw(found).draw_without_rendering()
+        figure = draw(found)
+        figure.get_layout_engine().execute(figure)
 
 
 def test_where_the_mean_over_dampings_is_a_bound_the_summary_tells_each_damping(found: Any) -> None:

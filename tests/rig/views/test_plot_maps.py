@@ -82,7 +82,7 @@ def test_every_measured_limit_has_a_marker() -> None:
 
 def test_the_legend_lies_below_the_panels_and_in_the_picture() -> None:
     figure = zwidth_figure(a_map(), theory={0: (list(FIVE), [100.0] * 5)})
-    figure.draw_without_rendering()
+    figure.get_layout_engine().execute(figure)
     (legend,) = figure.legends
     box = legend.get_window_extent()
     assert box.x0 >= 0.0
