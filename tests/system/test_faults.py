@@ -2,8 +2,9 @@
 
 In virtual time, over the real frames, with the shipped loop. A run of one homing, a push and a release is
 some forty ticks long; with configuration it is about 70 frames each way, and each of them is struck once by each kind
-of fault, but for two kinds of frames that are all alike: those of the push are struck by every third kind in turn, and
-of the pages of the dictionary, which a device tells once, the first, one in the middle and the last.
+of fault, but for frames that are all alike: those of the push, and comparisons of the clocks between the first and the
+last, are struck by every third kind in turn, and of the pages of the dictionary, which a device tells once, the first,
+one in the middle and the last. What costs a frame and not the run strikes three of a run, far apart.
 """
 
 import multiprocessing
@@ -52,6 +53,9 @@ RAMP_S = 0.010
 START = -0.015
 TICKS = 16  # frames before the first sample and command
 PUSH = range(TICKS + 7, TICKS + 31)  # those of ticks that differ in nothing but their numbers
+CLOCKS = range(
+    TICKS - EXCHANGES, TICKS - 2
+)  # and those of comparisons of the clocks, before; as many come at the end
 
 SHORT = config.override(
     config.with_realtime(presets.load("koul-compliant")),
@@ -152,18 +156,26 @@ def frames(pages: Any, tmp_path_factory: pytest.TempPathFactory) -> Any:
 def test_a_fault_at_any_frame_ends_with_zero_effort_and_a_readable_recording(
     kind: Any, direction: Any, frames: Any, tmp_path: Path
 ) -> None:
-    turn = list(Kind).index(kind) % 3
-    chosen = [frame for frame in range(frames[direction]) if frame not in PUSH or frame % 3 == turn]
-    finished = sum(struck(kind, direction, frame, tmp_path) for frame in chosen)
+    turn, count = list(Kind).index(kind) % 3, frames[direction]
+    alike = {*PUSH, *CLOCKS, *range(count - EXCHANGES + 1, count - 1)}
+    chosen = [frame for frame in range(count) if frame not in alike or frame % 3 == turn]
     if kind in (Kind.SILENCE, Kind.UNPLUG):
+        finished = sum(struck(kind, direction, [frame], tmp_path) for frame in chosen)
         last_words = (
             2 * STOP_FRAMES + 5 + EXCHANGES
         )  # stops, disarming and its repeats, clocks compared at rest
         assert finished <= last_words + 1000 * (LIFETIME_S + RAMP_S) + 1, (
             "the watchdog ends every longer silence"
         )
-    else:
-        assert finished == len(chosen), "one bad frame is a counted loss, never the end of a run"
+        return
+    # What is repeated shifts the numbers of all that follow: of frames that are answered, one to a run.
+    answered = [[frame] for frame in chosen if frame < TICKS]
+    rest = chosen[len(answered) :]
+    runs = len(rest) // 3 + 1
+    for some in answered + [rest[first::runs] for first in range(runs)]:
+        assert struck(kind, direction, some, tmp_path), (
+            "one bad frame is a counted loss, never the end of a run"
+        )
 
 
 @pytest.mark.parametrize("direction", Direction)
@@ -174,20 +186,20 @@ def test_a_fault_at_a_page_of_the_dictionary_is_asked_again_or_ends_before_anyth
     last = pages[direction] - frames[direction]
     for page in (0, 1, last // 2, last - 1, last):
         monkeypatch.setattr(framed, "_dictionaries", {})
-        finished = struck(kind, direction, page, tmp_path)
+        finished = struck(kind, direction, [page], tmp_path)
         assert finished == (kind not in (Kind.SILENCE, Kind.UNPLUG)), page
 
 
-def struck(kind: Any, direction: Any, frame: Any, directory: Any) -> bool:
-    """Strike one frame of a run, check how it ended, and return whether it finished."""
-    place = directory / str(frame)
+def struck(kind: Any, direction: Any, frames: list[int], directory: Any) -> bool:
+    """Strike frames of a run, check how it ended, and return whether it finished."""
+    place = directory / str(frames[0])
     place.mkdir()
-    fault = FrameFault(kind=kind, direction=direction, frame=frame, byte=frame, bit=frame % 8)
-    bench = Bench(place, Faults(frames=(fault,))).run()
-    assert bench.link.line.acted[kind] == 1, frame
+    faults = [FrameFault(kind=kind, direction=direction, frame=n, byte=n, bit=n % 8) for n in frames]
+    bench = Bench(place, Faults(frames=tuple(faults))).run()
+    assert bench.link.line.acted[kind] == len(frames), frames
     assert bench.error is None or isinstance(
         bench.error, LinkLostError | DeviceRefusedError | IncompatibleDeviceError
-    ), (frame, bench.error)
+    ), (frames, bench.error)
     assert bench.error is None or bench.error.remedy, bench.error
     bench.check_ended_safely()
     return bench.error is None
