@@ -86,13 +86,20 @@ class Psychometric:
         with np.errstate(divide="ignore"):
             return np.log(self.shares), np.log1p(-self.shares)
 
+    @cached_property
+    def _latest(self) -> list[tuple[tuple[tuple[float, bool], ...], Floats]]:
+        """Verdicts and log likelihood of the latest posterior: the next is mostly of the same and one verdict more."""
+        return [((), np.zeros(self.shares.shape[1:]))]
+
     def posterior(self, verdicts: Sequence[tuple[float, bool]]) -> Floats:
         """Probability of each grid point after these verdicts (level, stable), shape as one level of `shares`."""
+        known, log = self._latest[0]
+        if tuple(verdicts[: len(known)]) != known:  # of somebody else
+            known, log = (), np.zeros(self.shares.shape[1:])
         stable, other = self.logs
-        log = np.zeros(self.shares.shape[1:])
-        for level, verdict in verdicts:
-            place = self.levels.index(level)
-            log = log + (stable if verdict else other)[place]
+        for level, verdict in verdicts[len(known) :]:
+            log = log + (stable if verdict else other)[self.levels.index(level)]
+        self._latest[0] = tuple(verdicts), log
         weights = np.exp(log - log.max())
         return np.asarray(weights / weights.sum())
 

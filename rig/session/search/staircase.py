@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from rig.core.errors import ConfigError
 from rig.session.search import psychometric
@@ -31,14 +31,10 @@ class _Walk:
     """Where a staircase stands after some verdicts."""
 
     place: int
-    step: int = 0  # number of turns so far, which is the place in `steps`
-    direction: int = 0
-    run: int = 0  # stable verdicts since the last move
-    pressed: int = 0  # verdicts in a row that wanted beyond the end
-    turns: list[tuple[int, bool]] = field(
-        default_factory=list
-    )  # place, and whether the smallest step was active
-    hits: int = 0
+    direction: int
+    pressed: int  # verdicts in a row that wanted beyond the end
+    turns: Sequence[tuple[int, bool]]  # place, and whether the smallest step was active
+    hits: int
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,26 +98,21 @@ class Staircase:
 
     def walk(self, verdicts: Sequence[tuple[float, bool]]) -> _Walk:
         """Where these verdicts lead."""
-        middle = len(self.levels) // 2
-        walk = _Walk(middle if self.start is None else list(self.levels).index(self.start))
+        top, last = len(self.levels) - 1, len(self.steps) - 1
+        place = len(self.levels) // 2 if self.start is None else list(self.levels).index(self.start)
+        step = direction = run = pressed = 0
+        turns = []
         for _, stable in verdicts:
-            walk.hits += 1
-            walk.run = walk.run + 1 if stable else 0
-            if stable and walk.run < self.stable_to_rise:
+            run = run + 1 if stable else 0
+            if stable and run < self.stable_to_rise:
                 continue
-            walk.run = 0
-            self._move(walk, 1 if stable else -1)
-        return walk
-
-    def _move(self, walk: _Walk, direction: int) -> None:
-        if walk.direction not in (0, direction):
-            walk.turns.append((walk.place, walk.step >= len(self.steps) - 1))
-            walk.step = min(walk.step + 1, len(self.steps) - 1)
-        walk.direction = direction
-        wanted = walk.place + direction * self.steps[walk.step]
-        at_end = walk.place == (len(self.levels) - 1 if direction > 0 else 0)
-        walk.pressed = walk.pressed + 1 if at_end else 0
-        walk.place = min(max(wanted, 0), len(self.levels) - 1)
+            before, direction, run = direction, 1 if stable else -1, 0
+            if before == -direction:
+                turns.append((place, step == last))
+                step = min(step + 1, last)
+            pressed = pressed + 1 if place == (top if stable else 0) else 0
+            place = min(max(place + direction * self.steps[step], 0), top)
+        return _Walk(place, direction, pressed, turns, len(verdicts))
 
     def has_ended(self, walk: _Walk) -> bool:
         """Whether it knows enough, or cannot know more on these levels."""
