@@ -51,7 +51,7 @@ class ChawdaPlan:
 
     def __init__(self, scale: rigs.Scale) -> None:
         self._scale = scale
-        self._lipschitz = chawda_parts.identified(*WALLS[0])["lipschitz"]
+        self._nominal = chawda_parts.identified(*WALLS[0])  # the schemes of the hits need its C
         self._named_hits = self._hit_schemes()
         self._hits = self._hit_plan(rigs.FIGURE_3_RATE, tuple(self._named_hits.values()), scale.hit_ratio)
         self._slow_hits = self._hit_plan(1000, tuple(rigs.SCHEMES.values()), scale.hit_ratio**0.5)
@@ -66,7 +66,7 @@ class ChawdaPlan:
         parts = {name: grid.part(self._weight(name)) for name, grid in self._grids.items()}
         parts["hits"] = koul_parts.map_part(self._hits)
         parts["slow-hits"] = koul_parts.map_part(self._slow_hits)
-        for stiffness, damping in WALLS:
+        for stiffness, damping in WALLS[1:]:
             payload: dict[str, Any] = {"stiffness": stiffness, "damping": damping}
             parts[f"constant/{stiffness:g}"] = part(chawda_parts.CONSTANT, payload, 300.0)
         rig = config.excited(rigs.excited_rig(self._scale))
@@ -91,8 +91,8 @@ class ChawdaPlan:
         hits = ZWidth.of(self._hits, done.results["hits"])
         return Chawda(
             scale=self._scale,
-            lipschitz=self._lipschitz,
-            constants=tuple(done.one(f"constant/{stiffness:g}") for stiffness, _ in WALLS),
+            lipschitz=self._nominal["lipschitz"],
+            constants=(self._nominal, *(done.one(f"constant/{stiffness:g}") for stiffness, _ in WALLS[1:])),
             hits=hits,
             hit_names=tuple(self._named_hits),
             adjusted=_adjusted(hits, tuple(self._named_hits)),
@@ -114,7 +114,7 @@ class ChawdaPlan:
         """The filtered difference, Levant's differentiator with the identified C, and what is tried to adjust it."""
         named = {rigs.FILTERED: rigs.FILTERED_SCHEME}
         named |= {
-            name: rigs.levant(rigs.FIGURE_3_RATE, self._lipschitz, gains)
+            name: rigs.levant(rigs.FIGURE_3_RATE, self._nominal["lipschitz"], gains)
             for name, gains in rigs.GAINS.items()
         }
         for (name, gains), constant in product(rigs.GAINS.items(), self._scale.constants):
