@@ -240,7 +240,7 @@ from rig.realtime import memories
 said = memories.ask_to_stop
 def ask(pid):
     found = said(pid)
-    print(len(found), *sorted({"click", "numpy", "numba", "rig.cli"} & set(sys.modules)))
+    print(len(found), *sorted({"click", "numpy", "numba", "rig.cli"} & set(sys.modules)), flush=True)
     return found
 memories.ask_to_stop = ask
 from rig.__main__ import main
@@ -250,17 +250,14 @@ main()
     with Ring.allocate(1, info=INFO, shared=True) as ring:
         ring.put(words.STOP, 7)
         ring.put(words.TICKS, 3)
-        done = subprocess.run(
-            [sys.executable, "-c", program, str(os.getpid())],
-            capture_output=True,
-            text=True,
-            timeout=60,
-            check=False,
-        )
-        before, _, answer = done.stdout.partition("\n")
-        assert before == "1", "loops asked, and what was loaded by then"
-        (loop,) = json.loads(answer)["loops"]
-        assert (loop["pid"], loop["ticks"], loop["ended"], done.returncode) == (os.getpid(), 3, False, 1)
+        command = [sys.executable, "-c", program, str(os.getpid())]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+            assert process.stdout is not None
+            before = process.stdout.readline()
+            assert before == "1\n", "loops asked, and what was loaded by then"
+            ring.put(words.LOOP_DONE, 1)  # while it loads the rest, and before it looks
+            (loop,) = json.loads(process.stdout.read())["loops"]
+        assert (loop["pid"], loop["ticks"], loop["ended"], process.returncode) == (os.getpid(), 3, True, 0)
         assert ring.get(words.STOP) == 7, "who stopped it first is who stopped it"
 
 
