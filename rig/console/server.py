@@ -50,6 +50,7 @@ from rig.realtime.hand import SharedHand
 
 MOST_CLIENTS = 16  # pages, and as many participants' screens
 MOST_HOLDS = 4 * MOST_CLIENTS  # a worker that connects again leaves one behind, which pings find dead
+CLOSE_S = 1.0  # for a page to answer that it is shut out
 DOWNLOAD_S = 600.0  # a download is part of a connection's opening, and may have to be computed
 TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
 SOCKETS = ("/live", "/hold", "/participant")
@@ -272,7 +273,7 @@ async def run(settings: Settings, terminal: Terminal, ended: asyncio.Event) -> N
             compression=None,
             server_header=None,
             open_timeout=DOWNLOAD_S,  # of who shows the token; others have what the door gives them
-            close_timeout=1.0,  # of a page that does not answer
+            close_timeout=CLOSE_S,
             ping_interval=5.0,
             ping_timeout=10.0,
             max_queue=64,

@@ -23,7 +23,7 @@ from rig.console.client import MOST_REPLIES, Client
 from rig.console.errands import Errands
 from rig.console.follow import Followed
 from rig.console.lease import Lease
-from rig.console.live import SEARCH_S, Live
+from rig.console.live import Live
 from rig.console.runs import Runs
 from rig.console.server import SOCKETS
 from rig.control import estimators
@@ -39,6 +39,7 @@ UPGRADE = (
     b"Upgrade: websocket\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n"
 )
 Scenario = Callable[[Served], Awaitable[None]]
+Searched = Callable[[int], Awaitable[None]]
 
 
 def play(place: Path, scenario: Scenario, **settings: Any) -> None:
@@ -47,6 +48,26 @@ def play(place: Path, scenario: Scenario, **settings: Any) -> None:
             await scenario(console)
 
     asyncio.run(whole())
+
+
+@pytest.fixture
+def searched(monkeypatch: pytest.MonkeyPatch) -> Searched:
+    """Waits until the console has looked for loops so many times more, which it does without a pause."""
+    begun, search = 0, Live.search
+
+    async def counted(live: Live) -> None:
+        nonlocal begun
+        begun += 1
+        await search(live)
+
+    async def wait(times: int) -> None:
+        enough = begun + times + 1  # the last of them is over when the next one begins
+        while begun < enough:
+            await asyncio.sleep(0.001)
+
+    monkeypatch.setattr(Live, "search", counted)
+    monkeypatch.setattr("rig.console.live.SEARCH_S", 0.001)
+    return wait
 
 
 def status_of(console: Served, path: str = "/", **headers: str) -> int:
@@ -138,12 +159,14 @@ def test_a_running_loop_is_found_followed_and_told(tmp_path: Path) -> None:
     "experiment", [["x"], {"controller": ["x"]}, {"controller": {"position_rate": "fast"}},
                    {"controller": {"position_rate": 1e999}}, {"controller": {"position_rate": -1}}],
 )  # fmt: skip
-def test_a_loop_that_says_nonsense_of_itself_ends_no_console(experiment: Any, tmp_path: Path) -> None:
+def test_a_loop_that_says_nonsense_of_itself_ends_no_console(
+    experiment: Any, tmp_path: Path, searched: Searched
+) -> None:
     async def scenario(console: Served) -> None:
         async with console.page() as page:
             for _ in range(2):
                 assert "result" in await page.ask("look", pid=os.getpid())
-                await asyncio.sleep(SEARCH_S)
+                await searched(2)
             assert page.newest("loop") is None
             await page.ask("stop")
             assert loop.ring.get(words.STOP) == 1
@@ -154,28 +177,23 @@ def test_a_loop_that_says_nonsense_of_itself_ends_no_console(experiment: Any, tm
 
 
 def test_a_search_that_finds_no_descriptor_left_is_tried_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, searched: Searched
 ) -> None:
-    searched = 0
-
     def no_descriptor_left(pid: int | None) -> None:
-        nonlocal searched
-        searched += 1
         raise OSError(errno.EMFILE, "Too many open files")
 
     monkeypatch.setattr("rig.console.live.newest", no_descriptor_left)
 
     async def scenario(console: Served) -> None:
         async with console.page() as page:
-            while searched < 2:
-                await asyncio.sleep(0.01)
+            await searched(2)
             assert "result" in await page.ask("operate", take=True)
 
     play(tmp_path, scenario)
 
 
 def test_a_loop_that_cannot_be_read_costs_its_scope_and_no_server(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, searched: Searched
 ) -> None:
     polled = 0
 
@@ -184,14 +202,13 @@ def test_a_loop_that_cannot_be_read_costs_its_scope_and_no_server(
         polled += 1
         raise KeyError("a defect")
 
-    monkeypatch.setattr(Followed, "poll", broken)
-
     async def scenario(console: Served) -> None:
         async with console.page() as page:
+            monkeypatch.setattr(Followed, "poll", broken)  # told to whoever is there
             await page.ask("look", pid=os.getpid())
             told = await page.until(lambda page: page.newest("trouble"))
             assert "a defect" in told["message"]
-            await asyncio.sleep(2 * SEARCH_S)
+            await searched(2)
             assert polled == 1, "it is not looked at again"
             assert (await page.ask("operate", take=True))["result"] == {"operates": True}
             await page.ask("stop")
@@ -266,23 +283,26 @@ def test_stop_reaches_loops_that_nobody_looks_at(tmp_path: Path) -> None:
 def test_who_has_no_token_holds_no_place_and_keeps_no_page_out(
     say: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rig.console.bounds.DOOR_S", 1.0)
+    monkeypatch.setattr("rig.console.bounds.DOOR_S", 60.0)
 
     async def scenario(console: Served) -> None:
         async with console.page("a-page-of-before") as before, console.hold("a-page-of-before") as hold:
-            knocking = [await knock(console, say) for _ in range(3 * MOST_AT_DOOR)]
+            knocking = [await knock(console, say) for _ in range(2 * MOST_AT_DOOR)]
             async with asyncio.timeout(10.0):
-                for reader, _ in knocking[: 2 * MOST_AT_DOOR]:  # the newest have the places
+                for reader, _ in knocking[:MOST_AT_DOOR]:  # the newest have the places
                     await left(reader)
             async with console.page("a-page-that-comes") as page:
                 assert "result" in await page.ask("operate", take=True)
             assert "result" in await before.ask("stop")
             await hold.send('{"stop":true}')
             assert "stopped" in await hold.recv()
+            monkeypatch.setattr("rig.console.bounds.DOOR_S", 0.01)
+            late = [await knock(console, say) for _ in range(4)]
             async with asyncio.timeout(10.0):
-                for reader, writer in knocking:  # nor do those keep theirs
+                for reader, _ in late:  # nor do those keep theirs
                     await left(reader)
-                    writer.close()
+            for _, writer in knocking + late:
+                writer.close()
 
     play(tmp_path, scenario)
 
@@ -318,7 +338,11 @@ def test_of_too_many_hold_sockets_the_silent_one_goes(
     play(tmp_path, scenario)
 
 
-def test_a_flood_of_beats_is_cut_off_and_stops_all_the_same(tmp_path: Path) -> None:
+def test_a_flood_of_beats_is_cut_off_and_stops_all_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rig.console.server.CLOSE_S", 0.05)
+
     async def scenario(console: Served) -> None:
         with HandTurnedLoop(64, shared=True).ring as ring:
             async with console.hold() as hold:
@@ -405,7 +429,11 @@ def test_a_real_rig_is_armed_from_no_page_alone(tmp_path: Path) -> None:
     play(tmp_path, scenario)
 
 
-def test_what_is_no_request_is_answered_and_too_much_is_cut_off(tmp_path: Path) -> None:
+def test_what_is_no_request_is_answered_and_too_much_is_cut_off(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rig.console.server.CLOSE_S", 0.05)
+
     async def scenario(console: Served) -> None:
         async with console.page() as page:
             await page.socket.send("no json")
@@ -458,6 +486,7 @@ def test_a_page_that_reads_nothing_delays_nobody(tmp_path: Path) -> None:
                 await asyncio.sleep(0.01)
             await page.until(lambda page: sum(f["points"] * f["step"] for f in page.frames) >= 3000 - 2)
             assert (page.newest("state") or {})["loop"]["unseen"] == 0
+            stalled.transport.abort()  # it would not hear that its closing is agreed to
 
     with loop.ring:
         play(tmp_path, scenario)
