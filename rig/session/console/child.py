@@ -152,8 +152,9 @@ class Child:
             return
         if not self.dead:
             self.say("end")
+            self._reader.join(END_S)  # hears of the end at once: `wait` looks for it ever more rarely
             with suppress(subprocess.TimeoutExpired):
-                self._process.wait(END_S)
+                self._process.wait(0.0 if self._reader.is_alive() else END_S)
         clean = self._process.poll() == 0
         if not self.dead:
             self.kill()

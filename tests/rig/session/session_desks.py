@@ -13,6 +13,7 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Coroutine
+from contextlib import suppress
 from pathlib import Path
 from queue import SimpleQueue
 from tempfile import TemporaryDirectory
@@ -142,6 +143,8 @@ class AtTerminal(Place):
         self.terminal.close()
 
     def close(self) -> None:
+        with suppress(ProcessLookupError):
+            os.kill(self._console.pid, signal.SIGCONT)  # one that hung ends by itself
         super().close()
         self.terminal.close()
 

@@ -87,6 +87,12 @@ def assert_given_back(terminal: Terminal) -> None:
     terminal.until(lambda: terminal.screen.modes & {1049, 25} == {25}, "its own screen, and a cursor")
 
 
+def resize(terminal: Terminal, desk: ConsoleDesk, rows: int, columns: int) -> None:
+    """Make another window; of its controlling terminal the kernel would tell the console."""
+    terminal.resize(rows, columns)
+    os.kill(desk.pid, signal.SIGWINCH)
+
+
 def drawn_by(terminal: Terminal, number: int) -> None:
     """Wait until so many consoles have begun to draw: what stood there before is gone."""
     terminal.until(lambda: terminal.screen.entered == number, f"{number} consoles")
@@ -103,7 +109,7 @@ def test_a_session_on_the_screen(terminal: Terminal) -> None:
         terminal.wait("note>")
         terminal.type("a b\x7fc")
         terminal.wait("note> a c_")
-        terminal.resize(30, 100)
+        resize(terminal, desk, 30, 100)
         terminal.until(lambda: len(terminal.screen.text.split("\n")[0]) > 90, "the new width")
         terminal.type("\r")
         assert answered(reply) == ("note", "a c")
@@ -141,13 +147,13 @@ def test_an_escape_does_not_wait_for_the_session_to_be_silent(terminal: Terminal
 
 
 def test_a_stopped_console_ends_the_hit_and_is_replaced(terminal: Terminal) -> None:
-    with console(terminal, silence_s=0.5, hung_s=0.5) as (desk, asker):
+    with console(terminal, silence_s=0.3, hung_s=0.3) as (desk, asker):
         desk.show(View(state="hold", code="P07"))
         terminal.wait("P07")
         stopped = desk.pid
         os.kill(stopped, signal.SIGSTOP)
         error = watched(desk)
-        assert "was silent for 0.5 s" in error.message
+        assert "was silent for 0.3 s" in error.message
         assert "resume" in error.remedy
         for number in range(200):  # a pipe that nobody reads must not hold the session up
             desk.show(View(state="hold", code="P07", lines=tuple(f"line {number}" * 20 for _ in range(8))))
@@ -228,7 +234,7 @@ def test_a_reason_stands_whole_on_the_screen(terminal: Terminal) -> None:
         desk.show(View(state="ready", say="Again. Push.", last=LONG, lines=("trial 6: stable", LONG)))
         reply = asking(desk, asker, READY_QUESTION)
         for columns in (80, 60, 40):
-            terminal.resize(24, columns)  # which leaves nothing on the screen
+            resize(terminal, desk, 24, columns)  # which leaves nothing on the screen
             terminal.until(lambda: contains(terminal.screen.text, LONG), LONG)
             assert "…" not in terminal.wait("Again. Push.", "[SPACE] STOP")
         terminal.type("g")
@@ -300,9 +306,11 @@ def test_a_hand_that_this_console_cannot_move_is_refused(terminal: Terminal, tmp
 PROGRAM = """
 import sys
 from rig.core.errors import RigError
+from rig.session.console import child
 from rig.session.console.desk import ConsoleDesk
 from rig.session.desk import Question, View
 
+child.END_S = 0.2  # of one that is stopped
 with ConsoleDesk(plain="plain" in sys.argv) as desk:
     print("console", desk.pid, file=sys.stderr, flush=True)
     desk.show(View(state="verdict?", code="P09"))

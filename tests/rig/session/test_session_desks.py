@@ -159,12 +159,12 @@ def test_pause_waits_for_the_next_question(sit: Sit, asker: ThreadPoolExecutor) 
 
 
 def test_a_hit_ends_when_nothing_is_heard_of_who_shows_it(sit: Sit) -> None:
-    place = sit(silence_s=0.5)
+    place = sit(silence_s=0.3)
     place.desk.show(View(state="hold", code="P07"))
     place.sees("P07")
     place.hang()
     error = watched(place)
-    assert "was silent for 0.5 s" in error.message
+    assert "was silent for 0.3 s" in error.message
     assert "resume" in error.remedy
 
 
