@@ -95,6 +95,7 @@ class FramedDevice:
         self.moved_as_described = False  # under the last torque pulse (`rig.experiments.pulse`)
         self.reference_count: int | None = None  # position zero by its index (`rig.experiments.reference`)
         self._session = 0  # used last
+        self._answers = True  # unless the last transaction was given up
         self._said_ns = self._heard_ns = (
             0  # host time of the last request's first frame, and of the last bytes read
         )
@@ -444,12 +445,25 @@ class FramedDevice:
         return replace(explained, later=reply.later, device_time_ns=time_ns, entries=entries)
 
     def close(self) -> None:
-        """Disarm if a session is open, and release the link; never raises."""
+        """Disarm if a session is open, and release the link; never raises.
+
+        A device that has just left a transaction unanswered is told so as often, and its answer not awaited again: by
+        then it has heard no COMMAND for longer than any lives, its ramp included.
+        """
         if self.connection.session:
             self.stop()
             with suppress(Exception):
-                self.disarm(clear_fault=True)
+                if self._answers:
+                    self.disarm(clear_fault=True)
+                else:
+                    self._tell_to_disarm()
         self.link.close()
+
+    def _tell_to_disarm(self) -> None:
+        """Say the DISARM and all its repeats at once."""
+        self.connection.begin(m.Disarm(self._next_nonce(), int(m.DisarmFlag.CLEAR_FAULT)))
+        while frame := self.connection.say(self.connection.transaction.again_at):
+            self.link.write(frame)
 
     def __enter__(self) -> FramedDevice:
         return self
@@ -492,9 +506,11 @@ class FramedDevice:
             before = connection.transaction
             for event in self._events((before.again_at - now_ns) * 1e-9):  # a write may have taken a while
                 if connection.transaction.step < 0:
+                    self._answers = True
                     return event.message
                 if connection.transaction != before:
                     break
+        self._answers = False
         raise LinkLostError(
             f"the device at {self.link.url.text} does not answer {type(request).__name__}",
             remedy="check that the right firmware runs there, that the port is the right one, and the baud rate",

@@ -17,7 +17,8 @@ from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault, Status
 from firmware_protocol.framing import decode_frame, encode_frame
 from firmware_protocol.packing import pack, type_id_of, unpack
-from firmware_protocol.transaction import RETRY_AFTER_S
+from firmware_protocol.parameters import BY_NAME
+from firmware_protocol.transaction import MOST_TRIES, RETRY_AFTER_S
 from rig.core.errors import DeviceRefusedError, IncompatibleDeviceError, LinkLostError
 from rig.devices import framed
 from rig.devices.device import DeviceUrl
@@ -725,6 +726,44 @@ def test_closing_disarms_and_leaves_zero() -> None:
     assert (simulated.connection.state, simulated.current) == (State.CONFIGURED, 0)
     with pytest.raises(LinkLostError):
         wire.link.write(b"x")
+
+
+@pytest.mark.parametrize("back", [False, True], ids=["gone", "back"])
+@pytest.mark.parametrize("ways", [tuple(Direction), (Direction.TO_DEVICE,)], ids=["nothing", "STATE"])
+def test_closing_on_a_device_that_does_not_answer_says_all_and_waits_for_no_answer(
+    ways: tuple[Direction, ...], back: bool
+) -> None:
+    """Its effort is zero by then, whatever the line does: a transaction is given up after more than a COMMAND lives."""
+    simulated, wire, device = make(faults=Faults())
+    device.configure(RUN_PARAMETERS)
+    device.arm()
+    wire.write(device.connection.send(m.Command(0, 20_000, int(m.Mode.CURRENT), 0, 300)))
+    wire.link.elapse(0.005)
+    line = wire.link.line
+    line.add([FrameFault(kind=Kind.SILENCE, direction=d, frame=line.frames[d]) for d in ways])
+    with pytest.raises(LinkLostError):
+        device.has_restarted()
+    assert simulated.current == 0
+    assert simulated.fault == Fault.LINK_LOST
+    if back:
+        line._silent.clear()
+    before, since_ns = len(wire.sent), wire.clock.now_ns()
+    stops = (
+        0 if device.connection.state is State.FAULT else STOP_FRAMES
+    )  # a fault that STATE told takes no COMMAND
+    device.close()
+    assert wire.clock.now_ns() == since_ns
+    said = [type(message) for message in wire.messages()[before:]]
+    assert said == [m.Command] * stops + [m.Disarm] * MOST_TRIES
+    assert (simulated.connection.state is State.CONFIGURED) == back
+
+
+def test_a_transaction_is_given_up_after_more_than_a_command_lives() -> None:
+    most = {
+        name: BY_NAME[name].maximum for name in ("command_lifetime_us", "supervise_lifetime_us", "ramp_us")
+    }
+    lives_us = max(most["command_lifetime_us"], most["supervise_lifetime_us"]) + most["ramp_us"]
+    assert sum(RETRY_AFTER_S) + RETRY_AFTER_S[-1] > 1e-6 * lives_us
 
 
 def test_the_streams_go_on_where_the_loop_left_them() -> None:
