@@ -45,7 +45,7 @@ from rig.realtime.scheduling import obtained
 LIFETIME_SHARE = 0.5  # of a command's lifetime that the link may take there and back
 LOST_SHARE = 0.001  # of the questions: a loop loses one command in a thousand without effect
 SHORTEST_S, LONGEST_S = 1.0, 4.0  # of a measurement before arming; as long as bounding p99.9 takes
-SIMULATED_S = 0.5  # on a simulated device, which is never refused
+SIMULATED_S = 0.2  # on a simulated device, which is never refused
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
