@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 
+from rig.core import program
 from rig.realtime import memories
 
 
@@ -15,6 +16,7 @@ def main() -> None:
 
         sys.exit(complete.answer(os.environ["_RIG_COMPLETE"]))
     asked = asked_to_stop(sys.argv[1:])
+    program.begin()
     from rig import cli  # noqa: PLC0415  (it takes many times as long)
 
     cli.main(asked)

@@ -2,7 +2,11 @@
 
 import sys
 
-from rig.console import errand_worker, worker
+from rig.core import program
+
+program.begin()
+
+from rig.console import errand_worker, worker  # noqa: E402  (only then)
 
 PROCESSES = {"job": worker.main, "errands": errand_worker.main}
 

@@ -16,13 +16,13 @@ from rig import devices
 from rig.config.sections import Host
 from rig.core.errors import ConfigError
 from rig.core.model import RigModel
+from rig.core.process import announced
 from rig.core.this_system import processors, refuse_real_time
 from rig.devices import simulated_model
-from rig.devices.child import Board, announced
 from rig.devices.device import DeviceUrl, Link
 from rig.devices.framed import FramedDevice
 from rig.realtime.hand import SharedHand
-from rig.realtime.scheduling import Realtime, obtained
+from rig.realtime.scheduling import Board, Realtime, obtained
 
 IN_VIRTUAL_TIME = "simulate it in virtual time: leave `realtime` out, rehearse a session"
 

@@ -11,8 +11,8 @@ from typing import Any, Literal
 
 from rig.core.errors import ConfigError
 from rig.core.model import RigModel
-from rig.devices.child import Board, announced
-from rig.realtime.scheduling import obtained
+from rig.core.process import announced
+from rig.realtime.scheduling import Board, obtained
 from sim_backend.drives.bus import Adapter, Drive
 from sim_backend.drives.faults import Script
 from sim_backend.drives.fdcanusb import Fdcanusb, Uart

@@ -17,8 +17,8 @@ from rig.bench.bridge.library import Facts, library
 from rig.config import presets, rig_model
 from rig.core.errors import ConfigError
 from rig.core.model import RigModel
+from rig.core.process import announced
 from rig.core.this_system import processors
-from rig.devices.child import announced
 from rig.devices.device import DeviceUrl
 
 if sys.platform == "linux":

@@ -18,9 +18,8 @@ from dataclasses import dataclass
 from rig.bench.bridge.library import Bridge, Drive
 from rig.bench.bridge.library import Facts as BusFacts
 from rig.core.model import RigModel
-from rig.devices.child import Board
 from rig.devices.device import DeviceUrl
-from rig.realtime.scheduling import obtained
+from rig.realtime.scheduling import Board, obtained
 
 if sys.platform == "linux":
     from rig.bench.bridge.address import Facts, address_of

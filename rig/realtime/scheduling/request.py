@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Protocol
 
 
@@ -22,3 +23,12 @@ class Request(Protocol):
     def cpu(self) -> int | None:
         """Return the processor, None for any."""
         ...
+
+
+@dataclass(frozen=True, slots=True)
+class Board:
+    """Scheduling of what is a device here: a board's timer never waits, so it has priority over any host's loop."""
+
+    realtime: str = "try"
+    priority: int = 90
+    cpu: int | None = None

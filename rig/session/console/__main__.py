@@ -2,6 +2,10 @@
 
 import sys
 
+from rig.core import program
+
+program.begin()
+
 if sys.platform != "win32":
     from rig.session.console.program import main
 

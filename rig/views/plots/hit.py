@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.core import program
 from rig.core.sample import Phase, RowFlag, unit_of
 from rig.recording.data import Recording
 from rig.recording.reader import open_recording
@@ -41,6 +42,7 @@ def draw_hit(path: str | Path, picture: str | Path | None = None) -> Path:
 
 def main() -> None:
     """Draw every recording whose path and picture come as JSON on a line; answer each with a line of JSON."""
+    program.begin()
     for line in sys.stdin:
         try:
             answer = {"picture": str(draw_hit(*json.loads(line)))}

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import gc
 import multiprocessing
+import operator
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib.metadata import EntryPoint
 from pathlib import Path
@@ -18,8 +20,10 @@ import rig.devices
 from rig import config, devices
 from rig.config import presets
 from rig.core import plugins as core_plugins
+from rig.core import program
 from rig.core.errors import ConfigError, DeviceNotFoundError
-from rig.devices import child, local
+from rig.core.process import SAFE_PATH, announced
+from rig.devices import local
 from rig.devices.device import DeviceUrl
 from rig.experiments.on_device import OnDevice, examined
 from sim_backend.link import MemoryLink
@@ -212,11 +216,29 @@ def test_a_device_process_takes_no_module_from_here_answers_by_name_and_ends_wit
         with rig.devices.open_device(url) as device:
             assert device.dictionary.device == "chawda-linear"
             assert device.dictionary.simulated
-    assert child.SAFE_PATH not in os.environ
+    assert SAFE_PATH not in os.environ
     assert not process.is_alive()
     assert not multiprocessing.active_children()
     with pytest.raises(DeviceNotFoundError):
         rig.devices.open_device(url)
+
+
+class AsLoaded:
+    """A number that is taken in the process that loads it."""
+
+    def __init__(self, ask: Callable[..., Any], *arguments: Any) -> None:
+        self.asked = ask, arguments
+
+    def __reduce__(self) -> Any:
+        return self.asked
+
+
+def test_a_process_settles_how_it_ends_and_loads_before_it_loads_what_it_serves() -> None:
+    asked = (AsLoaded(os.getpgid, 0), AsLoaded(gc.get_threshold))
+    with announced(operator.call, asked, name="asked", by_hand="no command") as (group, thresholds):
+        (process,) = multiprocessing.active_children()
+        assert group == process.pid  # hears no Ctrl-C
+        assert thresholds[0] == program.SELDOM
 
 
 @pytest.fixture

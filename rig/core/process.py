@@ -1,6 +1,7 @@
 """A process that serves something to this one: it announces where, and ends with whoever started it.
 
-It hears no Ctrl-C, which is for the host: a device that died of it could not be brought to rest.
+It hears no Ctrl-C, which is for the host: a device that died of it could not be brought to rest. It settles that before
+it loads what it serves.
 """
 
 from __future__ import annotations
@@ -8,14 +9,16 @@ from __future__ import annotations
 import ctypes
 import multiprocessing
 import os
+import pickle
 import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from multiprocessing.reduction import ForkingPickler
 from types import ModuleType
 from typing import Any
 
+from rig.core import program
 from rig.core.errors import DeviceNotFoundError, RigError
 
 START_TIMEOUT_S = 60.0  # the first start compiles the plant
@@ -24,13 +27,20 @@ SAFE_PATH = "PYTHONSAFEPATH"  # python -P, for the children of this process
 PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 
-@dataclass(frozen=True, slots=True)
-class Board:
-    """Scheduling of what is a device here: a board's timer never waits, so it has priority over any host's loop."""
+class _Later:
+    """Something that a child imports when it asks for it, and not before its first line."""
 
-    realtime: str = "try"
-    priority: int = 90
-    cpu: int | None = None
+    def __init__(self, value: Any) -> None:
+        self._value = value
+
+    def __getstate__(self) -> bytes:
+        return bytes(ForkingPickler.dumps(self._value))
+
+    def __setstate__(self, pickled: bytes) -> None:
+        self._pickled = pickled
+
+    def loaded(self) -> Any:
+        return pickle.loads(self._pickled)
 
 
 @contextmanager
@@ -55,7 +65,9 @@ def announced(serve: Callable[..., None], *arguments: Any, name: str, by_hand: s
     """
     context = multiprocessing.get_context("spawn")
     receiver, sender = context.Pipe(duplex=False)
-    process = context.Process(target=_child, args=(sender, serve, arguments), name=name, daemon=True)
+    process = context.Process(
+        target=_child, args=(sender, _Later((serve, arguments))), name=name, daemon=True
+    )
     with _no_modules_from_here():
         process.start()
     sender.close()
@@ -86,10 +98,12 @@ def _no_modules_from_here() -> Iterator[None]:
             os.environ[SAFE_PATH] = before
 
 
-def _child(pipe: Any, serve: Callable[..., None], arguments: tuple[Any, ...]) -> None:
+def _child(pipe: Any, served: _Later) -> None:
     if sys.platform == "linux":
         os.setsid()
         _die_with_parent()
+    program.begin()
+    serve, arguments = served.loaded()
     try:
         serve(pipe.send, *arguments)
     except RigError as error:
