@@ -11,6 +11,12 @@ import click
 from rig.cli.command import Group
 
 
+def loaded(target: str) -> Any:
+    """Import what ``module:attribute`` names."""
+    module, _, attribute = target.partition(":")
+    return getattr(import_module(module), attribute)
+
+
 class LazyGroup(Group):
     """A group whose commands stand in a table.
 
@@ -32,8 +38,7 @@ class LazyGroup(Group):
         """Import a command."""
         if cmd_name not in self._table:
             return None
-        module, _, attribute = self._table[cmd_name][0].partition(":")
-        return cast("click.Command", getattr(import_module(module), attribute))
+        return cast("click.Command", loaded(self._table[cmd_name][0]))
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """List the commands without importing them."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from rich.table import Table
 
 from rig.cli import options, output
 from rig.cli.command import command
+from rig.cli.lazy import loaded
 from rig.core.errors import PlanError
 from rig.core.present import plain
 from rig.core.sample import unit_of
@@ -25,6 +27,7 @@ from rig.session.load import json_schema, load_protocol
 from rig.session.plan import CellPlan, StudyPlan
 
 _MARKS = {"ok": ("ok", "green"), "warning": ("!!", "yellow"), "refused": ("no", "red")}
+DEVICE_CHECKS = "rig.session.device_checks:device_checks"  # nobody who checks without --url waits for a loop
 MOST_ORDERS = 24  # participants whose order is printed; --json has all
 
 
@@ -100,7 +103,7 @@ def check(
         protocol,
         file.parent,
         participants=participants,
-        url=url,
+        of_device=partial(loaded(DEVICE_CHECKS), url) if url is not None else None,
         study=study_directory(protocol, study),
     )
     if as_json:

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 
 from firmware_protocol.dictionary import Dictionary
 from firmware_protocol.law_parameters import LAW_PARAMETERS
-from rig.bench.doctor.gate import late_wall
-from rig.bench.doctor.round_trip import ticks_late
+from rig.bench.doctor.delay import ticks_late
+from rig.bench.doctor.late_walls import late_wall
 from rig.config import Experiment, controller, device_law, motor_push, push_at_rest, push_s, rig_model
 from rig.config.device_limits import check_limits
 from rig.core.check import Check, Outcome

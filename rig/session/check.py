@@ -7,16 +7,14 @@ ask for is checked like a hit of its own (`rig.experiments.plan`) and held again
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from contextlib import closing
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from rig.config import Experiment
 from rig.config.schemes import Scheme
-from rig.core.check import refuse, refused
-from rig.session.arming import arming_checks
+from rig.core.check import Check, refuse
 from rig.session.comparisons import (
     band_checks,
     cap_checks,
@@ -31,9 +29,6 @@ from rig.session.comparisons import (
 from rig.session.conditions import Walls, base_of
 from rig.session.disk import bytes_of_trial
 from rig.session.expected import NO_TRIALS, NOTHING, Range, Trials, expected_limits, expected_trials
-from rig.session.fitting import fit_checks
-from rig.session.hits import DeviceRunner
-from rig.session.pace import pace_checks
 from rig.session.plan import CellPlan, StudyPlan
 from rig.session.protocol import Condition, Protocol
 from rig.session.schedule import Block, levels_of, rows_of, schedule
@@ -47,7 +42,7 @@ def check(
     folder: Path,
     *,
     participants: int | None = None,
-    url: str | None = None,
+    of_device: Callable[[Walls], Iterable[Check]] | None = None,
     study: Path | None = None,
 ) -> StudyPlan:
     """Plan and check a study.
@@ -60,8 +55,8 @@ def check(
         Where its file is: what it names is relative to that.
     participants
         How many will come; those that the protocol plans if not given.
-    url
-        Of a device whose rate and link are to be checked too; nothing moves on it.
+    of_device
+        What a device is asked of these walls too, see `rig.session.device_checks`; whoever asks none loads no device.
     study
         Directory of the participants: what those took who have finished replaces the planned times of people.
 
@@ -102,14 +97,8 @@ def check(
         *stop_checks(protocol, trials, searches.failures, sum(duration.values(), NOTHING)),
         *rest_checks(protocol, trials, times),
     ]
-    if url is not None:
-        with closing(
-            DeviceRunner(url=url, realtime=True, verified=True)
-        ) as runner:  # as a session with a person has it
-            fits = fit_checks(walls, runner)
-            checks += [*fits, *arming_checks(walls, runner)]
-            if not refused(fits):
-                checks += pace_checks(walls, runner)
+    if of_device is not None:
+        checks += of_device(walls)
     return StudyPlan(
         title=protocol.study.title,
         rig=base.rig.name,

@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
-from rig.bench.doctor.pace import Pace
 from rig.config import Experiment
 from rig.core.check import Check
-from rig.experiments.pulse import Pulse
 from rig.session.trial import Hit
+
+if TYPE_CHECKING:
+    from rig.bench.doctor.pace import Pace
+    from rig.experiments.pulse import Pulse
 
 Watch = Callable[[int, int], None]
 

@@ -19,16 +19,15 @@ Passivity is reported and not required. A simulated device is never refused.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 from weakref import WeakKeyDictionary
 
-from rig.analysis.theory import passivity_bound
-from rig.analysis.theory.loop import NO_OPERATOR
-from rig.bench.answers import ok, question, refused, skipped, warning
+from rig.bench.answers import ok, question, refused, warning
+from rig.bench.doctor.delay import ticks_text
 from rig.bench.doctor.late_loops import LateLoops, hand_text, loop_delay_ticks, unstable_hands
+from rig.bench.doctor.late_walls import late_wall, stability
 from rig.bench.doctor.round_trip import ENOUGH, LinkMeasurement, Progress, measure_link
 from rig.config import Experiment
 from rig.config.controller import command_lifetime_s, supervise_lifetime_s
@@ -37,7 +36,6 @@ from rig.core import check
 from rig.core.check import Check, Outcome
 from rig.core.errors import ConfigError, PlanError
 from rig.core.present import Item, Row, reported
-from rig.core.sample import unit_of
 from rig.devices.framed import FramedDevice
 from rig.devices.local import host_beside
 from rig.realtime.scheduling import obtained
@@ -120,7 +118,9 @@ class Gate:
                     "arming", Outcome.WARNING, "a real rig would be refused; this one is simulated"
                 )
         radius = ", ".join(f"{hand_text(hand)} {value:.4g}" for hand, value in self.spectral_radius.items())
-        rows = [Row("spectral radius", radius, note=f"delay {_ticks(self.delay_ticks)}")] if radius else []
+        rows = (
+            [Row("spectral radius", radius, note=f"delay {ticks_text(self.delay_ticks)}")] if radius else []
+        )
         return [verdict, *self.checks, *rows]
 
 
@@ -148,33 +148,6 @@ def gate(experiment: Experiment, measurement: LinkMeasurement) -> Gate:
         passive_stiffness=judged.passive,
         simulated=measurement.simulated,
     )
-
-
-@dataclass(frozen=True, slots=True)
-class LateWall:
-    """What linear theory says of a wall behind a delay: checks, and by hand radius and k_max as `Gate` has them."""
-
-    checks: tuple[Check, ...]
-    radius: Mapping[str, float]
-    k_max: Mapping[str, float]
-    passive: float | None
-
-
-def late_wall(experiment: Experiment, delay: int) -> LateWall:
-    """Judge the wall of an experiment whose commands act so many ticks late."""
-    wall = experiment.wall
-    try:
-        loops = LateLoops.of(experiment, delay)
-        radius = loops.radius(wall.stiffness, wall.damping)
-        (limits,) = loops.k_max([wall.damping])
-        passive = passivity_bound(loops.by_hand[NO_OPERATOR][0], damping=wall.damping).stiffness
-    except ConfigError as error:
-        return LateWall((_not_computed(error),), {}, {}, None)
-    checks = (
-        _stability(experiment, delay, radius, limits),
-        *_theory_checks(experiment, loops, passive),
-    )
-    return LateWall(checks, radius, limits, passive)
 
 
 def refused_among(
@@ -217,17 +190,13 @@ def check_change(experiment: Experiment, armed: Mapping[str, Any]) -> None:
         return
     radius = loops.radius(wall.stiffness, wall.damping)
     if unstable_hands(radius, wall.stiffness):
-        found = _stability(experiment, delay, radius, loops.k_max([wall.damping])[0])
+        found = stability(experiment, delay, radius, loops.k_max([wall.damping])[0])
         raise PlanError(f"this wall must not be rendered here: {found.text}", remedy=found.remedy)
 
 
 def _lifetime_s(experiment: Experiment) -> float:
     on_the_device = experiment.controller.loop == "device"
     return (supervise_lifetime_s if on_the_device else command_lifetime_s)(experiment)
-
-
-def _ticks(number: int) -> str:
-    return f"{number} tick{'' if number == 1 else 's'}"
 
 
 def _link_checks(experiment: Experiment, measurement: LinkMeasurement) -> list[Check]:
@@ -243,7 +212,7 @@ def _link_checks(experiment: Experiment, measurement: LinkMeasurement) -> list[C
 def _delay(experiment: Experiment, measurement: LinkMeasurement) -> Check:
     travel_s, lifetime_s = measurement.travel_s.almost_all, _lifetime_s(experiment)
     ticks = measurement.delay_ticks(experiment.controller.position_rate, experiment.host.pacing)
-    text = f"the link takes up to {1e3 * travel_s:.3g} ms both ways ({_ticks(ticks)})"
+    text = f"the link takes up to {1e3 * travel_s:.3g} ms both ways ({ticks_text(ticks)})"
     limit = f"half of a command's lifetime of {1e3 * lifetime_s:.3g} ms"
     if travel_s <= LIFETIME_SHARE * lifetime_s:
         return ok(f"{text}, less than {limit}")
@@ -272,53 +241,6 @@ def _short(number: int, bounded: float) -> Check:
         f"{number} answers bound p{100 * bounded:.5g} only: the longest one counts",
         f"measure longer: bounding p99.9 needs {ENOUGH} answers",
     )
-
-
-@question("stability")
-def _not_computed(error: ConfigError) -> Check:
-    return skipped(f"not computed: {error.message}")
-
-
-@question("stability")
-def _stability(
-    experiment: Experiment, delay: int, radius: Mapping[str, float], limits: Mapping[str, float]
-) -> Check:
-    wall, unit = experiment.wall, unit_of("stiffness", experiment.rig.motion)
-    hands, largest = unstable_hands(radius, wall.stiffness), min(limits.values())
-    what = f"K = {wall.stiffness:g} {unit} with B = {wall.damping:g}"
-    where = f"at {experiment.controller.position_rate} Hz with {_ticks(delay)} of delay"
-    limit = f"spectral radius {max(radius.values()):.4g}; largest stable K = {largest:.4g}"
-    if not hands:
-        return ok(f"{what} is stable {where} in every hand ({limit})")
-    less = (
-        f"choose `stiffness` below {_rounded_down(largest)}" if largest > 0.0 else "choose another `damping`"
-    )
-    return refused(
-        f"{what} is unstable {where} ({', '.join(map(hand_text, hands))}; {limit})",
-        f"{less}, or a faster link or another rate; `rig doctor --url …` lists the stable walls",
-    )
-
-
-def _rounded_down(value: float) -> str:
-    """Two digits, not above the value."""
-    scale = 10.0 ** (math.floor(math.log10(value)) - 1)
-    return f"{math.floor(value / scale) * scale:.12g}"
-
-
-def _theory_checks(experiment: Experiment, loops: LateLoops, passive: float) -> Iterator[Check]:
-    """Further results of theory: the stand-in for an estimator, homing, passivity."""
-    if loops.stand_in:
-        yield replace(warning(loops.stand_in), name="estimator")
-    homing = loops.radius(experiment.homing.stiffness, experiment.homing.damping)
-    worst = max(homing, key=lambda hand: homing[hand])
-    if homing[worst] >= 1.0:
-        radius = f"spectral radius {homing[worst]:.4g}"
-        text = f"homing would oscillate in {hand_text(worst)} ({radius}), within homing.effort"
-        yield replace(warning(text), name="homing")
-    wall, unit = experiment.wall, unit_of("stiffness", experiment.rig.motion)
-    kind = "passive" if wall.stiffness <= passive else "not passive, which is not required"
-    limit = f"the largest passive K at this damping and delay is {max(0.0, passive):.4g} {unit}"
-    yield replace(ok(f"the wall is {kind}: {limit}"), name="passivity")
 
 
 @question("execution")

@@ -12,15 +12,18 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 from rig.analysis.theory import Lifted, LinearLoop, NotLinearError, k_max_curve, linear_loop
 from rig.analysis.theory.loop import NO_OPERATOR
-from rig.bench.doctor.round_trip import LinkMeasurement
 from rig.config import Experiment
 from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError
 from rig.core.model import Operator
 from rig.core.operators import GRIPS
+
+if TYPE_CHECKING:
+    from rig.bench.doctor.round_trip import LinkMeasurement
 
 LARGEST_DELAY = 40  # ticks: at a longer delay a command's lifetime has long ended
 STAND_IN = "fdm-butterworth"

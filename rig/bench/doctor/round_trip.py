@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol import messages
+from rig.bench.doctor.delay import ticks_late
 from rig.bench.doctor.ping import EXCHANGE, TALLY, PingBuffers, ping
 from rig.core.errors import LinkLostError
 from rig.core.present import Row, reported
@@ -146,15 +147,6 @@ class LinkMeasurement:
             Row("lost", self.lost, note=lost),
             Row("bytes", f"{there:.1f} kB/s to the device, {back:.1f} kB/s to the host", note=carries),
         ]
-
-
-def ticks_late(late_s: float, rate: float, pacing: str = "device") -> int:
-    """Ticks from a sample to its command, which is so late (s), at a rate (Hz): one at least in real time.
-
-    A command that arrives in the course of a tick is active from the next one on, hence whole ticks. A loop that the
-    host paces lets a sample wait for its own tick, one more at most.
-    """
-    return max(1, math.ceil(late_s * rate - 1e-9)) + (1 if pacing == "host" else 0)
 
 
 def _drive(facts: Mapping[str, float]) -> str:

@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
 
-from rig.bench.doctor.round_trip import ticks_late
+from rig.bench.doctor.delay import ticks_late
 from rig.config import Experiment, controller
 from rig.config.schemes import Scheme
 from rig.control import estimators

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from rig.session.arming import arming_checks, refuse_unarmable, walls_of
 from rig.session.check import check
 from rig.session.conditions import Walls
 from rig.session.desk import Desk, Question, Reply
+from rig.session.device_checks import device_checks
 from rig.session.directory import LOG
 from rig.session.hits import DeviceRunner
 from rig.session.log import read
@@ -213,7 +215,7 @@ def test_a_rig_of_unverified_polarity_is_refused_before_anything_else(real: None
 
 
 def test_the_check_of_a_study_asks_the_device(real: None, tmp_path: Path) -> None:
-    plan = check(protocol_of(), tmp_path, url="serial:///dev/rig")
+    plan = check(protocol_of(), tmp_path, of_device=partial(device_checks, "serial:///dev/rig"))
     (found,) = (one for one in plan.checks if one.name == "arming")
     assert found.outcome is Outcome.WARNING
     assert "dual-hidden" in found.text

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -24,6 +25,7 @@ from rig.session import disk, state
 from rig.session import times as session_times
 from rig.session.check import check
 from rig.session.conditions import Walls, base_of
+from rig.session.device_checks import device_checks
 from rig.session.directory import LOG
 from rig.session.disk import refuse_full_disk
 from rig.session.expected import Range, expected_trials
@@ -178,7 +180,9 @@ def test_of_many_walls_the_first_that_is_not_right_is_named(plan: StudyPlan, sch
 
 def test_a_device_is_asked_for_its_rate_only_when_it_is_named(schemes: Protocol, plan: StudyPlan) -> None:
     assert not [one for one in plan.checks if one.name == "device rate"]
-    asked = named(check(schemes, Path(), url="sim://koul-compliant"), "device rate")
+    asked = named(
+        check(schemes, Path(), of_device=partial(device_checks, "sim://koul-compliant")), "device rate"
+    )
     assert asked.outcome is Outcome.REFUSED  # in real time, as a session with a person runs it
     assert "20000 Hz" in asked.text
     assert "rehearse" in asked.remedy
@@ -190,7 +194,7 @@ def test_the_first_template_fits_the_simulated_rig_in_real_time(
     lost = Pace(rate_hz=1000, lost_share=0.02, longest_gap_s=0.003, hopeless=False, kept_hz=250)
     monkeypatch.setattr(DeviceRunner, "pace", lambda *_: lost)  # how busy this machine is, is no matter here
     planned = template(DEFAULT, tmp_path)
-    found = check(planned, tmp_path, url="sim://")
+    found = check(planned, tmp_path, of_device=partial(device_checks, "sim://"))
     assert found.ok
     assert named(found, "device rate").outcome is Outcome.OK
     assert named(found, "samples").outcome is Outcome.WARNING
