@@ -15,15 +15,14 @@ from multiprocessing import forkserver, resource_tracker
 import pytest
 from hypothesis import settings
 
+from rig.core import program
 from tests.conformance import tolerance
 from tests.conformance.census import still_there
 
 RUN = "HAPTIC_RIG_TEST_RUN"  # in the environment of whatever a run of the tests starts
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy: as the command line does
-gc.set_threshold(
-    20_000, 20, 20
-)  # compilers leave a million objects behind: by default 6 % of the time goes into them
+program.begin()
 
 collect_ignore = ["lab_package"]  # a package of its own, whose tests run where it is installed
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from rig import config
 from rig.config import presets
+from rig.core import program
 from rig.core.errors import RigError
 
 if sys.platform == "linux":
@@ -20,6 +21,7 @@ assert sys.platform == "linux"
 
 def main() -> int:
     """Serve until ended; the exit status."""
+    program.begin()
     parser = argparse.ArgumentParser(prog="python -m sim_backend.drives", description=__doc__)
     parser.add_argument("kind", choices=("moteus", "odrive"))
     parser.add_argument("--rig", required=True, help="name of a preset, or an experiment file")

@@ -8,6 +8,8 @@ import importlib
 import inspect
 import json
 import re
+import subprocess
+import sys
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -24,6 +26,18 @@ from rig.realtime.source_files import source_files
 from tests.conformance.sources import nodes
 
 EXIT_CODES = Path(rig.__file__).parent / "docs" / "reference" / "exit-codes.md"
+
+
+def test_a_command_looks_for_garbage_seldom_and_not_at_its_end() -> None:
+    program = """
+import atexit, gc, sys
+atexit.register(lambda: print(gc.get_freeze_count() > 10_000, gc.get_threshold()[0] > 10_000))
+sys.argv = ["rig", "--version"]
+from rig.__main__ import main
+main()
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "True True"
 
 
 def commands(
