@@ -47,7 +47,7 @@ def seal(
     Parameters
     ----------
     recording
-        Read from a ``.rigcap`` file whose writer has ended, cleanly or not; its rows take up the ledger.
+        Read from a ``.rigcap`` file whose writer has ended, cleanly or not.
     truth
         The simulation's truth (`rig.core.sample.TRUTH`); joined by sample index, NaN where it has no such sample.
     judge
@@ -80,7 +80,7 @@ def seal(
     if not has_pyarrow():
         _log.warning("pyarrow is not installed: %s stays a capture", capture)
         if sealed is recording or not recording.complete or recording.lost:
-            return open_recording(capture)
+            return recording
         with whole_file(capture, overwrite=True, check=read_back) as file:
             write_capture(file, sealed)
         return read_back.at(capture)

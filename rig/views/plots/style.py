@@ -33,10 +33,8 @@ DPI = 120
 _KEY_LINE = 0.18  # height of a line of a legend (inch)
 # By ending how it is saved: without what would differ from one minute or version to the next.
 FORMATS: Mapping[str, Mapping[str, Any]] = {
-    "png": {
-        "metadata": {"Software": None},
-        "pil_kwargs": {"compress_level": 3},
-    },  # a tenth larger, a third faster
+    # Level 3: a tenth larger than the usual 6, and a third faster.
+    "png": {"metadata": {"Software": None}, "pil_kwargs": {"compress_level": 3}},
     "svg": {"metadata": {"Date": None, "Creator": None}},
     "pdf": {"metadata": {"CreationDate": None, "Creator": None, "Producer": None}},
 }
