@@ -26,7 +26,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -240,7 +240,6 @@ class _Design:
     scale: float
     covariates: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
-    COVARIATES: ClassVar = ("order", "block")
 
     @classmethod
     def of(cls, values: Sequence[Observed], cells: Sequence[Cell]) -> _Design:
@@ -263,7 +262,7 @@ class _Design:
         middle, scale = frame["limit"].mean(), frame["limit"].std(ddof=0) or 1.0
         frame["limit"] = (frame["limit"] - middle) / scale
         design = cls(frame, cells, float(middle), float(scale))
-        for name in cls.COVARIATES:
+        for name in ("order", "block"):
             frame[name] -= frame[name].mean()
             if np.ptp(frame[name]) == 0.0:
                 continue
@@ -279,13 +278,12 @@ class _Design:
 
     def columns(self, *terms: str) -> Floats:
         """The columns of ``0 + terms``: one for each value of the first factor, all but the first of another's."""
-        made: list[Floats] = []
-        for term in terms:
-            if term in self.COVARIATES:
-                made.append(self.frame[[term]].to_numpy(np.float64))
-                continue
-            codes, values = pandas.factorize(self.frame[term], sort=True)
-            made.append(np.eye(len(values))[codes, 1 if made else 0 :])
+        made = [
+            pandas.get_dummies(self.frame[[term]], drop_first=place > 0, dtype=np.float64).to_numpy(
+                np.float64
+            )
+            for place, term in enumerate(terms)
+        ]
         return np.hstack(made)
 
     def rank(self, *terms: str) -> int:
