@@ -81,7 +81,7 @@ def main(platform: str, url: str = "") -> int:
         run("replay", recording, "--estimator", "fdm", "--json")
         run("export", recording, "hit.csv")
         run("recover", "recordings")
-        run("session", "analyse", "rehearsals/first-steps")
+        run("session", "analyse", "rehearsals/first-steps", "--format", "png")
         run("devices")
         run("doctor")
         run("stop")

@@ -19,11 +19,13 @@ import rig.cli
 from rig import config
 from rig.config import presets
 from rig.core.clock_fit import ClockFit, as_exchanges, fit_clock
+from rig.core.errors import RecordingError
 from rig.core.present import plain
 from rig.devices.framed import FramedDevice
 from rig.experiments.timing import timing
 from rig.recording.capture import write_capture
 from rig.recording.reader import open_recording
+from rig.views.plots import style
 from sim_backend.device import SimulatedDevice
 from sim_backend.link import MemoryLink
 from tests.conformance.rigs import rotary_rig
@@ -226,8 +228,12 @@ def test_a_run_cut_off_has_the_hosts_share_alone(command: Any, sealed: Any, tmp_
 
 
 def test_a_picture_that_cannot_be_drawn_does_not_take_the_numbers_with_it(
-    command: Any, sealed: Any, tmp_path: Path
+    command: Any, sealed: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    def save(figure: Any, path: Path) -> Path:
+        raise RecordingError(f"cannot write the picture {path}", remedy="choose another place for it")
+
+    monkeypatch.setattr(style, "save", save)  # which says this when it has painted
     nowhere = tmp_path / "nowhere" / "x.png"
     code, out, err = command("timing", sealed, "-o", nowhere)
     assert (code, "counted apart" in out) == (9, True)
