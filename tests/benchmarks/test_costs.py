@@ -14,8 +14,9 @@ from firmware_protocol.framing import encode_frame
 from firmware_protocol.packing import pack
 from rig import config
 from rig.config import controller, presets
+from rig.control.judging import recorded_signals
 from rig.core.clock_fit import EXCHANGE, fit_clock
-from rig.core.sample import ROW
+from rig.core.sample import ROW, Phase
 from rig.realtime import codec
 from rig.recording.timing import ledger
 from rig.recording.timing_summary import summarise
@@ -87,6 +88,14 @@ def test_a_trial_without_bytes_is_far_quicker_than_one_over_the_link() -> None:
         f"\none tick: {1e9 * per_tick:.0f} ns without bytes; the unarmed device alone {1e6 * device_tick:.1f} µs"
     )
     assert per_tick < device_tick
+
+
+def test_the_signals_of_a_trial_cost_less_than_a_copy_of_its_rows() -> None:
+    rows = np.zeros(20_000, ROW)
+    rows["phase"] = Phase.TRIAL
+    signals, copy = per_call(lambda: recorded_signals(rows, 5e-5, 1e-5), 10), per_call(rows.copy, 10)
+    print(f"\n{len(rows)} rows: signals {1e3 * signals:.2f} ms, copy {1e3 * copy:.2f} ms")
+    assert signals < copy
 
 
 @pytest.mark.parametrize("what", ["clock fit", "latency ledger"])
