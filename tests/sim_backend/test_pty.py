@@ -303,8 +303,8 @@ def test_the_firmware_ticks_at_twenty_kilohertz_in_real_time() -> None:
     host = Host(server.open())
     host.identify()  # it shows itself now, a hundred times a second
     first, began = host.next_state(), time.monotonic()
-    time.sleep(0.5)
-    while (last := host.next_state()).sample_index < first.sample_index + 10_000:
+    time.sleep(0.2)
+    while (last := host.next_state()).sample_index < first.sample_index + 4_000:
         assert time.monotonic() < began + WAIT_S
     assert last.device_time - first.device_time == 800 * (last.sample_index - first.sample_index)
     assert (last.missed_ticks, last.fault) == (0, 0)

@@ -89,8 +89,10 @@ import sys
 from rig.bench.doctor import pace
 from rig.cli import run as rig
 from rig.experiments import trial
+from rig.session.console import child
 
 pace.SECONDS = 0.1
+child.END_S = 0.2  # of a console that is stopped
 conclude = trial._conclude
 
 

@@ -86,13 +86,13 @@ def test_a_device_that_takes_nothing_costs_no_time(child: Child) -> None:
 
 def test_waiting_sleeps(child: Child) -> None:
     """A quarter of a second without a byte; a wait that polls would burn all of it."""
-    assert child.check("waiting_costs_no_time_of_the_processor") < 125.0
+    assert child.check("waiting_costs_no_time_of_the_processor") < 50.0
 
 
 def test_queued_transfers_need_no_lock_of_the_interpreter(child: Child) -> None:
-    """Unarmed, the device sends some 100 packets a second; 40 in the time, in one of ten if the machine is busy."""
+    """Unarmed, the device sends some 100 packets a second; 20 in the time, in one of ten if the machine is busy."""
     if child.check("says_how_it_works") == "":
-        assert any(child.check("packets_come_while_python_is_locked") > 10 for _ in range(10))
+        assert any(child.check("packets_come_while_python_is_locked") > 5 for _ in range(10))
 
 
 def test_a_device_is_listed_with_its_url(child: Child) -> None:
