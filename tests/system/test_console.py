@@ -72,6 +72,8 @@ def phase(page: Page) -> str:
     loop = None if state is None else state["loop"]
     failed = [one["told"] for one in page.told if one["say"] == "job" and one["told"]["say"] == "failed"]
     if failed and failed[0]["kind"] in ("LinkLostError", "DeviceFaultError"):
+        if failed[0]["recording"] is not None:
+            reason_of(open_recording(failed[0]["recording"]))  # tells where
         too_busy(failed[0]["error"])
     if failed:
         pytest.fail(f"the run did not begin: {failed[0]}")

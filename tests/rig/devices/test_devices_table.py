@@ -233,11 +233,10 @@ class AsLoaded:
         return self.asked
 
 
-def test_a_process_settles_how_it_ends_and_loads_before_it_loads_what_it_serves() -> None:
-    asked = (AsLoaded(os.getpgid, 0), AsLoaded(gc.get_threshold))
-    with announced(operator.call, asked, name="asked", by_hand="no command") as (group, thresholds):
-        (process,) = multiprocessing.active_children()
-        assert group == process.pid  # hears no Ctrl-C
+def test_a_process_settles_how_it_ends_before_it_loads_what_it_serves() -> None:
+    asked = (AsLoaded(os.getpid), AsLoaded(os.getpgid, 0), AsLoaded(gc.get_threshold))
+    with announced(operator.call, asked, name="asked", by_hand="no command") as (pid, group, thresholds):
+        assert group == pid  # hears no Ctrl-C
         assert thresholds[0] == program.SELDOM
 
 
