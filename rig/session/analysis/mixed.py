@@ -279,9 +279,7 @@ class _Design:
     def columns(self, *terms: str) -> Floats:
         """The columns of ``0 + terms``: one for each value of the first factor, all but the first of another's."""
         made = [
-            pandas.get_dummies(self.frame[[term]], drop_first=place > 0, dtype=np.float64).to_numpy(
-                np.float64
-            )
+            pandas.get_dummies(self.frame[[term]], drop_first=place > 0, dtype=np.float64)
             for place, term in enumerate(terms)
         ]
         return np.hstack(made)

@@ -85,7 +85,7 @@ def test_a_device_that_takes_nothing_costs_no_time(child: Child) -> None:
 
 
 def test_waiting_sleeps(child: Child) -> None:
-    """A quarter of a second without a byte; a wait that polls would burn all of it."""
+    """A tenth of a second without a byte; a wait that polls would burn all of it."""
     assert child.check("waiting_costs_no_time_of_the_processor") < 50.0
 
 
