@@ -52,6 +52,22 @@ def test_a_sound_device_passes_and_is_left_as_it_was(device: Any) -> None:
     assert plain(found)["passed"] is True
 
 
+def test_a_check_that_got_no_answer_is_not_held_against_the_next(
+    device: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    silent = False
+    write = device.link.write
+    monkeypatch.setattr(device.link, "write", lambda frame: None if silent else write(frame))
+
+    def progress(what: str, _share: float) -> None:
+        nonlocal silent
+        silent = what == "parameters"
+
+    found = {check.name: check for check in selftest(device, REQUEST, progress).checks}
+    assert "does not answer" in found.pop("parameters").text
+    assert [check for check in found.values() if check.outcome == Outcome.REFUSED] == []
+
+
 def test_the_image_of_another_rig_is_found(device: Any) -> None:
     check = outcome(device, "rig", replace(REQUEST, experiment=presets.load("chawda-linear")))
     assert check.outcome == Outcome.REFUSED
