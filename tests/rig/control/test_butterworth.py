@@ -37,6 +37,7 @@ def test_a_high_pass(order: int, share: float, rate_hz: float) -> None:
 def test_a_band_pass(one: float, other: float, rate_hz: float) -> None:
     low, high = sorted((one, other))
     assume(high > 1.2 * low)
+    assume(abs(low + high - 0.5) > 1e-9)  # else rounding decides which of two mirrored pole pairs is first
     edges = [low * rate_hz, high * rate_hz]
     expected = signal.butter(2, edges, "bandpass", fs=rate_hz, output="sos")
     check(band_pass(*edges, rate_hz), expected)
