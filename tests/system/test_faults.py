@@ -69,10 +69,9 @@ SHORT = config.override(
 
 
 @pytest.fixture(autouse=True)
-def _neither_git_nor_the_disk_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A thousand recordings, each of which would start a program and sync a file and a directory."""
+def _git_is_not_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A thousand recordings: git would be started each second."""
     monkeypatch.setattr("rig.recording.header.git_revision", lambda directory: None)
-    monkeypatch.setattr("os.fsync", lambda descriptor: None)
 
 
 class Bench:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from contextlib import suppress
 from pathlib import Path
 
@@ -45,18 +44,11 @@ def protocol(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.fixture(autouse=True)
-def _quick_disk(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nobody cuts the power here: a flush only has to be counted."""
-    monkeypatch.setattr(os, "fsync", lambda descriptor: None)
-
-
 @pytest.fixture(scope="module")
 def calm(protocol: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[str]]:
     """The session without a death, and its calls."""
     study, fuse = tmp_path_factory.mktemp("calm"), Fuse()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(os, "fsync", lambda descriptor: None)
         begin(protocol, study / "warm")  # what is compiled goes to the disk too
         with fused(patch, fuse):
             begin(protocol, study)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -38,12 +37,6 @@ from tests.rig.session.session_fakes import FakeRunner, ScriptedDesk, protocol_o
 from tests.system.session_study import PROTOCOL
 
 KOUL = preset("koul-rigid")
-
-
-@pytest.fixture(autouse=True)
-def _quick_disk(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nobody cuts the power here."""
-    monkeypatch.setattr(os, "fsync", lambda descriptor: None)
 
 
 class RealRunner(FakeRunner):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 from dataclasses import replace
@@ -65,11 +64,6 @@ hold_s = 0.7
 impact_speed = [0.2, 0.4]
 press = [0.17, 0.23]
 """
-
-
-@pytest.fixture(autouse=True)
-def _quick_disk(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(os, "fsync", lambda descriptor: None)
 
 
 def hit(automatic: str = "stable", **numbers: float | None) -> Hit:

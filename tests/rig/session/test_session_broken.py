@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -27,12 +26,6 @@ from rig.session.rehearsal import Day
 from rig.session.state import DoTrial
 from rig.session.telling import line_of_event
 from tests.rig.session.session_fakes import INVALID, FakeRunner, ScriptedDesk, protocol_of, study
-
-
-@pytest.fixture(autouse=True)
-def _quick_disk(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nobody cuts the power here."""
-    monkeypatch.setattr(os, "fsync", lambda descriptor: None)
 
 
 def started(directory: Path, protocol: Protocol | None = None) -> Session:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
@@ -44,12 +43,6 @@ from tests.rig.session.session_fakes import (
     protocol_of,
     study,
 )
-
-
-@pytest.fixture(autouse=True)
-def _quick_disk(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nobody cuts the power here."""
-    monkeypatch.setattr(os, "fsync", lambda descriptor: None)
 
 
 def started(directory: Path, protocol: Protocol | None = None, code: str = "P01", row: int = 0) -> Session:

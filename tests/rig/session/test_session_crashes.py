@@ -92,12 +92,6 @@ def check_equal(directory: Path, calm: Path) -> None:
         assert sha256_of(directory / name) == digest
 
 
-@pytest.fixture(autouse=True)
-def _quick_disk(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nobody cuts the power here: a flush only has to be counted."""
-    monkeypatch.setattr(os, "fsync", lambda descriptor: None)
-
-
 @pytest.fixture(scope="module")
 def calm(tmp_path_factory: pytest.TempPathFactory) -> Path:
     directory = tmp_path_factory.mktemp("calm") / "P01"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -28,11 +27,6 @@ from tests.rig.session.test_session_conduct import run_with, started
 
 DAMPER = "an eddy-current damper"
 DAMPED = {"rig.mechanics.link_damping": 0.02}
-
-
-@pytest.fixture(autouse=True)
-def _quick_disk(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(os, "fsync", lambda descriptor: None)
 
 
 def factorial(**order: Any) -> Protocol:

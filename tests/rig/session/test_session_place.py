@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -31,12 +30,6 @@ REAL = {
     "versions": {"haptic-rig": "0.1.0"},
 }
 SIMULATED = {"place": {"url": None, "realtime": True}, "device": "koul-rigid", "simulated": True}
-
-
-@pytest.fixture(autouse=True)
-def _quick_disk(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nobody cuts the power here."""
-    monkeypatch.setattr(os, "fsync", lambda descriptor: None)
 
 
 class Runner(FakeRunner):

@@ -197,7 +197,6 @@ def test_a_first_participant_survives_a_power_cut_at_any_time(
     calm = decisions(whole)
     assert sum(event.kind == "trial" for event in whole) == 2
     assert cuts[-1][0] == len(whole)
-    monkeypatch.setattr(os, "fsync", lambda descriptor: None)
     for number, (acknowledged, chance, tree) in enumerate(cuts):
         if acknowledged == 0:
             continue

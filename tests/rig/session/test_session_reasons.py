@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 from pathlib import Path
 from typing import Any
@@ -38,11 +37,6 @@ TELLING = {  # numbers by which somebody could tell one wall or condition from a
     "current_differs": 41795,
     "other_current_ticks": 41796,
 }
-
-
-@pytest.fixture(autouse=True)
-def _quick_disk(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(os, "fsync", lambda descriptor: None)
 
 
 def reason(objection: Objection, **changes: Any) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import statistics
 from pathlib import Path
 from typing import Any
@@ -48,12 +47,6 @@ RULES: dict[str, tuple[str, dict[str, Any]]] = {
     "psi": ("psi", {"hits": 25}),
     "grid": ("grid", {"repeats": 2}),
 }
-
-
-@pytest.fixture(autouse=True)
-def _quick_disk(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nobody cuts the power here."""
-    monkeypatch.setattr(os, "fsync", lambda descriptor: None)
 
 
 @pytest.mark.parametrize("name", RULES)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -19,12 +18,6 @@ from rig.session.state import State
 from tests.rig.session.session_fakes import INVALID, FakeRunner, ScriptedDesk, protocol_of
 
 STOPS: list[dict[str, Any]] = [{"trials": 3}, {"minutes": 0.001}, {"aborts": 2}]
-
-
-@pytest.fixture(autouse=True)
-def _quick_disk(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nobody cuts the power here."""
-    monkeypatch.setattr(os, "fsync", lambda descriptor: None)
 
 
 def run(
