@@ -3,18 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from importlib import import_module
+from pkgutil import resolve_name
 from typing import Any, cast
 
 import click
 
 from rig.cli.command import Group
-
-
-def loaded(target: str) -> Any:
-    """Import what ``module:attribute`` names."""
-    module, _, attribute = target.partition(":")
-    return getattr(import_module(module), attribute)
 
 
 class LazyGroup(Group):
@@ -38,7 +32,7 @@ class LazyGroup(Group):
         """Import a command."""
         if cmd_name not in self._table:
             return None
-        return cast("click.Command", loaded(self._table[cmd_name][0]))
+        return cast("click.Command", resolve_name(self._table[cmd_name][0]))
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """List the commands without importing them."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
 
 import click
@@ -14,7 +15,6 @@ from rich.table import Table
 
 from rig.cli import options, output
 from rig.cli.command import command
-from rig.cli.lazy import loaded
 from rig.core.errors import PlanError
 from rig.core.present import plain
 from rig.core.sample import unit_of
@@ -103,7 +103,7 @@ def check(
         protocol,
         file.parent,
         participants=participants,
-        of_device=partial(loaded(DEVICE_CHECKS), url) if url is not None else None,
+        of_device=partial(resolve_name(DEVICE_CHECKS), url) if url is not None else None,
         study=study_directory(protocol, study),
     )
     if as_json:

@@ -6,9 +6,8 @@ by the entry-point group ``rig.laws``: a name and the ``module:attribute`` of a 
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from importlib import import_module
-from typing import Any, cast
+from pkgutil import resolve_name
+from typing import cast
 
 from rig.control.law import Law
 from rig.core import plugins
@@ -41,16 +40,11 @@ def get(name: str) -> Law:
     """Return the law of that name; `ConfigError` for an unknown one or a broken plug-in."""
     maker = (BUILT_IN | _OF_RECORDINGS).get(name)
     if maker is not None:
-        return cast("Law", _made_by(maker)())
+        return cast("Law", resolve_name(maker)())
     for suffix, around in _COMPENSATED.items():
         if name.endswith(suffix):
-            return cast("Law", _made_by(around)(get(name.removesuffix(suffix))))
+            return cast("Law", resolve_name(around)(get(name.removesuffix(suffix))))
     found = plugins.load("rig.laws", "law", name, lambda part: isinstance(part, Law))
     if found is not None:
         return cast("Law", found)
     raise ConfigError(f"there is no law {name!r}", remedy=f"choose one of: {', '.join(names())}")
-
-
-def _made_by(maker: str) -> Callable[..., Any]:
-    module, _, function = maker.partition(":")
-    return cast("Callable[..., Any]", getattr(import_module(module), function))

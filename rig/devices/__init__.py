@@ -9,7 +9,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib import import_module
+from pkgutil import resolve_name
 from typing import Any, cast
 
 from rig import config
@@ -83,9 +83,8 @@ def load_backend(url: str) -> Callable[[DeviceUrl, RigModel | None], Link]:
 
 def loaded(target: str, scheme: str = "sim") -> Any:
     """Return what ``module:attribute`` names; raises `DeviceNotFoundError` when it does not load."""
-    module, _, attribute = target.partition(":")
     try:
-        return getattr(import_module(module), attribute)
+        return resolve_name(target)
     except Exception as error:
         raise DeviceNotFoundError(
             f"the backend for {scheme}:// ({target}) does not load: {error}",

@@ -5,8 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from importlib import import_module
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
 
 from rig.experiments import sweep
@@ -30,8 +30,7 @@ def part(work: str, payload: Mapping[str, Any], weight: float) -> Part:
 
 def run_part(payload: Mapping[str, Any]) -> Any:
     """Run one task of a part, in plain values."""
-    module, _, function = payload["work"].partition(":")
-    return getattr(import_module(module), function)(payload["payload"])
+    return resolve_name(payload["work"])(payload["payload"])
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,9 +17,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from hashlib import sha256
-from importlib import import_module
 from importlib.metadata import version
 from itertools import count
+from pkgutil import resolve_name
 from typing import Any, Protocol
 
 from rig.core.errors import ConfigError, RigError
@@ -136,9 +136,8 @@ def run_batch(order: Order, batch: Sequence[Job]) -> Report:
 
 def find_work(name: str) -> Callable[[dict[str, Any]], Any]:
     """Import the function of ``module:function``; raises `ConfigError`."""
-    module, _, function = name.partition(":")
     try:
-        found = getattr(import_module(module), function)
+        found = resolve_name(name)
     except Exception as error:  # the module may raise anything
         raise ConfigError(
             f"the work {name!r} cannot be imported ({type(error).__name__}: {error})",
