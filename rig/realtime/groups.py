@@ -40,6 +40,7 @@ def group(cls: type[T]) -> type[T]:
         return make(cls, **members)
 
     cls.__new__ = by_keyword  # type: ignore[assignment]
+    cls.fitting = _fitting  # type: ignore[attr-defined]
     typeof_impl.register(cls)(_typeof)
     return cls
 
@@ -66,13 +67,21 @@ def _numbers(due: Any) -> tuple[type, ...]:
     return (int, float, np.integer) if isinstance(due, types.Float) else (int, np.integer)
 
 
-def _typeof(value: tuple[Any, ...], context: Any) -> Any:
-    """Type of an instance: what does not fit its field makes it another type, which no kernel takes."""
+def _fitting(value: tuple[Any, ...]) -> Any:
+    """Type of an instance whose members fit their fields, else None."""
     cls = type(value)
     for member, (numbers, array) in zip(value, _due(cls), strict=True):
         if not _fits(member, numbers, array):
-            return types.BaseTuple.from_types([typeof_impl(one, context) for one in value], cls)
+            return None
     return type_of(cls)
+
+
+def _typeof(value: tuple[Any, ...], context: Any) -> Any:
+    """Type of an instance: what does not fit its field makes it another type, which no kernel takes."""
+    kind = _fitting(value)
+    if kind is None:
+        kind = types.BaseTuple.from_types([typeof_impl(member, context) for member in value], type(value))
+    return kind
 
 
 def _fits(member: Any, numbers: tuple[type, ...], array: tuple[Any, ...] | None) -> bool:
