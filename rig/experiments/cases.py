@@ -98,7 +98,10 @@ class Case:
         """Which judged samples tell the delay, the delays to try (s), the truth at each, a row, and its square."""
         chosen = slice(None, None, max(1, len(self.judged_time_s) // DELAY_SAMPLES))
         delays = np.arange(EARLIEST_S, LATEST_S + DELAY_STEP_S, DELAY_STEP_S)
-        truths = self.truth(self.judged_time_s[chosen] - delays[:, None])
+        time_s = self.judged_time_s[chosen]
+        truths = np.array(
+            [self.truth(time_s - delay_s) for delay_s in delays]
+        )  # at once: ten times the memory
         return chosen, delays, truths, np.sum(np.square(truths), axis=1)
 
 

@@ -14,12 +14,13 @@ import math
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 
 from rig.control import estimators
 from rig.control.estimators.arrays import inputs, run
-from rig.control.estimators.estimator import Floats
+from rig.control.estimators.estimator import Estimator, Floats
 from rig.core.errors import ConfigError
 from rig.experiments.cases import DELAY_STEP_S, Case
 
@@ -157,7 +158,7 @@ def delay(case: Case, velocity: Floats) -> float:
         return math.nan
     chosen, delays, truths, powers = case.delayed_truths
     estimate = velocity[case.judged][chosen]
-    squares = powers - 2.0 * truths @ estimate + np.sum(np.square(estimate))
+    squares = powers - 2.0 * (truths @ estimate) + np.sum(np.square(estimate))
     best = int(np.argmin(squares))
     if not 0 < best < len(delays) - 1:
         return math.nan
@@ -174,6 +175,13 @@ def rest_noise(variant: Variant, dt: float, resolution: float) -> tuple[float, f
     The toggling count falls on either of two neighbours with equal chance at each sample: a handle at rest on the
     boundary of a cell.
     """
+    return _rest_noise(estimators.get(variant.estimator), tuple(variant.settings.items()), dt, resolution)
+
+
+@lru_cache(maxsize=256)  # the same whatever motion a variant is scored on
+def _rest_noise(
+    estimator: Estimator, settings: tuple[tuple[str, float | str], ...], dt: float, resolution: float
+) -> tuple[float, float]:
     approach, rest = round(APPROACH_S / dt), round(REST_S / dt)
     path = APPROACH_PERIOD_COUNTS * np.minimum(np.arange(approach + rest), approach)
     counts = np.floor(path).astype(np.int64)
@@ -183,7 +191,7 @@ def rest_noise(variant: Variant, dt: float, resolution: float) -> tuple[float, f
     listened = slice(-round(LISTENED_S / dt), None)
     found: list[float] = []
     for each in (counts, counts + toggle):
-        prepared = estimators.get(variant.estimator).prepare(variant.settings, resolution, dt)
+        prepared = estimator.prepare(dict(settings), resolution, dt)
         found.append(_rms(run(prepared, *inputs(each, dt))[0][listened]))
     silence = SILENCE_COUNTS * abs(resolution) / dt  # the tail of a filter that decays
     resting, toggling = (0.0 if rms < silence else rms for rms in found)

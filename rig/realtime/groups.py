@@ -40,6 +40,7 @@ def group(cls: type[T]) -> type[T]:
         return make(cls, **members)
 
     cls.__new__ = by_keyword  # type: ignore[assignment]
+    cls.fitting = _fitting  # type: ignore[attr-defined]
     typeof_impl.register(cls)(_typeof)
     return cls
 
@@ -52,35 +53,46 @@ def type_of(cls: type[tuple[Any, ...]]) -> Any:
 
 
 @cache
-def _due(cls: type[tuple[Any, ...]]) -> tuple[tuple[Any, tuple[Any, ...] | None], ...]:
-    """For each field its type, and of an array dtype, dimensions, and whether it can be written."""
+def _due(cls: type[tuple[Any, ...]]) -> tuple[tuple[tuple[type, ...], tuple[Any, ...] | None], ...]:
+    """For each field the numbers that it takes, and of an array dtype, dimensions, and whether it can be written."""
     return tuple(
-        (t, (as_dtype(t.dtype), t.ndim, t.mutable) if isinstance(t, types.Array) else None)
+        (_numbers(t), (as_dtype(t.dtype), t.ndim, t.mutable) if isinstance(t, types.Array) else None)
         for t in type_of(cls).types
     )
 
 
+def _numbers(due: Any) -> tuple[type, ...]:
+    if isinstance(due, types.FunctionType):
+        return ()
+    return (int, float, np.integer) if isinstance(due, types.Float) else (int, np.integer)
+
+
+def _fitting(value: tuple[Any, ...]) -> Any:
+    """Type of an instance whose members fit their fields, else None."""
+    cls = type(value)
+    for member, (numbers, array) in zip(value, _due(cls), strict=True):
+        if not _fits(member, numbers, array):
+            return None
+    return type_of(cls)
+
+
 def _typeof(value: tuple[Any, ...], context: Any) -> Any:
     """Type of an instance: what does not fit its field makes it another type, which no kernel takes."""
-    cls = type(value)
-    due = _due(cls)
-    if all(_fits(member, *one) for member, one in zip(value, due, strict=True)):
-        return type_of(cls)
-    return types.BaseTuple.from_types([typeof_impl(member, context) for member in value], cls)
+    kind = _fitting(value)
+    if kind is None:
+        kind = types.BaseTuple.from_types([typeof_impl(member, context) for member in value], type(value))
+    return kind
 
 
-def _fits(member: Any, due: Any, array: tuple[Any, ...] | None) -> bool:
+def _fits(member: Any, numbers: tuple[type, ...], array: tuple[Any, ...] | None) -> bool:
     """Whether a member fits its field: numba's own way to the type of a record takes as long as many ticks."""
     if array is not None:
-        if type(member) is not np.ndarray:
+        if type(member) is not np.ndarray or member.dtype != array[0] or member.ndim != array[1]:
             return False
         flags = member.flags
-        found = (member.dtype, member.ndim, flags.writeable or not array[2])
-        return found == (array[0], array[1], True) and flags.c_contiguous and flags.aligned
-    if isinstance(due, types.FunctionType):
-        return True  # numba looks for the signature when it takes the group apart
-    number = (int, float, np.integer) if isinstance(due, types.Float) else (int, np.integer)
-    return isinstance(member, number) and type(member) is not bool  # their range is numba's to check
+        return flags.carray or (not array[2] and flags.c_contiguous and flags.aligned)
+    # Of a function numba looks for the signature when it takes the group apart; a number's range is its to check.
+    return not numbers or (isinstance(member, numbers) and type(member) is not bool)
 
 
 def group_bytes(cls: type[tuple[Any, ...]]) -> int:

@@ -104,6 +104,12 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
         self.prepare()
         return self  # numba calls it again, and finds machine code
 
+    def typeof_pyval(self, val: Any) -> Any:
+        """Type of an argument: that of a group lives on, and needs no set that holds it, by its hash, during a call."""
+        fitting = getattr(type(val), "fitting", None)  # rig.realtime.groups
+        kind = None if fitting is None else fitting(val)
+        return super().typeof_pyval(val) if kind is None else kind
+
     def get_call_template(self, args: Any, kws: Any) -> Any:
         """Types of a call in another kernel, of which this one then is a part."""
         if self.prepared or self.is_compiling:

@@ -106,7 +106,7 @@ class DiskRun:
     grown_bytes: int
 
 
-@kernel(types.int64(types.uintp, ROWS_TYPE, types.int64, types.int64, types.uintp), cache=False)
+@kernel(types.int64(types.uintp, ROWS_TYPE, types.int64, types.int64, types.uintp))
 def produce(control: Any, rows: Any, period_ns: Any, count: Any, found: Any) -> Any:  # type: ignore[no-untyped-def]
     """A row each period, dropped and counted when the ring is full; fullest and latest go to the words at `found`."""
     start = monotonic_now(0) + period_ns

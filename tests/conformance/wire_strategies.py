@@ -1,6 +1,8 @@
-"""Hypothesis strategies for everything that can stand in a frame, made from the tables themselves."""
+"""Hypothesis strategies for everything that can stand in a frame, made from the tables themselves, once each."""
 
 from __future__ import annotations
+
+from functools import cache
 
 from hypothesis import strategies as st
 
@@ -11,6 +13,7 @@ from firmware_protocol.parameters import PARAMETERS
 from firmware_protocol.wire import wire_fields
 
 
+@cache
 def integers_of(ctype: str) -> st.SearchStrategy[int]:
     """Every value of a C integer type, the ends often."""
     bits = int(ctype[1:])
@@ -18,6 +21,7 @@ def integers_of(ctype: str) -> st.SearchStrategy[int]:
     return st.integers(low, high) | st.sampled_from([low, high, 0])
 
 
+@cache
 def messages_of(cls: type[Message]) -> st.SearchStrategy[Message]:
     """Every message of a class."""
     parts = {
@@ -27,6 +31,7 @@ def messages_of(cls: type[Message]) -> st.SearchStrategy[Message]:
     return st.builds(cls, **parts)
 
 
+@cache
 def any_message() -> st.SearchStrategy[Message]:
     """Every message."""
     return st.sampled_from(sorted(MESSAGES)).flatmap(lambda type_id: messages_of(MESSAGES[type_id]))

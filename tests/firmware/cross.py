@@ -15,7 +15,7 @@ from rig import config
 from rig.bench.firmware import boards
 from rig.bench.firmware.build import BuildRequest, BuildResult, build, sources_hash
 from rig.bench.firmware.toolchain import COMPILER, find_compiler
-from rig.config import presets
+from rig.config import amplifiers, presets
 from rig.core.model import RigModel
 from rig.core.present import plain
 from rig.realtime.source_files import source_files
@@ -23,6 +23,12 @@ from tests.firmware.build import FIRMWARE
 from tests.firmware.kept import content, kept
 
 RIG = "koul-rigid"
+PYTHON = (
+    "firmware_protocol",
+    "rig.bench.firmware",
+    "rig.config",
+    "rig.core",
+)  # what an image is configured by
 
 
 def need_compiler() -> None:
@@ -74,6 +80,8 @@ def built(board: str, model: RigModel, application: str = "device", **settings: 
 
 
 def sources_of(board: str) -> str:
-    """Fingerprint of all that an image for tests is made of: C, and Python, which generates some."""
+    """Fingerprint of all that an image for tests is made of: C, and the Python that generates some."""
     beside = [path for part in ("host", "port_check") for path in (FIRMWARE / part).rglob("*.[ch]")]
-    return sources_hash(boards.load(board)) + content([*beside, *source_files().values()])
+    profiles = Path(amplifiers.__file__).parent.glob("*.toml")
+    python = (path for module, path in source_files().items() if module.startswith(PYTHON))
+    return sources_hash(boards.load(board)) + content([*beside, *profiles, *python])

@@ -337,9 +337,7 @@ def steps(name: str, *values: st.SearchStrategy[Any]) -> st.SearchStrategy[Step]
 
 u8, u16 = st.integers(0, 255), st.integers(0, 0xFFFF)
 host_messages = st.sampled_from(HOST_MESSAGES).flatmap(messages_of)
-currents = st.sampled_from([0, 1, 60, 300, 501, 5_000, 32_767]).flatmap(
-    lambda size: st.sampled_from([size, -size])
-)
+currents = st.sampled_from([sign * size for size in (0, 1, 60, 300, 501, 5_000, 32_767) for sign in (1, -1)])
 sync_flags = st.sampled_from([0, 2, 4, 6, 0xFF])
 ages = st.sampled_from(AGES)
 CHOICES: dict[str, list[Value]] = {

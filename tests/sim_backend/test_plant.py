@@ -74,9 +74,9 @@ def run(
     plant: DiscretePlant, ticks: int, *, state: Trajectory, command: float = 0.0, external: float = 0.0
 ) -> Trajectory:
     """States at the end of each tick, under constant inputs; `state` is the start and is changed."""
-    rows = np.empty((ticks, state.size))
+    rows, moving = np.empty((ticks, state.size)), plant.arguments(state)
     for row in rows:
-        advance(plant.arguments(state), command, external)
+        advance(moving, command, external)
         row[:] = state
     return rows
 

@@ -54,6 +54,7 @@ BUDGETS = {
 }
 IMAGE_BYTES = 23_700  # 700 of them for the runner
 STACK_BYTES = 512
+EXCITATIONS = [ExcitationTable(250, 1, 1, 20_000, 2**16, phases=phases) for phases in PHASES]
 COSINE_CYCLES = 86  # of one line at one tick, when the excitation is worked out
 
 
@@ -100,8 +101,7 @@ def test_every_tick_has_the_bits_of_the_host_within_its_budget(law: Any, image: 
 @pytest.mark.filterwarnings("ignore::UserWarning")
 def test_an_excitation_is_ready_in_seconds(image: Any) -> None:
     """250 lines over a second at 20 kHz, from the cost of a piece; both kinds of phases."""
-    for phases in PHASES:
-        excitation = ExcitationTable(250, 1, 1, 20_000, 2**16, phases=phases)
+    for excitation in EXCITATIONS:
         simulator = Simulator(image)
         simulator.uc.mem_write(PARAMETERS, bytes(excited(FIXED, excitation)))
         simulator.call("law_excitation_begin", WORK, PARAMETERS + Parameters.excitation.offset, TABLE)
@@ -111,5 +111,5 @@ def test_an_excitation_is_ready_in_seconds(image: Any) -> None:
         assert (table == excitation.table[:2]).all()
         each = simulator.cycles / cosines
         seconds = each * excitation.lines * excitation.period / image.core.clock_hz
-        print(f"{image.core.name} {phases}: {each:.0f} cycles a cosine, {seconds:.1f} s of work")
+        print(f"{image.core.name} {excitation.phases}: {each:.0f} cycles a cosine, {seconds:.1f} s of work")
         assert each <= COSINE_CYCLES

@@ -82,15 +82,19 @@ def measured(
     x = np.zeros(n + 3)
     x[n] = 1.0
     row = plant.handle_position if seen == "handle" else plant.sensed_position
-    ticks, kept = round((settle + 0.05) / loop.tick_s), []
+    ticks, judged, kept = round((settle + 0.05) / loop.tick_s), round(0.05 / loop.tick_s), []
+    whole = np.linalg.matrix_power(matrix, FINE)  # the transient is not looked at between instants
     for k in range(ticks):
         own = math.cos(w * k * loop.tick_s) if channel == "motor" else 0.0
         x[n + 2] = rig.law(x[plant.sensed_position], own)
+        if k < ticks - judged:
+            x = whole @ x
+            continue
         for _ in range(FINE):
             kept.append(x[row])
             x = matrix @ x
     every, step_s = (FINE, loop.tick_s) if seen == "samples" else (1, loop.tick_s / FINE)
-    position = np.array(kept)[::every][-round(0.05 / step_s) :]
+    position = np.array(kept)[::every]
     t = (ticks * loop.tick_s) - 0.05 + np.arange(len(position)) * step_s
     amplitude = 2.0 * np.mean(position * np.exp(-1j * w * t))
     effort = hold(np.array([line]), loop.tick_s)[0] if channel == "motor" else 1.0

@@ -429,13 +429,11 @@ def test_flags_are_counted_in_the_trial_and_in_its_tail() -> None:
 
 @given(
     contact=st.integers(0, 120),
-    lost=st.lists(st.integers(0, 3), min_size=100, max_size=100),
-    late=st.lists(st.booleans(), min_size=100, max_size=100),
+    drawn=st.binary(min_size=100, max_size=100),
 )
-def test_what_was_lost_is_counted_in_all_and_from_the_first_contact_on(
-    contact: int, lost: Any, late: Any
-) -> None:
-    lost, late = np.array(lost), np.array(late)
+def test_what_was_lost_is_counted_in_all_and_from_the_first_contact_on(contact: int, drawn: bytes) -> None:
+    each = np.frombuffer(drawn, np.uint8).astype(np.int64)
+    lost, late = each & 3, each >> 2 & 1
     flags = (lost << LOST_BITS) | int(RowFlag.LATE) * late | OVERRULED
     penetration = np.where(np.arange(100) >= contact, 1.0, -1.0)
     zeros = np.zeros(100)

@@ -76,6 +76,7 @@ def test_what_only_this_program_could_read_is_refused(value: object) -> None:
     st.recursive(
         st.none() | st.booleans() | st.integers() | st.floats() | st.text(),
         lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner) | st.tuples(inner),
+        max_leaves=20,
     )
 )
 def test_plain_values_are_json_and_plain_again(value: object) -> None:

@@ -236,7 +236,7 @@ def test_every_interleaving_of_four_posts_and_four_takes_with_writers_killed_any
 # Two sides, the machine code -------------------------------------------------------------------------------
 
 
-@kernel(types.int64(types.uintp, types.int64, types.int64), cache=False)
+@kernel(types.int64(types.uintp, types.int64, types.int64))
 def swap(address: Any, seen: Any, after: Any) -> Any:  # type: ignore[no-untyped-def]
     """`compare_exchange_word` for Python."""
     return compare_exchange_word(address, seen, after)
@@ -355,7 +355,7 @@ def test_interleaved_steps_of_the_machine_code(actions: list[str], count: int) -
     assert last == posted
 
 
-@kernel(types.int64(types.uintp, types.uint8[::1], types.float64[::1], types.int64, types.uintp), cache=False)
+@kernel(types.int64(types.uintp, types.uint8[::1], types.float64[::1], types.int64, types.uintp))
 def read_until(address: Any, message: Any, into: Any, newest: Any, found: Any) -> Any:  # type: ignore[no-untyped-def]
     """A loop that takes until it has the newest; counts sets, torn ones and old ones in the three words at `found`."""
     last, deadline = 0, monotonic_now(0) + PATIENCE_NS
@@ -375,7 +375,7 @@ def read_until(address: Any, message: Any, into: Any, newest: Any, found: Any) -
     return last
 
 
-@kernel(types.int64(types.uintp, types.uint8[::1], types.float64[::1], types.int64), cache=False)
+@kernel(types.int64(types.uintp, types.uint8[::1], types.float64[::1], types.int64))
 def write_many(address: Any, message: Any, values: Any, times: Any) -> Any:  # type: ignore[no-untyped-def]
     """A writer without mercy; returns the number of the last set."""
     number = 0

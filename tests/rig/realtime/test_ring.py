@@ -33,7 +33,7 @@ PATIENCE_NS = 20_000_000_000  # a broken publication must fail a test, not hang 
 JOIN_S = 30.0
 
 
-@kernel(types.int64(types.uintp, ROWS, types.int64), cache=False)
+@kernel(types.int64(types.uintp, ROWS, types.int64))
 def produce(control: Any, rows: Any, count: Any) -> Any:
     """A loop's writer: rows in order, waiting for room; returns how often the ring was full."""
     full, deadline = 0, monotonic_now(0) + PATIENCE_NS
@@ -52,7 +52,7 @@ def produce(control: Any, rows: Any, count: Any) -> Any:
     return full
 
 
-@kernel(types.int64(types.uintp), cache=False)
+@kernel(types.int64(types.uintp))
 def spin_until_stopped(control: Any) -> Any:
     """A loop that does nothing but look at the stop word."""
     deadline = monotonic_now(0) + PATIENCE_NS
@@ -64,7 +64,7 @@ def spin_until_stopped(control: Any) -> Any:
     return load_word(control + 8 * words.STOP)
 
 
-@kernel(types.int64(types.uintp, types.int64, types.int64), cache=False)
+@kernel(types.int64(types.uintp, types.int64, types.int64))
 def trade(mailbox: Any, token: Any, times: Any) -> Any:
     """Swap the token in hand with the one in the mailbox, again and again."""
     for _ in range(times):

@@ -26,8 +26,8 @@ def check(run: DiskRun, made: int) -> None:
 @pytest.mark.parametrize("shared", [True, False])
 def test_a_second_without_the_disk_and_without_python_costs_no_row(shared: bool) -> None:
     """At 10 kHz, with the ring of 5 s that a trial has."""
-    run = record_on_a_pausing_disk(1.6, rate_hz=RATE, pauses=[(0.3, 1.0)], shared=shared)
-    check(run, round(1.6 * RATE))
+    run = record_on_a_pausing_disk(1.4, rate_hz=RATE, pauses=[(0.15, 1.0)], shared=shared)
+    check(run, round(1.4 * RATE))
     assert run.longest_hold_s > 0.9
     if run.worst_late_s < 1.0:  # else the machine stood still, and rows came in a burst
         assert run.dropped == 0
@@ -36,8 +36,8 @@ def test_a_second_without_the_disk_and_without_python_costs_no_row(shared: bool)
 
 def test_a_stall_longer_than_the_ring_costs_what_the_ring_cannot_hold_and_no_more() -> None:
     """A model of 6 s against 5 s: all rows that there was room for arrive, the others are counted."""
-    run = record_on_a_pausing_disk(1.6, rate_hz=RATE, pauses=[(0.3, 1.0)], ring_s=0.25)
-    check(run, round(1.6 * RATE))
+    run = record_on_a_pausing_disk(1.4, rate_hz=RATE, pauses=[(0.15, 1.0)], ring_s=0.25)
+    check(run, round(1.4 * RATE))
     assert run.fullest == 0.25 * RATE
     # Of a second's rows the ring holds a quarter; a block, the pipe and its reader hold some thousands more.
     if run.worst_late_s < 0.1:
