@@ -73,7 +73,9 @@ def pytest_collection_finish() -> None:
 
 @pytest.hookimpl(trylast=True)  # when the workers have ended
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Fail a run that leaves processes behind, name them, and end them."""
+    """Look for garbage, once for all who ask for it; fail a run that leaves processes behind, name and end them."""
+    gc.collect()
+    gc.freeze()
     if hasattr(session.config, "workerinput"):
         return
     forkserver._forkserver._stop()
