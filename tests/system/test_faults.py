@@ -69,9 +69,8 @@ SHORT = config.override(
 
 
 @pytest.fixture(autouse=True)
-def _neither_git_nor_the_disk_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A thousand recordings, each of which would start a program and sync a file and a directory."""
-    monkeypatch.setattr("rig.recording.header.git_revision", lambda directory: None)
+def _the_disk_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A thousand recordings, each of which would sync a file and a directory."""
     monkeypatch.setattr("os.fsync", lambda descriptor: None)
 
 
