@@ -224,15 +224,15 @@ def test_an_output_that_is_no_directory(run: Any, tmp_path: Path) -> None:
 
 
 @pytest.mark.signals
-def test_ctrl_c_keeps_what_is_done_and_the_same_command_goes_on(tmp_path: Path) -> None:
+def test_ctrl_c_keeps_what_is_done_and_the_same_command_goes_on(run: Any, tmp_path: Path) -> None:
     command = [
-        sys.executable, "-m", "rig", "zwidth", *BRIEF, "--set", "trial.duration_s=1", "--ratio", "1.1",
+        "zwidth", *BRIEF, "--set", "trial.duration_s=1", "--ratio", "1.1",
         "--search", "grid", "-B", "0.1:1.5:6", "--scheme", "uniform:20k", "--no-plot", "--workers", "1",
     ]  # fmt: skip
     options = {"cwd": tmp_path, "text": True, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE,
                "env": {**os.environ, "PYTHONPATH": str(ROOT)}}  # fmt: skip
     until = time.monotonic() + WAIT_S
-    with started(*command, **options) as process:
+    with started(sys.executable, "-m", "rig", *command, **options) as process:
         while not any(path.read_bytes().count(b"\n") > 1 for path in tmp_path.glob("maps/*/journal")):
             assert process.poll() is None, process.communicate()
             assert time.monotonic() < until
@@ -247,8 +247,8 @@ def test_ctrl_c_keeps_what_is_done_and_the_same_command_goes_on(tmp_path: Path) 
 
     (journal,) = tmp_path.glob("maps/*/journal")
     kept = journal.read_bytes()
-    again = subprocess.run(command, **options, timeout=WAIT_S, check=False)
-    assert again.returncode == 0, again.stderr
+    code, _, err = run(*command)
+    assert code == 0, err
     assert journal.read_bytes().startswith(kept)
     assert (journal.parent / "hits.parquet").exists()
 
