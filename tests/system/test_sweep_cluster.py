@@ -227,7 +227,7 @@ def test_a_worker_killed_in_the_middle_loses_nothing_and_duplicates_nothing(
     cluster: Any, tmp_path: Path
 ) -> None:
     cluster.have(2)
-    tasks = sines(60, wait_s=0.05)
+    tasks = sines(40, wait_s=0.03)
 
     def watch(progress: Any) -> None:
         if progress.done >= 10 and cluster.workers[0].poll() is None:
