@@ -4,9 +4,11 @@ Hypothesis has no deadlines (the first call of a kernel may compile) and is repe
 from a shell that ignores it (`nohup … &`), here and in whatever the tests start. Nothing that they start is left.
 """
 
+import functools
 import gc
 import os
 import signal
+import sys
 import uuid
 from collections.abc import Generator
 from contextlib import suppress
@@ -67,8 +69,13 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_finish() -> None:
-    """Modules and tests last as long as the process: no collection looks through them again."""
+    """Modules and tests last as long as the process: no collection looks through them again.
+
+    Recordings name one revision of a checkout all along: git takes longer than many a hit that a test makes.
+    """
     gc.freeze()
+    if header := sys.modules.get("rig.recording.header"):
+        header.git_revision = functools.cache(header.git_revision)
 
 
 @pytest.fixture(autouse=True, scope="session")
@@ -84,7 +91,9 @@ def _no_disk_is_waited_for() -> Generator[None]:
 
 @pytest.hookimpl(trylast=True)  # when the workers have ended
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Fail a run that leaves processes behind, name them, and end them."""
+    """Look for garbage, once for all who ask for it; fail a run that leaves processes behind, name and end them."""
+    gc.collect()
+    gc.freeze()
     if hasattr(session.config, "workerinput"):
         return
     forkserver._forkserver._stop()

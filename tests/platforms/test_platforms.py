@@ -34,25 +34,19 @@ WAIT_S = 300.0  # a busy machine with an empty cache took 110
 def test_what_people_do_off_linux_runs_to_the_end_and_alike(tmp_path: Path) -> None:
     """Rows to the last bit, of the compiled device where there is no C compiler, and of the firmware."""
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+    environment = ENVIRONMENT | {"LOCALAPPDATA": str(tmp_path / "local")}
     with ExitStack() as stack:
-        board = stack.enter_context(
-            started(sys.executable, "-m", "tests.platforms.board", cwd=ROOT, env=ENVIRONMENT, **pipes)
-        )
-        url = next(line.strip() for line in board.stdout if line.startswith("serial://"))
-        processes = {}
-        for platform in ("win32", "darwin"):
+
+        def python(module: str, *words: str, **more: Any) -> Any:
+            command = (sys.executable, "-m", f"tests.platforms.{module}", *words)
+            return stack.enter_context(started(*command, env=environment, **pipes, **more))
+
+        for platform in ("darwin", "win32"):
             (tmp_path / platform).mkdir()
-            words = (sys.executable, "-m", "tests.platforms.everyday", platform)
-            environment = ENVIRONMENT | {"LOCALAPPDATA": str(tmp_path / "local")}
-            processes[platform] = stack.enter_context(
-                started(
-                    *words,
-                    *([url] if platform == "win32" else []),
-                    cwd=tmp_path / platform,
-                    env=environment,
-                    **pipes,
-                )
-            )
+        board = python("board", cwd=ROOT)
+        processes = {"darwin": python("everyday", "darwin", cwd=tmp_path / "darwin")}
+        url = next(line.strip() for line in board.stdout if line.startswith("serial://"))
+        processes["win32"] = python("everyday", "win32", url, cwd=tmp_path / "win32")
         told = {platform: process.communicate(timeout=WAIT_S)[0] for platform, process in processes.items()}
     assert {platform: process.returncode for platform, process in processes.items()} == dict.fromkeys(
         told, 0

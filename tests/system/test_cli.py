@@ -3,6 +3,7 @@
 import errno
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -499,7 +500,9 @@ for arguments, code in json.loads(sys.argv[1]):
 
 
 def test_without_the_simulation_the_rest_still_works(recording: Any, tmp_path: Path) -> None:
-    runs = [(["--help"], 0), (["plan"], 0), (["devices"], 0), (["show", str(recording)], 0), (["hit"], 3)]
+    theory = ["theory", "--rig", "koul-rigid", "--scheme", "dual:20k/2k", "--operator", "normal", "--no-plot"]
+    whole = (["--help"], ["plan"], ["devices"], ["show", str(recording)], theory)
+    runs = [*((words, 0) for words in whole), (["hit"], 3)]
     done = subprocess.run(
         [sys.executable, "-c", HIDE_THE_SIMULATION, json.dumps(runs)],
         capture_output=True,
@@ -542,18 +545,36 @@ def test_a_reader_that_has_gone_is_nothing_to_complain_about() -> None:
     assert (done.returncode, done.stderr) == (0, b"")
 
 
-@pytest.mark.parametrize("streams", [("stdout",), ("stderr",), ("stdout", "stderr")], ids="-".join)
-@pytest.mark.parametrize(("command", "code"), [("preset", 0), ("preset nobody", 2)])
-def test_an_output_without_room_has_an_exit_code_of_its_own(
-    command: str, code: int, streams: tuple[str, ...]
-) -> None:
-    pipes = {"stdout": PIPE, "stderr": PIPE}
-    with open("/dev/full", "wb") as full:
-        pipes |= dict.fromkeys(streams, full.fileno())
-        done = subprocess.run([sys.executable, "-m", "rig", *command.split()], **pipes, check=False)
-    used = "stderr" if code else "stdout"
-    assert done.returncode == (74 if used in streams else code)
-    assert b"Traceback" not in (done.stderr or b"")
+# Each command in a fork of a process that has loaded what it needs; it ends as ``python -m rig`` does.
+WITHOUT_ROOM = """
+import contextlib, io, json, os, runpy, sys
+import rig.cli
+with contextlib.redirect_stdout(io.StringIO()):
+    rig.cli.run(["preset"])
+for words, full in json.loads(sys.argv.pop()):
+    if child := os.fork():
+        print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), file=sys.stderr, flush=True)
+        continue
+    for descriptor in full:
+        os.dup2(os.open("/dev/full", os.O_WRONLY), descriptor)
+    sys.argv += words
+    runpy.run_module("rig", run_name="__main__", alter_sys=True)
+"""
+
+
+def test_an_output_without_room_has_an_exit_code_of_its_own() -> None:
+    stdout, stderr = 1, 2
+    cases = [
+        (words, full, 74 if used in full else code)
+        for words, code, used in ((["preset"], 0, stdout), (["preset", "nobody"], 2, stderr))
+        for full in ([stdout], [stderr], [stdout, stderr])
+    ]
+    words = json.dumps([one[:2] for one in cases])
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT_ROOM, words], capture_output=True, text=True, check=True
+    )
+    assert re.findall(r"^\d+$", done.stderr, re.MULTILINE) == [str(code) for *_, code in cases]
+    assert "Traceback" not in done.stderr
 
 
 def test_a_pipe_that_breaks_elsewhere_is_no_reader_that_has_gone(

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -180,26 +177,3 @@ def test_what_cannot_be_meant_is_one_line_with_a_remedy(
     assert code == 2
     assert message in err
     assert err.strip().splitlines()[-1].startswith("rig: ")
-
-
-def test_it_needs_no_simulation(tmp_path: Path) -> None:
-    """Where sim_backend is not installed. (Plain Python kernels: another set of files would compile anew.)"""
-    script = (
-        "import sys\n"
-        "sys.modules['sim_backend'] = None\n"
-        "from rig.analysis import theory\n"
-        "found = theory.theory_of('koul-rigid', ['dual:20k/2k'], operator='normal')\n"
-        "assert found.schemes[0].at_zero.limit.stiffness > 0.0\n"
-        "print([m for m in sys.modules if m.startswith('sim_backend.')])\n"
-    )
-    environment = {**os.environ, "NUMBA_DISABLE_JIT": "1", "HAPTIC_RIG_CACHE": str(tmp_path)}
-    done = subprocess.run(
-        [sys.executable, "-c", script],
-        capture_output=True,
-        text=True,
-        env=environment,
-        timeout=100,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.strip() == "[]"

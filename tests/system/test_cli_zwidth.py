@@ -224,15 +224,15 @@ def test_an_output_that_is_no_directory(run: Any, tmp_path: Path) -> None:
 
 
 @pytest.mark.signals
-def test_ctrl_c_keeps_what_is_done_and_the_same_command_goes_on(tmp_path: Path) -> None:
+def test_ctrl_c_keeps_what_is_done_and_the_same_command_goes_on(run: Any, tmp_path: Path) -> None:
     command = [
-        sys.executable, "-m", "rig", "zwidth", *BRIEF, "--set", "trial.duration_s=1", "--ratio", "1.1",
+        "zwidth", *BRIEF, "--set", "trial.duration_s=1", "--ratio", "1.1",
         "--search", "grid", "-B", "0.1:1.5:6", "--scheme", "uniform:20k", "--no-plot", "--workers", "1",
     ]  # fmt: skip
     options = {"cwd": tmp_path, "text": True, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE,
                "env": {**os.environ, "PYTHONPATH": str(ROOT)}}  # fmt: skip
     until = time.monotonic() + WAIT_S
-    with started(*command, **options) as process:
+    with started(sys.executable, "-m", "rig", *command, **options) as process:
         while not any(path.read_bytes().count(b"\n") > 1 for path in tmp_path.glob("maps/*/journal")):
             assert process.poll() is None, process.communicate()
             assert time.monotonic() < until
@@ -247,8 +247,8 @@ def test_ctrl_c_keeps_what_is_done_and_the_same_command_goes_on(tmp_path: Path) 
 
     (journal,) = tmp_path.glob("maps/*/journal")
     kept = journal.read_bytes()
-    again = subprocess.run(command, **options, timeout=WAIT_S, check=False)
-    assert again.returncode == 0, again.stderr
+    code, _, err = run(*command)
+    assert code == 0, err
     assert journal.read_bytes().startswith(kept)
     assert (journal.parent / "hits.parquet").exists()
 
@@ -291,7 +291,10 @@ def test_a_person_who_does_not_agree_ends_the_session(
     assert len(list(tmp_path.glob("maps/*/hits/*.parquet"))) == hits
 
 
-def test_in_real_time_a_simulated_device_is_a_process(run: Any, tmp_path: Path) -> None:
+def test_in_real_time_a_simulated_device_is_a_process(
+    run: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rig.experiments.zwidth_rig.CALM_S", 0.0)
     search = ["--search", "bisection", "--ratio", "1.2", "-K", "30:31", "--scheme", "uniform:1k", "-B", "0.1"]
     code, _, err = run(
         "zwidth", "--realtime", *BRIEF, *search, "--set", "verdict.late_fraction=0.9", "--no-plot", "--json"

@@ -146,11 +146,6 @@ def ran(directory: Path, delays: Delays, make: Callable[..., Any] = SimulatedDev
     return run
 
 
-@pytest.fixture(autouse=True)
-def _git_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rig.recording.header.git_revision", lambda directory: None)
-
-
 @pytest.fixture
 def not_looking(monkeypatch: pytest.MonkeyPatch) -> None:
     """A device that takes each command as it comes, however long it was under way."""

@@ -76,11 +76,15 @@ def test_what_a_page_shows_runs(name: str, tmp_path: Path, monkeypatch: pytest.M
 
 
 def run_line(line: str) -> None:
-    """Run a line of a shell: a plain command of ours or pytest in this process, which has compiled the loop already."""
+    """Run a line of a shell: a plain command of ours or pytest in this process, which has compiled the loop already.
+
+    An exception that nobody could raise is told by the pytest around it: looking for garbage twice takes a second.
+    """
     words = shlex.split(line, comments=True)
     words = words[: words.index("||")] if "||" in words else words  # what follows is for when it fails
     if words[0] == "pytest":
-        assert pytest.main([*words[1:], "-p", "rig.testing.plugin", "-p", "no:cacheprovider"]) == 0
+        without = ("-p", "no:cacheprovider", "-p", "no:unraisableexception")
+        assert pytest.main([*words[1:], "-p", "rig.testing.plugin", *without]) == 0
         return
     if words[0] != "rig" or {"&&", "|"} & set(words):
         path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])

@@ -68,12 +68,6 @@ SHORT = config.override(
 )
 
 
-@pytest.fixture(autouse=True)
-def _git_is_not_asked(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A thousand recordings: git would be started each second."""
-    monkeypatch.setattr("rig.recording.header.git_revision", lambda directory: None)
-
-
 class Bench:
     """One device with a script of faults, and one trial on it."""
 

@@ -229,7 +229,7 @@ QUICK = Scale(
     constants=(3.0, 12.0, 50.0),
     dual_stiffnesses=_rungs(10.0, 8.0, 3),
     dual_dampings=(0.0, 0.2),
-    dual_measurements=2,
+    dual_measurements=1,
     dual_realisations=2,
     theory_points=7,
 )
