@@ -35,8 +35,8 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from numba import types
 
-from rig.core.deferred import linalg
 from rig.core.errors import ConfigError
+from rig.core.exponential import expm
 from rig.core.model import Matrix, RigModel, StateSpace, state_space
 from rig.realtime.groups import FloatRows, Floats, Int, group, type_of
 from rig.realtime.kernel import kernel
@@ -235,7 +235,7 @@ def _exact(continuous: StateSpace, step_s: float) -> tuple[Matrix, Matrix]:
     order, inputs = continuous.b.shape
     both = np.zeros((order + inputs, order + inputs))
     both[:order] = np.hstack([continuous.a, continuous.b])
-    whole = linalg.expm(both * step_s)
+    whole = expm(both * step_s)
     # A hand's intention is an input that stays until it is changed: a state.
     wanted = order + continuous.operator_inputs.start
     states = [*range(order), *range(wanted, order + inputs)]

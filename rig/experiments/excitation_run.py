@@ -30,8 +30,8 @@ from rig.control import bilateral, laws
 from rig.control.excitation import Multisine
 from rig.control.excitation_table import ExcitationTable, Phases
 from rig.control.law import Law
-from rig.core.deferred import linalg
 from rig.core.errors import RecordingError
+from rig.core.exponential import expm
 from rig.core.model import RigModel, state_space
 from rig.core.sample import Phase, RowFlag
 from rig.recording.data import Recording
@@ -334,7 +334,7 @@ def seen_at_ticks(model: RigModel, tick_s: float, frequency_hz: Floats) -> Compl
     """
     space = state_space(model.mechanics, model.amplifier)
     a, b, n = space.a, space.b[:, :1], space.order
-    both = linalg.expm(np.block([[a, b], [np.zeros((1, n + 1))]]) * tick_s)
+    both = expm(np.block([[a, b], [np.zeros((1, n + 1))]]) * tick_s)
     s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)
     sampled = _answer(both[:n, :n], both[:n, n:], np.exp(s * tick_s), space.sensed_position)
     true = _answer(a, b, s, space.sensed_position) * hold(frequency_hz, tick_s)

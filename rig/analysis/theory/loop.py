@@ -24,8 +24,8 @@ from rig import config
 from rig.analysis.theory.linear import NotLinearError, Realisation, realise
 from rig.config import Controller, Experiment, presets
 from rig.config.schemes import Scheme, usual_settings
-from rig.core.deferred import linalg
 from rig.core.errors import ConfigError
+from rig.core.exponential import expm
 from rig.core.model import Matrix, Operator, RigModel, StateSpace, state_space
 from rig.core.operators import GRIPS
 
@@ -265,7 +265,7 @@ def _over_tick(continuous: StateSpace, tick_s: float) -> tuple[Matrix, Vector]:
     whole[:order, :order], whole[:order, order] = continuous.a, continuous.b[:, 0]
     if not math.isfinite(np.abs(whole).max()):
         raise ConfigError("the rig's matrices are not finite", remedy="check inertias, lag and stiffness")
-    exact = linalg.expm(whole * tick_s)
+    exact = expm(whole * tick_s)
     phi, gamma = exact[:order, :order], exact[:order, order]
     e = continuous.effort
     if not continuous.a[e].any():  # no lag: the effort state stands alone and nothing reads it
