@@ -5,9 +5,9 @@
  * over a connected SOCK_SEQPACKET, one message a packet. Lines on standard input make what goes wrong on a cable.
  *
  * libusb sleeps in poll(2) until the descriptor is writable: usbfs says so when a transfer can be reaped. umockdev's
- * node is the slave of a pseudo-terminal, so output is stopped (TCOOFF) while nothing can be reaped, and started
- * (TCOON) when something can. Closing the master hangs the slave up, which poll shows as POLLERR: what usbfs shows
- * when the device is pulled.
+ * node is a file, which is always writable: the slave of a pseudo-terminal takes its place, whose output is stopped
+ * (TCOOFF) while nothing can be reaped, and started (TCOON) when something can. Closing the master hangs the slave up,
+ * which poll shows as POLLERR: what usbfs shows when the device is pulled.
  *
  * usage: bridge SOCKET_FD DESCRIPTORS STRING0 STRING1 ...   (descriptors in hex; SOCKET_FD inherited)
  * It prints "root DIRECTORY" once; then for each command line "ok NANOSECONDS" (CLOCK_MONOTONIC) or "error".
@@ -50,11 +50,12 @@ static UMockdevTestbed *testbed;
 static int device = -1;          /* socket to the device program */
 static int wake = -1;            /* eventfd: the queue has changed */
 static int terminal = -1;        /* our descriptor of the node's terminal */
+static int master = -1;          /* and the other end of it */
 static int present, number = 1;  /* plugged in; device number on the bus */
 static char path[256], node[64];
 static int stopped_in, stopped_out; /* endpoint halted until CLEAR_HALT */
 static int refuse_in, refuse_out;   /* one transfer has still to learn of it; the others stay where they are */
-static int silent, short_writes, busy, cleared, detached, attached, overflow_next, broken_next;
+static int silent, short_writes, busy, asked, cleared, detached, attached, overflow_next, broken_next;
 static UMockdevIoctlClient *claimer;
 static long long happened; /* when the last command took effect */
 static char driver[32]; /* kernel driver that holds the interface, or "" */
@@ -296,6 +297,7 @@ static gboolean handle_ioctl(UMockdevIoctlBase *base, UMockdevIoctlClient *clien
 {
     (void)base, (void)unused;
     pthread_mutex_lock(&lock);
+    asked++;
     int error = answer(client);
     pthread_mutex_unlock(&lock);
     eventfd_write(wake, 1);
@@ -336,7 +338,11 @@ static int plug(void)
     char *root = umockdev_testbed_get_root_dir(testbed), *file;
     if (asprintf(&file, "%s%s", root, node) < 0)
         return 0;
+    int end = posix_openpt(O_RDWR | O_NOCTTY | O_CLOEXEC);
+    if (end < 0 || unlockpt(end) || unlink(file) || symlink(ptsname(end), file))
+        return 0;
     pthread_mutex_lock(&lock);
+    master = end;
     terminal = open(file, O_RDWR | O_NOCTTY | O_CLOEXEC);
     present = 1;
     silent = stopped_in = stopped_out = refuse_in = refuse_out = 0;
@@ -357,9 +363,7 @@ static int unplug(void)
         finish(0, -ESHUTDOWN, 0);
     close(terminal);
     terminal = -1;
-    int nothing = open("/dev/null", O_RDWR | O_CLOEXEC);
-    dup2(nothing, umockdev_testbed_get_dev_fd(testbed, node)); /* the master closes; the test bed keeps its number */
-    close(nothing);
+    close(master);
     claimer = NULL;
     pthread_mutex_unlock(&lock);
     umockdev_testbed_uevent(testbed, path, "remove");
@@ -402,8 +406,8 @@ static int obey(char *line)
     else if (!strncmp(line, "driver ", 7))
         snprintf(driver, sizeof driver, "%.31s", line + 7);
     else if (!strcmp(line, "status"))
-        printf("pending %d claimed %d cleared %d detached %d attached %d\n", pending.count, claimer != NULL, cleared,
-               detached, attached);
+        printf("asked %d pending %d claimed %d cleared %d detached %d attached %d\n", asked, pending.count,
+               claimer != NULL, cleared, detached, attached);
     else
         done = 0;
     pthread_mutex_unlock(&lock);

@@ -357,12 +357,13 @@ def nothing_is_left_behind(cable: Cable) -> dict[str, int]:
     return status
 
 
-def waiting_costs_no_time_of_the_processor(cable: Cable) -> float:
+def waiting(cable: Cable) -> tuple[float, int]:
+    """A tenth of a second without a byte: time of the processor, and how often the kernel was asked."""
     link = cable.open_silent()
     link.read(0.01)  # what is compiled or loaded for it is not the wait's
-    before = time.process_time()
+    asked, before = cable.status()["asked"], time.process_time()
     assert link.read(0.1) == b""
-    return (time.process_time() - before) * 1e3
+    return (time.process_time() - before) * 1e3, cable.status()["asked"] - asked
 
 
 def packets_come_while_python_is_locked(cable: Cable) -> int:
@@ -386,18 +387,6 @@ def packets_come_while_python_is_locked(cable: Cable) -> int:
     ctypes.PyDLL(None).usleep(250_000)
     thread.join(SLACK_S)
     return counts[0]
-
-
-def round_trips(cable: Cable) -> dict[str, float]:
-    """Median and worst time from a request to its answer."""
-    link = cable.open()
-    host = Host(link)
-    times = []
-    for _ in range(50):
-        begun = time.perf_counter()
-        host.ask(m.Identify(host.nonce(), 0))
-        times.append((time.perf_counter() - begun) * 1e3)
-    return {"median": float(np.median(times)), "worst": max(times)}
 
 
 def hits_from_the_command_line(cable: Cable, url: str, directory: str) -> tuple[int, dict[str, Any]]:

@@ -106,14 +106,6 @@ class Bus:
             **options,
         )
 
-    def order(self, command: str) -> str:
-        """Give the bridge a command from here; only while no child does."""
-        assert self.bridge.stdin is not None
-        assert self.bridge.stdout is not None
-        self.bridge.stdin.write(command + "\n")
-        self.bridge.stdin.flush()
-        return self.bridge.stdout.readline().strip()
-
     def close(self) -> None:
         """End bridge and device."""
         self._stop.set()
