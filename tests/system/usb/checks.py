@@ -13,7 +13,7 @@ from collections.abc import Callable
 from functools import partial
 from io import StringIO
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import numpy as np
 import pytest
@@ -65,12 +65,11 @@ def count_reads(read: Any, wait: Any, handle: Any, into: Any, deadline_ns: Any) 
 
 
 class Cable:
-    """Opens links and orders faults."""
+    """Opens links and orders faults, by the pipes to the bridge and from it."""
 
-    def __init__(self, transfers: str) -> None:
+    def __init__(self, orders: TextIO, answers: TextIO, transfers: str) -> None:
         self.url = f"{URL}?transfers={transfers}"
-        orders, answers = (int(number) for number in os.environ["USB_BRIDGE"].split(","))
-        self._orders, self._answers = os.fdopen(orders, "w", buffering=1), os.fdopen(answers)
+        self._orders, self._answers = orders, answers
         self._opened: list[UsbLink] = []
 
     def open(self) -> UsbLink:
@@ -102,10 +101,6 @@ class Cable:
         self._opened.clear()
         for command in ("plug", "speak", "whole", "free"):
             self.order(command)
-
-    def close(self) -> None:
-        self._orders.close()
-        self._answers.close()
 
 
 def conforms_as_a_link(cable: Cable) -> None:

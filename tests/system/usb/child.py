@@ -7,23 +7,26 @@ import os
 import sys
 import traceback
 
-from tests.system.usb import checks
+from rig.core import program
 
 
 def main() -> None:
-    """Read names until the end of the input."""
+    """Read lines until the end of the input: the place of a bus, how bytes move, the name of a check, its arguments."""
+    program.begin()
+    from tests.system.usb import checks  # noqa: PLC0415
+
     said = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)
-    cable = checks.Cable(sys.argv[1])
     for line in sys.stdin:
-        try:
-            name, *arguments = line.split()
-            answer = {"found": getattr(checks, name)(cable, *arguments)}
-        except BaseException:
-            answer = {"failure": traceback.format_exc()}
-        cable.tidy()
+        os.environ["UMOCKDEV_DIR"], orders, answers, transfers, name, *arguments = line.split()
+        with open(orders, "w", buffering=1) as to_bridge, open(answers) as from_bridge:
+            cable = checks.Cable(to_bridge, from_bridge, transfers)
+            try:
+                answer = {"found": getattr(checks, name)(cable, *arguments)}
+            except BaseException:
+                answer = {"failure": traceback.format_exc()}
+            cable.tidy()
         said.write(json.dumps(answer) + "\n")
-    cable.close()
     said.close()
 
 

@@ -1,7 +1,7 @@
-"""The parent's side of the USB tests: the bridge, the device behind it, and a child in which libusb sees both.
+"""The parent's side of the USB tests: buses with a bridge and a device behind it, and a child in which libusb sees one.
 
 The child runs under umockdev's preload library, so that its libusb, which is the real one, finds the emulated bus.
-It does named checks (`checks`), and orders faults from the bridge itself.
+It does named checks (`checks`), each on the bus that it is told, and orders faults from the bridge itself.
 """
 
 from __future__ import annotations
@@ -86,25 +86,12 @@ class Bus:
         )
         self._device.start()
 
-    def start(self, *arguments: str, **options: Any) -> subprocess.Popen[str]:
-        """Start a Python program that sees this bus; ``USB_BRIDGE`` names descriptors to the bridge."""
+    def place(self) -> list[str]:
+        """Where a child of this process finds the bus: its directory, and the pipes to the bridge and from it."""
         assert self.bridge.stdin is not None
         assert self.bridge.stdout is not None
-        orders, answers = self.bridge.stdin.fileno(), self.bridge.stdout.fileno()
-        environment = os.environ | {
-            "UMOCKDEV_DIR": self.root,
-            "LD_PRELOAD": PRELOAD,
-            "USB_BRIDGE": f"{orders},{answers}",
-        }
-        return subprocess.Popen(
-            [sys.executable, *arguments],
-            env=environment,
-            cwd=ROOT,
-            pass_fds=[orders, answers],
-            text=True,
-            stdout=subprocess.PIPE,
-            **options,
-        )
+        pipes = (self.bridge.stdin, self.bridge.stdout)
+        return [self.root, *(f"/proc/{os.getpid()}/fd/{pipe.fileno()}" for pipe in pipes)]
 
     def close(self) -> None:
         """End bridge and device."""
@@ -126,17 +113,22 @@ class Bus:
 class Child:
     """A process under the preload that does checks by name."""
 
-    def __init__(self, bus: Bus, transfers: str) -> None:
-        self._process = bus.start(
-            "-W", "error", "-m", "tests.system.usb.child", transfers, stdin=subprocess.PIPE
+    def __init__(self) -> None:
+        self._process = subprocess.Popen(
+            [sys.executable, "-W", "error", "-m", "tests.system.usb.child"],
+            env=os.environ | {"LD_PRELOAD": PRELOAD},
+            cwd=ROOT,
+            text=True,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
         )
 
-    def check(self, *words: str) -> Any:
+    def check(self, bus: Bus, transfers: str, *words: str) -> Any:
         """Do one check, with its arguments, and return what it found; its failure is ours."""
         process = self._process
         assert process.stdin is not None
         assert process.stdout is not None
-        process.stdin.write(" ".join(words) + "\n")
+        process.stdin.write(" ".join([*bus.place(), transfers, *words]) + "\n")
         process.stdin.flush()
         line = process.stdout.readline()
         assert line, f"the child ended with {process.wait(WAIT_S)}"

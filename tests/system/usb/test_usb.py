@@ -5,8 +5,11 @@ The bus is umockdev's (`bridge.c`), the device the simulated one. Nothing is ass
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numba
 import pytest
@@ -23,6 +26,8 @@ from tests.system.usb.emulated_bus import Bus, Child, build
 if numba.config.DISABLE_JIT:
     pytest.skip("the device's plant is too slow for real time uncompiled", allow_module_level=True)
 
+Check = Callable[..., Any]
+
 SECONDS = 5_000.0  # ms
 RATE = 400  # Hz: each ioctl of the emulated bus costs about 0.1 ms
 
@@ -32,19 +37,28 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return build(tmp_path_factory.mktemp("bridge"))
 
 
-@pytest.fixture(scope="module", params=["queued", "plain"])
-def child(request: pytest.FixtureRequest, program: Path) -> Iterator[Child]:
-    bus = Bus(program, rate=RATE)
-    try:
-        process = Child(bus, request.param)
-        yield process
-        assert process.close() == 0
-    finally:
-        bus.close()
+@pytest.fixture(scope="module")
+def child() -> Iterator[Child]:
+    """All checks are of one process: it loads everything once, and opens each link afresh."""
+    process = Child()
+    yield process
+    assert process.close() == 0
+
+
+@pytest.fixture(scope="module")
+def bus(program: Path) -> Iterator[Bus]:
+    with closing(Bus(program, rate=RATE)) as one:
+        yield one
+
+
+@pytest.fixture(params=["queued", "plain"])
+def check(request: pytest.FixtureRequest, child: Child, bus: Bus) -> Check:
+    """Do a check of one way to move bytes, by its name."""
+    return partial(child.check, bus, request.param)
 
 
 @pytest.mark.parametrize(
-    "check",
+    "what",
     [
         "conforms_as_a_link",
         "conforms_as_a_device",
@@ -55,8 +69,8 @@ def child(request: pytest.FixtureRequest, program: Path) -> Iterator[Child]:
         "nothing_is_left_behind",
     ],
 )
-def test_a_link(child: Child, check: str) -> None:
-    child.check(check)
+def test_a_link(check: Check, what: str) -> None:
+    check(what)
 
 
 @pytest.mark.parametrize(
@@ -74,36 +88,36 @@ def test_a_link(child: Child, check: str) -> None:
         "replugged",
     ],
 )
-def test_what_happens_to_a_cable_is_one_typed_error_soon(child: Child, event: str) -> None:
-    after_ms = child.check(event)
+def test_what_happens_to_a_cable_is_one_typed_error_soon(check: Check, event: str) -> None:
+    after_ms = check(event)
     print(f"{event}: {after_ms:.1f} ms")
     assert after_ms < SECONDS
 
 
-def test_a_device_that_takes_nothing_costs_no_time(child: Child) -> None:
-    child.check("a_full_pool_takes_nothing")
+def test_a_device_that_takes_nothing_costs_no_time(check: Check) -> None:
+    check("a_full_pool_takes_nothing")
 
 
-def test_waiting_sleeps(child: Child) -> None:
+def test_waiting_sleeps(check: Check) -> None:
     """A tenth of a second without a byte; a wait that polls would burn all of it, or ask the kernel all the time."""
-    burnt_ms, asked = child.check("waiting")
+    burnt_ms, asked = check("waiting")
     assert burnt_ms < 50.0
     assert asked < 30
 
 
-def test_queued_transfers_need_no_lock_of_the_interpreter(child: Child) -> None:
+def test_queued_transfers_need_no_lock_of_the_interpreter(check: Check) -> None:
     """Unarmed, the device sends some 100 packets a second; 20 in the time, in one of ten if the machine is busy."""
-    if child.check("says_how_it_works") == "":
-        assert any(child.check("packets_come_while_python_is_locked") > 5 for _ in range(10))
+    if check("says_how_it_works") == "":
+        assert any(check("packets_come_while_python_is_locked") > 5 for _ in range(10))
 
 
-def test_a_device_is_listed_with_its_url(child: Child) -> None:
-    (device,) = child.check("is_listed")
+def test_a_device_is_listed_with_its_url(check: Check) -> None:
+    (device,) = check("is_listed")
     assert device == {"url": f"{checks.URL}/0001", "name": "simulated rig", "path": "1-1", "is_rig": True}
 
 
-def test_the_slow_way_is_said(child: Child) -> None:
-    note = child.check("says_how_it_works")
+def test_the_slow_way_is_said(check: Check) -> None:
+    note = check("says_how_it_works")
     assert note == "" or "the URL asks for it" in note
 
 
@@ -111,25 +125,26 @@ def test_the_slow_way_is_said(child: Child) -> None:
 
 
 class Rig:
-    """The compliant rig on the bus, with the shape of high speed, and a child of its own."""
+    """The compliant rig on the bus, with the shape of high speed."""
 
-    def __init__(self, program: Path, transfers: str) -> None:
-        self._program, self.transfers = program, transfers
+    def __init__(self, program: Path, child: Child, transfers: str) -> None:
+        self._program, self._child, self.transfers = program, child, transfers
         self.begin()
 
     def begin(self) -> None:
         model = config.rig_model(presets.load("koul-compliant"))
         self._bus = Bus(self._program, UsbShape(packet=HIGH_SPEED_PACKET), model)
-        self.child = Child(self._bus, self.transfers)
+
+    def check(self, *words: str) -> Any:
+        return self._child.check(self._bus, self.transfers, *words)
 
     def end(self) -> None:
-        self.child.close()
         self._bus.close()
 
 
 @pytest.fixture(scope="module", params=["queued", "plain"])
-def rig(request: pytest.FixtureRequest, program: Path) -> Iterator[Rig]:
-    one = Rig(program, request.param)
+def rig(request: pytest.FixtureRequest, program: Path, child: Child) -> Iterator[Rig]:
+    one = Rig(program, child, request.param)
     yield one
     one.end()
 
@@ -137,7 +152,7 @@ def rig(request: pytest.FixtureRequest, program: Path) -> Iterator[Rig]:
 def test_a_hit_from_the_command_line(rig: Rig, tmp_path: Path) -> None:
     """It is judged, or ends with a typed loss; either way it is recorded and every tick is accounted for."""
     url = checks.URL if rig.transfers == "queued" else f"{checks.URL}/0001?transfers=plain"
-    code, told = rig.child.check("hits_from_the_command_line", url, str(tmp_path))
+    code, told = rig.check("hits_from_the_command_line", url, str(tmp_path))
     if not (told["error"] is None and told["hits"][0]["verdict"]["kind"] == "stable"):
         rig.end()
         rig.begin()  # its handle may be anywhere
@@ -161,7 +176,7 @@ def test_a_hit_from_the_command_line(rig: Rig, tmp_path: Path) -> None:
 
 
 def test_a_plug_pulled_in_a_run_is_one_error_with_a_whole_recording(rig: Rig, tmp_path: Path) -> None:
-    found = rig.child.check("unplugged_in_a_trial", str(tmp_path))
+    found = rig.check("unplugged_in_a_trial", str(tmp_path))
     print(found)
     assert found["complete"]
     assert found["remedy"]
