@@ -20,13 +20,14 @@ import stat
 import sys
 import tempfile
 import time
-from collections.abc import Iterable
+from collections.abc import Mapping
 from pathlib import Path
 
 import numba
 import numpy
+from llvmlite.binding import get_host_cpu_name
 
-from rig.realtime.source_files import compiled_files
+from rig.realtime.source_files import compiled_sources
 from rig.realtime.user_cache import user_cache
 
 UNUSED_DAYS = 30.0
@@ -34,20 +35,20 @@ _OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
 _log = logging.getLogger(__name__)
 
 
-def cache_key(files: Iterable[Path]) -> str:
-    """Sixteen hex digits over file names and contents, numba, numpy and the CPU."""
+def cache_key(sources: Mapping[str, bytes]) -> str:
+    """Sixteen hex digits over names and contents, numba, numpy and the CPU."""
     digest = hashlib.sha256()
-    cpu = getattr(numba.config, "CPU_NAME", None) or platform.processor() or platform.machine()
+    cpu = getattr(numba.config, "CPU_NAME", None) or get_host_cpu_name()
     for fact in (
         numba.__version__,
         numpy.__version__,
         platform.python_version(),
         platform.machine(),
-        str(cpu),
+        cpu,
     ):
         digest.update(fact.encode() + b"\0")
-    for path in files:
-        digest.update(path.name.encode() + b"\0" + hashlib.sha256(path.read_bytes()).digest())
+    for name, text in sources.items():
+        digest.update(name.encode() + b"\0" + hashlib.sha256(text).digest())
     return digest.hexdigest()[:16]
 
 
@@ -118,7 +119,7 @@ def _forget_unused(root: Path, current: Path) -> None:
 def open_cache() -> Path:
     """Directory for the machine code of these files on this computer."""
     root = cache_root()
-    place = root / f"kernels-{cache_key(compiled_files())}"
+    place = root / f"kernels-{cache_key(compiled_sources())}"
     fresh = not place.exists()
     directory = _made_private(place)
     if directory is None:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import importlib.util
 import os
 import re
-from collections.abc import Iterable
+from collections.abc import Container, Iterable, Iterator
 from pathlib import Path
 
 PACKAGES = ("firmware_protocol", "rig", "sim_backend")
@@ -25,44 +25,53 @@ _NAME = re.compile(rb"(\w+)(?:[ \t]+as[ \t]+\w+)?")
 
 def source_files(packages: Iterable[str] = PACKAGES) -> dict[str, Path]:
     """Every Python file of the packages by module name, found without importing them, in a fixed order."""
-    files: dict[str, Path] = {}
-    for package in packages:
-        try:
-            spec = importlib.util.find_spec(package)
-        except ImportError:
-            continue
-        if spec is None or not spec.submodule_search_locations:
-            continue
-        for root in spec.submodule_search_locations:
-            for place, below, names in os.walk(root):
-                below.sort()
-                parts = (package, *Path(place).relative_to(root).parts)
-                for name in sorted(names):
-                    if name.endswith(".py"):
-                        module = ".".join((*parts, name.removesuffix(".py")))
-                        files[module.removesuffix(".__init__")] = Path(place, name)
-    return files
+    return {module: Path(path) for module, path in _found(packages).items()}
 
 
-def compiled_files(packages: Iterable[str] = PACKAGES) -> list[Path]:
-    """The files with kernels and all that they import, transitively, in a fixed order."""
-    files = source_files(packages)
-    texts = {module: b"\n" + path.read_bytes() for module, path in files.items()}
+def compiled_sources(packages: Iterable[str] = PACKAGES) -> dict[str, bytes]:
+    """What the files with kernels hold, and all that they import, transitively: by module name, in a fixed order."""
+    texts = {module: _text(path) for module, path in _found(packages).items()}
     waiting = [module for module, text in texts.items() if _KERNEL in text]
     reached: set[str] = set()
     while waiting:
         module = waiting.pop()
         if module not in reached:
             reached.add(module)
-            waiting += _imported(texts[module], files)
-    return [path for module, path in files.items() if module in reached]
+            waiting += _imported(texts[module], texts)
+    return {module: text for module, text in texts.items() if module in reached}
 
 
-def _imported(text: bytes, files: dict[str, Path]) -> list[str]:
+def _found(packages: Iterable[str]) -> dict[str, str]:
+    files: dict[str, str] = {}
+    for package in packages:
+        try:
+            spec = importlib.util.find_spec(package)
+        except ImportError:
+            continue
+        for root in (spec and spec.submodule_search_locations) or ():
+            files.update(_below(root, package))
+    return files
+
+
+def _below(place: str, package: str) -> Iterator[tuple[str, str]]:
+    for entry in sorted(os.scandir(place), key=lambda entry: entry.name):
+        stem, ending = os.path.splitext(entry.name)
+        if ending == ".py":
+            yield package if stem == "__init__" else f"{package}.{stem}", entry.path
+        elif not ending and stem != "__pycache__" and entry.is_dir(follow_symlinks=False):
+            yield from _below(entry.path, f"{package}.{stem}")
+
+
+def _text(path: str) -> bytes:
+    with open(path, "rb", buffering=0) as file:
+        return b"\n" + file.read()
+
+
+def _imported(text: bytes, modules: Container[str]) -> list[str]:
     """Modules of ours that a source imports anywhere in it: at its top, inside functions, for types."""
     found: list[str] = []
     for base, names, plain in _IMPORT.findall(text):
         module = (base or plain).decode()
         parts = [f"{module}.{name.decode()}" for name in _NAME.findall(names)] if base else []
-        found += [name for name in (module, *parts) if name in files]
+        found += [name for name in (module, *parts) if name in modules]
     return found
