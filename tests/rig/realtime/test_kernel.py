@@ -24,7 +24,7 @@ import numpy as np
 import pytest
 from numba import types
 
-from rig.core import locks
+from rig.core import locks, program
 from rig.realtime import cache, compiling, handlers, parts, user_cache
 from rig.realtime import kernel as module
 from rig.realtime import source_files as sources
@@ -58,6 +58,8 @@ def law(x):
 
 REPORT = """
 import json, sys
+from rig.core import program
+program.begin()
 from rig.realtime import compiling, kernel
 compiled = []
 compiling.listen(compiled.append)
@@ -106,7 +108,7 @@ def project_in(place: Path) -> Project:
     (root / "rig" / "core").mkdir()
     for package in ("rig", "rig/realtime", "rig/core"):
         (root / package / "__init__.py").touch()
-    for copied in (module, cache, sources, compiling, handlers, parts, user_cache, locks):
+    for copied in (module, cache, sources, compiling, handlers, parts, user_cache, locks, program):
         shutil.copy(copied.__file__, root.joinpath(*copied.__name__.split(".")[:-1]))
     (root / "rig" / "helper.py").write_text(HELPER)
     (root / "rig" / "law.py").write_text(LAW)
@@ -265,17 +267,17 @@ def test_a_cache_of_another_user_or_behind_a_link_of_one_is_not_used(tmp_path: P
     assert "another user" in writable_by_others(link)
 
 
-@compiled
-def test_directories_that_nobody_used_for_a_month_are_removed(project: Project) -> None:
-    root = Path(project.cache)
+def test_directories_that_nobody_used_for_a_month_are_removed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    root = tmp_path / "cache"
+    monkeypatch.setenv("HAPTIC_RIG_CACHE", str(root))
     for name, days in (("kernels-old", 40), ("kernels-recent", 20), ("something-else", 40)):
         (root / name).mkdir(parents=True)
         stamp = time.time() - days * 86_400
         os.utime(root / name, (stamp, stamp))
-    current = project.run()["cache"]
-    assert sorted(p.name for p in root.iterdir()) == sorted(
-        ["kernels-recent", "something-else", Path(current).name]
-    )
+    current = cache.open_cache()
+    assert {path.name for path in root.iterdir()} == {"kernels-recent", "something-else", current.name}
 
 
 @pytest.fixture(scope="module")
@@ -498,6 +500,8 @@ def test_an_exception_of_a_part_reaches_the_caller() -> None:
 
 WITHOUT_BLAS = """
 import sys
+from rig.core import program
+program.begin()
 import numpy as np
 import rig.cli.devices, rig.cli.hit, sim_backend.link  # declare kernels, and compile none
 from rig.realtime.kernel import kernel
