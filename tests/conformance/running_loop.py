@@ -17,6 +17,7 @@ ROOT = Path(__file__).parents[2]
 # Arguments: info (JSON), what it does: "obey", or "deaf" to ignore the stop word. It takes parameters, and commits
 # them unless its info says "inside". It ends when standard input does.
 PROGRAM = """
+from rig.core import program; program.begin()
 import json, sys, threading, time
 import numpy as np
 from rig.realtime import ring as words

@@ -237,6 +237,7 @@ def test_it_stops_when_it_is_told_and_passes_on_what_has_happened() -> None:
 
 
 ANNOUNCED = """
+from rig.core import program; program.begin()
 import sys
 from rig import config
 from rig.config import presets

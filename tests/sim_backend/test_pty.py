@@ -39,6 +39,7 @@ from tests.conformance.tolerance import tolerated
 WAIT_S = 20.0
 SLACK_S = 5.0  # of a loaded machine
 PROGRAM = """
+from rig.core import program; program.begin()
 from sim_backend.pty import serve
 from tests.conformance.rigs import rotary_rig
 serve(rotary_rig(), announce=lambda path: print(path, flush=True), link_path={link_path!r}, firmware={firmware})

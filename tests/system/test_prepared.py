@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 PROGRAM = """
+from rig.core import program; program.begin()
 import sys
 from pathlib import Path
 from rig import config

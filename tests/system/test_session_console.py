@@ -85,6 +85,7 @@ text = "How tired?"
 # `rig session run` as a user starts it, in real time, where keys move the hand; the simulated device is asked for its
 # current when a run is over.
 PROGRAM = """
+from rig.core import program; program.begin()
 import sys
 from rig.bench.doctor import pace
 from rig.cli import run as rig

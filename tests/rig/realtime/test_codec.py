@@ -324,6 +324,7 @@ def test_an_answer_is_read_field_by_field(ack: Message) -> None:
 
 
 UNCOMPILED = """
+from rig.core import program; program.begin()
 import numpy as np, zlib
 from rig.realtime import codec
 from firmware_protocol.framing import encode_frame

@@ -222,6 +222,7 @@ def test_partial_writes_are_continued() -> None:
 
 
 PRODUCER = """
+    from rig.core import program; program.begin()
     import signal, sys, time
     import numpy as np
     from rig.core.errors import RecordingError
