@@ -31,8 +31,7 @@ from rig.session.console import words
 from rig.session.console.conversation import LATER, Conversation
 from rig.session.console.pointer import START_SHARE, WALL_SHARE
 from rig.session.console.seat import Seat, SeatHand
-from rig.session.keymap import STOP
-from rig.session.protocol import VERDICTS
+from rig.session.keymap import STOP, VERDICTS
 from rig.session.run import rehearsed, took_place
 
 JOB = "session"

@@ -38,9 +38,10 @@ from rig.session.desk import Action, Desk, Question, Reply, View
 from rig.session.directory import TRIALS, Session
 from rig.session.expected import likely_trials
 from rig.session.items import asked, parse_answer
+from rig.session.keymap import VERDICTS
 from rig.session.log import Event
 from rig.session.place import resume_command
-from rig.session.protocol import BLINDED, VERDICTS
+from rig.session.protocol import BLINDED
 from rig.session.reasons import told
 from rig.session.runner import Done, TrialRunner
 from rig.session.schedule import Block, Run

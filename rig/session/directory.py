@@ -23,10 +23,11 @@ from rig.core.errors import ConfigError, RecordingError
 from rig.recording.files import make_directories, plain_errors, sha256_of, sync_directory, whole_file
 from rig.session.clock import Clock, WallClock
 from rig.session.items import asked, parse_answer, wanted
+from rig.session.keymap import VERDICTS
 from rig.session.load import as_mapping, check_code
 from rig.session.log import Event, SessionLog, read, set_aside
 from rig.session.place import resume_command
-from rig.session.protocol import VERDICTS, Protocol
+from rig.session.protocol import Protocol
 from rig.session.state import AMENDABLE, State
 
 OF_TRIAL = {"void": True, "counts": False}  # what an amendment may change of a trial itself

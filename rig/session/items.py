@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from rig.session.protocol import Item
+if TYPE_CHECKING:
+    from rig.session.protocol import Item
 
 
 def asked(item: Item) -> dict[str, Any]:

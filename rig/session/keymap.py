@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rig.core.errors import ConfigError
-from rig.session.protocol import VERDICTS, Keys
 
+if TYPE_CHECKING:
+    from rig.session.protocol import Keys
+
+VERDICTS = ("stable", "buzz", "unstable", "unsure")
 STOP, HELP = "space", "?"
 RESERVED = {
     STOP: "it is STOP",

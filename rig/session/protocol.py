@@ -26,9 +26,6 @@ BLINDED = ("both", "operator")  # of `study.blind`: the operator sees no wall
 
 Band = tuple[float, ...]  # least and most; empty: anything
 
-Verdict = Literal["stable", "buzz", "unstable", "unsure"]
-VERDICTS: tuple[Verdict, ...] = ("stable", "buzz", "unstable", "unsure")
-
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Study:

@@ -15,7 +15,7 @@ from typing import Any, cast
 from rig.core.errors import StoppedError
 from rig.core.present import plain
 from rig.session.desk import Action, Desk, Question, Reply, View
-from rig.session.protocol import VERDICTS
+from rig.session.keymap import VERDICTS
 
 SILENCE_S = 2.0  # of who shows it while a hit runs; then the hit ends
 POLL_S = 0.1

@@ -14,8 +14,7 @@ from typing import Any, Literal, cast
 from rig.session.console.pointer import HandKind
 from rig.session.desk import Action, Question, View
 from rig.session.items import parse_answer, wanted
-from rig.session.keymap import HELP, STOP, KeyMap
-from rig.session.protocol import VERDICTS
+from rig.session.keymap import HELP, STOP, VERDICTS, KeyMap
 
 LATER: tuple[Action, ...] = ("pause", "note", "abort")  # what may be asked for while nobody asks
 TWICE: dict[Action, str] = {  # what a wrong key must not do
