@@ -5,7 +5,7 @@ from __future__ import annotations
 import atexit
 import gc
 
-SELDOM = 100_000  # new objects: less often than a command makes them, far less memory than numba takes
+SELDOM = 300_000  # new objects: more than a command makes before it ends, far less memory than numba takes
 
 
 def begin() -> None:
