@@ -14,6 +14,7 @@ from functools import partial
 from io import StringIO
 from pathlib import Path
 from typing import Any, TextIO
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -30,7 +31,7 @@ from rig.core.errors import (
     StalledError,
     UnpluggedError,
 )
-from rig.devices import open_link
+from rig.devices import open_link, usb_plain, usb_queue
 from rig.devices.usb import UsbLink, available_devices
 from rig.realtime.kernel import kernel, prepare
 from rig.realtime.plugs import TRANSFER, WAIT
@@ -218,6 +219,8 @@ def takes_only_a_part(cable: Cable) -> float:
     return _caught(cable, CutShortError, _write_long, "short")
 
 
+@patch.object(usb_queue, "OUT_LIMIT_S", 0.1)
+@patch.object(usb_plain, "OUT_LIMIT_S", 0.1)
 def takes_no_more_bytes(cable: Cable) -> float:
     return _caught(cable, BlockedError, _write_long, "silent")
 
