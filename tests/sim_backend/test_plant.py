@@ -227,7 +227,8 @@ def test_a_command_beyond_the_limit_acts_as_the_limit_before_the_lag(sign: float
     beyond = run(plant, 100, state=plant.at_rest(0.0), command=sign * 40.0)
     at_limit = run(plant, 100, state=plant.at_rest(0.0), command=sign * 1.3)
     assert beyond.tobytes() == at_limit.tobytes()
-    assert np.abs(beyond[:, plant.effort]).max() < 1.3  # the lag starts from the limit, not from the command
+    # The lag starts from the limit, not from the command: never beyond it, but for the rounding of 100 ticks.
+    assert np.abs(beyond[:, plant.effort]).max() <= 1.3 * (1.0 + 1e-12)
 
 
 @pytest.mark.parametrize("delay_ticks", [1, 2, 7])
