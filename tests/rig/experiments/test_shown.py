@@ -13,6 +13,7 @@ import pytest
 
 import rig
 from rig.control.estimators import kalman
+from rig.core import deferred
 from rig.core.errors import ConfigError, RecordingError, RigError
 from rig.core.shown import LINES, WIDTH
 from rig.experiments.ranges import frequency_plan
@@ -146,6 +147,7 @@ def test_a_library_that_is_not_there_is_named_with_what_installs_it(
     library: str, results: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, library, None)
+    monkeypatch.setattr(getattr(deferred, library), "_module", None)
     with pytest.raises(
         RigError, match=rf"{library} is not installed; install it: pip install 'haptic-rig\[data\]'"
     ):

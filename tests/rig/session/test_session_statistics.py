@@ -15,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import optimize, stats
 
+from rig.core.deferred import mixed_linear_model
 from rig.session.analysis import agreement, effects, kmax, mixed, psychometric
 from rig.session.analysis.rows import Limit, RunRow, TrialRow
 from rig.session.analysis.trials import half_way
@@ -757,6 +758,7 @@ def test_too_little_is_said_in_a_sentence(rows: Any, why: str) -> None:
 
 def test_without_statsmodels_it_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "statsmodels.regression.mixed_linear_model", None)
+    monkeypatch.setattr(mixed_linear_model, "_module", None)
     assert "pip install 'haptic-rig[report]'" in model_of(runs_of_people()).problem
 
 
