@@ -40,7 +40,7 @@ FLUSH_S = 0.25
 SYNC_NS = 500_000_000
 AT_RISK_S = 1.0  # of a run in real time, when the power goes: flushed and synced with the next block but two
 POLL_NS = 2_000_000
-POLL_VIRTUAL_NS = 200_000
+POLL_VIRTUAL_NS = 1_000_000
 PATIENCE = 1000  # attempts to write to a descriptor that accepts nothing
 
 if sys.platform == "win32":
