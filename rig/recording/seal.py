@@ -155,6 +155,6 @@ class _ReadBack:
 
 def _same_bits(found: NDArray[np.void], expected: NDArray[np.void]) -> bool:
     """Whether rows hold the expected ones: at once where nothing else is in them, else column by column."""
-    if found.dtype == expected.dtype and found.tobytes() == expected.tobytes():
+    if found.dtype == expected.dtype and np.array_equal(_bytes_of(found), _bytes_of(expected)):
         return True
     return all(found[name].tobytes() == expected[name].tobytes() for name in expected.dtype.names or ())
