@@ -6,7 +6,7 @@ simulation the same function runs a second time on the truth. All signals are cu
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -64,19 +64,22 @@ def recorded_signals(
     )
 
 
-def true_signals(rows: NDArray[np.void], tick_s: float, wall_position: float, wall_side: float) -> Signals:
+def true_signals(
+    rows: NDArray[np.void], recorded: Signals, wall_position: float, wall_side: float
+) -> Signals:
     """What really happened in a simulated trial: rows that carry `rig.core.sample.TRUTH_COLUMNS` too.
 
     A hand feels the handle, so velocity and position are those of the handle; the law lives where the encoder is, so
     penetration is that of the sensed side. On two masses the capstan lies between them.
     """
     trial = rows["phase"] == Phase.TRIAL
-    return Signals(
+    return replace(
+        recorded,
+        resolution=0.0,
         position=rows["handle_position_true"][trial],
         velocity=rows["handle_velocity_true"][trial],
         effort=rows["effort_true"][trial],
         penetration=wall_side * (rows["position_true"][trial] - wall_position),
-        **_shared(rows, trial, tick_s, 0.0),
     )
 
 

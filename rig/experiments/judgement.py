@@ -183,7 +183,7 @@ def judge(recording: Recording, experiment: Experiment) -> Judgement:
     )
     measured, true = judging.measured(signals, limits, thrown_out=thrown_out), None
     if recording.has_truth:
-        signals = judging.true_signals(recording.rows, tick_s, wall.position, wall.side)
+        signals = judging.true_signals(recording.rows, signals, wall.position, wall.side)
         true = judging.measured(signals, limits, thrown_out=thrown_out)
     overruling = early
     if early is None and experiment.trial.kind == "excitation":

@@ -61,9 +61,10 @@ def test_every_number_of_a_hit_without_bytes_is_that_of_the_recording(
 
     tick_s, resolution = 1.0 / placed.controller.position_rate, placed.rig.encoder.resolution
     measuring = meter(simulator.limits, tick_s, resolution)
+    recorded = recorded_signals(rows, tick_s, resolution)
     for signals, measured in (
-        (recorded_signals(rows, tick_s, resolution), without_bytes.recorded),
-        (true_signals(rows, tick_s, placed.wall.position, placed.wall.side), without_bytes.true),
+        (recorded, without_bytes.recorded),
+        (true_signals(rows, recorded, placed.wall.position, placed.wall.side), without_bytes.true),
     ):
         again = measuring.true if signals.velocity is not None else measuring.recorded
         arrays = [signals.position, signals.effort, signals.penetration]

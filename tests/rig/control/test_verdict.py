@@ -590,7 +590,7 @@ def test_the_truth_is_that_of_the_handle_and_its_penetration_that_of_the_side_th
     made["handle_position_true"] = [9, 0.4, 0.5, 0.6, 9]
     made["handle_velocity_true"] = [9, 1, 2, 3, 9]
     made["effort_true"] = [9, 7, 8, 9, 9]
-    s = true_signals(made, T, wall_position=0.65, wall_side=-1.0)
+    s = true_signals(made, recorded_signals(made, T, DELTA), wall_position=0.65, wall_side=-1.0)
     assert s.resolution == 0.0
     assert s.position.tolist() == [0.4, 0.5, 0.6]
     assert s.penetration == pytest.approx([0.15, 0.05, -0.05])
