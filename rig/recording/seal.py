@@ -107,7 +107,7 @@ def with_truth(recording: Recording, truth: NDArray[np.void]) -> Recording:
     before = schema["row_bytes"]
     moved = [{**column, "offset": column["offset"] + before} for column in added["columns"]]
     joined = {"row_bytes": before + added["row_bytes"], "columns": [*schema["columns"], *moved]}
-    rows = np.zeros(len(recording.rows), dtype_of(joined))
+    rows = np.empty(len(recording.rows), dtype_of(joined))
     _bytes_of(rows)[:, :before] = _bytes_of(recording.rows)
     wanted = recording.rows["sample_index"]
     order = np.argsort(truth["sample_index"], kind="stable")
@@ -116,8 +116,9 @@ def with_truth(recording: Recording, truth: NDArray[np.void]) -> Recording:
     known = place >= 0
     known[known] = have[place[known]] == wanted[known]
     for column in TRUTH_COLUMNS:
-        rows[column.name] = np.nan
-        rows[column.name][known] = truth[column.name][order[place[known]]]
+        values = np.full(len(rows), np.nan)
+        values[known] = truth[column.name][order[place[known]]]
+        rows[column.name] = values
     return replace(recording, header={**recording.header, "schema": joined}, rows=rows)
 
 
