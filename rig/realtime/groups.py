@@ -95,6 +95,7 @@ def _fits(member: Any, numbers: tuple[type, ...], array: tuple[Any, ...] | None)
     return not numbers or (isinstance(member, numbers) and type(member) is not bool)
 
 
+@cache
 def group_bytes(cls: type[tuple[Any, ...]]) -> int:
     """Bytes of memory that a group takes; see `group_at`."""
     context = cpu_target.target_context
