@@ -271,7 +271,7 @@ def _arm(
         host_paced=experiment.host.pacing == "host",
         stop_when_late=experiment.host.overrun == "stop",
         spin_ns=0 if virtual else round(min(experiment.host.spin_s, SPIN_SHARE * period_s) * 1e9),
-        wake_descriptor=signals.descriptor,
+        wake_descriptor=-1 if virtual else signals.descriptor,  # a system call a tick
         exchange_every_ns=exchange.EVERY_NS,
         limit_switch=_switch_rule(experiment, leaves=request.leaves_switch),
     )

@@ -2,7 +2,8 @@
 
 The interpreter runs signal handlers in the main thread when that gets the GIL, which a busy program may keep from it
 for seconds. But its handler in C writes the number of each signal to a descriptor at once (`signal.set_wakeup_fd`), and
-the compiled loop looks there in every tick. The handlers here do the same a second time, for a loop that has ended.
+in real time the compiled loop looks there in every tick. The handlers here do the same a second time, for a loop that
+has ended, or runs in virtual time.
 """
 
 from __future__ import annotations
