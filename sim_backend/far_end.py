@@ -50,7 +50,7 @@ from sim_backend.plant import PlantArguments
 STALE, CLOSED, ARRIVED, DISCARDED, TICKS, MOST = range(6)
 PROGRESS = 6
 
-LONGEST_RUN = 2000  # ticks after which a change that Python makes to the device meanwhile is seen
+LONGEST_RUN = 10_000  # ticks after which a change that Python makes to the device meanwhile is seen
 OUTPUT_BYTES = 1 << 16  # that a device says in one go at most
 _BROKEN = -errno.EIO
 _SERVE = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_size_t)

@@ -21,10 +21,10 @@ from rig.devices.device import DeviceUrl
 from rig.devices.fault_script import Faults
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import TRANSFER
+from sim_backend import far_end
 from sim_backend import link as links
 from sim_backend.compiled_device import CompiledDevice
 from sim_backend.device import SimulatedDevice
-from sim_backend.far_end import LONGEST_RUN
 from sim_backend.firmware import FirmwareDevice
 from sim_backend.link import BUFFER_BYTES, MemoryLink
 from sim_backend.lockstep import BYTES, CUTS, WORDS
@@ -171,8 +171,11 @@ def test_what_is_not_read_is_lost_and_counted() -> None:
 
 
 @KINDS
-def test_a_change_that_python_makes_is_seen_by_ticks_that_run(made: Callable[..., MemoryLink]) -> None:
+def test_a_change_that_python_makes_is_seen_by_ticks_that_run(
+    made: Callable[..., MemoryLink], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A thread with the device in its hand, without asking the link again."""
+    monkeypatch.setattr(far_end, "LONGEST_RUN", 200)
     wire = ThroughThePort(made())
     device = wire.link.device
     host = Host(wire)  # type: ignore[arg-type]
@@ -180,7 +183,7 @@ def test_a_change_that_python_makes_is_seen_by_ticks_that_run(made: Callable[...
     host.next_state()
     device.press_emergency_stop()
     device.hardware.external_effort = 0.1
-    for _ in range(LONGEST_RUN + 1):
+    for _ in range(201):
         list(host.events(TICK_S))
     assert host.states[1].fault == Fault.EMERGENCY_STOP
     before, after = wire.link.truth()["velocity_true"][[1, -1]]
