@@ -54,24 +54,26 @@ def type_of(cls: type[tuple[Any, ...]]) -> Any:
 
 @cache
 def _due(cls: type[tuple[Any, ...]]) -> tuple[tuple[tuple[type, ...], tuple[Any, ...] | None], ...]:
-    """For each field the numbers that it takes, and of an array dtype, dimensions, and whether it can be written."""
+    """For each field the classes that it takes, and of an array dtype, dimensions, and whether it can be written."""
     return tuple(
-        (_numbers(t), (as_dtype(t.dtype), t.ndim, t.mutable) if isinstance(t, types.Array) else None)
+        (_classes(t), (as_dtype(t.dtype), t.ndim, t.mutable) if isinstance(t, types.Array) else None)
         for t in type_of(cls).types
     )
 
 
-def _numbers(due: Any) -> tuple[type, ...]:
+def _classes(due: Any) -> tuple[type, ...]:
     if isinstance(due, types.FunctionType):
         return ()
+    if isinstance(due, types.BaseNamedTuple):
+        return (due.instance_class,)
     return (int, float, np.integer) if isinstance(due, types.Float) else (int, np.integer)
 
 
 def _fitting(value: tuple[Any, ...]) -> Any:
     """Type of an instance whose members fit their fields, else None."""
     cls = type(value)
-    for member, (numbers, array) in zip(value, _due(cls), strict=True):
-        if not _fits(member, numbers, array):
+    for member, (classes, array) in zip(value, _due(cls), strict=True):
+        if not _fits(member, classes, array):
             return None
     return type_of(cls)
 
@@ -84,7 +86,7 @@ def _typeof(value: tuple[Any, ...], context: Any) -> Any:
     return kind
 
 
-def _fits(member: Any, numbers: tuple[type, ...], array: tuple[Any, ...] | None) -> bool:
+def _fits(member: Any, classes: tuple[type, ...], array: tuple[Any, ...] | None) -> bool:
     """Whether a member fits its field: numba's own way to the type of a record takes as long as many ticks."""
     if array is not None:
         if type(member) is not np.ndarray or member.dtype != array[0] or member.ndim != array[1]:
@@ -92,7 +94,11 @@ def _fits(member: Any, numbers: tuple[type, ...], array: tuple[Any, ...] | None)
         flags = member.flags
         return flags.carray or (not array[2] and flags.c_contiguous and flags.aligned)
     # Of a function numba looks for the signature when it takes the group apart; a number's range is its to check.
-    return not numbers or (isinstance(member, numbers) and type(member) is not bool)
+    if not classes:
+        return True
+    if isinstance(member, tuple):
+        return type(member) is classes[0] and _fitting(member) is not None
+    return isinstance(member, classes) and type(member) is not bool
 
 
 @cache

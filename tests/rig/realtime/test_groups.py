@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numba
 import numpy as np
@@ -49,6 +49,14 @@ class Plugged(NamedTuple):
     law: LawPlug
     state: Floats
     address: Address
+
+
+@group
+class Both(NamedTuple):
+    """With groups in it."""
+
+    wanted: Annotated[Wanted, type_of(Wanted)]
+    measured: Annotated[Measured, type_of(Measured)]
 
 
 @kernel(types.float64(type_of(Wanted), type_of(Measured)), cache=False)
@@ -125,6 +133,12 @@ def test_two_arguments_of_the_loop_in_each_others_place_are_refused() -> None:
 def test_a_member_of_another_type_is_refused(members: Any) -> None:
     with pytest.raises(TypeError, match="No matching definition"):
         error(wanted(**members), measured())
+
+
+def test_a_group_in_a_group_is_of_its_type_where_all_of_its_members_are() -> None:
+    assert numba.typeof(Both(wanted=wanted(), measured=measured())) is type_of(Both)
+    for wrong in (measured(), tuple(wanted()), wanted(values=np.zeros(2, np.float32))):
+        assert numba.typeof(Both(wanted=wrong, measured=measured())) != type_of(Both)
 
 
 def test_a_plug_that_does_not_fit_and_an_address_below_zero_are_refused() -> None:
