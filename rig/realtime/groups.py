@@ -31,6 +31,8 @@ Int = Annotated[int, types.int64]
 Float = Annotated[float, types.float64]
 Address = Annotated[int, types.uintp]
 
+_GROUPS: set[type] = set()
+
 
 def group(cls: type[T]) -> type[T]:
     """Let kernels take a `NamedTuple`, and let it be made by keyword alone."""
@@ -40,7 +42,7 @@ def group(cls: type[T]) -> type[T]:
         return make(cls, **members)
 
     cls.__new__ = by_keyword  # type: ignore[assignment]
-    cls.fitting = _fitting  # type: ignore[attr-defined]
+    _GROUPS.add(cls)
     typeof_impl.register(cls)(_typeof)
     return cls
 
@@ -69,8 +71,12 @@ def _classes(due: Any) -> tuple[type, ...]:
     return (int, float, np.integer) if isinstance(due, types.Float) else (int, np.integer)
 
 
+def kind_of(value: Any) -> Any:
+    """Numba type of a group whose members fit their fields; None for whatever else."""
+    return _fitting(value) if type(value) in _GROUPS else None
+
+
 def _fitting(value: tuple[Any, ...]) -> Any:
-    """Type of an instance whose members fit their fields, else None."""
     cls = type(value)
     for member, (classes, array) in zip(value, _due(cls), strict=True):
         if not _fits(member, classes, array):

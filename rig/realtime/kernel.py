@@ -17,6 +17,7 @@ from numba.extending import register_jitable
 
 from rig.realtime import compiling
 from rig.realtime.cache import open_cache
+from rig.realtime.groups import kind_of
 from rig.realtime.handlers import interrupts_later
 from rig.realtime.parts import Compiler, KernelCache
 
@@ -106,8 +107,7 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
 
     def typeof_pyval(self, val: Any) -> Any:
         """Type of an argument: that of a group lives on, and needs no set that holds it, by its hash, during a call."""
-        fitting = getattr(type(val), "fitting", None)  # rig.realtime.groups
-        kind = None if fitting is None else fitting(val)
+        kind = kind_of(val)
         return super().typeof_pyval(val) if kind is None else kind
 
     def get_call_template(self, args: Any, kws: Any) -> Any:

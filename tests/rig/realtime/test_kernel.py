@@ -25,7 +25,7 @@ import pytest
 from numba import types
 
 from rig.core import locks, program
-from rig.realtime import cache, compiling, handlers, parts, user_cache
+from rig.realtime import cache, compiling, groups, handlers, parts, user_cache
 from rig.realtime import kernel as module
 from rig.realtime import source_files as sources
 from rig.realtime.cache import cache_key, writable_by_others
@@ -108,7 +108,7 @@ def project_in(place: Path) -> Project:
     (root / "rig" / "core").mkdir()
     for package in ("rig", "rig/realtime", "rig/core"):
         (root / package / "__init__.py").touch()
-    for copied in (module, cache, sources, compiling, handlers, parts, user_cache, locks, program):
+    for copied in (module, cache, sources, compiling, groups, handlers, parts, user_cache, locks, program):
         shutil.copy(copied.__file__, root.joinpath(*copied.__name__.split(".")[:-1]))
     (root / "rig" / "helper.py").write_text(HELPER)
     (root / "rig" / "law.py").write_text(LAW)
