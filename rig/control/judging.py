@@ -7,7 +7,6 @@ simulation the same function runs a second time on the truth. All signals are cu
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,12 +54,28 @@ def recorded_signals(
     That is what the law gave, but for a wall that a drive rendered itself: what the drive told, ``effort_applied``.
     """
     trial = rows["phase"] == Phase.TRIAL
+    (places,) = np.nonzero(trial)
+    lost_before = np.maximum(rows["elapsed_ticks"].astype(np.int64) - 1, 0)
+    lost, flags = lost_before[trial], rows["flags"][trial]
+    if len(places) and places[-1] + 1 < len(rows):
+        lost[-1] += lost_before[places[-1] + 1]
+
+    def flagged(flag: RowFlag) -> Bools:
+        return np.asarray((flags & int(flag)) != 0)
+
     return Signals(
+        tick_s=tick_s,
+        resolution=abs(resolution),
         position=rows["position"][trial],
         velocity=None,
         effort=rows[effort][trial],
         penetration=rows["penetration"][trial],
-        **_shared(rows, trial, tick_s, abs(resolution)),
+        saturated=flagged(RowFlag.SATURATED),
+        late=flagged(RowFlag.LATE),
+        lost=lost,
+        slew_bound=flagged(RowFlag.SLEW_BOUND),
+        currents=flags & _CURRENTS,
+        overruled=((rows["limits"] & _OVERRULES != 0) | (rows["command_age"] == NO_COMMAND_YET))[trial],
     )
 
 
@@ -70,7 +85,8 @@ def true_signals(
     """What really happened in a simulated trial: rows that carry `rig.core.sample.TRUTH_COLUMNS` too.
 
     A hand feels the handle, so velocity and position are those of the handle; the law lives where the encoder is, so
-    penetration is that of the sensed side. On two masses the capstan lies between them.
+    penetration is that of the sensed side. On two masses the capstan lies between them. What was flagged, lost or
+    overruled is that of the `recorded` signals of the same rows.
     """
     trial = rows["phase"] == Phase.TRIAL
     return replace(
@@ -81,28 +97,6 @@ def true_signals(
         effort=rows["effort_true"][trial],
         penetration=wall_side * (rows["position_true"][trial] - wall_position),
     )
-
-
-def _shared(rows: NDArray[np.void], trial: Bools, tick_s: float, resolution: float) -> dict[str, Any]:
-    (places,) = np.nonzero(trial)
-    lost_before = np.maximum(rows["elapsed_ticks"].astype(np.int64) - 1, 0)
-    lost, flags = lost_before[trial], rows["flags"][trial]
-    if len(places) and places[-1] + 1 < len(rows):
-        lost[-1] += lost_before[places[-1] + 1]
-
-    def flagged(flag: RowFlag) -> Bools:
-        return np.asarray((flags & int(flag)) != 0)
-
-    return {
-        "tick_s": tick_s,
-        "resolution": resolution,
-        "saturated": flagged(RowFlag.SATURATED),
-        "late": flagged(RowFlag.LATE),
-        "lost": lost,
-        "slew_bound": flagged(RowFlag.SLEW_BOUND),
-        "currents": flags & _CURRENTS,
-        "overruled": ((rows["limits"] & _OVERRULES != 0) | (rows["command_age"] == NO_COMMAND_YET))[trial],
-    }
 
 
 def judge(signals: Signals, thresholds: Thresholds) -> Verdict:

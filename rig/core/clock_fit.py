@@ -259,7 +259,7 @@ def _possible(e: NDArray[np.void]) -> _Mask:
 
 def _not_slow(points: _Points, keep: _Mask) -> _Mask:
     excess = points.excess(keep)
-    return np.asarray(keep & (excess <= SLOW * max(_median(excess[keep]), STAMP_NS)), bool)
+    return np.asarray(keep & (excess <= SLOW * max(float(np.median(excess[keep])), STAMP_NS)), bool)
 
 
 def _sigma(points: _Points, keep: _Mask) -> _Floats:
@@ -280,7 +280,7 @@ def _median_line(points: _Points, keep: _Mask) -> tuple[float, float]:
     time = points.host_time[chosen]
     span = np.ptp(time)
     if span == 0.0:
-        return _median(points.offset[chosen]), 0.0
+        return float(np.median(points.offset[chosen])), 0.0
     stretch = np.minimum(((time - time.min()) * (STRETCHES / span)).astype(np.int64), STRETCHES - 1)
     order = np.lexsort((points.trip[chosen], stretch))
     first = np.diff(stretch[order], prepend=-1) > 0
@@ -288,14 +288,14 @@ def _median_line(points: _Points, keep: _Mask) -> tuple[float, float]:
     time, offset = points.host_time[fastest], points.offset[fastest]
     rise, run = offset[:, None] - offset, time[:, None] - time
     far = run > 0.25 * span  # near neighbours have every slope; of both orders of a pair the one
-    slope = _median(rise[far] / run[far]) if far.any() else 0.0
-    return _median(offset - slope * time), slope
+    slope = float(np.median(rise[far] / run[far])) if far.any() else 0.0
+    return float(np.median(offset - slope * time)), slope
 
 
 def _near_line(points: _Points, keep: _Mask, height: float, slope: float) -> _Mask:
     """Within `OFF_LINE` times what the excess allows of a line, whose residuals' median says how good it is."""
     pull = np.abs(points.offset - height - slope * points.host_time) / _sigma(points, keep)
-    scale = max(1.0, 1.4826 * _median(pull[keep]))
+    scale = max(1.0, 1.4826 * float(np.median(pull[keep])))
     near = keep & (pull <= OFF_LINE * scale)
     return near if near.any() else keep
 
@@ -353,12 +353,6 @@ def _result(points: _Points, keep: _Mask, line: _Line, total: int) -> ClockFit:
         used=int(np.count_nonzero(keep)),
         rejected=total - int(np.count_nonzero(keep)),
     )
-
-
-def _median(values: _Floats) -> float:
-    """As numpy's, of finite numbers, a few of which it asks more about than it takes to sort them."""
-    ordered, number = np.sort(values), len(values)
-    return 0.5 * float(ordered[(number - 1) // 2] + ordered[number // 2])
 
 
 def _rounded(times: _Ints, factor: float) -> _Ints:

@@ -99,9 +99,7 @@ class Case:
         chosen = slice(None, None, max(1, len(self.judged_time_s) // DELAY_SAMPLES))
         delays = np.arange(EARLIEST_S, LATEST_S + DELAY_STEP_S, DELAY_STEP_S)
         time_s = self.judged_time_s[chosen]
-        truths = np.array(
-            [self.truth(time_s - delay_s) for delay_s in delays]
-        )  # at once: ten times the memory
+        truths = np.array([self.truth(time_s - each) for each in delays])  # at once: ten times the memory
         return chosen, delays, truths, np.sum(np.square(truths), axis=1)
 
 

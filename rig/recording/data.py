@@ -149,7 +149,7 @@ class Recording(Shown, Drawn):
 
     def to_numpy(self) -> dict[str, NDArray[Any]]:
         """Return all columns, each as a contiguous array of its own."""
-        return {name: np.ascontiguousarray(self.rows[name]) for name in self.names}
+        return {name: self.column(name) for name in self.names}
 
     def to_pandas(self) -> Any:
         """Return a DataFrame whose `attrs` hold ``units``, ``descriptions`` and ``header``.

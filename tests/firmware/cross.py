@@ -23,12 +23,7 @@ from tests.firmware.build import FIRMWARE
 from tests.firmware.kept import content, kept
 
 RIG = "koul-rigid"
-PYTHON = (
-    "firmware_protocol",
-    "rig.bench.firmware",
-    "rig.config",
-    "rig.core",
-)  # what an image is configured by
+PYTHON = ("firmware_protocol", "rig.bench.firmware", "rig.config", "rig.core")  # what configures an image
 
 
 def need_compiler() -> None:
