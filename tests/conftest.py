@@ -1,7 +1,8 @@
 """Settings of all tests, and what holds for every run of them.
 
-Hypothesis has no deadlines (the first call of a kernel may compile) and is repeatable in CI. Ctrl-C is heard, also
-from a shell that ignores it (`nohup … &`), here and in whatever the tests start. Nothing that they start is left.
+Property tests draw the same inputs in every run, on every machine and in every worker; `python -m tests.explore` draws
+new ones. Ctrl-C interrupts a run, also one that a shell started with Ctrl-C ignored (`nohup … &`), and whatever the
+tests start. A process that a test leaves behind fails the run.
 """
 
 import functools
@@ -15,7 +16,9 @@ from contextlib import suppress
 from multiprocessing import forkserver, resource_tracker
 
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
+from hypothesis.internal.conjecture import providers
+from hypothesis.internal.constants_ast import Constants
 
 from rig.core import program
 from tests.conformance import tolerance
@@ -28,9 +31,19 @@ program.begin()
 
 collect_ignore = ["lab_package"]  # a package of its own, whose tests run where it is installed
 
-settings.register_profile("default", deadline=None)
-settings.register_profile("ci", deadline=None, derandomize=True)
-settings.load_profile("ci" if os.environ.get("CI") else "default")
+# No deadline and no check of speed: the first call of a kernel may compile, and another machine is slower.
+EVERYWHERE = {
+    "deadline": None,
+    "database": None,
+    "print_blob": True,
+    "suppress_health_check": [HealthCheck.too_slow],
+}
+settings.register_profile("repeatable", derandomize=True, **EVERYWHERE)
+settings.register_profile("explore", derandomize=False, **EVERYWHERE)
+settings.load_profile("repeatable")
+# Hypothesis also draws constants that it finds in the local modules that are loaded, and each worker has loaded others.
+# `derandomize` does not cover them (6.170), and no setting switches them off.
+providers.HypothesisProvider._local_constants = Constants()
 
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
