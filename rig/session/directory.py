@@ -9,7 +9,6 @@ trials/abandoned/         recordings of trials that nobody logged, because the p
 from __future__ import annotations
 
 import os
-import re
 import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -26,6 +25,7 @@ from rig.session.items import asked, parse_answer, wanted
 from rig.session.keymap import VERDICTS
 from rig.session.load import as_mapping, check_code
 from rig.session.log import Event, SessionLog, read, set_aside
+from rig.session.names import directory_name
 from rig.session.place import resume_command
 from rig.session.protocol import Protocol
 from rig.session.state import AMENDABLE, State
@@ -74,8 +74,9 @@ class Session:
 
 def study_directory(protocol: Protocol, study: Path | None, *, rehearsal: bool = False) -> Path:
     """Where the participants of a protocol are kept, or those who were simulated."""
-    slug = re.sub(r"[^a-z0-9]+", "-", protocol.study.title.lower()).strip("-") or "study"
-    return (REHEARSALS if rehearsal else SESSIONS) / slug if study is None else study
+    if study is not None:
+        return study
+    return (REHEARSALS if rehearsal else SESSIONS) / directory_name(protocol.study.title)
 
 
 def begin(

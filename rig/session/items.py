@@ -6,6 +6,8 @@ import re
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+from rig.session.names import normalise
+
 if TYPE_CHECKING:
     from rig.session.protocol import Item
 
@@ -28,8 +30,10 @@ def parse_answer(item: Mapping[str, Any], text: str) -> str | int | None:
     A choice may be given by its number, from 1, or by its words, which win. What comes out may be parsed again.
     """
     text, kind = text.strip(), item["kind"]
-    if kind == "text" or (kind == "choice" and text in item["choices"]):
+    if kind == "text":
         return text
+    if kind == "choice" and normalise(text) in item["choices"]:
+        return normalise(text)
     if re.fullmatch(r"-?[0-9]{1,9}", text) is None:
         return None
     number = int(text)

@@ -14,6 +14,7 @@ from rig.config.table import schema_of
 from rig.core.errors import ConfigError
 from rig.core.sample import Motion
 from rig.session.conditions import ReachFor, Walls, base_experiment, broken_conditions
+from rig.session.names import normalise
 from rig.session.protocol import Protocol
 from rig.session.rules import broken_rules, looks_like_a_name, settings_schema, spells_a_name
 
@@ -22,6 +23,12 @@ PROTOCOL = Kind(
 )
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 LONGEST_CODE = 32  # it names a directory
+_NAMES = {  # what is compared as a name, by section
+    "study": ("title",),
+    "condition": ("name", "fit"),
+    "practice": ("condition",),
+    "question": ("name", "choices"),
+}
 
 
 def load_protocol(path: str | Path) -> Protocol:
@@ -145,7 +152,7 @@ def _type_settings(search: dict[str, Any]) -> None:
 
 def _checked(table: dict[str, Any], motion: Motion | None) -> tuple[Protocol | None, list[Problem]]:
     """Types and ranges of every key; rules between keys when those are right."""
-    table = _flat_changes(table)
+    table = _with_names(_flat_changes(table))
     try:
         checked = typed(PROTOCOL, table, motion)
         protocol, problems = checked
@@ -180,3 +187,21 @@ def _flat_changes(table: dict[str, Any]) -> dict[str, Any]:
         )
         if value is not None
     }
+
+
+def _with_names(table: dict[str, Any]) -> dict[str, Any]:
+    """The names in one spelling; what has the wrong type is left for the check of types."""
+
+    def spelt(value: Any) -> Any:
+        if isinstance(value, list):
+            return [spelt(one) for one in value]
+        return normalise(value) if isinstance(value, str) else value
+
+    def section(value: Any, keys: tuple[str, ...]) -> Any:
+        if isinstance(value, list):
+            return [section(one, keys) for one in value]
+        if not isinstance(value, dict):
+            return value
+        return {key: spelt(one) if key in keys else one for key, one in value.items()}
+
+    return {name: section(value, _NAMES.get(name, ())) for name, value in table.items()}

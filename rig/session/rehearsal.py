@@ -21,6 +21,7 @@ from rig.core.errors import ConfigError
 from rig.session.clock import WallClock
 from rig.session.desk import Desk, Question, Reply, View
 from rig.session.directory import Session
+from rig.session.names import normalise
 from rig.session.protocol import Protocol
 from rig.session.search.observer import Observer
 from rig.session.state import State
@@ -81,6 +82,7 @@ def thresholds_of(given: Iterable[str]) -> dict[str, float]:
     found: dict[str, float] = {}
     for text in given:
         name, equals, value = text.rpartition("=")
+        name = normalise(name)
         try:
             found[name] = float(value)
         except ValueError:

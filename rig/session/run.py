@@ -35,6 +35,7 @@ from rig.session.fitting import refuse_misfit
 from rig.session.load import load_walls
 from rig.session.log import Event, read
 from rig.session.lsl.session import LslMarks
+from rig.session.names import normalise
 from rig.session.pace import refuse_lossy
 from rig.session.place import (
     Place,
@@ -169,6 +170,7 @@ def run_session(
     RigError
         As `rig.session.conduct.conduct`.
     """
+    code = normalise(code)
     walls = load_walls(protocol_file, _reach_for(runner))
     protocol, experiment = walls.protocol, walls.base
     with plain_errors("read", protocol_file):

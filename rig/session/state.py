@@ -38,6 +38,7 @@ import numpy as np
 from rig.core.errors import RecordingError
 from rig.session.load import protocol_from_mapping
 from rig.session.log import Event
+from rig.session.names import normalise
 from rig.session.protocol import Item, Protocol, Search
 from rig.session.reasons import told
 from rig.session.schedule import Block, Run, asking_of, rule_of, schedule
@@ -195,7 +196,7 @@ class State:
         state = cls(
             protocol=protocol,
             experiment=began["experiment"],
-            code=began["code"],
+            code=normalise(began["code"]),
             row=began["row"],
             seed=began["seed"],
             rehearsal=began["rehearsal"],

@@ -14,6 +14,7 @@ from typing import Annotated, Any
 from rig.control.verdict import Kind
 from rig.core.present import plain
 from rig.core.quantity import Quantity
+from rig.session.names import normalise
 from rig.session.search import Probe
 
 REDONE, RESTARTED, LEFT_OUT = "redone", "restarted", "left out"
@@ -129,5 +130,6 @@ def event_of(presented: Presented, hit: Hit) -> dict[str, Any]:
 def trial_of(content: Mapping[str, Any]) -> Trial:
     """The trial of an event; `void` is true in one that was left out afterwards."""
     given = {one.name: content[one.name] for one in (*fields(Presented), *fields(Hit))}
+    given["condition"] = normalise(given["condition"])  # of a log before protocols were
     given["reasons"], given["outside"] = tuple(given["reasons"]), tuple(given["outside"])
     return Trial(**given, void=LEFT_OUT if content.get("void") else "")

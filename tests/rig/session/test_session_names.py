@@ -1,0 +1,119 @@
+"""Names are made one spelling where they enter, so they are equal everywhere or nowhere; each title has a directory."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from unicodedata import normalize
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rig.core.errors import ConfigError
+from rig.session.directory import study_directory
+from rig.session.items import asked, parse_answer
+from rig.session.load import as_mapping, protocol_from_mapping
+from rig.session.protocol import Item, Protocol
+from rig.session.rehearsal import Person, thresholds_of
+from rig.session.run import rehearsal_desk, run_session
+from rig.session.trial import trial_of
+from tests.conformance.studies import Person as SimulatedPerson
+from tests.conformance.studies import protocol as study_mapping
+from tests.conformance.studies import sitting
+from tests.rig.session.session_fakes import FakeRunner, protocol_of, study
+from tests.system.session_study import PROTOCOL
+
+NBSP, NFD = "\u00a0", "Gro\u0308ße"
+
+
+def directory_of(title: str) -> str:
+    return study_directory(protocol_of(study=study(title=title)), None).name
+
+
+def named(*conditions: str, practice: str | None = None) -> Protocol:
+    table = {"condition": [{"name": name, "scheme": "dual:20k/2k"} for name in conditions]}
+    return protocol_of(**table, **({} if practice is None else {"practice": {"condition": practice}}))
+
+
+@pytest.mark.parametrize(
+    ("title", "name"),
+    [
+        ("Two schemes", "two-schemes"),
+        ("Z-width: 1_kHz (pilot)", "z-width-1-khz-pilot"),
+        ("!!!", "study"),
+        ("Größe (A)", "größe-a"),
+        ("Grüße A", "grüße-a"),
+        ("研究一", "研究一"),
+        ("हिन्दी", "हिन्दी"),
+    ],
+)
+def test_a_title_of_any_script_names_its_directory(title: str, name: str) -> None:
+    assert directory_of(title) == name
+    assert directory_of(normalize("NFD", title)) == name
+
+
+@pytest.mark.parametrize(
+    ("one", "other"), [("研究一", "研究二"), ("🙂", "🙃"), ("K ≤ 5", "K ≥ 5"), ("½", "?")]
+)
+def test_titles_that_differ_beyond_ascii_have_directories_of_their_own(one: str, other: str) -> None:
+    assert directory_of(one) != directory_of(other)
+
+
+@given(st.text(min_size=1, max_size=400).filter(str.strip))
+def test_any_title_names_one_directory_that_a_file_system_takes(title: str) -> None:
+    name = directory_of(title)
+    assert len(name.encode()) <= 255
+    assert name not in ("", ".", "..")
+    assert "/" not in name
+    assert name.isprintable()
+    assert directory_of(f"  {title} ") == name
+
+
+def test_names_are_made_one_spelling_where_they_enter() -> None:
+    protocol = named(f" dual{NBSP} hidden\t", NFD, practice="dual\u3000hidden ")
+    assert [one.name for one in protocol.condition] == ["dual hidden", "Größe"]
+    assert protocol.practice.condition == "dual hidden"
+    assert protocol_from_mapping(as_mapping(protocol), "again") == protocol
+    assert thresholds_of([f" {NFD} =430"]) == {"Größe": 430.0}
+
+
+@pytest.mark.parametrize("twin", ["dual hidden ", f"dual{NBSP}hidden", "dual  hidden"])
+def test_conditions_that_differ_by_a_blank_are_one_name_twice(twin: str) -> None:
+    with pytest.raises(ConfigError, match="is there more than once"):
+        named("dual hidden", twin)
+    with pytest.raises(ConfigError, match="is there more than once"):
+        named("Größe", NFD)
+
+
+def test_a_question_its_choices_and_what_is_fitted_are_names_too() -> None:
+    question = [{"name": " hand ", "text": "Which?", "kind": "choice", "choices": [f"left{NBSP}one", NFD]}]
+    protocol = protocol_of(question=question)
+    (item,) = protocol.question
+    assert (item.name, item.choices) == ("hand", ("left one", "Größe"))
+    assert parse_answer(asked(item), "left  one") == "left one"
+    assert parse_answer(asked(item), NFD) == "Größe"
+    assert parse_answer(asked(Item(name="x", text="?", kind="text")), f" as{NBSP}typed ") == f"as{NBSP}typed"
+    fits = [
+        {"name": name, "scheme": "dual:20k/2k", "fit": fit}
+        for name, fit in (("a", "damper"), ("b", "damper "))
+    ]
+    assert len({one.fit for one in protocol_of(condition=fits, order={"blocks": "condition"}).condition}) == 1
+
+
+def test_a_log_from_before_reads_as_if_its_names_had_been_normalised(tmp_path: Path) -> None:
+    mapping = study_mapping()
+    person = SimulatedPerson(threshold=lambda condition, damping: 430.0)
+    with sitting(tmp_path / "P01", mapping, person) as one:
+        one.run(trials=1)
+        content = {**one.log.events[-2].content, "condition": f"dual{NBSP}"}
+    assert trial_of(content).condition == "dual"
+
+
+def test_a_code_is_a_name_as_well(tmp_path: Path) -> None:
+    path = tmp_path / "study.toml"
+    path.write_text(PROTOCOL.replace("seed = 11", 'seed = 11\ncode = "Ä[0-9]{2}"', 1), encoding="utf-8")
+    desk = rehearsal_desk(Person(thresholds={}))
+    result = run_session(
+        path, " A\u030801\n", desk, runner=FakeRunner(), study=tmp_path, person=Person(thresholds={})
+    )
+    assert (result.code, result.directory) == ("Ä01", tmp_path / "Ä01")
