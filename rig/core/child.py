@@ -1,8 +1,9 @@
-"""What a process of this package's own finds around it."""
+"""Where processes are found, and the environment of a process of this package's own."""
 
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Container
 from pathlib import Path
 
@@ -18,3 +19,20 @@ def with_this_package(without: Container[str] = ()) -> dict[str, str]:
     found = {name: value for name, value in os.environ.items() if name not in without}
     paths = (str(Path(__file__).parents[2]), found.get("PYTHONPATH", ""))
     return {**found, "PYTHONPATH": os.pathsep.join(path for path in paths if path)}
+
+
+def installed_path() -> str:
+    """Return ``PATH`` without relative entries: no file of the current directory becomes a program by its name."""
+    places = os.environ.get("PATH", os.defpath).split(os.pathsep)
+    return os.pathsep.join(place for place in places if os.path.isabs(place))
+
+
+def find_program(name: str) -> str | None:
+    """Return the path of a program in `installed_path`, None if it is missing; a path is taken as it is.
+
+    Start it with that ``PATH`` too: a compiler finds its linker there.
+    """
+    if os.path.dirname(name):
+        return shutil.which(name)
+    found = shutil.which(name, path=installed_path())
+    return found if found is not None and os.path.isabs(found) else None  # Windows looks here first

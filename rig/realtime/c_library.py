@@ -10,7 +10,6 @@ import ctypes
 import hashlib
 import os
 import shlex
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -20,6 +19,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from rig.core.child import find_program, installed_path
 from rig.core.errors import ConfigError
 
 # Without contraction, as golden vectors have it; what is missing is an error here, not when it is opened.
@@ -73,7 +73,7 @@ class CLibrary:
         """Command of the C compiler: ``$CC``, the first of `COMPILERS`, or `ZIG`; `ConfigError` without one."""
         named = shlex.split(os.environ.get("CC", ""))
         for command in (named, *([name] for name in COMPILERS)):
-            found = shutil.which(command[0]) if command else None
+            found = find_program(command[0]) if command else None
             if found is not None:
                 return [found, *command[1:]]
         if find_spec(ZIG) is not None:
@@ -119,7 +119,14 @@ class CLibrary:
     def _compile(self, command: list[str]) -> None:
         remedy = "name another compiler in CC" + (f", or {self.instead}" if self.instead else "")
         try:
-            done = subprocess.run(command, capture_output=True, text=True, timeout=COMPILE_S, check=False)
+            done = subprocess.run(
+                command,
+                env={**os.environ, "PATH": installed_path()},
+                capture_output=True,
+                text=True,
+                timeout=COMPILE_S,
+                check=False,
+            )
         except (OSError, subprocess.TimeoutExpired) as error:
             raise ConfigError(f"the C compiler {command[0]} does not run: {error}", remedy=remedy) from error
         if done.returncode != 0:

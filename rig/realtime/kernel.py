@@ -25,7 +25,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 CACHE_DIRECTORY = open_cache()
-numba.config.CACHE_DIR = str(CACHE_DIRECTORY)
+KernelCache.directory = CACHE_DIRECTORY
 
 
 class _Compilations(event.Listener):  # type: ignore[misc]

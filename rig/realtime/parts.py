@@ -17,7 +17,6 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-import numba
 from llvmlite import binding
 from numba.core import caching, codegen, compiler, dispatcher, sigutils
 from numba.core.compiler_lock import require_global_compiler_lock
@@ -165,18 +164,23 @@ class Compiler(dispatcher._FunctionCompiler):  # type: ignore[misc,name-defined]
 
 
 _usual: Any = caching.FunctionCache._impl_class
-_named: Any = _usual._locator_classes[0]  # in the directory that numba.config.CACHE_DIR names
+_named: Any = _usual._locator_classes[0]  # in a directory that is configured
 
 
 class _ByModule(_named):  # type: ignore[misc]
     """The place of a kernel's machine code in the cache: by its module, wherever that is installed.
 
-    The cache's directory has a hash of all sources, so a wheel and a clone of the same ones share it.
+    The cache's directory has a hash of all sources, so a wheel and a clone of the same ones share it. numba's own
+    setting CACHE_DIR is not used: a .numba_config.yaml in the current directory can change it, and a cache is code.
     """
 
     def __init__(self, py_func: Any, py_file: str) -> None:
         super().__init__(py_func, py_file)
-        self._cache_path = str(Path(numba.config.CACHE_DIR, py_func.__module__))
+        self._cache_path = str(KernelCache.directory / py_func.__module__)
+
+    @classmethod
+    def from_function(cls, py_func: Any, py_file: str) -> Any:
+        return super(_named, cls).from_function(py_func, py_file)  # whatever CACHE_DIR is
 
 
 class _Implementation(_usual):  # type: ignore[misc]
@@ -184,8 +188,15 @@ class _Implementation(_usual):  # type: ignore[misc]
 
 
 class KernelCache(caching.FunctionCache):  # type: ignore[misc]
-    """numba's disk cache of one kernel, in that place."""
+    """numba's disk cache of one kernel, in that place.
 
+    Attributes
+    ----------
+    directory
+        Of all kernels (`rig.realtime.cache`).
+    """
+
+    directory: Path
     _impl_class = _Implementation
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:

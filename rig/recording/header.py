@@ -15,10 +15,12 @@ from datetime import UTC, datetime
 from functools import cache, lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
+from rig.core.child import find_program, installed_path
 from rig.core.errors import RecordingError
 from rig.core.sample import COLUMNS, Column, Motion, unit_of
 from rig.recording.canonical import lossless
@@ -173,30 +175,62 @@ def host_facts() -> dict[str, Any]:
 
 
 def git_revision(directory: Path) -> dict[str, Any] | None:
-    """Revision of a git checkout and whether its files were edited since; None elsewhere, never an error.
+    """Return the revision of a git checkout and whether its tracked files were edited; None elsewhere, never an error.
 
-    Looked at anew each second: git takes longer than many a simulated hit.
+    `dirty` is None where git cannot compare. Files that a filter would convert count as edited once they were touched.
+    Read anew each second: git takes longer than many a simulated hit.
     """
     return _described(directory, int(time.monotonic()))
 
 
 @lru_cache(maxsize=8)
 def _described(directory: Path, second: int) -> dict[str, Any] | None:
-    command = ["git", "-C", str(directory), "describe", "--always", "--abbrev=40", "--exclude=*", "--dirty"]
+    """Ask git without running what the checkout's configuration, hooks and attributes name.
+
+    Reading HEAD and paths runs nothing. Comparing would run core.fsmonitor and filters, so it gets an empty git
+    directory of its own, without a configuration or hooks, that borrows only the checkout's index and objects.
+    """
     try:
-        done = subprocess.run(
-            command,
-            capture_output=True,
-            check=True,
-            timeout=2.0,
-            text=True,
-            stdin=subprocess.DEVNULL,
-            env={**os.environ, "GIT_OPTIONAL_LOCKS": "0"},
+        answer = _git(
+            directory, "rev-parse", "HEAD", "--show-toplevel", "--git-path", "index", "--git-path", "objects"
         )
+        revision, top, index, objects = answer.removesuffix("\n").split("\n")
+        with TemporaryDirectory(prefix="rig-git-") as empty:
+            for name in ("objects", "refs"):
+                Path(empty, name).mkdir()
+            Path(empty, "HEAD").write_text(revision)
+            own = {
+                "GIT_DIR": empty,
+                "GIT_WORK_TREE": top,
+                "GIT_INDEX_FILE": str(directory / index),
+                "GIT_OBJECT_DIRECTORY": str(directory / objects),
+                "GIT_CONFIG_NOSYSTEM": "1",
+                "HOME": empty,
+                "XDG_CONFIG_HOME": empty,
+            }
+            asked = ("status", "--porcelain", "--untracked-files=no", "--ignore-submodules=dirty")
+            try:
+                dirty = _git(directory, "-c", "core.fileMode=false", *asked, **own) != ""
+            except subprocess.SubprocessError:
+                dirty = None
     except (OSError, subprocess.SubprocessError, ValueError):
         return None
-    revision = done.stdout.strip()
-    return {"revision": revision.removesuffix("-dirty"), "dirty": revision.endswith("-dirty")}
+    return {"revision": revision, "dirty": dirty}
+
+
+def _git(directory: Path, *arguments: str, **own: str) -> str:
+    """Return what git prints; with an environment of its `own`, git sees no other variable of git."""
+    inherited = {name: value for name, value in os.environ.items() if not (own and name.startswith("GIT_"))}
+    return subprocess.run(
+        [find_program("git") or "", "-C", str(directory), *arguments],
+        capture_output=True,
+        check=True,
+        timeout=2.0,
+        text=True,
+        errors="surrogateescape",
+        stdin=subprocess.DEVNULL,
+        env={**inherited, "PATH": installed_path(), "GIT_OPTIONAL_LOCKS": "0", **own},
+    ).stdout
 
 
 @cache
@@ -206,7 +240,8 @@ def checkout() -> dict[str, str]:
     found = git_revision(sources) if (sources / ".git").exists() else None
     if found is None:
         return {}
-    return {"commit": found["revision"][:12] + (" with changes" if found["dirty"] else "")}
+    changes = {True: " with changes", False: "", None: ", changes unknown"}
+    return {"commit": found["revision"][:12] + changes[found["dirty"]]}
 
 
 def _field(dtype: np.dtype[np.void], name: str) -> tuple[np.dtype[Any], int]:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import os
-import shutil
 import subprocess
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from rig.core.child import find_program, installed_path
 from rig.core.errors import ToolchainError
 
 COMPILER = "arm-none-eabi-gcc"
@@ -47,7 +47,7 @@ class Compiler:
 def find_compiler() -> Compiler:
     """Find the compiler; raises `ToolchainError` with the way to install it, or the C library that it lacks."""
     named = os.environ.get(COMPILER_VARIABLE)
-    path = shutil.which(named or COMPILER)
+    path = find_program(named or COMPILER)
     if path is None:
         missing = (
             f"{COMPILER_VARIABLE} names {named}, which does not run"
@@ -65,7 +65,7 @@ def find_compiler() -> Compiler:
 
 
 def _called(command: list[str], directory: Path | None) -> subprocess.CompletedProcess[str]:
-    environment = {**os.environ, "LC_ALL": "C"}
+    environment = {**os.environ, "LC_ALL": "C", "PATH": installed_path()}
     if directory is not None:  # what an interrupted compiler leaves goes with it
         environment["TMPDIR"] = str(directory)
     try:

@@ -209,10 +209,21 @@ def test_an_edited_constant_of_a_file_that_only_a_helper_imports_is_seen(
 @compiled
 def test_without_the_key_the_edit_would_not_be_seen(project: Project) -> None:
     """The control of the test above: numba alone keeps the caller's old machine code."""
-    before = "kernel.numba.config.CACHE_DIR = " + repr(project.cache + "-fixed")
+    fixed = project.cache + "-fixed"
+    before = f"import pathlib; kernel.KernelCache.directory = pathlib.Path({fixed!r})"
     first = project.run(before=before)
     project.write(gain=5.0)
     assert project.run(before=before)["value"] == first["value"] == 3.0
+
+
+@compiled
+def test_no_machine_code_is_loaded_from_where_numba_is_configured_to(project: Project) -> None:
+    """numba reads .numba_config.yaml of the current directory before it compiles, and loads pickles from there."""
+    elsewhere = Path(project.cache + "-elsewhere")
+    report = project.run(before=f"kernel.numba.config.CACHE_DIR = {str(elsewhere)!r}")
+    assert report["value"] == 3.0
+    assert not elsewhere.exists()
+    assert list(Path(report["cache"]).rglob("*.nbi"))
 
 
 @compiled

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import shutil
 import subprocess
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -115,6 +117,9 @@ def test_header_names_a_bad_schema() -> None:
         dtype_of({"columns": [{"dtype": "<f8"}], "row_bytes": 8})
 
 
+GIT = str(shutil.which("git"))
+
+
 def test_git_revision_of_a_checkout_is_looked_at_each_second(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -140,6 +145,60 @@ def test_git_revision_of_a_checkout_is_looked_at_each_second(
     assert git_revision(tmp_path) == {"revision": revision, "dirty": False}  # the same second
     seconds[0] += 1.0
     assert git_revision(tmp_path) == {"revision": revision, "dirty": True}
+
+
+# What a repository may name a program in; each would run in `git describe --dirty`, `git status`, or a fetch of
+# objects that are missing.
+PROGRAMS = (
+    "core.fsmonitor", "filter.any.clean", "filter.any.smudge", "filter.any.process", "diff.any.textconv",
+    "diff.any.command", "diff.external", "core.pager", "pager.status", "pager.rev-parse", "core.editor",
+    "core.sshCommand", "core.alternateRefsCommand", "credential.helper", "gpg.program", "uploadpack.packObjectsHook",
+)  # fmt: skip
+
+
+def test_no_program_that_a_checkout_names_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    place, marker = tmp_path / "checkout", tmp_path / "ran"
+    inside = place / "inside"
+    inside.mkdir(parents=True)
+    hooks = place / "hooks"
+    hooks.mkdir()
+    program = hooks / "post-index-change"
+    program.write_text(f'#!/bin/sh\necho "$0 $*" >> {marker}\ncat\n')
+    program.chmod(0o755)
+    for name in ("git", "reference-transaction"):
+        shutil.copy(program, place / name)
+        shutil.copy(program, inside / name)
+
+    def git(*arguments: str) -> str:
+        identity = ["-c", "user.name=x", "-c", "user.email=x@example.org", "-c", "commit.gpgsign=false"]
+        command = [GIT, "-C", str(place), *identity, *arguments]
+        return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
+
+    git("init", "-q")
+    (place / "a").write_text("1")
+    (place / ".gitattributes").write_text("* filter=any diff=any\n")
+    git("add", "a", ".gitattributes")
+    git("commit", "-qm", "first")
+    for key in PROGRAMS:
+        git("config", key, str(program))
+    git("config", "core.hooksPath", str(hooks))
+    os.utime(place / "a", (1e9, 1e9))  # so that only its content tells that it is as committed
+    revision = git("rev-parse", "HEAD")
+    monkeypatch.chdir(inside)
+    monkeypatch.setenv("PATH", os.pathsep.join(["", ".", os.environ["PATH"]]))
+
+    assert git_revision(inside) == {"revision": revision, "dirty": False}
+    (place / "a").write_text("2")
+    assert git_revision(place) == {"revision": revision, "dirty": True}
+    assert not marker.exists(), marker.read_text()
+    git("describe", "--dirty", "--always")
+    assert marker.exists(), "the test's own programs do not run"
+
+
+def test_a_revision_that_cannot_be_compared_is_not_called_clean(tmp_path: Path) -> None:
+    subprocess.run([GIT, "init", "-q", str(tmp_path)], check=True)
+    (tmp_path / ".git" / "HEAD").write_text("0" * 39 + "1\n")  # a commit that is missing
+    assert git_revision(tmp_path) == {"revision": "0" * 39 + "1", "dirty": None}
 
 
 def test_without_git_there_is_no_revision(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
