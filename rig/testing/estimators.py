@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from operator import index
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,7 +43,7 @@ def velocities(
     if ages is None:
         ages = edge_ages(counts, steps, float(prepared.parameters[PERIOD]))
     return np.array(
-        [update(int(c), age, int(n), *memory) for c, age, n in zip(counts, ages, steps, strict=True)],
+        [update(index(c), age, index(n), *memory) for c, age, n in zip(counts, ages, steps, strict=True)],
         dtype=np.float64,
     )
 

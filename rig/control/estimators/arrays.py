@@ -18,6 +18,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from rig.control.estimators import family
 from rig.control.estimators.estimator import WINDOW, Floats, Ints, Prepared
+from rig.control.estimators.own_counts import (
+    COUNTS,
+    EDGE_TIME,
+    ELAPSED,
+    FROM_SECONDS,
+    LARGEST_COUNT,
+    real_numbers,
+    unwrapped,
+    whole_numbers,
+)
 from rig.core.errors import ConfigError
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import ESTIMATOR
@@ -26,7 +36,6 @@ OLDEST_EDGE_S = (
     134.0  # age of an edge that was never seen: the longest that the wire's 32-bit time can express
 )
 FUTURE_S = 1e-9  # an edge at the sample itself may round to after it
-LARGEST_COUNT = 2.0**62
 
 _FLOATS, _INTS = types.float64[::1], types.int64[::1]
 
@@ -51,10 +60,10 @@ def quantise(position: ArrayLike, resolution: float, *, offset: float = 0.5) -> 
     Raises
     ------
     ConfigError
-        A resolution of zero, or a position that is not finite or beyond 2^62 counts.
+        A resolution of zero, or a position that is no number, not finite or beyond 2^62 counts.
     """
     _check_resolution(resolution)
-    cells = np.floor(np.asarray(position, dtype=np.float64) / abs(resolution) + offset)
+    cells = np.floor(real_numbers(position, "position", "rad or m") / abs(resolution) + offset)
     if not (np.abs(cells) < LARGEST_COUNT).all():
         raise ConfigError(
             "a position is not finite or beyond 2^62 counts", remedy="check position and resolution"
@@ -70,6 +79,7 @@ def estimate(
     resolution: float,
     edge_time: ArrayLike | None = None,
     elapsed: ArrayLike | None = None,
+    width: Any = None,  # an int; `**parameters` of a caller would not type-check beside it
     **parameters: float | str,
 ) -> Floats:
     """Velocity at each sample, by the named estimator, as it would have come out of the loop.
@@ -79,7 +89,8 @@ def estimate(
     name
         Of the estimator (`rig.control.estimators.names`).
     counts
-        Encoder counts, one a sample: integers, shape (n,). A 32-bit counter may wrap in between.
+        Encoder counts, one a sample: whole numbers of any type, shape (n,). A 32-bit counter may wrap in between, a
+        narrower one if its `width` is given. Leave lost samples out and state the gaps by `elapsed`.
     dt
         Velocity period (s).
     resolution
@@ -90,6 +101,9 @@ def estimate(
         it, which is all that counts alone can say.
     elapsed
         Velocity periods from the sample before to each sample, shape (n,): above 1 after lost ones. All 1 if not given.
+    width
+        Bits of the counter. Not needed for a counter of 32 bits or one that does not wrap, nor for arrays of 8 or 16
+        bit integers, which are taken as counters of that width.
     **parameters
         Settings of the estimator; those left out take their default.
 
@@ -101,8 +115,9 @@ def estimate(
     Raises
     ------
     ConfigError
-        No such estimator; invalid settings, period or resolution; counts that are not integers; arrays of
-        different lengths; an edge later than its sample.
+        No such estimator; invalid settings, period or resolution; missing or fractional counts; a jump of more than
+        half of what the counter, or without a width all counts, span; arrays of different lengths; an edge later than
+        its sample.
 
     Examples
     --------
@@ -110,7 +125,14 @@ def estimate(
     [0.0, 0.002, 0.002, 0.002]
     """
     return estimate_with_window(
-        name, counts, dt, resolution=resolution, edge_time=edge_time, elapsed=elapsed, **parameters
+        name,
+        counts,
+        dt,
+        resolution=resolution,
+        edge_time=edge_time,
+        elapsed=elapsed,
+        width=width,
+        **parameters,
     )[0]
 
 
@@ -122,6 +144,7 @@ def estimate_with_window(
     resolution: float,
     edge_time: ArrayLike | None = None,
     elapsed: ArrayLike | None = None,
+    width: Any = None,  # an int; `**parameters` of a caller would not type-check beside it
     **parameters: float | str,
 ) -> tuple[Floats, Ints]:
     """Return the velocities of `estimate`, and how many velocity periods each of them spans (int64, shape (n,))."""
@@ -131,23 +154,23 @@ def estimate_with_window(
         )
     _check_resolution(resolution)
     prepared = family.get(name).prepare(parameters, resolution, dt)
-    return run(prepared, *inputs(counts, dt, edge_time, elapsed))
+    held, steps = _counts_and_steps(counts, elapsed, edge_time)
+    return run(prepared, *inputs(unwrapped(held, width, steps), dt, edge_time, steps))
 
 
 def inputs(
     counts: ArrayLike, dt: float, edge_time: ArrayLike | None = None, elapsed: ArrayLike | None = None
 ) -> tuple[Ints, Floats, Ints]:
-    """Check the arrays of `estimate` and return counts, age of the last edge (s) and elapsed periods."""
-    whole = _integers(counts, "counts")
-    steps = np.ones(len(whole), np.int64) if elapsed is None else _integers(elapsed, "elapsed")
-    if len(steps) != len(whole):
-        raise ConfigError(f"{len(whole)} counts, but {len(steps)} values of elapsed", remedy="give one each")
-    if len(steps) and steps.min() < 1:
-        raise ConfigError("elapsed has a value below 1", remedy="time must advance from sample to sample")
+    """Check the arrays of `estimate` and return counts, age of the last edge (s) and elapsed periods.
+
+    Counts may wrap at 32 bits, but a narrower counter's must be unwrapped (`own_counts.unwrapped`).
+    """
+    held, steps = _counts_and_steps(counts, elapsed, edge_time)
+    whole = held.astype(np.int64)
     time_s = dt * (np.cumsum(steps) - steps[:1].sum())
     if edge_time is None:
         return whole, _age_of_last_change(whole, time_s), steps
-    edges = np.array(edge_time, dtype=np.float64)
+    edges = real_numbers(edge_time, EDGE_TIME, "s")
     if edges.shape != whole.shape:
         raise ConfigError(
             f"{len(whole)} counts, but edge_time of shape {edges.shape}", remedy="give one each"
@@ -159,6 +182,21 @@ def inputs(
             remedy="give seconds from the first sample, and -inf where no edge is known",
         )
     return whole, np.clip(age, 0.0, OLDEST_EDGE_S), steps
+
+
+def _counts_and_steps(
+    counts: ArrayLike, elapsed: ArrayLike | None, edge_time: ArrayLike | None
+) -> tuple[NDArray[Any], Ints]:
+    also = {ELAPSED: elapsed, EDGE_TIME: edge_time}
+    held = whole_numbers(counts, COUNTS, tuple(name for name, values in also.items() if values is not None))
+    if elapsed is None:
+        return held, np.ones(len(held), np.int64)
+    steps = whole_numbers(elapsed, ELAPSED).astype(np.int64)
+    if len(steps) != len(held):
+        raise ConfigError(f"{len(held)} counts, but {len(steps)} values of elapsed", remedy="give one each")
+    if len(steps) and steps.min() < 1:
+        raise ConfigError("elapsed has a value below 1: time stands still", remedy=FROM_SECONDS)
+    return held, steps
 
 
 def run(prepared: Prepared, counts: Ints, edge_age_s: Floats, elapsed: Ints) -> tuple[Floats, Ints]:
@@ -192,17 +230,6 @@ def _age_of_last_change(counts: Ints, time_s: Floats) -> Floats:
     changed[1:] = counts[1:] != counts[:-1]
     last = np.maximum.accumulate(np.where(changed, time_s, -np.inf)) if len(counts) else time_s
     return np.minimum(time_s - last, OLDEST_EDGE_S)
-
-
-def _integers(values: ArrayLike, what: str) -> Ints:
-    array = np.asarray(values)
-    if array.ndim != 1:
-        raise ConfigError(f"{what} has {array.ndim} dimensions", remedy="give a flat array")
-    if len(array) and array.dtype.kind not in "iu":
-        raise ConfigError(
-            f"{what} are {array.dtype}, not integers", remedy="make counts of positions with quantise(…)"
-        )
-    return array.astype(np.int64)
 
 
 def _check_resolution(resolution: float) -> None:

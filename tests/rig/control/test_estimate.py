@@ -60,6 +60,20 @@ def test_a_position_that_no_counter_holds_is_refused(position: Any) -> None:
         quantise([0.0, position], 1e-6)
 
 
+@pytest.mark.parametrize(
+    ("positions", "message"),
+    [
+        (np.zeros(3, "m8[ns]"), "holds durations"),
+        (["1.0"], "holds text"),
+        ([True], "holds truth values"),
+        (np.ma.masked_array([0.0, 9.0], mask=[False, True]), "not finite"),
+    ],
+)
+def test_a_position_of_another_type_is_refused(positions: Any, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        quantise(positions, 1e-6)
+
+
 # --- estimates --------------------------------------------------------------------------------------------
 
 
@@ -153,10 +167,11 @@ WRONG = {
     "setting out of range": ({"cutoff_hz": -1.0}, "out of range"),
     "no period": ({"dt": 0.0}, "not a sampling period"),
     "no resolution": ({"resolution": 0.0}, "not the travel"),
-    "floats as counts": ({"counts": [0.1, 0.2]}, "not integers.*quantise"),
+    "floats as counts": ({"counts": [0.1, 0.2]}, "not a whole number.*quantise"),
     "table of counts": ({"counts": [[1, 2]]}, "2 dimensions"),
     "edges of another length": ({"edge_time": [0.0]}, "3 counts, but edge_time of shape"),
     "edge in the future": ({"edge_time": [0.0, 0.0, 1.0]}, "later than its sample"),
+    "edges as dates": ({"edge_time": np.zeros(3, "M8[ns]")}, "holds dates"),
     "edge that is no number": ({"edge_time": [0.0, 0.0, math.nan]}, "not a number"),
     "elapsed of another length": ({"elapsed": [1, 1]}, "3 counts, but 2 values of elapsed"),
     "time that stands still": ({"elapsed": [1, 0, 1]}, "below 1"),

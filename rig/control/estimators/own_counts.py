@@ -1,0 +1,263 @@
+"""Counts and elapsed periods that come from elsewhere: whole numbers of any type, and counters that wrap.
+
+Nothing is guessed: a missing, fractional or ambiguous value is refused with its index and with statements that make
+the array right, which `tests/rig/control/test_own_counts.py` runs as they are printed.
+"""
+
+from __future__ import annotations
+
+import numbers
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rig.control.estimators.estimator import Floats, Ints
+from rig.core.errors import ConfigError
+
+NARROWEST, WIDEST = 2, 64  # bits of a counter
+ESTIMATOR_BITS = 32  # an update takes the difference of two counts modulo 2^32
+LARGEST_COUNT = 2.0**62
+NARROW_BYTES = 2  # integers of so few bytes are those of a counter of that width
+LEAST_JUMP = 127  # counts in a sample that may be a wrap: half of the narrowest counter that is common
+
+SHOWN = 5  # indices of missing values in a message
+
+COUNTS, ELAPSED, EDGE_TIME = "counts", "elapsed", "edge_time"
+_KINDS = {"b": "truth values", "U": "text", "S": "text", "T": "text", "M": "dates", "m": "durations",
+          "c": "complex numbers"}  # fmt: skip
+_STEPS = "give elapsed=numpy.rint(numpy.diff(times, prepend=times[0] - dt) / dt)"
+FROM_SECONDS = (
+    f"compute velocity periods since the sample before from times (s): times = numpy.asarray(times); {_STEPS}"
+)
+_FROM_DATES = (
+    "compute velocity periods since the sample before from the dates: times = numpy.asarray(times); "
+    f"times = (times - times[0]) / numpy.timedelta64(1, 's'); {_STEPS}"
+)
+_REMEDIES = {
+    (COUNTS, "b"): "give the encoder's counts; of the levels of channels A and B, count the edges first",
+    (COUNTS, "M"): "give the column of counts; times belong in elapsed",
+    (COUNTS, "m"): "give the column of counts; times belong in elapsed",
+    (ELAPSED, "b"): FROM_SECONDS,
+    (ELAPSED, "M"): _FROM_DATES,
+    (ELAPSED, "m"): _FROM_DATES,
+}
+_FRACTION = {
+    COUNTS: "of positions in rad or m, give quantise(positions, resolution); of counts that were scaled, averaged or "
+    "interpolated, give the encoder's own, each a whole number",
+    ELAPSED: FROM_SECONDS,
+}
+
+
+def whole_numbers(values: ArrayLike, what: str, also: tuple[str, ...] = ()) -> NDArray[Any]:
+    """Return an integer array, of the type that holds the values if that is an integer type, else int64.
+
+    Parameters
+    ----------
+    values
+        Integers, or floats that are whole.
+    what
+        `COUNTS` or `ELAPSED`, for messages.
+    also
+        Names of the arrays (``elapsed``, ``edge_time``) that must lose the same samples.
+
+    Raises
+    ------
+    ConfigError
+        Not a flat array; missing values, by index; other types; fractions; floats so large that neighbours are equal.
+    """
+    array = _floats_if_missing(values, what)
+    if array.ndim != 1:
+        raise ConfigError(f"{what} has {array.ndim} dimensions", remedy="give a flat array")
+    if len(array) == 0:
+        return np.zeros(0, np.int64)
+    if array.dtype.kind in "iu":
+        return array
+    if array.dtype.kind != "f":
+        raise _wrong_type(what, array.dtype.kind, str(array.dtype))
+    missing = np.flatnonzero(np.isnan(array))
+    if len(missing):
+        remedy = FROM_SECONDS if what == ELAPSED else _without_missing(values, also)
+        raise ConfigError(f"{what} has no number at {_indices(missing, len(array))}", remedy=remedy)
+    parts = np.flatnonzero((array != np.trunc(array)) | np.isinf(array))
+    if len(parts):
+        raise ConfigError(
+            f"{what}[{parts[0]}] = {array[parts[0]]:g} is not a whole number", remedy=_FRACTION[what]
+        )
+    bits = np.finfo(array.dtype).nmant + 1
+    too_large = np.flatnonzero(np.abs(array) > min(2.0**bits, LARGEST_COUNT))
+    if len(too_large):
+        raise ConfigError(
+            f"{what}[{too_large[0]}] = {array[too_large[0]]:.17g} is above 2^{bits}, where {array.dtype} does not hold "
+            "every whole number",
+            remedy=f"give {what} as they were recorded, as integers",
+        )
+    return array.astype(np.int64)
+
+
+def real_numbers(values: ArrayLike, what: str, unit: str) -> Floats:
+    """Return an array of float64, NaN where a value is masked; refuse what numpy would convert without a unit."""
+    array = _unmasked(values)
+    if array.dtype.kind in _KINDS:
+        raise ConfigError(
+            f"{what} holds {_KINDS[array.dtype.kind]} ({array.dtype}), not numbers",
+            remedy=f"give numbers in {unit}",
+        )
+    return array.astype(np.float64)
+
+
+def unwrapped(values: NDArray[Any], width: Any, elapsed: Ints) -> Ints:
+    """Return counts (int64) that do not wrap at less than 32 bits.
+
+    Parameters
+    ----------
+    values
+        Integers of any type, as `whole_numbers` returns them.
+    width
+        Bits of the counter; None: those of an array of 8 or 16 bit integers, else 32.
+    elapsed
+        Velocity periods before each sample.
+
+    Raises
+    ------
+    ConfigError
+        An impossible width; counts that do not fit it; a motion of which a counter of that width does not show the
+        direction; without a width, a jump that looks like a wrap.
+    """
+    if width is not None and not (
+        isinstance(width, int | np.integer) and not isinstance(width, bool) and NARROWEST <= width <= WIDEST
+    ):
+        raise ConfigError(
+            f"width = {width!r} is not a number of bits",
+            remedy=f"give the bits of the counter, {NARROWEST} to {WIDEST}, or leave width out",
+        )
+    if len(values) < 2:
+        return values.astype(np.int64)
+    bits = int(width or 0) or (
+        8 * values.dtype.itemsize if values.dtype.itemsize <= NARROW_BYTES else ESTIMATOR_BITS
+    )
+    low, high = int(values.min()), int(values.max())
+    fits = (low >= 0 and high < 2**bits) or (-(2 ** (bits - 1)) <= low and high < 2 ** (bits - 1))
+    if width is not None and not fits:
+        raise ConfigError(
+            f"counts from {low} to {high} do not fit a counter of {width} bits",
+            remedy="give the width of the counter; leave width out if the counts have been unwrapped already",
+        )
+    counts = values.astype(np.int64)
+    steps = np.diff(counts)
+    if fits and bits <= ESTIMATOR_BITS:
+        steps = (steps + 2 ** (bits - 1)) % 2**bits - 2 ** (bits - 1)
+        _check_direction(counts, steps, elapsed, bits)
+        counts = counts[0] + np.concatenate(([0], np.cumsum(steps)))
+    if width is None:
+        _check_jumps(values, counts, steps)
+    beyond = np.flatnonzero(np.abs(steps) >= 2 ** (ESTIMATOR_BITS - 1))
+    if len(beyond):
+        raise ConfigError(
+            f"counts[{beyond[0] + 1}] differs by {steps[beyond[0]]} from the one before; allowed is less than 2^31",
+            remedy="check the counts there",
+        )
+    return counts
+
+
+def _check_direction(counts: Ints, steps: Ints, elapsed: Ints, bits: int) -> None:
+    """Refuse a step that is at least half of the counter's range from what the speed before it gives."""
+    expected = np.concatenate(([0.0], steps[:-1] / elapsed[1:-1] * elapsed[2:]))
+    wrong = np.flatnonzero(np.abs(steps - expected) >= 2 ** (bits - 1))
+    if len(wrong):
+        at = int(wrong[0]) + 1
+        raise ConfigError(
+            f"counts[{at}] is {counts[at]} after {counts[at - 1]}, {elapsed[at]} periods earlier, where the speed "
+            f"before gives {expected[at - 1]:+.4g} counts: half of the range of a {bits} bit counter apart, or more",
+            remedy="give the counter's width, sample it more often, or estimate both sides of a gap by themselves",
+        )
+
+
+def _check_jumps(values: NDArray[Any], counts: Ints, steps: Ints) -> None:
+    """Refuse a jump of more than half of all that the counts span: a counter that wraps, or was reset."""
+    span = int(counts.max()) - int(counts.min())
+    wide = np.flatnonzero(np.abs(steps) > max(span / 2, LEAST_JUMP))
+    if len(wide):
+        at = int(wide[0]) + 1
+        raise ConfigError(
+            f"counts[{at}] is {values[at]} after {values[at - 1]}, more than half of all that the counts span "
+            f"({span}): the counter wraps, or was reset",
+            remedy="give the bits of the counter, such as width=16; one that wraps at N counts: "
+            "numpy.unwrap(counts, period=N); if the handle moved so far in one sample, width=32",
+        )
+
+
+def _floats_if_missing(values: ArrayLike, what: str) -> NDArray[Any]:
+    """Return an array of plain numbers, of floats with NaN where something is missing; refuse other objects."""
+    array = _unmasked(values)
+    if array.dtype.kind != "O" or array.ndim != 1:
+        return array
+    present = [value for value in array if not _is_missing(value)]
+    for value in present:
+        if isinstance(value, bool | np.bool_):
+            raise _wrong_type(what, "b", "bool")
+        if isinstance(value, str | bytes):
+            raise _wrong_type(what, "U", "str")
+        if not isinstance(value, numbers.Real):
+            kind = np.asarray(value).dtype.kind
+            raise _wrong_type(what, kind, type(value).__name__)
+    if len(present) == len(array) and all(isinstance(value, numbers.Integral) for value in present):
+        try:
+            return np.array([int(value) for value in array], np.int64)
+        except OverflowError:
+            raise ConfigError(
+                f"{what} has a value beyond ±2^63", remedy="give what a counter of at most 64 bits holds"
+            ) from None
+    return np.array([np.nan if _is_missing(value) else float(value) for value in array])
+
+
+def _unmasked(values: ArrayLike) -> NDArray[Any]:
+    mask = np.ma.getmask(values)
+    return np.where(mask, np.nan, np.asarray(values)) if np.any(mask) else np.asarray(values)
+
+
+def _is_missing(value: Any) -> bool:
+    try:
+        return value is None or bool(value != value)  # noqa: PLR0124 - NaN and NaT differ from themselves
+    except TypeError:  # pandas.NA is neither true nor false
+        return True
+
+
+def _wrong_type(what: str, kind: str, name: str) -> ConfigError:
+    if _KINDS.get(kind) == "text":
+        remedy = f"convert them: {what} = numpy.asarray({what}, dtype=float); give {what}={what}"
+    else:
+        remedy = _REMEDIES.get((what, kind), "give whole numbers, as integers or floats")
+    return ConfigError(
+        f"{what} are {_KINDS.get(kind, 'no numbers')} ({name}), not whole numbers", remedy=remedy
+    )
+
+
+def _without_missing(values: ArrayLike, also: tuple[str, ...]) -> str:
+    """Return the statements that leave lost samples out and state the gaps."""
+    number = "numpy.asarray(counts, dtype=float)"
+    if _has_pandas_na(values):  # numpy makes no number of it
+        number = "pandas.array(counts, dtype='Float64').to_numpy(float, na_value=numpy.nan)"
+    elif isinstance(values, np.ma.MaskedArray):
+        number = "numpy.ma.filled(counts.astype(float), numpy.nan)"
+    given = ["counts=counts[kept]", "elapsed=numpy.diff(sample, prepend=sample[0] - 1)"]
+    sample, start = "kept", "sample[0]"
+    if ELAPSED in also:
+        sample, start = "numpy.cumsum(elapsed)[kept]", "(sample[0] - elapsed[0])"
+    if EDGE_TIME in also:
+        given.append(f"edge_time=numpy.asarray(edge_time)[kept] - dt * {start}")
+    return (
+        f"leave them out and state the gaps: counts = {number}; kept = numpy.flatnonzero(numpy.isfinite(counts)); "
+        f"sample = {sample}; give {', '.join(given)}"
+    )
+
+
+def _has_pandas_na(values: ArrayLike) -> bool:
+    array = np.asarray(values)
+    return array.dtype.kind == "O" and any(type(value).__name__ == "NAType" for value in array)
+
+
+def _indices(found: Ints, size: int) -> str:
+    shown = ", ".join(map(str, found[:SHOWN])) + (" …" if len(found) > SHOWN else "")
+    word = "index" if len(found) == 1 else "indices"
+    return f"{word} {shown} ({len(found)} of {size})"
