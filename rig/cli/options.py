@@ -223,6 +223,14 @@ arm_anyway_option = option(
     help="Arm a real rig although its link, as measured, makes this wall dangerous; `rig doctor` says why.",
 )
 
+across_option = option(
+    "--across",
+    multiple=True,
+    metavar="KEY",
+    help="A key of the protocol, like trial.posture, or a section, in which sessions may differ although it can decide "
+    "a result; the report lists their values. Can be repeated.",
+)
+
 
 def confirm_option(choices: tuple[str, ...], default: str) -> Callable[[F], F]:
     """Whether a person is asked before something moves."""

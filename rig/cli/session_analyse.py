@@ -34,6 +34,7 @@ _FEW = 3  # participants: each is printed
     "verdicts, whatever rule asked. All are computed.",
 )
 @click.option("--hashes/--no-hashes", default=True, help="Compare recordings with the hashes in the logs.")
+@options.across_option
 @options.seed_option("Of the bootstraps.", OWN, default=0, show_default=True)
 @click.option("--report/--no-report", default=True, help="Draw pictures and write the report, one HTML file.")
 @options.output_option(None, "Directory of tables, pictures and report. [analysis, in DIR]", "out")
@@ -44,6 +45,7 @@ def analyse(
     out: Path | None,
     measure: Any,
     hashes: bool,
+    across: tuple[str, ...],
     seed: int,
     report: bool,
     ending: str,
@@ -55,7 +57,7 @@ def analyse(
     logs alone, corrections included; tables are written as CSV and Parquet, with a dictionary of their columns, and
     one HTML file reports everything, with pictures and the methods as a paper prints them.
     """
-    chosen = Options(measure=MEASURES[measure], hashes=hashes, seed=seed)  # type: ignore[arg-type]
+    chosen = Options(measure=MEASURES[measure], hashes=hashes, across=across, seed=seed)  # type: ignore[arg-type]
     with Steps(quiet=as_json) as steps:
         found = found_in(places, chosen, watch=steps.watch)
         directory = beside(places, found) if out is None else out

@@ -44,6 +44,7 @@ from rig.session.export import export_trials
 )
 @click.option("--author", "authors", multiple=True, metavar="NAME", help="BIDS: an author; can be repeated.")
 @click.option("--licence", metavar="TEXT", help="BIDS: the licence of the data, like CC0 or CC-BY-4.0.")
+@options.across_option
 @options.json_option
 def export(
     paths: tuple[Path, ...],
@@ -54,6 +55,7 @@ def export(
     shift_dates: bool,
     authors: tuple[str, ...],
     licence: str | None,
+    across: tuple[str, ...],
     as_json: bool,
 ) -> None:
     """Write the recordings of a study, or of some of its participants, for other programs.
@@ -64,7 +66,7 @@ def export(
     if bids is None and csv is None and mat is None:
         raise ConfigError("nothing to write", remedy="say --bids OUT, --csv OUT or --mat OUT")
     with CountBar("reading", plain=as_json) as bar:
-        study = read_study(paths, watch=bar.watch)
+        study = read_study(paths, across=across, watch=bar.watch)
     written: dict[str, Any] = {}
     if bids is not None:
         chosen = Options(every=every, shift_dates=shift_dates, authors=authors, licence=licence)

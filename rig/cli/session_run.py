@@ -21,8 +21,10 @@ from rig.session.desk import Desk
 from rig.session.directory import LOG, event_of_trial
 from rig.session.directory import amend as amend_event
 from rig.session.hits import DeviceRunner
+from rig.session.load import load_walls
 from rig.session.log import DamagedLineError, set_damaged_line_aside
 from rig.session.place import last_opened
+from rig.session.protocol_changes import ChangedProtocolError
 from rig.session.rehearsal import Person
 from rig.session.run import DeskFor, SessionResult, rehearsal_desk, session_state, summary
 from rig.session.runner import TrialRunner
@@ -96,6 +98,12 @@ _REHEARSAL = "Rehearsal"
     help="Spread of people about --threshold, which it needs: standard deviation of ln(threshold) over codes. [0]",
 )
 @option("--again", group=_REHEARSAL, is_flag=True, help="Delete the one that is there and begin anew.")
+@click.option(
+    "--other-protocol",
+    is_flag=True,
+    help="Begin although the protocol is not that of the study's earlier sessions; the analysis then needs --across. "
+    "[a terminal asks]",
+)
 @_device_options
 def run(
     protocol: Path,
@@ -108,6 +116,7 @@ def run(
     lapse_rate: float | None,
     people_sd: float | None,
     again: bool,
+    other_protocol: bool,
     url: str | None,
     realtime: bool,
     verified: bool,
@@ -140,6 +149,9 @@ def run(
         )
     person = rehearsal.Person(thresholds=rehearsal.thresholds_of(thresholds), **known) if rehearse else None
     runner = _runner(url, realtime or not rehearse, verified, arm_anyway, lossy_anyway)
+    other_protocol = other_protocol or _agrees_to_other_protocol(
+        protocol, code, study, person, as_json=as_json
+    )
     with Rehearsed(quiet=as_json or person is None) as seen:
         desk = _desk(person, seen, hand=hand, plain=plain)
         result = sessions.run_session(
@@ -151,6 +163,7 @@ def run(
             row=row,
             person=person,
             again=again,
+            other_protocol=other_protocol,
             on_event=seen.on_event,
             lsl=lsl,
         )
@@ -292,6 +305,24 @@ def amend(directory: Path, said: tuple[str, ...], trial: int | None, why: str, a
     else:
         about = f"event {event}" if trial is None else f"trial {trial}"
         click.echo(f"{about} now reads {value!r}, by event {written.number}")
+
+
+def _agrees_to_other_protocol(
+    protocol: Path, code: str, study: Path | None, person: Person | None, *, as_json: bool
+) -> bool:
+    """Ask at a terminal about a protocol that is not that of the earlier sessions; elsewhere the session refuses it."""
+    if as_json or not _is_interactive():
+        return False
+    try:
+        sessions.compare_with_study(load_walls(protocol), code, study, person)
+    except ChangedProtocolError as error:
+        click.echo(f"rig: {output.for_terminal(error.message)}", err=True)
+        return click.confirm("Begin all the same? The analysis then needs --across.", err=True)
+    return False
+
+
+def _is_interactive() -> bool:
+    return sys.stdin.isatty()
 
 
 def _desk(person: Person | None, seen: Rehearsed, *, hand: str, plain: bool) -> DeskFor:

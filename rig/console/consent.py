@@ -43,6 +43,7 @@ def to_session(request: BeginSession, url: str, digest: str) -> list[str]:
         "walls that `rig session check` says it refuses": request.arm_anyway,
         "a computer or link that loses samples": request.lossy_anyway,
         "another device than before": request.other_device,
+        "another protocol than the study's earlier sessions": request.other_protocol,
     }
     return [
         f"{url} for the session of {whose}",

@@ -132,6 +132,7 @@ def session(content: Mapping[str, Any], talk: Talk) -> dict[str, Any]:
             row=content["row"],
             person=person,
             again=content["again"],
+            other_protocol=content["other_protocol"],
             lsl=content["lsl"],
         )
     return {"stands": result.stands, "pairs": result.pairs, "over": result.ended is not None}

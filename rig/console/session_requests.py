@@ -47,6 +47,7 @@ class BeginSession(Request):
     again: bool = False
     at: Literal["trial", "block"] = "trial"
     other_device: bool = False
+    other_protocol: bool = False
     url: Name = ""
     hand: Literal["simulated", "mouse", "keyboard"] = "simulated"
     arm_anyway: bool = False

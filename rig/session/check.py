@@ -31,6 +31,7 @@ from rig.session.disk import bytes_of_trial
 from rig.session.expected import NO_TRIALS, NOTHING, Range, Trials, expected_limits, expected_trials
 from rig.session.plan import CellPlan, StudyPlan
 from rig.session.protocol import Condition, Protocol
+from rig.session.protocol_changes import protocol_check
 from rig.session.schedule import Block, levels_of, rows_of, schedule
 from rig.session.simulated_hand import reach_for
 from rig.session.taken import taken
@@ -58,7 +59,8 @@ def check(
     of_device
         What a device is asked of these walls too, see `rig.session.device_checks`; whoever asks none loads no device.
     study
-        Directory of the participants: what those took who have finished replaces the planned times of people.
+        Directory of the participants: what those took who have finished replaces the planned times of people, and the
+        protocol is compared with that of their sessions.
 
     Raises
     ------
@@ -97,6 +99,8 @@ def check(
         *stop_checks(protocol, trials, searches.failures, sum(duration.values(), NOTHING)),
         *rest_checks(protocol, trials, times),
     ]
+    if study is not None:
+        checks += protocol_check(walls, study)
     if of_device is not None:
         checks += of_device(walls)
     return StudyPlan(

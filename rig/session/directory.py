@@ -90,6 +90,7 @@ def begin(
     row: int,
     versions: Mapping[str, Any],
     rehearsal: Mapping[str, Any] | None = None,
+    differs: Sequence[str] = (),
     clock: Clock = WALL,
 ) -> Session:
     """Begin a participant's session in a directory of its own.
@@ -104,8 +105,8 @@ def begin(
         The protocol file as it is, of which a copy is kept.
     code, row
         Of the participant; the row decides the order.
-    versions, rehearsal
-        What goes into the log with it.
+    versions, rehearsal, differs
+        What goes into the log with it; `differs`: keys in which the study's earlier sessions have another value.
     clock
         Time of day (s).
 
@@ -134,6 +135,7 @@ def begin(
             seed=protocol.study.seed,
             versions=dict(versions),
             rehearsal=None if rehearsal is None else dict(rehearsal),
+            differs=list(differs),
         )
         return Session(directory=directory, log=log, state=State.of(log.events), clock=clock)
     except BaseException:

@@ -47,6 +47,7 @@ from rig.session.place import (
     software,
 )
 from rig.session.protocol import Protocol
+from rig.session.protocol_changes import changed_keys, refuse_changed
 from rig.session.rehearsal import Day, Person, RealDay, RehearsalDesk, refuse_nobody
 from rig.session.runner import TrialRunner
 from rig.session.schedule import rows_of, schedule
@@ -133,6 +134,7 @@ def run_session(
     row: int | None = None,
     person: Person | None = None,
     again: bool = False,
+    other_protocol: bool = False,
     on_event: OnEvent | None = None,
     lsl: bool = False,
 ) -> SessionResult:
@@ -157,6 +159,8 @@ def run_session(
         Who is rehearsed, for the log; None with a participant.
     again
         Delete a rehearsal that is there, and begin it anew.
+    other_protocol
+        Begin although the protocol differs from that of the study's earlier sessions in what can decide a result.
     on_event
         Called with each event once it is written.
     lsl
@@ -165,8 +169,9 @@ def run_session(
     Raises
     ------
     ConfigError
-        The protocol or the code is none, the participant has a session already, or the rig refuses a wall that the
-        session may ask for (`rig.session.arming`).
+        The protocol or the code is none, the participant has a session already, the protocol is not that of the study's
+        earlier sessions (`ChangedProtocolError`), or the rig refuses a wall that the session may ask for
+        (`rig.session.arming`).
     RigError
         As `rig.session.conduct.conduct`.
     """
@@ -176,6 +181,9 @@ def run_session(
     with plain_errors("read", protocol_file):
         text = protocol_file.read_bytes()
     place = study_directory(protocol, study, rehearsal=person is not None) / code
+    changes = changed_keys(walls, place.parent, code)
+    if not other_protocol:
+        refuse_changed(changes, place.parent)
     if person is not None:
         refuse_nobody(person, protocol)
         if again:
@@ -205,10 +213,17 @@ def run_session(
                 row=row,
                 versions=software(),
                 rehearsal=None if person is None else plain(person),
+                differs=[one.key for one in changes],
                 clock=_clock(person, runner),
             ) as session,
         ):
             return _conducted(session, runner, somebody, walls, on_event, marks)
+
+
+def compare_with_study(walls: Walls, code: str, study: Path | None, person: Person | None) -> None:
+    """Raise `ChangedProtocolError` if the study's earlier sessions had another protocol; arguments as `run_session`."""
+    place = study_directory(walls.protocol, study, rehearsal=person is not None)
+    refuse_changed(changed_keys(walls, place, normalise(code)), place)
 
 
 def resume_session(

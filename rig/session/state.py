@@ -4,7 +4,8 @@ Nothing is remembered outside the log, so a session that was killed resumes as i
 reads what the session itself went by. The kinds of events, and what each holds:
 
 =============  ====================================================================================================
-``began``      protocol, protocol_sha256, experiment, code, row, seed, versions, rehearsal
+``began``      protocol, protocol_sha256, experiment, code, row, seed, versions, rehearsal, differs (keys in which
+               earlier sessions of the study have another value)
 ``opened``     the device and where it is, its clock, this computer and versions, each time that it was opened
 ``resumed``    where (trial, block), abandoned: recordings of trials that nobody logged
 ``block``      block: it begins

@@ -52,6 +52,7 @@ export class Sessions {
     this.lsl = check("stream samples and markers", "as --lsl: by Lab Streaming Layer");
     this.realtime = check("in real time");
     this.again = check("delete the one that is there");
+    this.otherProtocol = check("although earlier sessions had another protocol", "as --other-protocol: the analysis then needs --across");
     this.armAnyway = check("arm walls that the gate refuses", "as --arm-anyway: consent for the whole session");
     this.lossyAnyway = check("begin although this computer loses samples", "as --lossy-anyway");
     this.people = make("div", {}, field("handle", this.hand), field("device", this.url), this.armAnyway.element, this.lossyAnyway.element);
@@ -59,7 +60,7 @@ export class Sessions {
     this.start = make("button", { type: "submit", className: "first", textContent: "Begin" });
     this.form = make("form", { onsubmit: (event) => { event.preventDefault(); this.#begin(); } },
       field("protocol", this.protocol), this.protocols, this.about, field("code", this.code), field("who", this.who),
-      this.people, this.rehearsal, make("details", {}, make("summary", { textContent: "Order, place, streams" }), field("row", this.row), field("study", this.study), this.lsl.element), make("p", {}, this.start));
+      this.people, this.rehearsal, make("details", {}, make("summary", { textContent: "Order, place, streams" }), field("row", this.row), field("study", this.study), this.otherProtocol.element, this.lsl.element), make("p", {}, this.start));
     this.resumable = make("tbody");
     this.none = make("p", { className: "quiet", textContent: "None in this directory." });
     this.resumes = make("div", { hidden: true }, field("goes on with", this.at), this.otherDevice.element,
@@ -99,7 +100,7 @@ export class Sessions {
   }
 
   #begin() {
-    const content = { protocol: this.protocol.value, code: this.code.value, study: this.study.value };
+    const content = { protocol: this.protocol.value, code: this.code.value, study: this.study.value, other_protocol: this.otherProtocol.input.checked };
     if (this.row.value.trim()) content.row = Number(this.row.value);
     if (this.who.value === "simulated") {
       const thresholds = this.thresholds.value.split(",").map((one) => one.trim()).filter(Boolean);

@@ -33,7 +33,14 @@ from rig.session.analysis.rows import (
     TrialRow,
 )
 from rig.session.analysis.study import Study, read_study
-from rig.session.analysis.trials import half_way, levels, runs_of, schemes_of, trials_of
+from rig.session.analysis.trials import (
+    half_way,
+    levels,
+    levels_by_participant,
+    runs_of,
+    schemes_of,
+    trials_of,
+)
 
 Watch = Callable[[str, int, int], None]
 _VAGUE = 0.4  # of the range of levels: an interval wider than that says little
@@ -50,12 +57,15 @@ class Options:
         Which comes first in a report; all are computed.
     hashes
         Whether recordings are compared with the hashes in the logs.
+    across
+        Keys of the protocol in which sessions may differ although they can decide a result; see `read_study`.
     seed
         Of all bootstraps: the same gives the same intervals.
     """
 
     measure: Measure = "rule"
     hashes: bool = True
+    across: tuple[str, ...] = ()
     seed: int = 0
 
 
@@ -206,7 +216,10 @@ def analyse(paths: Iterable[Path], options: Options | None = None, *, watch: Wat
     options = options or Options()
     report = watch or (lambda _what, _done, _total: None)
     study = read_study(
-        paths, hashes=options.hashes, watch=lambda done, total: report("sessions read", done, total)
+        paths,
+        hashes=options.hashes,
+        across=options.across,
+        watch=lambda done, total: report("sessions read", done, total),
     )
     trials = trials_of(study)
     runs = runs_of(study, watch=lambda done, total: report("limits estimated", done, total))
@@ -245,8 +258,9 @@ def _pooled(study: Study, runs: Sequence[RunRow]) -> dict[tuple[Measure, str, Ce
     """The stiffness that each measure aims at, from all verdicts of a participant's complete runs under a condition."""
     complete = complete_runs(runs)
     shares = {(run.condition, m): limit.share for run in runs for m, limit in run.limits.items()}
+    grids = levels_by_participant(study)
     return {
-        (measure, code, cell): half_way(levels(study.protocol, cell[0]), verdicts, shares[cell[0], measure])
+        (measure, code, cell): half_way(grids[code, cell[0]], verdicts, shares[cell[0], measure])
         for measure, judge in _JUDGES.items()
         for cell, each in gathered(study, judge, complete).items()
         for code, verdicts in each.items()

@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 from rig.session.analysis.kmax import Student, student
 from rig.session.analysis.rows import RunRow
 from rig.session.analysis.study import Study
-from rig.session.analysis.trials import answers, half_way, levels
-from rig.session.search import psychometric as grids
+from rig.session.analysis.trials import answers, half_way, levels_by_participant
+from rig.session.search import psychometric as curve
 from rig.session.search.rule import verdicts_of
 
 Floats = NDArray[np.float64]
@@ -85,7 +85,7 @@ class Psychometric:
 
     def share(self, stiffness: Floats) -> Floats:
         """Share of stable verdicts along stiffness, at these parameters."""
-        return grids.share_stable(stiffness, self.threshold.mean, self.spread.mean, self.lapse_rate.mean)
+        return curve.share_stable(stiffness, self.threshold.mean, self.spread.mean, self.lapse_rate.mean)
 
 
 Verdicts = list[tuple[float, bool]]
@@ -101,16 +101,22 @@ def psychometrics(study: Study, complete: Container[tuple[str, int]]) -> tuple[P
     """
     found: list[Psychometric] = []
     judges: tuple[Judge, ...] = ("person", "automatic")
+    grids = levels_by_participant(study)
     for judge in judges:
         by_cell = gathered(study, judge, complete)
         for condition in study.protocol.condition:
-            grid = levels(study.protocol, condition.name)
+            name = condition.name
             for damping in condition.damping:
-                verdicts = by_cell.get((condition.name, damping), {})
-                each = [fit(code, condition.name, damping, judge, grid, of) for code, of in verdicts.items()]
+                verdicts = by_cell.get((name, damping), {})
+                each = [
+                    fit(code, name, damping, judge, grids[code, name], of) for code, of in verdicts.items()
+                ]
                 found += each
                 if len(each) > 1:
-                    found.append(together(each, grid, [one for of in verdicts.values() for one in of]))
+                    every = sorted({level for code in verdicts for level in grids[code, name]})
+                    found.append(
+                        together(each, tuple(every), [one for of in verdicts.values() for one in of])
+                    )
     return tuple(found)
 
 
@@ -152,7 +158,7 @@ def fit(
     verdicts: Sequence[tuple[float, bool]],
 ) -> Psychometric:
     """The function that verdicts (stiffness, stable) of one participant on these levels show."""
-    grid = grids.of_levels(tuple(levels))
+    grid = curve.of_levels(tuple(levels))
     posterior = grid.posterior(verdicts)
     half = half_way(levels, verdicts)
     by_level = {
@@ -169,7 +175,7 @@ def fit(
         above=int(half.censored == "above"),
         below=int(half.censored == "below"),
         spread=_marginal(grid.spreads, posterior.sum(axis=(0, 2)), geometric=True),
-        lapse_rate=_marginal(np.array(grids.LAPSE_RATES), posterior.sum(axis=(0, 1))),
+        lapse_rate=_marginal(np.array(curve.LAPSE_RATES), posterior.sum(axis=(0, 1))),
         levels=tuple(by_level),
         verdicts=tuple(len(stable) for stable in by_level.values()),
         stable=tuple(sum(stable) for stable in by_level.values()),

@@ -1,14 +1,13 @@
 """The sessions of a study, read from disk: which there are, whether they belong together, what of them is missing.
 
-A session is its log. What cannot be one study is refused (other conditions, another criterion, a rehearsal
-among real sessions, a participant twice); what a reader must know is said (a session that is not over, another version
-of the software, a recording that is gone).
+A session is its log. What cannot be one study is refused (another criterion, a rehearsal among real sessions, a
+participant twice), unless a difference is stated (`across`); what a reader must know is said (a session that is not
+over, another version of the software, a recording that is gone).
 """
 
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations, pairwise
@@ -21,15 +20,13 @@ from rig.recording.files import plain_errors
 from rig.session.log import Event, read
 from rig.session.place import device_words, differences
 from rig.session.protocol import Protocol
+from rig.session.protocol_changes import Difference, is_within, listed, settings_of
+from rig.session.protocol_changes import differences as protocol_differences
 from rig.session.state import State
 from rig.session.trial import Trial
 
 LOG = "session.log"
 PROTOCOL = "protocol.toml"
-# What two protocols of one study may differ in: it changes neither a verdict nor what is compared.
-_MAY_DIFFER = ("keys", "question", "rest", "stop", "practice")
-_MAY_DIFFER_IN_STUDY = ("title", "participants")
-_LISTED = 5  # names in a message
 
 Watch = Callable[[int, int], None]
 
@@ -98,6 +95,7 @@ class Study:
 
     sessions: tuple[Session, ...]
     messages: tuple[str, ...] = field(default=())
+    differences: tuple[Difference, ...] = ()  # of their protocols
 
     @property
     def protocol(self) -> Protocol:
@@ -119,7 +117,9 @@ class Study:
         return unit_of(quantity, self.motion)
 
 
-def read_study(paths: Iterable[Path], *, hashes: bool = True, watch: Watch | None = None) -> Study:
+def read_study(
+    paths: Iterable[Path], *, hashes: bool = True, across: Sequence[str] = (), watch: Watch | None = None
+) -> Study:
     """Read sessions.
 
     Parameters
@@ -128,6 +128,8 @@ def read_study(paths: Iterable[Path], *, hashes: bool = True, watch: Watch | Non
         Directories of sessions, of studies (whose sessions lie directly in them), or logs.
     hashes
         Whether the recordings are compared with the hashes in the log.
+    across
+        Keys of the protocol, or sections of keys, in which the sessions may differ although they can decide a result.
     watch
         Called with the number of sessions read and of all.
 
@@ -149,7 +151,12 @@ def read_study(paths: Iterable[Path], *, hashes: bool = True, watch: Watch | Non
     sessions, empty = _with_trials(sessions)
     _refuse(sessions)
     sessions.sort(key=lambda one: (one.state.row, one.code))
-    return Study(sessions=tuple(sessions), messages=(*empty, *_messages(sessions)))
+    differences = _protocol_differences(sessions, across)
+    return Study(
+        sessions=tuple(sessions),
+        messages=(*empty, *_of_differences(differences), *_messages(sessions)),
+        differences=tuple(differences),
+    )
 
 
 def _with_trials(sessions: list[Session]) -> tuple[list[Session], list[str]]:
@@ -157,7 +164,7 @@ def _with_trials(sessions: list[Session]) -> tuple[list[Session], list[str]]:
     empty = [session for session in sessions if not session.state.trials]
     if not empty or len(empty) == len(sessions):
         return sessions, []
-    told = f"left out, without a trial: {_names([str(session.directory) for session in empty])}"
+    told = f"left out, without a trial: {listed([str(session.directory) for session in empty])}"
     return [session for session in sessions if session.state.trials], [told]
 
 
@@ -231,38 +238,48 @@ def _refuse(sessions: Sequence[Session]) -> None:
     rehearsed = [session.code for session in sessions if session.state.rehearsal is not None]
     if 0 < len(rehearsed) < len(sessions):
         raise ConfigError(
-            f"{_names(rehearsed)} rehearsed with a simulated person, the others did not",
+            f"{listed(rehearsed)} rehearsed with a simulated person, the others did not",
             remedy="analyse rehearsals on their own",
         )
-    first = sessions[0]
-    for session in sessions[1:]:
-        differs = _differences(_deciding(first.began), _deciding(session.began))
-        if differs:
-            raise ConfigError(
-                f"{first.code} and {session.code} were not run under one protocol: {_names(differs)} differ",
-                remedy="analyse them as two studies",
-            )
 
 
-def _deciding(began: Mapping[str, Any]) -> dict[str, Any]:
-    """What of a session's first event decides its results, as plain JSON."""
-    protocol = {key: value for key, value in began["protocol"].items() if key not in _MAY_DIFFER}
-    study = {k: v for k, v in protocol.get("study", {}).items() if k not in _MAY_DIFFER_IN_STUDY}
-    plain: dict[str, Any] = json.loads(
-        json.dumps({"protocol": {**protocol, "study": study}, "experiment": began["experiment"]})
+def _protocol_differences(sessions: Sequence[Session], across: Sequence[str]) -> list[Difference]:
+    """In what the protocols differ; raises `ConfigError` for what can decide a result and is not stated."""
+    differ = protocol_differences(
+        {one.code: settings_of(one.state.protocol, one.state.experiment) for one in sessions}
     )
-    return plain
+    cells = [one for one in differ if _decides_cells(one)]
+    if cells:
+        raise ConfigError(
+            f"the sessions do not compare the same: they differ in {'; '.join(one.sentence for one in cells)}",
+            remedy="analyse them as two studies",
+        )
+    unstated = [one for one in differ if not one.is_neutral and not is_within(one.key, across)]
+    if unstated:
+        keys = " ".join(f"`across` {one.key}" for one in unstated)
+        raise ConfigError(
+            f"the sessions were not run under one protocol: {'; '.join(one.sentence for one in unstated)}",
+            remedy=f"analyse them as two studies, or state that they may differ: {keys}",
+        )
+    return differ
 
 
-def _differences(one: Any, other: Any, key: str = "") -> list[str]:
-    """Dotted keys at which two documents differ."""
-    if isinstance(one, dict) and isinstance(other, dict):
-        return [
-            name
-            for part in sorted({*one, *other})
-            for name in _differences(one.get(part), other.get(part), f"{key}.{part}" if key else part)
-        ]
-    return [] if one == other else [key]
+def _decides_cells(one: Difference) -> bool:
+    """Return True if no analysis has a place for this difference: other conditions or dampings, another unit."""
+    if one.key == "condition":  # in another order they are the same
+        return len({frozenset(names) for names in one.values.values()}) > 1
+    if one.key.startswith("condition.") and ".changes." not in one.key:
+        return one.key.endswith(".damping")
+    return one.key == "experiment.rig.motion"
+
+
+def _of_differences(differ: Sequence[Difference]) -> list[str]:
+    """What a reader must know of protocols that differ."""
+    stated = [f"analysed across a difference in {one.sentence}" for one in differ if not one.is_neutral]
+    neutral = [one.key for one in differ if one.is_neutral]
+    if neutral:
+        stated.append(f"sessions differ in what decides no result: {listed(neutral)}")
+    return stated
 
 
 def _messages(sessions: Sequence[Session]) -> list[str]:
@@ -277,7 +294,7 @@ def _messages(sessions: Sequence[Session]) -> list[str]:
     for what, values in _facts(sessions).items():
         if len(set(values.values())) > 1:
             each = "; ".join(
-                f"{value}: {_names([code for code, theirs in values.items() if theirs == value])}"
+                f"{value}: {listed([code for code, theirs in values.items() if theirs == value])}"
                 for value in dict.fromkeys(values.values())
             )
             told.append(f"sessions differ in {what} ({each})")
@@ -333,7 +350,7 @@ def _another(one: Any, other: Any) -> bool:
 
 
 def _trials(numbers: Sequence[str]) -> str:
-    return f"trial{'s' if len(numbers) > 1 else ''} {_names(numbers)}"
+    return f"trial{'s' if len(numbers) > 1 else ''} {listed(numbers)}"
 
 
 def _facts(sessions: Sequence[Session]) -> dict[str, dict[str, str]]:
@@ -352,8 +369,3 @@ def _facts(sessions: Sequence[Session]) -> dict[str, dict[str, str]]:
         "the seed of the order": {one.code: str(one.state.seed) for one in sessions},
         "the device": {one.code: devices(one) for one in sessions},
     }
-
-
-def _names(names: Sequence[str]) -> str:
-    more = len(names) - _LISTED
-    return ", ".join(names[:_LISTED]) + (f" and {more} more" if more > 0 else "")

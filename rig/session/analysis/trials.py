@@ -114,6 +114,15 @@ def levels(protocol: Protocol, condition: str) -> tuple[float, ...]:
     return tuple(levels_of(protocol.search_of(protocol.condition_named(condition))))
 
 
+def levels_by_participant(study: Study) -> dict[tuple[str, str], tuple[float, ...]]:
+    """The `levels` of each participant's own protocol, by code and condition."""
+    return {
+        (session.code, condition.name): levels(session.state.protocol, condition.name)
+        for session in study.sessions
+        for condition in session.state.protocol.condition
+    }
+
+
 def half_way(
     grid: Sequence[float], verdicts: Sequence[tuple[float, bool]], share: float | None = None
 ) -> Limit:

@@ -6,12 +6,14 @@ The sentences stand in ``session_events.j2``.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from rig.control.verdict import Kind
 from rig.core.sample import unit_of
 from rig.session.analysis.study import Session, Study
 from rig.session.log import Event
+from rig.session.protocol_changes import value_words
 from rig.session.telling import lost, lost_samples
 from rig.views.report.template import fill_text
 
@@ -39,10 +41,11 @@ class Deviation:
 def deviations(study: Study) -> tuple[Deviation, ...]:
     """Decisions and interruptions: redone, amended, restarted, skipped, tried again, stopped, resumed, ended early.
 
-    An opening of the rig is one where this computer or the link was measured to lose samples.
+    First come values of the protocol that are not those of most participants. An opening of the rig is one where this
+    computer or the link was measured to lose samples.
     Recordings that are missing or were changed stand at the end of each session.
     """
-    found: list[Deviation] = []
+    found = list(_of_protocols(study))
     for session in study.sessions:
         for event in session.events:
             planned = event.kind == "ended" and event.content["reason"] == "complete"
@@ -53,6 +56,15 @@ def deviations(study: Study) -> tuple[Deviation, ...]:
             if state in {"missing", "changed"}:
                 found.append(_deviation(session, session.events[-1], f"recording {state}", f"trial {trial}"))
     return tuple(found)
+
+
+def _of_protocols(study: Study) -> Iterator[Deviation]:
+    for one in study.differences:
+        what = "wording or conduct" if one.is_neutral else "another protocol"
+        for code, value in one.values.items():
+            if value != one.usual:
+                detail = f"{one.key}: {value_words(value)}; most had {value_words(one.usual)}"
+                yield Deviation(participant=code, at_s=0.0, what=what, detail=detail)
 
 
 def invalid_trials(study: Study) -> tuple[Deviation, ...]:

@@ -18,8 +18,8 @@ from rig.core.present import plain
 # Of the job that runs a session: a participant in simulation.
 CONTENT: dict[str, Any] = {
     "protocol": "mine.toml", "code": "P01", "directory": "", "study": "", "digest": None, "row": None, "person": None,
-    "realtime": False, "again": False, "at": "trial", "other_device": False, "url": "", "verified": False,
-    "arm_anyway": False, "lossy_anyway": False, "lsl": False, "hand": "", "hand_kind": None,
+    "realtime": False, "again": False, "at": "trial", "other_device": False, "other_protocol": False, "url": "",
+    "verified": False, "arm_anyway": False, "lossy_anyway": False, "lsl": False, "hand": "", "hand_kind": None,
 }  # fmt: skip
 
 

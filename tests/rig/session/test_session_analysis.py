@@ -496,7 +496,7 @@ def test_sessions_of_different_studies_are_refused(tmp_path: Path) -> None:
     begin("P01", protocol())
     begin("P02", protocol(search={"step": 50.0}), row=1)
     with pytest.raises(
-        ConfigError, match=r"P01 and P02 were not run under one protocol: protocol\.search\.step"
+        ConfigError, match=r"not run under one protocol: search\.step \(25.0: P01; 50.0: P02\)"
     ):
         read_study([tmp_path])
     begin("P03", protocol(study={"participants": 20, "title": "Another name"}, rest={"every": 9}), row=2)

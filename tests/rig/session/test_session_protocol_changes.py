@@ -1,0 +1,191 @@
+"""A study has one protocol: what changed is named before a session begins, and an analysis across it is stated."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from rig.cli import rig
+from rig.config.files import parse_toml
+from rig.core.check import Outcome
+from rig.core.errors import ConfigError
+from rig.session.analysis import Options, analyse
+from rig.session.analysis.study import read_study
+from rig.session.check import check
+from rig.session.load import load_walls, protocol_from_mapping
+from rig.session.log import read
+from rig.session.protocol_changes import ChangedProtocolError
+from rig.session.rehearsal import Person
+from rig.session.run import rehearsal_desk, run_session
+from rig.views.report.session_events import deviations
+from tests.conformance.studies import Person as SimulatedPerson
+from tests.conformance.studies import protocol, sitting, without_sync
+from tests.rig.session.session_fakes import FakeRunner
+from tests.system.session_study import PROTOCOL
+
+NOBODY = Person(thresholds={})
+NEUTRAL = [
+    ("seed = 11", 'seed = 11\nnotes = "fitted a new cable"'),
+    ("[trial]", '[trial]\nsay = "Push into the wall until it stops you and stay there."'),
+    ("[trial]", "[trial]\nattempts = 5"),
+    ("[trial]", "[trial]\nready_s = 4.0"),
+]
+DECIDING = [
+    ("trial.posture", "[trial]", '[trial]\nposture = "standing"'),
+    ("search.highest", "highest = 120.0", "highest = 140.0"),
+    ("study.seed", "seed = 11", "seed = 12"),
+]
+
+
+def run(place: Path, code: str, *changes: tuple[str, str], **more: Any) -> Path:
+    text = PROTOCOL
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new, 1)
+    path = place / "study.toml"
+    path.write_text(text)
+    run_session(
+        path, code, rehearsal_desk(NOBODY), runner=FakeRunner(), study=place / "study", person=NOBODY, **more
+    )
+    return place / "study" / code / "session.log"
+
+
+def found_by_check(place: Path) -> dict[str, Any]:
+    walls = load_walls(place / "study.toml")
+    plan = check(walls.protocol, place, study=place / "study")
+    return {one.name: one for one in plan.checks}
+
+
+@pytest.mark.parametrize("change", NEUTRAL, ids=lambda one: one[1][-20:])
+def test_what_decides_no_result_is_recorded_and_blocks_nothing(
+    tmp_path: Path, change: tuple[str, str]
+) -> None:
+    run(tmp_path, "P01")
+    log = run(tmp_path, "P02", change)
+    (key,) = read(log)[0].content["differs"]
+    study = read_study([tmp_path / "study"])
+    assert f"sessions differ in what decides no result: {key}" in study.messages
+    (one,) = [one for one in deviations(study) if one.what == "wording or conduct"]
+    assert one.detail.startswith(f"{key}: ")
+    assert found_by_check(tmp_path)["protocol"].outcome is Outcome.OK
+
+
+@pytest.mark.parametrize(("key", "old", "new"), DECIDING)
+def test_what_can_decide_a_result_is_named_before_anything_is_written(
+    tmp_path: Path, key: str, old: str, new: str
+) -> None:
+    run(tmp_path, "P01")
+    with pytest.raises(ChangedProtocolError, match=rf"sessions in .*: {key} \(") as caught:
+        run(tmp_path, "P02", (old, new))
+    assert "`other_protocol`" in caught.value.remedy
+    assert f"`across` {key}" in caught.value.remedy
+    assert not (tmp_path / "study" / "P02").exists()
+    checked = found_by_check(tmp_path)["protocol"]
+    assert (checked.outcome, key in checked.text) == (Outcome.WARNING, True)
+    log = run(tmp_path, "P02", (old, new), other_protocol=True)
+    assert read(log)[0].content["differs"] == [key]
+    with pytest.raises(ConfigError, match=rf"not run under one protocol: {key} ") as refused:
+        read_study([tmp_path / "study"])
+    assert f"`across` {key}" in refused.value.remedy
+    study = read_study([tmp_path / "study"], across=(key.partition(".")[0],))
+    assert any(message.startswith(f"analysed across a difference in {key} (") for message in study.messages)
+    (one,) = [one for one in deviations(study) if one.what == "another protocol"]
+    assert (one.participant, one.detail.startswith(f"{key}: ")) == ("P02", True)
+
+
+def test_the_rigs_own_file_is_compared_and_what_describes_it_is_not(tmp_path: Path) -> None:
+    rig_file = tmp_path / "mine.toml"
+
+    def with_rig(text: str, code: str) -> None:
+        rig_file.write_text(f'preset = "koul-rigid"\n[rig]\n{text}')
+        run(tmp_path, code, ('preset = "koul-rigid"', 'experiment = "mine.toml"'))
+
+    with_rig('description = "mine"\n', "P01")
+    with_rig('description = "mine, with a new cable"\n', "P02")
+    with pytest.raises(
+        ChangedProtocolError,
+        match=r"experiment\.rig\.mechanics\.link_coulomb \(0\.0: P01, P02; 0\.002: here\)",
+    ):
+        with_rig("mechanics.link_coulomb = 0.002\n", "P03")
+
+
+def test_a_title_that_shares_its_directory_with_another_is_asked_about(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "study.toml"
+
+    def titled(title: str, code: str, study: Path | None = None) -> None:
+        lines = [f'title = "{title}"' if one.startswith("title") else one for one in PROTOCOL.splitlines()]
+        path.write_text("\n".join(lines))
+        run_session(path, code, rehearsal_desk(NOBODY), runner=FakeRunner(), study=study, person=NOBODY)
+
+    titled("C study", "P01")
+    with pytest.raises(ChangedProtocolError, match=r'study\.title \("C study": P01; "C\+\+ study": here\)'):
+        titled("C++ study", "P02")
+    titled("C++ study", "P02", tmp_path / "elsewhere")
+    titled("C study, renamed", "P03", tmp_path / "elsewhere")  # wording, where the directory was named
+
+
+def test_a_terminal_asks_and_a_script_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rig.cli.session_run.DeviceRunner", lambda **_: FakeRunner())
+    run(tmp_path, "P01")
+    (tmp_path / "study.toml").write_text(PROTOCOL.replace("seed = 11", "seed = 12", 1))
+    words = ["session", "run", str(tmp_path / "study.toml"), "P02", "--study", str(tmp_path / "study")]
+    refused = CliRunner().invoke(rig, [*words, "--rehearse"])
+    assert refused.exit_code != 0
+    monkeypatch.setattr("rig.cli.session_run._is_interactive", lambda: True)
+    left = CliRunner().invoke(rig, [*words, "--rehearse"], input="n\n")
+    assert left.exit_code != 0
+    assert "study.seed" in left.output
+    begun = CliRunner().invoke(rig, [*words, "--rehearse"], input="y\n")
+    assert begun.exit_code == 0, begun.output
+    assert read(tmp_path / "study" / "P02" / "session.log")[0].content["differs"] == ["study.seed"]
+
+
+def test_each_participant_is_estimated_on_the_levels_of_their_own_protocol(tmp_path: Path) -> None:
+    person = SimulatedPerson(threshold=lambda condition, damping: 430.0)
+    with without_sync():
+        for row, (code, highest) in enumerate((("P01", 900.0), ("P02", 1000.0), ("P03", 900.0))):
+            mapping = protocol(search={"highest": highest}, order={"repeats": 1})
+            with sitting(tmp_path / code, mapping, person, code=code, row=row) as one:
+                one.run()
+    found = analyse([tmp_path], Options(across=("search.highest",)))
+    k50 = {
+        (one.participant, one.condition): one.mean
+        for one in found.of_participants
+        if one.measure == "K50 person"
+    }
+    assert np.allclose(list(k50.values()), 430.0, atol=60.0)
+    alone = analyse([tmp_path / "P02"])
+    for one in alone.of_participants:
+        if one.measure == "K50 person":
+            assert k50["P02", one.condition] == one.mean
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"condition": [{"name": "uniform", "scheme": "uniform:2k"}]}, {"damping": [0.1]}],
+    ids=["conditions", "dampings"],
+)
+def test_sessions_that_compare_other_things_are_two_studies(tmp_path: Path, change: dict[str, Any]) -> None:
+    person = SimulatedPerson(threshold=lambda condition, damping: 430.0)
+    mapping = protocol()
+    conditions = change.get("condition") or [{**one, **change} for one in mapping["condition"]]
+    with without_sync():
+        for code, table in (("P01", mapping), ("P02", protocol(condition=conditions))):
+            with sitting(tmp_path / code, table, person, code=code, row=int(code[1:])) as one:
+                one.run(trials=1)
+    with pytest.raises(ConfigError, match="do not compare the same: they differ in condition"):
+        read_study([tmp_path], across=("condition",))
+
+
+def test_a_key_that_an_earlier_version_did_not_know_is_no_difference(tmp_path: Path) -> None:
+    log = run(tmp_path, "P01")
+    began = read(log)[0].content["protocol"]
+    older = {**began, "trial": {key: value for key, value in began["trial"].items() if key != "unsure"}}
+    assert protocol_from_mapping(older, "older") == protocol_from_mapping(parse_toml(PROTOCOL, "x"), "x")
