@@ -56,7 +56,7 @@ def refuse_what_is_fixed(compare: bool, as_in_the_paper: bool, chosen: object) -
     """Refuse options of a comparison without --compare, and choices that the paper's conditions leave no room for."""
     if not compare:
         raise ConfigError(
-            "--scheme and --as-in-the-paper belong to --compare", remedy="say --compare as well"
+            "--scheme, --cutoff and --as-in-the-paper belong to --compare", remedy="say --compare as well"
         )
     if as_in_the_paper and chosen:
         raise ConfigError(
@@ -90,6 +90,8 @@ def run(
         f"mean over {len(comparison.outcomes[0].impacts)} encoder offsets"
     )
     output.print_table(_table(comparison))
+    if comparison.cutoffs is not None:
+        click.echo(f"  {comparison.cutoffs}")
     if changed.controller.loop == "device":
         click.echo(f"  {stands_for_device(changed)}")
     if picture is not None:

@@ -131,6 +131,7 @@ def design_(
     stiffness: float | None,
     damping: float | None,
     schemes: tuple[str, ...],
+    cutoff: str | None,
     paper: bool,
     workers: int | None,
     scheduler: str | None,
@@ -156,7 +157,14 @@ def design_(
         refuse_without_device(verified, confirm)
     sets = (*sets, *_limits(asked))
     experiment = map_options.chosen(
-        file, preset or options.preset_of(url, file), operator, effort, seed, sets, device=url is not None
+        file,
+        preset or options.preset_of(url, file),
+        operator,
+        effort,
+        seed,
+        sets,
+        cutoff,
+        device=url is not None,
     )
     request = Request(
         experiment=experiment,

@@ -78,7 +78,7 @@ def hit(
     recorded.
     """
     changes = options.changes(**changed)
-    if compare or schemes or as_in_the_paper:
+    if compare or schemes or as_in_the_paper or changed["cutoff"]:
         comparing.refuse_a_verdict(expected)
         comparing.refuse_a_device(url, realtime, verified, changes)
         comparing.refuse_what_is_fixed(compare, as_in_the_paper, file or preset or url or changes or schemes)

@@ -72,6 +72,7 @@ def impedance(
     damping: str | None,
     bare: bool,
     schemes: tuple[str, ...],
+    cutoff: str | None,
     judged: str | None,
     judged_band: str | None,
     z_score: float | None,
@@ -96,7 +97,7 @@ def impedance(
     """
     preset = preset or options.preset_of(url, file) or (None if file else DEFAULT_PRESET)
     experiment = options.chosen_experiment(file, preset)
-    experiment = config.override(experiment, _changes(url, **excitation))
+    experiment = config.override(experiment, _changes(url, cutoff, **excitation))
     walls = _walls(experiment, stiffness, damping, bare)
     judging = judging_of(
         judged_band, z_score=z_score, residual_threshold=residual_threshold, effective_hz=effective_hz
@@ -149,10 +150,10 @@ def impedance(
         raise unexpected
 
 
-def _changes(url: str | None, **excitation: Any) -> dict[str, Any]:
+def _changes(url: str | None, cutoff: str | None, **excitation: Any) -> dict[str, Any]:
     """What the options say, by dotted key."""
     sets, band, kind = excitation.pop("sets"), excitation.pop("band"), excitation["kind"]
-    changed = options.changes(None, sets)
+    changed = options.changes(None, sets, cutoff=cutoff)
     if excitation["channel"] is None and url is not None:
         excitation["channel"] = "motor"
     if kind == "schroeder" and excitation["realisations"] is None:

@@ -30,6 +30,7 @@ def limit_cycles(
     stiffness: str | None,
     damping: str | None,
     schemes: tuple[str, ...],
+    cutoff: str | None,
     sets: tuple[str, ...],
     as_json: bool,
 ) -> None:
@@ -43,7 +44,9 @@ def limit_cycles(
         raise ConfigError(
             "a wall is a stiffness and a damping", remedy="give --stiffness and --damping, or neither"
         )
-    experiment = config.override(options.chosen_experiment(file, preset), options.changes(None, sets))
+    experiment = config.override(
+        options.chosen_experiment(file, preset), options.changes(None, sets, cutoff=cutoff)
+    )
     walls = (
         None
         if stiffness is None or damping is None

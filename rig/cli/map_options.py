@@ -58,6 +58,7 @@ def chosen(
     effort: float | None,
     seed: int | None,
     sets: tuple[str, ...],
+    cutoff: str | None = None,
     *,
     device: bool = False,
 ) -> Experiment:
@@ -66,7 +67,7 @@ def chosen(
     says = any(text.partition("=")[0].strip() == "trial.kind" for text in sets)
     if operator is None and file is None and effort is None and not device and not says:
         operator = "normal"
-    changes = options.changes(None, sets, operator=operator, effort=effort, seed=seed)
+    changes = options.changes(None, sets, operator=operator, effort=effort, seed=seed, cutoff=cutoff)
     experiment = config.override(experiment, changes)
     if effort is not None and experiment.trial.kind == "human":
         raise ConfigError(

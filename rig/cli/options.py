@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 import click
 
@@ -17,6 +17,7 @@ from rig.cli import command, values
 from rig.cli.command import DEVICE, EXPERIMENT, RESULT, option
 from rig.config import Experiment, presets
 from rig.config.schemes import parse_rates
+from rig.config.sections import SchemeCutoff
 from rig.core.errors import ConfigError
 from rig.views.plots.style import FORMATS
 
@@ -102,10 +103,17 @@ def estimator_option(help: str = "Velocity estimator.", **more: Any) -> Callable
 
 
 def scheme_option(default: str, group: str = EXPERIMENT) -> Callable[[F], F]:
-    """Sampling schemes to look at; the text says what is taken without."""
-    return option(
-        "--scheme", "schemes", group=group, multiple=True, metavar="SCHEME", type=values.SCHEME,
-        help=f"dual:20k/2k; uniform:20k,cutoff_hz=1000; dual:20k/2k,estimator=kalman …; repeat it. [{default}]",
+    """Sampling schemes to compare, by `default` if none is given, and the cut-off of those that state none."""
+    return added(
+        option(
+            "--scheme", "schemes", group=group, multiple=True, metavar="SCHEME", type=values.SCHEME,
+            help=f"dual:20k/2k; uniform:20k,cutoff_hz=1000; dual:20k/2k,estimator=kalman …; repeat it. [{default}]",
+        ),
+        option(
+            "--cutoff", group=group, type=click.Choice(get_args(SchemeCutoff)),
+            help="Cut-off of schemes that state none: the same share of each velocity rate, or the same in Hz. "
+            "[as-in-the-paper]",
+        ),
     )  # fmt: skip
 
 
@@ -336,6 +344,7 @@ _KEYS = {
     "damping": "wall.damping",
     "estimator": "controller.estimator",
     "loop": "controller.loop",
+    "cutoff": "controller.scheme_cutoff",
     "effort": "trial.effort",
     "start": "trial.start",
     "duration": "trial.duration_s",

@@ -47,6 +47,7 @@ def theory(
     file: Path | None,
     preset: str | None,
     schemes: tuple[str, ...],
+    cutoff: str | None,
     operator: str | None,
     damping: float | None,
     sets: tuple[str, ...],
@@ -62,7 +63,7 @@ def theory(
     quantum takes 30 to 50 % off the range of B. `rig zwidth --explain` shows where that matters.
     """
     experiment = options.chosen_experiment(file, preset)
-    changes = options.changes(rate=None, sets=sets, damping=damping)
+    changes = options.changes(rate=None, sets=sets, damping=damping, cutoff=cutoff)
     if changes:
         experiment = config.override(experiment, changes)
     found = theory_of(experiment, schemes or None, operator=operator)
@@ -104,6 +105,8 @@ def _print(found: Theory) -> None:
         output.print_pairs(_pairs(found, scheme))
     for refused in found.not_linear:
         click.echo(f"{click.style(refused.label, bold=True)}: not linear: {refused.reason}")
+    if found.cutoffs is not None:
+        click.echo(found.cutoffs)
 
 
 def _in_hand(held: InHand, unit: str) -> str:

@@ -84,7 +84,7 @@ def zwidth(
         map_frequency(
             file=file, preset=preset, schemes=schemes, stiffness=stiffness, damping=damping, judged=judged,
             directory=directory, plot=plot, as_json=as_json, workers=workers, scheduler=scheduler,
-            sets=push["sets"], seed=push["seed"], **excitation,
+            sets=push["sets"], seed=push["seed"], cutoff=push["cutoff"], **excitation,
         )  # fmt: skip
         return
     device = url is not None or realtime
@@ -169,7 +169,7 @@ def _print(found: ZWidth) -> None:
 
 
 def _notes(found: ZWidth) -> list[str]:
-    notes = []
+    notes = [] if found.cutoffs is None else [found.cutoffs]
     if any(b.capped for b in found.boundaries):
         notes.append(
             "≥ before K: some series reached the highest stiffness before a wall failed; the limit lies above: "

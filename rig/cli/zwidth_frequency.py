@@ -84,6 +84,7 @@ def map_frequency(
     file: Path | None,
     preset: str | None,
     schemes: tuple[str, ...],
+    cutoff: str | None,
     stiffness: str | None,
     damping: str | None,
     judged: str | None,
@@ -99,7 +100,7 @@ def map_frequency(
     **excitation: Any,
 ) -> None:
     """Map a simulated rig and print what came of it."""
-    experiment = _chosen(file, preset, **excitation)
+    experiment = _chosen(file, preset, cutoff=cutoff, **excitation)
     signal = None if judged is None else "truth" if judged == "true" else "count"
     judging = judging_of(
         judged_band, z_score=z_score, residual_threshold=residual_threshold, effective_hz=effective_hz
@@ -122,12 +123,12 @@ def map_frequency(
 
 
 def _chosen(
-    file: Path | None, preset: str | None, *, sets: tuple[str, ...], band: str | None, seed: int | None,
-    realisations: int | None, periods: int | None, amplitude: float | None,
+    file: Path | None, preset: str | None, *, sets: tuple[str, ...], cutoff: str | None, band: str | None,
+    seed: int | None, realisations: int | None, periods: int | None, amplitude: float | None,
 ) -> Experiment:  # fmt: skip
     experiment = options.chosen_experiment(file, preset or (None if file else DEFAULT_PRESET))
     given = {"seed": seed, "realisations": realisations, "periods": periods, "rms": amplitude}
-    changes = options.changes(None, sets)
+    changes = options.changes(None, sets, cutoff=cutoff)
     changes |= {f"excitation.{key}": value for key, value in given.items() if value is not None}
     if band is not None:
         changes["excitation.low_hz"], changes["excitation.high_hz"] = options.band(band, "--band")

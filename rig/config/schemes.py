@@ -9,14 +9,15 @@ of its own, with a text form for the command line::
     uniform:20k,cutoff_hz=1000         settings of the estimator
     dual:20k/2k,prediction=extrapolate,slow_velocity_rate=500,slow_below=0.1
 
-A filter keeps its share of the velocity rate: an experiment with a cut-off of 200 Hz at 2 kHz has 2 kHz at 20 kHz,
-unless the scheme says otherwise (Koul et al. give 200 Hz at 2 kHz, and "10 % Nyquist" for other rates, which fits
-neither 200 Hz at 2 kHz nor one reading of 20 kHz: so the cut-off is a setting, and labels show it).
+Unless a scheme states its cut-off, a filter keeps its share of the velocity rate: an experiment with a cut-off of
+200 Hz at 2 kHz has 2 kHz at 20 kHz. Koul et al. compare their schemes so (200 Hz at 2 kHz, "10 % Nyquist" for other
+rates), which is why it is the default; it compares rates and filters at once. With `controller.scheme_cutoff` = "same"
+all schemes have the experiment's cut-off, and differ in their rates alone. `describe_cutoffs` says where they differ.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal
@@ -173,14 +174,34 @@ class Scheme:
     def _parameters_on(self, experiment: Experiment) -> dict[str, float | str]:
         """Settings of the estimator: the scheme's over the experiment's, a cut-off at its share of the rate."""
         own = experiment.controller
-        if self.estimator in (None, own.estimator):
-            settings = dict(own.parameters)
-            cutoff = settings.get(_CUTOFF)
-            if isinstance(cutoff, int | float):
+        inherits = self.estimator in (None, own.estimator)
+        settings = (
+            dict(own.parameters) if inherits else usual_settings(str(self.estimator), self.velocity_rate)
+        )
+        cutoff = own.parameters.get(_CUTOFF)
+        if _CUTOFF in settings and isinstance(cutoff, int | float):
+            if own.scheme_cutoff == "same":
+                settings[_CUTOFF] = cutoff
+            elif inherits:
                 settings[_CUTOFF] = cutoff * (self.velocity_rate / own.velocity_rate)
-        else:
-            settings = usual_settings(self.estimator, self.velocity_rate)
         return {**settings, **self.parameters}
+
+
+def describe_cutoffs(schemes: Iterable[Scheme], experiment: Experiment) -> str | None:
+    """Return a sentence if the rates of schemes that state no cut-off change it from the experiment's, or None."""
+    own = experiment.controller
+    unstated = [
+        own,
+        *(scheme.on(experiment).controller for scheme in schemes if _CUTOFF not in scheme.parameters),
+    ]
+    found = {c.velocity_rate: c.parameters[_CUTOFF] for c in unstated if _CUTOFF in c.parameters}
+    if len(set(found.values())) < 2:
+        return None
+    each = ", ".join(f"{cutoff:g} Hz at {rate / 1e3:g} kHz" for rate, cutoff in found.items())
+    return (
+        f"cut-offs differ as the velocity rates do, as in the paper: {each}; "
+        'controller.scheme_cutoff = "same" compares the rates alone'
+    )
 
 
 def parse_rates(text: str) -> tuple[int, int]:

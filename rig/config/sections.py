@@ -111,6 +111,9 @@ class Rig:
     __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
 
 
+SchemeCutoff = Literal["as-in-the-paper", "same"]
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Controller:
     """Rates of the law and the velocity estimator; where the law runs."""
@@ -131,6 +134,14 @@ class Controller:
     parameters: Annotated[Mapping[str, float | str], Quantity("", "settings of the estimator")] = field(
         default_factory=dict
     )
+    scheme_cutoff: Annotated[
+        SchemeCutoff,
+        Quantity(
+            "",
+            "cut-off of a scheme that states none, at another velocity rate: as-in-the-paper, the same share of that "
+            "rate; same, this cut-off in Hz",
+        ),
+    ] = "as-in-the-paper"
     prediction: Annotated[
         Literal["hold", "extrapolate"],
         Quantity("", "velocity between its samples: held, or extrapolated to first order"),

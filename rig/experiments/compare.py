@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from firmware_protocol.messages import OLDEST_EDGE, TIME_UNIT_NS
 from rig import config, devices
 from rig.config import Experiment, Wall, controller
-from rig.config.schemes import Scheme
+from rig.config.schemes import Scheme, describe_cutoffs
 from rig.control.step import ENDS_RUN, TRIAL, Controller
 from rig.core.errors import ConfigError
 from rig.core.present import reported
@@ -137,6 +137,12 @@ class Comparison:
     def wall(self) -> Wall:
         """The wall, whose damping an entry may replace."""
         return self.experiment.wall
+
+    @reported
+    def cutoffs(self) -> str | None:
+        """How the cut-offs differ between damped schemes that state none; None where they do not."""
+        damped = [outcome.entry.scheme for outcome in self.outcomes if outcome.damping > 0.0]
+        return describe_cutoffs(damped, self.experiment)
 
     def __getitem__(self, name: str) -> SchemeImpacts:
         """Return the outcome of the entry of that name; `KeyError` if there is none."""

@@ -23,7 +23,7 @@ import numpy as np
 
 from rig import config
 from rig.config import Experiment
-from rig.config.schemes import Scheme
+from rig.config.schemes import Scheme, describe_cutoffs
 from rig.control.measure import NUMBERS, UNITS
 from rig.control.verdict import CRITERIA, INVALID, Measured, Objection, objections
 from rig.core.drawn import Drawn
@@ -257,6 +257,11 @@ class ZWidth(Shown, Drawn):
     on_device: bool = False  # every hit ran over a link
 
     @property
+    def cutoffs(self) -> str | None:
+        """How the cut-offs differ between schemes that state none; None where they do not."""
+        return describe_cutoffs(self.plan.schemes, self.plan.experiment)
+
+    @property
     def of_device_loop(self) -> bool:
         """Whether simulated hits under the host's law stand for a law on the device."""
         return self.plan.experiment.controller.loop == "device" and not self.on_device
@@ -324,7 +329,8 @@ class ZWidth(Shown, Drawn):
             rows.append(
                 Row(scheme.label(x), f"{peak}, B up to {beyond}{written(width.damping_range)} {damping}")
             )
-        return [f"Z-width of {x.rig.name}: {self.hits} hits, neither felt, heard nor moved", *rows]
+        notes = [] if self.cutoffs is None else [self.cutoffs]
+        return [f"Z-width of {x.rig.name}: {self.hits} hits, neither felt, heard nor moved", *rows, *notes]
 
     def detailed(self) -> list[Item]:
         """The short form, and the limit of each scheme at each damping."""
@@ -374,6 +380,7 @@ class ZWidth(Shown, Drawn):
             "judged": plan.judged,
             "hits": self.hits,
             "invalid": self.invalid(),
+            "cutoffs": self.cutoffs,
             "note": stands_for_device(self.plan.experiment) if self.of_device_loop else None,
             "experiment": config.as_mapping(plan.experiment),
         }

@@ -50,6 +50,22 @@ def test_it_says_what_the_maps_of_a_hand_would_speak_of(run: Any) -> None:
     assert "normal hand (which the bounds leave out)" in out
 
 
+def test_rates_are_compared_with_the_same_filter_if_asked_and_a_difference_is_printed(run: Any) -> None:
+    """Koul et al. filter at a tenth of the velocity rate; K_max at B = 0.5 is then 3360, else 589 N·m/rad."""
+    asked = ("theory", "--rig", "koul-rigid", "--no-plot", "--scheme", "uniform:20k", "-B", "0.5", "--json")
+    found = {}
+    for cutoff in ("as-in-the-paper", "same"):
+        code, out, _ = run(*asked, "--cutoff", cutoff)
+        assert code == 0
+        found[cutoff] = json.loads(out)
+    stated = theory.k_max("koul-rigid", "uniform:20k,cutoff_hz=200", 0.5).stiffness
+    assert found["same"]["schemes"][0]["at_wall"]["limit"]["stiffness"] == pytest.approx(stated, rel=1e-12)
+    assert "2000 Hz at 20 kHz" in found["as-in-the-paper"]["cutoffs"]
+    assert found["same"]["cutoffs"] is None
+    code, out, _ = run(*asked[:-1])
+    assert found["as-in-the-paper"]["cutoffs"] in out
+
+
 def test_equal_rules_are_one_line_and_meaningless_ones_none(run: Any) -> None:
     code, out, _ = run("theory", "--rig", "koul-rigid", "--no-plot", "--scheme", "dual:20k/2k", "-B", "1e6")
     assert code == 0

@@ -23,7 +23,7 @@ from rig.analysis.theory.loop import (
 )
 from rig.analysis.theory.passivity import PassivityBound, passive_curve, passivity_bound, rigid_b_max
 from rig.config import Experiment
-from rig.config.schemes import Scheme
+from rig.config.schemes import Scheme, describe_cutoffs
 from rig.core.drawn import Drawn
 from rig.core.model import Operator
 from rig.core.present import Item, Row, reported, written
@@ -118,6 +118,8 @@ class Theory(Shown, Drawn):
         For a rig that is meant for an automated trial and was asked about as it is.
     not_linear
         Schemes that were left out.
+    cutoffs
+        How the cut-offs differ between schemes that state none; None where they do not.
     """
 
     rig: str
@@ -134,6 +136,7 @@ class Theory(Shown, Drawn):
     schemes: tuple[SchemeTheory, ...]
     in_hand: InHand | None = None
     not_linear: tuple[NotLinear, ...] = ()
+    cutoffs: str | None = None
 
     def brief(self) -> list[Item]:
         """The largest stable stiffness without damping, and the largest damping, of each scheme."""
@@ -147,7 +150,8 @@ class Theory(Shown, Drawn):
             for scheme in self.schemes
         ]
         refused = [Row(scheme.label, f"not linear: {scheme.reason}") for scheme in self.not_linear]
-        return [f"linear theory of {self.rig}, hand: {self.operator}", *rows, *refused]
+        notes = [] if self.cutoffs is None else [self.cutoffs]
+        return [f"linear theory of {self.rig}, hand: {self.operator}", *rows, *refused, *notes]
 
 
 def theory_of(
@@ -198,6 +202,7 @@ def theory_of(
         schemes=tuple(_of_scheme(Lifted.of(loop), scheme, experiment, damping) for scheme, loop in loops),
         in_hand=_in_hand(subject, [scheme for scheme, _ in loops]) if operator is None else None,
         not_linear=not_linear,
+        cutoffs=None if experiment is None else describe_cutoffs((scheme for scheme, _ in loops), experiment),
     )
 
 

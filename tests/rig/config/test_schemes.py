@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.config import presets
-from rig.config.schemes import Scheme, parse_rates, usual_settings
+from rig.config import override, presets
+from rig.config.schemes import Scheme, describe_cutoffs, parse_rates, usual_settings
 from rig.core.errors import ConfigError
 
 KOUL = presets.load("koul-compliant")
@@ -94,6 +94,37 @@ def test_a_filter_keeps_its_share_of_the_velocity_rate() -> None:
     assert (uniform.velocity_rate, uniform.parameters["cutoff_hz"]) == (20_000, 2000.0)
     assert Scheme.parse("uniform:20k,cutoff_hz=1000").applied(KOUL).controller.parameters["cutoff_hz"] == 1000
     assert Scheme.parse("dual:20k/2k").applied(KOUL).controller.parameters["cutoff_hz"] == 200.0
+
+
+def test_the_same_cutoff_is_kept_where_only_rates_are_compared() -> None:
+    same = override(KOUL, {"controller.scheme_cutoff": "same"}, "the test")
+    for text in ("uniform:20k", "uniform:2k", "dual:20k/1k", "dual:20k/2k,estimator=fdm-butterworth-fixed"):
+        assert Scheme.parse(text).applied(same).controller.parameters["cutoff_hz"] == 200.0
+    assert (
+        Scheme.parse("uniform:20k,cutoff_hz=1000").applied(same).controller.parameters["cutoff_hz"] == 1000.0
+    )
+
+
+@pytest.mark.parametrize(
+    ("texts", "rule", "found"),
+    [
+        (("dual:20k/2k", "uniform:20k"), "as-in-the-paper", ("200 Hz at 2 kHz", "2000 Hz at 20 kHz")),
+        (("dual:20k/2k", "uniform:20k"), "same", None),
+        (("dual:20k/2k", "uniform:20k,cutoff_hz=2000"), "as-in-the-paper", None),  # stated, so not silent
+        (("dual:20k/2k", "uniform:2k"), "as-in-the-paper", None),
+        (("dual:20k/2k", "uniform:20k,estimator=kalman"), "as-in-the-paper", None),
+    ],
+)
+def test_cutoffs_that_differ_with_the_rates_are_named(
+    texts: tuple[str, ...], rule: str, found: tuple[str, ...] | None
+) -> None:
+    experiment = override(KOUL, {"controller.scheme_cutoff": rule}, "the test")
+    note = describe_cutoffs(map(Scheme.parse, texts), experiment)
+    if found is None:
+        assert note is None
+    else:
+        assert note is not None
+        assert all(each in note for each in (*found, "scheme_cutoff"))
 
 
 def test_another_estimator_brings_its_own_settings_and_leaves_the_old_ones_behind() -> None:
