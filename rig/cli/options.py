@@ -69,7 +69,7 @@ def walls_options(stiffness: str, damping: str) -> Callable[[F], F]:
     )
 
 
-class Hertz(click.ParamType[int]):
+class Hertz(click.ParamType):  # type: ignore[type-arg]  # click before 8.4 cannot subscript it
     """A rate, written as rates are everywhere: 2000 or 2k."""
 
     name = "rate"

@@ -20,7 +20,7 @@ GRIPS = ("none", "relaxed", "normal", "firm")  # rig.core.operators.GRIPS and no
 _RECORDING = (".parquet", ".rigcap")
 
 
-class Named(click.ParamType[str]):
+class Named(click.ParamType):  # type: ignore[type-arg]  # click before 8.4 cannot subscript it
     """Text of which a shell is told the beginnings; what it means is checked by whoever takes it."""
 
     def __init__(self, name: str, known: Callable[[str], Iterable[str]]) -> None:

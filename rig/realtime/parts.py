@@ -10,6 +10,7 @@ This file extends numba's own code libraries and disk cache; `rig.realtime.kerne
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import time
 from collections.abc import Iterator
 from functools import cache
@@ -181,6 +182,10 @@ class _ByModule(_named):  # type: ignore[misc]
     @classmethod
     def from_function(cls, py_func: Any, py_file: str) -> Any:
         return super(_named, cls).from_function(py_func, py_file)  # whatever CACHE_DIR is
+
+    def get_source_stamp(self) -> bytes:
+        """Return a hash of the file; numba before 0.68 takes its time, by which every fresh checkout is compiled."""
+        return hashlib.sha256(Path(self._py_file).read_bytes()).digest()
 
 
 class _Implementation(_usual):  # type: ignore[misc]

@@ -120,11 +120,10 @@ def _metadata(path: Path, schema: Any) -> dict[bytes, bytes]:
     return metadata
 
 
-def _to_numpy(column: Any) -> NDArray[Any]:
-    """Values of a column of numbers without nulls, from its memory: pyarrow's own way would import pandas."""
-    if column.null_count:
-        raise ValueError("a column has nulls")
-    dtype = np.dtype(column.type.to_pandas_dtype())
+def _to_numpy(column: Any, dtype: np.dtype[Any]) -> NDArray[Any]:
+    """Return a column of numbers without nulls from its memory, since pyarrow's own conversion imports pandas."""
+    if column.null_count or column.type != pyarrow.from_numpy_dtype(dtype):
+        raise ValueError(f"a column has nulls, or is {column.type} and not {dtype}")
     chunks = [
         np.frombuffer(chunk.buffers()[1], dtype, len(chunk), chunk.offset * dtype.itemsize)
         for chunk in column.chunks
@@ -136,10 +135,10 @@ def _to_numpy(column: Any) -> NDArray[Any]:
 
 
 def _recording(path: Path, table: Any, metadata: dict[bytes, bytes]) -> Recording:
-    columns = {name: _to_numpy(table.column(name)) for name in table.column_names}
+    facts = _facts(path, metadata)
+    columns = {name: _to_numpy(table.column(name), facts.rows.dtype[name]) for name in table.column_names}
     if _checksum(metadata, columns) != metadata[CHECKSUM_KEY]:
         raise ValueError("its checksum does not match")
-    facts = _facts(path, metadata)
     rows = np.empty(table.num_rows, facts.rows.dtype)
     for name in facts.names:
         rows[name] = columns[name]
