@@ -182,7 +182,7 @@ def _print_result(result: Any, picture: str | None, changed: list[str]) -> None:
         click.echo(f"rig: the device had a fault latched, now cleared: {result.cleared_fault}", err=True)
     click.echo(hit_output.headline(result.experiment))
     if changed:
-        click.echo(f"  for real time: {', '.join(changed)}")
+        click.echo(f"  in effect: {', '.join(changed)}")
     _print_recorded(result.recorded, picture)
 
 
@@ -203,6 +203,8 @@ def _show_what_was_recorded(error: RigError, artist: Artist, *, quiet: bool) -> 
         return
     if left is None:
         return
+    for warning in left.recording.header["extra"].get("warnings", []):
+        click.echo(f"rig: {warning}", err=True)
     picture = artist.draw(left.path)
     if quiet:
         return

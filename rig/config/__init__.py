@@ -5,6 +5,7 @@
 * `rules`: what ties keys together;
 * `files`: TOML and presets as raw tables;
 * `checked`: types and ranges of every key, for this and other kinds of files;
+* `people`: the limits of a trial in which a person holds the handle;
 * `load`: the way to an `Experiment`;
 * `derive`: what others make of it.
 
@@ -34,6 +35,7 @@ from rig.config.load import (
     with_realtime,
     with_values,
 )
+from rig.config.people import human_limits_exceeded
 from rig.config.sections import (
     Controller,
     Excitation,
@@ -67,6 +69,7 @@ __all__ = [
     "excitation_size",
     "excited",
     "experiment_from_mapping",
+    "human_limits_exceeded",
     "json_schema",
     "load_experiment",
     "motor_push",

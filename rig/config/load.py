@@ -10,6 +10,7 @@ from typing import Any
 
 from rig.config.checked import Kind, changed, plain, typed, value_at
 from rig.config.files import Table, flatten, nest, overlay, preset_names, preset_table, read_toml, tidy
+from rig.config.people import with_human_limits
 from rig.config.problems import Problem, config_error, did_you_mean
 from rig.config.rules import broken_rules
 from rig.config.sections import Experiment
@@ -58,9 +59,11 @@ def experiment_from_mapping(mapping: Mapping[str, Any], source: str) -> Experime
         )
     if "preset" in table:
         name = table.pop("preset")
+        meant = _keys_of(table)
         table = _stack(_preset(name, source), table)
         source = f"{source} (on preset {name})"
-    return _validated(table, source)
+        return checked(with_human_limits(_validated(table, source), meant), source)
+    return checked(_validated(table, source), source)
 
 
 def override(experiment: Experiment, changes: Mapping[str, Any], source: str = "command line") -> Experiment:
@@ -82,14 +85,11 @@ def with_values(experiment: Experiment, changes: Mapping[str, Any], source: str)
     """Return the experiment with some keys changed, each value checked by itself: a step on the way to `checked`.
 
     The settings of a replaced estimator and the numbers of a replaced grip are dropped. A key that is set applies in
-    real time too: it is removed from ``[realtime]``.
+    real time too: it is removed from ``[realtime]``. A trial that becomes a person's gets the limits for people.
     """
     wanted = nest(tidy(changes))
-    start = _without_what_goes(experiment, wanted)
+    start, meant = _without_what_goes(experiment, wanted), _keys_of(wanted)
     if isinstance(wanted.get("realtime", {}), dict):
-        meant = {
-            key for key, _ in flatten({name: part for name, part in wanted.items() if name != "realtime"})
-        }
         kept = {key: value for key, value in start.realtime.items() if key not in meant}
         start = replace(start, realtime=kept)
         if "realtime" in wanted:
@@ -99,7 +99,7 @@ def with_values(experiment: Experiment, changes: Mapping[str, Any], source: str)
     problems += _wrong_realtime(wanted.get("realtime", {}))
     if problems:
         raise config_error(problems, source)
-    return other
+    return with_human_limits(other, meant)
 
 
 def checked(experiment: Experiment, source: str) -> Experiment:
@@ -109,6 +109,11 @@ def checked(experiment: Experiment, source: str) -> Experiment:
     if problems:
         raise config_error(problems, source)
     return experiment
+
+
+def _keys_of(table: Table) -> set[str]:
+    """Dotted keys that a table sets, but for those of ``[realtime]``."""
+    return {key for key, _ in flatten({name: part for name, part in table.items() if name != "realtime"})}
 
 
 def _without_what_goes(experiment: Experiment, wanted: Table) -> Experiment:
@@ -168,7 +173,7 @@ def _stack(base: Table, top: Table) -> Table:
     merged = overlay(base, top)
     layers = [layer["realtime"] for layer in (base, top) if "realtime" in layer]
     if layers and all(isinstance(layer, dict) for layer in layers):
-        meant = {key for key, _ in flatten({name: part for name, part in top.items() if name != "realtime"})}
+        meant = _keys_of(top)
         below = base.get("realtime", {})
         kept = {key: value for key, value in flatten(below) if key not in meant}
         merged["realtime"] = {**kept, **dict(flatten(top.get("realtime", {})))}
@@ -176,7 +181,7 @@ def _stack(base: Table, top: Table) -> Table:
 
 
 def _validated(table: Table, source: str) -> Experiment:
-    """Check every value and every rule of a whole file."""
+    """Check every value of a whole file."""
     table = _with_defaults(table)
     with _computable(source):
         found = typed(EXPERIMENT, table, _motion(table))
@@ -184,7 +189,7 @@ def _validated(table: Table, source: str) -> Experiment:
     problems += _wrong_realtime(table.get("realtime", {}))
     if problems or experiment is None:
         raise config_error(problems, source)
-    return checked(experiment, source)
+    return experiment
 
 
 @contextmanager

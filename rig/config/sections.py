@@ -76,7 +76,12 @@ class Limits:
         Quantity("s", "longest time between two oscillations in a row"),
     ] = OSCILLATION_S
     human: Annotated[
-        bool, Quantity("", "a person holds the handle, so effort may not exceed nominal_effort")
+        bool,
+        Quantity(
+            "",
+            'a person holds the handle, so effort may not exceed nominal_effort; trial.kind = "human" sets it; false '
+            "beside that kind is refused on a real rig",
+        ),
     ] = True
     override_stall: Annotated[
         bool, Quantity("", "let effort exceed nominal_effort although a person holds the handle")

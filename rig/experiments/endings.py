@@ -101,7 +101,7 @@ ENDINGS: dict[EndReason, tuple[type[RigError], str, str]] = {
         GuardError,
         "the effort oscillated {oscillations} times in a row between zero and its limit, each within {oscillation_s} s "
         "of the one before, and rig.limits.oscillations allows fewer; the effort went to zero",
-        "take a softer or more damped wall; rig.limits.oscillations = 0 switches this off",
+        "take a softer or more damped wall; rig.limits.oscillations = 0 switches this off in an automated trial",
     ),
     EndReason.CURRENT_DIFFERS: (
         GuardError,

@@ -17,9 +17,9 @@ from rig.config import Experiment, device_law
 from rig.config.controller import Run
 from rig.control.law import Law
 from rig.control.verdict import Verdict
-from rig.core.check import refuse
+from rig.core.check import Outcome, refuse
 from rig.core.drawn import Drawn
-from rig.core.errors import ConfigError, PlanError
+from rig.core.errors import ConfigError
 from rig.core.model import RigModel
 from rig.core.present import Item, Row, plain
 from rig.core.same_rig import check_rig
@@ -27,7 +27,7 @@ from rig.core.shown import Shown
 from rig.devices.framed import FramedDevice
 from rig.devices.local import opened
 from rig.experiments.judgement import Judgement, judge
-from rig.experiments.plan import device_checks, link_checks, plan_of
+from rig.experiments.plan import device_checks, human_limit_checks, link_checks, plan_of
 from rig.experiments.pulse import NO_HANDS, pulse
 from rig.experiments.trial import TrialEnd, TrialRequest, end_of, prepared_on, run_trial
 from rig.experiments.zero import position_zero
@@ -114,7 +114,9 @@ class HitResult(Shown, Drawn):
     counters: dict[str, int]
     cleared_fault: str | None  # what an earlier run had left latched on the device
     gate: Gate | None = None  # what speaks for and against arming on this link; None in virtual time
-    messages: tuple[str, ...] = ()  # what this computer or the port did not grant, each with its remedy
+    messages: tuple[
+        str, ...
+    ] = ()  # limits for people that do not hold; what was not granted; each with its remedy
 
     @property
     def recording(self) -> Recording:
@@ -211,6 +213,9 @@ def hit(request: HitRequest, watch: Watch | None = None) -> Iterator[HitResult]:
         run = vetted(request, device, effective)
         experiment = run.experiment
         gate = _gate(request, device, experiment)
+        warnings = tuple(
+            one.sentence for one in human_limit_checks(experiment) if one.outcome is not Outcome.OK
+        )
         output = Path(request.output)
         with plain_errors("make", output):
             output.mkdir(parents=True, exist_ok=True)
@@ -224,9 +229,13 @@ def hit(request: HitRequest, watch: Watch | None = None) -> Iterator[HitResult]:
                 progress=watch(repeat, experiment) if watch else None,
                 blinded=request.blinded,
                 judge=partial(judge, experiment=experiment),
-                extra={"repeat": repeat + 1, **({} if gate is None else {"gate": plain(gate)})},
+                extra={
+                    "repeat": repeat + 1,
+                    **({} if gate is None else {"gate": plain(gate)}),
+                    **({"warnings": list(warnings)} if warnings else {}),
+                },
             )
-            yield _one(device, trial, gate)
+            yield _one(device, trial, gate, warnings)
 
 
 def left_by(error: Exception) -> Recorded | None:
@@ -268,7 +277,7 @@ def vetted(request: HitRequest, device: FramedDevice, experiment: Experiment) ->
     refuse(device_checks(run, device.dictionary))
     refuse(link_checks(experiment, device.dictionary.position_rate_maximum, device.link.bytes_per_second))
     _check_verified(request, device)
-    _check_person(experiment, device)
+    refuse(human_limit_checks(experiment, real=not device.dictionary.simulated))
     return run
 
 
@@ -282,7 +291,9 @@ def _gate(request: HitRequest, device: FramedDevice, experiment: Experiment) -> 
     return found
 
 
-def _one(device: FramedDevice, trial: TrialRequest, gate: Gate | None) -> HitResult:
+def _one(
+    device: FramedDevice, trial: TrialRequest, gate: Gate | None, warnings: tuple[str, ...]
+) -> HitResult:
     end = run_trial(device, trial)
     fault, device.cleared_fault = device.cleared_fault, None
     return HitResult(
@@ -290,7 +301,7 @@ def _one(device: FramedDevice, trial: TrialRequest, gate: Gate | None) -> HitRes
         counters=end.counters,
         cleared_fault=None if fault is None else fault.text,
         gate=gate,
-        messages=(*device.link.messages, *end.messages),
+        messages=(*warnings, *device.link.messages, *end.messages),
     )
 
 
@@ -363,15 +374,3 @@ def _check_verified(request: HitRequest, device: FramedDevice) -> None:
         remedy="check them with the power stage limited (push the handle: position must rise; a positive effort must "
         "move it the same way), put the handle at position zero, and say `verified`: the count there becomes zero",
     )
-
-
-def _check_person(experiment: Experiment, device: FramedDevice) -> None:
-    """Nobody is asked to hold a real handle whose motor may push harder than its nominal effort."""
-    limits = experiment.rig.limits
-    safe = limits.override_stall or limits.effort <= limits.nominal_effort
-    if experiment.trial.kind == "human" and not safe and not device.dictionary.simulated:
-        raise PlanError(
-            f"a person would hold {device.dictionary.device}, whose effort limit {limits.effort:g} is above its "
-            f"nominal effort {limits.nominal_effort:g}",
-            remedy="set rig.limits.human = true and an effort limit within it",
-        )

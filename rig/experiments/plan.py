@@ -13,7 +13,16 @@ from firmware_protocol.dictionary import Dictionary
 from firmware_protocol.law_parameters import LAW_PARAMETERS
 from rig.bench.doctor.delay import ticks_late
 from rig.bench.doctor.late_walls import late_wall
-from rig.config import Experiment, controller, device_law, motor_push, push_at_rest, push_s, rig_model
+from rig.config import (
+    Experiment,
+    controller,
+    device_law,
+    human_limits_exceeded,
+    motor_push,
+    push_at_rest,
+    push_s,
+    rig_model,
+)
 from rig.config.device_limits import check_limits
 from rig.core.check import Check, Outcome
 from rig.core.sample import unit_of
@@ -65,6 +74,7 @@ def plan_of(run: controller.Run, *, linked: bool = False, round_trip_s: float | 
     checks = (
         *_wall_checks(experiment),
         *_watch_checks(experiment),
+        *human_limit_checks(experiment),
         _heat_check(experiment),
         *on_the_drive.lost(experiment),
         *delay,
@@ -317,6 +327,30 @@ def _watch_checks(x: Experiment) -> list[Check]:
             )
         )
     return checks
+
+
+def human_limit_checks(x: Experiment, *, real: bool = False) -> list[Check]:
+    """Check the limits of a person's trial; what exceeds those for people is refused on a `real` rig."""
+    if x.trial.kind != "human":
+        return []
+    limits, unit = x.rig.limits, unit_of("effort", x.rig.motion)
+    if exceeded := human_limits_exceeded(x):
+        text = f"a person holds the handle, and {', '.join(exceeded)}; a real rig refuses this trial"
+        outcome = Outcome.REFUSED if real else Outcome.WARNING
+        return [
+            Check("human limits", outcome, text, f"remove {', '.join(one.split(' ')[0] for one in exceeded)}")
+        ]
+    if limits.effort > limits.nominal_effort:
+        text = (
+            f"the effort may reach {limits.effort:g} {unit}, {limits.effort / limits.nominal_effort:.3g} times the "
+            "nominal effort, with a person at the handle (rig.limits.override_stall = true)"
+        )
+        return [Check("human limits", Outcome.WARNING, text, "remove it unless the study needs those peaks")]
+    return [
+        Check(
+            "human limits", Outcome.OK, f"at most {limits.effort:g} {unit}, no more than the nominal effort"
+        )
+    ]
 
 
 def _saturating(x: Experiment) -> str:

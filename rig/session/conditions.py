@@ -130,7 +130,7 @@ class Walls:
     def _experiment(self, condition: Condition, damping: float, stiffness: float) -> Experiment:
         protocol, name = self.protocol, condition.name
         source = f"condition {shown(name)}"
-        experiment = config.with_values(self.base, _studied(protocol, self.base), source)
+        experiment = config.with_values(self.base, _studied(protocol), source)
         if condition.scheme is not None:
             experiment = Scheme.parse(condition.scheme).on(experiment)
             source += f" with scheme {condition.scheme}"
@@ -180,19 +180,9 @@ def broken_conditions(walls: Walls) -> list[Problem]:
     return problems or list(_refused(walls))
 
 
-def _studied(protocol: Protocol, base: Experiment) -> dict[str, Any]:
+def _studied(protocol: Protocol) -> dict[str, Any]:
     """What all conditions change of the experiment."""
-    return {**_safe(protocol, base), **protocol.study.changes, **_said(protocol)}
-
-
-def _safe(protocol: Protocol, base: Experiment) -> dict[str, Any]:
-    """A person at the handle: no more effort than the motor gives for hours, unless somebody answers for more."""
-    limits = base.rig.limits
-    if protocol.trial.kind != "human":
-        return {}
-    if limits.override_stall:
-        return {"rig.limits.human": True}
-    return {"rig.limits.human": True, "rig.limits.effort": min(limits.effort, limits.nominal_effort)}
+    return {**protocol.study.changes, **_said(protocol)}
 
 
 def _said(protocol: Protocol) -> dict[str, Any]:
@@ -243,11 +233,12 @@ def _wide_caps(protocol: Protocol, base: Experiment) -> Iterator[Problem]:
 
 def _wide_bands(protocol: Protocol, base: Experiment) -> Iterator[Problem]:
     """What ends a hit, or what the motor cannot push back with, is not asked of a hand."""
-    studied = _studied(protocol, base)
+    studied = _studied(protocol)
+    limits = config.with_values(base, {"trial.kind": protocol.trial.kind}, "the study").rig.limits
     for name, (quantity, _, _) in BANDS.items():
         band, limited = getattr(protocol.trial, name), "effort" if name == "press" else "speed"
         unit = unit_of(quantity, base.rig.motion)
-        limit = studied.get(f"rig.limits.{limited}", getattr(base.rig.limits, limited))
+        limit = studied.get(f"rig.limits.{limited}", getattr(limits, limited))
         if band and isinstance(limit, int | float) and band[-1] > limit:
             must = f"must end at rig.limits.{limited} at most, {limit:g} {unit}"
             yield Problem(f"trial.{name}", f"{shown(band)} {unit}", must, "lower its upper end")

@@ -36,6 +36,8 @@ EXPERIMENT = config.override(
     presets.load("koul-compliant"),
     {
         "trial.kind": "human",
+        "operator.press": 4.0,
+        "rig.limits.human": False,
         "operator.tremor": 0.0,
         "operator.press_modulation": 0.0,
         "trial.baseline_s": 0.5,

@@ -524,10 +524,13 @@ def test_importing_rig_or_the_protocol_loads_nothing_heavy() -> None:
     subprocess.run([sys.executable, "-c", code], check=True, timeout=30)
 
 
-def test_a_grip_brings_its_numbers_and_nothing_is_said_to_come_from_real_time(run: Any) -> None:
+def test_a_grip_brings_its_numbers_and_the_limits_for_people(run: Any) -> None:
     code, out, _ = run("hit", "--operator", "firm", "--no-plot")
     assert code == 0
-    assert "for real time" not in out
+    assert (
+        "in effect: rig.limits.effort = 0.286 instead of 1.3, rig.limits.human = True instead of False\n"
+        in out
+    )
 
 
 # ---------------------------------------------------------------------- what becomes of the output

@@ -18,7 +18,7 @@ from sim_backend.link import open_link
 from tests.conformance.trials import CURRENTS, trial_on
 
 SHORT = {"trial.duration_s": 0.4, "verdict.tail_s": 0.1, "homing.settle_s": 0.02}
-HELD = {"trial.kind": "human", "operator.begin_s": 0.0, "operator.reach_s": 0.2}
+HELD = {"trial.kind": "human", "rig.limits.human": False, "operator.begin_s": 0.0, "operator.reach_s": 0.2}
 COGS = {
     "rig.cogging.period": 0.02,
     "rig.cogging.orders": [1, 3],

@@ -119,7 +119,12 @@ class Held:
 
     def experiment(self, changes: Mapping[str, Any] | None = None) -> Experiment:
         """The preset, held or pushed, under some changes."""
-        held = PUSH if self.grip is None else {"trial.kind": "human", "operator.grip": self.grip}
+        # As in the paper, whose amplifier gives the stall torque: the limits for people would bound the walls instead.
+        held = (
+            PUSH
+            if self.grip is None
+            else {"trial.kind": "human", "operator.grip": self.grip, "rig.limits.human": False}
+        )
         return config.override(
             presets.load(self.preset), {**held, "trial.seed": SEED, **(changes or {})}, "the reproduction"
         )

@@ -20,7 +20,7 @@ from rig.devices.device import DeviceUrl
 from rig.experiments.plan import make_plan, predict_impact
 
 KOUL, RIGID, CHAWDA = (presets.load(name) for name in ("koul-compliant", "koul-rigid", "chawda-linear"))
-HUMAN = {"trial.kind": "human"}
+HUMAN = {"trial.kind": "human", "rig.limits.human": False}  # the motor of an automated trial, for firm hands
 
 
 def held(base: config.Experiment = KOUL, **changes: Any) -> config.Experiment:

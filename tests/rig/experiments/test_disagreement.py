@@ -40,7 +40,8 @@ from rig.views.report.disagreement import paragraph
 
 @pytest.fixture(scope="module")
 def experiment() -> Any:
-    return config.override(presets.load("koul-compliant"), {"trial.kind": "human", "operator.grip": "normal"})
+    held = {"trial.kind": "human", "operator.grip": "normal", "rig.limits.human": False}
+    return config.override(presets.load("koul-compliant"), held)
 
 
 def plan_of(experiment: Any, scheme: str, dampings: tuple[float, ...], search: Search) -> DisagreementPlan:

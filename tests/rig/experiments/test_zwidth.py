@@ -35,6 +35,7 @@ LINEAR = {
     "rig.amplifier.current_quantum_a": 2e-4,
     "rig.limits.slew": 1e7,
     "trial.kind": "human",
+    "rig.limits.human": False,  # linear theory has no limit of effort
     "operator.grip": "normal",
     "operator.tremor": 0.0,
     "operator.press_modulation": 0.0,

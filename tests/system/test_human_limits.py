@@ -1,0 +1,165 @@
+"""A person's trial has a person's limits, however its kind or its limits were set, and whatever breaks in it."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from rig import config
+from rig.config import controller, presets
+from rig.core.check import Check, Outcome
+from rig.core.errors import ConfigError, PlanError, RigError
+from rig.core.oscillation import OSCILLATIONS
+from rig.devices.fault_script import Faults, Happening
+from rig.devices.framed import FramedDevice
+from rig.experiments.hit import HitRequest, hit
+from rig.experiments.plan import make_plan
+from rig.recording.reader import open_recording
+from sim_backend.compiled_device import CompiledDevice
+from sim_backend.link import MemoryLink
+from tests.conformance.claimed import claim_to_be_real
+from tests.conformance.trials import trial_on
+
+pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="the loop is compiled")
+
+HELD = {"trial.kind": "human"}
+SHORT = {
+    "homing.settle_s": 0.02,
+    "trial.duration_s": 0.6,
+    "trial.release_s": 0.05,
+    "verdict.tail_s": 0.1,
+    "operator.begin_s": 0.0,
+    "operator.reach_s": 0.2,
+}
+
+
+def held(preset: str, **changes: Any) -> config.Experiment:
+    return config.override(presets.load(preset), {**SHORT, **HELD, **changes})
+
+
+def limits_of(experiment: config.Experiment) -> tuple[bool, float, int]:
+    limits = experiment.rig.limits
+    return limits.human, limits.effort / limits.nominal_effort, controller.oscillation_limit(experiment)
+
+
+def human_limits(experiment: config.Experiment) -> Check:
+    return next(check for check in make_plan(experiment).checks if check.name == "human limits")
+
+
+# ---------------------------------------------------------------------- ways to a person's trial
+
+
+@pytest.mark.parametrize(
+    "preset", [name for name in presets.names() if name != "smartknob"]
+)  # too weak for a hand
+def test_a_persons_trial_on_a_preset_for_automated_trials_has_the_limits_for_people(
+    preset: str, tmp_path: Path
+) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text(f'preset = "{preset}"\n[trial]\nkind = "human"\n[operator]\npress = 1.0\n')
+    x = presets.load(preset)
+    press = {"operator.press": 1.0}
+    whole = config.as_mapping(x)
+    whole["realtime"] = {"trial.kind": "human", "operator.press": 1.0}
+    for way in (
+        config.load_experiment(file),
+        config.override(x, {**HELD, **press}),
+        config.override(config.override(x, {"rig.limits.effort": x.rig.limits.effort}), {**HELD, **press}),
+        config.with_realtime(config.experiment_from_mapping(whole, "its [realtime]")),
+    ):
+        assert limits_of(way) == (
+            True,
+            min(x.rig.limits.effort / x.rig.limits.nominal_effort, 1.0),
+            OSCILLATIONS,
+        )
+        assert human_limits(way).outcome is Outcome.OK
+        assert config.experiment_from_mapping(config.as_mapping(way), "its recording") == way
+    assert limits_of(x)[0] is False, "an automated trial keeps what the preset says"
+
+
+def test_more_effort_than_a_person_may_meet_is_refused_wherever_it_is_written() -> None:
+    with pytest.raises(ConfigError, match=r"must be at most rig\.limits\.nominal_effort, 0\.286"):
+        held("koul-rigid", **{"rig.limits.effort": 1.0})
+    with pytest.raises(ConfigError, match=r"must be at most rig\.limits\.nominal_effort, 0\.286"):
+        config.override(held("koul-rigid"), {"rig.limits.effort": 1.0})
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"rig.limits.human": False}, "human = false, rig.limits.effort = 1.3 (at most 0.286 for people)"),
+        (
+            {"rig.limits.human": False, "rig.limits.effort": 0.28, "operator.press": 1.0},
+            "and rig.limits.human = false; a real rig",
+        ),
+        (
+            {"rig.limits.human": False, "rig.limits.override_stall": True},
+            "and rig.limits.human = false; a real",
+        ),
+        ({"rig.limits.oscillations": 0}, "rig.limits.oscillations = 0 (1 to 10 for people)"),
+        ({"rig.limits.oscillations": 11}, "rig.limits.oscillations = 11 (1 to 10 for people)"),
+    ],
+)
+def test_a_file_that_says_otherwise_is_reported_on_a_simulated_rig_and_refused_on_a_real_one(
+    changes: dict[str, Any], says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    experiment = held("koul-rigid", **{"wall.damping": 0.05, **changes})
+    check = human_limits(experiment)
+    assert (check.outcome, says in check.text) == (Outcome.WARNING, True), check.text
+    (result,) = hit(HitRequest(experiment=experiment, output=tmp_path))
+    assert says in result.messages[0]
+    assert says in result.as_mapping()["messages"][0]
+    assert says in result.recording.header["extra"]["warnings"][0]
+    claim_to_be_real(monkeypatch)
+    with pytest.raises(PlanError, match="human limits: a person holds the handle"):
+        next(hit(HitRequest(experiment=experiment, output=tmp_path, verified=True)))
+
+
+def test_an_override_for_stall_is_allowed_and_seen(tmp_path: Path) -> None:
+    experiment = held("koul-rigid", **{"rig.limits.override_stall": True, "rig.limits.effort": 1.3})
+    assert limits_of(experiment) == (True, pytest.approx(1.3 / 0.286), OSCILLATIONS)
+    assert "4.55 times the nominal effort" in human_limits(experiment).text
+    assert human_limits(experiment).outcome is Outcome.WARNING
+
+
+# ---------------------------------------------------------------------- what breaks in it
+
+
+def swapped(
+    experiment: config.Experiment, tick: int, path: Path
+) -> tuple[NDArray[np.float64], RigError | None]:
+    """Efforts from the tick on where the motor leads are swapped (N·m), and what ended the trial."""
+    device = CompiledDevice(config.rig_model(experiment), initial_position=experiment.trial.start)
+
+    def swap(of: Any) -> None:
+        of.hardware.drive = of.hardware.gain = -1.0
+
+    link = MemoryLink(device, Faults(device=(Happening(tick, swap),)))
+    request = partial(trial_on, experiment=experiment, recording=path, verified=True, seed=0, sealed=False)
+    error = None
+    try:
+        with FramedDevice(link) as framed:
+            request(framed)
+    except RigError as raised:
+        error = raised
+    rows = open_recording(path).rows
+    return rows["effort_sent"][rows["sample_index"] >= tick], error
+
+
+@pytest.mark.parametrize("preset", ["koul-rigid", "koul-compliant", "hapkit"])
+def test_swapped_leads_in_a_persons_trial_give_no_more_than_the_nominal_effort(
+    preset: str, tmp_path: Path
+) -> None:
+    """It was 1.3 N·m on koul-rigid, 4.5 times the nominal effort: the limits for automated trials held for people."""
+    experiment = held(preset, **{"operator.press": 1.0, "wall.damping": 0.05})
+    effort, _ = swapped(
+        experiment, round(0.5 * experiment.controller.position_rate), tmp_path / "swapped.rigcap"
+    )
+    assert np.abs(effort).max() <= experiment.rig.limits.nominal_effort * (1.0 + 1e-9)
+    assert effort[-1] == 0.0
