@@ -8,12 +8,12 @@ from typing import Any
 import click
 
 from rig import config
-from rig.bench.doctor.examine import Question, examine
 from rig.bench.doctor.ports import rules_for_rigs
 from rig.cli import options, output
 from rig.cli.command import command
 from rig.core.errors import PlanError
 from rig.core.present import plain
+from rig.experiments.examine import Question, examine
 
 
 @command()
@@ -64,7 +64,7 @@ def doctor(
     if found.error is not None:
         found.error.reported = as_json
         raise found.error
-    if found.armable is False and found.gate is not None:
-        refused = PlanError("the wall of this experiment must not be armed here", remedy=found.gate.remedy)
+    if found.armable is False:
+        refused = PlanError("the wall of this experiment must not be armed here", remedy=found.remedy)
         refused.reported = as_json
         raise refused

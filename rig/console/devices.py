@@ -10,7 +10,6 @@ from typing import Annotated, Any
 from annotated_types import Ge, Le
 
 from firmware_protocol.faults import Fault
-from rig.bench.doctor.examine import Question, examine
 from rig.bench.doctor.here import here
 from rig.console.client import Client
 from rig.console.hits import experiment_of
@@ -18,6 +17,7 @@ from rig.console.requests import Name, Request
 from rig.console.service import Handler, Service, Shared
 from rig.console.talk import Talk
 from rig.core.present import told
+from rig.experiments.examine import Question, examine
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

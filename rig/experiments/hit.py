@@ -26,8 +26,9 @@ from rig.core.same_rig import check_rig
 from rig.core.shown import Shown
 from rig.devices.framed import FramedDevice
 from rig.devices.local import opened
+from rig.experiments.admission import admission_checks
 from rig.experiments.judgement import Judgement, judge
-from rig.experiments.plan import device_checks, human_limit_checks, link_checks, plan_of
+from rig.experiments.plan import human_limit_checks
 from rig.experiments.pulse import NO_HANDS, pulse
 from rig.experiments.trial import TrialEnd, TrialRequest, end_of, prepared_on, run_trial
 from rig.experiments.zero import position_zero
@@ -273,11 +274,8 @@ def vetted(request: HitRequest, device: FramedDevice, experiment: Experiment) ->
         reference_count=_reference_count(request, device, experiment),
         law=law,
     )
-    refuse(plan_of(run).checks)
-    refuse(device_checks(run, device.dictionary))
-    refuse(link_checks(experiment, device.dictionary.position_rate_maximum, device.link.bytes_per_second))
+    refuse(admission_checks(run, device))
     _check_verified(request, device)
-    refuse(human_limit_checks(experiment, real=not device.dictionary.simulated))
     return run
 
 

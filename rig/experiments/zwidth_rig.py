@@ -18,16 +18,15 @@ import numpy as np
 from rig import config
 from rig.config import Experiment
 from rig.control.verdict import CRITERIA, Kind, Measured, decide
-from rig.core.check import refuse, refused
+from rig.core.check import Check, refuse, refused
 from rig.core.errors import PlanError, RigError, StoppedError
-from rig.core.same_rig import check_rig
 from rig.core.sample import Phase
 from rig.devices.framed import FramedDevice
 from rig.experiments import sweep
+from rig.experiments.admission import admission_checks
 from rig.experiments.hit import Recorded
 from rig.experiments.judgement import out_of_time, thrown_out
 from rig.experiments.on_device import Ended, OnDevice, Trials, examined
-from rig.experiments.plan import device_checks, link_checks, plan_of
 from rig.experiments.searches import Outcomes, Search, drive
 from rig.experiments.trial import prepared_on
 from rig.experiments.zwidth import TRUE, MapPlan, ZWidth, outcomes_of, row_of
@@ -149,13 +148,12 @@ def _check(plan: MapPlan) -> None:
 def _check_hits(plan: MapPlan, device: FramedDevice) -> None:
     """Refuse what could not be hit, before anybody waits hours for it: the ends of the search under every scheme."""
     rungs = plan.search.rungs
-    refuse([check_rig(config.rig_model(plan.experiment), device.dictionary)])
     for number, scheme in enumerate(plan.schemes):
         under = plan.experiment_of(next(one for one in plan.series() if one.scheme == number))
-        checks = link_checks(under, device.dictionary.position_rate_maximum, device.link.bytes_per_second)
+        checks: list[Check] = []
         for stiffness in (rungs[0], rungs[-1]):
             run = prepared_on(device, config.override(under, {"wall.stiffness": stiffness}, "the map"))
-            checks += [*device_checks(run, device.dictionary), *plan_of(run).checks]
+            checks += admission_checks(run, device)
         try:
             refuse({check.name: check for check in refused(checks)}.values())
         except PlanError as error:

@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 
 from rig import config
-from rig.bench.doctor import examine as examining
 from rig.bench.doctor import gate, ports, round_trip
 from rig.config import presets
 from rig.core.check import Check, Outcome
 from rig.core.errors import RealtimeError
 from rig.devices import port_facts
 from rig.devices.port_facts import PortFacts
+from rig.experiments import examine as examining
 from rig.recording.quantiles import Distribution
 from rig.recording.reader import open_recording
 from sim_backend import pty
@@ -122,6 +122,8 @@ def test_rules_for_udev_are_printed_and_nothing_else(run: Any) -> None:
 def test_a_device_behind_a_port(run: Any, port: Any, quiet_link: Any) -> None:
     code, out, err = run("doctor", "--url", port, "--rig", "koul-compliant", *QUICK)
     assert code == 0  # simulated: told, never refused
+    assert "no serial port" not in out, "a rig answers over one"
+    assert f"{port}\n" in out or f"{port} " in out
     for text in ("koul-compliant, simulated", "uniform 1 kHz", "dual 1/0.1 kHz", "uniform 4 kHz", "B = 0.2"):
         assert text in out
     for text in ("identifying the device", "measuring the link", "computing walls"):

@@ -248,7 +248,7 @@ def _execution(experiment: Experiment) -> Check:
     """The wall under a whole tick of delay: at its highest rate the device needs about two thirds of one."""
     wall = experiment.wall
     late = LateLoops.of(experiment, 1).radius(wall.stiffness, wall.damping)
-    text = "the law runs on the device, within the tick; with a whole tick of delay this wall would be"
+    text = "the law is to run on the device, within the tick; with a whole tick of delay this wall would be"
     if unstable_hands(late, wall.stiffness):
         return warning(f"{text} unstable (spectral radius {max(late.values()):.4g})")
     return ok(f"{text} stable, too")

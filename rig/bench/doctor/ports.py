@@ -10,6 +10,8 @@ from rig.core.check import Check
 from rig.devices.port_facts import PortFacts, available_ports, port_facts
 from rig.devices.usb import UsbDevice, available_devices
 
+NO_PORTS = "ports"  # name of the check that warns where nothing is connected
+
 
 @dataclass(frozen=True, slots=True)
 class Port:
@@ -36,7 +38,7 @@ def serial_port(name: str, description: str = "") -> tuple[Port, PortFacts]:
     return Port(f"serial://{name}", description or facts.product or "", facts), facts
 
 
-@question("ports", "without a rig only the simulation can be run")
+@question(NO_PORTS, "without a rig only the simulation can be run")
 def _nothing_here() -> Check:
     return warning("no serial port and no USB rig is connected", "plug the rig in, then run: rig devices")
 

@@ -8,7 +8,6 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
 
 from rig import config
@@ -16,57 +15,20 @@ from rig.analysis import theory
 from rig.bench.doctor import gate as gates
 from rig.bench.doctor.gate import LIFETIME_SHARE, check_armable, gate
 from rig.bench.doctor.late_loops import LARGEST_DELAY, LateLoops, hands_of, late_by
-from rig.bench.doctor.round_trip import LinkMeasurement
 from rig.bench.doctor.walls import candidate_rates, dampings_of, supported_walls
 from rig.config import controller, presets
 from rig.core.check import Outcome
 from rig.core.errors import PlanError
 from rig.core.present import plain
 from rig.realtime.clock import MonotonicClock, VirtualClock
-from rig.recording.quantiles import Distribution
 from tests.conformance.guides import ROOT, blocks
+from tests.conformance.made_links import link
 
 KOUL = presets.load("koul-compliant")
 BY_HAND = config.override(
     KOUL, {"controller.velocity_rate": 20_000, "wall.damping": 0.0, "wall.stiffness": 100.0}
 )
 CALM = config.override(config.with_realtime(KOUL), {"controller.position_rate": 1000})
-
-
-def link(
-    travel_s: float = 30e-6,
-    *,
-    number: int = 4000,
-    lost: int = 0,
-    sent: int = 4000,
-    capacity: Any = None,
-    simulated: bool = False,
-    virtual: bool = False,
-    drive: Any = None,
-) -> Any:
-    """A link on which every trip takes the same time."""
-    times = Distribution.of(np.full(number, travel_s))
-    return LinkMeasurement(
-        url="made://up",
-        virtual=virtual,
-        simulated=simulated,
-        duration_s=1.0,
-        asked_rate_hz=None,
-        sent=sent,
-        lost=lost,
-        late=0,
-        unsent=0,
-        bad_frames=0,
-        round_trip_s=times,
-        travel_s=times,
-        stamps_trusted=True,
-        bytes_to_device_per_s=1.0,
-        bytes_to_host_per_s=1.0,
-        capacity_bytes_per_s=capacity,
-        states=0,
-        exchanges=np.zeros((0, 4), np.int64),
-        drive=drive or {},
-    )
 
 
 def outcomes(found: Any) -> Any:

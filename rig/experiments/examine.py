@@ -9,22 +9,23 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from rig import config, devices
-from rig.bench.answers import question, refused
+from rig.bench import answers
+from rig.bench.answers import question
 from rig.bench.doctor.gate import Gate, gate
 from rig.bench.doctor.in_effect import in_effect
-from rig.bench.doctor.ports import Port, ports_here, serial_port
+from rig.bench.doctor.ports import NO_PORTS, Port, ports_here, serial_port
 from rig.bench.doctor.round_trip import LinkMeasurement, measure_link
 from rig.bench.doctor.walls import Supported, supported_walls, wall_items
-from rig.config import Experiment, controller
-from rig.config.device_limits import check_limits
-from rig.core.check import Check
+from rig.config import Experiment
+from rig.core.check import Check, Outcome, refused
 from rig.core.errors import RealtimeError, RigError
 from rig.core.present import Item, Row, reported
-from rig.core.same_rig import check_rig
 from rig.core.sample import unit_of
 from rig.devices.device_facts import DeviceFacts
 from rig.devices.framed import FramedDevice
 from rig.devices.local import host_beside, opened
+from rig.experiments.admission import admission_checks
+from rig.experiments.trial import prepared_on
 from rig.realtime.scheduling import obtained
 
 if sys.platform == "linux":
@@ -47,6 +48,8 @@ class Examination:
         Of the machine, its ports, and the scheduling that was requested.
     ports
         That are connected.
+    admission
+        What `rig hit` asks of the experiment on this device before it measures the link.
     device, link, walls, gate
         Of the device that was examined; None or empty without one, or as far as it got.
     experiment
@@ -57,6 +60,7 @@ class Examination:
 
     checks: tuple[Check, ...]
     ports: tuple[Port, ...]
+    admission: tuple[Check, ...] = ()
     device: DeviceFacts | None = None
     experiment: Experiment | None = field(default=None, repr=False)
     link: LinkMeasurement | None = None
@@ -66,8 +70,16 @@ class Examination:
 
     @reported
     def armable(self) -> bool | None:
-        """Whether the experiment's wall may be armed (a simulated device forbids nothing); None: not measured."""
+        """Whether `rig hit` would arm the experiment's wall (a simulated link forbids nothing); None: not measured."""
+        if refused(self.admission):
+            return False
         return None if self.gate is None else self.gate.armable or self.gate.simulated
+
+    @property
+    def remedy(self) -> str:
+        """What to do where the wall may not be armed, all of it."""
+        remedies = [one.remedy for one in refused(self.admission)]
+        return "; ".join(dict.fromkeys(filter(None, [*remedies, self.gate.remedy if self.gate else ""])))
 
     def items(self) -> list[Item]:
         """Return it for people."""
@@ -83,8 +95,13 @@ class Examination:
             found += wall_items(x, self.walls)
         if x is not None and self.gate is not None:
             stiffness, damping = (unit_of(name, x.rig.motion) for name in ("stiffness", "damping"))
+            on_the_device = x.controller.loop == "device"
             wall = f"K = {x.wall.stiffness:g} {stiffness}, B = {x.wall.damping:g} {damping}"
-            found += [f"arming {x.rig.name} with {wall} at {self.gate.rate_hz:g} Hz", *self.gate.items()]
+            verdict, *reasons = self.gate.items()
+            if refused(self.admission):
+                verdict = Check("arming", Outcome.REFUSED, "this wall must not be armed")
+            where = f"at {self.gate.rate_hz:g} Hz, the law on the {'device' if on_the_device else 'host'}"
+            found += [f"arming {x.rig.name} with {wall} {where}", verdict, *self.admission, *reasons]
         return found
 
 
@@ -162,13 +179,13 @@ def _with_device(
     on_progress("identifying the device", 0.0)
     facts, link_url = DeviceFacts.of(device), device.link.url
     experiment = in_effect(asked.experiment, device, asked.changes)
-    rig = check_rig(config.rig_model(experiment), device.dictionary)
-    run = controller.prepared(experiment, current_quantum_a=device.dictionary.current_quantum_a)
-    limits = check_limits(run, device.dictionary)
-    seen = replace(seen, device=facts, experiment=experiment, checks=(*seen.checks, rig, limits))
+    admission = tuple(admission_checks(prepared_on(device, experiment), device))
+    seen = replace(seen, device=facts, experiment=experiment, admission=admission)
+    if link_url.scheme != "sim":  # a rig answers, whatever a listing of ports finds
+        seen = replace(seen, checks=tuple(check for check in seen.checks if check.name != NO_PORTS))
     if link_url.scheme == "serial" and all(port.url != facts.url for port in seen.ports):
-        problems = serial_port(link_url.place)[1].problems()
-        seen = replace(seen, checks=(*seen.checks, *problems))
+        port, about = serial_port(link_url.place)
+        seen = replace(seen, ports=(*seen.ports, port), checks=(*seen.checks, *about.problems()))
     scheduling: tuple[Check, ...] = ()
 
     def shown(share: float) -> None:
@@ -208,4 +225,4 @@ def _measured(
 
 @question("real-time scheduling", 'host.realtime = "enforce" demands it: no run begins without')
 def _not_scheduled(error: RealtimeError) -> Check:
-    return refused(error.message, error.remedy)
+    return answers.refused(error.message, error.remedy)

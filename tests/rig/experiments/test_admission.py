@@ -1,0 +1,166 @@
+"""`rig doctor`, the arming gate and `rig hit` give one answer, over all served boards, loops, rates and walls."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rig import config
+from rig.bench.doctor import gate as gates
+from rig.bench.doctor.gate import check_armable
+from rig.bench.doctor.in_effect import in_effect
+from rig.config import presets
+from rig.core.check import refuse
+from rig.core.errors import PlanError
+from rig.devices.framed import FramedDevice
+from rig.experiments import examine as examining
+from rig.experiments import hit as hits
+from rig.experiments.admission import admission_checks
+from rig.experiments.examine import Examination, Question
+from rig.experiments.hit import HitRequest
+from rig.experiments.trial import prepared_on
+from sim_backend.compiled_device import CompiledDevice, device_for
+from sim_backend.link import MemoryLink
+from sim_backend.pty import FIRMWARE_RATE_MAXIMUM, POSITION_RATE_MAXIMUM
+from tests.conformance.claimed import claim_to_be_real
+from tests.conformance.firmware import need_compiler
+from tests.conformance.made_links import link as made_link
+
+RATES = (500, 1000, 4000, 5000, 10_000, 20_000)
+LOOPS = ("host", "device")
+WALLS = {"calm": (20.0, 0.02), "unstable": (5000.0, 0.1), "deeper than the window": (0.05, 0.0)}
+SLOW_PORT = 92_160.0  # bytes/s, of a serial line at 921600 baud
+SERVED = {  # `rig sim serve`, with and without --firmware, over a fast and a slow port; and what has no compiler
+    "rig sim serve": (None, POSITION_RATE_MAXIMUM, None),
+    "rig sim serve, slow port": (None, POSITION_RATE_MAXIMUM, SLOW_PORT),
+    "rig sim serve --firmware": (True, FIRMWARE_RATE_MAXIMUM, None),
+    "rig sim serve --firmware, slow port": (True, FIRMWARE_RATE_MAXIMUM, SLOW_PORT),
+    "without a compiler": (False, POSITION_RATE_MAXIMUM, None),
+}
+
+
+class Started(Exception):  # noqa: N818  (it is no error)
+    """A hit that was allowed: its trial would begin."""
+
+
+def served(
+    experiment: config.Experiment, firmware: bool | None, maximum: int, capacity: float | None
+) -> FramedDevice:
+    """A board as it is served, on a link whose time counts as real."""
+    if firmware is not False:
+        need_compiler()
+    device = device_for(
+        config.rig_model(experiment), firmware, position_rate_default=1000, position_rate_maximum=maximum
+    )
+    link = MemoryLink(device)
+    link.clock.virtual = False  # type: ignore[attr-defined]
+    link.bytes_per_second = capacity
+    return FramedDevice(link)
+
+
+@pytest.fixture
+def made_up(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """A link that takes a tenth of a millisecond, measured at once; no trial begins."""
+
+    def measured(device: FramedDevice, *_: Any, **__: Any) -> Any:
+        return made_link(1e-4, simulated=device.dictionary.simulated)
+
+    def started(*_: Any) -> Any:
+        raise Started
+
+    for module in (examining, gates):
+        monkeypatch.setattr(module, "measure_link", measured)
+    monkeypatch.setattr(examining, "supported_walls", lambda *_: [])
+    monkeypatch.setattr(hits, "run_trial", started)
+    gates._MEASURED.clear()
+    yield
+    gates._MEASURED.clear()
+
+
+def by_doctor(x: config.Experiment, changes: dict[str, Any], device: FramedDevice) -> bool | None:
+    asked = Question(experiment=x, changes=changes, url="serial:///dev/rig")
+    return examining._with_device(asked, device, Examination(checks=(), ports=()), lambda *_: None).armable
+
+
+def by_gate(x: config.Experiment, changes: dict[str, Any], device: FramedDevice) -> bool:
+    effective = in_effect(x, device, changes)
+    try:
+        refuse(admission_checks(prepared_on(device, effective), device))
+        check_armable(device, effective)
+    except PlanError:
+        return False
+    return True
+
+
+def by_hit(x: config.Experiment, changes: dict[str, Any], device: FramedDevice, output: Path) -> bool:
+    request = HitRequest(
+        experiment=x, changes=changes, device=device, verified=True, reference_count=0, output=output
+    )
+    try:
+        next(hits.hit(request))
+    except Started:
+        return True
+    except PlanError:
+        return False
+    raise AssertionError("a hit begins or is refused")
+
+
+@pytest.mark.parametrize("claims", ["simulated", "real"])
+@pytest.mark.parametrize("board", SERVED)
+def test_doctor_gate_and_hit_agree(
+    board: str, claims: str, made_up: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if claims == "real":
+        claim_to_be_real(monkeypatch)
+    x = config.override(
+        presets.load("koul-compliant"), {"host.realtime": "off", "trial.minimum_rest_counts": 0.0}
+    )
+    answers = {}
+    with served(x, *SERVED[board]) as device:
+        assert device.dictionary.simulated is (claims == "simulated")
+        for loop, rate, wall in product(LOOPS, RATES, WALLS):
+            stiffness, damping = WALLS[wall]
+            changes = {
+                "controller.loop": loop,
+                "controller.position_rate": rate,
+                "controller.velocity_rate": rate,
+                "controller.parameters": {"cutoff_hz": rate / 10},
+                "wall.stiffness": stiffness,
+                "wall.damping": damping,
+                "verdict.highpass_hz": 20.0,
+                "verdict.lowpass_hz": rate / 5,
+            }
+            answers[loop, rate, wall] = (
+                by_doctor(x, changes, device),
+                by_gate(x, changes, device),
+                by_hit(x, changes, device, tmp_path),
+            )
+    differing = {case: found for case, found in answers.items() if len(set(found)) > 1}
+    assert not differing
+    if claims == "simulated":
+        assert {found[0] for found in answers.values()} == {True, False}, "the cases hold both answers"
+
+
+def test_a_rate_that_a_served_board_does_not_run_is_refused_by_doctor_too(made_up: None) -> None:
+    """Doctor said `may be armed` beside `law on the device none … up to 4000 Hz`, and the hit was refused."""
+    x = config.override(presets.load("koul-compliant"), {"host.realtime": "off"})
+    changes = {
+        "controller.loop": "device", "controller.position_rate": 10_000, "controller.velocity_rate": 1000,
+    }  # fmt: skip
+    device = CompiledDevice(config.rig_model(x), position_rate_maximum=4000, position_rate_default=1000)
+    link = MemoryLink(device)
+    link.clock.virtual = False  # type: ignore[attr-defined]
+    with FramedDevice(link) as framed:
+        asked = Question(experiment=x, changes=changes, url="serial:///dev/rig")
+        found = examining._with_device(asked, framed, Examination(checks=(), ports=()), lambda *_: None)
+    assert found.armable is False
+    texts = " ".join(check.text for check in found.admission)
+    assert "runs no law of its own" in texts
+    assert "asks for 10000 Hz, and the device runs at most at 4000 Hz" in texts
+    assert "let the host run it" in found.remedy
+    shown = [item for item in found.items() if getattr(item, "name", "") == "arming"]
+    assert [check.outcome for check in shown] == ["refused"]
