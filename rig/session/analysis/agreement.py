@@ -7,10 +7,8 @@ order. An automatic limit cycle is a buzz. κ alone misleads where one class is 
 classes stands beside it: of all verdicts "stable" by one or the other, the share that both gave (Cicchetti and
 Feinstein, Journal of Clinical Epidemiology 43, 1990).
 
-The trials of one person are not independent, so with five people or more the interval is over people: Student's, by the
-jackknife that leaves out one person at a time. Of one person it is that of Fleiss, Cohen and Everitt (Psychological
-Bulletin 72, 1969), which takes trials as independent. Of two to four people there is none. ``rig/session/README.md``
-says how often these intervals hold what they promise.
+The trials of one person are not independent, so the interval is over people, for five or more: Student's, by the
+jackknife that leaves out one person at a time. ``rig/session/README.md`` says how often it holds what it promises.
 """
 
 from __future__ import annotations
@@ -25,10 +23,10 @@ from numpy.typing import NDArray
 
 from rig.core.deferred import stats
 from rig.session.analysis.rows import TrialRow
+from rig.session.search.resolution import is_resolved, unresolved_words
 
 Floats = NDArray[np.float64]
 Weights = Literal["none", "linear", "quadratic"]
-Over = Literal["people", "trials", "none"]
 
 LEAST_PEOPLE = 5  # for an interval over them
 
@@ -65,9 +63,8 @@ class Agreement:
         that are by both. None without any, and for tables of more than two classes.
     kappa
         None where chance alone would agree on everything.
-    low, high, over
-        Interval of 95 %, and what it is over: "people" (jackknife), "trials" as if they were independent, or "none"
-        (None); `problem` says why.
+    low, high
+        Interval of 95 % over people (jackknife); None where `problem` says why.
     """
 
     name: str
@@ -84,7 +81,6 @@ class Agreement:
     kappa: float | None
     low: float | None
     high: float | None
-    over: Over
     problem: str
 
 
@@ -152,14 +148,9 @@ def _agreement(
             tables[people.index(trial.participant), classes.index(person), classes.index(automatic)] += 1
     counts = tables.sum(axis=0)
     within = int(counts.sum())
-    value = _number(kappa(counts, weights)[0])
-    problem = _problem(counts, classes, value)
-    over: Over = "trials" if len(people) == 1 else "people"
-    ends = None
-    if not problem:
-        ends = _independent(counts, weights) if over == "trials" else _jackknife(tables, weights)
-    if not problem and ends is None:
-        problem = _few(len(people))
+    value = _number(kappa(counts, weights))
+    ends = _problem(counts, classes, value) or _jackknife(tables, weights)
+    low, high = (None, None) if isinstance(ends, str) else ends
     positive, negative = (_specific(counts, place) if len(classes) == 2 else None for place in (0, 1))
     return Agreement(
         name=name,
@@ -174,10 +165,9 @@ def _agreement(
         positive=positive,
         negative=negative,
         kappa=value,
-        low=None if ends is None else max(ends[0], -1.0),
-        high=None if ends is None else min(ends[1], 1.0),
-        over="none" if ends is None else over,
-        problem=problem,
+        low=None if low is None else max(low, -1.0),
+        high=None if high is None else min(high, 1.0),
+        problem=ends if isinstance(ends, str) else "",
     )
 
 
@@ -195,41 +185,32 @@ def _problem(counts: Floats, classes: Sequence[str], value: float | None) -> str
     return ""
 
 
-def _few(people: int) -> str:
-    if people < LEAST_PEOPLE:
-        return f"{people} people: an interval over people takes {LEAST_PEOPLE}"
-    return "without one of the people κ is not defined"
-
-
 def _specific(counts: Floats, place: int) -> float | None:
     """Agreement on one class."""
     both = float(counts[place].sum() + counts[:, place].sum())
     return 2.0 * float(counts[place, place]) / both if both else None
 
 
-def _independent(counts: Floats, weights: Weights) -> tuple[float, float]:
-    """Interval as if trials were independent."""
-    low, high = stats.norm.interval(0.95, *kappa(counts, weights))
-    return float(low), float(high)
-
-
-def _jackknife(tables: Floats, weights: Weights) -> tuple[float, float] | None:
-    """Interval of kappa for other people of the same kind, by leaving out one at a time; None where that cannot be."""
+def _jackknife(tables: Floats, weights: Weights) -> tuple[float, float] | str:
+    """Return the interval of kappa for other people of the same kind, by leaving out one at a time, or why none."""
     tables = tables[tables.sum(axis=(1, 2)) > 0.0]
     people = len(tables)
     if people < LEAST_PEOPLE:
-        return None
+        return f"{people} people: an interval over people takes {LEAST_PEOPLE}"
     counts = tables.sum(axis=0)
-    without = np.array([kappa(counts - one, weights)[0] for one in tables])
+    without = np.array([kappa(counts - one, weights) for one in tables])
     if not np.isfinite(without).all():
-        return None
-    deviation = (people - 1) * float(stats.sem(without))
-    low, high = stats.t.interval(0.95, people - 1, kappa(counts, weights)[0], deviation)
+        return "without one of the people κ is not defined"
+    scatter = float(without.std(ddof=1))
+    if not is_resolved(scatter, magnitude=1.0):
+        return unresolved_words("the verdicts of the people", scatter, 0.0)
+    deviation = (people - 1) * scatter / math.sqrt(people)
+    low, high = stats.t.interval(0.95, people - 1, kappa(counts, weights), deviation)
     return float(low), float(high)
 
 
-def kappa(counts: Floats | Sequence[Sequence[float]], weights: Weights = "none") -> tuple[float, float]:
-    """Cohen's kappa of a table of confusions, and its standard error for independent trials.
+def kappa(counts: Floats | Sequence[Sequence[float]], weights: Weights = "none") -> float:
+    """Return Cohen's kappa of a table of confusions.
 
     Parameters
     ----------
@@ -240,24 +221,20 @@ def kappa(counts: Floats | Sequence[Sequence[float]], weights: Weights = "none")
 
     Returns
     -------
-    tuple
-        NaN twice without trials, or when all of them are in one class for both: then there is nothing to explain.
+    float
+        NaN without trials, or when all of them are in one class for both: then there is nothing to explain.
     """
     table = np.asarray(counts, dtype=np.float64)
     total = table.sum()
     if total == 0.0:
-        return math.nan, math.nan
+        return math.nan
     share = table / total
     alike = _alike(len(table), weights)
     rows, columns = share.sum(axis=1), share.sum(axis=0)
     observed, chance = float((alike * share).sum()), float(rows @ alike @ columns)
     if 1.0 - chance < 1e-12:
-        return math.nan, math.nan
-    value = (observed - chance) / (1.0 - chance)
-    expected = (alike @ columns)[:, None] + (rows @ alike)[None, :]
-    spread = float((share * (alike - expected * (1.0 - value)) ** 2).sum())
-    spread -= (value - chance * (1.0 - value)) ** 2
-    return value, math.sqrt(max(spread, 0.0) / total) / (1.0 - chance)
+        return math.nan
+    return (observed - chance) / (1.0 - chance)
 
 
 def _alike(classes: int, weights: Weights) -> Floats:

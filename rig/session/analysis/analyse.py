@@ -10,6 +10,7 @@ from typing import Any
 from rig.session.analysis.agreement import Agreement, agreements
 from rig.session.analysis.effects import BlockRow, Slope, blocks, slopes
 from rig.session.analysis.kmax import (
+    LEAST_VALUES,
     Beyond,
     Cell,
     OfParticipant,
@@ -136,11 +137,11 @@ class Analysis:
                 f"{_plural(vague, 'K50')} {_is(vague)} hardly known from so few verdicts: the interval is wider than "
                 f"{100 * _VAGUE:.0f} % of the range that was searched"
             )
-        alike = sum(one.alike for one in self.paired)
-        if alike:
+        unresolved = sum(bool(one.problem) and not one.withheld for one in self.paired)
+        if unresolved and len(self.study.sessions) >= LEAST_VALUES:
             found.append(
-                f"{_plural(alike, 'paired difference')} {_is(alike)} the same for all participants: no interval and no "
-                "p, since the levels are too coarse to show how much people differ"
+                f"{_plural(unresolved, 'paired difference')} {_has(unresolved)} no interval and no p: too few people "
+                "have both conditions, or they scatter by no more than rounding to the levels makes"
             )
         mostly = [
             f"{one.condition} at B = {one.damping:g} ({one.above + one.below} of {one.limits})"
@@ -274,6 +275,10 @@ def _plural(count: int, noun: str) -> str:
 
 def _is(count: int) -> str:
     return "is" if count == 1 else "are"
+
+
+def _has(count: int) -> str:
+    return "has" if count == 1 else "have"
 
 
 def _was(count: int) -> str:

@@ -22,12 +22,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.core.deferred import stats
-from rig.session.analysis.kmax import beyond_of, holm
+from rig.session.analysis.kmax import LEAST_VALUES, beyond_of, holm, rounding_of, too_few_words
 from rig.session.analysis.rows import MEASURES, Measure, RunRow, TrialRow
+from rig.session.search.resolution import FLOATING, is_resolved, unresolved_words
 from rig.session.trial import VOIDED
 
 Floats = NDArray[np.float64]
-_ALIKE = 1e-9  # relative: differences that are rounding
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -104,9 +104,10 @@ def slopes(runs: Sequence[RunRow], trials: Sequence[TrialRow]) -> tuple[Slope, .
         limits = np.array([run.limits[measure].value for run in counted])
         cells = [(run.participant, run.condition, run.damping) for run in counted]
         family = []
+        roundings = np.array([run.limits[measure].rounding for run in counted])
         for name, place in places:
             at = np.array([place(run) for run in counted])
-            slope = _slope("limit", name, measure, at, limits, cells)
+            slope = _slope("limit", name, measure, at, limits, cells, roundings)
             if beyond and not counted:
                 slope = replace(slope, problem="most limits lie beyond the levels")
             family.append(slope)
@@ -166,9 +167,11 @@ def _slope(
     at: Floats,
     values: Floats,
     cells: Sequence[tuple[str, str, float]],
+    roundings: Floats | None = None,
 ) -> Slope:
     each = within_slopes(at, values, cells)
-    found = _over(each, _shared(cells))
+    rounding = 0.0 if roundings is None or not each else _rounding_of_slopes(at, roundings, cells, each)
+    found = _over(each, _shared(cells), rounding)
     slope, low, high, p = (math.nan,) * 4 if isinstance(found, str) else found
     return Slope(
         of=of,
@@ -207,28 +210,39 @@ def within_slopes(at: Floats, values: Floats, cells: Sequence[tuple[str, str, fl
     return found
 
 
-def _over(each: Mapping[str, float], shared: bool) -> tuple[float, float, float, float] | str:
+def _rounding_of_slopes(
+    at: Floats, roundings: Floats, cells: Sequence[tuple[str, str, float]], each: Mapping[str, float]
+) -> float:
+    """Return the standard deviation of the slopes that rounding of the values to their levels makes."""
+    moved, codes = less_means(at, cells), np.array([cell[0] for cell in cells])
+    own = [codes == code for code in each]
+    return rounding_of(
+        [float(np.linalg.norm(moved[of] * roundings[of]) / (moved[of] @ moved[of])) for of in own]
+    )
+
+
+def _over(
+    each: Mapping[str, float], shared: bool, rounding: float
+) -> tuple[float, float, float, float] | str:
     """Mean of the participants' slopes, interval of 95 % and p, by Student over participants; or why there is none.
 
     Where all have the conditions' means in common, those are estimated from the same values and leave one slope fewer
     free: of two conditions, each searched once, this is the two-sample test of a crossover.
     """
     slopes = np.array(list(each.values()))
-    count, least = len(slopes), 3 if shared else 2
+    count = len(slopes)
     if count == 0:
         return "it cannot be separated from participants and conditions"
-    if count < least:
-        return (
-            f"it takes {least} participants, for the interval is over their slopes; "
-            f"{count} {'has' if count == 1 else 'have'} one"
-        )
+    if count < LEAST_VALUES:
+        return too_few_words(count, "participants with a slope of their own")
     if not np.any(slopes):
         return "all values are alike within participants and conditions"
-    mean, free = float(slopes.mean()), count - least + 1
-    left = slopes - mean
-    if float(np.ptp(slopes)) <= _ALIKE * float(np.abs(slopes).max()):
-        return f"the slopes of all participants are alike ({mean:.3g}), which leaves nothing for an interval"
-    deviation = math.sqrt(float(left @ left) / free / count)
+    mean, free = float(slopes.mean()), count - (2 if shared else 1)
+    rest = slopes - mean
+    scatter = math.sqrt(float(rest @ rest) / free)
+    if not is_resolved(scatter, rounding, float(np.abs(slopes).max())):
+        return unresolved_words("the slopes of the participants", scatter, rounding)
+    deviation = scatter / math.sqrt(count)
     low, high = stats.t.interval(0.95, free, mean, deviation)
     return mean, float(low), float(high), float(2.0 * stats.t.sf(abs(mean) / deviation, free))
 
@@ -249,7 +263,7 @@ def less_means(values: Floats, cells: Sequence[tuple[str, str, float]]) -> Float
         number = {cell: place for place, cell in enumerate(dict.fromkeys(cells))}
         of = np.array([number[cell] for cell in cells])
         left = np.asarray(values - (np.bincount(of, values) / np.bincount(of))[of])
-    left[np.abs(left) <= _ALIKE * np.abs(values).max()] = 0.0
+    left[np.abs(left) <= FLOATING * np.abs(values).max()] = 0.0
     return left
 
 

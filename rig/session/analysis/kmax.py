@@ -21,21 +21,24 @@ import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.core.deferred import stats
 from rig.session.analysis.rows import MEASURES, Limit, Measure, Observed, RunRow
+from rig.session.search.resolution import FLOATING, is_resolved, unresolved_words
 
 Floats = NDArray[np.float64]
 
-LEAST_REPEATS = 3  # for an interval over them
+LEAST_VALUES = (
+    3  # participants or repeats, for an interval over them: two say next to nothing of their scatter
+)
 RESAMPLES = 9999
 
 ENOUGH_REPEATS = 10  # for a bootstrap
-_ALIKE = 1e-9  # relative: differences that are rounding
+MOSTLY_CENSORED = "most limits lie beyond the levels, so that the mean is a bound and nothing is tested"
 
 IntervalOf = Literal["Student", "bootstrap", "run", "verdicts", "none"]
 Bound = Literal["", "least", "most", "unknown"]
@@ -86,6 +89,8 @@ class OfParticipant:
         K50. The bootstrap takes three.
     limits, above, below
         Values behind it, and how many of them lie beyond the stiffest or the softest level.
+    rounding
+        Standard deviation of the error of `mean` that rounding to the levels makes.
     """
 
     measure: Measure
@@ -105,6 +110,7 @@ class OfParticipant:
     limits: int
     above: int
     below: int
+    rounding: float = 0.0
 
     @property
     def beyond(self) -> Beyond:
@@ -116,8 +122,8 @@ class OfParticipant:
 class OverParticipants:
     """K_max of a condition at one damping: mean over participants, each by the mean of the repeats.
 
-    `low` and `high` are Student's interval for other participants of the same kind; NaN for one, when all are alike,
-    and where most limits are censored. `above` and `below` count those of the `limits` that lie beyond the levels.
+    `low` and `high` are Student's interval for other participants of the same kind; NaN where `problem` says why.
+    `above` and `below` count those of the `limits` that lie beyond the levels.
     """
 
     measure: Measure
@@ -132,6 +138,7 @@ class OverParticipants:
     limits: int
     above: int
     below: int
+    problem: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -141,8 +148,8 @@ class Paired:
     `damping` is None for the mean over the dampings that both have. `holm` is p after Holm's correction for all
     differences of the same measure, whatever the damping. `beyond` counts the limits behind it, and `bound` says on
     which side censored ones leave it open: the difference is at "least" or at "most" this, or "unknown" when they do
-    both. Interval and p are NaN for one participant, when all differ by the same (`alike`), and where most limits of a
-    cell are censored (`withheld`).
+    both. Interval and p are NaN where `problem` says why; `withheld` is True where the reason is that most limits of a
+    cell are censored.
     """
 
     measure: Measure
@@ -158,11 +165,7 @@ class Paired:
     bound: Bound
     beyond: Beyond
     withheld: bool
-
-    @property
-    def alike(self) -> bool:
-        """Whether several participants differ by the same, so that the levels are too coarse to show more."""
-        return self.participants > 1 and math.isnan(self.p) and not self.withheld
+    problem: str = ""
 
 
 Pooled = Mapping[tuple[Measure, str, Cell], Limit]  # by measure, participant and cell
@@ -234,9 +237,11 @@ def of_participants(runs: Sequence[RunRow], pooled: Pooled, seed: int = 0) -> tu
             values = np.array([limit.value for limit in limits])
             beyond = next(iter(beyond_of((*cell, limit) for limit in limits).values()))
             by_student, by_bootstrap = (math.nan, math.nan), (math.nan, math.nan)
+            rounding = rounding_of([limit.rounding for limit in limits])
             if not beyond.mostly:
-                tested = student(values)
-                by_student, by_bootstrap = (tested.low, tested.high), _bootstrap(values, seed)
+                tested = student(values, rounding, of="repeats")
+                by_student = tested.low, tested.high
+                by_bootstrap = (math.nan, math.nan) if tested.problem else bootstrap(values, seed)
             low, high, interval = _interval(
                 limits, pooled.get((measure, code, cell)), by_student, by_bootstrap
             )
@@ -259,6 +264,7 @@ def of_participants(runs: Sequence[RunRow], pooled: Pooled, seed: int = 0) -> tu
                     limits=beyond.limits,
                     above=beyond.above,
                     below=beyond.below,
+                    rounding=rounding / math.sqrt(len(limits)),
                 )
             )
     return tuple(found)
@@ -278,7 +284,11 @@ def over_participants(
         of = groups[measure, condition, damping]
         values = np.array([one.mean for one in of])
         beyond = sum((one.beyond for one in of), NONE_BEYOND)
-        interval = Student() if beyond.mostly else student(values)
+        interval = (
+            Student(problem=MOSTLY_CENSORED)
+            if beyond.mostly
+            else student(values, rounding_of([one.rounding for one in of]))
+        )
         found.append(
             OverParticipants(
                 measure=measure,
@@ -293,6 +303,7 @@ def over_participants(
                 limits=beyond.limits,
                 above=beyond.above,
                 below=beyond.below,
+                problem=interval.problem,
             )
         )
     return tuple(found)
@@ -311,7 +322,7 @@ def _corrected(family: Sequence[Paired]) -> list[Paired]:
 def _paired(each: Sequence[OfParticipant], measure: Measure, conditions: Sequence[str]) -> list[Paired]:
     """Differences by one measure, not yet corrected."""
     of = [one for one in each if one.measure == measure]
-    means = {(one.participant, one.condition, one.damping): one.mean for one in of}
+    known = {(one.participant, one.condition, one.damping): (one.mean, one.rounding) for one in of}
     beyond: dict[Cell, Beyond] = {}
     for one in of:
         cell = (one.condition, one.damping)
@@ -322,12 +333,16 @@ def _paired(each: Sequence[OfParticipant], measure: Measure, conditions: Sequenc
     found: list[Paired] = []
     for damping in dampings:
         for against, condition in combinations(conditions, 2):
-            differences = _differences(means, against, condition, damping)
+            differences, rounding = _differences(known, against, condition, damping)
             if not len(differences):
                 continue
             behind = _behind(beyond, against, condition, damping)
             withheld = any(one.mostly for one in behind.values())
-            tested = Student() if withheld else student(differences)
+            tested = (
+                Student(problem=MOSTLY_CENSORED)
+                if withheld
+                else student(differences, rounding, of="participants", what="the differences")
+            )
             found.append(
                 Paired(
                     measure=measure,
@@ -343,6 +358,7 @@ def _paired(each: Sequence[OfParticipant], measure: Measure, conditions: Sequenc
                     bound=bound_of(behind, condition, against),
                     beyond=sum(behind.values(), NONE_BEYOND),
                     withheld=withheld,
+                    problem=tested.problem,
                 )
             )
     return found
@@ -362,20 +378,49 @@ def _behind(
 
 @dataclass(frozen=True, slots=True)
 class Student:
-    """Student's interval of 95 % for a mean, and two-sided p that it is zero."""
+    """Student's interval of 95 % for a mean, and two-sided p that it is zero; NaN where `problem` says why."""
 
     low: float = math.nan
     high: float = math.nan
     p: float = math.nan
+    problem: str = ""
 
 
-def student(values: Floats) -> Student:
-    """Student's interval and test of a mean, by scipy; NaN for fewer than two values, or when all are alike."""
-    if len(values) < 2 or _alike(values):
-        return Student()
+def student(
+    values: Floats, rounding: float = 0.0, *, of: str = "participants", what: str = "the values"
+) -> Student:
+    """Return Student's interval and test of a mean, by scipy.
+
+    There is none for fewer than `LEAST_VALUES` values, and none where they scatter by no more than rounding makes.
+
+    Parameters
+    ----------
+    values
+        One for each participant or repeat.
+    rounding
+        Standard deviation that rounding to the levels makes, see `rig.session.search.resolution`.
+    of, what
+        Words for the values in `Student.problem`.
+    """
+    if len(values) < LEAST_VALUES:
+        return Student(problem=too_few_words(len(values), of))
+    deviation = float(values.std(ddof=1))
+    if not is_resolved(deviation, rounding, float(np.abs(values).max())):
+        return Student(problem=unresolved_words(f"{what} of the {of}", deviation, rounding))
     tested = stats.ttest_1samp(values, 0.0)
     low, high = tested.confidence_interval(0.95)
     return Student(float(low), float(high), float(tested.pvalue))
+
+
+def too_few_words(count: int, of: str) -> str:
+    """Return the sentence that explains why so few participants or repeats have no interval."""
+    noun = of.replace("participants", "participant").replace("repeats", "repeat") if count == 1 else of
+    return f"{count} {noun}, where an interval and a p value need {LEAST_VALUES} or more"
+
+
+def rounding_of(roundings: Sequence[float]) -> float:
+    """Return the standard deviation that rounding makes in values whose own roundings have these ones."""
+    return math.sqrt(sum(one**2 for one in roundings) / len(roundings))
 
 
 def holm(p: Sequence[float]) -> list[float]:
@@ -389,8 +434,8 @@ def holm(p: Sequence[float]) -> list[float]:
 
 
 def bootstrap(values: Floats, seed: int = 0) -> tuple[float, float]:
-    """BCa interval of 95 % for a mean, by scipy; percentiles where BCa has none, NaN where all values are alike."""
-    if len(values) < 2 or np.ptp(values) == 0.0:
+    """BCa interval of 95 % for a mean, by scipy; percentiles where BCa has none, NaN where `student` has none."""
+    if student(values).problem:
         return math.nan, math.nan
     for method in ("BCa", "percentile"):
         with warnings.catch_warnings():
@@ -405,11 +450,6 @@ def bootstrap(values: Floats, seed: int = 0) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def _bootstrap(values: Floats, seed: int) -> tuple[float, float]:
-    """The same for `LEAST_REPEATS` values or more."""
-    return bootstrap(values, seed) if len(values) >= LEAST_REPEATS else (math.nan, math.nan)
-
-
 def _interval(
     limits: Sequence[Limit],
     pooled: Limit | None,
@@ -418,7 +458,7 @@ def _interval(
 ) -> tuple[float, float, IntervalOf]:
     if len(limits) >= ENOUGH_REPEATS and math.isfinite(by_bootstrap[0]):
         return (*by_bootstrap, "bootstrap")
-    if len(limits) >= LEAST_REPEATS and math.isfinite(by_student[0]):
+    if len(limits) >= LEAST_VALUES and math.isfinite(by_student[0]):
         return (*by_student, "Student")
     if len(limits) == 1 and (limits[0].censored or math.isfinite(limits[0].high - limits[0].low)):
         return limits[0].low, limits[0].high, "run"
@@ -428,33 +468,37 @@ def _interval(
 
 
 def _differences(
-    means: Mapping[tuple[str, str, float], float], against: str, condition: str, damping: float | None
-) -> Floats:
-    """Condition less the other, one value for each participant who has both (at every damping that both have)."""
-    participants = dict.fromkeys(code for code, _, _ in means)
-    of = {name: {value for _, other, value in means if other == name} for name in (against, condition)}
+    known: Mapping[tuple[str, str, float], tuple[float, float]],
+    against: str,
+    condition: str,
+    damping: float | None,
+) -> tuple[Floats, float]:
+    """Return condition less the other, of each participant who has both (at every damping that both have).
+
+    The second value is the standard deviation that rounding to the levels makes in them.
+    """
+    participants = dict.fromkeys(code for code, _, _ in known)
+    of = {name: {b for _, other, b in known if other == name} for name in (against, condition)}
     dampings = [damping] if damping is not None else sorted(of[against] & of[condition])
     if damping is None and len(dampings) < 2:  # it stands under its damping
-        return np.array([])
-    values: list[Any] = []
+        return np.array([]), 0.0
+    values, variances = [], []
     for code in participants:
-        pairs = [(means.get((code, condition, b)), means.get((code, against, b))) for b in dampings]
-        known = [_less(one, other) for one, other in pairs if one is not None and other is not None]
-        if known and len(known) == len(pairs):
-            values.append(sum(known) / len(known))
-    return np.array(values)
+        pairs = [(known.get((code, condition, b)), known.get((code, against, b))) for b in dampings]
+        both = [(one, other) for one, other in pairs if one is not None and other is not None]
+        if both and len(both) == len(pairs):
+            values.append(sum(_less(one[0], other[0]) for one, other in both) / len(both))
+            variances.append(sum(one[1] ** 2 + other[1] ** 2 for one, other in both) / len(both) ** 2)
+    return np.array(values), math.sqrt(sum(variances) / len(variances)) if variances else 0.0
 
 
 def _less(one: float, other: float) -> float:
-    """Difference of two means; none where it is rounding: the same limits may have been added in another order."""
-    return 0.0 if math.isclose(one, other, rel_tol=_ALIKE) else one - other
-
-
-def _alike(values: Floats) -> bool:
-    return float(np.ptp(values)) <= _ALIKE * float(np.abs(values).max())
+    """Return the difference of two means, or 0 where it is floating-point rounding."""
+    return 0.0 if math.isclose(one, other, rel_tol=FLOATING) else one - other
 
 
 def _deviation(values: Floats) -> float:
     if len(values) < 2:
         return math.nan
-    return 0.0 if _alike(values) else float(values.std(ddof=1))
+    deviation = float(values.std(ddof=1))
+    return deviation if is_resolved(deviation, magnitude=float(np.abs(values).max())) else 0.0

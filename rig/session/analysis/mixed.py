@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 from rig.core.deferred import linear_model, mixed_linear_model, optimize, pandas, stats
 from rig.session.analysis.kmax import NONE_BEYOND, Beyond, Bound, Cell, beyond_of, bound_of, holm
 from rig.session.analysis.rows import Measure, Observed
+from rig.session.search.resolution import is_resolved, unresolved_words
 
 Floats = NDArray[np.float64]
 
@@ -154,12 +155,21 @@ def mixed(values: Sequence[Observed], measure: Measure, conditions: Sequence[str
             problem=f"{len(design.frame)} values are too few for {design.participants} participants and {len(cells)} "
             "conditions and dampings",
         )
+    problem = design.unresolved(design.residual_deviation)
+    if problem:
+        return Mixed(measure=measure, problem=problem)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of steps on the way; whether the optimum is reached is looked at
-        model = _Model.of(design)
-        tests = _tests(design) if design.participants >= ENOUGH_PARTICIPANTS else ()
+        try:
+            model = _Model.of(design)
+            tests = _tests(design) if design.participants >= ENOUGH_PARTICIPANTS else ()
+        except np.linalg.LinAlgError:  # a singular covariance: some part leaves nothing for the residual
+            model = None
     if model is None:
         return Mixed(measure=measure, problem="the mixed model did not converge; the paired tests remain")
+    problem = design.unresolved(model.deviations[-1][1])
+    if problem:
+        return Mixed(measure=measure, problem=problem)
     contrasts = _contrasts(design, model, beyond, conditions)
     notes = _notes(measure, design.participants, beyond, cells, _sorted(beyond, conditions))
     if not contrasts:
@@ -228,6 +238,8 @@ class _Design:
         In the order of their labels in the frame.
     middle, scale
         Mean and standard deviation of the limits, in stiffness.
+    rounding
+        Standard deviation of the error of the limits that rounding to the levels makes, in stiffness.
     covariates
         Of order and block, those that can be separated from cells and participants.
     notes
@@ -238,6 +250,7 @@ class _Design:
     cells: Sequence[Cell]
     middle: float
     scale: float
+    rounding: float
     covariates: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
@@ -256,12 +269,15 @@ class _Design:
                 "limit": [one.limit.value for one in values],
                 "order": [one.order for one in values],
                 "block": [one.block for one in values],
+                "rounding": [one.limit.rounding**2 for one in values],
             }
         )
-        frame = each.groupby(["participant", "cell", "condition", "damping"], as_index=False).mean()
+        groups = each.groupby(["participant", "cell", "condition", "damping"], as_index=False)
+        frame = groups.mean()
+        rounding = math.sqrt((frame.pop("rounding") / groups.size()["size"]).mean())
         middle, scale = frame["limit"].mean(), frame["limit"].std(ddof=0) or 1.0
         frame["limit"] = (frame["limit"] - middle) / scale
-        design = cls(frame, cells, float(middle), float(scale))
+        design = cls(frame, cells, float(middle), float(scale), rounding)
         for name in ("order", "block"):
             frame[name] -= frame[name].mean()
             if np.ptp(frame[name]) == 0.0:
@@ -314,6 +330,20 @@ class _Design:
         return min(self.participants - 1, len(self.frame) - taken)
 
     @cached_property
+    def residual_deviation(self) -> float:
+        """Standard deviation, in stiffness, that cells, participants and covariates leave by least squares."""
+        columns, limits = self.columns("cell", "participant", *self.covariates), self.frame["limit"]
+        rest = limits - columns @ np.linalg.lstsq(columns, limits, rcond=None)[0]
+        free = len(limits) - int(np.linalg.matrix_rank(columns))
+        return math.sqrt(float(rest @ rest) / free) * self.scale
+
+    def unresolved(self, deviation: float) -> str:
+        """Return why a residual of this deviation gives no interval and no p, or an empty text if it does."""
+        if is_resolved(deviation, self.rounding, abs(self.middle) + self.scale):
+            return ""
+        return unresolved_words("the residuals within participants", deviation, self.rounding)
+
+    @cached_property
     def parts(self) -> list[str]:
         """Random parts that can be estimated: of a factor, where each person has several values of it, repeatedly."""
         found = ["participant"]
@@ -362,6 +392,7 @@ def _minus_log_likelihood(
         value += float(np.linalg.slogdet(known)[1])
         lost = seen @ np.linalg.solve(known, np.swapaxes(seen, 1, 2))
         gradient -= [np.sum(lost * part) for part in parts]
+    unlike = max(unlike, np.finfo(np.float64).tiny)  # rounding may make it 0 where a random part takes all
     value += free * (math.log(2.0 * math.pi * unlike / free) + 1.0)
     gradient -= [free / unlike * np.einsum("pv,pvw,pw", residual, part, residual) for part in parts]
     return 0.5 * value, 0.5 * gradient

@@ -21,17 +21,16 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.session.analysis.kmax import Student, student
+from rig.session.analysis.kmax import rounding_of, student
 from rig.session.analysis.rows import RunRow
 from rig.session.analysis.study import Study
 from rig.session.analysis.trials import answers, half_way, levels_by_participant
 from rig.session.search import psychometric as curve
+from rig.session.search.resolution import rounding_deviation
 from rig.session.search.rule import verdicts_of
 
 Floats = NDArray[np.float64]
 Judge = Literal["person", "automatic"]
-
-LEAST_PEOPLE = 3  # for an interval over them
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,6 +61,8 @@ class Psychometric:
         λ, the share of verdicts turned round.
     levels, verdicts, stable
         Of each level that was judged: stiffness, verdicts, and how many of them were stable.
+    step
+        Distance of the levels about K50.
     """
 
     participant: str
@@ -77,6 +78,7 @@ class Psychometric:
     levels: tuple[float, ...]
     verdicts: tuple[int, ...]
     stable: tuple[int, ...]
+    step: float
 
     @property
     def bounded(self) -> bool:
@@ -179,6 +181,7 @@ def fit(
         levels=tuple(by_level),
         verdicts=tuple(len(stable) for stable in by_level.values()),
         stable=tuple(sum(stable) for stable in by_level.values()),
+        step=half.step,
     )
 
 
@@ -187,7 +190,7 @@ def together(
 ) -> Psychometric:
     """The function of several participants under one condition, of whose verdicts these are all."""
     own = np.array([one.threshold.mean for one in each])
-    interval = student(own) if len(each) >= LEAST_PEOPLE else Student()
+    interval = student(own, rounding_of([rounding_deviation(one.step) for one in each]))
     pooled = fit("", each[0].condition, each[0].damping, each[0].judge, levels, verdicts)
     return replace(
         pooled,

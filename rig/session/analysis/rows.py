@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 
 from rig.core.quantity import Quantity
 from rig.session.search.catching import CatchTrials
+from rig.session.search.resolution import rounding_deviation
 from rig.session.search.rule import Censored
 from rig.session.trial import Trial
 
@@ -94,7 +95,8 @@ class Limit:
 
     There the interval is open: `high` is infinite, or `low` zero.
 
-    `share` is the share of stable verdicts at the value; None for the ascending rule, which aims at none.
+    `share` is the share of stable verdicts at the value; None for the ascending rule, which aims at none. `step` is the
+    distance of the levels between which it was found; 0 for a value that is not of levels.
     """
 
     value: float
@@ -102,6 +104,12 @@ class Limit:
     high: float
     censored: Censored
     share: float | None
+    step: float = 0.0
+
+    @property
+    def rounding(self) -> float:
+        """Standard deviation of the error of the value that rounding to the levels makes."""
+        return rounding_deviation(self.step)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -23,6 +23,7 @@ from rig.core.quantity import quantities
 from rig.experiments.results import make_directory, write_document
 from rig.recording.files import whole_file
 from rig.session.analysis.analyse import Analysis
+from rig.session.analysis.kmax import Paired
 from rig.session.analysis.rows import (
     MEASURES,
     AnswerRow,
@@ -310,7 +311,12 @@ _KMAX = (
         "what kmax_low and kmax_high are of: Student or bootstrap over repeats; the single run; all verdicts together, "
         "whose interval is of the stiffness that they tell and, by the rule, need not hold the mean in kmax; none",
     ),
-    _own("student_low", float, "stiffness", "lower end of Student's interval over repeats, empty when alike"),
+    _own(
+        "student_low",
+        float,
+        "stiffness",
+        "lower end of Student's interval over repeats; empty below three, and where they scatter by rounding alone",
+    ),
     _own("student_high", float, "stiffness", "upper end"),
     _own(
         "bootstrap_low",
@@ -328,6 +334,7 @@ _OVER = (
     _own("participants", int, "", "that it is the mean of"),
     _own("runs", int, "", "of all of them"),
     *_MEAN,
+    _own("problem", str, "", "why there is no interval"),
     *_BEYOND,
 )
 _DIFFERENCES = (
@@ -354,8 +361,7 @@ _DIFFERENCES = (
         "difference_low",
         float,
         "stiffness",
-        "lower end of the interval of 95 %; empty for one participant, when all differ by the same (the levels are "
-        "then too coarse to tell), and where most limits of a condition lie beyond the levels",
+        "lower end of the interval of 95 %; empty where problem says why",
         lambda row: row["low"],
     ),
     DataColumn("difference_high", float, "stiffness", "upper end", lambda row: row["high"]),
@@ -375,6 +381,7 @@ _DIFFERENCES = (
         "there are none",
         lambda row: row["bound"],
     ),
+    DataColumn("problem", str, "", "why there is no interval and no p", lambda row: row["problem"]),
     DataColumn("limits", int, "", "behind it", lambda row: row["beyond"].limits),
     DataColumn("beyond", int, "", "of them lie beyond the levels", lambda row: row["beyond"].count),
 )
@@ -386,15 +393,14 @@ _AGREEMENT = (
     DataColumn("automatic", str, "", "class of the automatic verdict", lambda row: row["automatic"]),
     DataColumn("trials", int, "", "judged so by both", lambda row: row["trials"]),
     DataColumn("kappa", float, "1", "of the whole table", lambda row: row["kappa"]),
-    DataColumn("kappa_low", float, "1", "lower end of its interval of 95 %", lambda row: row["low"]),
-    DataColumn("kappa_high", float, "1", "upper end", lambda row: row["high"]),
     DataColumn(
-        "kappa_interval",
-        str,
-        "",
-        "what it is over: people (jackknife, Student), trials as if they were independent, or none",
-        lambda row: row["over"],
+        "kappa_low",
+        float,
+        "1",
+        "lower end of its interval of 95 % over people (jackknife)",
+        lambda row: row["low"],
     ),
+    DataColumn("kappa_high", float, "1", "upper end", lambda row: row["high"]),
     DataColumn("problem", str, "", "why there is no interval", lambda row: row["problem"]),
     DataColumn("same", float, "1", "share on which both say the same", lambda row: row["share"]),
     DataColumn(
@@ -518,10 +524,11 @@ def _differences(found: Analysis) -> list[Mapping[str, Any]]:
 def _difference(one: Any, measure: Measure, method: str, participants: int) -> Mapping[str, Any]:
     fields = ("condition", "against", "damping", "difference", "low", "high", "p", "holm", "bound", "beyond")
     values = {name: getattr(one, name) for name in fields}
+    values["problem"] = one.problem if isinstance(one, Paired) else ""
     return {"measure": measure, "method": method, "participants": participants, **values}
 
 
-_OF_TABLE = ("kappa", "low", "high", "over", "problem", "share", "positive", "negative", "people", "left_out")
+_OF_TABLE = ("kappa", "low", "high", "problem", "share", "positive", "negative", "people", "left_out")
 
 
 def _confusions(found: Analysis) -> list[Mapping[str, Any]]:

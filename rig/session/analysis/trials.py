@@ -14,6 +14,7 @@ from rig.session.schedule import Run, levels_of
 from rig.session.search import Answer, Estimate, psychometric
 from rig.session.search.ascending import Ascending
 from rig.session.search.catching import CatchTrials
+from rig.session.search.resolution import step_at
 from rig.session.search.rule import Censored, verdicts_of
 from rig.session.state import WALKING, State
 from rig.session.trial import Trial
@@ -140,7 +141,14 @@ def half_way(
     """
     share = share or 0.5
     found = psychometric.locate(tuple(grid), verdicts, share)
-    return Limit(value=found.value, low=found.low, high=found.high, censored=found.censored, share=share)
+    return Limit(
+        value=found.value,
+        low=found.low,
+        high=found.high,
+        censored=found.censored,
+        share=share,
+        step=step_at(grid, found.value),
+    )
 
 
 def answers(state: State, run: Run, judge: str) -> list[Answer]:
@@ -279,6 +287,7 @@ def _add(found: dict[Measure, Limit], measure: Measure, estimate: Estimate) -> N
             high=estimate.high,
             censored=estimate.censored,
             share=estimate.share if math.isfinite(estimate.share) else None,
+            step=estimate.step,
         )
 
 

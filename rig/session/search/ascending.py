@@ -14,6 +14,7 @@ import numpy as np
 
 from rig.core.deferred import stats
 from rig.session.search.psychometric import opened
+from rig.session.search.resolution import is_resolved, rounding_deviation, step_at
 from rig.session.search.rule import (
     Answer,
     Censored,
@@ -68,20 +69,36 @@ class Ascending:
         return None if len(places) == self.repeats else Probe(self.levels[step], track=len(places))
 
     def estimate(self, answers: Sequence[Answer]) -> Estimate:
-        """Mean over the series that have ended, and Student's interval of it, infinite for a single one."""
+        """Mean over the series that have ended, and Student's interval of it.
+
+        It is infinite for a single series, and for series that scatter by no more than rounding to the levels makes;
+        where all of these lie beyond the levels, the end of the levels is the bound.
+        """
         series = self.series(answers)
         if not series:
             return Estimate(
                 value=math.nan, low=0.0, high=math.inf, share=math.nan, censored="", hits=len(answers)
             )
         limits = np.array([one.limit for one in series])
-        value, half = float(limits.mean()), math.inf
-        if len(limits) > 1:
-            half = float(stats.t.ppf(0.975, len(limits) - 1) * limits.std(ddof=1) / math.sqrt(len(limits)))
         sides = {one.censored for one in series}
         censored: Censored = "above" if "above" in sides else "below" if sides == {"below"} else ""
+        value, half = float(limits.mean()), math.inf
+        step = step_at(self.levels, value)
+        deviation = float(limits.std(ddof=1)) if len(limits) > 1 else math.nan
+        if is_resolved(deviation, rounding_deviation(step)):
+            half = float(stats.t.ppf(0.975, len(limits) - 1) * deviation / math.sqrt(len(limits)))
+        elif len(limits) > 1 and censored:
+            half = 0.0
         low, high = opened(censored, value, max(0.0, value - half), value + half)
-        return Estimate(value=value, low=low, high=high, share=math.nan, censored=censored, hits=len(answers))
+        return Estimate(
+            value=value,
+            low=low,
+            high=high,
+            share=math.nan,
+            censored=censored,
+            hits=len(answers),
+            step=step,
+        )
 
     def series(self, answers: Sequence[Answer]) -> tuple[Series, ...]:
         """The series that have ended."""

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rig.session.search import psychometric
+from rig.session.search.resolution import step_at
 from rig.session.search.rule import Answer, Censored, Estimate, Probe, verdicts_of
 from rig.session.search.staircase import Staircase
 
@@ -81,4 +82,5 @@ class Interleaved:
             share=share,
             censored=censored,
             hits=len(answers),
+            step=step_at(self.levels, value) * self.steps[-1],
         )

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from rig.core.errors import ConfigError
 from rig.session.search import psychometric
+from rig.session.search.resolution import step_at
 from rig.session.search.rule import Answer, Estimate, Probe, check_whole, checked_levels, verdicts_of
 
 
@@ -84,6 +85,7 @@ def posterior_estimate(levels: tuple[float, ...], answers: Sequence[Answer]) -> 
         share=0.5,
         censored=found.censored,
         hits=len(answers),
+        step=step_at(levels, found.value),
     )
 
 

@@ -46,6 +46,8 @@ class Estimate:
         "above" when the stiffest wall was still held, "below" when the softest was not: the limit lies beyond.
     hits
         Verdicts that it cost, catch trials and invalid ones included.
+    step
+        Distance of the levels between which it lies, so how finely the value is known (`resolution`).
     """
 
     value: float
@@ -54,6 +56,7 @@ class Estimate:
     share: float
     censored: Censored
     hits: int
+    step: float = 0.0
 
 
 class Rule(Protocol):

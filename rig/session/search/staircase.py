@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 from rig.core.errors import ConfigError
 from rig.session.search import psychometric
+from rig.session.search.resolution import step_at
 from rig.session.search.rule import (
     Answer,
     Censored,
@@ -130,4 +131,12 @@ class Staircase:
             censored = "above" if walk.direction > 0 else "below"
             value = self.levels[-1] if walk.direction > 0 else self.levels[0]
         low, high = psychometric.opened(censored, value, low, high)
-        return Estimate(value=value, low=low, high=high, share=self.share, censored=censored, hits=hits)
+        return Estimate(
+            value=value,
+            low=low,
+            high=high,
+            share=self.share,
+            censored=censored,
+            hits=hits,
+            step=step_at(self.levels, value) * self.steps[-1],
+        )

@@ -24,7 +24,7 @@ from rig.core.oscillation import OSCILLATIONS
 from rig.recording.header import checkout
 from rig.session.analysis.agreement import LEAST_PEOPLE
 from rig.session.analysis.analyse import Analysis
-from rig.session.analysis.kmax import ENOUGH_REPEATS, LEAST_REPEATS, RESAMPLES
+from rig.session.analysis.kmax import ENOUGH_REPEATS, LEAST_VALUES, RESAMPLES
 from rig.session.analysis.rows import Measure
 from rig.session.bands import asked
 from rig.session.conduct import walls_in
@@ -194,7 +194,7 @@ def _facts(found: Analysis) -> dict[str, Any]:
         "random_effects": [name for name, _ in model.deviations[:-1]] if model else [],
         "censored": sum(one.above + one.below for one in over),
         "limit_count": sum(one.limits for one in over),
-        "least_repeats": LEAST_REPEATS,
+        "least_values": LEAST_VALUES,
         "enough_repeats": ENOUGH_REPEATS,
         "resamples": RESAMPLES,
         "least_people": LEAST_PEOPLE,

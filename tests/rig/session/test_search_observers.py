@@ -66,7 +66,7 @@ def test_intervals_hold_what_they_promise_except_the_ascending_rules() -> None:
             assert row["covered"] >= 0.93, (name, lapse_rate, spread)
             assert abs(row["bias"]) <= 12.5, (name, lapse_rate, spread)  # half a step
         elif name == "ascending × 5":
-            assert 0.45 < row["covered"] < 0.90, (lapse_rate, spread)
+            assert 0.45 < row["covered"] < 0.94, (lapse_rate, spread)
         else:  # one series knows nothing of its scatter
             assert row["width"] is None
 

@@ -51,7 +51,7 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Any:
     """Four people, two conditions, three repeats, up-down; some hits say nothing, and some verdicts are unsure."""
     where = tmp_path_factory.mktemp("study")
     people = {code: person(offset, invalid=0.05, unsure=0.03) for code, offset in OFFSETS.items()}
-    write_study(where, protocol(), people, recorded=True)
+    write_study(where, protocol(search={"step": 10.0}), people, recorded=True)
     return where
 
 
@@ -93,11 +93,11 @@ def test_each_persons_limit_is_found(found: Any) -> None:
         truth = {"uniform": UNIFORM, "dual": DUAL}[one.condition] + OFFSETS[one.participant]
         if one.measure != "K50 automatic":
             assert abs(one.mean - truth) < 15.0
-        if one.measure == "rule":
+        if one.interval == "Student":
             assert one.student_low - 5.0 <= truth <= one.student_high + 5.0
         else:
             assert one.low < one.mean < one.high
-            assert one.interval == "verdicts"
+            assert one.interval == ("verdicts" if one.measure != "rule" else one.interval)
     assert {one.repeats for one in found.of_participants} == {3}
     functions = [one for one in found.psychometrics if one.judge == "person" and one.participant]
     held = [
@@ -129,15 +129,17 @@ def test_there_is_one_k50_of_a_participant(found: Any) -> None:
             assert (over.mean, over.low, over.high) == pytest.approx(k50)
 
 
-def test_differences_that_are_the_same_for_all_are_said_to_come_of_coarse_levels(found: Any) -> None:
-    assert not any("too coarse" in message for message in found.messages)
+def test_differences_without_an_interval_are_counted_in_a_message(found: Any) -> None:
+    assert not any("rounding to the levels" in message for message in found.messages)
     same = [
-        replace(one, low=math.nan, high=math.nan, p=math.nan, holm=math.nan)
+        replace(
+            one, low=math.nan, high=math.nan, p=math.nan, holm=math.nan, problem="the differences are alike"
+        )
         for one in found.paired
         if one.measure == "rule"
     ]
-    (message,) = [m for m in replace(found, paired=tuple(same)).messages if "too coarse" in m]
-    assert message.startswith("1 paired difference is the same for all participants")
+    (message,) = [m for m in replace(found, paired=tuple(same)).messages if "rounding to the levels" in m]
+    assert message.startswith("1 paired difference has no interval and no p")
 
 
 def test_the_example_script_goes_from_the_tables_to_the_same_numbers(
@@ -599,7 +601,7 @@ def test_a_table_of_confusions_says_what_its_interval_is_over_and_who_is_in_it(
     row = next(r for r in pq.read_table(tmp_path / "agreement.parquet").to_pylist() if r["condition"] == "")
     two = found.agreements[0]
     assert (row["people"], row["left_out"], row["same"]) == (4, two.left_out, two.share)
-    assert (row["kappa_interval"], row["kappa_low"]) == ("none", None)
+    assert row["kappa_low"] is None
     assert "4 people" in row["problem"]
     assert (row["positive"], row["negative"]) == (two.positive, two.negative)
     differences = pq.read_table(tmp_path / "differences.parquet").to_pylist()

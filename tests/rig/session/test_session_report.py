@@ -52,7 +52,7 @@ SECTIONS = (
 def person(offset: float = 0.0, **settings: Any) -> Any:
     return Person(
         threshold=lambda condition, damping: (
-            (500.0 if "dual" in condition else 400.0) + offset + 100.0 * damping
+            (500.0 + 2.0 * offset if "dual" in condition else 400.0 + offset) + 100.0 * damping
         ),
         **settings,
     )
@@ -61,7 +61,7 @@ def person(offset: float = 0.0, **settings: Any) -> Any:
 def mapping_of(**sections: Any) -> Any:
     chosen = {
         "study": {"title": f"Two schemes {NASTY}", "participants": 3, "changes": {"operator.press": 2.0}},
-        "search": {"step": 50.0, "settings": {"turns": 2, "most": 10}},
+        "search": {"step": 20.0, "settings": {"turns": 2, "most": 40}},
         "order": {"repeats": 2},
         "condition": CONDITIONS,
         "practice": {"stiffness": [100.0]},
@@ -270,12 +270,20 @@ def test_what_the_interval_of_two_repeats_is_of_is_said_beside_it(found: Any, pa
 
 def test_a_difference_that_is_the_same_for_all_is_told_without_an_interval(found: Any) -> None:
     told = [
-        replace(one, difference=25.0, low=math.nan, high=math.nan, p=math.nan, holm=math.nan)
+        replace(
+            one,
+            difference=25.0,
+            low=math.nan,
+            high=math.nan,
+            p=math.nan,
+            holm=math.nan,
+            problem="they are alike",
+        )
         for one in found.paired
         if one.measure == "rule"
     ]
     text = _flat(render(replace(found, paired=tuple(told), mixed=()), {}))
-    assert "+25 N·m/rad for every participant, so there is no interval and no p value." in text
+    assert "+25 N·m/rad without interval and p value: they are alike." in text
     assert "p = –" not in text
 
 
@@ -294,14 +302,17 @@ def test_methods_have_every_number_of_protocol_experiment_and_result_and_no_key_
             f"{judged.heard_force:g} N",
             f"{judged.moved:g} m",
         ],
-        "Search": ["17 stiffnesses from 100 to 900 N·m/rad, 50 N·m/rad apart", "2 reversals", "10 verdicts"],
+        "Search": ["41 stiffnesses from 100 to 900 N·m/rad, 20 N·m/rad apart", "2 reversals", "40 verdicts"],
         "Order and blinding": ["seed 7", "3 of the 4 rows", "row 2: 1 participant", "not balanced"],
         "Safety and rests": [f"{limits.speed:g} rad/s", OSCILLATIONS, f"{1000 * limits.oscillation_s:g} ms"],
         "Limits": [
             f"Of {counts['recorded']} recorded trials {counts['counted']}",
             *(f"{n} {name}" for name, n in counts.items() if name not in ("recorded", "counted")),
         ],
-        "Comparisons": ["19 runs", "2 degrees of freedom"],
+        "Comparisons": [
+            f"{next(one.runs for one in found.mixed if one.measure == 'rule')} runs",
+            "2 degrees of freedom",
+        ],
         "Psychometric functions and agreement": [
             ", ".join(f"{100 * rate:g}" for rate in LAPSE_RATES[:-1]) + f" and {100 * LAPSE_RATES[-1]:g} %",
         ],
