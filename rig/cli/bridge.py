@@ -5,7 +5,6 @@ from __future__ import annotations
 import shlex
 import sys
 from collections.abc import Callable
-from urllib.parse import quote
 
 import click
 
@@ -84,7 +83,7 @@ def moteus(place: str, preset: str, drive: int, baud: int | None, describe: bool
     no bridge is needed: `--url moteus:///dev/fdcanusb` starts one.
     """
     chosen = {"id": str(drive)} | ({} if baud is None else {"baud": str(baud)})
-    _run(DeviceUrl("moteus", place, chosen, f"moteus://{place}"), preset, describe=describe, as_json=as_json)
+    _run(DeviceUrl.of("moteus", place, chosen), preset, describe=describe, as_json=as_json)
 
 
 @bridge.command()
@@ -103,5 +102,4 @@ def odrive(place: str, preset: str, drive: int, endpoints: str, describe: bool, 
     'odrive://can0?endpoints=flat_endpoints.json'` starts one.
     """
     chosen = {"id": str(drive), "endpoints": endpoints}
-    text = f"odrive://{place}?id={drive}&endpoints={quote(endpoints)}"
-    _run(DeviceUrl("odrive", place, chosen, text), preset, describe=describe, as_json=as_json)
+    _run(DeviceUrl.of("odrive", place, chosen), preset, describe=describe, as_json=as_json)

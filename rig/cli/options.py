@@ -19,6 +19,7 @@ from rig.config import Experiment, presets
 from rig.config.schemes import parse_rates
 from rig.config.sections import SchemeCutoff
 from rig.core.errors import ConfigError
+from rig.devices.device import DeviceUrl
 from rig.views.plots.style import FORMATS
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -423,7 +424,7 @@ def preset_of(url: str | None, file: Path | None) -> str | None:
     """Return the preset that a ``sim://name`` names, when no file says what the experiment is."""
     if url is None or file is not None or not url.startswith("sim://"):
         return None
-    return url.removeprefix("sim://").partition("?")[0] or None
+    return DeviceUrl.parse(url).place or None
 
 
 def changes(

@@ -102,7 +102,8 @@ def _schemes(incomplete: str) -> Iterator[str]:
 def _urls(incomplete: str) -> Iterator[str]:
     yield "sim://"
     yield from (f"sim://{name}" for name in presets())
-    yield from (f"serial://{port}" for kind in _PORTS for port in sorted(Path("/dev").glob(kind)))
+    ports = [str(port) for kind in _PORTS for port in sorted(Path("/dev").glob(kind))]
+    yield from (f"serial://{port}" for port in ports if port.isprintable() and not {"%", "?"} & set(port))
     yield "usb://"
 
 

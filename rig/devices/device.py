@@ -7,10 +7,11 @@ shipped code, whether a board, a process behind a pseudo-terminal or the simulat
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
-from urllib.parse import parse_qsl, urlsplit
+from urllib.parse import quote, unquote
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,9 +26,18 @@ STATE_BYTES = encoded_bytes(messages.State)  # of the host loop's larger frame, 
 LINK_SHARE = 0.7  # of a link's capacity that a loop may use; the rest is for answers and retries
 
 
+_SCHEME = re.compile(r"[a-z][a-z0-9+.-]*")
+_NO_ESCAPE = re.compile(r"%(?![0-9A-Fa-f]{2})|%00")
+
+
 @dataclass(frozen=True, slots=True)
 class DeviceUrl:
-    """``scheme://place?key=value``: for example ``sim://koul-compliant?seed=3`` or ``serial:///dev/ttyACM0?baud=921600``."""
+    """``scheme://place?key=value``: for example ``sim://koul-compliant?seed=3`` or ``serial:///dev/ttyACM0?baud=921600``.
+
+    A place or value may be a path of any bytes. In the text, ``%XX`` is a byte, ``?`` begins the options, and ``&`` and
+    ``=`` separate them; every other character stands for itself, ``#`` and ``+`` too. `place` and `options` have no
+    escapes.
+    """
 
     scheme: str
     place: str
@@ -35,24 +45,44 @@ class DeviceUrl:
     text: str
 
     @classmethod
+    def of(cls, scheme: str, place: str, options: Mapping[str, str] | None = None) -> DeviceUrl:
+        """Write a URL that `parse` and a shell lead back to exactly this place and these options."""
+        options = options or {}
+        query = "&".join(f"{_encode(name)}={_encode(value)}" for name, value in options.items())
+        return cls(scheme, place, options, f"{scheme}://{_encode(place)}{'?' if query else ''}{query}")
+
+    @classmethod
     def parse(cls, text: str) -> DeviceUrl:
-        """Split a URL; raises `ConfigError` when it has no scheme or an option twice."""
-        try:
-            parts = urlsplit(text)
-        except ValueError as error:
+        """Split a URL; raises `ConfigError` when it has no scheme, an option twice, or an unclear character."""
+        scheme, separator, rest = text.partition("://")
+        if not separator or not _SCHEME.fullmatch(scheme):
             raise ConfigError(
-                f"device URL {text!r}: {error}", remedy="write it like sim://koul-compliant"
-            ) from None
-        if "://" not in text or not parts.scheme:
-            raise ConfigError(
-                f"device URL {text!r} has no scheme",
+                f"device URL {text!r} has no scheme in small letters",
                 remedy="write it like sim://koul-compliant or serial:///dev/ttyACM0",
             )
-        pairs = parse_qsl(parts.query, keep_blank_values=True)
-        options = dict(pairs)
-        if len(options) != len(pairs):
-            raise ConfigError(f"device URL {text!r} names an option twice", remedy="keep one of them")
-        return cls(parts.scheme, parts.netloc + parts.path, options, text)
+        if not text.isprintable():
+            hidden = next(character for character in text if not character.isprintable())
+            raise ConfigError(
+                f"device URL {text!r} contains the invisible character {hidden!r}",
+                remedy="leave it out, or write each of its bytes as % and two hexadecimal digits (%0A: line feed)",
+            )
+        if wrong := _NO_ESCAPE.search(rest):
+            raise ConfigError(
+                f"device URL {text!r} contains {rest[wrong.start() :][:3]!r}, which is not a byte of a name",
+                remedy="write %25 for the sign % itself, or % and two hexadecimal digits, not 00, for a byte",
+            )
+        place, mark, query = rest.partition("?")
+        options: dict[str, str] = {}
+        for part in query.split("&") if mark else ():
+            name, _, value = map(_decode, part.partition("="))
+            if not name or name in options:
+                fault = f"names the option {name!r} twice" if name else "has an option without a name"
+                raise ConfigError(
+                    f"device URL {text!r} {fault}",
+                    remedy="give each option once, like ?seed=3&offset=0.25; write %3F for a ? in a name",
+                )
+            options[name] = value
+        return cls(scheme, _decode(place), options, text)
 
     def allow(self, options: Iterable[str]) -> None:
         """Raise `ConfigError` when the URL has an option that is not among these."""
@@ -72,6 +102,14 @@ class DeviceUrl:
                 remedy=f"give one of: {', '.join(allowed)}; or leave {name} out",
             )
         return value
+
+
+def _encode(part: str) -> str:
+    return quote(part, safe="/:@+,", errors="surrogateescape")
+
+
+def _decode(part: str) -> str:
+    return unquote(part, errors="surrogateescape")
 
 
 class Link(Protocol):

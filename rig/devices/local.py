@@ -105,7 +105,7 @@ def serve_locally(
         with announced(
             _child, described, realtime, options, name="rig-device", by_hand="rig sim serve"
         ) as port:
-            yield f"serial://{port}" if terminal else f"unix://{port}?cpu={cpu}"
+            yield f"serial://{port}" if terminal else DeviceUrl.of("unix", port, {"cpu": str(cpu)}).text
 
 
 @contextmanager

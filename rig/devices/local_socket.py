@@ -11,6 +11,7 @@ import os
 import socket
 import sys
 from contextlib import suppress
+from shlex import quote
 
 from rig.core import locks
 from rig.core.errors import ConfigError, DeviceNotFoundError
@@ -61,7 +62,7 @@ def _locked(place: str) -> int:
     if not locks.lock(lock):
         os.close(lock)
         raise DeviceNotFoundError(
-            f"{place} is in use by another program", remedy=f"close it (fuser {place}.lock names it)"
+            f"{place} is in use by another program", remedy=f"close it (fuser {quote(place)}.lock names it)"
         )
     return lock
 

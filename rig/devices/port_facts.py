@@ -11,6 +11,7 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from shlex import quote
 
 from serial.tools import list_ports
 
@@ -72,19 +73,19 @@ class PortFacts:
             found.append(
                 self._problem(
                     f"the FTDI adapter holds bytes back for up to {self.latency_timer_ms} ms",
-                    f"echo {LONGEST_LATENCY_MS} | sudo tee {latency_timer_path(self.device)}; for good: rig doctor "
-                    "--print-udev",
+                    f"echo {LONGEST_LATENCY_MS} | sudo tee {quote(str(latency_timer_path(self.device)))}; for good: "
+                    "rig doctor --print-udev",
                 )
             )
         elif self.low_latency is False and self.driver is not None and self.driver.startswith("serial"):
             text = f"the driver {self.driver} refused the low-latency mode"
-            found.append(self._problem(text, f"sudo setserial {self.device} low_latency"))
+            found.append(self._problem(text, f"sudo setserial {quote(self.device)} low_latency"))
         if self.exclusive is False and not is_pseudo(self.device):
             text = "other programs can open the port and take bytes away"
-            found.append(self._problem(text, f"close those that this lists: fuser -v {self.device}"))
+            found.append(self._problem(text, f"close those that this lists: fuser -v {quote(self.device)}"))
         if self.hangs_up:
             text = "closing the port will drop DTR, which resets many boards"
-            found.append(self._problem(text, f"stty -F {self.device} -hupcl"))
+            found.append(self._problem(text, f"stty -F {quote(self.device)} -hupcl"))
         return found
 
     def _problem(self, text: str, remedy: str) -> Check:

@@ -23,6 +23,7 @@ import sys
 import termios
 from contextlib import suppress
 from pathlib import Path
+from shlex import quote
 
 import serial
 
@@ -63,7 +64,7 @@ def _open(port: str, baud: int) -> serial.Serial:
             raise DeviceNotFoundError(f"no permission to open {port}", remedy=remedy) from None
         if number in (errno.EAGAIN, errno.EBUSY) or "lock" in str(error):
             raise DeviceNotFoundError(
-                f"{port} is in use by another program", remedy=f"close it (fuser {port} names it)"
+                f"{port} is in use by another program", remedy=f"close it (fuser {quote(port)} names it)"
             ) from None
         if number == errno.ENOENT or not Path(port).exists():
             raise DeviceNotFoundError(

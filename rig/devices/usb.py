@@ -59,8 +59,8 @@ class UsbDevice:
     @property
     def url(self) -> str:
         """How to open it."""
-        place = f"usb://{self.vid:04x}:{self.pid:04x}"
-        return f"{place}/{self.serial}" if self.serial else place
+        number = f"/{self.serial}" if self.serial else ""
+        return DeviceUrl.of("usb", f"{self.vid:04x}:{self.pid:04x}{number}").text
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,6 +33,7 @@ from rig.core.model import Cogging
 from rig.core.present import reported
 from rig.core.same_rig import check_rig
 from rig.core.sample import RowFlag, unit_of
+from rig.devices.device import DeviceUrl
 from rig.devices.framed import FramedDevice
 from rig.experiments.identified_values import identified_values
 from rig.experiments.identify_motions import (
@@ -248,7 +249,7 @@ def without_end_mass(request: IdentifyRequest) -> Experiment:
     """
     experiment = config.override(request.experiment, request.changes)
     url = request.url or "sim://"
-    named = url.startswith("sim://") and bool(url.removeprefix("sim://").partition("?")[0])
+    named = url.startswith("sim://") and bool(DeviceUrl.parse(url).place)
     bare = {} if named else {"rig.mechanics.end_mass": 0.0}
     free = config.override(experiment, {**bare, "controller.loop": "host"}, "identification")
     return free if request.rate_hz is None else _at_rate(free, request.rate_hz, "identification")

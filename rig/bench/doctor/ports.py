@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from rig.bench.answers import question, warning
 from rig.bench.doctor.udev import RIGS, udev_rules
 from rig.core.check import Check
+from rig.devices.device import DeviceUrl
 from rig.devices.port_facts import PortFacts, available_ports, port_facts
 from rig.devices.usb import UsbDevice, available_devices
 
@@ -35,7 +36,7 @@ def ports_here() -> tuple[list[Port], list[Check]]:
 def serial_port(name: str, description: str = "") -> tuple[Port, PortFacts]:
     """What is known of one serial port."""
     facts = port_facts(name)
-    return Port(f"serial://{name}", description or facts.product or "", facts), facts
+    return Port(DeviceUrl.of("serial", name).text, description or facts.product or "", facts), facts
 
 
 @question(NO_PORTS, "without a rig only the simulation can be run")

@@ -6,6 +6,7 @@ import gc
 import multiprocessing
 import operator
 import os
+import shlex
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -15,6 +16,8 @@ from types import ModuleType
 from typing import Any
 
 import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
 
 import rig.devices
 from rig import config, devices
@@ -77,8 +80,58 @@ def test_a_url_has_scheme_place_and_options() -> None:
     assert DeviceUrl.parse("sim://").place == ""
 
 
+PATHS = st.binary(min_size=1, max_size=60).filter(lambda name: b"\0" not in name).map(os.fsdecode)
+
+
+@given(place=PATHS, value=PATHS)
+@example(place="/dev/serial/by-id/usb-ACME_Rig#2", value="C++/a&b=c.toml")
+@example(place="%23", value="%zz+%2B?#")
+@example(place="\t/dev/[x]\n ", value=" \udcff\u00a0")
+def test_a_url_leads_back_to_exactly_the_path_that_it_was_written_for(place: str, value: str) -> None:
+    """Every byte but NUL may be in a path of Linux, UTF-8 or not."""
+    text = DeviceUrl.of("serial", place, {"rig": value}).text
+    assert text.isascii()
+    assert DeviceUrl.parse(text) == DeviceUrl("serial", place, {"rig": value}, text)
+    pasted = DeviceUrl.of("serial", place).text
+    assert shlex.split(pasted) == [pasted]
+
+
+@given(text=st.text(st.characters(exclude_characters="%?"), max_size=40))
+def test_a_place_that_is_typed_is_that_place_or_refused(text: str) -> None:
+    """Only % and ? have a meaning; what cannot be seen is refused, since one could not tell it from another name."""
+    try:
+        assert DeviceUrl.parse(f"serial://{text}").place == text
+    except ConfigError:
+        assert not text.isprintable()
+
+
 @pytest.mark.parametrize(
-    "text", ["", "sim", "/dev/ttyACM0", "://x", "sim:koul", "sim://[x", "sim://?seed=1&seed=2"]
+    ("text", "place"),
+    [
+        ("serial:///dev/a%23b", "/dev/a#b"),
+        ("serial:///dev/a#b", "/dev/a#b"),
+        ("serial:///dev/%C3%a9", "/dev/é"),
+    ],
+)
+def test_escapes_are_bytes_of_a_path(text: str, place: str) -> None:
+    assert DeviceUrl.parse(text).place == place
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *("", "sim", "/dev/ttyACM0", "://x", "sim:koul", "SIM://koul", " sim://", "sim://?seed=1&seed=2"),
+        *(
+            "sim://?",
+            "sim://?a&",
+            "sim://?=1",
+            "serial://%",
+            "serial://a%2",
+            "serial://a%zz",
+            "serial://a%00",
+        ),
+        *("serial://a\nb", "serial://a\u200bb", "sim://?x=%"),
+    ],
 )
 def test_what_is_no_url_is_refused_with_a_remedy(text: str) -> None:
     with pytest.raises(ConfigError) as caught:

@@ -19,6 +19,7 @@ from typing import Any
 import pytest
 import serial
 
+from rig.bench.doctor.ports import serial_port
 from rig.core.errors import ConfigError, DeviceNotFoundError, LinkLostError
 from rig.devices import port_facts
 from rig.devices import serial as ports
@@ -238,6 +239,18 @@ def test_a_symbolic_link_is_as_good_as_the_port(line: Any, tmp_path: Path) -> No
     with pytest.raises(DeviceNotFoundError, match="in use"):
         opened(line.path)
     link.close()
+
+
+def test_of_two_names_that_differ_behind_a_hash_the_named_one_is_opened(line: Any, tmp_path: Path) -> None:
+    """`rig devices` found another rig behind the shorter name, which belongs to another device."""
+    (tmp_path / "usb-ACME_Rig").symlink_to("/dev/null")
+    for name in ("usb-ACME_Rig#2", "usb-ACME_Rig%", "usb-ACME_Rig?x=1", os.fsdecode(b"usb \xff\n")):
+        (tmp_path / name).symlink_to(line.path)
+        url = serial_port(str(tmp_path / name))[0].url
+        with contextlib.closing(open_link(DeviceUrl.parse(url))) as found:
+            assert found.facts.device == line.path
+    with contextlib.closing(opened(f"{tmp_path}/usb-ACME_Rig#2")) as found:
+        assert found.facts.port == f"{tmp_path}/usb-ACME_Rig#2"
 
 
 def test_descriptors_beyond_1023_wait_read_and_write(line: Any) -> None:
