@@ -28,6 +28,7 @@ from rig.experiments.lab import hits as hits
 from rig.experiments.lab import load as load
 from rig.experiments.lab import plan as plan
 from rig.experiments.lab import replay as replay
+from rig.experiments.lab import stop as stop
 from rig.experiments.lab import zwidth as zwidth
 from rig.experiments.planned import Plan as Plan
 from rig.experiments.replay import ReplayResult as ReplayResult

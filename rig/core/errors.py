@@ -169,7 +169,7 @@ class UnexpectedVerdictError(RigError):
 class StoppedError(RigError):
     """A person stopped the run; the effort is zero and the recording closed.
 
-    `signal` is the number of the signal that did it; None for `rig stop`, or a program that stopped answering.
+    `signal` is the number of the signal that did it; None for `rig stop`, `rig.stop`, a silent program.
     """
 
     exit_code = 130

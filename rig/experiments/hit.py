@@ -32,6 +32,7 @@ from rig.experiments.plan import human_limit_checks
 from rig.experiments.pulse import NO_HANDS, pulse
 from rig.experiments.trial import TrialEnd, TrialRequest, end_of, prepared_on, run_trial
 from rig.experiments.zero import position_zero
+from rig.realtime import stop_requests
 from rig.recording.data import Recording
 from rig.recording.files import free_name, plain_errors
 from rig.recording.reader import open_recording
@@ -210,7 +211,7 @@ def hit(request: HitRequest, watch: Watch | None = None) -> Iterator[HitResult]:
     RigError
         Whatever ended a trial early (see `rig.experiments.trial.run_trial`); the effort is zero.
     """
-    with _opened(request) as (device, effective):
+    with stop_requests.listening() as series, _opened(request) as (device, effective):
         run = vetted(request, device, effective)
         experiment = run.experiment
         gate = _gate(request, device, experiment)
@@ -220,7 +221,8 @@ def hit(request: HitRequest, watch: Watch | None = None) -> Iterator[HitResult]:
         output = Path(request.output)
         with plain_errors("make", output):
             output.mkdir(parents=True, exist_ok=True)
-        _check_it_moves(request, device, run)
+        with series:
+            _check_it_moves(request, device, run)
         stem = f"{experiment.rig.name}-{datetime.now():%Y%m%d-%H%M%S}"
         for repeat in range(experiment.trial.repeats):
             trial = TrialRequest(
@@ -236,7 +238,9 @@ def hit(request: HitRequest, watch: Watch | None = None) -> Iterator[HitResult]:
                     **({"warnings": list(warnings)} if warnings else {}),
                 },
             )
-            yield _one(device, trial, gate, warnings)
+            with series:  # not while the caller has the result
+                result = _one(device, trial, gate, warnings)
+            yield result
 
 
 def left_by(error: Exception) -> Recorded | None:

@@ -67,6 +67,7 @@ from rig.experiments.plan import link_checks
 from rig.experiments.planned import Plan
 from rig.experiments.weigh import STANDARD_GRAVITY, Ask, hung, refuse_load, with_mass
 from rig.experiments.zero import position_zero
+from rig.realtime import stop_requests
 from rig.recording.files import free_name, plain_errors
 
 _RATES = ("controller.position_rate", "controller.velocity_rate")
@@ -176,6 +177,7 @@ class Identification:
         return self.experiment.rig.motion
 
 
+@stop_requests.together()
 def identify(request: IdentifyRequest, tell: Tell | None = None, ask: Ask | None = None) -> Identification:
     """Run the motions and fit.
 

@@ -33,6 +33,7 @@ from rig.experiments.replay import ReplayResult
 from rig.experiments.searches import Way
 from rig.experiments.settings import Settings, WallSettings, changes_of
 from rig.experiments.zwidth import Judged, ZWidth
+from rig.realtime import stop_requests
 from rig.recording.data import Recording
 from rig.recording.reader import open_recording
 
@@ -143,6 +144,21 @@ def hits(
             yield from one_hit.hit(request, watch)
 
     return run()
+
+
+def stop() -> int:
+    """Stop every run of this program at once, whichever threads they are in: zero effort within a tick of each.
+
+    Call it from any thread, task or signal handler; it waits for nothing. Each stopped call raises `StoppedError`, and
+    its recording ends ``stopped``; a series (`hits`, a map) begins nothing more. Other programs keep running, since
+    this one may not own their rigs: the command ``rig stop`` stops all.
+
+    Returns
+    -------
+    int
+        How many trials were running.
+    """
+    return stop_requests.request()
 
 
 def plan(

@@ -20,6 +20,8 @@ from rig.devices.framed import FramedDevice
 from rig.devices.local import opened
 from rig.experiments.hit import HitRequest, Recorded, hit, left_by
 from rig.experiments.zero import position_zero
+from rig.realtime import stop_requests
+from rig.realtime.stop_requests import Series
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,11 +63,12 @@ class Ended:
 
 @dataclass(frozen=True, slots=True)
 class Trials:
-    """Trials on a device that is kept open; `device` is None where each has a fresh one."""
+    """Trials on a device that is kept open; `device` is None where each has a fresh one. One stop ends them all."""
 
     where: OnDevice
     device: FramedDevice | None
     reference_count: int | None
+    series: Series
 
     def run(
         self,
@@ -91,7 +94,8 @@ class Trials:
             law=law,
         )
         try:
-            (result,) = hit(request)
+            with self.series:
+                (result,) = hit(request)
         except (GuardError, DeviceFaultError) as error:
             left = left_by(error)
             if left is None:
@@ -103,31 +107,37 @@ class Trials:
 @contextmanager
 def kept_open(where: OnDevice, experiment: Experiment) -> Iterator[Trials]:
     """Keep a real device open, with its position zero in an experiment, from trial to trial."""
-    if where.simulated:
-        yield Trials(where, None, None)
-        return
-    if where.device is not None:
-        yield Trials(where, where.device, where.reference_count)
-        return
-    with devices.open_device(where.url, config.rig_model(experiment)) as device:
-        yield Trials(where, device, position_zero(device, experiment) if where.verified else 0)
+    with stop_requests.listening() as series:
+        if where.simulated:
+            yield Trials(where, None, None, series)
+            return
+        if where.device is not None:
+            yield Trials(where, where.device, where.reference_count, series)
+            return
+        with devices.open_device(where.url, config.rig_model(experiment)) as device:
+            zero = position_zero(device, experiment) if where.verified else 0
+            yield Trials(where, device, zero, series)
 
 
 @contextmanager
 def examined(where: OnDevice, experiment: Experiment) -> Iterator[tuple[FramedDevice, Trials]]:
     """As `kept_open`, with the device of an experiment to look at before anything moves, a simulated one included."""
     if where.device is not None:
-        yield where.device, Trials(where, where.device, where.reference_count)
+        with stop_requests.listening() as series:
+            yield where.device, Trials(where, where.device, where.reference_count, series)
         return
-    with opened(
-        devices.url_for(where.url, experiment.controller.loop),
-        config.rig_model(experiment),
-        in_real_time=where.realtime,
-        seed=experiment.trial.seed,
-        realtime=experiment.host.realtime,
-    ) as device:
+    with (
+        stop_requests.listening() as series,
+        opened(
+            devices.url_for(where.url, experiment.controller.loop),
+            config.rig_model(experiment),
+            in_real_time=where.realtime,
+            seed=experiment.trial.seed,
+            realtime=experiment.host.realtime,
+        ) as device,
+    ):
         zero = position_zero(device, experiment) if where.verified and not where.simulated else 0
-        yield device, Trials(where, None if where.simulated else device, zero)
+        yield device, Trials(where, None if where.simulated else device, zero, series)
 
 
 def _asked_for(experiment: Experiment) -> dict[str, Any]:

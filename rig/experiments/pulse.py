@@ -54,6 +54,7 @@ from rig.experiments.motion_run import (
 )
 from rig.experiments.plan import link_checks
 from rig.experiments.zero import position_zero
+from rig.realtime import stop_requests
 from rig.recording.files import free_name, plain_errors
 
 PUSHES = 4
@@ -121,6 +122,7 @@ def check_rig_moves(request: FreeRigRequest) -> Pulse:
         )
 
 
+@stop_requests.together()
 def pulse(
     device: FramedDevice, experiment: Experiment, *, recording: Path, verified: bool, reference_count: int
 ) -> Pulse:

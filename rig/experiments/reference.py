@@ -41,6 +41,7 @@ from rig.experiments.plan import link_checks
 from rig.experiments.pulse import at_own_rate, pulse
 from rig.experiments.trial import end_of, prepared_on
 from rig.loop.layout import EndReason
+from rig.realtime import stop_requests
 from rig.recording.files import free_name, plain_errors
 
 MARGIN = (
@@ -134,6 +135,7 @@ def find_reference(request: ReferenceRequest, tell: Tell | None = None) -> Found
         )
 
 
+@stop_requests.together()
 def reference(
     device: FramedDevice,
     experiment: Experiment,

@@ -42,6 +42,7 @@ from rig.loop.layout import EndReason
 from rig.loop.run import LoopEnd, LoopSettings, LoopThread
 from rig.loop.signals import Signals, stop_on_signals
 from rig.loop.supervised import BOUNDS, SupervisedThread
+from rig.realtime import stop_requests
 from rig.realtime.ring import Ring
 from rig.realtime.scheduling import Realtime, obtained
 from rig.recording.canonical import lossless
@@ -168,7 +169,7 @@ def run_trial(device: FramedDevice, request: TrialRequest) -> TrialEnd:
     with (
         obtained(host_beside(run.experiment.host, device.link), virtual=virtual) as realtime,
         _ring(device, request) as ring,
-        stop_on_signals(ring) as signals,
+        stop_on_signals() as signals,
     ):
         exchanges = [device.exchange_clock()]
         header = _header(device, request, controller, echo, realtime, fit_if_possible(exchanges[0]))
@@ -176,6 +177,7 @@ def run_trial(device: FramedDevice, request: TrialRequest) -> TrialEnd:
             try:
                 if request.progress is not None:  # a STOP that came while the link was measured
                     request.progress(0, Phase.WAIT)
+                signals.series.check()
                 loop = _arm(device, request, thread, controller, ring, realtime, signals)
             except BaseException:
                 request.recording.unlink(missing_ok=True)  # nothing moved: no empty recording stays behind
@@ -193,21 +195,21 @@ def run_trial(device: FramedDevice, request: TrialRequest) -> TrialEnd:
         sealed, judgement = _seal(request, device.link.truth(), error)
     if error is None and watch.stopped is not None and not isinstance(watch.stopped, StoppedError):
         error = watch.stopped
-    elif error is None and (signals.seen or watch.stopped):
+    elif error is None and (signals.is_stopped or watch.stopped):
         error = StoppedError("stopped after the trial had finished; the effort is zero")
-    elif isinstance(error, RigError) and signals.seen and not isinstance(error, StoppedError):
+    elif isinstance(error, RigError) and signals.is_stopped and not isinstance(error, StoppedError):
         # A caller may go on after it, with the next wall: not when somebody said stop.
         error = StoppedError(f"stopped after the trial had ended: {error.message}", remedy=error.remedy)
-    if isinstance(error, StoppedError) and signals.seen:
-        error.signal = signals.seen[0]
+    if isinstance(error, StoppedError) and signals.is_stopped:
+        error.signal = signals.number
     if isinstance(error, RigError):
         error.messages = (*device.link.messages, *realtime.messages, *loop.messages())
     path = request.recording if sealed is None or sealed.path is None else sealed.path
     messages = (*realtime.messages, *loop.messages())
     done = TrialEnd(run.experiment, path, end.reason, end.counters, messages, sealed, judgement)
-    if error is not None:
-        vars(error).update(recording=path, end=done)  # a caller's own exception carries it as ours do
-        raise error from end.error
+    if (raised := signals.raised or error) is not None:
+        vars(raised).update(recording=path, end=done)  # a caller's own exception carries it as ours do
+        raise raised from end.error
     return done
 
 
@@ -271,7 +273,8 @@ def _arm(
         host_paced=experiment.host.pacing == "host",
         stop_when_late=experiment.host.overrun == "stop",
         spin_ns=0 if virtual else round(min(experiment.host.spin_s, SPIN_SHARE * period_s) * 1e9),
-        wake_descriptor=-1 if virtual else signals.descriptor,  # a system call a tick
+        stop_requests=stop_requests.address(),
+        stop_requests_before=signals.series.since,
         exchange_every_ns=exchange.EVERY_NS,
         limit_switch=_switch_rule(experiment, leaves=request.leaves_switch),
     )

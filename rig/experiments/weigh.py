@@ -39,6 +39,7 @@ from rig.experiments.motion_run import FreeRigRequest, position_now, refuse_unve
 from rig.experiments.plan import link_checks
 from rig.experiments.pulse import at_own_rate
 from rig.experiments.zero import position_zero
+from rig.realtime import stop_requests
 from rig.recording.files import free_name, plain_errors
 
 STANDARD_GRAVITY = 9.80665  # m/s², by definition; places differ by 0.3 % each way
@@ -132,6 +133,7 @@ class Weighing:
         ]
 
 
+@stop_requests.together()
 def weigh(request: WeighRequest, ask: Ask) -> Weighing:
     """Measure, have a mass hung on the rig, measure again.
 

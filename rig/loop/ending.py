@@ -23,7 +23,6 @@ from rig.realtime import ring
 from rig.realtime.atomics import load_word, store_word
 from rig.realtime.codec import STATE
 from rig.realtime.kernel import kernel
-from rig.realtime.system import woken_by_signal
 
 # Plain integers, as compiled code takes them.
 FINISHED, STOPPED, HEARTBEAT = (int(EndReason[n]) for n in ("FINISHED", "STOPPED", "HEARTBEAT_MISSED"))
@@ -79,8 +78,9 @@ def ended_at_the_switch(state: Any, settings: Any, progress: Any) -> int:
 
 @kernel(types.int64(PORT_TYPE, SETTINGS_TYPE, types.uintp))
 def told_to_end(port: LoopPort, settings: Any, words: int) -> int:
-    """Reason to end that came from outside, or 0: the stop word, a signal, a supervisor whose heartbeat stopped."""
-    if woken_by_signal(settings[0]["wake_descriptor"]) != 0:
+    """Reason to end that came from outside, or 0: the stop word, a request, a supervisor whose heartbeat stopped."""
+    requests = settings[0]["stop_requests"]
+    if requests != 0 and load_word(requests) != settings[0]["stop_requests_before"]:
         store_word(words + WORD * ring.STOP, 1)
     if load_word(words + WORD * ring.STOP) != 0:
         return STOPPED

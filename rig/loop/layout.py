@@ -23,7 +23,7 @@ class EndReason(IntEnum):
 
     RUNNING = 0
     FINISHED = 1  # all phases done
-    STOPPED = 2  # the stop word was set, or a signal arrived
+    STOPPED = 2  # the stop word was set, or the process was asked to stop by a signal
     HEARTBEAT_MISSED = 3  # the supervisor's heartbeat stopped
     LINK_CLOSED = 4  # the port is gone (END_ERRNO says why)
     LINK_SILENT = 5  # no fresh sample for too long
@@ -62,7 +62,10 @@ SETTINGS = np.dtype(
         ("spin_ns", "<i8"),  # host-paced: the last part of each wait, awake
         # n > 0: a limit switch that was open for n - 1 samples ends the run when it is pressed; 0: there is none
         ("limit_switch", "<i8"),
-        ("wake_descriptor", "<i8"),  # where signals are written (signal.set_wakeup_fd), or -1
+        # address of the word that counts requests to stop this process (rig.realtime.stop_requests), 0: none; its value
+        # when the run began
+        ("stop_requests", "<i8"),
+        ("stop_requests_before", "<i8"),
         ("exchange_every_ns", "<i8"),  # time between clock exchanges, or 0 for none
         ("supervise_every_ns", "<i8"),  # law on the device: time between two COMMANDs; 0: the law runs here
         ("batch_samples", "<i8"),  # law on the device: most samples in a BATCH

@@ -26,6 +26,8 @@ from rig.loop import host
 from rig.loop.contradictions import Contradiction
 from rig.loop.layout import EXCHANGES_KEPT, SETTINGS, Buffers, EndReason, Shared
 from rig.realtime import ring as words
+from rig.realtime import stop_requests
+from rig.realtime.atomics import read_word
 from rig.realtime.codec import STATE
 from rig.realtime.handlers import take_no_signals
 from rig.realtime.kernel import prepare
@@ -52,7 +54,8 @@ class LoopSettings:
     stop_when_late: bool = False
     spin_ns: int = 0
     limit_switch: int = 0
-    wake_descriptor: int = -1
+    stop_requests: int = 0
+    stop_requests_before: int = 0
     exchange_every_ns: int = 0
     supervise_every_ns: int = 0
     batch_samples: int = 1
@@ -192,6 +195,9 @@ class LoopThread:
         """
         told_at: float | None = None
         while not self._ended.wait(POLL_S):
+            stop_requests.renew()
+            if self._is_requested_to_stop():
+                self.stop()  # the loop does so by itself, unless its law never returns
             if self.ring.get(words.STOP) != 0:
                 told_at = time.monotonic() if told_at is None else told_at
                 if time.monotonic() - told_at > JOIN_S:
@@ -200,6 +206,10 @@ class LoopThread:
             self._attend()
             if progress is not None:
                 progress(self.ring.get(words.TICKS), self.ring.get(words.PHASE))
+
+    def _is_requested_to_stop(self) -> bool:
+        counted_at = self._settings.stop_requests
+        return counted_at != 0 and read_word(counted_at) != self._settings.stop_requests_before
 
     def _live(self) -> None:
         if self._heartbeat_ns:

@@ -1,75 +1,79 @@
-"""Ctrl-C, SIGTERM and a closed terminal as a stop of the loop, whoever holds the GIL.
+"""Ctrl-C, SIGTERM and a closed terminal as a stop of the loop, and never as an exception in the middle of a run.
 
-The interpreter runs signal handlers in the main thread when that gets the GIL, which a busy program may keep from it
-for seconds. But its handler in C writes the number of each signal to a descriptor at once (`signal.set_wakeup_fd`), and
-in real time the compiled loop looks there in every tick. The handlers here do the same a second time, for a loop that
-has ended, or runs in virtual time.
+`rig.realtime.stop_requests` stops the loop at once, in whichever thread it runs. What is added here is for a run in the
+main thread, where Python's handlers raise: they are replaced meanwhile, and called all the same.
 """
 
 from __future__ import annotations
 
-import os
 import signal
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Any
 
+from rig.realtime import stop_requests
 from rig.realtime.handlers import handled
-from rig.realtime.ring import STOP, Ring
-
-if sys.platform == "win32":
-    STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGBREAK)
-else:
-    STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+from rig.realtime.stop_requests import STOPPING, Series
 
 
-class Signals(NamedTuple):
-    """Descriptor on which the loop sees signals (-1: none), and those received so far."""
+@dataclass(slots=True)
+class Signals:
+    """What stopped a run from outside; all but `series` when the run is over.
 
-    descriptor: int
-    seen: list[int]
+    Attributes
+    ----------
+    series
+        The runs that this one belongs to.
+    is_stopped, number
+        Whether a stop was requested, and by which signal, if by one.
+    raised
+        What a handler of the caller's own raised, other than KeyboardInterrupt.
+    """
+
+    series: Series
+    is_stopped: bool = False
+    number: int | None = None
+    raised: BaseException | None = None
 
 
 @contextmanager
-def stop_on_signals(ring: Ring) -> Iterator[Signals]:
+def stop_on_signals() -> Iterator[Signals]:
     """Let signals stop the loop instead of raising here, as often as they come.
 
-    An exception in between, from the first or from a second signal, could cut short what brings the rig to rest.
-    One that comes while the old handlers return is given to them, when everything is as it was.
+    An exception in between, from the first or from a second signal, could cut short what brings the rig to rest. A
+    handler that the caller had set is called at once, and what it raises waits for the end of the run. A signal that
+    comes while the old handlers return is given to them, when everything is as it was.
     """
-    seen: list[int] = []
-    heard = 0
+    heard: int | None = None
+    before: dict[int, Any] = {number: signal.getsignal(number) for number in STOPPING}
 
     def stop(number: int, frame: object) -> None:
         seen.append(number)
-        ring.put(STOP, 1)
-
-    try:
-        with handled(STOPPING, stop) as here, _wake_up(here) as descriptor:
+        if heard is not None:
+            return
+        stop_requests.request()  # once more where it was counted in machine code
+        if callable(before[number]):
             try:
-                yield Signals(descriptor, seen)
+                before[number](number, frame)
+            except KeyboardInterrupt:  # what the run's own `StoppedError` says
+                pass
+            except BaseException as error:
+                raised.append(error)
+
+    seen: list[int] = []
+    raised: list[BaseException] = []
+    try:
+        with handled(STOPPING, stop), stop_requests.run() as series:
+            signals = Signals(series)
+            try:
+                yield signals
             finally:
                 heard = len(seen)
+                signals.is_stopped = series.is_stopped
+                signals.number = seen[0] if seen else stop_requests.last_signal()
+                signals.raised = raised[0] if raised else None
     finally:
-        for number in seen[heard:]:
+        stop_requests.renew()
+        for number in seen[heard or 0 :]:
             signal.raise_signal(number)
-
-
-@contextmanager
-def _wake_up(here: bool) -> Iterator[int]:
-    """Descriptor to which the interpreter writes signals as they come; -1 in a thread that gets none.
-
-    Off Linux compiled code reads no descriptors, and the handlers alone tell a loop.
-    """
-    if sys.platform == "linux" and here:
-        reader, writer = os.pipe2(os.O_NONBLOCK)
-        woken = signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
-        try:
-            yield reader
-        finally:
-            signal.set_wakeup_fd(woken)
-            os.close(reader)
-            os.close(writer)
-    else:
-        yield -1

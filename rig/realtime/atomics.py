@@ -64,6 +64,34 @@ def compare_exchange_word(typingctx: Any, address: Any, expected: Any, value: An
     return types.int64(types.uintp, types.int64, types.int64), codegen
 
 
+@intrinsic
+def add_word(typingctx: Any, address: Any, value: Any) -> Any:
+    """Add to an int64 and return the old one, ordered both ways: no concurrent addition is lost."""
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        return builder.atomic_rmw("add", _pointer(builder, args[0]), args[1], "acq_rel")
+
+    return types.int64(types.uintp, types.int64), codegen
+
+
+def static_words(name: str, count: int) -> Any:
+    """Make an intrinsic for the address of `count` zeroed int64 that live as long as the kernel that uses it."""
+    kind = ir.ArrayType(_WORD, count)
+
+    @intrinsic
+    def words(typingctx: Any) -> Any:
+        def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            memory = builder.module.globals.get(name)
+            if memory is None:
+                memory = ir.GlobalVariable(builder.module, kind, name)
+                memory.linkage, memory.align, memory.initializer = "internal", 64, ir.Constant(kind, None)
+            return builder.ptrtoint(memory, _WORD)
+
+        return types.uintp(), codegen
+
+    return words
+
+
 def stack_words(count: int) -> Any:
     """Make an intrinsic for the address of `count` int64 on the stack: a timespec without an allocation."""
 

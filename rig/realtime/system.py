@@ -46,7 +46,6 @@ POLLIN = 0x001
 POLL_BROKEN = 0x008 | 0x010 | 0x020  # POLLERR, POLLHUP, POLLNVAL
 EINTR, EIO, EAGAIN, ENODEV, EINVAL, EROFS = 4, 5, 11, 19, 22, 30
 BILLION = 1_000_000_000
-SIGHUP, SIGINT, SIGQUIT, SIGTERM = 1, 2, 3, 15
 
 
 @kernel(_i64())
@@ -113,26 +112,6 @@ def descriptor_read(descriptor: int, address: int, size: int) -> int:
         return -ENODEV
     error = last_error()
     return 0 if error in (EAGAIN, EINTR) else -error
-
-
-@kernel(_i64(_i64))
-def woken_by_signal(descriptor: int) -> int:
-    """Number of a signal that means the end and that was written to a wake-up descriptor, else 0.
-
-    The interpreter writes the number of each signal there from within its C handler
-    (`signal.set_wakeup_fd`), so this needs nobody to hold the GIL. `descriptor` is non-blocking, or negative: none.
-    """
-    if descriptor < 0:
-        return 0
-    word = _one_word()
-    store_word(word, 0)
-    got = descriptor_read(descriptor, word, 8)
-    numbers = load_word(word)
-    for i in range(got):
-        number = (numbers >> (8 * i)) & 0xFF
-        if number in (SIGHUP, SIGINT, SIGQUIT, SIGTERM):
-            return int(number)
-    return 0
 
 
 @kernel(TRANSFER_SIGNATURE)

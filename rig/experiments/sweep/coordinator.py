@@ -19,6 +19,7 @@ from typing import Any
 
 from rig.experiments.sweep.executors import Executor, Failure, Job, Report, as_json
 from rig.experiments.sweep.journal import Journal, Memory
+from rig.realtime.stop_requests import Series, listening
 
 POLL_S = 0.05
 SPEEDS = 32  # so many of the last tasks tell how long the next ones take
@@ -167,7 +168,8 @@ class Coordinator:
         """Run until all is done, a task has failed, or Ctrl-C. Raises what kept the coordinator from its work."""
         self._thread.start()
         try:
-            self._wait(watch)
+            with listening() as series:
+                self._wait(watch, series)
         except BaseException as error:
             self.interruption, self._stop = error, Stop.DRAIN
             try:
@@ -182,8 +184,10 @@ class Coordinator:
             except BaseException as error:  # Ctrl-C after the last task: told like one before it
                 self.interruption = error
 
-    def _wait(self, watch: Callable[[Progress], None] | None) -> None:
+    def _wait(self, watch: Callable[[Progress], None] | None, series: Series | None = None) -> None:
         while not self._ended.wait(POLL_S):
+            if series is not None and series.is_stopped:
+                raise KeyboardInterrupt  # Ctrl-C, seen in a thread that gets none, or `rig.stop`
             if watch is not None:
                 watch(self.progress)
 

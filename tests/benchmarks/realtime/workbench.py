@@ -35,6 +35,7 @@ from rig.realtime.clock import MonotonicClock
 from rig.realtime.plugs import TRANSFER_SIGNATURE, WAIT_SIGNATURE, NativeFunction
 from rig.realtime.ring import Ring
 from rig.realtime.scheduling import obtained
+from rig.realtime.stop_requests import address
 from tests.conformance.started import started
 
 HERE = Path(__file__).parent
@@ -220,9 +221,10 @@ def running_loop(
     """
     with (
         obtained(Host(realtime="try", priority=PRIORITY, cpu=cpu)) as realtime,
-        stop_on_signals(ring) as signals,
+        stop_on_signals() as signals,
     ):
-        told = loop_settings(rate, wake_descriptor=signals.descriptor, **settings)
+        requests = {"stop_requests": address(), "stop_requests_before": signals.series.since}
+        told = loop_settings(rate, **requests, **settings)
         loop = LoopThread(link, pushing_for_ever(rate), told, ring, realtime=realtime)
         loop.start()
         try:

@@ -6,7 +6,6 @@ import ctypes
 import dataclasses
 import errno
 import os
-import signal
 import socket
 import sys
 import threading
@@ -791,24 +790,20 @@ def test_a_host_paced_loop_in_real_time_keeps_its_grid_and_may_spin_at_the_end_o
 
 
 def test_a_signal_stops_the_loop_within_a_tick_though_python_never_runs(wire: Any) -> None:
-    """The interpreter's C handler writes the number of a signal to a descriptor; nobody needs the GIL."""
-    reader, writer = os.pipe2(os.O_NONBLOCK)
+    """The handler in machine code counts it in a word, which the loop reads in each tick."""
+    requests = np.array([7], np.int64)
     memory = Ring.allocate(4096)
-    thread = LoopThread(
-        wire, at_rest(), settings(lost_after_ns=60_000_000_000, wake_descriptor=reader), memory
-    )
+    changes = {"stop_requests": requests.ctypes.data, "stop_requests_before": 7}
+    thread = LoopThread(wire, at_rest(), settings(lost_after_ns=60_000_000_000, **changes), memory)
     thread.start()
     try:
-        os.write(writer, bytes([signal.SIGCHLD, signal.SIGWINCH]))
         wire.theirs.send(state_frame(1))
         until(lambda: memory.get(ring.TICKS) == 1)
         assert memory.get(ring.STOP) == 0
-        os.write(writer, bytes([signal.SIGCHLD, signal.SIGTERM]))
-        thread.wait()
+        requests[0] = 8
+        until(lambda: memory.get(ring.LOOP_DONE) == 1)
     finally:
         thread.finish()
-        os.close(reader)
-        os.close(writer)
     assert thread.end().reason == EndReason.STOPPED
     assert memory.get(ring.STOP) == 1
 

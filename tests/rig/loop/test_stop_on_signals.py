@@ -9,9 +9,8 @@ from typing import Any
 
 import pytest
 
-from rig.loop.signals import STOPPING, stop_on_signals
-from rig.realtime import ring as words
-from rig.realtime.ring import Ring
+from rig.loop.signals import stop_on_signals
+from rig.realtime.stop_requests import STOPPING
 
 pytestmark = pytest.mark.signals
 
@@ -29,13 +28,27 @@ def handlers() -> Iterator[None]:
 
 
 @pytest.mark.parametrize("number", STOPPING)
-def test_a_signal_sets_the_stop_word_and_raises_nothing(number: int) -> None:
-    memory = Ring.allocate(1)
-    with stop_on_signals(memory) as caught:
+def test_a_signal_requests_a_stop_and_raises_nothing(number: int) -> None:
+    with stop_on_signals() as caught:
+        assert not caught.series.is_stopped
         signal.raise_signal(number)
         signal.raise_signal(number)
-    assert memory.get(words.STOP) == 1
-    assert caught.seen == [number, number]
+        assert caught.series.is_stopped
+    assert (caught.is_stopped, caught.number, caught.raised) == (True, number, None)
+
+
+def test_a_handler_of_the_callers_is_called_at_once_and_what_it_raises_waits() -> None:
+    called: list[int] = []
+
+    def leave(number: int, frame: object) -> None:
+        called.append(number)
+        raise SystemExit(7)
+
+    signal.signal(signal.SIGTERM, leave)
+    with stop_on_signals() as caught:
+        signal.raise_signal(signal.SIGTERM)
+        assert called == [signal.SIGTERM]
+    assert isinstance(caught.raised, SystemExit)
 
 
 @pytest.mark.parametrize("place", range(len(STOPPING)))
@@ -59,7 +72,7 @@ def test_ctrl_c_while_handlers_return_is_raised_when_all_of_them_have(
     plain = signal.signal
     open_before = set(os.listdir("/proc/self/fd"))
     with monkeypatch.context() as patch:  # noqa: SIM117
-        with pytest.raises(KeyboardInterrupt), stop_on_signals(Ring.allocate(1)):
+        with pytest.raises(KeyboardInterrupt), stop_on_signals():
             patch.setattr(signal, "signal", set_handler)
     assert {number: signal.getsignal(number) for number in STOPPING} == before
     assert signal.set_wakeup_fd(-1) == -1

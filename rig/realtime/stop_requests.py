@@ -1,0 +1,329 @@
+"""Requests to stop that concern every run of this process: a signal, `rig.stop`, the end of the program.
+
+One word counts them. A loop compares it in every tick with what it was when its run began, so a request costs a loop
+one load, needs no GIL, and reaches any number of loops in whichever threads they run.
+
+Python runs signal handlers in the main thread alone, sets them there alone, and runs them late where that thread waits
+in C. So a handler in machine code stands before the one that is there (on Linux): it counts, and then calls that one.
+Python's own table of handlers, its wake-up descriptor and what `asyncio` keeps there stay as they are.
+"""
+
+from __future__ import annotations
+
+import atexit
+import ctypes
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+
+import numpy as np
+from numba import types
+
+from rig.core.errors import StoppedError
+from rig.realtime.atomics import add_word, load_word, read_word, static_words, store_word, write_word
+from rig.realtime.kernel import kernel
+from rig.realtime.native import address_of, native_call
+
+if sys.platform == "win32":
+    STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGBREAK)
+else:
+    STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+# Words of the table: requests so far, the last signal, runs now, a signal whose default action waits for them, whose
+# runs they are (a forked child has a copy); then by the number of a signal the handler that stood there.
+_REQUESTS, _LAST, _RUNS, _DEFERRED, _PROCESS, _DISPLACED = 0, 1, 2, 3, 4, 8
+_TABLE_WORDS = 64
+_SIG_DFL, _SIG_IGN = 0, 1
+_SA_SIGINFO, _SA_ONSTACK, _SA_RESTART = 0x4, 0x08000000, 0x10000000
+LEAVE_S = 20.0  # how long a program that ends waits until its runs are at rest and their recordings sealed
+_POLL_S = 0.01
+
+_i64, _ptr = types.int64, types.uintp
+_HANDLER_SIGNATURE = _i64(types.int32, _ptr, _ptr)
+_static_table = static_words("rig_stop_requests", _TABLE_WORDS)
+_call_handler = native_call(3)
+_set_handler = types.ExternalFunction("signal", _ptr(types.int32, _ptr))
+_raise = types.ExternalFunction("raise", types.int32(types.int32))
+_getpid = types.ExternalFunction("getpid", types.int32())
+
+
+@kernel(_i64(_ptr))
+def _add_request(table: int) -> int:
+    """Count a request that is no signal; returns how many runs it stops."""
+    store_word(table + 8 * _LAST, 0)
+    add_word(table + 8 * _REQUESTS, 1)
+    return int(load_word(table + 8 * _RUNS))
+
+
+@kernel(_HANDLER_SIGNATURE)
+def _on_signal(number: int, info: int, context: int) -> int:
+    """Count a signal and pass it on to the handler that stood there; for 0, which is no signal, the table's address.
+
+    The default action (to end the process) waits until the last run is sealed.
+    """
+    table = _static_table()
+    if number == 0:
+        return int(table)
+    store_word(table + 8 * _LAST, number)
+    add_word(table + 8 * _REQUESTS, 1)
+    displaced = load_word(table + 8 * (_DISPLACED + number))
+    if displaced == _SIG_DFL:
+        store_word(
+            table + 8 * _DEFERRED, number
+        )  # before the look at the runs: one of the two sides sees the other
+        if load_word(table + 8 * _RUNS) == 0 or load_word(table + 8 * _PROCESS) != _getpid():
+            _set_handler(number, _SIG_DFL)
+            _raise(number)  # delivered when this returns
+    elif displaced != _SIG_IGN:
+        _call_handler(displaced, number, info, context)
+    return 0
+
+
+class _Action(ctypes.Structure):
+    """Struct sigaction of glibc and musl."""
+
+    _fields_ = [
+        ("handler", ctypes.c_size_t),
+        ("mask", ctypes.c_ubyte * 128),
+        ("flags", ctypes.c_int),
+        ("restorer", ctypes.c_void_p),
+    ]
+
+
+class _Hook:
+    """The handler in machine code before those of `STOPPING`: `place`, also again, and `remove`."""
+
+    def __init__(self) -> None:
+        self._handler = address_of(_on_signal, _HANDLER_SIGNATURE)
+        self.table = int(_on_signal(0, 0, 0))
+        self._displaced: dict[int, _Action] = {}
+        self._known = {_SIG_DFL}  # handlers that stood there before this one, and therefore do not call it
+        self._libc = ctypes.CDLL(None)
+
+    def place(self) -> None:
+        """Stand before each handler; where another one took the place since, do so again, if it does not call this one.
+
+        `signal.signal` replaces this handler by the interpreter's, which calls no other.
+        """
+        for number in STOPPING:
+            now = self._action(number)
+            again = number in self._displaced
+            if now.handler in (self._handler, _SIG_IGN) or (again and now.handler not in self._known):
+                continue
+            write_word(self.table + 8 * (_DISPLACED + number), now.handler)
+            kept = now.flags & (_SA_ONSTACK | _SA_RESTART) if now.handler else _SA_RESTART
+            ours = _Action(self._handler, now.mask, kept | _SA_SIGINFO, None)
+            self._libc.sigaction(int(number), ctypes.byref(ours), None)
+            self._displaced[number] = now
+            self._known.add(now.handler)
+
+    def remove(self) -> None:
+        """Put back what stood there, except where another one took the place."""
+        for number, before in self._displaced.items():
+            if self._action(number).handler == self._handler:
+                self._libc.sigaction(int(number), ctypes.byref(before), None)
+        self._displaced.clear()
+
+    def _action(self, number: int) -> _Action:
+        found = _Action()
+        self._libc.sigaction(int(number), None, ctypes.byref(found))
+        return found
+
+
+class _Process:
+    """What this process has: the table, who listens, and whether the program ends."""
+
+    def __init__(self) -> None:
+        self.lock = threading.RLock()
+        self.hook = _Hook() if sys.platform == "linux" else None
+        self._memory = np.zeros(_TABLE_WORDS if self.hook is None else 0, np.int64)
+        self.table = int(self._memory.ctypes.data) if self.hook is None else self.hook.table
+        self.listeners = 0
+        self.leaving = False
+        write_word(self.table + 8 * _PROCESS, os.getpid())
+
+    def forget(self) -> None:
+        """Begin anew in a forked child, which has none of its parent's threads."""
+        self.lock = threading.RLock()
+        self.listeners = 0
+        for word, value in ((_RUNS, 0), (_DEFERRED, 0), (_PROCESS, os.getpid())):
+            write_word(self.table + 8 * word, value)
+        if self.hook is not None:
+            self.hook.remove()
+
+
+_made: list[_Process] = []
+_making = threading.RLock()
+_outer = threading.local()
+
+
+def _process() -> _Process:
+    if not _made:
+        with _making:
+            made = _Process()
+            if hasattr(os, "register_at_fork"):
+                os.register_at_fork(after_in_child=made.forget)
+            _made.append(made)
+    return _made[0]
+
+
+def _word(index: int) -> int:
+    return _process().table + 8 * index
+
+
+def address() -> int:
+    """Address of the word that counts requests, for a loop; it never moves."""
+    return _word(_REQUESTS)
+
+
+def count() -> int:
+    """Requests so far."""
+    return int(read_word(_word(_REQUESTS)))
+
+
+def running() -> int:
+    """Runs of this process now."""
+    return int(read_word(_word(_RUNS)))
+
+
+def last_signal() -> int | None:
+    """Number of the signal that the newest request was; None when it was none."""
+    return int(read_word(_word(_LAST))) or None
+
+
+def request() -> int:
+    """Stop every run of this process, and return how many there are. Waits for nothing; for signal handlers, too."""
+    return int(_add_request(_process().table))
+
+
+class Series:
+    """Runs that belong together: a request ends them all, also one that comes between two of them.
+
+    As a context manager it holds for the runs that this thread makes inside; the outermost one counts.
+
+    Attributes
+    ----------
+    since
+        `count` when the series began.
+    """
+
+    def __init__(self) -> None:
+        outer: Series | None = getattr(_outer, "series", None)
+        self.since: int = count() if outer is None else outer.since
+        self._before = outer
+
+    def __enter__(self) -> Series:
+        self._before = getattr(_outer, "series", None)
+        _outer.series = self._before or self
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        _outer.series = self._before
+
+    @property
+    def is_stopped(self) -> bool:
+        """Whether a stop was requested since it began."""
+        return _process().leaving or count() != self.since
+
+    def check(self) -> None:
+        """Raise `StoppedError` when a stop was requested, before anything moves."""
+        if self.is_stopped:
+            raise StoppedError("stopped before the next run began; the effort is zero")
+
+
+@contextmanager
+def listening() -> Iterator[Series]:
+    """Count signals while this lasts, between runs too; yields the series of these runs.
+
+    In the main thread Python's own handlers act between runs.
+    """
+    if threading.current_thread() is threading.main_thread():
+        yield Series()
+    else:
+        with _hooked(_process()):
+            yield Series()
+
+
+@contextmanager
+def together() -> Iterator[None]:
+    """Let the runs that this thread makes meanwhile be one series; for a plain function, not across a ``yield``."""
+    with listening() as series, series:
+        yield
+
+
+@contextmanager
+def _hooked(process: _Process) -> Iterator[None]:
+    with process.lock:
+        process.listeners += 1
+        if process.hook is not None:
+            process.hook.place()
+    try:
+        yield
+    finally:
+        with process.lock:
+            process.listeners -= 1
+            if process.hook is not None and process.listeners == 0:
+                process.hook.remove()
+
+
+def renew() -> None:
+    """See that signals are still counted, where somebody listens: to be called now and then while a run lasts."""
+    process = _process()
+    if process.hook is not None:
+        with process.lock:
+            if process.listeners:
+                process.hook.place()
+
+
+@contextmanager
+def run() -> Iterator[Series]:
+    """Count signals during one run, from before it arms a device until its recording is sealed; yields its series.
+
+    The end of the program waits for it, and so does a signal whose default action would end the process.
+    """
+    process = _process()
+    with _hooked(process):
+        series = Series()
+        with process.lock:
+            _count_runs(process, +1)
+        try:
+            yield series
+        finally:
+            with process.lock:
+                _count_runs(process, -1)
+
+
+def _count_runs(process: _Process, change: int) -> None:
+    """Keep the number of runs, and at the program's end wait for them: registered last, that comes first."""
+    runs = running() + change
+    write_word(_word(_RUNS), runs)
+    atexit.unregister(_leave)
+    if runs:
+        atexit.register(_leave)
+    elif number := int(read_word(_word(_DEFERRED))):
+        _act_by_default(process, number)
+
+
+def _act_by_default(process: _Process, number: int) -> None:
+    """Do the default action of a signal that has waited."""
+    write_word(_word(_DEFERRED), 0)
+    if process.hook is not None:
+        process.hook.remove()
+    os.kill(os.getpid(), number)
+
+
+def _leave() -> None:
+    """Bring to rest what still runs in other threads, where the interpreter ends without them: daemons for one.
+
+    Python 3.11 and 3.12 also forget an ordinary thread whose `join` was interrupted by Ctrl-C.
+    """
+    _process().leaving = True
+    request()
+    until = time.monotonic() + LEAVE_S
+    while running() and time.monotonic() < until:
+        with suppress(KeyboardInterrupt):
+            time.sleep(_POLL_S)

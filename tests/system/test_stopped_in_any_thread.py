@@ -1,0 +1,134 @@
+"""A signal stops a run in whichever thread it runs, and the recording says so; so do `rig.stop` and the program's end.
+
+Each program runs a trial that would last for a minute, sends itself a signal in its middle, and leaves. The signal is
+for the process: Python's handlers run in the main thread alone, which does something else here.
+"""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import rig
+from rig.core.errors import StoppedError
+from rig.recording.reader import open_recording
+from tests.conformance.started import started
+
+PROGRAM = """
+import asyncio, os, signal, sys, threading, time
+import rig
+
+signal.signal(signal.SIGINT, signal.default_int_handler)
+sent = threading.Event()
+
+def watch(number, experiment):
+    def progress(ticks, phase):
+        if ticks > 200 and not sent.is_set():
+            if SIGNAL:
+                os.kill(os.getpid(), SIGNAL)
+            sent.set()
+    return progress
+
+def run():
+    list(rig.hits("koul-compliant", watch, realtime=REALTIME, repeats=2, duration_s=60.0, output=OUTPUT))
+
+"""
+TO_THREAD = """
+async def main():
+    await asyncio.to_thread(run)
+asyncio.run(main())
+"""
+JOINED = """
+thread = threading.Thread(target=run)
+thread.start()
+thread.join()
+"""
+DAEMON = """
+threading.Thread(target=run, daemon=True).start()
+sent.wait()
+"""  # and the program ends
+HANDLED = """
+called = []
+signal.signal(signal.SIGINT, lambda number, frame: called.append(number))
+try:
+    run()
+except rig.errors.StoppedError as error:
+    assert error.signal == signal.SIGINT
+assert called == [signal.SIGINT]
+"""
+# An interpreter that KeyboardInterrupt ends kills itself by SIGINT, unless a thread still runs code at its end.
+INTERRUPTED = {1, -signal.SIGINT}
+EXITS = """
+signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(7))
+run()
+"""
+
+
+@pytest.mark.signals
+@pytest.mark.parametrize(
+    ("ending", "number", "codes"),
+    [
+        pytest.param(TO_THREAD, signal.SIGINT, INTERRUPTED, id="to_thread"),
+        pytest.param(JOINED, signal.SIGINT, INTERRUPTED, id="joined"),
+        pytest.param(JOINED, signal.SIGTERM, {-signal.SIGTERM}, id="default action"),
+        pytest.param(DAEMON, 0, {0}, id="the program ends"),
+        pytest.param(HANDLED, signal.SIGINT, {0}, id="a handler of its own"),
+        pytest.param(EXITS, signal.SIGTERM, {7}, id="a handler that exits"),
+    ],
+)
+def test_a_run_stops_whichever_thread_it_is_in(
+    ending: str, number: int, codes: set[int], tmp_path: Path
+) -> None:
+    assert_stopped(ending, number, codes, tmp_path, realtime=False)
+
+
+@pytest.mark.signals
+def test_a_run_in_real_time_stops_too(tmp_path: Path) -> None:
+    assert_stopped(TO_THREAD, signal.SIGINT, INTERRUPTED, tmp_path, realtime=True)
+
+
+def assert_stopped(ending: str, number: int, codes: set[int], output: Path, *, realtime: bool) -> None:
+    program = f"SIGNAL, REALTIME, OUTPUT = {int(number)}, {realtime}, {str(output)!r}\n{PROGRAM}{ending}"
+    with started(sys.executable, "-c", program, stderr=subprocess.PIPE, text=True) as process:
+        said = process.communicate(timeout=90)[1]
+    assert process.returncode in codes, said
+    (path,) = output.glob("*.*")  # sealed, and no second repeat
+    recording = open_recording(path)
+    assert (path.suffix, recording.complete, recording.trailer["reason"]) == (".parquet", True, "stopped")
+    assert len(recording) > 0
+
+
+def test_rig_stop_stops_every_run_of_the_program_and_what_would_follow(tmp_path: Path) -> None:
+    """The second repeat of one thread, too, and a map between two of its trials; then all may begin again."""
+    ready = threading.Barrier(3)
+
+    def begun(number: int, experiment: Any) -> Any:
+        waits = [ready.wait]
+        return lambda ticks, phase: waits.pop()(60) if waits and ticks > 200 else None
+
+    def hits(name: str) -> None:
+        list(rig.hits("koul-compliant", begun, repeats=2, duration_s=600.0, output=tmp_path / name))
+
+    with ThreadPoolExecutor() as threads:
+        both = [threads.submit(hits, name) for name in "ab"]
+        ready.wait(60)
+        assert rig.stop() == 2
+        for one in both:
+            with pytest.raises(StoppedError) as caught:
+                one.result(60)
+            assert caught.value.signal is None
+            recording = open_recording(caught.value.recording)
+            assert (recording.complete, recording.trailer["reason"]) == (True, "stopped")
+    assert len(list(tmp_path.glob("*/*"))) == 2
+
+    with pytest.raises(StoppedError, match="tasks are done"):
+        rig.zwidth("koul-compliant", watch=lambda progress: rig.stop())
+    assert rig.stop() == 0
+    rig.hit("koul-compliant", duration_s=0.5, output=tmp_path / "c")
