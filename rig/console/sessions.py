@@ -128,12 +128,14 @@ class Sessions(Service):
         seat = self._seat
         if seat is None or self._job is None:
             return
+        now_s = time.monotonic()
         if request.key != STOP:  # which any page may say, whatever is asked
             if not self._may(client, seat, request, "verdict"):
+                seat.talk.held.arrive(request.key, now_s)  # before the question that the page shows next
                 return
             if client.participant and seat.talk.keymap.meaning(request.key) not in VERDICTS:
                 return
-        seat.key(request.key, request.shown_s)
+        seat.key(request.key, now_s, request.shown_s)
         self._tell()
 
     async def _line(self, client: Client, request: TypeLine) -> None:
@@ -292,5 +294,5 @@ def _participant(seat: Seat) -> dict[str, Any]:
         "left_s": math.ceil(talk.left_s(time.monotonic())),
         "verdicts": talk.keymap.verdicts if verdict else [],
         "item": item,
-        "notice": talk.notice if item is not None else "",
+        "notice": talk.notice if item is not None or verdict else "",
     }

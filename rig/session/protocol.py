@@ -207,6 +207,15 @@ class Trial:
     verdict_s: Annotated[
         float, Ge(0), Le(600), Quantity("s", "planned: from the end of a hit to the verdict's key")
     ] = 2.0
+    fastest_verdict_s: Annotated[
+        float,
+        Ge(0),
+        Le(10),
+        Quantity(
+            "s",
+            "a person's verdict that comes sooner after the question is reported at once and marked too_fast; 0: none",
+        ),
+    ] = 0.1
     attempts: Annotated[
         int, Ge(1), Le(20), Quantity("", "at a trial that is invalid, before somebody is asked what to do")
     ] = 3

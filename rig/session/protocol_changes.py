@@ -29,7 +29,7 @@ TITLE = "study.title"
 # contain is compared), plans, and how a session is conducted.
 NEUTRAL = (
     *(TITLE, "study.participants", "study.code", "study.notes", "study.preset", "study.experiment"),
-    *("trial.say", "trial.ready_s", "trial.verdict_s", "trial.attempts"),
+    *("trial.say", "trial.ready_s", "trial.verdict_s", "trial.fastest_verdict_s", "trial.attempts"),
     *("keys", "question", "rest", "stop", "practice"),
     *("experiment.rig.description", "experiment.rig.source", "experiment.excitation"),
     *(

@@ -247,6 +247,8 @@ class State:
         trial = self.trial_numbered(content["trial"])
         for name in ("verdict", "judged_by", "response_time_s"):
             setattr(trial, name, content[name])
+        fastest_s = self.protocol.trial.fastest_verdict_s
+        trial.too_fast = trial.judged_by == "person" and content["response_time_s"] < fastest_s
 
     def _redone(self, content: Any) -> None:
         trial = self.trial_numbered(content["trial"])

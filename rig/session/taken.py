@@ -55,7 +55,7 @@ def _finished(protocol: Protocol, path: Path) -> Sequence[Event]:
 
 def _lived(protocol: Protocol) -> tuple[str, Trial]:
     """What decides how long a trial takes; what was planned of people's own times does not."""
-    return protocol.study.judge, replace(protocol.trial, ready_s=0.0, verdict_s=0.0)
+    return protocol.study.judge, replace(protocol.trial, ready_s=0.0, verdict_s=0.0, fastest_verdict_s=0.0)
 
 
 def _steps(events: Sequence[Event]) -> Iterator[tuple[str, float]]:

@@ -125,7 +125,19 @@ def outcome(trial: Trial, *, blind: bool) -> str:
     if not trial.verdict:
         return f"trial {trial.trial}: over"
     aborted = ["cut off for safety"] if trial.aborted else []
-    return ", ".join([f"trial {trial.trial}: done", *aborted, *_kept(trial.outside, blind=blind)])
+    return ", ".join(
+        [f"trial {trial.trial}: done", *_too_fast(trial), *aborted, *_kept(trial.outside, blind=blind)]
+    )
+
+
+def _too_fast(trial: Trial) -> list[str]:
+    """A verdict that no person gives so soon, in one phrase or none."""
+    if not trial.too_fast or trial.response_time_s is None:
+        return []
+    after_ms = 1e3 * trial.response_time_s
+    return [
+        f"judged {after_ms:.0f} ms after the question, sooner than trial.fastest_verdict_s: free the key and redo it"
+    ]
 
 
 def _kept(outside: Sequence[str], *, blind: bool) -> list[str]:

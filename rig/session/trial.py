@@ -97,6 +97,12 @@ class Trial(Presented, Hit):
     ] = ""
     judged_by: Annotated[str, Quantity("", "person, simulated or automatic; empty before the verdict")] = ""
     response_time_s: Annotated[float | None, Quantity("s", "from the question to the verdict")] = None
+    too_fast: Annotated[
+        bool,
+        Quantity(
+            "", "whether a person's verdict came sooner after the question than trial.fastest_verdict_s"
+        ),
+    ] = False
     void: Annotated[
         str,
         Quantity(

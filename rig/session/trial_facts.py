@@ -17,6 +17,7 @@ _FIELDS = {
     **{name: name for name in ("repeat", "attempt", "condition", "damping", "stiffness", "track", "catch")},
     **{name: name for name in ("practice", "counts", "void", "ended", "automatic", "verdict", "judged_by")},
     "response_time": "response_time_s",
+    "too_fast": "too_fast",
     "sha256": "sha256",
 }
 _COUNTS = Quantity("", "1 when the trial counts; 0 for practice, and for what void names")

@@ -33,6 +33,7 @@ ALLOWED = 1 / 20
 INTO_THE_WALL = "\x1b[F"
 LOOK_S = 0.02  # between two looks at the screen
 STUCK_S = 120.0  # without anything new on it
+RELEASED_S = 1.3  # more than that of `rig.session.console.held`
 KEYS = {"stable": "1", "limit cycle": "2", "unstable": "3"}
 ANSWERS = {"answer>": "4\r", "[g] go": "g"}  # what stands on the screen, and the keys that answer it
 
@@ -67,6 +68,7 @@ class Participant:
     def __init__(self, terminal: Any, log: Path, reaction_s: float) -> None:
         self.terminal, self.log, self.reaction_s = terminal, log, reaction_s
         self.seen, self.since = "", time.monotonic()
+        self.pressed_s: dict[str, float] = {}
         self.gone = False  # into the wall, in this trial
 
     def look(self) -> None:
@@ -85,7 +87,12 @@ class Participant:
         if asked is None:
             return
         self.gone = False
-        self.terminal.type(ANSWERS.get(asked) or KEYS[self.trials[-1]["automatic"]])
+        keys = ANSWERS.get(asked) or KEYS[self.trials[-1]["automatic"]]
+        time.sleep(
+            max(0.0, self.pressed_s.get(keys, 0.0) + RELEASED_S - time.monotonic())
+        )  # as a person releases it
+        self.terminal.type(keys)
+        self.pressed_s[keys] = time.monotonic()
         self.terminal.until(lambda: self.terminal.screen.text != screen, f"an answer to {asked}")
 
     @property

@@ -9,6 +9,7 @@ from typing import Any
 
 from rig.core.sample import Phase
 from rig.recording.reader import open_recording
+from rig.session.console.held import RELEASED_S
 from rig.session.log import Event, read
 from tests.browser.test_reading import check_readable
 from tests.conformance.tolerance import too_busy
@@ -46,6 +47,7 @@ def offers(page: Any, *names: str) -> bool:
 def press_the_wall(page: Any) -> None:
     """Say go, and reach into the wall when the cue comes, or come back to what is asked instead."""
     before = question(page)
+    page.wait_for_timeout(1e3 * RELEASED_S)  # the same key sooner would be one that is held
     page.keyboard.press("g")
     until(page, lambda: question(page) != before, f"no more: {before}")
     until(page, lambda: page.locator(".cue").inner_text() == "go" or offers(page, "go"), "the cue")
@@ -105,6 +107,7 @@ def test_a_short_blind_session_by_keys(console_page: Any, tmp_path: Path) -> Non
             participant.get_by_role("button", name="5", exact=True).click()
             until(page, lambda: question(page) == "end the session?", "an answer that was taken")
         elif asked == "end the session?":
+            page.wait_for_timeout(1e3 * RELEASED_S)
             page.keyboard.press("g")
             page.get_by_text("session of P01: complete").wait_for()
             break

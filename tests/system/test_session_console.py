@@ -28,6 +28,7 @@ from rig.recording.files import sha256_of
 from rig.recording.reader import open_recording
 from rig.session.console.asking import SILENCE_S
 from rig.session.console.desk import ConsoleDesk, at_console
+from rig.session.console.held import RELEASED_S
 from rig.session.console.live import snapshot_of
 from rig.session.desk import Desk
 from rig.session.hits import DeviceRunner
@@ -115,6 +116,9 @@ def terminal() -> Iterator[Terminal]:
         yield one
 
 
+READ_S = 0.5  # within which the console has read a key
+
+
 class Operator:
     """Somebody at the terminal of a session in virtual time, which runs in this process, beside the test."""
 
@@ -123,6 +127,7 @@ class Operator:
     ) -> None:
         self.terminal, self.directory = terminal, directory / "study" / "P01"
         self.seen: list[str] = []
+        self._pressed_s: dict[str, float] = {}
         self._begin(session)
 
     def _begin(self, session: Any) -> None:
@@ -158,9 +163,16 @@ class Operator:
         self.seen.append(self.terminal.screen.text)
         return found()
 
+    def press(self, keys: str) -> None:
+        """Press keys as a person does, who releases each before they press it again."""
+        released_s = max(self._pressed_s.get(key, 0.0) for key in keys) + RELEASED_S + READ_S
+        threading.Event().wait(max(0.0, released_s - time.monotonic()))
+        self.terminal.type(keys)
+        self._pressed_s |= dict.fromkeys(keys, time.monotonic())
+
     def types(self, keys: str, *, until_gone: str) -> None:
         """Press keys, and wait until what they answered is gone."""
-        self.terminal.type(keys)
+        self.press(keys)
         self.terminal.until(lambda: until_gone not in self.terminal.screen.text, f"no more: {until_gone}")
 
     def hits(self) -> None:
@@ -310,7 +322,7 @@ def test_a_session_with_a_redo_an_abort_and_a_resume(
     terminal.wait("a number from 1 to 7")
     terminal.type("5\r")
     assert resumed.sees("end the session?")
-    terminal.type("g")
+    resumed.press("g")
     assert resumed.result().stands == "session of P01: complete"
     assert terminal.attributes_are_back()
     assert 1049 not in terminal.screen.modes
@@ -435,7 +447,7 @@ def leave(operator: Operator) -> None:
     assert operator.sees("hit ended early:", "[1] stable")
     operator.terminal.type("a")
     operator.terminal.wait("leave the session")
-    operator.terminal.type("a")
+    operator.terminal.type("y")
     assert operator.result().stopped == "the operator left"
 
 

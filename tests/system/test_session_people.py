@@ -117,7 +117,7 @@ def test_every_trial_has_the_reason_of_whoever_was_at_the_handle(
         def hit(expected: str) -> str:
             """Say go, and wait for what the screen shows then; returns it."""
             assert operator.sees("ready?"), operator.result()
-            terminal.type("g")
+            operator.press("g")
             assert operator.sees(expected), operator.result()
             return " ".join(re.sub("[│─╭╮╰╯]", " ", operator.seen[-1]).split())
 
@@ -134,7 +134,7 @@ def test_every_trial_has_the_reason_of_whoever_was_at_the_handle(
                 hit(THROWN_OUT)
                 operator.types("3", until_gone=THROWN_OUT)
             assert operator.sees("end the session?")
-            terminal.type("g")
+            operator.press("g")
             assert operator.result().ended == "complete"
         finally:
             operator.close()

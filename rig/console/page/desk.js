@@ -76,6 +76,7 @@ export class Answering {
   }
 
   #inLine(event) {
+    if (event.key === "Enter" && event.repeat) event.preventDefault(); // held from before, it would answer with nothing
     if (event.key === "Escape" && !this.participant) this.press("escape");
     if (event.key === " " && this.moving) {
       event.preventDefault();

@@ -18,6 +18,8 @@ addEventListener("keydown", (event) => {
   if (event.key === "Escape" || (event.key === " " && !typed)) {
     event.preventDefault();
     link.stop();
+  } else if (event.repeat && event.key === "Enter") {
+    event.preventDefault(); // held on a button, it would press that again and again
   } else if (!typed && !event.repeat && !event.ctrlKey && !event.altKey && !event.metaKey && event.key !== "Enter" && event.key !== "Tab") {
     answering.press(nameOf(event.key));
   }

@@ -185,7 +185,10 @@ export class Sessions {
     if (key === "escape" && !leaves) key = "space"; // STOP, which the page has said already: the desk says what came of it
     if (this.told.entry && key !== "escape") return;
     const button = event.target.closest("button");
-    if (key === "enter" && button) return; // presses it
+    if (key === "enter" && button) { // presses it, once
+      if (event.repeat) event.preventDefault();
+      return;
+    }
     event.preventDefault();
     if (key === "space" && button) this.link.stop(); // elsewhere the page has said it already
     if (!event.repeat || this.way.moves(key)) this.answering.press(key);

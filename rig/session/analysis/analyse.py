@@ -113,6 +113,12 @@ class Analysis:
         """What a reader must know: of the sessions, and of what was left out."""
         left = [run for run in self.runs if run.state != "complete"]
         found = []
+        fast = sum(trial.too_fast and trial.counts for trial in self.trials)
+        if fast:
+            found.append(
+                f"{_plural(fast, 'verdict')} {_was(fast)} given sooner than trial.fastest_verdict_s, "
+                "as by a stuck key or a script: column too_fast of the trials; they count"
+            )
         for state in ("unfinished", "skipped"):
             count = sum(run.state == state for run in left)
             if count:

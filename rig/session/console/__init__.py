@@ -14,6 +14,7 @@ the running loop in shared memory, and sets its stop word.
 `keyboard`       bytes from it → keys and motions of the mouse
 `keymap`         keys → what they mean, from the protocol's ``[keys]``
 `conversation`   what is shown and asked, and what a key does then; touches nothing
+`held`           keys that were down before the question, which answer nothing until they are released
 `live`           the running loop's newest rows → numbers
 `seat`           all that a key, a message and the time come to, whatever shows it
 `screen`         all of this as a picture of the terminal's size

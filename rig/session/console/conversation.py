@@ -1,6 +1,7 @@
 """What the console shows and asks, and what a key does then. Touches no terminal, no pipe and no clock.
 
-A key answers only the question that stands there when it is pressed: what is typed during a hit is no verdict about it.
+A key answers only the question that stands there when it is pressed: what is typed during a hit is no verdict about it,
+and a key that is still down from before answers nothing (`held`).
 Pause, note and abort may be asked for at any time, and wait for the next question. The key of STOP is STOP in every
 mode, but in a line that is being typed while nothing moves.
 """
@@ -11,6 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, cast
 
+from rig.session.console.held import RELEASED_S, HeldKeys
 from rig.session.console.pointer import HandKind
 from rig.session.desk import Action, Question, View
 from rig.session.items import parse_answer, wanted
@@ -76,10 +78,13 @@ class Conversation:
         Whether the keys are shown.
     hand
         What moves the simulated hand here, if anything.
+    held
+        Keys that were down before the question.
     """
 
     def __init__(self, keymap: KeyMap, hand: HandKind | None = None) -> None:
         self.keymap, self.hand = keymap, hand
+        self.held = HeldKeys()
         self.view = View(state="starting")
         self.question: Question | None = None
         self.asked = 0
@@ -99,6 +104,7 @@ class Conversation:
         """Take a new question; what waited for it is answered at once."""
         asked = Question(**{**question, "actions": tuple(question["actions"])})
         self.question, self.due_s = asked, now_s + asked.seconds
+        self.held.ask(now_s)
         self.asked += 1
         self.entry, self.twice, self.notice = None, None, ""
         self.help = False  # whatever ends a hit asks something: nothing may cover that
@@ -133,9 +139,10 @@ class Conversation:
         """What may be answered now."""
         return () if self.question is None else self.question.actions
 
-    def press(self, key: str) -> list[Decision]:
-        """What a key does."""
+    def press(self, key: str, now_s: float | None = None) -> list[Decision]:
+        """What a key does that arrives at `now_s` (s, the caller's clock); None of a script, which holds no key."""
         self.notice = ""
+        is_new = now_s is None or self.held.arrive(key, now_s)
         if key == STOP and (self.moving or self.entry is None):
             self.notice = "STOP" if self.moving else "nothing moves"
             self.help = False
@@ -144,6 +151,12 @@ class Conversation:
             self.help = False  # a key acts as the page says, but for those that somebody presses to see the rest again
             if key in BACK:
                 return []
+        is_text = self.entry is not None and (key != "enter" or self.entry.text)
+        if not (is_new or is_text or self.question is None):
+            self.notice = (
+                f"{key}: down since before the question; release it for {RELEASED_S:g} s, then press it"
+            )
+            return []
         if self.twice is not None:
             return self._confirm(key)
         if self.entry is not None:
@@ -181,6 +194,7 @@ class Conversation:
             return []
         if action in TWICE and not sure:
             self.twice = action
+            self.held.ask_again()  # the same key confirms, but not by being held
             return []
         return self._answer(Answer(action))
 

@@ -119,8 +119,15 @@ class _Console:
     def run(self) -> int:
         """Rounds until it is over."""
         before = None if self._attributes is None else terminal.from_plain(self._attributes)
-        if before is not None and Key(STOP) in Keyboard().feed(terminal.take(IN, before)):
-            self._seat.do([Stop()])  # what was typed while nobody sat here is no answer, but STOP is STOP
+        if before is not None:
+            typed = Keyboard().feed(
+                terminal.take(IN, before)
+            )  # while no console was here: no answer, but STOP is STOP
+            if Key(STOP) in typed:
+                self._seat.do([Stop()])
+            for key in typed:
+                if isinstance(key, Key):  # it may be down
+                    self._talk.held.arrive(key.name, time.monotonic())
         try:
             with self._face:
                 for message in self._early:
@@ -210,7 +217,7 @@ class _Console:
     def _event(self, event: Event) -> None:
         if isinstance(event, Key):
             self._face.typed(self._talk, event.name)
-            self._seat.key(event.name)
+            self._seat.key(event.name, time.monotonic() if self._is_terminal else None)
         elif self._hand is not None:
             self._hand.mouse(event)
 

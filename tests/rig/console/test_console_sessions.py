@@ -83,7 +83,7 @@ def test_the_time_of_an_answer_is_from_when_it_could_be_read(page: AtPage, asker
     page.ask("session_key", key="1", asked=page.session["asked"], shown_s=0.0)
     assert reply.result(PATIENCE_S).took_s == 0.0
     reply = asked(page, asker, VERDICT)
-    page.ask("session_key", key="1", asked=page.session["asked"], shown_s=1e6)  # longer than it was asked
+    page.ask("session_key", key="2", asked=page.session["asked"], shown_s=1e6)  # longer than it was asked
     assert reply.result(PATIENCE_S).took_s < PATIENCE_S
 
 

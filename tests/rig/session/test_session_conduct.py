@@ -23,6 +23,7 @@ from rig.core.errors import (
     StoppedError,
 )
 from rig.core.present import plain
+from rig.session.analysis import analyse
 from rig.session.conduct import conduct
 from rig.session.desk import Question, Reply
 from rig.session.directory import LOG, Session, amend, begin, event_of_trial, resume
@@ -43,6 +44,8 @@ from tests.rig.session.session_fakes import (
     protocol_of,
     study,
 )
+
+OFF = {"fastest_verdict_s": 0.0}
 
 
 def started(directory: Path, protocol: Protocol | None = None, code: str = "P01", row: int = 0) -> Session:
@@ -332,6 +335,25 @@ def test_the_automatic_verdict_may_lead_and_nobody_is_asked(tmp_path: Path) -> N
         (True, "stable", "automatic"),
         (False, "buzz", "automatic"),
     }
+
+
+def test_a_verdict_faster_than_a_person_is_reported_at_once_and_marked(tmp_path: Path) -> None:
+    def answer(question: Question) -> Reply | None:
+        took_s = {1: 0.012, 2: 0.1}.get(question.trial, 0.5)
+        return Reply(action="judge", value="stable", took_s=took_s) if question.kind == "verdict" else None
+
+    desk = ScriptedDesk(answer)
+    state = run_with(started(tmp_path / "P01", protocol_of(stop={"trials": 4})), FakeRunner(), desk)
+    assert [trial.too_fast for trial in state.trials] == [True, False, False, False]
+    said = "trial 1: done, judged 12 ms after the question, sooner than trial.fastest_verdict_s"
+    assert any(view.last.startswith(said) for view in desk.views)
+    found = analyse([tmp_path])
+    assert [row.too_fast for row in found.trials] == [True, False, False, False]
+    assert any(one.startswith("1 verdict was given sooner than trial.fastest") for one in found.messages)
+    for name, section in (("automatic", {"study": study(judge="automatic")}), ("off", {"trial": OFF})):
+        unmarked = protocol_of(stop={"trials": 4}, **section)
+        state = run_with(started(tmp_path / name, unmarked), FakeRunner(), ScriptedDesk(answer))
+        assert not any(trial.too_fast for trial in state.trials)
 
 
 def test_rests_come_when_they_are_due(tmp_path: Path) -> None:

@@ -23,6 +23,7 @@ from rig.realtime import ring as ring_words
 from rig.realtime.ring import Ring
 from rig.session.console import words
 from rig.session.console.conversation import Answer, Conversation, Stop
+from rig.session.console.held import RELEASED_S
 from rig.session.console.keyboard import Key, Keyboard, Mode, Mouse
 from rig.session.console.live import Live, Snapshot, snapshot_of
 from rig.session.console.messages import Lines, line_of
@@ -222,6 +223,59 @@ def test_what_is_pressed_before_the_question_is_no_answer() -> None:
     assert conversation.ask(plain(asked("verdict", ("judge", "redo"))), 0.0) == []
     assert conversation.press("g") == []
     assert conversation.press("r") == [Answer("redo")]
+
+
+@given(
+    before=st.integers(1, 60),
+    repeat_s=st.floats(0.01, 0.9),
+    delay_s=st.floats(0.0, 0.95),
+    trials=st.integers(1, 9),
+)
+def test_a_stuck_key_answers_no_question(before: int, repeat_s: float, delay_s: float, trials: int) -> None:
+    conversation, now_s = told(), 100.0
+    for _ in range(before):
+        conversation.press("1", now_s)
+        now_s += repeat_s
+    now_s += max(0.0, delay_s - repeat_s)
+    for _ in range(trials):
+        conversation.ask(plain(asked("verdict", ("judge", "redo"))), now_s - 1e-3)
+        for _ in range(30):
+            assert conversation.press("1", now_s) == []
+            assert "release it" in conversation.notice
+            now_s += repeat_s
+        assert conversation.press("space", now_s) == [Stop()]  # STOP is no answer
+    assert conversation.press("1", now_s + RELEASED_S) == [Answer("judge", "stable")]
+
+
+def test_a_key_judges_once_however_long_it_is_held() -> None:
+    conversation = told(asked("verdict", ("judge", "redo")))
+    presses = [conversation.press("1", 1.0 + 0.03 * n) for n in range(100)]
+    assert [one for one in presses if one] == [[Answer("judge", "stable")]]
+    conversation.ask(plain(asked("verdict", ("judge", "redo"))), 4.0)
+    assert conversation.press("1", 4.01) == []
+    assert conversation.press("3", 4.02) == [Answer("judge", "unstable")]  # another key is another press
+
+
+def test_a_held_key_neither_confirms_what_it_asked_for_nor_answers_with_an_empty_line() -> None:
+    conversation = told(asked())
+    assert conversation.press("s", 1.0) == []
+    assert conversation.press("s", 1.5) == []
+    assert conversation.twice == "skip"
+    assert conversation.press("y", 1.6) == [Answer("skip")]
+    item = {"kind": "text"}
+    conversation.press("enter", 2.0)
+    conversation.ask(plain(asked("item", ("answer", "note", "abort"), item=item)), 2.1)
+    assert conversation.press("enter", 2.2) == []
+    for place, key in enumerate("oo"):
+        assert conversation.press(key, 2.3 + 0.03 * place) == []  # text is text
+    assert conversation.press("enter", 2.4) == [Answer("answer", "oo")]
+
+
+def test_a_held_key_of_a_hit_still_stops_it() -> None:
+    conversation = told()
+    conversation.live = True
+    assert conversation.press("a", 1.0) == []
+    assert conversation.press("a", 1.03) == [Stop()]
 
 
 @pytest.mark.parametrize("action", ["pause", "note"])

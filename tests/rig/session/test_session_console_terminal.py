@@ -23,6 +23,7 @@ import pytest
 from rig.core.errors import ConfigError, RigError, StoppedError
 from rig.session.conduct import conduct
 from rig.session.console.desk import ConsoleDesk, MovedHand, at_console
+from rig.session.console.held import RELEASED_S
 from rig.session.desk import Action, Question, Reply, View
 from rig.session.protocol import Keys
 from tests.conformance.terminal import PATIENCE_S, Program, Terminal
@@ -269,16 +270,17 @@ def test_blinded_lines_say_at_once_why_a_trial_is_invalid_and_name_no_wall(
     ):
         state = asker.submit(conduct, session, runner, desk)
         reads("ready? [g] go")
-        for trial, why in ((1, LOST), (2, "rig limit")):
-            types("g")
+        for trial, why, key in ((1, LOST, "g"), (2, "rig limit", "\r")):  # one key twice so soon is held
+            types(key)
             reads(f"trial {trial}: invalid, it is repeated: {why}")
             reads(f"Again. {session.state.protocol.trial.say}")
             reads("ready? [g] go")
+        threading.Event().wait(RELEASED_S)
         types("g")
         reads("the verdict?")
         types("1")
         reads("end the session?")
-        types("g")
+        types("\r")
         assert state.result(PATIENCE_S).ended == "3 trials"
     for secret in ("4179", "slew", "saturated", "0.37", "-hidden", *(f"{hit[1]:g}" for hit in runner.hits)):
         assert secret not in terminal.screen.printed, secret

@@ -14,6 +14,7 @@ import pytest
 from rig.core.errors import ConfigError, StoppedError
 from rig.realtime.hand import SharedHand, Wish
 from rig.session.conduct import conduct
+from rig.session.console.held import RELEASED_S
 from rig.session.console.pointer import HandKind
 from rig.session.desk import Action, Question, Reply, View
 from rig.session.protocol import Keys
@@ -82,8 +83,8 @@ def test_a_session_is_shown_and_answered_by_keys(sit: Sit, asker: ThreadPoolExec
     reply = asker.submit(place.desk.ask, READY_QUESTION)
     place.sees("P03 · block 2 of 5 · trial 34 of about 120", "ready?", "Push.", "[g] go")
     place.press("n")
-    place.line("a b")
-    assert answered(reply) == ("note", "a b")
+    place.line("b c")
+    assert answered(reply) == ("note", "b c")
     reply = asker.submit(place.desk.ask, replace(READY_QUESTION, text="ready now?"))
     place.sees("ready now?")
     place.press("x")
@@ -196,15 +197,16 @@ def test_a_blinded_desk_says_at_once_why_a_trial_is_invalid_and_names_no_wall(
         place = sit()
         state = asker.submit(conduct, session, runner, place.desk)
         place.sees("ready?", "[g] go")
-        for trial, why in ((1, LOST), (2, "rig limit")):
-            place.press("g")
+        for trial, why, key in ((1, LOST, "g"), (2, "rig limit", "enter")):  # one key twice so soon is held
+            place.press(key)
             place.sees(f"trial {trial}: invalid, it is repeated: {why}")
             place.sees(f"Again. {session.state.protocol.trial.say}", "ready?", "[g] go")
+        threading.Event().wait(RELEASED_S)
         place.press("g")
         place.sees("the verdict?")
         place.press("1")
         place.sees("end the session?")
-        place.press("g")
+        place.press("enter")
         assert state.result(PATIENCE_S).ended == "3 trials"
     for secret in ("4179", "slew", "saturated", "0.37", "-hidden", *(f"{hit[1]:g}" for hit in runner.hits)):
         assert secret not in place.all_shown, secret
@@ -270,3 +272,36 @@ def test_the_hand_of_the_keys_is_back_before_a_trial_and_keys_in_a_note_do_not_m
 def test_a_key_that_moves_the_hand_means_nothing_else(sit: Sit, hand: SharedHand) -> None:
     with pytest.raises(ConfigError, match=r"go = 'right': that key moves the hand"):
         sit(Keys(go="right"), hand=("keyboard", hand.path))
+
+
+def test_a_key_that_repeats_from_before_the_question_judges_nothing_until_it_was_released(
+    sit: Sit, asker: ThreadPoolExecutor
+) -> None:
+    place = sit()
+    place.desk.show(View(state="hold"))
+    place.sees("hold")
+    place.press("1")
+    place.sees("not now")
+    reply = asker.submit(place.desk.ask, VERDICT)
+    place.sees("the verdict?")
+    for _ in range(3):  # as a stuck pedal does, only slower
+        place.press("1")
+        place.sees("down since before the question;")
+    assert not reply.done()
+    threading.Event().wait(RELEASED_S + 0.1)
+    place.press("1")
+    assert answered(reply) == ("judge", "stable")
+
+
+def test_a_key_that_is_new_answers_while_another_is_held(sit: Sit, asker: ThreadPoolExecutor) -> None:
+    place = sit()
+    place.desk.show(View(state="hold"))
+    place.sees("hold")
+    place.press("1")
+    place.sees("not now")
+    reply = asker.submit(place.desk.ask, VERDICT)
+    place.sees("the verdict?")
+    place.press("1")
+    place.sees("down since before the question;")
+    place.press("3")
+    assert answered(reply) == ("judge", "unstable")

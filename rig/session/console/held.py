@@ -1,0 +1,39 @@
+"""Which keys were down before the question that stands: they answer nothing until they have been released.
+
+A terminal reports no release: a key that is down arrives again and again, at first after the delay of its repetition.
+So arrivals of a key that follow each other sooner than `RELEASED_S` are one press, also those of a pedal that taps by
+itself, and only a press that began after the question answers it.
+"""
+
+from __future__ import annotations
+
+import math
+
+# Longest delay before a held key repeats that is a default: X.Org 0.66 s, KDE 0.6 s, GNOME 0.5 s, macOS 0.5 s, Windows
+# 0.5 s (1 s at most). A longer delay set by hand lets the first repetition of a key that was held through pass.
+RELEASED_S = 1.0
+
+
+class HeldKeys:
+    """The presses of the last second; times are those of one monotonic clock (s)."""
+
+    def __init__(self) -> None:
+        self._presses: dict[str, tuple[float, float]] = {}  # by key: begin, and last arrival
+        self._asked_s = -math.inf
+
+    def ask(self, now_s: float) -> None:
+        """Take notice of a question: what is down now does not answer it."""
+        self._asked_s = now_s
+
+    def ask_again(self) -> None:
+        """Take notice of a question to which the newest press has led, and which it does not answer."""
+        self._asked_s = max((last_s for _, last_s in self._presses.values()), default=self._asked_s)
+
+    def arrive(self, key: str, now_s: float) -> bool:
+        """Take an arrival of a key; returns True if its press began after the question."""
+        known = self._presses = {
+            name: times for name, times in self._presses.items() if now_s - times[1] < RELEASED_S
+        }
+        began_s, _ = known.get(key.lower(), (now_s, now_s))
+        known[key.lower()] = began_s, now_s
+        return began_s > self._asked_s
