@@ -11,6 +11,7 @@ from typing import Any
 import click
 
 from rig import config
+from rig.bench.firmware.tick_budget import BOARD, INTEGERS, named_budget
 from rig.cli import map_options, options, output
 from rig.cli.command import RESULT, command, option
 from rig.cli.progress import SweepBar
@@ -75,7 +76,7 @@ ON_RIG_COLUMNS, ON_RIG_RATIO = 3, 1.06  # of the map on a rig: dampings, and sti
     "--fidelity-to", group=WISHES, type=float, help="Render velocity faithfully up to this frequency (Hz)."
 )
 @option("--most-noise", group=WISHES, type=float, help="Largest rms velocity at rest (rad/s or m/s).")
-@option("--most-cost", group=WISHES, type=float, help="Most cycles of the estimator per tick (Cortex-M4F).")
+@option("--most-cost", group=WISHES, type=float, help="Most cycles of the estimator per tick, on --board.")
 @option(
     "--most-rate",
     group=ALLOWED,
@@ -95,6 +96,13 @@ ON_RIG_COLUMNS, ON_RIG_RATIO = 3, 1.06  # of the map on a rig: dampings, and sti
     type=float,
     metavar="S",
     help="Of the link, for a law on this computer (s).",
+)
+@option(
+    "--board",
+    group=ALLOWED,
+    default=BOARD,
+    show_default=True,
+    help="Board whose processor's cycles count, with a law on the device.",
 )
 @option("--link", group=ALLOWED, type=float, metavar="BYTES/S", help="What the link carries. [any rate]")
 @options.scheme_option("a listed set of some hundred", ALLOWED)
@@ -193,14 +201,32 @@ def design_(
 
         found = design(request, place, scheduler=scheduler, workers=workers, watch=watch)
     files = _write(found, place, section, plot)
+    ticks = _ticks(request, asked["board"])
     on_rig = [] if url is None else _on_rig(found, url, verified, confirm, place)
     if as_json:
-        output.print_json({**found.as_mapping(), "directory": str(place), "files": files, "on_rig": on_rig})
+        output.print_json(
+            {**found.as_mapping(), "directory": str(place), "files": files, "on_rig": on_rig, "ticks": ticks}
+        )
         return
     output.show(found.detailed())
     output.show([found.margin_table(5)])
+    for text in ticks:
+        output.note(text)
     click.echo(found.toml(), nl=False)
     output.print_pairs([(name, path) for name, path in files.items() if path is not None])
+
+
+def _ticks(request: Request, board: str) -> list[str]:
+    """What a tick of the law costs on the device, in integers and in float32, and whether the experiment's own fits."""
+    if not any(one.loop == "device" for one in request.places):
+        return []
+    budget, own = named_budget(board), request.experiment.controller
+    found = [f"law on the device, {name}: {budget.text(name)}" for name in (INTEGERS, "fdm-butterworth")]
+    if own.loop == "device" and own.position_rate > budget.rate_maximum(own.estimator):
+        found.append(
+            f"the experiment's own law does not fit at {own.position_rate} Hz: {budget.text(own.estimator)}"
+        )
+    return found
 
 
 def _limits(asked: dict[str, Any]) -> list[str]:
@@ -234,13 +260,18 @@ def _places(experiment: Experiment, url: str | None, asked: dict[str, Any]) -> t
     if url is None:
         rate, round_trip_s, link = (asked[name] for name in names)
         return places_for(
-            experiment, loop, rate_maximum=rate, bytes_per_second=link, round_trip_s=round_trip_s
+            experiment,
+            loop,
+            rate_maximum=rate,
+            bytes_per_second=link,
+            round_trip_s=round_trip_s,
+            board=asked["board"],
         )
     given = [f"--{name.replace('_', '-')}" for name in names if asked[name] is not None]
     if given:
         raise ConfigError(f"{given[0]}: the device says itself what it allows", remedy="drop it, or --url")
     load_device(url)
-    allowed = {place.loop: place for place in places_of(url, experiment)}
+    allowed = {place.loop: place for place in places_of(url, experiment, asked["board"])}
     wanted = tuple(allowed) if loop == "both" else (loop or experiment.controller.loop,)
     if not set(wanted) <= set(allowed):
         raise ConfigError(

@@ -105,9 +105,12 @@ def build(
         output=directory,
         settings=chosen,
         application=PORT_CHECK if for_check else DEVICE,
+        controller=experiment.controller,
     )
     with output.Status(quiet=as_json) as status:
         built = build_image(request, status.on_progress)
+    for warning in built.warnings:
+        click.echo(f"rig: {warning}", err=True)
     if as_json:
         output.print_json(built)
         return

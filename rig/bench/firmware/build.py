@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 import shutil
 import tempfile
@@ -17,13 +18,15 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from firmware_protocol.dictionary import SettingValue
 from rig.bench.firmware.board_config import BoardConfig, configure
 from rig.bench.firmware.boards import FIRMWARE, Board, load, settings_of
 from rig.bench.firmware.elf import Segment, flat, read_segments, sealed
 from rig.bench.firmware.scales import check_scales
+from rig.bench.firmware.tick_budget import INTEGERS, TickBudget, tick_budget
 from rig.bench.firmware.toolchain import Compiler, find_compiler
 from rig.bench.firmware.uf2 import write_uf2
-from rig.config import amplifiers
+from rig.config import Controller, amplifiers
 from rig.core.errors import ConfigError, RecordingError, ToolchainError
 from rig.core.model import RigModel
 from rig.core.present import Row, plain
@@ -52,6 +55,7 @@ DEVICE = "device"  # the program that is the firmware
 PORT_CHECK = (
     "port_check"  # the one that tries the device's port out, in place of the core: every board has it
 )
+COARSE_STEP = 2.0  # quanta of the rig's commands in one step of the output, from which on a build warns
 PORT_CHECK_SOURCES = ("port_check/port_check.c", "core/frame.c", "core/protocol.c")
 
 Progress = Callable[[str, float], None]
@@ -73,11 +77,14 @@ class BuildRequest:
         Pins and scales that are neither the rig's (`RigModel.board`) nor the board's defaults.
     application
         Which of the board's programs, or `PORT_CHECK`.
+    controller
+        Rates and estimator of the rig's experiment: with a law on the device, whether its tick fits is checked.
     """
 
     model: RigModel
     board: str
     output: Path
+    controller: Controller | None = None
     settings: Mapping[str, Any] = field(default_factory=dict)
     application: str = DEVICE
 
@@ -101,6 +108,10 @@ class BuildResult:
         What the program takes of the board's memory, its stack's reserve as the linker script has it.
     flash_room, ram_room
         What there is.
+    ticks
+        Which rates the processor has time for, with a law on the device in integers and in float32.
+    warnings
+        What will not run as the rig's experiment says, each with its remedy.
     """
 
     board: str
@@ -122,6 +133,8 @@ class BuildResult:
     ram_bytes: int
     ram_room: int
     sha256: str
+    ticks: Mapping[str, str] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
 
     def rows(self) -> list[Row]:
         """Return it for people."""
@@ -133,6 +146,7 @@ class BuildResult:
             Row("memory", self.ram_bytes, "bytes", _share(self.ram_bytes, self.ram_room)),
             Row("compiler", self.compiler),
             *self._set_point_rows(),
+            *(Row(f"law, {name}", text) for name, text in self.ticks.items()),
             *(Row(name, value) for name, value in self.settings.items()),
         ]
 
@@ -146,6 +160,26 @@ class BuildResult:
 
 def _share(taken: int, room: int) -> str:
     return f"{100 * taken / room:.3g} % of {room // 1024} KiB"
+
+
+def _warnings(request: BuildRequest, budget: TickBudget | None, step_a: float | None) -> tuple[str, ...]:
+    """What the experiment of the rig asks for, and this image and its output do not have."""
+    found, own, quantum = [], request.controller, request.model.amplifier.current_quantum_a
+    if budget is not None and own is not None and own.loop == "device":
+        most = budget.rate_maximum(own.estimator)
+        if own.position_rate > most:
+            found.append(
+                f"the law of {request.model.name} does not fit at {own.position_rate} Hz: "
+                f"{budget.text(own.estimator)}; choose a rate of at most {math.floor(most)} Hz, or the estimator "
+                f"{INTEGERS} (at most {math.floor(budget.rate_maximum(INTEGERS))} Hz)"
+            )
+    if step_a is not None and step_a > COARSE_STEP * quantum:
+        found.append(
+            f"one step of the set-point is {step_a:.3g} A, {step_a / quantum:.3g} times the rig's "
+            f"current_quantum_a = {quantum:g} A: simulation, theory and maps show a finer motor than this one; set "
+            f"rig.amplifier.current_quantum_a = {step_a:.3g}, or lower full_scale there and in the amplifier"
+        )
+    return tuple(found)
 
 
 def build(request: BuildRequest, on_progress: Progress = lambda _what, _share: None) -> BuildResult:
@@ -185,7 +219,7 @@ def build(request: BuildRequest, on_progress: Progress = lambda _what, _share: N
     with tempfile.TemporaryDirectory(prefix="haptic-rig-") as scratch:
         content = _compiled(compiler, board, sources, config, Path(scratch), on_progress)
     segments = read_segments(content, "the new program")
-    return _written(request, board, compiler, config, content, segments, step_a)
+    return _written(request, board, compiler, config, content, segments, settings, step_a)
 
 
 def shared_sources(application: str = DEVICE) -> tuple[Path, ...]:
@@ -267,6 +301,7 @@ def _written(
     config: BoardConfig,
     content: bytes,
     segments: tuple[Segment, ...],
+    settings: Mapping[str, SettingValue],
     step_a: float | None,
 ) -> BuildResult:
     flash_bytes, ram_bytes = _sizes(board, segments)
@@ -276,6 +311,7 @@ def _written(
     stem = request.output / f"haptic-rig-{board.name}-{_file_name(request.model.name)}{suffix}"
     paths = {kind: stem.with_name(f"{stem.name}.{kind}") for kind in ("elf", "bin", "uf2", "json")}
     dictionary = config.record.dictionary
+    budget = tick_budget(board, settings) if request.application == DEVICE else None
     result = BuildResult(
         board=board.name,
         rig=request.model.name,
@@ -296,6 +332,8 @@ def _written(
         ram_bytes=ram_bytes,
         ram_room=board.ram.bytes,
         sha256=hashlib.sha256(image).hexdigest(),
+        ticks={} if budget is None else {name: budget.text(name) for name in (INTEGERS, "fdm-butterworth")},
+        warnings=_warnings(request, budget, step_a),
     )
     facts = {
         name: value for name, value in plain(result).items() if name not in ("elf", "bin", "uf2", "facts")

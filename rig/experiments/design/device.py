@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from rig import devices
 from rig.bench.doctor.gate import measured_once
+from rig.bench.firmware.tick_budget import BOARD, named_budget
 from rig.config import Experiment, rig_model
 from rig.devices.local import opened
 from rig.experiments.design.listing import Place
 
 
-def places_of(url: str, experiment: Experiment) -> tuple[Place, ...]:
+def places_of(url: str, experiment: Experiment, board: str = BOARD) -> tuple[Place, ...]:
     """Where the law may run with a device: on this computer, at the link's measured delay, and on the device.
 
     Nothing moves. Raises what opening a device does, and `LinkLostError` for one that does not answer.
     """
+    named_budget(board)
     where = devices.url_for(url, experiment.controller.loop)
     with opened(
         where,
@@ -27,8 +31,9 @@ def places_of(url: str, experiment: Experiment) -> tuple[Place, ...]:
         if not device.link.clock.virtual:
             measured = measured_once(device, experiment.host, experiment.controller.position_rate)
             round_trip_s = measured.late_s
-        host = Place(loop="host", rate_maximum=fastest, bytes_per_second=carried, round_trip_s=round_trip_s)
+        own_board = Place(loop="device", rate_maximum=fastest, bytes_per_second=carried, board=board)
+        host = replace(own_board, loop="host", round_trip_s=round_trip_s)
         own = device.dictionary.parameter("law")
         if own is None or own.maximum < 1:
             return (host,)
-        return host, Place(loop="device", rate_maximum=fastest, bytes_per_second=carried)
+        return host, own_board

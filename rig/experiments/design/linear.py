@@ -76,7 +76,7 @@ def tasks(
             {
                 "experiment": mapping,
                 "candidates": [
-                    {name: getattr(candidates[i], name) for name in ("loop", "delay_ticks")}
+                    {name: getattr(candidates[i], name) for name in ("loop", "delay_ticks", "board")}
                     | {"scheme": candidates[i].scheme.text}
                     for i in some
                 ],
@@ -134,7 +134,7 @@ def of_estimator(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
                 "fidelity_hz": paths.fidelity_hz(
                     applied.controller, resolution, applied.rig.amplifier.lag_s, loop.delay_ticks
                 ),
-                "cost": paths.cost(applied.controller),
+                "cost": paths.cost(applied.controller, candidate.board),
                 "stands_in": stands_in,
             }
         )

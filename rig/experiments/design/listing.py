@@ -22,6 +22,7 @@ from functools import cached_property
 from typing import Any, Literal
 
 from rig.bench.doctor.delay import ticks_late
+from rig.bench.firmware.tick_budget import BOARD, named_budget
 from rig.config import Experiment, controller
 from rig.config.schemes import Scheme
 from rig.control import estimators
@@ -58,12 +59,15 @@ class Place:
     round_trip_s
         From a sample to the effort that answers it, on the host; the delay is as many whole ticks, one at least. None:
         the delay that the experiment describes.
+    board
+        Whose processor's cycles count, with the law on the device.
     """
 
     loop: Loop
     rate_maximum: int
     bytes_per_second: float | None = None
     round_trip_s: float | None = None
+    board: str = BOARD
 
     def delay_ticks(self, experiment: Experiment, rate: int) -> int:
         """Whole ticks from a sample to its effort at a position rate."""
@@ -76,7 +80,7 @@ class Place:
         try:
             if self.loop == "device":
                 controller.prepared(applied)
-                if not paths.fits_a_tick(applied.controller):
+                if not paths.fits_a_tick(applied.controller, self.board):
                     return False
             return not refused(link_checks(applied, self.rate_maximum, self.bytes_per_second))
         except ConfigError:
@@ -93,11 +97,14 @@ class Candidate:
         Rates, estimator with its settings, prediction.
     loop, delay_ticks
         Where its law runs, and how late it acts beside the amplifier.
+    board
+        As `Place` has it.
     """
 
     scheme: Scheme
     loop: Loop
     delay_ticks: int
+    board: str = BOARD
 
     @cached_property
     def key(self) -> str:
@@ -143,7 +150,7 @@ class Candidate:
         own = experiment.controller
         there = next((place for place in places if place.loop == own.loop), places_for(experiment)[0])
         delay = there.delay_ticks(experiment, own.position_rate)
-        return cls(scheme=Scheme.of(experiment), loop=own.loop, delay_ticks=delay)
+        return cls(scheme=Scheme.of(experiment), loop=own.loop, delay_ticks=delay, board=there.board)
 
 
 def places_for(
@@ -153,8 +160,13 @@ def places_for(
     rate_maximum: int | None = None,
     bytes_per_second: float | None = None,
     round_trip_s: float | None = None,
+    board: str = BOARD,
 ) -> tuple[Place, ...]:
-    """Where the law may run, without a device to ask: where the experiment's own runs, at most at its rate."""
+    """Where the law may run, without a device to ask: where the experiment's own runs, at most at its rate.
+
+    Raises `ConfigError` for a board whose cycles are not known.
+    """
+    named_budget(board)
     check_positive({"most_rate": rate_maximum, "link": bytes_per_second, "round_trip": round_trip_s})
     loops: tuple[Loop, ...] = (
         ("host", "device") if where == "both" else (where or experiment.controller.loop,)
@@ -165,6 +177,7 @@ def places_for(
             rate_maximum=rate_maximum or experiment.controller.position_rate,
             bytes_per_second=bytes_per_second,
             round_trip_s=round_trip_s if loop == "host" else None,
+            board=board,
         )
         for loop in loops
     )
@@ -184,7 +197,7 @@ def listed(
     for place in places:
         for scheme in schemes or _schemes(experiment, place.rate_maximum):
             delay = place.delay_ticks(experiment, scheme.position_rate)
-            candidate = Candidate(scheme=scheme, loop=place.loop, delay_ticks=delay)
+            candidate = Candidate(scheme=scheme, loop=place.loop, delay_ticks=delay, board=place.board)
             try:
                 applied = candidate.applied(experiment)
             except ConfigError:

@@ -8,20 +8,19 @@ true one: what the estimator makes of the sine (its fundamental, at whole period
 until the next one, late by lag and delay. Faithful is up to the first frequency where |D − 1| exceeds `ERROR`: a phase
 of 29°, or a half too little.
 
-**Cost** is that of the estimator's longest call on a Cortex-M4F, in cycles (`CYCLES`), over the ticks of a velocity
-period. All else in a tick is the same for all schemes. On a device the longest tick has to fit: `TICK` cycles and that
-call, in `SHARE` of a position period.
+**Cost** is that of the estimator's longest call on the processor of the board, in cycles, over the ticks of a velocity
+period. All else in a tick is the same for all schemes. On a device the longest tick has to fit
+(`rig.bench.firmware.tick_budget`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.bench.firmware.cortex import CORES
+from rig.bench.firmware.tick_budget import named_budget
 from rig.config import Controller
 from rig.control import estimators
 
@@ -32,23 +31,6 @@ PERIODS = tuple(
 )  # of the sines in SAMPLES
 ERROR = 0.5
 SEED = 0
-
-# Most cycles of a call, measured on 2026-11-26: rig estimators export NAME --rig koul-compliant --json (kalman with
-# gain=steady), gcc 12.2. Both windowings with 16 periods, the longest of the listed set.
-CYCLES: Mapping[str, int] = {
-    "fdm": 26,
-    "fdm-butterworth": 57,
-    "fdm-butterworth-fixed": 118,
-    "foaw-end": 2410,
-    "foaw-best": 7471,
-    "levant": 108,
-    "kalman": 57,
-}
-CORE = CORES["M4F"]  # stands for the board's processor
-TICK, SHARE = (
-    1700,
-    0.4,
-)  # cycles of all else, and the share of a period: what tests/firmware/test_core_cortex.py holds
 
 Complex = NDArray[np.complex128]
 
@@ -83,16 +65,18 @@ def fidelity_hz(controller: Controller, resolution: float, lag_s: float, delay_t
     return float(frequency[first - 1] * (frequency[first] / frequency[first - 1]) ** share)
 
 
-def cost(controller: Controller) -> float | None:
-    """Cycles per tick, the mean over a velocity period; None for an estimator that no board runs."""
-    of_a_call = CYCLES.get(controller.estimator)
+def cost(controller: Controller, board: str) -> float | None:
+    """Cycles per tick on a board, the mean over a velocity period; None for an estimator that no board runs."""
+    of_a_call = _budget(board).call_cycles(controller.estimator)
     return None if of_a_call is None else of_a_call * controller.velocity_rate / controller.position_rate
 
 
-def fits_a_tick(controller: Controller) -> bool:
-    """Whether a device has the time for the longest tick of a law."""
-    of_a_call = CYCLES.get(controller.estimator)
-    return of_a_call is not None and (TICK + of_a_call) * controller.position_rate <= SHARE * CORE.clock_hz
+def fits_a_tick(controller: Controller, board: str) -> bool:
+    """Whether a board has the time for the longest tick of a law."""
+    return controller.position_rate <= _budget(board).rate_maximum(controller.estimator)
+
+
+_budget = lru_cache(named_budget)
 
 
 def _velocity(controller: Controller, counts: NDArray[np.int64], resolution: float) -> NDArray[np.float64]:

@@ -19,6 +19,7 @@ from scipy.optimize import brentq
 import rig
 from rig import config
 from rig.analysis import theory
+from rig.bench.firmware.tick_budget import CALLS
 from rig.config import presets
 from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError
@@ -45,8 +46,8 @@ from rig.experiments.design.rules import Boundary
 from rig.experiments.design.search import Round
 from rig.experiments.ranges import search_for
 from rig.experiments.zwidth import MapPlan
+from tests.conformance.made_links import link
 from tests.conformance.maps import SHORT, short_map
-from tests.rig.bench.test_doctor_gate import link
 
 X = config.override(presets.load("koul-compliant"), SHORT)
 RESOLUTION = X.rig.encoder.resolution
@@ -120,10 +121,30 @@ def test_fidelity_of_a_difference_is_that_of_its_formula(lag_s: float, ticks: in
 
 
 def test_cost_is_that_of_a_call_over_its_ticks() -> None:
-    call = paths.CYCLES["fdm-butterworth"]
-    assert paths.cost(controller("dual:10k/1k,estimator=fdm-butterworth")) == pytest.approx(call / 10)
-    assert paths.cost(controller("uniform:10k,estimator=fdm-butterworth")) == call
-    assert paths.cost(controller("uniform:10k,estimator=optimal,lipschitz=70")) is None, "no board runs it"
+    for board, core in (("rp2040", "M0+"), ("mps2", "M4F")):
+        call = CALLS[core]["fdm-butterworth"]
+        assert paths.cost(controller("dual:10k/1k,estimator=fdm-butterworth"), board) == pytest.approx(
+            call / 10
+        )
+        assert paths.cost(controller("uniform:10k,estimator=fdm-butterworth"), board) == call
+        assert paths.cost(controller("uniform:10k,estimator=optimal,lipschitz=70"), board) is None, (
+            "no board runs it"
+        )
+
+
+def test_a_board_without_a_float_unit_has_less_time_for_a_float_law() -> None:
+    """A Pico's tick was counted in cycles of a Cortex-M4F: 40 kHz for a law that a Cortex-M0+ has time for at 11.6."""
+    float_law = "estimator=fdm-butterworth,cutoff_hz=200"
+    for text, on_pico, with_float_unit in (
+        (f"dual:10k/2k,{float_law}", True, True),
+        (f"dual:20k/2k,{float_law}", False, True),
+        ("uniform:20k,estimator=fdm-butterworth-fixed", True, True),
+        ("uniform:2k,estimator=foaw-best,window_limit=16", False, True),
+    ):
+        assert paths.fits_a_tick(controller(text), "rp2040") is on_pico, text
+        assert paths.fits_a_tick(controller(text), "mps2") is with_float_unit, text
+    with pytest.raises(ConfigError, match="the cycles of board mps2-an385 are not known"):
+        places_for(X, "device", board="mps2-an385")
 
 
 # --- the listed set ---------------------------------------------------------------------------------------------------
@@ -151,7 +172,9 @@ def test_the_listed_set_keeps_to_what_board_and_link_allow() -> None:
     assert {one.scheme.estimator for one in free} - {one.scheme.estimator for one in on_device} == {"optimal"}
     fast = listed(X, [place(loop="device", rate_maximum=20_000)])
     windowed = {one.scheme.position_rate for one in fast if one.scheme.estimator == "foaw-best"}
-    assert max(windowed) == 5000, "9171 cycles are more than 40 % of a period at 10 kHz"
+    assert max(windowed) == 1000, (
+        "50 623 cycles are more than 40 % of a period at 2 kHz, on a Pico at 200 MHz"
+    )
 
 
 @pytest.mark.usefixtures("small")

@@ -24,7 +24,7 @@ from rig.core.errors import ConfigError, PlanError
 from rig.experiments import excitation_run, live
 from rig.experiments.identify import IdentifyRequest, identify
 from rig.experiments.plan import device_checks, link_checks, make_plan
-from tests.rig.bench.test_doctor_gate import link
+from tests.conformance.made_links import link
 
 RIGID = presets.load("koul-rigid")
 ON_DEVICE = config.override(RIGID, {"controller.loop": "device"})

@@ -32,7 +32,7 @@ from rig.session.run import resume_session, run_session
 from rig.session.runner import RefusedWalls, Wall
 from rig.session.schedule import levels_of
 from rig.session.telling import line_of_event
-from tests.rig.bench.test_doctor_gate import link
+from tests.conformance.made_links import link
 from tests.rig.session.session_fakes import FakeRunner, ScriptedDesk, protocol_of, study
 from tests.system.session_study import PROTOCOL
 
