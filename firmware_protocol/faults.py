@@ -113,7 +113,9 @@ class Fault(Described):
     CURRENT_MISMATCH = (
         14,
         "the measured current is not the one that was set",
-        "check motor leads, amplifier, its supply and the current sensor with its sign and scale; then clear the fault",
+        "check, in this order, rig.amplifier.set_point_delay_s and lag_s against the amplifier, current_quantum_a "
+        "against the steps of its set-point, motor leads, supply, and the current sensor with its sign and scale; "
+        "then clear the fault",
     )
     PROCESSOR_STOPPED = (
         15,

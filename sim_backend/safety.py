@@ -27,7 +27,7 @@ from firmware_protocol.packing import FAULT_ENTRY_BYTES, data_limit, pack_fault_
 from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import BY_NAME
 from rig.control import current as currents
-from rig.control.current import CURRENT, DISAGREES, compare
+from rig.control.current import DISAGREES, compare
 from rig.core.board import current_sensor, moved_mechanics, over_current
 from rig.core.model import RigModel
 from rig.realtime.groups import Floats, Ints
@@ -324,7 +324,7 @@ class Safety:
     def __init__(self, model: RigModel) -> None:
         self.rules, self.heat = flat(np.int64, len(AT)), flat(np.float64, 3)
         self.counts = flat(np.int64, _LONGEST_WINDOW)
-        self.currents = flat(np.int64, len(CURRENT))
+        self.currents = flat(np.int64, currents.WORDS)
         self._model = model
         self.rules[AT.sign], self.rules[AT.peak] = model.encoder.sign, over_current(model)
         self.rules[AT.ticks] = 1

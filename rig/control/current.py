@@ -9,7 +9,9 @@ left out, since it may be a spike of the converter. At the end of each window th
 * below it they agree, where a dead motor would have been above it; otherwise the current was *not observed*.
 
 A lag is known to a factor of two, not better. So the active current passes through half of it and twice of it too, and
-only what lies outside of all three is left.
+only what lies outside of all three is left. The same holds for the delay of the set-point before the lag, which is no
+whole number of ticks: the lowest and the highest active current between half the delay and twice the delay, each in
+whole ticks around it, pass through both lags.
 
 Under voltage drive the back-EMF flows too, behind the same lag. It follows from the count's own speed, smoothed over
 `SPEED_LAG_S`, or single counts would be large currents; what is left between the others is smoothed alike before the
@@ -35,6 +37,7 @@ from rig.realtime.kernel import rule
 
 WINDOW_S = 10e-3
 FEWEST_TICKS = 4
+SLOTS = 33  # of the delay line; where twice the delay is more ticks, each slot holds the extremes of several
 SIGMAS = 4.0
 SHARE = 10  # of the expected current: one in so many
 
@@ -44,19 +47,24 @@ _Places = namedtuple(
     "_Places",
     # settings: shares of a lag in a tick (1/65536), quanta of back-EMF for a count in a tick (1/256), which way it
     # acts; ticks of a window, and the sum in it that is noise; of what a lag's input changes by in a tick, how much
-    # comes late (1/65536); shares of half the lag and of twice the lag
-    "decay speed_decay back_emf sign ticks noise late quick_decay slow_decay "
-    # memory: expected current, back-EMF apart, behind the lag, half of it and twice of it (1/16384 quantum); last
-    # count, how many are known (0, 1 or more)
-    "expected quick slow count known "
+    # comes late (1/65536); shares of half the lag and of twice the lag; ticks of a slot of the delay line, slots that
+    # half the delay, the delay and twice the delay reach back, ticks that twice the delay lasts
+    "decay speed_decay back_emf sign ticks noise late quick_decay slow_decay stride first middle last delayed "
+    # memory: expected current, back-EMF apart, behind the lag; lowest and highest current of all delays behind half the
+    # lag and behind twice the lag (1/16384 quantum); last count, how many are known (0, 1 or more); newest slot of the
+    # delay line, ticks in it, ticks until the active current of each delay is known
+    "expected quick_low quick_high slow_low slow_high count known newest filled awaited "
     # with back-EMF: speed, and behind the lag (1/16384 count a tick); what is left, smoothed and not; expected current,
-    # smoothed; what half the lag and twice the lag differ by from the lag, smoothed
-    "speed moved left before smooth quick_left slow_left "
+    # smoothed; what the four bounds differ by from the expected current, smoothed
+    "speed moved left before smooth quick_low_left quick_high_left slow_low_left slow_high_left "
     # of this window: also what a dead motor would have left; the largest and most of the one before, where they still
     # act
-    "passed difference largest sum most dead last_largest last_most",
+    "passed difference largest sum most dead last_largest last_most "
+    # delay line: lowest and highest active current of each slot (quanta), `SLOTS` of each
+    "lowest highest",
 )
-CURRENT: Any = _Places(*range(len(_Places._fields)))
+CURRENT: Any = _Places(*range(len(_Places._fields) - 1), len(_Places._fields) - 2 + SLOTS)
+WORDS = CURRENT.highest + SLOTS
 
 _HALF = 1 << 15  # of 65536
 _UNIT = 1 << 14
@@ -72,7 +80,7 @@ def configure(words: Ints, sensor: CurrentSensor, rate: int, encoder_sign: int) 
     Parameters
     ----------
     words
-        Memory of `CURRENT`.
+        Memory of `CURRENT`, `WORDS` long.
     sensor
         Of the rig.
     rate
@@ -90,8 +98,22 @@ def configure(words: Ints, sensor: CurrentSensor, rate: int, encoder_sign: int) 
     ticks = words[CURRENT.ticks] = max(FEWEST_TICKS, math.floor(rate * WINDOW_S))
     noise = math.ceil(SIGMAS * sensor.noise * ticks) if sensor.noise >= 0.0 else _UNOBSERVED
     words[CURRENT.noise] = min(noise, _UNOBSERVED)
+    _configure_delay(words, sensor.delay_s * rate)
     _begin_at(words, 0)
     forget(words)
+
+
+def _configure_delay(words: Ints, ticks: float) -> None:
+    """Set up the delay line for a delay in ticks, whole or not, and fill it with no current."""
+    delayed = words[CURRENT.delayed] = math.ceil(2.0 * ticks - 1e-9)
+    stride = words[CURRENT.stride] = max(1, -(-delayed // (SLOTS - 1)))
+    words[CURRENT.first] = math.floor(0.5 * ticks + 1e-9) // stride
+    words[CURRENT.middle] = math.ceil(ticks - 1e-9) // stride
+    words[CURRENT.last] = -(-delayed // stride)
+    words[CURRENT.newest] = 0
+    words[CURRENT.filled] = stride
+    for slot in range(SLOTS):
+        words[CURRENT.lowest + slot] = words[CURRENT.highest + slot] = 0
 
 
 def _share_of(lag_s: float, rate: int) -> int:
@@ -119,7 +141,9 @@ def _begin_window(words: Ints) -> None:
 @rule
 def _begin_at(words: Ints, current: int) -> None:
     """Begin behind each lag with a current (quanta)."""
-    words[CURRENT.expected] = words[CURRENT.quick] = words[CURRENT.slow] = current * _UNIT
+    words[CURRENT.expected] = current * _UNIT
+    words[CURRENT.quick_low] = words[CURRENT.quick_high] = current * _UNIT
+    words[CURRENT.slow_low] = words[CURRENT.slow_high] = current * _UNIT
 
 
 @rule
@@ -129,7 +153,10 @@ def forget(words: Ints) -> None:
     words[CURRENT.last_largest] = words[CURRENT.last_most] = 0
     words[CURRENT.known] = words[CURRENT.speed] = words[CURRENT.moved] = 0
     words[CURRENT.left] = words[CURRENT.before] = words[CURRENT.smooth] = 0
-    words[CURRENT.quick_left] = words[CURRENT.slow_left] = 0
+    words[CURRENT.quick_low_left] = words[CURRENT.quick_high_left] = 0
+    words[CURRENT.slow_low_left] = words[CURRENT.slow_high_left] = 0
+    # The active currents of before are not known, but still on their way; with back-EMF the first count is needed too.
+    words[CURRENT.awaited] = words[CURRENT.delayed] + (1 if words[CURRENT.back_emf] != 0 else 0)
 
 
 @rule
@@ -161,31 +188,39 @@ def compare(words: Ints, count: int, active: int, measured: int) -> int:
     """
     if words[CURRENT.noise] == _UNOBSERVED:
         return 0
-    if words[CURRENT.back_emf] != 0 and not words[CURRENT.known]:
+    _set(words, active)
+    if words[CURRENT.awaited] > 0:
         # These fit together at any speed: what is left follows back-EMF from here on.
         words[CURRENT.count], words[CURRENT.known] = count, 1
+        words[CURRENT.awaited] -= 1
         _begin_at(words, measured)
         return 0
-    flowing = active * _UNIT
-    words[CURRENT.expected] += _part(flowing - words[CURRENT.expected], words[CURRENT.decay])
-    words[CURRENT.quick] += _part(flowing - words[CURRENT.quick], words[CURRENT.quick_decay])
-    words[CURRENT.slow] += _part(flowing - words[CURRENT.slow], words[CURRENT.slow_decay])
-    quick, slow = (
-        words[CURRENT.quick] - words[CURRENT.expected],
-        words[CURRENT.slow] - words[CURRENT.expected],
-    )
-    left, expected = measured * _UNIT - words[CURRENT.expected], words[CURRENT.expected]
+    low, high = _extremes(words)
+    middle = _slot(words, words[CURRENT.middle])
+    flowing = (words[CURRENT.lowest + middle] + words[CURRENT.highest + middle]) * (_UNIT // 2)
+    _follow(words, CURRENT.expected, flowing, words[CURRENT.decay])
+    _follow(words, CURRENT.quick_low, low, words[CURRENT.quick_decay])
+    _follow(words, CURRENT.quick_high, high, words[CURRENT.quick_decay])
+    _follow(words, CURRENT.slow_low, low, words[CURRENT.slow_decay])
+    _follow(words, CURRENT.slow_high, high, words[CURRENT.slow_decay])
+    expected = words[CURRENT.expected]
+    quick_low, quick_high = words[CURRENT.quick_low] - expected, words[CURRENT.quick_high] - expected
+    slow_low, slow_high = words[CURRENT.slow_low] - expected, words[CURRENT.slow_high] - expected
+    left = measured * _UNIT - expected
     words[CURRENT.largest] = max(words[CURRENT.largest], _size(left))
     words[CURRENT.most] = max(words[CURRENT.most], _size(expected))
     if words[CURRENT.back_emf] != 0:
         back_emf = _back_emf(words, count)
         _smooth(words, measured)
         left, expected = words[CURRENT.left] + back_emf, words[CURRENT.smooth] - back_emf
-        words[CURRENT.quick_left] += _part(quick - words[CURRENT.quick_left], words[CURRENT.speed_decay])
-        words[CURRENT.slow_left] += _part(slow - words[CURRENT.slow_left], words[CURRENT.speed_decay])
-        quick, slow = words[CURRENT.quick_left], words[CURRENT.slow_left]
-    words[CURRENT.difference] += _outside(left, quick, slow)
-    words[CURRENT.dead] += _outside(-expected, quick, slow)
+        share = words[CURRENT.speed_decay]
+        quick_low = _follow(words, CURRENT.quick_low_left, quick_low, share)
+        quick_high = _follow(words, CURRENT.quick_high_left, quick_high, share)
+        slow_low = _follow(words, CURRENT.slow_low_left, slow_low, share)
+        slow_high = _follow(words, CURRENT.slow_high_left, slow_high, share)
+    low, high = min(0, quick_low, slow_low), max(0, quick_high, slow_high)
+    words[CURRENT.difference] += _outside(left, low, high)
+    words[CURRENT.dead] += _outside(-expected, low, high)
     words[CURRENT.sum] += _size(expected)
     words[CURRENT.passed] += 1
     if words[CURRENT.passed] < words[CURRENT.ticks]:
@@ -197,6 +232,38 @@ def compare(words: Ints, count: int, active: int, measured: int) -> int:
     if difference > noise and difference * SHARE > total:
         return DISAGREES
     return AGREES if dead > noise and dead * SHARE > total else 0
+
+
+@rule
+def _set(words: Ints, active: int) -> None:
+    """Put the active current of a tick into the delay line."""
+    if words[CURRENT.filled] >= words[CURRENT.stride]:
+        words[CURRENT.filled] = 0
+        words[CURRENT.newest] = words[CURRENT.newest] + 1 if words[CURRENT.newest] + 1 < SLOTS else 0
+    begins, slot = words[CURRENT.filled] == 0, words[CURRENT.newest]
+    words[CURRENT.filled] += 1
+    if begins or active < words[CURRENT.lowest + slot]:
+        words[CURRENT.lowest + slot] = active
+    if begins or active > words[CURRENT.highest + slot]:
+        words[CURRENT.highest + slot] = active
+
+
+@rule
+def _slot(words: Ints, back: int) -> int:
+    """Return the place of the slot that is so many behind the newest."""
+    place = words[CURRENT.newest] - back
+    return int(place if place >= 0 else place + SLOTS)
+
+
+@rule
+def _extremes(words: Ints) -> tuple[int, int]:
+    """Return the lowest and the highest active current that may act now (1/16384 quantum)."""
+    slot = _slot(words, words[CURRENT.first])
+    low, high = words[CURRENT.lowest + slot], words[CURRENT.highest + slot]
+    for _ in range(words[CURRENT.last] - words[CURRENT.first]):
+        slot = slot - 1 if slot > 0 else SLOTS - 1
+        low, high = min(low, words[CURRENT.lowest + slot]), max(high, words[CURRENT.highest + slot])
+    return low * _UNIT, high * _UNIT
 
 
 @rule
@@ -228,9 +295,8 @@ def _smooth(words: Ints, measured: int) -> None:
 
 
 @rule
-def _outside(left: int, quick: int, slow: int) -> int:
-    """How far what is left lies outside of what some lag would have left (quanta)."""
-    low, high = min(0, quick, slow), max(0, quick, slow)
+def _outside(left: int, low: int, high: int) -> int:
+    """How far what is left lies outside of what some delay and lag would have left (quanta)."""
     return _size(left - min(max(left, low), high))
 
 
@@ -245,3 +311,10 @@ def _part(difference: int, share: int) -> int:
     """A share (1/65536) of a difference, towards zero."""
     part = abs(difference) * share // 65536
     return part if difference > 0 else -part
+
+
+@rule
+def _follow(words: Ints, place: int, before: int, share: int) -> int:
+    """Let what is behind a lag go its share of the way to what is before it, and return it."""
+    words[place] += _part(before - words[place], share)
+    return int(words[place])

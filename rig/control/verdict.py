@@ -351,7 +351,8 @@ _TEXTS: dict[Objection, Callable[[np.void, Thresholds], str]] = {
     Objection.MOVED: lambda n, thresholds: f"moved {n['moved']:.3g} above {thresholds.moved:.3g}",
     Objection.CURRENT: lambda n, _: (
         f"the measured current was not the one that was set in {_times(n['current_differs'], 'window')} of 10 ms, and "
-        f"that not the commanded one in {_times(n['other_current_ticks'], 'tick')}: motor leads, amplifier, sensor"
+        f"that not the commanded one in {_times(n['other_current_ticks'], 'tick')}: "
+        "described delay, motor leads, amplifier, sensor"
     ),
     Objection.LEFT: lambda _, __: (
         "the hand left the calm wall before the end and did not come back: ask to stay in it"

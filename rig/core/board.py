@@ -73,13 +73,16 @@ class CurrentSensor:
         Of a measurement and its quantisation, the count's included where there is back-EMF (quanta, rms); negative: the
         current is not measured.
     lag_s
-        Between the current that is set and the one that flows (s).
+        First-order lag between the current that is set and the one that flows (s).
+    delay_s
+        By which the set-point reaches the amplifier late, before the lag (s).
     back_emf
         Current that the back-EMF takes off at a count a second (quanta·s); 0 for a current amplifier.
     """
 
     noise: float
     lag_s: float
+    delay_s: float
     back_emf: float
 
 
@@ -94,7 +97,8 @@ def current_sensor(model: RigModel) -> CurrentSensor:
     comparable = amplifier.current_monitor and model.simulation.computation_delay_ticks == 0
     return CurrentSensor(
         noise=math.hypot(sensor, ROUNDED, ROUNDED * back_emf / SPEED_LAG_S) if comparable else -1.0,
-        lag_s=amplifier.lag_s + amplifier.set_point_delay_s,
+        lag_s=amplifier.lag_s,
+        delay_s=amplifier.set_point_delay_s,
         back_emf=back_emf,
     )
 

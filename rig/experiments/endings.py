@@ -106,8 +106,9 @@ ENDINGS: dict[EndReason, tuple[type[RigError], str, str]] = {
     EndReason.CURRENT_DIFFERS: (
         GuardError,
         "the measured current was not the one that was set, over 10 ms; the effort went to zero",
-        "check motor leads, amplifier, its supply and the current sensor with its sign and scale; rig.amplifier says "
-        "what is expected (current_monitor = false: nothing is measured)",
+        "check, in this order, rig.amplifier.set_point_delay_s and lag_s against the amplifier, current_quantum_a "
+        "against the steps of its set-point, motor leads, supply, and the current sensor with its sign and scale "
+        "(current_monitor = false: nothing is measured)",
     ),
     EndReason.LIMIT_SWITCH: (
         GuardError,

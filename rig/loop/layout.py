@@ -10,7 +10,7 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
-from rig.control.current import CURRENT
+from rig.control.current import WORDS
 from rig.core.sample import ROW
 from rig.realtime import codec
 from rig.realtime.codec import COMMAND, GET_TIME, HEAD, STATE, TIME
@@ -192,7 +192,7 @@ class Buffers(NamedTuple):
             waiting=mail.view(np.float64),
             sets=np.zeros((SETS_KEPT, 2 + SET_FLOATS), np.float64),
             sent=np.full(3 * COMMANDS_KEPT, -1, np.int64),
-            currents=np.zeros(len(CURRENT), np.int64),
+            currents=np.zeros(WORDS, np.int64),
             progress=progress,
         )
 

@@ -29,7 +29,7 @@ _TOLD = {
     "hit too ": AS_IT_IS,
     "pressed too lightly: ": "pressed too lightly: ask for more",  # in numbers it would be effort
     "pressed too hard: ": "pressed too hard: ask for less",
-    "the measured current ": "the motor's current was not the one that was set: motor leads, amplifier, sensor",
+    "the measured current ": "the motor's current was not the one that was set: delay, motor leads, amplifier, sensor",
     "saturated ": RIG_LIMIT,
     "the slew limit ": RIG_LIMIT,
 }

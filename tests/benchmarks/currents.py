@@ -1,12 +1,14 @@
 """False alarms and power of the comparison of measured and active current (`rig.control.current`).
 
-    python -m tests.benchmarks.currents                # the table; tens of minutes
+    python -m tests.benchmarks.currents                # the table; about an hour
+    python -m tests.benchmarks.currents --preset hapkit --noise 0.003
     python -m tests.benchmarks.currents --trials 2     # fewer of each case
 
 Each trial is a hit in virtual time over the byte link, with the device's own check and the loop's. Walls are taken from
 well below the preset's own up to far beyond what it holds: what oscillates, saturates or bounces must not alarm.
 A **false alarm** is a sound motor of which device or host say that its current is not the one that was set. The device
-may believe another lag than the rig has.
+may have another lag and another delay of the set-point in its description than the rig has. The delay is that of an
+amplifier profile, or 1 ms; the simulated rig has it in whole ticks, rounded up.
 A motor that breaks, at a random tick of the trial proper, can be **seen** once the current differs by more than the
 rule's threshold for 20 ms, whatever windows of 10 ms are taken, without the largest difference of each (a spike?) and
 outside of what the rule's three lags leave. **Power** is the share of those that could be seen and ended the
@@ -22,6 +24,7 @@ from __future__ import annotations
 
 import argparse
 import itertools
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
@@ -34,7 +37,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from firmware_protocol.faults import Fault
 from rig import config
-from rig.config import presets
+from rig.config import amplifiers, presets
 from rig.control.current import SHARE, SIGMAS, WINDOW_S
 from rig.core.board import SPEED_LAG_S, current_sensor
 from rig.core.errors import RigError
@@ -49,8 +52,13 @@ from tests.conformance.trials import trial_on
 
 NOISES = (0.0, 0.003, 0.01)  # of the peak current
 STIFFNESS = (0.2, 1.0, 3.0)  # of the preset's own
-BELIEVED_LAGS = (0.5, 0.7, 1.0, 1.4, 2.0)
-RATES = {"own": {}, "1 kHz": {"controller.position_rate": 1_000, "controller.velocity_rate": 1_000}}
+SHARES = (0.5, 0.7, 1.0, 1.4, 2.0)
+RATES = {
+    "own": {},
+    "1 kHz": {"controller.position_rate": 1_000, "controller.velocity_rate": 1_000},
+    "4 kHz": {"controller.position_rate": 4_000, "controller.velocity_rate": 4_000},
+}
+DELAYS_S = (*sorted({amplifiers.load(name).set_point_delay_s for name in amplifiers.names()}), 1e-3)
 DRIVES = ("current", "voltage")
 ALARMS = (
     Fault.CURRENT_MISMATCH.text,
@@ -74,6 +82,7 @@ class Case:
     drive: str
     rate: str
     noise: float
+    delay_s: float
 
     def experiment(self, stiffness: float) -> Any:
         """The hit, against a wall of a share of the preset's own stiffness."""
@@ -88,6 +97,7 @@ class Case:
                 "wall.stiffness": stiffness * x.wall.stiffness,
                 "rig.amplifier.drive": self.drive,
                 "rig.amplifier.current_noise_a": self.noise * peak_a,
+                "rig.amplifier.set_point_delay_s": self.delay_s,
                 **RATES[self.rate],
             },
         )
@@ -104,14 +114,17 @@ class Found:
     trial: range  # ticks of the trial proper
 
 
-def trial(experiment: Any, believed_lag: float, seed: int, broken: dict[str, float] | None, at: int) -> Found:
-    """Run one hit; `at` is the tick in which the motor breaks."""
+def trial(experiment: Any, share: float, seed: int, broken: dict[str, float] | None, at: int) -> Found:
+    """Run one hit; `share` of its lag and delay is described, and `at` is the tick in which the motor breaks."""
     model = config.rig_model(experiment)
     device = SimulatedDevice(model, seed=seed, initial_position=model.simulation.initial_position or 0.0)
-    believed: RigModel = replace(
-        model, amplifier=replace(model.amplifier, lag_s=believed_lag * model.amplifier.lag_s)
+    amplifier = model.amplifier
+    device._safety._model = replace(
+        model,
+        amplifier=replace(
+            amplifier, lag_s=share * amplifier.lag_s, set_point_delay_s=share * amplifier.set_point_delay_s
+        ),
     )
-    device._safety._model = believed
 
     def act(device: Any) -> None:
         for name, value in (broken or {}).items():
@@ -162,12 +175,19 @@ def seen_for(rows: Any, model: RigModel, rate: int, broken: dict[str, float], at
         len(active) < 2 * ticks
     ):  # too short to know; if it is an alarm that ended it, this is how long it took at most
         return len(active) / rate
-    left = (1.0 - gain * drive) * active - (1.0 - gain) * back_emf
-    expected = smoothed(active - back_emf)
+    acting = np.pad(active, (model.amplifier.set_point_ticks(1.0 / rate), 0))[: len(active)]
+    left = (1.0 - gain * drive) * acting - (1.0 - gain) * back_emf
+    expected = smoothed(acting - back_emf)
     reach = ticks if sensor.back_emf == 0.0 else 2 * ticks  # a smoothed spike acts in the next window, too
     spike = sliding_window_view(np.pad(np.abs(left), (reach - ticks, 0)), reach).max(axis=1)
-    flowing = behind(active, sensor.lag_s)
-    lags = [smoothed(behind(active, f * sensor.lag_s) - flowing) for f in (1.0, 0.5, 2.0)]
+    quick, slow = math.floor(0.5 * sensor.delay_s * rate), math.ceil(2.0 * sensor.delay_s * rate - 1e-9)
+    late = sliding_window_view(np.pad(active, (slow, 0)), slow + 1)[:, : slow - quick + 1]
+    flowing = behind(acting, sensor.lag_s)
+    lags = [
+        smoothed(behind(extreme, f * sensor.lag_s) - flowing)
+        for f in (1.0, 0.5, 2.0)
+        for extreme in (late.min(axis=1), late.max(axis=1))
+    ]
     left = smoothed(left)
     outside = left - np.clip(left, np.min(lags, axis=0), np.max(lags, axis=0))
     difference = over_window(outside) - spike / ticks
@@ -178,12 +198,14 @@ def seen_for(rows: Any, model: RigModel, rate: int, broken: dict[str, float], at
 
 def cases() -> Iterator[Case]:
     """All that differ: without back-EMF a drive is like the other, and a rate may be the preset's own."""
-    for preset, drive, rate, noise in itertools.product(presets.names(), DRIVES, RATES, NOISES):
+    for preset, drive, rate, noise, delay_s in itertools.product(
+        presets.names(), DRIVES, RATES, NOISES, DELAYS_S
+    ):
         x = presets.load(preset)
         same_drive = drive == "voltage" and x.rig.amplifier.back_emf_damping == 0.0
         same_rate = rate != "own" and RATES[rate]["controller.position_rate"] == x.controller.position_rate
         if not same_drive and not same_rate:
-            yield Case(preset, drive, rate, noise)
+            yield Case(preset, drive, rate, noise, delay_s)
 
 
 def line(case: Case, trials: int) -> str:
@@ -195,7 +217,7 @@ def line(case: Case, trials: int) -> str:
             for seed in range(max(1, trials // 3))
             for stiffness in STIFFNESS
         ]
-        for lag in BELIEVED_LAGS
+        for lag in SHARES
     }
     sound = [one for found in by_lag.values() for one in found]
     proper = trial(case.experiment(1.0), 1.0, 0, None, 0).trial
@@ -213,7 +235,7 @@ def line(case: Case, trials: int) -> str:
     alarms = ", ".join(f"{sum(one.alarm for one in found)} of {len(found)}" for found in by_lag.values())
     unseen = np.mean([not one.observed for one in sound])
     columns = (
-        f"{case.preset}, {case.drive}, {case.rate}, {100 * case.noise:g} %",
+        f"{case.preset}, {case.drive}, {case.rate}, {100 * case.noise:g} %, {1e6 * case.delay_s:g} µs",
         alarms,
         *shares,
         f"{1e3 * slowest:.0f} ms",
@@ -228,9 +250,11 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--trials", type=int, default=5, help="of each broken motor in a line")
-    trials = parser.parse_args().trials
+    parser.add_argument("--preset", action="append", choices=presets.names(), help="default: all")
+    parser.add_argument("--noise", action="append", type=float, choices=NOISES, help="default: all")
+    options = parser.parse_args()
     heads = (
-        "preset, drive, rate, noise",
+        "preset, drive, rate, noise, delay",
         "false alarms",
         *BROKEN,
         "slowest",
@@ -240,7 +264,8 @@ def main() -> None:
     )
     print(f"| {' | '.join(heads)} |\n|{'---|' * len(heads)}")
     for case in cases():
-        print(line(case, trials), flush=True)
+        if case.preset in (options.preset or presets.names()) and case.noise in (options.noise or NOISES):
+            print(line(case, options.trials), flush=True)
 
 
 if __name__ == "__main__":

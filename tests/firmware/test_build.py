@@ -63,7 +63,8 @@ int main(void)
            b->encoder_sign, b->over_current);
     printf("%a %a %a %a %a %a %a\n", m->effort_quantum, m->effort_limit, m->friction, m->travel, m->inertia, m->damping,
            m->lag_s);
-    printf("%a %a %a\n", b->current_sensor.noise, b->current_sensor.lag_s, b->current_sensor.back_emf);
+    printf("%a %a %a %a\n", b->current_sensor.noise, b->current_sensor.lag_s, b->current_sensor.delay_s,
+           b->current_sensor.back_emf);
     for (size_t i = 0; i < b->narrower_count; i++)
         printf("%u %u %u\n", b->narrower[i].parameter, b->narrower[i].minimum, b->narrower[i].maximum);
     for (size_t i = 0; i < b->dictionary_bytes; i++)

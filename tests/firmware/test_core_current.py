@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -12,17 +13,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rig.control import current
-from rig.control.current import CURRENT, DISAGREES
+from rig.control.current import CURRENT, DISAGREES, SLOTS, WORDS
 from rig.core.board import CurrentSensor
+from rig.realtime import c_board as board
 from tests.firmware.build import CORE, FIRMWARE, UNDEFINED, compile_c
 
 CONFIGURE = """
 #include "current.h"
 
-void configure(struct current_check *check, double noise, double lag_s, double back_emf, int sign, uint32_t rate);
-void configure(struct current_check *check, double noise, double lag_s, double back_emf, int sign, uint32_t rate)
+void configure(struct current_check *check, const struct current_sensor *sensor, int sign, uint32_t rate);
+void configure(struct current_check *check, const struct current_sensor *sensor, int sign, uint32_t rate)
 {
-    const struct board board = {.encoder_sign = (int8_t)sign, .current_sensor = {noise, lag_s, back_emf}};
+    const struct board board = {.encoder_sign = (int8_t)sign, .current_sensor = *sensor};
     current_configure(check, &board, rate);
 }
 """
@@ -39,15 +41,24 @@ class Check(ctypes.Structure):
         ("sign", ctypes.c_int8),
         ("ticks", ctypes.c_uint16),
         ("noise", ctypes.c_uint32),
-        *((name, ctypes.c_int32) for name in ("expected", "quick", "slow", "count")),
-        ("known", ctypes.c_uint8),
+        *((name, ctypes.c_uint16) for name in ("stride", "first", "middle", "last", "delayed")),
         *(
             (name, ctypes.c_int32)
-            for name in ("speed", "moved", "left", "before", "smooth", "quick_left", "slow_left")
+            for name in ("expected", "quick_low", "quick_high", "slow_low", "slow_high", "count")
+        ),
+        ("known", ctypes.c_uint8),
+        *((name, ctypes.c_uint16) for name in ("newest", "filled", "awaited")),
+        *(
+            (name, ctypes.c_int32)
+            for name in (
+                *("speed", "moved", "left", "before", "smooth"),
+                *("quick_low_left", "quick_high_left", "slow_low_left", "slow_high_left"),
+            )
         ),
         ("passed", ctypes.c_uint16),
         *((name, ctypes.c_uint32) for name in ("difference", "largest", "sum", "last_largest")),
         *((name, ctypes.c_int32) for name in ("zero", "largest_zero")),
+        *((name, ctypes.c_int16 * SLOTS) for name in ("lowest", "highest")),
     ]
 
 
@@ -59,7 +70,7 @@ def rule(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
     parts = [path for path in CORE if path.name in ("current.c", "wide.c")]
     flags = ["-fPIC", "-shared", f"-I{FIRMWARE / 'core'}", f"-I{FIRMWARE}", *UNDEFINED]
     library = ctypes.CDLL(str(compile_c(directory / "current.so", [source, *parts], flags)))
-    library.configure.argtypes = [ctypes.c_void_p, *[ctypes.c_double] * 3, ctypes.c_int, ctypes.c_uint32]
+    library.configure.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int, ctypes.c_uint32]
     library.current_disagrees.argtypes = [ctypes.c_void_p, ctypes.c_int32, ctypes.c_int16, ctypes.c_int16]
     library.current_disagrees.restype = ctypes.c_bool
     return library
@@ -68,7 +79,8 @@ def rule(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
 currents = st.integers(-32_767, 32_767)
 
 
-HOST = {"most", "last_most", "dead"}  # what tells an agreement: the device has no such answer
+LINE = ("lowest", "highest")
+HOST = {*LINE, "most", "last_most", "dead"}  # what tells an agreement: the device has no such answer
 
 
 @settings(deadline=None, max_examples=200)
@@ -76,6 +88,7 @@ HOST = {"most", "last_most", "dead"}  # what tells an agreement: the device has 
     st.sampled_from([50, 99, 1_000, 7_777, 20_000, 50_000]),
     st.sampled_from([-1.0, 0.0, 0.41, 30.0]),
     st.sampled_from([0.0, 1e-5, 1.09e-4, 1e-2]),
+    st.sampled_from([0.0, 3e-5, 2.5e-4, 9.9e-3]),
     st.sampled_from([0.0, 1e-4, 0.017, 3.0, 1e6]),
     st.sampled_from([1, -1]),
     st.lists(
@@ -88,16 +101,18 @@ def test_both_remember_the_same(
     rate: int,
     noise: float,
     lag_s: float,
+    delay_s: float,
     back_emf: float,
     sign: int,
     motions: list[tuple[int, int, int]],
     each: int,
 ) -> None:
     """A count anywhere, and currents of any size, each for some ticks."""
-    words = memoryview(np.zeros(len(CURRENT), np.int64))
+    words = memoryview(np.zeros(WORDS, np.int64))
     check = Check()
-    current.configure(words, CurrentSensor(noise=noise, lag_s=lag_s, back_emf=back_emf), rate, sign)
-    rule.configure(ctypes.byref(check), noise, lag_s, back_emf, sign, rate)
+    sensor = CurrentSensor(noise=noise, lag_s=lag_s, delay_s=delay_s, back_emf=back_emf)
+    current.configure(words, sensor, rate, sign)
+    rule.configure(ctypes.byref(check), ctypes.byref(board.CurrentSensor(**asdict(sensor))), sign, rate)
     for count, active, measured in motions:
         for tick in range(each):
             here = max(-(2**31), count - 3 * tick)
@@ -106,3 +121,6 @@ def test_both_remember_the_same(
             assert {name: getattr(check, name) for name in CURRENT._fields if name not in HOST} == {
                 name: words[place] for name, place in CURRENT._asdict().items() if name not in HOST
             }
+            for name in LINE:
+                place = getattr(CURRENT, name)
+                assert list(getattr(check, name)) == list(words[place : place + SLOTS])

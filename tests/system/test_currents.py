@@ -20,7 +20,7 @@ from rig.control.current import CURRENT
 from rig.control.verdict import Kind
 from rig.core.board import over_current
 from rig.core.errors import DeviceFaultError, GuardError, RigError
-from rig.core.sample import RowFlag
+from rig.core.sample import Phase, RowFlag
 from rig.devices.fault_script import Faults, Happening
 from rig.devices.framed import FramedDevice
 from rig.experiments.judgement import judge
@@ -125,6 +125,29 @@ def test_a_sound_voltage_driven_motor_is_not_accused_however_it_is_shaken(
     assert np.abs(rows["velocity"]).max() > 4.0
     assert not (rows["flags"] & RowFlag.CURRENT_DIFFERS).any()
     assert np.count_nonzero(rows["flags"] & RowFlag.CURRENT_FOLLOWS) > 20
+
+
+# 1 kHz is where a part of a tick is the whole of it for the simulation.
+@pytest.mark.parametrize(
+    ("make", "loop"), [(SimulatedDevice, "host"), (FirmwareDevice, "host"), (FirmwareDevice, "device")]
+)
+@pytest.mark.parametrize(
+    ("rate", "delay_s"), [(1_000, 1e-4), (1_000, 1e-3), (4_000, 3e-4), (10_000, 2.5e-4), (10_000, 3e-5)]
+)
+def test_a_set_point_that_is_late_is_expected_late_at_every_rate(
+    rate: int, delay_s: float, make: Any, loop: str, tmp_path: Path
+) -> None:
+    changes = {
+        "controller.position_rate": rate,
+        "rig.amplifier.set_point_delay_s": delay_s,
+        "wall.stiffness": 20.0,
+        "wall.damping": 0.05,
+    }
+    _, recording, error = trial(tmp_path, make, loop, **changes)
+    assert error is None
+    proper = recording.rows["flags"][recording.rows["phase"] == Phase.TRIAL]
+    assert not (proper & RowFlag.CURRENT_DIFFERS).any()
+    assert np.count_nonzero(proper & RowFlag.CURRENT_FOLLOWS) >= 10  # of 20 windows
 
 
 # Of the firmware drive and loop each once: the device compares, whoever commands.

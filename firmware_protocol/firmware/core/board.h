@@ -27,6 +27,7 @@ struct mechanics {
 struct current_sensor {
     double noise;    /* of a measurement and its quantisation, the count's with back-EMF (quanta, rms); negative: none */
     double lag_s;    /* between the current that is set and the one that flows */
+    double delay_s;  /* of the set-point, before the lag */
     double back_emf; /* current that it takes off at a count a second (quanta·s); 0 for a current amplifier */
 };
 

@@ -1,7 +1,8 @@
 /* The active current passes through the amplifier's lag. What is left between that and the measured current is added up
  * over a window, by magnitude, so that neither an oscillation nor noise averages it away, all but the largest, which may
- * be a spike of the converter. Half the lag and twice the lag are looked at too, and what lies between the three is no
- * difference. The sum is compared with the larger of the sensor's noise and a tenth of the expected current. Under voltage drive the back-EMF flows too,
+ * be a spike of the converter. Half the lag and twice the lag are looked at too, and half the set-point's delay and twice
+ * of it, in whole ticks around each; what lies between all of these is no difference. The sum is compared with the larger
+ * of the sensor's noise and a tenth of the expected current. Under voltage drive the back-EMF flows too,
  * behind the same lag: it follows from the count's own speed, smoothed, and what is left between the others is smoothed
  * alike, so that a spike lasts into the next window. The host has the same rule (rig/control/current.py), bit by bit. */
 #include "current.h"
@@ -49,13 +50,14 @@ static uint32_t apart(int32_t a, int32_t b)
     return (size + UNIT / 2u) / UNIT;
 }
 
-/* How far what is left lies outside of what some lag would have left. */
-static uint32_t outside(int32_t left, int32_t quick, int32_t slow)
+static int32_t least(int32_t a, int32_t b)
 {
-    int32_t low = quick < slow ? quick : slow, high = quick < slow ? slow : quick;
-    low = low < 0 ? low : 0;
-    high = high > 0 ? high : 0;
-    return left > high ? apart(left, high) : left < low ? apart(left, low) : 0;
+    return a < b ? a : b;
+}
+
+static int32_t most(int32_t a, int32_t b)
+{
+    return a > b ? a : b;
 }
 
 /* To the nearest whole number, halves away from zero. */
@@ -68,7 +70,23 @@ static int32_t whole(int32_t value, int32_t unit)
 /* Begin behind each lag with a current. */
 static void begin_at(struct current_check *check, int16_t current)
 {
-    check->expected = check->quick = check->slow = current * UNIT;
+    check->expected = check->quick_low = check->quick_high = check->slow_low = check->slow_high = current * UNIT;
+}
+
+/* Set up the delay line for a delay in ticks, whole or not, and fill it with no current. */
+static void configure_delay(struct current_check *check, double ticks)
+{
+    const uint32_t delayed = (uint32_t)ceil(2.0 * ticks - 1e-9), slots = CURRENT_SLOTS - 1u;
+    const uint32_t needed = (delayed + slots - 1u) / slots, stride = needed > 1u ? needed : 1u;
+    check->delayed = (uint16_t)delayed;
+    check->stride = (uint16_t)stride;
+    check->first = (uint16_t)((uint32_t)floor(0.5 * ticks + 1e-9) / stride);
+    check->middle = (uint16_t)((uint32_t)ceil(ticks - 1e-9) / stride);
+    check->last = (uint16_t)((delayed + stride - 1u) / stride);
+    check->newest = 0;
+    check->filled = (uint16_t)stride;
+    for (uint32_t slot = 0; slot < CURRENT_SLOTS; slot++)
+        check->lowest[slot] = check->highest[slot] = 0;
 }
 
 void current_configure(struct current_check *check, const struct board *board, uint32_t rate)
@@ -87,6 +105,7 @@ void current_configure(struct current_check *check, const struct board *board, u
     const double noise = ceil(SIGMAS * sensor->noise * check->ticks);
     check->noise = sensor->noise >= 0.0 && noise < (double)UINT32_MAX ? (uint32_t)noise : UINT32_MAX;
     check->largest_zero = board->over_current * ZERO_UNIT / ZERO_SHARE;
+    configure_delay(check, sensor->delay_s * rate);
     begin_at(check, 0);
     current_forget(check);
 }
@@ -106,7 +125,9 @@ void current_forget(struct current_check *check)
     check->last_largest = 0;
     check->known = 0;
     check->speed = check->moved = check->left = check->before = check->smooth = 0;
-    check->quick_left = check->slow_left = 0;
+    check->quick_low_left = check->quick_high_left = check->slow_low_left = check->slow_high_left = 0;
+    /* The active currents of before are not known, but still on their way; with back-EMF the first count is needed too. */
+    check->awaited = (uint16_t)(check->delayed + (check->back_emf != 0 ? 1u : 0u));
 }
 
 static int32_t clipped(int32_t value, int32_t most)
@@ -164,22 +185,65 @@ static void smooth(struct current_check *check, int16_t measured)
     follow(&check->smooth, check->expected, check->speed_decay);
 }
 
+/* Put the active current of a tick into the delay line. */
+static void set(struct current_check *check, int16_t active)
+{
+    if (check->filled >= check->stride) {
+        check->filled = 0;
+        check->newest = check->newest + 1u < CURRENT_SLOTS ? (uint16_t)(check->newest + 1u) : 0;
+    }
+    int16_t *lowest = &check->lowest[check->newest], *highest = &check->highest[check->newest];
+    const bool begins = check->filled++ == 0;
+    if (begins || active < *lowest)
+        *lowest = active;
+    if (begins || active > *highest)
+        *highest = active;
+}
+
+/* The slot that is so many behind the newest. */
+static uint32_t slot(const struct current_check *check, uint32_t back)
+{
+    return check->newest >= back ? check->newest - back : check->newest + CURRENT_SLOTS - back;
+}
+
+/* Lowest and highest active current that may act now. */
+static void extremes(const struct current_check *check, int32_t *low, int32_t *high)
+{
+    uint32_t at = slot(check, check->first);
+    *low = check->lowest[at];
+    *high = check->highest[at];
+    for (uint32_t left = check->last - check->first; left > 0; left--) {
+        at = at > 0 ? at - 1u : CURRENT_SLOTS - 1u;
+        *low = least(*low, check->lowest[at]);
+        *high = most(*high, check->highest[at]);
+    }
+    *low *= UNIT;
+    *high *= UNIT;
+}
+
 bool current_disagrees(struct current_check *check, int32_t count, int16_t active, int16_t measured)
 {
     if (check->noise == UINT32_MAX)
         return false;
-    if (check->back_emf != 0 && check->known == 0) {
+    set(check, active);
+    if (check->awaited > 0) {
         /* These fit together at any speed: what is left follows back-EMF from here on. */
         check->count = count;
         check->known = 1;
+        check->awaited--;
         begin_at(check, measured);
         return false;
     }
-    follow(&check->expected, active * UNIT, check->decay);
-    follow(&check->quick, active * UNIT, check->quick_decay);
-    follow(&check->slow, active * UNIT, check->slow_decay);
-    int32_t quick = check->quick - check->expected, slow = check->slow - check->expected;
-    int32_t expected = check->expected, left = measured * UNIT - expected;
+    int32_t low, high;
+    extremes(check, &low, &high);
+    const uint32_t middle = slot(check, check->middle);
+    int32_t expected =
+        follow(&check->expected, (check->lowest[middle] + check->highest[middle]) * (UNIT / 2), check->decay);
+    int32_t quick_low = follow(&check->quick_low, low, check->quick_decay) - expected;
+    int32_t quick_high = follow(&check->quick_high, high, check->quick_decay) - expected;
+    int32_t slow_low = follow(&check->slow_low, low, check->slow_decay) - expected;
+    int32_t slow_high = follow(&check->slow_high, high, check->slow_decay) - expected;
+    int32_t left = measured * UNIT - expected;
     const uint32_t here = apart(left, 0);
     check->largest = here > check->largest ? here : check->largest;
     if (check->back_emf != 0) {
@@ -187,10 +251,14 @@ bool current_disagrees(struct current_check *check, int32_t count, int16_t activ
         smooth(check, measured);
         left = check->left + moving;
         expected = check->smooth - moving;
-        quick = follow(&check->quick_left, quick, check->speed_decay);
-        slow = follow(&check->slow_left, slow, check->speed_decay);
+        quick_low = follow(&check->quick_low_left, quick_low, check->speed_decay);
+        quick_high = follow(&check->quick_high_left, quick_high, check->speed_decay);
+        slow_low = follow(&check->slow_low_left, slow_low, check->speed_decay);
+        slow_high = follow(&check->slow_high_left, slow_high, check->speed_decay);
     }
-    check->difference += outside(left, quick, slow);
+    low = least(0, least(quick_low, slow_low));
+    high = most(0, most(quick_high, slow_high));
+    check->difference += apart(left, most(least(left, high), low));
     check->sum += apart(expected, 0);
     if (++check->passed < check->ticks)
         return false;

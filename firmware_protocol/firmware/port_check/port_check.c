@@ -163,12 +163,18 @@ static uint32_t law_maximum(void)
     return hr_parameters[HR_PARAMETER_LAW].maximum;
 }
 
+/* Until a current that is set flows: delay and lag (s). */
+static double late_s(void)
+{
+    return check.board->current_sensor.delay_s + check.board->current_sensor.lag_s;
+}
+
 static bool tell_board(void)
 {
     const struct current_sensor *sensor = &check.board->current_sensor;
     const bool senses = sensor->noise >= 0.0;
     return ANSWER(check.board->rate_initial, rate_maximum(), law_maximum(), senses,
-                  senses ? (uint32_t)(sensor->lag_s * UNITS_PER_SECOND) : 0u,
+                  senses ? (uint32_t)(late_s() * UNITS_PER_SECOND) : 0u,
                   senses ? (uint32_t)(sensor->noise * 1000.0) : 0u, check.hal->enter_bootloader != NULL, check.was_reset,
                   check.stopped_at, check.board->over_current);
 }
@@ -274,7 +280,7 @@ static int32_t measured(void)
 
 static uint64_t settling(void)
 {
-    const double lag = check.board->current_sensor.lag_s;
+    const double lag = late_s();
     return UNITS_PER_MS + (uint64_t)((lag < 1e-3 ? 8.0 * lag : 8e-3) * UNITS_PER_SECOND);
 }
 

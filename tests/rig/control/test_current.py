@@ -10,25 +10,32 @@ from numba import types
 from scipy.signal import lfilter
 
 from rig.control import current
-from rig.control.current import AGREES, CURRENT, DISAGREES, FEWEST_TICKS, compare
+from rig.control.current import AGREES, CURRENT, DISAGREES, FEWEST_TICKS, WORDS, compare
 from rig.core.board import ROUNDED, SPEED_LAG_S, CurrentSensor
 from rig.realtime.kernel import kernel
 
-WORDS = types.int64[::1]
+INTS = types.int64[::1]
 
 RATES = (100, 1_000, 4_000, 20_000, 50_000)
 LAGS_S = (0.0, 1.0e-4, 1.09e-4, 1e-3)
 
 
 def watched(
-    rate: int, *, noise: float = 1.0, lag_s: float = 0.0, back_emf: float = 0.0, sign: int = 1
+    rate: int,
+    *,
+    noise: float = 1.0,
+    lag_s: float = 0.0,
+    delay_s: float = 0.0,
+    back_emf: float = 0.0,
+    sign: int = 1,
 ) -> Any:
-    words = memoryview(np.zeros(len(CURRENT), np.int64))
-    current.configure(words, CurrentSensor(noise=noise, lag_s=lag_s, back_emf=back_emf), rate, sign)
+    words = memoryview(np.zeros(WORDS, np.int64))
+    sensor = CurrentSensor(noise=noise, lag_s=lag_s, delay_s=delay_s, back_emf=back_emf)
+    current.configure(words, sensor, rate, sign)
     return words
 
 
-@kernel(types.void(WORDS, WORDS, WORDS, WORDS, WORDS))
+@kernel(types.void(INTS, INTS, INTS, INTS, INTS))
 def run(words: Any, counts: Any, active: Any, measured: Any, said: Any) -> None:
     """Take many ticks."""
     for i in range(len(said)):
@@ -88,6 +95,47 @@ def test_a_lag_from_half_to_twice_the_models_never_disagrees(
     measured = lagged(active, rate, share * lag_s)
     said = answers(watched(rate, noise=float(np.sqrt(2 / 12)), lag_s=lag_s), active, measured)
     assert DISAGREES not in said
+
+
+def delayed(active: Any, rate: int, delay_s: float, lag_s: float) -> Any:
+    """The exact current of set-points that act a whole or fractional number of ticks late, as a converter rounds it."""
+    fine = 16  # parts of a tick
+    parts = round(delay_s * rate * fine)
+    acting = np.concatenate([np.zeros(parts), np.repeat(active, fine)])[: fine * len(active)]
+    share = 1.0 if lag_s == 0.0 else -np.expm1(-1.0 / (fine * rate * lag_s))
+    return np.floor(lfilter([share], [1.0, share - 1.0], acting)[fine - 1 :: fine] + 0.5)
+
+
+@pytest.mark.parametrize("rate", RATES)
+@pytest.mark.parametrize("lag_s", LAGS_S)
+@pytest.mark.parametrize("delay_s", [2e-5, 1e-4, 2.5e-4, 7e-4, 1e-3, 9.5e-3])
+@pytest.mark.parametrize("share", ["half", "as stated", "whole ticks", "twice"])
+def test_a_set_point_that_is_late_never_disagrees_and_a_dead_motor_does(
+    rate: int, lag_s: float, delay_s: float, share: str
+) -> None:
+    """In fractions of a tick, in whole ticks as the simulation has it, and where it is half or twice the stated one."""
+    whole = np.ceil(delay_s * rate - 1e-9) / rate
+    late_s = {"half": 0.5 * delay_s, "as stated": delay_s, "whole ticks": whole, "twice": 2.0 * delay_s}[
+        share
+    ]
+    sensor = {"noise": ROUNDED, "lag_s": lag_s, "delay_s": delay_s}
+    for seed in range(5):
+        active = commands(rate, seed)
+        flowing = delayed(active, rate, late_s, lag_s)
+        assert DISAGREES not in answers(watched(rate, **sensor), active, flowing)
+    steady = np.full(max(200, rate // 10), 500)
+    assert set(answers(watched(rate, **sensor), steady, delayed(steady, rate, late_s, lag_s))) <= {AGREES}
+    assert DISAGREES in answers(watched(rate, **sensor), steady, 0 * steady)
+    assert DISAGREES in answers(watched(rate, **sensor), steady, -steady)
+
+
+def test_currents_on_their_way_when_samples_were_lost_are_not_compared() -> None:
+    """At 1 kHz, 3 ms late: what was set before the gap flows for up to 6 ms after it."""
+    words = watched(1_000, delay_s=3e-3)
+    current.resume(words, 0)
+    active, before = np.full(200, 900), np.full(3, -800)
+    flowing = np.concatenate([before, active])[: len(active)]
+    assert set(answers(words, active, flowing)) == {AGREES}
 
 
 @given(
