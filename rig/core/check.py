@@ -39,6 +39,8 @@ class Check:
         Why it matters, where a reader may not know.
     numbers
         What was measured; names end in their unit.
+    changes
+        New values by dotted key with which this check holds, where they can be computed.
     """
 
     name: str
@@ -47,6 +49,7 @@ class Check:
     remedy: str = ""
     why: str = ""
     numbers: Mapping[str, float] = field(default_factory=dict)
+    changes: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def sentence(self) -> str:
