@@ -118,8 +118,14 @@ class Hardware:
         self.measured = 0
 
     def set_rate(self, rate: int) -> None:
-        """Tick at another rate (Hz) from here on; the motion continues. Raises `ConfigError` and changes nothing."""
+        """Tick at another rate (Hz) from here on; the motion continues. Raises `ConfigError` and changes nothing.
+
+        A set-point's delay is another number of ticks then. No current is on its way: rates change on a device at rest.
+        """
         self._plant = DiscretePlant.build(self._model, 1.0 / rate)
+        self._state = np.concatenate(
+            [self._state[: self._plant.commands.start], np.zeros(self._plant.delay_ticks)]
+        )
         self._let_move()
         self._script = Script.silent()  # of other ticks; the person at the handle stays
         self._hand_driven = False
@@ -257,7 +263,7 @@ class Hardware:
 
     def new_truth(self) -> TruthLog:
         """Return an empty log for this plant's states."""
-        return TruthLog(self._plant, self._state)
+        return TruthLog(self._plant)
 
     def log(self, truth: TruthLog, sample_index: int) -> None:
         """Write the present state into a log."""

@@ -185,7 +185,7 @@ def run_ticks(
         if kept and words[SESSION] != 0:
             row = places[TRUTH_ROWS]
             indices[row] = words[SAMPLE_INDEX]
-            for i in range(len(state)):
+            for i in range(supplies.states.shape[1]):
                 supplies.states[row, i] = state[i]
             places[TRUTH_ROWS] = row + 1
         if waiting >= enough:

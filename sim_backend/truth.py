@@ -13,19 +13,19 @@ _FIRST_ROWS = 4096
 
 
 class TruthLog:
-    """States of a plant by sample index; the buffers double when they are full."""
+    """States of a plant by sample index, without the commands on their way; the buffers double when they are full."""
 
-    def __init__(self, plant: DiscretePlant, state: Vector) -> None:
+    def __init__(self, plant: DiscretePlant) -> None:
         self._plant = plant
         self._size = 0
         self._indices = np.zeros(_FIRST_ROWS, np.int64)
-        self._states = np.zeros((_FIRST_ROWS, len(state)))
+        self._states = np.zeros((_FIRST_ROWS, plant.commands.start))
 
     def add(self, sample_index: int, state: Vector) -> None:
         """Copy one state."""
         indices, states, row = self.room()
         indices[row] = sample_index
-        states[row] = state
+        states[row] = state[: states.shape[1]]
         self._size = row + 1
 
     def room(self) -> tuple[NDArray[np.int64], NDArray[np.float64], int]:
