@@ -17,6 +17,7 @@ from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import BY_NAME
 from rig.config import device_law
 from rig.config.derive import free_s, motor_push, push_s, rig_model, verdict_thresholds
+from rig.config.homing import home_tolerance
 from rig.config.sections import Experiment
 from rig.control import cogging, estimators, friction, laws
 from rig.control.law import Law
@@ -125,7 +126,7 @@ def for_experiment(
         "home_stiffness": homing.stiffness,
         "home_damping": homing.damping,
         "home_effort": homing.effort,
-        "home_tolerance": homing.tolerance_counts * abs(delta),
+        "home_tolerance": home_tolerance(experiment),
         "settle_ticks": _ticks(homing.settle_s, tick_s),
         "home_timeout_ticks": _ticks(homing.timeout_s, tick_s),
         "free_ticks": _ticks(free_s(experiment), tick_s),

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+from rig.config import homing
 from rig.config.checked import Kind, changed, plain, typed, value_at
 from rig.config.files import Table, flatten, nest, overlay, preset_names, preset_table, read_toml, tidy
 from rig.config.people import with_human_limits
@@ -51,7 +52,11 @@ def load_experiment(path: str | Path) -> Experiment:
 
 
 def experiment_from_mapping(mapping: Mapping[str, Any], source: str) -> Experiment:
-    """Check nested tables like those of an experiment file; `source` names them in errors."""
+    """Check nested tables like those of an experiment file; `source` names them in errors.
+
+    Over a preset, a rig with a name of its own has a homing servo of its own: what the table does not give of it
+    follows from the described friction, inertia, resolution and delays (`rig.config.homing`).
+    """
     table = tidy(mapping)
     if not isinstance(table, dict):
         raise ConfigError(
@@ -59,10 +64,14 @@ def experiment_from_mapping(mapping: Mapping[str, Any], source: str) -> Experime
         )
     if "preset" in table:
         name = table.pop("preset")
-        meant = _keys_of(table)
-        table = _stack(_preset(name, source), table)
+        preset, meant = _preset(name, source), _keys_of(table)
+        servo = _own_servo(preset, table)
+        table = _stack(preset, table)
         source = f"{source} (on preset {name})"
-        return checked(with_human_limits(_validated(table, source), meant), source)
+        experiment = _validated(table, source)
+        with _computable(source):
+            experiment = with_human_limits(_with_servo(experiment, servo), meant)
+        return checked(experiment, source)
     return checked(_validated(table, source), source)
 
 
@@ -178,6 +187,27 @@ def _stack(base: Table, top: Table) -> Table:
         kept = {key: value for key, value in flatten(below) if key not in meant}
         merged["realtime"] = {**kept, **dict(flatten(top.get("realtime", {})))}
     return merged
+
+
+def _own_servo(preset: Table, table: Table) -> frozenset[str]:
+    """Names of `[homing]` that follow from the rig: those not given, of a rig with another name than the preset's."""
+    name, given = value_at(table, ("rig", "name")), table.get("homing", {})
+    if name in (None, value_at(preset, ("rig", "name"))) or not isinstance(given, dict):
+        return frozenset()
+    return frozenset({"stiffness", "damping", "effort", "slew", "tolerance_counts"} - given.keys())
+
+
+def _with_servo(x: Experiment, names: frozenset[str]) -> Experiment:
+    """Return the experiment with a homing servo for its rig, at its rate and at that of `[realtime]`."""
+    if not names:
+        return x
+    servo = asdict(homing.stable_servo(x))
+    slower = {key: value for key, value in x.realtime.items() if key.startswith("controller.")}
+    real = asdict(homing.stable_servo(with_values(x, slower, "[realtime]")))
+    gains = {f"homing.{name}": real[name] for name in ("stiffness", "damping") if name in names}
+    servo = {name: value for name, value in servo.items() if name in names}
+    realtime = {**gains, **x.realtime} if slower else x.realtime
+    return replace(x, homing=replace(x.homing, **servo), realtime=realtime)
 
 
 def _validated(table: Table, source: str) -> Experiment:

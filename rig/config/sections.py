@@ -251,7 +251,12 @@ class Homing:
     effort: Annotated[float, Gt(0), Quantity("effort", "most effort of the servo")]
     slew: Annotated[float, Gt(0), Quantity("effort/s", "fastest change of effort while homing")]
     tolerance_counts: Annotated[
-        float, Gt(0), Le(1e6), Quantity("count", "home when no farther than this from the start")
+        float,
+        Gt(0),
+        Le(1e6),
+        Quantity(
+            "count", "home when no farther than this from the start, or than friction can hold the handle"
+        ),
     ]
     settle_s: Annotated[float, Ge(0), Le(60), Quantity("s", "how long the handle must stay there")]
     timeout_s: Annotated[float, Gt(0), Le(600), Quantity("s", "give up after this time")]

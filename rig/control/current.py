@@ -63,7 +63,7 @@ _Places = namedtuple(
     # delay line: lowest and highest active current of each slot (quanta), `SLOTS` of each
     "lowest highest",
 )
-CURRENT: Any = _Places(*range(len(_Places._fields) - 1), len(_Places._fields) - 2 + SLOTS)
+CURRENT: Any = _Places(*(*range(len(_Places._fields) - 1), len(_Places._fields) - 2 + SLOTS))
 WORDS = CURRENT.highest + SLOTS
 
 _HALF = 1 << 15  # of 65536

@@ -126,7 +126,8 @@ ENDINGS: dict[EndReason, tuple[type[RigError], str, str]] = {
     EndReason.HOMING_FAILED: (
         GuardError,
         "the start was not reached in time; the effort went to zero",
-        "free the handle, or raise homing.effort, homing.tolerance_counts or homing.timeout_s",
+        "free the handle; if friction holds it, describe the friction (`rig identify` measures it), and `rig plan` "
+        "names the homing.stiffness and homing.effort that arrive",
     ),
 }
 

@@ -361,7 +361,8 @@ def servo_of(x: Experiment, rate: int) -> tuple[float, float]:
     The homing servo of a description may count on an end mass that is not there now; no more damping is used than it
     has, because a mode may be what limits it.
     """
-    delay_s = SERVO_TICKS / rate + FILTER_DELAY / (CUTOFF_SHARE * _divisor(rate, SLOW_RATE))
+    ticks = SERVO_TICKS + x.rig.amplifier.set_point_ticks(1.0 / rate)
+    delay_s = ticks / rate + FILTER_DELAY / (CUTOFF_SHARE * _divisor(rate, SLOW_RATE))
     corner = min(SERVO_PHASE / delay_s, (x.homing.damping or math.inf) / inertia_of(x))
     return 0.25 * inertia_of(x) * corner**2, inertia_of(x) * corner
 

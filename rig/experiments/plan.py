@@ -13,10 +13,12 @@ from firmware_protocol.dictionary import Dictionary
 from firmware_protocol.law_parameters import LAW_PARAMETERS
 from rig.bench.doctor.delay import ticks_late
 from rig.bench.doctor.late_walls import late_wall
+from rig.bench.doctor.predicted import finding, homing_checks, predicted
 from rig.config import (
     Experiment,
     controller,
     device_law,
+    homing,
     human_limits_exceeded,
     motor_push,
     push_at_rest,
@@ -24,6 +26,7 @@ from rig.config import (
     rig_model,
 )
 from rig.config.device_limits import check_limits
+from rig.config.homing import holding_effort
 from rig.core.check import Check, Outcome
 from rig.core.sample import unit_of
 from rig.devices.device import LINK_SHARE, STATE_BYTES
@@ -50,6 +53,7 @@ def stands_for_device(experiment: Experiment) -> str:
     return on_the_drive.STANDS_FOR_NO_DRIVE if on_the_drive.is_on_the_drive(experiment) else STANDS_FOR_DEVICE
 
 
+LESS = 0.9  # of a limit that a named value leaves
 FLASH = "flash the firmware of this package (rig firmware)"
 LAW_NAMES = frozenset(parameter.name for parameter in LAW_PARAMETERS)
 
@@ -68,11 +72,18 @@ def plan_of(run: controller.Run, *, linked: bool = False, round_trip_s: float | 
     """List and check a prepared run; one that is `linked` also as `delay_checks` do, which say what they raise."""
     experiment = run.experiment
     delay = delay_checks(experiment, round_trip_s) if linked else []
+    ticks = (
+        _link_ticks(experiment, round_trip_s)[0]
+        if linked
+        else experiment.rig.simulation.computation_delay_ticks
+    )
     if experiment.trial.kind == "excitation":
         planned = excitation_plan(experiment)
-        return replace(planned, run=run, checks=(*planned.checks, *delay))
+        homed = homing_checks(experiment, ticks) if experiment.excitation.channel == "motor" else []
+        return replace(planned, run=run, checks=(*planned.checks, *homed, *delay))
     checks = (
         *_wall_checks(experiment),
+        *predicted(experiment, ticks),
         *_watch_checks(experiment),
         *human_limit_checks(experiment),
         _heat_check(experiment),
@@ -123,17 +134,8 @@ def delay_checks(x: Experiment, round_trip_s: float | None = None) -> list[Check
     Raises `PlanError` for one that is not above zero.
     """
     check_positive({"round_trip": round_trip_s})
-    tick_s, described = 1.0 / x.controller.position_rate, x.rig.simulation.computation_delay_ticks
-    if x.controller.loop == "device":
-        ticks, why = 0, "the device runs the law"
-    elif round_trip_s is not None:
-        ticks = ticks_late(round_trip_s, x.controller.position_rate, x.host.pacing)
-        why = f"a round trip of {1e6 * round_trip_s:.4g} µs, as stated"
-    elif described > 0:
-        ticks, why = described, "rig.simulation.computation_delay_ticks"
-    else:
-        ticks = ticks_late(0.0, x.controller.position_rate, x.host.pacing)
-        why = "assumed, the least that a link can give: `rig doctor` measures it"
+    tick_s = 1.0 / x.controller.position_rate
+    ticks, why = _link_ticks(x, round_trip_s)
     beside, late_s = x.rig.amplifier.set_point_ticks(tick_s), x.rig.amplifier.set_point_delay_s
     total = ticks + beside
     text = (
@@ -145,6 +147,22 @@ def delay_checks(x: Experiment, round_trip_s: float | None = None) -> list[Check
         for check in late_wall(x, ticks).checks
     ]
     return [Check("delay", Outcome.OK, text), *wall]
+
+
+def _link_ticks(x: Experiment, round_trip_s: float | None) -> tuple[int, str]:
+    """How many ticks late a link makes commands, and where that is from."""
+    rate, described = x.controller.position_rate, x.rig.simulation.computation_delay_ticks
+    if x.controller.loop == "device":
+        return 0, "the device runs the law"
+    if round_trip_s is not None:
+        return ticks_late(
+            round_trip_s, rate, x.host.pacing
+        ), f"a round trip of {1e6 * round_trip_s:.4g} µs, as stated"
+    if described > 0:
+        return described, "rig.simulation.computation_delay_ticks"
+    return ticks_late(
+        0.0, rate, x.host.pacing
+    ), "assumed, the least that a link can give: `rig doctor` measures it"
 
 
 def _batch_check(x: Experiment, usable: float) -> Check:
@@ -379,17 +397,19 @@ def _wall_checks(x: Experiment) -> list[Check]:
     end = x.wall.position + x.wall.side * hit.peak_penetration
     inside = limits.position_minimum <= end <= limits.position_maximum
     checks = [
-        limited(
+        finding(
             "impact velocity",
             hit.velocity <= limits.speed,
             f"up to {hit.velocity:.3g} {velocity}, limit {limits.speed:g}",
+            _slower_changes(x),
             "push less or start closer to the wall",
         ),
-        limited(
+        finding(
             "peak penetration",
             inside,
             f"up to {hit.peak_penetration:.3g} {position} ({hit.peak_penetration / delta:.1f} counts), "
             f"window {limits.position_minimum:g} … {limits.position_maximum:g}",
+            _stiffer_changes(x, hit),
             "raise wall.stiffness, push less, or widen the window",
         ),
         limited(
@@ -417,6 +437,29 @@ def _wall_checks(x: Experiment) -> list[Check]:
             "push more, or lower wall.stiffness",
         ),
     ]
+
+
+def _slower_changes(x: Experiment) -> dict[str, float]:
+    """The push of a motor that brings the handle to the wall below the speed limit, and a wall in which it rests."""
+    if x.trial.kind == "human":
+        return {}
+    speed, way = LESS * x.rig.limits.speed, abs(x.wall.position - x.trial.start)
+    push = holding_effort(x) + 0.5 * homing.inertia(x) * speed**2 / way
+    rest = x.trial.minimum_rest_counts * x.rig.encoder.resolution
+    rests = push >= rest * x.wall.stiffness
+    softer = {} if rests else {"wall.stiffness": float(f"{LESS * push / rest:.3g}")}
+    return {"trial.effort": x.wall.side * float(f"{push:.3g}"), **softer}
+
+
+def _stiffer_changes(x: Experiment, hit: Impact) -> dict[str, float]:
+    """The stiffness that stops the handle within the window."""
+    limits = x.rig.limits
+    end = limits.position_maximum if x.wall.side > 0 else limits.position_minimum
+    room = LESS * abs(end - x.wall.position)
+    if x.trial.kind == "human" or room == 0.0:
+        return {}
+    stiffness = (2.0 * push_at_rest(x) * room + homing.inertia(x) * hit.velocity**2) / room**2
+    return {"wall.stiffness": float(f"{stiffness:.3g}")}
 
 
 def _let_go_check(x: Experiment) -> Check:

@@ -13,12 +13,15 @@ two thirds of them with a name of their own, the others as changes of the preset
 * inertia: peak effort over an acceleration of 200 to 5000 rad/s²; linear over 10 to 200 m/s²; half of it the motor's;
 * Coulomb friction: 0.3 to 8 % of the peak effort; viscous damping: inertia over 0.1 to 10 s;
 * encoder: 100, 360, 500, 1000, 2048, 4096 lines, four edges each, on the motor; linear 0.5, 1, 5, 20 µm;
-* amplifier: current drive, lag 20 µs to 1 ms, quantum 0.2, 1 or 5 mA, sensor noise 0 to 1 % of the peak (uniform);
+* amplifier: current drive, lag 20 µs to 1 ms, quantum 0.2, 1 or 5 mA and at least a 30 000th of the peak, as 16 bits
+  hold it, sensor noise 0 to 1 % of the peak (uniform);
 * delay of the set-point: 0, 20, 30, 100, 250 µs or 1 ms;
 * rate: uniform 1, 2, 4, 10 or 20 kHz, the estimator's cut-off a tenth of it, at most 200 Hz;
 * push: 3 to 30 % of the peak; wall: the push rests 2.5 to 50 counts deep in it, damping ratio 0 to 0.7 (uniform).
 
-All else is the preset's. **Reached** is a wall that the handle touches in the trial proper; what its verdict says of
+All else is the preset's, but in changes of a preset `homing.effort` is at most half of the peak, as its rule asks.
+
+**Reached** is a wall that the handle touches in the trial proper; what its verdict says of
 the wall afterwards is no matter of this comparison. Where the plan refuses, the changes that its checks name are made,
 and it is planned again, at most three times in all.
 
@@ -96,7 +99,7 @@ def described(seed: int) -> tuple[str, dict[str, Any]]:
         "rig.amplifier.effort_per_ampere": peak / peak_a,
         "rig.amplifier.effort_limit": peak,
         "rig.amplifier.lag_s": log(2e-5, 1e-3),
-        "rig.amplifier.current_quantum_a": one(2e-4, 1e-3, 5e-3),
+        "rig.amplifier.current_quantum_a": max(one(2e-4, 1e-3, 5e-3), peak_a / 30_000.0),
         "rig.amplifier.current_noise_a": float(random.uniform(0.0, 0.01)) * peak_a,
         "rig.amplifier.set_point_delay_s": one(0.0, 2e-5, 3e-5, 1e-4, 2.5e-4, 1e-3),
         "rig.limits.nominal_effort": 0.5 * peak,
@@ -111,6 +114,8 @@ def described(seed: int) -> tuple[str, dict[str, Any]]:
     }
     if random.random() < 2.0 / 3.0:
         keys["rig.name"] = f"own-{seed}"
+    else:
+        keys["homing.effort"] = min(10.0 if linear else 0.15, 0.5 * peak)
     return "chawda-linear" if linear else "koul-rigid", keys
 
 
@@ -133,7 +138,7 @@ def reaches(experiment: Experiment, seed: int) -> tuple[bool, str]:
     with TemporaryDirectory() as directory:
         message = ""
         try:
-            (result,) = hit(HitRequest(seeded, output=Path(directory)))
+            (result,) = hit(HitRequest(experiment=seeded, output=Path(directory)))
             recorded = result.recorded
         except RigError as error:
             message = error.message

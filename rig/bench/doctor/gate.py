@@ -28,6 +28,7 @@ from rig.bench.answers import ok, question, refused, warning
 from rig.bench.doctor.delay import ticks_text
 from rig.bench.doctor.late_loops import LateLoops, hand_text, loop_delay_ticks, unstable_hands
 from rig.bench.doctor.late_walls import late_wall, stability
+from rig.bench.doctor.predicted import homing_checks
 from rig.bench.doctor.round_trip import ENOUGH, LinkMeasurement, Progress, measure_link
 from rig.config import Experiment
 from rig.config.controller import command_lifetime_s, supervise_lifetime_s
@@ -134,6 +135,7 @@ def gate(experiment: Experiment, measurement: LinkMeasurement) -> Gate:
         checks=(
             *_link_checks(experiment, measurement),
             *judged.checks,
+            *homing_checks(experiment, delay),
             *([_execution(experiment)] if executed else []),
         ),
         rate_hz=rate,
@@ -155,11 +157,12 @@ def refused_among(
 ) -> tuple[float, ...]:
     """Which of these stiffnesses `gate` refuses, at the experiment's damping; the same answer in far less time."""
     walls = tuple(stiffnesses)
-    if check.refused(_link_checks(experiment, measurement)):
+    delay = loop_delay_ticks(experiment, measurement, experiment.controller.position_rate)
+    if check.refused([*_link_checks(experiment, measurement), *homing_checks(experiment, delay)]):
         return walls
-    rate, damping = experiment.controller.position_rate, experiment.wall.damping
+    damping = experiment.wall.damping
     try:
-        loops = LateLoops.of(experiment, loop_delay_ticks(experiment, measurement, rate))
+        loops = LateLoops.of(experiment, delay)
     except ConfigError:
         return ()
     return tuple(k for k in walls if unstable_hands(loops.radius(k, damping), k))

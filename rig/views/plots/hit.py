@@ -54,14 +54,16 @@ def main() -> None:
 def hit_figure(recording: Recording) -> Any:
     """Return the figure of a recording (`matplotlib.figure.Figure`): impact at the left, whole push at the right."""
     rows, time_s = _trial(recording)
+    hit = len(_contact(recording)) > 0
     figure = style.new_figure(width=11.0)
     grid = figure.subplots(3, 2, sharey="row", height_ratios=(3, 2, 3), width_ratios=(1, 1), squeeze=False)
     for column, until_s in enumerate((_impact_end(recording, time_s), None)):
         shown = slice(None) if until_s is None else slice(0, max(2, int(np.searchsorted(time_s, until_s))))
         _draw_column(grid[:, column], recording, rows[shown], time_s[shown], _scale(rows))
-        grid[2, column].set_xlabel("time from first contact (s)")
-    grid[0, 0].set_title("impact", fontsize=9)
-    grid[0, 1].set_title("whole push", fontsize=9)
+        grid[2, column].set_xlabel("time from first contact (s)" if hit else "time (s)")
+    whole = f"whole run: no contact, it ended in {_last_phase(recording)}"
+    grid[0, 0].set_title("impact" if hit else "beginning", fontsize=9)
+    grid[0, 1].set_title("whole push" if hit else whole, fontsize=9)
     for axes, place in zip(grid[:, 1], ("lower right", "upper right", "lower right"), strict=True):
         axes.legend(loc=place, framealpha=0.85, edgecolor="none", fontsize=8, ncols=2)
     _label(grid[:, 0], recording, rows)
@@ -72,13 +74,25 @@ def hit_figure(recording: Recording) -> Any:
 def _trial(recording: Recording) -> tuple[NDArray[np.void], NDArray[np.float64]]:
     """Rows from shortly before contact to the end of the push, and their time from it; all rows without contact."""
     rows, time_s = recording.rows, recording.time_s
-    trial = rows["phase"] == Phase.TRIAL
-    contact = np.flatnonzero(trial & (rows["penetration"] > 0.0))
+    contact = _contact(recording)
     if not len(contact):
         return rows, time_s
+    trial = rows["phase"] == Phase.TRIAL
     time_s = time_s - time_s[contact[0]]
     shown = slice(int(np.searchsorted(time_s, -BEFORE_CONTACT_S)), int(np.flatnonzero(trial)[-1]) + 1)
     return rows[shown], time_s[shown]
+
+
+def _contact(recording: Recording) -> NDArray[np.int64]:
+    """Rows of the trial proper in which the handle is in the wall."""
+    rows = recording.rows
+    return np.flatnonzero((rows["phase"] == Phase.TRIAL) & (rows["penetration"] > 0.0))
+
+
+def _last_phase(recording: Recording) -> str:
+    """Name of the phase before the end of a run, in words."""
+    phases = [Phase(phase) for phase in recording.rows["phase"] if phase != Phase.DONE]
+    return phases[-1].name.lower() if phases else "nothing"
 
 
 def _impact_end(recording: Recording, time_s: NDArray[np.float64]) -> float:

@@ -108,7 +108,8 @@ def test_a_calm_wall_on_a_quick_link_is_armed() -> None:
     assert found.armable
     assert refused(found) == {}
     assert found.remedy == ""
-    assert outcomes(found) == dict.fromkeys(("delay", "losses", "stability", "passivity"), Outcome.OK)
+    assert {"delay", "losses", "stability", "passivity", "homing stability"} <= outcomes(found).keys()
+    assert set(outcomes(found).values()) == {Outcome.OK}
     assert json.loads(json.dumps(plain(found)))["spectral_radius"]["none"] < 1.0
 
 

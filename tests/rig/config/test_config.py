@@ -83,7 +83,8 @@ VALUES = (None, -1, 2.0, math.nan, True, "x", "firm", [1.0, 2], {"a": 1})
 def test_a_change_means_and_is_refused_as_if_a_file_on_that_preset_had_said_it(name: str) -> None:
     """One sets fields of what is checked, the other is checked as a whole."""
     base, source = presets.load(name), f"hit.toml (on preset {name})"
-    keys = [*parameters(), "realtime.wall.stiffness", "realtime.nonsense", "rig.limits", "wall.nonsense", ""]
+    names = parameters().keys() - {"rig.name"}  # a file with a name of its own has a homing servo of its own
+    keys = [*sorted(names), "realtime.wall.stiffness", "realtime.nonsense", "rig.limits", "wall.nonsense", ""]
     for key, value in itertools.product(keys, VALUES):
         file = {"preset": name, **nest({key: value})}
         said = said_of(partial(experiment_from_mapping, file, "hit.toml"))

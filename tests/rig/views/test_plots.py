@@ -190,6 +190,15 @@ def test_impact_and_whole_push_have_one_scale(recording: Any) -> None:
 # ---------------------------------------------------------------------- recordings that are not whole
 
 
+def test_a_run_that_ended_in_homing_is_not_labelled_as_an_impact(recording: Any) -> None:
+    columns = panels(
+        hit_figure(changed(recording, penetration=-1.0, phase=np.full(len(recording.rows), Phase.HOMING)))
+    )
+    titles = [column[0].get_title() for column in columns]
+    assert titles == ["beginning", "whole run: no contact, it ended in homing"]
+    assert {column[2].get_xlabel() for column in columns} == {"time (s)"}
+
+
 def test_without_contact_the_whole_run_is_drawn(recording: Any) -> None:
     _, whole = panels(scaled(hit_figure(changed(recording, penetration=-1.0))))
     assert len(line(whole[0], "measured").get_xdata()) == len(recording)

@@ -1,0 +1,247 @@
+"""What a run will run into, as far as a description says it: homing, the way to the wall, the measured current.
+
+`rig plan`, a hit and the arming gate call this one function. Each check that does not hold names the keys and the
+values with which it would. Predictions are those of one rigid mass, which friction and weight hold back.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+
+from rig.config import Experiment, amplifiers, motor_push, push_s, rig_model
+from rig.config import homing as servos
+from rig.config.homing import ABOVE_FRICTION, USUAL_SHARE, holding_effort, home_tolerance
+from rig.control.current import SIGMAS
+from rig.control.watch import UNMOVED_SPEED
+from rig.core.board import current_sensor
+from rig.core.check import Check, Outcome
+from rig.core.sample import unit_of
+
+SPARE = 1.1  # of a named value over the least or below the largest one that works
+SETTLES = 10.0  # time constants after which the homing servo is at rest
+QUIET_SHARE = 0.9  # of a window's ticks in which a current must be above the noise to be compared
+
+
+def predicted(x: Experiment, ticks: int) -> list[Check]:
+    """Return the checks of a run whose commands act so many ticks late, besides the set-point's delay."""
+    return [*homing_checks(x, ticks), *_approach_checks(x), *_current_checks(x)]
+
+
+def homing_checks(x: Experiment, ticks: int) -> list[Check]:
+    """Return whether homing arrives: strong enough, stable, near enough to its start, in time."""
+    return [
+        _homing_effort(x),
+        _homing_stability(x, ticks),
+        _homing_slew(x),
+        _homing_resolution(x, ticks),
+        _homing_offset(x, ticks),
+        _homing_time(x),
+    ]
+
+
+def finding(
+    name: str,
+    holds: bool,
+    text: str,
+    changes: Mapping[str, float] | None = None,
+    remedy: str = "",
+    otherwise: Outcome = Outcome.REFUSED,
+) -> Check:
+    """Return a check whose remedy is made of the changes with which it would hold."""
+    if holds:
+        return Check(name, Outcome.OK, text)
+    changes = changes or {}
+    named = " and ".join(f"{key} = {value:g}" for key, value in changes.items())
+    return Check(name, otherwise, text, f"set {named}" if named else remedy, changes=changes)
+
+
+def _up(value: float) -> float:
+    """Three digits, not below a value."""
+    return _rounded(value, math.ceil)
+
+
+def _down(value: float) -> float:
+    """Three digits, not above a value."""
+    return _rounded(value, math.floor)
+
+
+def _rounded(value: float, way: Callable[[float], int]) -> float:
+    if value == 0.0 or not math.isfinite(value):
+        return value
+    scale = 10.0 ** (math.floor(math.log10(abs(value))) - 2)
+    return float(f"{way(value / scale) * scale:.12g}")
+
+
+def _homing_effort(x: Experiment) -> Check:
+    held, effort, limits = holding_effort(x), x.homing.effort, x.rig.limits
+    least = ABOVE_FRICTION * held + x.rig.amplifier.effort_quantum
+    unit = unit_of("effort", x.rig.motion)
+    text = f"{effort:.3g} {unit} against {held:.3g} {unit} of friction, weight and cogging; least {least:.3g}"
+    wanted = _up(min(max(servos.stable_servo(x).effort, SPARE * least), limits.effort))
+    if wanted < least:
+        return finding(
+            "homing effort",
+            effort >= least,
+            text,
+            remedy="take a stronger motor: rig.limits.effort is below it, or the described friction is too large",
+        )
+    return finding("homing effort", effort >= least, text, {"homing.effort": wanted})
+
+
+def _gains(x: Experiment, ticks: int) -> dict[str, float]:
+    servo = servos.stable_servo(x, max(ticks, servos.SPARE_TICKS))
+    return {"homing.stiffness": servo.stiffness, "homing.damping": servo.damping}
+
+
+def _homing_stability(x: Experiment, ticks: int) -> Check:
+    margin = servos.phase_margin(x, x.homing.stiffness, x.homing.damping, ticks)
+    text = (
+        f"stiffness {x.homing.stiffness:g}, damping {x.homing.damping:g} at {x.controller.position_rate} Hz: "
+        f"phase margin {math.degrees(margin):.0f}°"
+    )
+    return finding("homing stability", margin > 0.0, text, _gains(x, ticks))
+
+
+def _homing_slew(x: Experiment) -> Check:
+    """A servo whose effort cannot follow its own oscillation keeps oscillating."""
+    h = x.homing
+    natural = math.sqrt(h.stiffness / servos.inertia(x))
+    least = h.effort * natural / servos.SLOWEST_RISE
+    unit = unit_of("effort", x.rig.motion)
+    text = f"{h.slew:.3g} {unit}/s for homing.effort {h.effort:.3g} {unit} at {natural:.3g} rad/s; least {least:.3g}"
+    return finding("homing slew", h.slew >= least, text, {"homing.slew": _up(least * servos.SLOWEST_RISE)})
+
+
+def _homing_resolution(x: Experiment, ticks: int) -> Check:
+    """One count more or less must not ask for much of the effort."""
+    h, unit = x.homing, unit_of("effort", x.rig.motion)
+    delta, stiffest = x.rig.encoder.resolution, servos.stiffest_for_counts(x, h.effort, servos.COUNT_SHARE)
+    text = (
+        f"one count changes the spring's effort by {h.stiffness * delta:.3g} {unit}, at most {stiffest * delta:.3g}: "
+        "half of homing.effort and twice the friction"
+    )
+    return finding("homing resolution", h.stiffness <= stiffest, text, _gains(x, ticks))
+
+
+def _homing_offset(x: Experiment, ticks: int) -> Check:
+    """Where friction may hold the handle, against the way to the wall."""
+    if (
+        x.trial.kind != "constant-effort"
+    ):  # a person brings the handle to its start; an excitation has no approach
+        return Check("homing offset", Outcome.OK, "no push begins at trial.start")
+    delta, unit = x.rig.encoder.resolution, unit_of("position", x.rig.motion)
+    offset, tolerance, largest = servos.resting_offset(x), home_tolerance(x), servos.largest_offset(x)
+    text = (
+        f"friction can hold the handle {offset:.3g} {unit} ({offset / delta:.1f} counts) from trial.start; home within "
+        f"{tolerance:.3g} {unit} (homing.tolerance_counts = {x.homing.tolerance_counts:g}), at most {largest:.3g}, "
+        f"three quarters of the way to the wall"
+    )
+    if tolerance <= largest:
+        return finding("homing offset", True, text)
+    changes: dict[str, float] = {}
+    least = SPARE * ABOVE_FRICTION * holding_effort(x) / servos.usual_offset(x)
+    if x.homing.stiffness < least:
+        changes = _gains(x, ticks)
+    reached = ABOVE_FRICTION * holding_effort(x) / changes.get("homing.stiffness", x.homing.stiffness)
+    nearest = servos.nearest_tolerance(x)
+    if x.homing.tolerance_counts > nearest:
+        changes["homing.tolerance_counts"] = nearest
+    way = SPARE * max(reached, nearest * delta) / USUAL_SHARE
+    if way > abs(x.wall.position - x.trial.start):
+        changes["trial.start"] = x.wall.position - x.wall.side * _up(way)
+    return finding("homing offset", False, text, changes)
+
+
+def _homing_time(x: Experiment) -> Check:
+    """From where a simulated rig begins, or from the farther end of the window."""
+    limits, simulation = x.rig.limits, x.rig.simulation
+    ends = (limits.position_minimum, limits.position_maximum)
+    begins = (simulation.initial_position,) if simulation.initial_position is not None else ends
+    way = max(abs(x.trial.start - begin) for begin in begins)
+    settles = SETTLES * max(
+        x.homing.damping / x.homing.stiffness, servos.inertia(x) / max(x.homing.damping, 1e-300)
+    )
+    needed = way / x.homing.speed + min(settles, 10.0) + x.homing.settle_s
+    unit, given = unit_of("position", x.rig.motion), x.homing.timeout_s
+    text = f"up to {needed:.3g} s from {way:.3g} {unit} away; homing.timeout_s = {given:g}"
+    return finding(
+        "homing time",
+        needed <= given,
+        text,
+        {"homing.timeout_s": _up(needed * SPARE)},
+        otherwise=Outcome.WARNING,
+    )
+
+
+def _approach_checks(x: Experiment) -> Iterator[Check]:
+    """Whether an automated push moves the handle, and brings it to the wall in time."""
+    if x.trial.kind != "constant-effort":
+        return
+    unit, held, push = unit_of("effort", x.rig.motion), holding_effort(x), abs(motor_push(x))
+    least = ABOVE_FRICTION * held + x.rig.amplifier.effort_quantum
+    text = f"{push:.3g} {unit} against {held:.3g} {unit} that hold the handle; least {least:.3g}"
+    wanted = x.wall.side * _up(SPARE * least)
+    if abs(wanted) > x.rig.limits.effort:
+        yield finding("push", push >= least, text, remedy="take a stronger motor, or less friction")
+    else:
+        yield finding("push", push >= least, text, {"trial.effort": wanted})
+    net = push - held
+    if push < least or x.wall.stiffness == 0.0:
+        return
+    yield _unseen_speed(x, net)
+    way = abs(x.wall.position - x.trial.start) + home_tolerance(x)
+    viscous = rig_model(x).damping
+    needed = math.sqrt(2.0 * servos.inertia(x) * way / net) + viscous * way / net
+    before = push_s(x) - x.verdict.tail_s
+    duration = _up(SPARE * (needed + x.verdict.tail_s))
+    text = f"the wall is reached within {needed:.3g} s; the judged tail begins after {before:.3g} s"
+    yield finding("approach", needed < before, text, {"trial.duration_s": duration})
+
+
+def _unseen_speed(x: Experiment, net: float) -> Check:
+    """The guard of a dead encoder ends a run in which the handle could become fast within one count."""
+    inertia, delta, unit = servos.inertia(x), x.rig.encoder.resolution, unit_of("velocity", x.rig.motion)
+    speed, limit = math.sqrt(2.0 * net * delta / inertia), UNMOVED_SPEED * x.rig.limits.speed
+    slower = x.wall.side * _down(holding_effort(x) + inertia * (limit / SPARE) ** 2 / (2.0 * delta))
+    text = f"up to {speed:.3g} {unit} within one count, where a dead encoder is suspected from {limit:.3g} {unit} on"
+    return finding("unseen speed", speed < limit, text, {"trial.effort": slower})
+
+
+def _current_checks(x: Experiment) -> Iterator[Check]:
+    """What the comparison of currents sees at this rate: delay, quantum, noise."""
+    model, amplifier = rig_model(x), x.rig.amplifier
+    sensor = current_sensor(model)
+    if sensor.noise < 0.0 or not amplifier.current_monitor:
+        return
+    quantum, rate = amplifier.current_quantum_a, x.controller.position_rate
+    early, late = (
+        math.floor(0.5 * sensor.delay_s * rate + 1e-9),
+        math.ceil(2.0 * sensor.delay_s * rate - 1e-9),
+    )
+    least_a = SIGMAS * sensor.noise * quantum / QUIET_SHARE
+    text = (
+        f"compared with what was set {early} to {late} ticks before, behind {1e6 * amplifier.lag_s:.3g} µs of lag; "
+        f"a dead motor shows above {least_a:.2g} A"
+    )
+    steps = amplifiers.load(amplifier.profile).steps
+    step_a = 2.0 * amplifier.effort_limit / amplifier.effort_per_ampere / steps if steps else 0.0
+    if step_a > 2.0 * least_a:
+        yield finding(
+            "current monitor",
+            False,
+            f"steps of the set-point are {step_a:.2g} A ({amplifier.profile}), half of which is more than the "
+            f"{least_a:.2g} A that rig.amplifier.current_quantum_a = {quantum:g} allows as a difference",
+            {"rig.amplifier.current_quantum_a": _up(step_a)},
+            otherwise=Outcome.WARNING,
+        )
+        return
+    push_a = abs(motor_push(x)) / amplifier.effort_per_ampere
+    seen = x.trial.kind != "constant-effort" or push_a >= least_a
+    yield finding(
+        "current monitor",
+        seen,
+        text if seen else f"{text}, and the push sets {push_a:.2g} A: nothing would be noticed",
+        remedy="push harder, or describe the sensor's noise (rig.amplifier.current_noise_a)",
+        otherwise=Outcome.WARNING,
+    )

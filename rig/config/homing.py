@@ -1,0 +1,162 @@
+"""The homing servo of a rig: where friction can hold the handle, whether the servo is stable, and one that is.
+
+Computed from the description alone, without linear theory's libraries, so that every hit can be checked.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from rig.config.sections import Experiment
+
+ABOVE_FRICTION = 1.25  # over what friction, weight and cogging can hold: tolerance and effort leave so much
+LARGEST_SHARE, USUAL_SHARE = (
+    0.75,
+    0.25,
+)  # of the way to the wall that may separate start and home: at most, as designed
+USUAL_CUTOFF = 0.1  # of a velocity filter without a described cut-off, over its rate
+FILTER_DELAY = 0.225  # of a second-order Butterworth filter: its delay times its cut-off, √2/(2π)
+USUAL_TOLERANCE = 4.0  # counts
+SPARE_TICKS = 2  # of delay that a designed servo bears besides: what a link may need
+# Of a designed servo: B/I times the delay of its loop (rad). 0.6 leaves about 27° of phase margin; in a hand, whose
+# mass and spring come besides, 0.6 is unstable on koul-rigid at 20 kHz (spectral radius 1.02), and 0.45 stable on all
+# presets.
+CORNER, CORNER_IN_HAND = 0.6, 0.45
+DAMPING_RATIO = 0.7
+FRICTIONS, NOMINAL_SHARE = (
+    5.0,
+    0.3,
+)  # effort of a designed servo: over what holds the handle, and of the nominal one
+# Slew: time from no effort to all of it, over 1/ω of the servo. Above 2 homing can oscillate for ever, as an actuator
+# with a limited rate does; a designed servo has a quarter.
+SLOWEST_RISE, USUAL_RISE = 2.0, 0.25
+# Effort that the spring may change by in one count, over the servo's effort less friction: beyond it, counts keep the
+# handle moving.
+COUNT_SHARE, USUAL_COUNT_SHARE = 0.5, 0.25
+GRID = np.logspace(-3.0, 3.0, 1201)  # frequencies, over 1/delay
+
+
+@dataclass(frozen=True, slots=True)
+class Servo:
+    """Keys of `[homing]` that depend on the rig."""
+
+    stiffness: float
+    damping: float
+    effort: float
+    slew: float
+    tolerance_counts: float
+
+
+def holding_effort(x: Experiment) -> float:
+    """Return the effort below which the handle may stay: friction, cogging and the end mass's weight (N·m or N)."""
+    mechanics = x.rig.mechanics
+    weight = 0.0 if x.trial.kind == "human" else abs(mechanics.gravity_effort)
+    return mechanics.motor_coulomb + mechanics.link_coulomb + x.rig.cogging.crest + weight
+
+
+def resting_offset(x: Experiment) -> float:
+    """Return how far from its set point the handle may come to rest (rad or m)."""
+    return holding_effort(x) / x.homing.stiffness
+
+
+def home_tolerance(x: Experiment) -> float:
+    """Return the distance from the start within which the handle is home (rad or m).
+
+    `homing.tolerance_counts`, or more where friction can hold the handle farther away: it would never arrive.
+    """
+    described = x.homing.tolerance_counts * x.rig.encoder.resolution
+    return max(described, ABOVE_FRICTION * resting_offset(x))
+
+
+def largest_offset(x: Experiment) -> float:
+    """Return the distance from the start at which a trial would no longer be the planned one (rad or m)."""
+    return LARGEST_SHARE * abs(x.wall.position - x.trial.start)
+
+
+def usual_offset(x: Experiment) -> float:
+    """Return the distance from the start that a designed servo should keep (rad or m)."""
+    return USUAL_SHARE * abs(x.wall.position - x.trial.start)
+
+
+def nearest_tolerance(x: Experiment) -> float:
+    """Return a tolerance that an encoder of any resolution can show and that is small beside the way to the wall."""
+    return max(1.0, min(USUAL_TOLERANCE, math.floor(usual_offset(x) / x.rig.encoder.resolution)))
+
+
+def inertia(x: Experiment) -> float:
+    """Return the inertia of everything that moves (kg·m² or kg)."""
+    mechanics = x.rig.mechanics
+    return mechanics.motor_inertia + (
+        mechanics.link_inertia if x.trial.kind == "human" else mechanics.loaded_link_inertia
+    )
+
+
+def _cutoff_hz(x: Experiment) -> float:
+    """Cut-off of the velocity filter, the usual one where none is described."""
+    cutoff = x.controller.parameters.get("cutoff_hz", 0.0)
+    usual = USUAL_CUTOFF * x.controller.velocity_rate
+    return float(cutoff) if isinstance(cutoff, float | int) and cutoff > 0.0 else usual
+
+
+def _delays_s(x: Experiment, ticks: int) -> tuple[float, float]:
+    """Delay from a position to its effort, and what the velocity has besides (s); the lag is counted apart."""
+    c = x.controller
+    set_point = x.rig.amplifier.set_point_ticks(1.0 / c.position_rate)
+    return (ticks + set_point + 0.5) / c.position_rate, FILTER_DELAY / _cutoff_hz(x) + 1.0 / c.velocity_rate
+
+
+def stiffest_for_counts(x: Experiment, effort: float, share: float) -> float:
+    """Return the stiffness at which one count changes the effort by a share of it and by twice the friction."""
+    return (share * effort + 2.0 * holding_effort(x)) / x.rig.encoder.resolution
+
+
+def phase_margin(x: Experiment, stiffness: float, damping: float, ticks: int) -> float:
+    """Return the smallest phase margin of a servo (rad), negative for one that oscillates.
+
+    Parameters
+    ----------
+    x
+        The rig and its controller; both masses move together.
+    stiffness, damping
+        Of the servo.
+    ticks
+        Delay besides that of the set-point.
+    """
+    delay_s, velocity_s = _delays_s(x, ticks)
+    lag_s, mass = x.rig.amplifier.lag_s, inertia(x)
+    mechanics = x.rig.mechanics
+    viscous = mechanics.motor_damping + mechanics.link_damping
+    s = 1j * GRID / (delay_s + velocity_s)
+    plant = 1.0 / ((mass * s + viscous) * s * (1.0 + s * lag_s))
+    loop = (stiffness + damping * s * np.exp(-s * velocity_s)) * np.exp(-s * delay_s) * plant
+    strong = np.abs(loop) >= 1.0
+    if not strong.any():
+        return math.pi
+    return float(math.pi + np.unwrap(np.angle(loop))[strong].min())
+
+
+def stable_servo(x: Experiment, ticks: int = SPARE_TICKS) -> Servo:
+    """Return the stiffest well damped servo that the delay of the loop leaves stable on this rig."""
+    delay_s, velocity_s = _delays_s(x, ticks)
+    phase = CORNER_IN_HAND if x.trial.kind == "human" else CORNER
+    corner = phase / (delay_s + velocity_s + x.rig.amplifier.lag_s)
+    limits = x.rig.limits
+    effort = max(FRICTIONS * holding_effort(x), NOMINAL_SHARE * limits.nominal_effort)
+    effort = min(effort, limits.nominal_effort, limits.effort)
+    mass, softness = inertia(x), 4.0 * DAMPING_RATIO**2
+    corner = min(corner, math.sqrt(stiffest_for_counts(x, effort, USUAL_COUNT_SHARE) * softness / mass))
+    return Servo(
+        stiffness=_rounded(mass * corner**2 / softness),
+        damping=_rounded(mass * corner),
+        effort=_rounded(effort),
+        slew=_rounded(effort * corner / math.sqrt(softness) / USUAL_RISE),
+        tolerance_counts=nearest_tolerance(x),
+    )
+
+
+def _rounded(value: float) -> float:
+    """Return three digits of a value."""
+    return float(f"{value:.3g}")

@@ -1,0 +1,79 @@
+"""What a plan says is what a hit does: a small sample of `tests.benchmarks.plausible_rigs`, and each finding once."""
+
+from typing import Any
+
+import pytest
+
+from rig.config import override, presets
+from rig.config.load import experiment_from_mapping, with_realtime
+from rig.core.check import Outcome, refused
+from rig.experiments.plan import make_plan
+from tests.benchmarks.plausible_rigs import named_changes, outcome, reaches
+from tests.rig.config.test_homing import PHD
+
+KOUL = presets.load("koul-rigid")
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_random_rig_reaches_its_wall_as_planned_or_after_the_named_changes(seed: int) -> None:
+    found = outcome(seed)
+    assert found.reached, found
+
+
+@pytest.mark.parametrize("rate", [1_000, 4_000, 20_000])
+def test_a_first_own_rig_homes_without_any_key_of_homing(rate: int) -> None:
+    x = experiment_from_mapping(PHD, "phd.toml")
+    x = with_realtime(x) if rate == 1_000 else override(x, {"controller.position_rate": rate})
+    assert make_plan(x).ok
+    assert reaches(x, 0) == (True, "")
+
+
+def test_a_preset_with_more_friction_homes_as_near_as_it_can() -> None:
+    changes = {
+        "rig.encoder.counts_per_revolution": 2048,
+        "rig.encoder.ratio": 12.0,
+        "rig.mechanics.motor_coulomb": 0.03,
+        "wall.stiffness": 150.0,
+        "wall.damping": 0.1,
+    }
+    x = override(KOUL, changes)
+    assert make_plan(x).ok
+    assert reaches(x, 0) == (True, "")
+
+
+FINDINGS: dict[str, dict[str, Any]] = {
+    "homing effort": {"homing.effort": 0.015},
+    "homing stability": {"homing.stiffness": 4000.0, "homing.damping": 3.0},
+    "homing slew": {"homing.slew": 3.0},
+    "homing resolution": {"rig.encoder.counts_per_revolution": 20, "trial.minimum_rest_counts": 0.01},
+    "homing offset": {"homing.stiffness": 1.5},
+    "push": {"trial.effort": 0.022, "wall.stiffness": 20.0},
+    "approach": {"trial.effort": 0.0253, "trial.start": -0.4, "verdict.tail_s": 0.9, "wall.stiffness": 20.0},
+    "impact velocity": {"rig.limits.speed": 1.2},
+    "peak penetration": {"rig.limits.position_maximum": 0.005, "wall.stiffness": 100.0},
+}
+
+
+@pytest.mark.parametrize("name", FINDINGS)
+def test_a_refusal_names_values_with_which_the_plan_holds(name: str) -> None:
+    x = override(
+        KOUL, {"controller.position_rate": 2_000, "controller.velocity_rate": 2_000, **FINDINGS[name]}
+    )
+    found = {check.name: check for check in refused(make_plan(x).checks)}
+    assert name in found
+    assert all(f"{key} = {value:g}" in found[name].remedy for key, value in found[name].changes.items())
+    for _ in range(3):
+        if not (again := refused(make_plan(x).checks)):
+            break
+        x = override(x, named_changes(again))
+    assert make_plan(x).ok
+    assert reaches(x, 0)[0]
+
+
+def test_steps_of_an_amplifier_that_the_current_s_quantum_does_not_allow_are_named() -> None:
+    changes = {"rig.amplifier.profile": "escon-50-5-pwm", "rig.amplifier.set_point_delay_s": 2.5e-4}
+    x = override(KOUL, changes)
+    (found,) = [check for check in make_plan(x).checks if check.name == "current monitor"]
+    assert found.outcome is Outcome.WARNING
+    again = override(x, named_changes((found,)))
+    assert all(check.outcome is Outcome.OK for check in make_plan(again).checks if check.name == found.name)
