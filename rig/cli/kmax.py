@@ -11,6 +11,7 @@ import click
 from rig.cli import hit_output, map_options, output
 from rig.cli.command import EXPERIMENT, command, option
 from rig.cli.progress import SweepBar
+from rig.config.schemes import Scheme
 from rig.core.present import Table
 from rig.core.sample import unit_of
 from rig.experiments import maps
@@ -56,14 +57,16 @@ def kmax(
     Without arguments: Fig. 5 of Koul et al. on the simulated rig koul-compliant in a simulated hand.
     """
     experiment = map_options.chosen(file, preset, **push)
+    each = map_options.rates(rates)
+    schemes = [Scheme(position_rate=rate, velocity_rate=rate) for rate in each]
     plan = kmax_plan(
         experiment,
-        map_options.search(experiment, stiffness, way, ratio, SPAN),
-        rates=map_options.rates(rates),
+        map_options.search(experiment, stiffness, way, ratio, SPAN, schemes=schemes),
+        rates=each,
         offsets=OFFSETS if offsets is None else numbers_of(offsets, "--offsets"),
         repeats=repeats,
     )
-    plan = replace(plan, judged=judged or "true")
+    plan = replace(plan, judged=judged or plan.judged)
     place = maps.directory_for(plan, directory, "kmax")
     with SweepBar("series", unit="ticks", plain=as_json) as bar:
         found = KMax.of(maps.map_into(plan, place, scheduler=scheduler, workers=workers, watch=bar.watch))
@@ -80,7 +83,9 @@ def kmax(
     output.print_pairs([*pairs, ("picture", picture)] if picture else pairs)
 
 
-def _limit(found: Boundary) -> str:
+def _limit(found: Boundary, lowest: float) -> str:
+    if found.stiffness <= 0.0:
+        return f"< {lowest:.4g}"
     scatter = f" ± {found.deviation:.2g}" if len(found.limits) > 1 else ""
     return f"{'≥ ' if found.capped else ''}{found.stiffness:.4g}{scatter}"
 
@@ -93,7 +98,7 @@ def _print(found: KMax) -> None:
     rows = [("rate (Hz)", *curves)]
     for number, rate in enumerate(found.rates):
         row = [curve[number] for curve in curves.values()]
-        rows.append((f"{rate}", *(_limit(b) for b in row)))
+        rows.append((f"{rate}", *(_limit(b, found.map.plan.search.lowest) for b in row)))
     output.print_table(Table(rows[0], rows[1:]))
     for name in curves:
         ratio = found.saturation(name)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ from rig import config
 from rig.cli import options
 from rig.cli.command import option
 from rig.config import Experiment
-from rig.config.schemes import parse_rates
+from rig.config.schemes import Scheme, parse_rates
 from rig.core.errors import ConfigError
 from rig.experiments.impedance import Judging
 from rig.experiments.ranges import search_for
@@ -84,11 +85,14 @@ def search(
     ratio: float,
     span: float,
     *,
+    schemes: Sequence[Scheme] = (),
     device: bool = False,
 ) -> Search:
     """The rungs that the options mean."""
     low, high = (None, None) if stiffness is None else bounds_of(stiffness, "--stiffness")
-    return search_for(experiment, way, ratio=ratio, lowest=low, highest=high, span=span, on_device=device)
+    return search_for(
+        experiment, way, ratio=ratio, lowest=low, highest=high, span=span, schemes=schemes, on_device=device
+    )
 
 
 def judging(judged_band: str | None, **thresholds: float | None) -> Judging:

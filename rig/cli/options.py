@@ -182,8 +182,8 @@ judging_options = added(
 )  # fmt: skip
 judge_option = option(
     "--judge", "judged", type=click.Choice(["true", "recorded"]),
-    help="Whose signals decide: the simulation's truth, or what a rig records. "
-    "[simulated hits and maps: true; on a device, and of single impedances: recorded]",
+    help="Whose signals decide: what a rig records, as for a single hit, or the simulation's truth. "
+    "[recorded; a map of impedances of a rig with two masses: true]",
 )  # fmt: skip
 
 

@@ -22,6 +22,7 @@ from rig.core.sample import unit_of
 from rig.experiments import maps
 from rig.experiments.plan import stands_for_device
 from rig.experiments.ranges import SPAN, hit_plan, theory_curves
+from rig.experiments.rendering import RENDERED
 from rig.experiments.searches import numbers_of
 from rig.experiments.zwidth import Width, ZWidth
 from rig.views.plots.zwidth import draw_zwidth
@@ -102,11 +103,12 @@ def zwidth(
         load_device(url)
     if realtime or (url is not None and not url.startswith("sim:")):
         experiment = _in_real_time(experiment)
+    chosen = [Scheme.parse(text) for text in schemes]
     plan = hit_plan(
         experiment,
-        [Scheme.parse(text) for text in schemes],
+        chosen,
         dampings=None if damping is None else numbers_of(damping, "--damping"),
-        search=map_options.search(experiment, stiffness, way, ratio, _span(), device=device),
+        search=map_options.search(experiment, stiffness, way, ratio, _span(), schemes=chosen, device=device),
         offsets=None if offsets is None else numbers_of(offsets, "--offsets"),
         repeats=repeats,
         judged=judged,
@@ -156,7 +158,12 @@ def _refuse_with_device(workers: int | None, scheduler: str | None) -> None:
 def _print(found: ZWidth) -> None:
     experiment = found.plan.experiment
     stiffness, damping = (unit_of(q, experiment.rig.motion) for q in ("stiffness", "damping"))
-    click.echo(f"{experiment.rig.name}, {hit_output.push_text(experiment)}: K in {stiffness}, B in {damping}")
+    by = (
+        "; judged by the simulation's truth, not by what a rig records" if found.plan.judged == "true" else ""
+    )
+    click.echo(
+        f"{experiment.rig.name}, {hit_output.push_text(experiment)}: K in {stiffness}, B in {damping}{by}"
+    )
     rows: list[tuple[str, ...]] = [("scheme", "criterion", "K at B = 0", "K peak", "at B", "B range", "area")]
     for number, scheme in enumerate(found.plan.schemes):
         for criterion in CRITERIA:
@@ -178,6 +185,18 @@ def _notes(found: ZWidth) -> list[str]:
     widths = [found.width(number, name) for number in range(len(found.plan.schemes)) for name in CRITERIA]
     if any(width.range_capped for width in widths):
         notes.append("≥ before B: the map ends before the range of the scheme does")
+    notes += _holes(found)
+    dropped = {
+        number: found.width(number, CRITERIA[0]).not_rendered for number in range(len(found.plan.schemes))
+    }
+    for number, dampings in dropped.items():
+        if dampings:
+            label = found.plan.schemes[number].label(found.plan.experiment)
+            notes.append(
+                f"{label}: no wall counts from B = {dampings[0]:.3g} on: one encoder count asks for more than the "
+                f"effort limit, which leaves less than {RENDERED:.0%} of the damping; filter the velocity more, or "
+                "sample it more slowly"
+            )
     if any(limit.islands for b in found.boundaries for limit in b.limits):
         notes.append(
             "there are islands: stiffer walls that are stable beyond one that is not (see the picture)"
@@ -191,12 +210,35 @@ def _notes(found: ZWidth) -> list[str]:
     return notes
 
 
+def _holes(found: ZWidth) -> list[str]:
+    """Name the dampings at which no wall passed below others at which some did."""
+    notes = []
+    for number, scheme in enumerate(found.plan.schemes):
+        holes = {name: found.width(number, name).holes for name in CRITERIA}
+        if any(holes.values()):
+            which = "; ".join(
+                f"{', '.join(f'{b:.3g}' for b in b_s)} ({name})" for name, b_s in holes.items() if b_s
+            )
+            notes.append(
+                f"{scheme.label(found.plan.experiment)}: no wall passed at B = {which}, from the softest one "
+                f"on that was hit, K = {found.plan.search.lowest:.4g}; the area is a lower bound. Softer walls: "
+                "--stiffness FROM:TO"
+            )
+    return notes
+
+
 def _cells(width: Width) -> tuple[str, ...]:
-    undamped = "–" if width.stiffness_undamped is None else f"{width.stiffness_undamped:.4g}"
+    if width.stiffness_undamped is None:
+        undamped = "–"
+    elif width.stiffness_undamped <= 0.0:
+        undamped = f"< {width.lowest:.4g}"
+    else:
+        undamped = f"{'≥ ' if width.undamped_capped else ''}{width.stiffness_undamped:.4g}"
+    bound = width.capped or width.range_capped or width.holes
     return (
-        f"{'≥ ' if width.undamped_capped else ''}{undamped}",
+        undamped,
         f"{'≥ ' if width.capped else ''}{width.stiffness_peak:.4g}",
         f"{width.damping_at_peak:.3g}",
         f"{'≥ ' if width.range_capped else ''}{width.damping_range:.3g}",
-        f"{'≥ ' if width.capped or width.range_capped else ''}{width.area:.4g}",
+        f"{'≥ ' if bound else ''}{width.area:.4g}",
     )

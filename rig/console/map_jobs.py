@@ -42,11 +42,14 @@ def zwidth(content: Mapping[str, Any], talk: Talk) -> Any:
 
 def _hits(experiment: Experiment, content: Mapping[str, Any]) -> MapPlan:
     low, high = bounds_of(content["stiffness"], "stiffness") if content["stiffness"] else (None, None)
+    schemes = _schemes(content)
     return hit_plan(
         experiment,
-        _schemes(content),
+        schemes,
         dampings=_numbers(content, "damping"),
-        search=search_for(experiment, content["way"], ratio=content["ratio"], lowest=low, highest=high),
+        search=search_for(
+            experiment, content["way"], ratio=content["ratio"], lowest=low, highest=high, schemes=schemes
+        ),
         offsets=_numbers(content, "offsets"),
         repeats=content["repeats"],
         judged=content["judged"],

@@ -166,6 +166,12 @@ class UnexpectedVerdictError(RigError):
     exit_code = 17
 
 
+class NoStableWallError(RigError):
+    """A design found no scheme that has a stable wall whose damping is rendered; it recommends none."""
+
+    exit_code = 18
+
+
 class StoppedError(RigError):
     """A person stopped the run; the effort is zero and the recording closed.
 

@@ -286,11 +286,14 @@ def zwidth(
         _refuse_what_is_not_installed(*own)
     with _lent(*own):
         loaded = _held(experiment, changes)
+        chosen = [Scheme.parse(scheme) if isinstance(scheme, str) else scheme for scheme in schemes]
         planned = hit_plan(
             loaded,
-            [Scheme.parse(scheme) if isinstance(scheme, str) else scheme for scheme in schemes],
+            chosen,
             dampings=dampings,
-            search=search_for(loaded, search, ratio=ratio, lowest=lowest, highest=highest, span=SPAN),
+            search=search_for(
+                loaded, search, ratio=ratio, lowest=lowest, highest=highest, span=SPAN, schemes=chosen
+            ),
             offsets=offsets,
             repeats=repeats,
             judged=judged,

@@ -33,7 +33,10 @@ from rig.experiments.zwidth_frequency import FrequencyPlan
 
 T = TypeVar("T")
 
-SPAN = 100.0  # highest stiffness over the lowest
+SPAN = 100.0  # highest stiffness over the lowest, at least
+BELOW = (
+    4.0  # the linear limit without damping over the lowest: friction raises a limit, the quantum lowers it
+)
 COLUMNS = 17  # dampings
 BEYOND = 1.1  # of the largest damping that the linear theory allows any of the schemes
 CURVE_POINTS = 60  # of a theoretical curve
@@ -97,9 +100,13 @@ def search_for(
     lowest: float | None = None,
     highest: float | None = None,
     span: float = SPAN,
+    schemes: Sequence[Scheme] = (),
     on_device: bool = False,
 ) -> Search:
-    """Rungs up to what the push can show, unless bounds are given; on a device from the softest wall it may hit.
+    """Return rungs up to what the push can show and down to well below the linear limits, unless bounds are given.
+
+    The lowest stiffness is the highest over `span`, or less: a fourth of the lowest linear limit at B = 0 among the
+    schemes (those of `theory.default_schemes` if empty). On a device it is at least the softest wall it may hit.
 
     Raises
     ------
@@ -117,6 +124,9 @@ def search_for(
     top = possible if highest is None else highest
     if lowest is None:
         lowest = top / span
+        below = _lowest_undamped_limit(experiment, schemes) / BELOW
+        if 0.0 < below < lowest and ratio > 1.0:  # else refused below
+            lowest /= ratio ** math.ceil(math.log(lowest / below) / math.log(ratio))
         if on_device:
             lowest = max(lowest, _softest(experiment, lowest, top))
     try:
@@ -125,6 +135,19 @@ def search_for(
         raise PlanError(
             f"{error} (`stiffness`, `ratio`)", remedy="choose bounds and a ratio that make some rungs"
         ) from None
+
+
+def _lowest_undamped_limit(experiment: Experiment, schemes: Sequence[Scheme]) -> float:
+    """Return the lowest limit of K at B = 0 in linear theory, where the estimator does not matter."""
+    if is_on_the_drive(experiment):
+        return math.inf
+    one_of_each_rate = {
+        scheme.position_rate: scheme for scheme in schemes or theory.default_schemes(experiment)
+    }
+    return min(
+        theory.k_max(experiment, replace(_with_estimator(scheme, _REFERENCE), prediction=None)).stiffness
+        for scheme in one_of_each_rate.values()
+    )
 
 
 def _softest(experiment: Experiment, lowest: float, highest: float) -> float:
@@ -185,7 +208,7 @@ def hit_plan(
     repeats
         As in `MapPlan`.
     judged
-        Whose signals decide; by the truth if None, on a device by what it records.
+        Whose signals decide; what a rig records if None.
     on_device
         Whether a device will be hit.
 
@@ -201,10 +224,10 @@ def hit_plan(
         experiment=experiment,
         schemes=chosen,
         dampings=dampings_for(experiment, chosen) if dampings is None else tuple(dampings),
-        search=search or search_for(experiment, on_device=on_device),
+        search=search or search_for(experiment, schemes=chosen, on_device=on_device),
         offsets=tuple(offsets),
         repeats=repeats,
-        judged=judged or ("recorded" if on_device else "true"),
+        judged=judged or "recorded",
     )
 
 

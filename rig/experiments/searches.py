@@ -194,6 +194,39 @@ def limit_of(tried: Mapping[float, Passes]) -> StiffnessLimit:
     return StiffnessLimit(stiffness, failed_at, tuple(islands), unknown)
 
 
+@dataclass(frozen=True, slots=True)
+class Extent:
+    """How far a curve of limits reaches over the damping.
+
+    Attributes
+    ----------
+    damping
+        Largest damping at which some wall passes; 0 when none does.
+    area
+        Under the curve, up to that damping; a hole counts as zero there, so it is a lower bound where there are holes.
+    holes
+        Dampings below it at which no wall passed: the limit lies below the softest wall that was tried, or is none.
+    """
+
+    damping: float
+    area: float
+    holes: tuple[float, ...]
+
+    @classmethod
+    def of(cls, dampings: Sequence[float], limits: Sequence[float]) -> Extent:
+        """Measure the limits of K (0: no wall passed) at rising dampings."""
+        k, b = np.array(limits), np.array(dampings)
+        passing = np.flatnonzero(k > 0.0)
+        if not len(passing):
+            return cls(0.0, 0.0, ())
+        end = int(passing[-1]) + 1
+        return cls(
+            damping=float(b[end - 1]),
+            area=float(np.trapezoid(k[:end], b[:end])),
+            holes=tuple(b[:end][k[:end] <= 0.0].tolist()),
+        )
+
+
 def connected(passive: Flags) -> Flags:
     """Walls that are passive together with all softer ones of their damping; ``passive[..., damping, stiffness]``."""
     return np.logical_and.accumulate(passive, axis=-1)

@@ -5,8 +5,9 @@ the stiffnesses (`rig.experiments.searches`). A series is decided by its descrip
 last bit on one core, on many, or on a cluster, and a stopped one resumes where it was.
 
 A wall fails under a criterion when its hit is unstable, or when what the criterion names (felt, heard, any) exceeds its
-threshold; every map holds all three. In simulation the truth decides unless the recorded signals are asked for; the
-table has the numbers of both.
+threshold; every map holds all three. The recorded signals decide, as for a single hit, unless a simulation's truth is
+asked for; the table has the numbers of both. Range and area count only dampings that are rendered
+(`rig.experiments.rendering`).
 
 Source: Koul et al. 2013, section III (K raised until unstable, five repeats averaged) and Fig. 6.
 """
@@ -34,7 +35,8 @@ from rig.core.shown import Shown
 from rig.experiments import sweep
 from rig.experiments.hit_simulator import HitSimulator
 from rig.experiments.plan import stands_for_device
-from rig.experiments.searches import Outcomes, Search, StiffnessLimit, check_values, drive, limit_of
+from rig.experiments.rendering import RENDERED, rendered_share
+from rig.experiments.searches import Extent, Outcomes, Search, StiffnessLimit, check_values, drive, limit_of
 
 Judged = Literal["true", "recorded"]
 OFFSETS = (0.1, 0.6)  # places of zero that a map takes unless told otherwise
@@ -76,7 +78,7 @@ class MapPlan:
     repeats
         Series of each damping and offset; they differ in where exactly the handle starts, and in a hand's tremor.
     judged
-        Whose signals decide: the simulation's truth, or what a rig records.
+        Whose signals decide: what a rig records, as for a single hit, or the simulation's truth.
     criteria
         Whose limits are searched for: each takes hits of its own.
     """
@@ -87,7 +89,7 @@ class MapPlan:
     search: Search
     offsets: tuple[float, ...] = OFFSETS
     repeats: int = 1
-    judged: Judged = "true"
+    judged: Judged = "recorded"
     criteria: tuple[str, ...] = CRITERIA
 
     work: ClassVar[str] = "rig.experiments.zwidth:run_series"
@@ -199,6 +201,8 @@ class Boundary:
         How many hits were invalid.
     limits
         Of each series, with its islands.
+    rendered
+        Share of the damping that the effort limit leaves of a slow motion (`rig.experiments.rendering`).
     """
 
     scheme: int
@@ -211,9 +215,23 @@ class Boundary:
     capped: int
     unknown: int
     limits: tuple[StiffnessLimit, ...]
+    rendered: float = 1.0
+
+    @property
+    def counted(self) -> float:
+        """Limit that counts towards a width: 0 where the damping is not rendered."""
+        return self.stiffness if self.rendered >= RENDERED else 0.0
 
     @classmethod
-    def of(cls, scheme: int, damping: float, criterion: str, limits: Sequence[StiffnessLimit]) -> Boundary:
+    def of(
+        cls,
+        scheme: int,
+        damping: float,
+        criterion: str,
+        limits: Sequence[StiffnessLimit],
+        *,
+        rendered: float = 1.0,
+    ) -> Boundary:
         """Summarise limits."""
         stiffness = np.array([limit.stiffness for limit in limits])
         return cls(
@@ -227,21 +245,45 @@ class Boundary:
             capped=sum(limit.capped for limit in limits),
             unknown=sum(limit.unknown for limit in limits),
             limits=tuple(limits),
+            rendered=rendered,
         )
 
 
 @dataclass(frozen=True, slots=True)
 class Width:
-    """A curve in four numbers: what the papers compare."""
+    """A curve in numbers: what the papers compare. Dampings that are not rendered do not count.
 
-    stiffness_undamped: float | None  # at B = 0; None when the map does not have that column
+    Attributes
+    ----------
+    stiffness_undamped
+        Limit at B = 0; None when the map does not have that column, 0 when no wall passed there.
+    stiffness_peak, damping_at_peak
+        Largest limit, and where.
+    damping_range
+        Largest damping at which some wall passes.
+    area
+        Under the curve, up to `damping_range`.
+    capped, undamped_capped, range_capped
+        Whether peak, limit at B = 0 and range are only lower bounds: the search, or the map, ended before the wall did.
+    holes
+        Dampings below `damping_range` at which no wall passed; the area is then a lower bound.
+    not_rendered
+        Dampings that were left out.
+    lowest
+        Softest wall that was tried: where none passed, the limit lies below it.
+    """
+
+    stiffness_undamped: float | None
     stiffness_peak: float
     damping_at_peak: float
-    damping_range: float  # largest damping up to which every column holds some wall
-    area: float  # under the curve, up to damping_range
-    capped: bool  # the peak is only a lower bound: somewhere the search ended before the wall did
-    undamped_capped: bool = False  # so is the value at B = 0
-    range_capped: bool = False  # so is the range: it reaches to the last column
+    damping_range: float
+    area: float
+    capped: bool
+    undamped_capped: bool
+    range_capped: bool
+    holes: tuple[float, ...]
+    not_rendered: tuple[float, ...]
+    lowest: float
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -271,12 +313,16 @@ class ZWidth(Shown, Drawn):
         """Find the boundaries in the hits of every series."""
         limits: dict[tuple[int, float, str], list[StiffnessLimit]] = {}
         hits = 0
+        applied = [scheme.applied(plan.experiment) for scheme in plan.schemes]
         for one, rows in zip(plan.series(), series, strict=True):
             hits += len(rows)
             for criterion in plan.criteria:
                 column = (one.scheme, one.damping, criterion)
                 limits.setdefault(column, []).append(limit_of(_tried(rows, criterion, plan.judged)))
-        boundaries = tuple(Boundary.of(*column, found) for column, found in limits.items())
+        boundaries = tuple(
+            Boundary.of(*column, found, rendered=rendered_share(applied[column[0]], column[1]))
+            for column, found in limits.items()
+        )
         return cls(plan, boundaries, hits, series, on_device)
 
     def curve(self, scheme: int, criterion: str) -> list[Boundary]:
@@ -287,22 +333,21 @@ class ZWidth(Shown, Drawn):
     def width(self, scheme: int, criterion: str) -> Width:
         """Summarise one curve."""
         curve = self.curve(scheme, criterion)
-        peak = max(curve, key=lambda boundary: boundary.stiffness)
-        holds: list[Boundary] = []
-        for boundary in curve:
-            if boundary.stiffness <= 0.0:
-                break
-            holds.append(boundary)
-        area = np.trapezoid([b.stiffness for b in holds], [b.damping for b in holds]) if holds else 0.0
+        peak = max(curve, key=lambda boundary: boundary.counted)
+        extent = Extent.of([b.damping for b in curve], [b.counted for b in curve])
+        dropped = tuple(b.damping for b in curve if b.rendered < RENDERED)
         return Width(
             stiffness_undamped=curve[0].stiffness if curve[0].damping == 0.0 else None,
-            stiffness_peak=peak.stiffness,
+            stiffness_peak=peak.counted,
             damping_at_peak=peak.damping,
-            damping_range=holds[-1].damping if holds else 0.0,
-            area=float(area),
-            capped=any(b.capped for b in curve),
+            damping_range=extent.damping,
+            area=extent.area,
+            capped=any(b.capped for b in curve if b.rendered >= RENDERED),
             undamped_capped=curve[0].damping == 0.0 and curve[0].capped > 0,
-            range_capped=len(holds) == len(curve),
+            range_capped=curve[-1].counted > 0.0,
+            holes=tuple(b for b in extent.holes if b not in dropped),
+            not_rendered=dropped,
+            lowest=self.plan.search.lowest,
         )
 
     def invalid(self) -> dict[str, int]:
@@ -330,7 +375,12 @@ class ZWidth(Shown, Drawn):
                 Row(scheme.label(x), f"{peak}, B up to {beyond}{written(width.damping_range)} {damping}")
             )
         notes = [] if self.cutoffs is None else [self.cutoffs]
-        return [f"Z-width of {x.rig.name}: {self.hits} hits, neither felt, heard nor moved", *rows, *notes]
+        by = "; judged by the simulation's truth" if self.plan.judged == "true" else ""
+        return [
+            f"Z-width of {x.rig.name}: {self.hits} hits, neither felt, heard nor moved{by}",
+            *rows,
+            *notes,
+        ]
 
     def detailed(self) -> list[Item]:
         """The short form, and the limit of each scheme at each damping."""

@@ -85,12 +85,13 @@ class Maps:
         repeats: int,
     ) -> MapPlan:
         on_device = not self._rigs.simulated
+        chosen = [Scheme.parse(text) for text in schemes]
         search = ranges.search_for(
-            experiment, ratio=ratio, lowest=lowest, highest=highest, on_device=on_device
+            experiment, ratio=ratio, lowest=lowest, highest=highest, schemes=chosen, on_device=on_device
         )
         return ranges.hit_plan(
             experiment,
-            [Scheme.parse(text) for text in schemes],
+            chosen,
             dampings=dampings,
             search=search,
             repeats=repeats,

@@ -27,6 +27,7 @@ from rig.config.schemes import Scheme, usual_settings
 from rig.experiments.design import paths
 from rig.experiments.design.listing import Candidate
 from rig.experiments.design.rules import Boundary, Measures
+from rig.experiments.rendering import RENDERED, rendered_share
 from rig.experiments.sweep import Task
 
 WORK, STAGE = "rig.experiments.design.linear:of_estimator", "linear theory"
@@ -123,7 +124,8 @@ def of_estimator(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
             stands_in = True
             loop = linear_loop(subject, _usual(candidate.scheme))
         first = first or loop
-        stable = _stable(Lifted.of(loop), k, b)
+        rendered = np.array([rendered_share(applied, float(damping)) for damping in b]) >= RENDERED
+        stable = _stable(Lifted.of(loop), k, b) & rendered
         ripple = np.hypot(0.5 * resolution * k[:, None], noise * b)
         heard = config.verdict_thresholds(applied).heard_effort
         rows.append(

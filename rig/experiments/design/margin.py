@@ -3,19 +3,21 @@
 At one damping, the limit of K by simulated hits: on the described rig; with each identified parameter 20 % higher or
 lower alone; in each hand alone; and on `SAMPLES` rigs whose identified parameters are all drawn from ±20 %, in each
 hand. An identified parameter is one that `rig identify` measures and that is not zero. Delay is identified, too, but in
-whole ticks: one tick more stands for it. The search goes upwards (*ladder*): near the end of the range of damping a
-soft wall may fail first, and that spoils a scheme, too. What a limit is for want of push (a light hand on a stiff wall)
-is no limit of the scheme: a search that ends before a wall fails counts as nothing lost.
+whole ticks: one tick more stands for it. The search goes upwards from the softest wall (*ladder*): near the end of the
+range of damping a soft wall may fail first, and that spoils a scheme, too. Where the push ends before a wall fails, the
+share is a lower bound (`Left.capped`), and linear theory, which has no such end, says what share it expects
+(`Left.theory`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from rig import config
+from rig.analysis import theory
 from rig.config import Experiment
 from rig.core.errors import ConfigError
 from rig.core.operators import GRIPS
@@ -28,8 +30,7 @@ from rig.experiments.zwidth import ZWidth
 SHARE = 0.2
 SAMPLES = 16
 SEED = 20_260  # of the samples
-RATIO = 1.06  # between rungs
-SPAN = 12.0  # highest over lowest
+RATIO = 1.1  # between rungs
 BEYOND = 1.2  # highest over the limit on the described rig
 OFFSETS = (0.1, 0.6)
 DELAY = "rig.simulation.computation_delay_ticks"
@@ -53,11 +54,27 @@ IDENTIFIED = (
 
 @dataclass(frozen=True, slots=True)
 class Left:
-    """What one change leaves of the limit (share), and whether it is only a lower bound."""
+    """What one change leaves of the limit.
+
+    Attributes
+    ----------
+    share
+        Limit over that on the described rig; a lower bound if `capped`.
+    capped
+        Whether the search ended before a wall failed, or did so on the described rig.
+    theory
+        The same share in linear theory; None for an estimator that is not linear, or a limit of zero.
+    """
 
     change: str
     share: float
     capped: bool
+    theory: float | None
+
+    @property
+    def expected(self) -> float:
+        """Share to rank by: what hits show, or what theory expects where they end early."""
+        return self.share if not self.capped or self.theory is None else self.theory
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,6 +85,8 @@ class Margin:
     ----------
     damping, stiffness
         B at which it is taken, and the limit of K on the described rig.
+    capped
+        Whether that limit is only a lower bound: the push ended before a wall failed.
     worst
         Lowest share over all samples and hands, with the hand.
     alone
@@ -78,6 +97,7 @@ class Margin:
 
     damping: float
     stiffness: float
+    capped: bool
     worst: Left
     alone: tuple[Left, ...]
     samples: int
@@ -89,7 +109,7 @@ class Margin:
 
     @reported
     def secured(self) -> float:
-        """Stiffness that the worst of them leaves (N·m/rad or N/m)."""
+        """Stiffness that the worst of them leaves (N·m/rad or N/m); a lower bound where its share is one."""
         return self.worst.share * self.stiffness
 
 
@@ -111,15 +131,23 @@ def margin_of(
     described = candidate.condition(experiment)
     single, joint = dict(_single(described)), dict(_joint(described))
     variants = {"": described, **single, **joint}
-    work = [(x, candidate.scheme, _grid(x, damping, limit)) for x in variants.values()]
+    work = [(x, candidate.scheme, _grid(x, candidate, damping, limit)) for x in variants.values()]
     maps = dict(zip(variants, run.map_each("margin", work), strict=True))
-    nominal = _limit(maps[""])[0]
-    left = {name: _left(name, found, nominal) for name, found in maps.items() if name}
+    nominal, capped = _limit(maps[""])
+    left = {}
+    for name, found in maps.items():
+        there, ends_early = _limit(found)
+        share = there / nominal if nominal > 0.0 else 0.0
+        by_theory = (
+            _share_by_theory(candidate, variants[name], described, damping) if capped or ends_early else None
+        )
+        left[name] = Left(name, share, capped=capped or ends_early, theory=by_theory)
     return Margin(
         damping=damping,
         stiffness=nominal,
-        worst=min((left[name] for name in joint), key=lambda one: one.share),
-        alone=tuple(sorted((left[name] for name in single), key=lambda one: one.share)),
+        capped=capped,
+        worst=min((left[name] for name in joint), key=lambda one: one.expected),
+        alone=tuple(sorted((left[name] for name in single), key=lambda one: one.expected)),
         samples=SAMPLES,
     )
 
@@ -161,14 +189,11 @@ def _hands(described: Experiment) -> dict[str, dict[str, str]]:
     return {hand: changes for hand, changes in others.items() if may_hold(changes)}
 
 
-def _grid(experiment: Experiment, damping: float, limit: float) -> Grid:
-    search = search_for(experiment, "ladder", ratio=RATIO)
-    highest = min(search.highest, BEYOND * limit) if limit > 0.0 else search.highest
-    return Grid(
-        dampings=(damping,),
-        search=search_for(experiment, "ladder", ratio=RATIO, lowest=highest / SPAN, highest=highest),
-        offsets=OFFSETS,
-    )
+def _grid(experiment: Experiment, candidate: Candidate, damping: float, limit: float) -> Grid:
+    search = search_for(experiment, "ladder", ratio=RATIO, schemes=[candidate.scheme])
+    if 0.0 < BEYOND * limit < search.highest:
+        search = replace(search, highest=BEYOND * limit, lowest=min(search.lowest, limit / RATIO))
+    return Grid(dampings=(damping,), search=search, offsets=OFFSETS)
 
 
 def _limit(found: ZWidth) -> tuple[float, bool]:
@@ -176,9 +201,11 @@ def _limit(found: ZWidth) -> tuple[float, bool]:
     return boundary.lowest, boundary.capped == len(boundary.limits)
 
 
-def _left(name: str, found: ZWidth, nominal: float) -> Left:
-    limit, capped = _limit(found)
-    if nominal <= 0.0:
-        return Left(name, 0.0, capped=False)
-    share = limit / nominal
-    return Left(name, max(1.0, share) if capped else share, capped)
+def _share_by_theory(
+    candidate: Candidate, changed: Experiment, described: Experiment, damping: float
+) -> float | None:
+    try:
+        limits = [theory.k_max(x, candidate.scheme, damping).stiffness for x in (changed, described)]
+    except ConfigError:  # an estimator that is not linear
+        return None
+    return limits[0] / limits[1] if limits[1] > 0.0 else None

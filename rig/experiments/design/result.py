@@ -201,12 +201,16 @@ class Design(Shown, Drawn):
         """What each change of the rig leaves, the worst first; the `most` worst alone."""
         margin = self.margin
         rows = [
-            (left.change, f"{'≥ ' if left.capped else ''}{left.share:.0%}")
+            (
+                left.change,
+                f"{'≥ ' if left.capped else ''}{left.share:.0%}",
+                "–" if left.theory is None else f"{left.theory:.0%}",
+            )
             for left in (margin.worst, *margin.alone[:most])
         ]
-        wall = f"K = {margin.stiffness:.4g} at B = {margin.damping:.3g}"
+        wall = f"K {'≥' if margin.capped else '='} {margin.stiffness:.4g} at B = {margin.damping:.3g}"
         caption = f"what is left of {wall}: in the worst sample, then one change at a time"
-        return Table(("change", "left"), rows, caption)
+        return Table(("change", "left", "by linear theory"), rows, caption)
 
     def as_mapping(self) -> dict[str, Any]:
         """Plain values, for JSON."""
@@ -300,8 +304,12 @@ class Design(Shown, Drawn):
     def _margin_text(self) -> str:
         margin = self.margin
         first = margin.spoils_first
+        alone = f"{'≥ ' if first.capped else ''}{first.share:.0%}"
+        if first.capped and first.theory is not None:
+            alone += f" ({first.theory:.0%} by linear theory: the push ends before a wall fails)"
         return (
-            f"at B = {margin.damping:.3g} {written(margin.secured, 3)} of {written(margin.stiffness, 3)} "
+            f"at B = {margin.damping:.3g} {'≥ ' if margin.worst.capped else ''}{written(margin.secured, 3)} of "
+            f"{'≥ ' if margin.capped else ''}{written(margin.stiffness, 3)} "
             f"{self._unit('stiffness')} are left on the worst of {margin.samples} rigs within 20 %, "
-            f"{margin.worst.change}; first spoilt by {first.change}, which alone leaves {first.share:.0%}"
+            f"{margin.worst.change}; first spoilt by {first.change}, which alone leaves {alone}"
         )

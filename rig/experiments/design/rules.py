@@ -1,9 +1,10 @@
 """What a design is judged by, written down before any result: measures, goals, wishes, front, no worse, margin.
 
 A scheme has seven measures (`Measures`). Four are of its walls, by simulated hits under the criterion *any* (stable,
-and neither felt, heard nor moved), means over encoder offsets: the largest K at B = 0, the peak of K over B, the
-largest B up to which every column of the map has a wall that passes, and the area of the K–B plane below the boundary
-up to that B. Three are of its velocity path alone (`rig.experiments.design.paths`).
+and neither felt, heard nor moved), judged by what a rig records, means over encoder offsets: the largest K at B = 0,
+the peak of K over B, the largest B at which a wall passes, and the area of the K–B plane below the boundary up to that
+B. A damping that is not rendered (`rig.experiments.rendering`) counts as one at which no wall passes. Three are of its
+velocity path alone (`rig.experiments.design.paths`).
 
 **Best** is what has most of what the goal names: the peak (*stiffness*), the range of B (*damping*) or the area
 (*area*). *Quiet* is the least noise among the schemes that have no less area than the experiment's own scheme. What
@@ -16,6 +17,7 @@ and better in one. All of it is of one round, so that all were measured by the s
 experiment's own, pair by pair, on encoder offsets and seeds that the search did not see. It is no worse when the 95 %
 interval (Student's t) of the mean difference lies above −`NEGLIGIBLE` of the own scheme's mean, and better when it lies
 above zero. Where that is not shown, and the experiment's own scheme fulfils the wishes, too, that one is recommended.
+A scheme without a single stable wall is never recommended: where no scheme has one, that is an error.
 
 **As good as a paper's scheme** is one that reaches, to a rung of the search, the paper's scheme in K at B = 0, peak and
 range of B, each (`OF_A_PAPER`). On the rig of Chawda et al. it also reaches it in the four rows of their Table I
@@ -26,7 +28,8 @@ measured whole, or missed a measure in a hit without which it cannot reach it.
 
 **Margin** (`rig.experiments.design.margin`): at the damping of the wished wall, or else of the peak, the lowest limit
 of K on rigs with all identified parameters drawn together from ±20 %, in every hand, over the limit on the described
-rig. *What spoils it first* is the one parameter, moved by 20 % alone, or the one hand, that leaves the lowest limit.
+rig. Every wall from the softest on has to pass. *What spoils it first* is the one parameter, moved by 20 % alone, or
+the one hand, that leaves the lowest limit.
 """
 
 from __future__ import annotations
@@ -41,6 +44,7 @@ import numpy as np
 from rig.core.deferred import special
 from rig.core.errors import PlanError
 from rig.experiments.planned import check_positive
+from rig.experiments.searches import Extent
 
 Goal = Literal["stiffness", "damping", "area", "quiet"]
 GOALS: tuple[Goal, ...] = get_args(Goal)
@@ -97,14 +101,8 @@ class Boundary:
     @classmethod
     def of(cls, dampings: Sequence[float], limits: Sequence[float]) -> Boundary:
         """Measure the largest K at each damping, which rise from 0."""
-        k, b = np.array(limits), np.array(dampings)
-        holds = int(np.logical_and.accumulate(k > 0.0).sum())
-        return cls(
-            undamped=float(k[0]),
-            stiffness=float(k.max()),
-            damping=float(b[holds - 1]) if holds else 0.0,
-            area=float(np.trapezoid(k[:holds], b[:holds])),
-        )
+        extent = Extent.of(dampings, limits)
+        return cls(undamped=limits[0], stiffness=max(limits), damping=extent.damping, area=extent.area)
 
 
 def dominates(one: Measures, other: Measures) -> bool:

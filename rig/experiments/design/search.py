@@ -18,6 +18,7 @@ import numpy as np
 from rig import config
 from rig.config import Experiment
 from rig.config.schemes import Scheme
+from rig.core.errors import NoStableWallError
 from rig.core.present import plain
 from rig.experiments import sweep
 from rig.experiments.design import linear, rules
@@ -29,6 +30,7 @@ from rig.experiments.design.rounds import Grid, Sweeper, Watch, columns_to
 from rig.experiments.design.rules import Boundary, Comparison, Measures, Wishes
 from rig.experiments.design.whole import Against, Paper, against_paper
 from rig.experiments.ranges import dampings_for, search_for
+from rig.experiments.rendering import RENDERED
 from rig.experiments.searches import Search, Way
 from rig.experiments.zwidth import ZWidth
 
@@ -131,6 +133,8 @@ def design(
 
     Raises
     ------
+    NoStableWallError
+        No scheme has a stable wall whose damping is rendered.
     UnmetError
         No scheme of the listed set fulfils the wishes; it says which one binds.
     ConfigError
@@ -181,6 +185,14 @@ class _Search:
         rules.refuse_unmet(wishes, [one.shares for one in finalists])
 
         best, of_own = finalists[0], _of(finalists, own)
+        if best.measures.stiffness <= 0.0:
+            lowest = search_for(x, schemes=[one.candidate.scheme for one in finalists]).lowest
+            raise NoStableWallError(
+                f"none of {len(candidates)} schemes has a stable wall from K = {lowest:.4g} on that is neither "
+                "felt, heard nor moved and whose damping is rendered",
+                remedy="push harder (`effort`, `operator`), allow more (`felt`, `heard`, `moved`), or use a finer "
+                "encoder",
+            )
         held_out = None if best is of_own else self._held_out(best, of_own, dampings)
         if held_out is not None and not held_out.no_worse and self._may_be_own(of_own, places):
             best = of_own
@@ -213,7 +225,7 @@ class _Search:
         )
 
     def _linear(self, candidates: Sequence[Candidate], dampings: Sequence[float]) -> list[Linear]:
-        search = search_for(self.request.experiment)
+        search = search_for(self.request.experiment, schemes=[one.scheme for one in candidates])
         k = np.geomspace(search.lowest, search.highest, linear.STIFFNESSES).tolist()
         tasks, order = linear.tasks(self.request.experiment, candidates, dampings, k)
         return linear.results(self.run.run(linear.STAGE, linear.WORK, tasks), order)
@@ -253,9 +265,8 @@ class _Search:
         """Map the entrants; the best first."""
         x, wishes = self.request.experiment, self.request.wishes
         b = sorted({*dampings, wishes.wall[1]} if wishes.wall else set(dampings))
-        grid = Grid(
-            dampings=tuple(b), search=search_for(x, stage.way, ratio=stage.ratio), offsets=stage.offsets
-        )
+        search = search_for(x, stage.way, ratio=stage.ratio, schemes=[one.scheme for one in entrants])
+        grid = Grid(dampings=tuple(b), search=search, offsets=stage.offsets)
         maps = self.run.map_each(stage.name, [(one.condition(x), one.scheme, grid) for one in entrants])
         found = [
             self._standing(one, known[one.key], of_one, stage.ratio)
@@ -270,7 +281,7 @@ class _Search:
         wishes, x = self.request.wishes, self.request.experiment
         boundary = tuple(found.curve(0, "any"))
         measures = Measures(
-            **asdict(Boundary.of([b.damping for b in boundary], [b.stiffness for b in boundary])),
+            **asdict(Boundary.of([b.damping for b in boundary], [b.counted for b in boundary])),
             noise=path.noise,
             fidelity_hz=path.fidelity_hz,
             cost=path.cost,
@@ -278,8 +289,8 @@ class _Search:
         shares = wishes.of_path(path.noise, path.fidelity_hz, path.cost)
         if wishes.wall is not None:
             stiffness, damping = wishes.wall
-            lowest = next(b.lowest for b in boundary if b.damping == damping)
-            shares["wall"] = min(1.0, lowest * step / stiffness)
+            (there,) = (b for b in boundary if b.damping == damping)
+            shares["wall"] = min(1.0, there.lowest * step / stiffness, there.rendered / RENDERED)
         return Standing(
             candidate=candidate,
             label=candidate.scheme.label(candidate.condition(x)),
@@ -302,7 +313,8 @@ class _Search:
         found = []
         for one, of_one in zip(finalists, self.run.map_each("wished wall", work), strict=True):
             (boundary,) = of_one.curve(0, "any")
-            share = 1.0 if boundary.lowest > 0.0 else min(one.shares["wall"], 0.99)
+            holds = boundary.lowest > 0.0 and boundary.rendered >= RENDERED
+            share = 1.0 if holds else min(one.shares["wall"], 0.99)
             found.append(replace(one, shares={**one.shares, "wall": share}))
         return sorted(found, key=lambda one: rules.fulfilled(one.shares), reverse=True)
 
@@ -310,9 +322,12 @@ class _Search:
         """Both schemes on offsets and seeds of their own."""
         x = self.request.experiment
         x = config.override(x, {"trial.seed": x.trial.seed + HELD_OUT_SEED}, "the comparison")
+        last = self.request.rounds[-1]
         grid = Grid(
             dampings=tuple(dampings),
-            search=search_for(x, self.request.rounds[-1].way, ratio=self.request.rounds[-1].ratio),
+            search=search_for(
+                x, last.way, ratio=last.ratio, schemes=[best.candidate.scheme, own.candidate.scheme]
+            ),
             offsets=HELD_OUT_OFFSETS,
             repeats=HELD_OUT_REPEATS,
         )
@@ -328,7 +343,7 @@ def _pairs(found: ZWidth) -> list[Boundary]:
     curve = found.curve(0, "any")
     dampings = [b.damping for b in curve]
     return [
-        Boundary.of(dampings, [b.limits[pair].stiffness for b in curve])
+        Boundary.of(dampings, [b.limits[pair].stiffness * (b.rendered >= RENDERED) for b in curve])
         for pair in range(len(curve[0].limits))
     ]
 
@@ -352,5 +367,5 @@ def _where(best: Standing, wishes: Wishes) -> tuple[float, float]:
     """Damping at which a margin is taken, and the limit of K there."""
     if wishes.wall is not None:
         return wishes.wall[1], max(b.lowest for b in best.boundary if b.damping == wishes.wall[1])
-    peak = max(best.boundary, key=lambda boundary: boundary.stiffness)
+    peak = max(best.boundary, key=lambda boundary: boundary.counted)
     return peak.damping, peak.stiffness

@@ -3,8 +3,8 @@
 A limit is the stiffest wall below which everything holds, so that a scheme whose wall fails at the rung that a measure
 asks for has not that measure, whatever its other walls do: **one hit rules it out**. Hits are asked for in the order in
 which they rule out most: at B = 0, where the estimator has no part in the law, one for all schemes of a position rate
-(and place); the softest wall at the damping that the range has to reach, then at those below; the wall of the wished
-peak at every damping, also beyond the range. A scheme is ruled out when its walls fail at all encoder offsets; an
+(and place); the softest wall at every damping from the one that the range has to reach on; the wall of the wished peak
+at every damping, also beyond the range. A scheme is ruled out when its walls fail at all encoder offsets; an
 invalid hit rules out nothing. Numbers to tune are counted without a hit.
 
 What is left is mapped as the paper's scheme was, rung by rung, and on a rig whose paper measures impedances excited,
@@ -43,6 +43,7 @@ from rig.experiments.ranges import (
     frequency_plan,
     search_for,
 )
+from rig.experiments.rendering import RENDERED
 from rig.experiments.searches import Search
 from rig.experiments.table_one import PAPERS_RIG, SchemeWidths, tuned_numbers
 from rig.experiments.zwidth import ZWidth
@@ -206,7 +207,7 @@ def against_paper(
 class _Whole:
     def __init__(self, experiment: Experiment, paper: Paper, run: Sweeper) -> None:
         self._x, self._paper, self._run = experiment, paper, run
-        self._search = search_for(experiment, "ladder", ratio=RATIO)
+        self._search = search_for(experiment, "ladder", ratio=RATIO, schemes=paper.schemes)
         reach = dampings_for(experiment, paper.schemes, columns=2)[-1]
         self._dampings = (*columns_to(reach, COLUMNS), *(reach * times for times in BEYOND))
         self._impedances = bool(set(OF_TABLE_ONE) & set(paper.measures))
@@ -258,19 +259,18 @@ class _Whole:
         """What rules schemes out, with the measure that it is about: each keeps those that may still have it."""
         softest = self._search.lowest
         reach = next(b for b in self._dampings if rules.reaches("damping", b, asked["damping"], RATIO))
-        below = [b for b in self._dampings if b < reach]
+        beyond = [b for b in self._dampings if b >= reach]
         if "tuned" in asked:
             yield "tuned", lambda left: [one for one in left if self._tuned(one) <= asked["tuned"]]
         if asked["undamped"] > 0.0:  # else every scheme reaches it
             yield "undamped", lambda left: self._undamped(name, left, asked["undamped"])
         if asked["damping"] > 0.0:
-            yield "damping", lambda left: self._hold(f"{name} range", left, [reach], softest)
-            yield "damping", lambda left: self._hold(f"{name} below", left, below, softest)
+            yield "damping", lambda left: self._hold(f"{name} range", left, beyond, softest)
         if asked["stiffness"] > 0.0:
             rung = self._rung("stiffness", asked["stiffness"])
             yield (
                 "stiffness",
-                lambda left: self._hold(f"{name} peak", left, self._dampings, rung, every=False),
+                lambda left: self._hold(f"{name} peak", left, self._dampings, rung),
             )
 
     def _undamped(self, name: str, left: Sequence[Candidate], asked: float) -> list[Candidate]:
@@ -289,26 +289,19 @@ class _Whole:
         return next(k for k in self._search.rungs if rules.reaches(name, k, asked, RATIO))
 
     def _hold(
-        self,
-        stage: str,
-        left: Sequence[Candidate],
-        dampings: Sequence[float],
-        stiffness: float,
-        *,
-        every: bool = True,
+        self, stage: str, left: Sequence[Candidate], dampings: Sequence[float], stiffness: float
     ) -> list[Candidate]:
-        """Candidates whose wall does not fail at some offset, at every damping or at any."""
-        if not (left and dampings):
-            return list(left)
+        """Candidates one of whose walls, at any of the dampings, does not fail at some offset."""
+        if not left:
+            return []
         one_rung = Search(way="grid", lowest=stiffness, highest=1.5 * stiffness, ratio=2.0)
         grid = Grid(dampings=tuple(dampings), search=one_rung, offsets=OFFSETS)
         maps = self._run.map_each(stage, [(one.condition(self._x), one.scheme, grid) for one in left])
-        enough = all if every else any
         return [
             one
             for one, found in zip(left, maps, strict=True)
-            if enough(
-                any(limit.failed_at is None for limit in boundary.limits)
+            if any(
+                boundary.rendered >= RENDERED and any(limit.failed_at is None for limit in boundary.limits)
                 for boundary in found.curve(0, "any")
             )
         ]
@@ -339,7 +332,7 @@ class _Whole:
 
     def _values(self, one: Candidate, found: ZWidth, width: SchemeWidths | None) -> dict[str, float]:
         curve = found.curve(0, "any")
-        values = asdict(Boundary.of([b.damping for b in curve], [b.stiffness for b in curve]))
+        values = asdict(Boundary.of([b.damping for b in curve], [b.counted for b in curve]))
         if width is not None:
             together = width.together
             values |= {

@@ -129,6 +129,7 @@ class ChawdaPlan:
             dampings=self._scale.hit_dampings,
             search=search_for(experiment, "ladder", ratio=ratio, lowest=rigs.LOWEST_STIFFNESS),
             offsets=self._scale.offsets,
+            judged="true",
         )
 
     def _all_grids(self) -> dict[str, Grid]:

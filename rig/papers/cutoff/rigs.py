@@ -85,4 +85,5 @@ def map_plan(changes: Mapping[str, Any], scale: Scale) -> MapPlan:
         dampings=scale.dampings,
         search=Search(way="ladder", lowest=LOWEST, highest=HIGHEST, ratio=scale.ratio),
         offsets=scale.offsets,
+        judged="true",
     )

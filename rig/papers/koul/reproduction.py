@@ -9,6 +9,7 @@ Source: Koul, Manivannan, Saha, "Enhanced Z-width of a haptic interface by dual-
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -155,7 +156,8 @@ class KoulPlan:
     def _kmax_plan(self, preset: str, lag: str) -> MapPlan:
         experiment = rigs.Held(preset=preset, grip="normal").experiment(rigs.LAGS[lag])
         search = search_for(experiment, "bisection", ratio=self._scale.kmax_ratio, lowest=1.0)
-        return kmax_plan(experiment, search, rates=self._scale.rates, offsets=self._scale.offsets)
+        plan = kmax_plan(experiment, search, rates=self._scale.rates, offsets=self._scale.offsets)
+        return replace(plan, judged="true")
 
     def _map_plan(self, held: rigs.Held) -> MapPlan:
         experiment, scale = held.experiment(), self._scale
@@ -167,6 +169,7 @@ class KoulPlan:
             dampings=self._dampings[held.preset][:: 1 if main else 2],
             search=_search(experiment, way, scale.ratio if main else scale.ratio**1.5),
             offsets=scale.offsets if main else scale.offsets[:1],
+            judged="true",
         )
 
     def _idea_plan(self, idea: Idea) -> MapPlan:
@@ -177,6 +180,7 @@ class KoulPlan:
             dampings=scale.idea_dampings,
             search=_search(experiment, "ladder", scale.idea_ratio),
             offsets=scale.idea_offsets,
+            judged="true",
         )
 
     def _effect_plan(self, experiment: Experiment) -> MapPlan:
@@ -186,6 +190,7 @@ class KoulPlan:
             dampings=(0.0,),
             search=_search(experiment, "bisection", self._scale.kmax_ratio),
             offsets=self._scale.offsets,
+            judged="true",
         )
 
     def _ranges(self, experiment: Experiment, schemes: Sequence[Scheme] | None = None) -> Part:

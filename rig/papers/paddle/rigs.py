@@ -163,4 +163,5 @@ def map_plan(rig: Rig, scale: Scale) -> MapPlan:
         dampings=scale.dampings,
         search=Search(way="ladder", lowest=LOWEST, highest=HIGHEST, ratio=scale.ratio),
         offsets=scale.offsets,
+        judged="true",
     )

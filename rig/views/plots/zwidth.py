@@ -6,12 +6,14 @@ offsets and repeats.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from rig.core.sample import unit_of
 from rig.experiments.kmax import KMax
+from rig.experiments.rendering import RENDERED
 from rig.experiments.zwidth import Boundary, ZWidth
 from rig.views.plots import style
 
@@ -19,6 +21,14 @@ TITLES = {"felt": "felt", "heard": "heard", "any": "felt, heard or moved"}
 _THEORY: dict[str, Any] = {"linewidth": 0.8, "linestyle": "--"}
 _BAND: dict[str, Any] = {"alpha": 0.18, "linewidth": 0.0}
 _CAP: dict[str, Any] = {"marker": "^", "linestyle": "", "markersize": 7}
+_HOLE: dict[str, Any] = {"marker": "x", "linestyle": "", "markersize": 7, "zorder": 5, "clip_on": False}
+_NOT_RENDERED: dict[str, Any] = {
+    "marker": "o",
+    "markerfacecolor": "white",
+    "linestyle": "",
+    "markersize": 4,
+    "zorder": 5,
+}
 _ISLAND: dict[str, Any] = {"linewidth": 3.0, "alpha": 0.45, "solid_capstyle": "butt"}
 Curve = tuple[Sequence[float], Sequence[float]]  # damping or rate, stiffness
 
@@ -121,9 +131,8 @@ def draw_boundaries(
 ) -> None:
     """Draw one curve of limits: mean, band, caps and islands."""
     size = 2.0 + 1.2 * width
-    axes.plot(
-        along, [b.stiffness for b in curve], "o-", color=colour, linewidth=width, markersize=size, label=label
-    )
+    limits = [b.stiffness if b.stiffness > 0.0 else math.nan for b in curve]  # no line leads through a hole
+    axes.plot(along, limits, "o-", color=colour, linewidth=width, markersize=size, label=label)
     lowest, highest = [b.lowest for b in curve], [b.highest for b in curve]
     axes.fill_between(along, lowest, highest, color=colour, **_BAND)
     if len(curve) == 1:  # a band has no width there
@@ -131,7 +140,12 @@ def draw_boundaries(
     capped = [(x, b.stiffness) for x, b in zip(along, curve, strict=True) if b.capped]
     if capped:
         axes.plot(*zip(*capped, strict=True), color=colour, **_CAP)
+    failed = [x for x, b in zip(along, curve, strict=True) if b.stiffness <= 0.0]
+    if failed:
+        axes.plot(failed, [0.0] * len(failed), color=colour, **_HOLE)
     for x, boundary in zip(along, curve, strict=True):
+        if boundary.rendered < RENDERED:
+            axes.plot([x], [boundary.stiffness], color=colour, **_NOT_RENDERED)
         for limit in boundary.limits:
             for low, high in limit.islands:
                 axes.plot([x, x], [low, high], color=colour, **_ISLAND)
@@ -149,6 +163,12 @@ def explain(axes: Any, boundaries: Sequence[Boundary]) -> None:
         axes.fill_between([], [], [], color="#333333", **_BAND, label="from the lowest limit to the highest")
     if any(b.capped for b in boundaries):
         axes.plot([], [], color="#333333", **_CAP, label="no wall failed: the limit lies above")
+    if any(b.stiffness <= 0.0 for b in boundaries):
+        axes.plot([], [], color="#333333", **_HOLE, label="no wall passed, from the softest one on")
+    if any(b.rendered < RENDERED for b in boundaries):
+        axes.plot(
+            [], [], color="#333333", **_NOT_RENDERED, label="damping not rendered: counts towards no width"
+        )
     if any(limit.islands for b in boundaries for limit in b.limits):
         axes.plot([], [], color="#333333", **_ISLAND, label="island: stable walls beyond the limit")
 
@@ -164,4 +184,5 @@ def _how(found: ZWidth) -> str:
         f"{n} {name}{'' if n == 1 else 's'}"
         for n, name in ((len(plan.offsets), "offset"), (plan.repeats, "repeat"))
     )
-    return f"{push}; {offsets} × {repeats}, {plan.search.way}"
+    by = ", judged by the simulation's truth" if plan.judged == "true" else ""
+    return f"{push}; {offsets} × {repeats}, {plan.search.way}{by}"

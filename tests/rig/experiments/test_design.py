@@ -22,7 +22,7 @@ from rig.analysis import theory
 from rig.bench.firmware.tick_budget import CALLS
 from rig.config import presets
 from rig.config.schemes import Scheme
-from rig.core.errors import ConfigError
+from rig.core.errors import ConfigError, NoStableWallError
 from rig.devices.device import LINK_SHARE, STATE_BYTES
 from rig.experiments import maps, sweep
 from rig.experiments.design import (
@@ -45,6 +45,7 @@ from rig.experiments.design import search as searching
 from rig.experiments.design.rules import Boundary
 from rig.experiments.design.search import Round
 from rig.experiments.ranges import search_for
+from rig.experiments.rendering import RENDERED, rendered_damping, rendered_share
 from rig.experiments.zwidth import MapPlan
 from tests.conformance.made_links import link
 from tests.conformance.maps import SHORT, short_map
@@ -228,6 +229,8 @@ def test_the_theory_of_the_set_is_that_of_each_wall_by_itself() -> None:
                 if float(radius) >= 1.0:
                     break
                 limit = stiffness
+            if rendered_share(candidate.applied(X), damping) < RENDERED:
+                limit = 0.0
             assert one.stable[number] == limit
             assert one.quiet[number] <= limit
 
@@ -348,6 +351,26 @@ def test_a_wish_that_nothing_fulfils_is_named_with_how_far_one_comes(wishes: Wis
     quick = (replace(ROUNDS[0], columns=2, enter=2),)
     with pytest.raises(UnmetError, match=said):
         design(Request(experiment=X, schemes=SCHEMES[:2], rounds=quick, wishes=wishes))
+
+
+def test_no_scheme_is_recommended_where_none_has_a_stable_wall() -> None:
+    strict = config.override(
+        X, {"verdict.heard_force": 1e-6, "verdict.felt_velocity": 1e-9, "verdict.moved": 1e-9}
+    )
+    with pytest.raises(NoStableWallError, match=r"none of \d schemes has a stable wall") as refused:
+        design(replace(REQUEST, experiment=strict))
+    assert refused.value.exit_code == 18
+
+
+def test_a_scheme_whose_damping_is_not_rendered_gains_nothing_by_it(small: None) -> None:
+    """An unfiltered difference at 20 kHz, 4000 counts a turn at the handle: limit·T/Δ is 0.019 N·m·s/rad."""
+    coarse = config.override(X, {"rig.encoder.ratio": 1.0, "rig.limits.effort": 0.6, "wall.stiffness": 20.0})
+    schemes = (Scheme.parse("uniform:20k,estimator=fdm"), Scheme.parse("dual:20k/2k"))
+    found = design(replace(REQUEST, experiment=coarse, schemes=schemes))
+    (bare,) = (one for one in found.standings if "fdm" in one.label.split())
+    most = rendered_damping(bare.candidate.applied(coarse))
+    assert most == pytest.approx(0.6 / 20_000 / coarse.rig.encoder.resolution / RENDERED, rel=1e-6)
+    assert bare.measures.damping <= most
 
 
 def test_identified_parameters_are_those_that_a_rig_has() -> None:

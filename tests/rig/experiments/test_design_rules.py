@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from rig.experiments.design import rules
 from rig.experiments.design.rules import Boundary, Comparison, Measures, UnmetError, Wishes
+from rig.experiments.searches import Extent
 
 FEW = st.sampled_from([0.0, 1.0, 2.0, 3.0])  # so that ties are common
 measured = st.builds(
@@ -57,15 +58,19 @@ def test_dominance_has_a_direction(one: Any, other: Any) -> None:
     assert not rules.dominates(one, one)
 
 
-@given(st.lists(st.floats(0.0, 1e3), min_size=2, max_size=9))
-def test_a_boundary_ends_where_no_wall_is_left(limits: Any) -> None:
+@given(st.lists(st.sampled_from([0.0, 0.0, 1.0, 2.5, 1e3]), min_size=2, max_size=9))
+def test_a_boundary_reaches_to_the_last_wall_and_holes_count_nothing(limits: Any) -> None:
     dampings = [float(n) for n in range(len(limits))]
-    found = Boundary.of(dampings, limits)
-    holds = next((n for n, k in enumerate(limits) if k <= 0.0), len(limits))
-    assert found.damping == max(0, holds - 1)
-    trapezoids = sum(0.5 * (a + b) for a, b in pairwise(limits[:holds]))
-    assert found.area == pytest.approx(trapezoids, rel=1e-12, abs=1e-12)
-    assert found.stiffness == max(limits)
+    found, extent = Boundary.of(dampings, limits), Extent.of(dampings, limits)
+    last = max((n for n, k in enumerate(limits) if k > 0.0), default=0)
+    assert found.damping == extent.damping == last
+    assert extent.holes == tuple(float(n) for n in range(last) if limits[n] == 0.0)
+    assert (
+        found.area
+        == extent.area
+        == pytest.approx(sum(0.5 * (a + b) for a, b in pairwise(limits[: last + 1])))
+    )
+    assert (found.undamped, found.stiffness) == (limits[0], max(limits))
 
 
 def test_the_goal_decides_among_what_fulfils_the_wishes_and_nothing_else_before() -> None:

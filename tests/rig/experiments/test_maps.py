@@ -102,13 +102,18 @@ def test_what_is_no_plan_is_refused_by_name(tmp_path: Path, text: str) -> None:
         maps.read_plan(tmp_path)
 
 
-def test_a_hit_of_a_map_is_recorded_again_to_the_last_bit(place: Any, tmp_path: Path) -> None:
-    ((key, rows), *_), _ = read_on(place / maps.JOURNAL)
-    series = next(one for one in PLAN.series() if one.key == key)
-    path = maps.recorded_hit(PLAN, series, rows[-1]["stiffness"], tmp_path)
-    trailer = open_recording(path).trailer or {}
-    for suffix in ("", "_true"):
-        verdict = trailer[f"verdict{suffix}"]
-        same = ("peak_penetration", "heard", "moved", "contact_s")
-        assert [verdict[name] for name in same] == [rows[-1][name + suffix] for name in same]
-    assert maps.recorded_hit(PLAN, series, rows[-1]["stiffness"], tmp_path) == path
+def test_every_wall_of_a_map_is_judged_as_a_recorded_hit_of_it_to_the_last_bit(
+    place: Any, tmp_path: Path
+) -> None:
+    """The same wall, offset and seed over the byte link, by its recording and by its truth."""
+    journal, _ = read_on(place / maps.JOURNAL)
+    series_of = {series.key: series for series in PLAN.series()}
+    for key, rows in journal:
+        for row in rows:
+            path = maps.recorded_hit(PLAN, series_of[key], row["stiffness"], tmp_path)
+            trailer = open_recording(path).trailer or {}
+            for suffix in ("", "_true"):
+                verdict = trailer[f"verdict{suffix}"]
+                same = ("kind", "peak_penetration", "heard", "moved", "contact_s", "growth")
+                assert [verdict[name] for name in same] == [row[name + suffix] for name in same]
+    assert maps.recorded_hit(PLAN, series_of[key], row["stiffness"], tmp_path) == path

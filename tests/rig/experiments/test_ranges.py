@@ -44,6 +44,17 @@ def test_bounds_that_are_given_are_kept() -> None:
     assert (search.way, search.lowest, search.highest, search.ratio) == ("grid", 20.0, 200.0, 1.5)
 
 
+@pytest.mark.parametrize("preset", ["chawda-linear", "koul-compliant", "hapkit"])
+def test_the_softest_wall_is_well_below_every_linear_limit_without_damping(preset: str) -> None:
+    """On chawda-linear the push over 100 times two counts is 40 kN/m, above its undamped limit of 20 to 26 kN/m."""
+    experiment = presets.load(preset)
+    schemes = [Scheme.parse(text) for text in ("uniform:1k", "dual:10k/1k")]
+    limit = min(theory.k_max(experiment, scheme, 0.0).stiffness for scheme in schemes)
+    search = ranges.search_for(experiment, ratio=1.25, schemes=schemes)
+    assert search.lowest <= 0.25 * limit * (1.0 + 1e-9)
+    assert search.rungs[-1] == pytest.approx(ranges.highest_stiffness(experiment), rel=0.25)
+
+
 @pytest.mark.parametrize(
     ("bounds", "text"),
     [

@@ -1,0 +1,96 @@
+"""How much of a damping is rendered where one count saturates the motor: closed forms, and what then counts."""
+
+import math
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+if numba.config.DISABLE_JIT:
+    pytest.skip("plug points are function types of compiled code", allow_module_level=True)
+
+from scipy import signal
+
+from rig import config
+from rig.config import presets
+from rig.config.schemes import Scheme
+from rig.control.estimators import names
+from rig.experiments.rendering import RENDERED, rendered_damping, rendered_share
+from rig.experiments.zwidth import Boundary, Width, ZWidth
+from tests.conformance.maps import short_map
+
+COARSE = {"rig.encoder.ratio": 1.0, "rig.limits.effort": 0.6, "wall.stiffness": 20.0}
+RIG = config.override(presets.load("koul-rigid"), COARSE)
+DELTA, LIMIT = RIG.rig.encoder.resolution, 0.6
+
+
+def under(scheme: str) -> Any:
+    return Scheme.parse(scheme).applied(RIG)
+
+
+@pytest.mark.parametrize("rate", [1000, 20_000])
+def test_of_an_unfiltered_difference_limit_times_period_over_count_is_left(rate: int) -> None:
+    experiment, most = under(f"uniform:{rate},estimator=fdm"), LIMIT / rate / DELTA
+    for damping in (0.5 * most, most, 3.0 * most, 100.0 * most):
+        assert rendered_share(experiment, damping) * damping == pytest.approx(min(damping, most), rel=1e-12)
+    assert rendered_damping(experiment) == pytest.approx(most / RENDERED, rel=1e-9)
+
+
+def test_of_a_filtered_difference_the_pulse_of_the_filter_is_cut_off() -> None:
+    """Against scipy's filter: the difference of one count through a Butterworth of order 2 at 200 Hz and 2 kHz."""
+    pulse = np.zeros(4096)
+    pulse[0] = DELTA * 2000.0
+    velocity = signal.lfilter(*signal.butter(2, 200.0, fs=2000.0), pulse)
+    for damping in (0.1, 1.0, 10.0):
+        expected = np.clip(damping * velocity, -LIMIT, LIMIT).sum() / (damping * velocity).sum()
+        assert rendered_share(under("dual:20k/2k"), damping) == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("estimator", sorted(set(names()) - {"fdm-butterworth-fixed"}))
+def test_no_damping_is_rendered_whole_and_a_small_one_is(estimator: str) -> None:
+    experiment = config.override(RIG, {"controller.estimator": estimator, "controller.parameters": {}})
+    assert rendered_share(experiment, 0.0) == 1.0
+    assert rendered_share(experiment, 1e-9) == pytest.approx(1.0, abs=1e-9)
+
+
+@given(st.lists(st.floats(1e-6, 1e3), min_size=2, max_size=6))
+def test_more_damping_is_rendered_by_a_smaller_share(dampings: list[float]) -> None:
+    shares = [rendered_share(under("uniform:20k"), damping) for damping in sorted(dampings)]
+    assert shares == sorted(shares, reverse=True)
+    assert all(0.0 < share <= 1.0 + 1e-12 for share in shares)
+
+
+# --- what it does to a width ------------------------------------------------------------------------------------------
+
+
+def width_of(*columns: tuple[float, float, float]) -> Width:
+    """Width of a map whose columns have these dampings, limits and rendered shares."""
+    plan = short_map(0.1)
+    boundaries = tuple(
+        Boundary(0, damping, "any", limit, 0.0, limit, limit, 0, 0, (), rendered)
+        for damping, limit, rendered in columns
+    )
+    return ZWidth(plan, boundaries, hits=0, series=()).width(0, "any")
+
+
+def test_a_damping_that_is_not_rendered_counts_towards_no_measure() -> None:
+    found = width_of((0.0, 10.0, 1.0), (1.0, 20.0, 0.9), (2.0, 90.0, 0.79), (3.0, 99.0, 0.1))
+    assert (found.stiffness_peak, found.damping_at_peak, found.damping_range, found.area) == (
+        20.0,
+        1.0,
+        1.0,
+        15.0,
+    )
+    assert found.not_rendered == (2.0, 3.0)
+    assert not found.range_capped
+
+
+def test_a_damping_without_a_wall_is_a_hole_and_no_end() -> None:
+    found = width_of((0.0, 0.0, 1.0), (1.0, 20.0, 1.0), (2.0, 0.0, 1.0), (3.0, 10.0, 1.0), (4.0, 0.0, 1.0))
+    assert (found.holes, found.damping_range, found.stiffness_peak) == ((0.0, 2.0), 3.0, 20.0)
+    assert found.area == pytest.approx(10.0 + 10.0 + 5.0)
+    assert found.stiffness_undamped == 0.0
+    assert not math.isnan(found.lowest)
