@@ -10,6 +10,7 @@ import click
 from rig.cli import options
 from rig.cli.command import command
 from rig.console.open import open_console
+from rig.core import program
 
 
 @command(quiet=False)
@@ -39,5 +40,6 @@ def console(
 
     def announce(url: str) -> None:
         click.echo(json.dumps({"url": url}) if as_json else f"rig console: {url}")
+        program.stay()
 
     open_console(port=port, hosts=hosts, verified=verified, own=own, output=output, announce=announce)

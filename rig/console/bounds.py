@@ -1,7 +1,7 @@
-"""How much of the server anybody may take: places at its door, places for sockets, and messages a second.
+"""Limit what a connection may cost the server: before its token, and after it in sockets and messages a second.
 
-A connection waits at the door until it has shown the token. Whoever fills the door has no token: the newest takes the
-place of whoever waits longest there, and a page needs its place for some milliseconds, so that it comes through.
+Before the token a connection may send the head of one HTTP request, of bounded size, and has one of a few places for a
+bounded time; the newest takes the place of the oldest. A frame is parsed only after the token.
 """
 
 from __future__ import annotations
@@ -17,7 +17,9 @@ from rig.console.sockets import ServerConnection
 One = TypeVar("One")
 
 MOST_AT_DOOR = 64
+MOST_HEAD_BYTES = 1 << 14  # a page sends 700, and the cookies that other servers of this computer have set
 DOOR_S = 10.0  # from a connection to its token: a page's own file over a slow tunnel takes a part of that
+HEAD_END = b"\r\n\r\n"
 MOST_A_SECOND = 200.0  # messages of a socket
 
 
@@ -70,6 +72,7 @@ class Knocking(ServerConnection):
     def __init__(self, door: Places[Knocking], *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
         self._door = door
+        self._head: bytearray | None = bytearray()  # None: it has been let in
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """See `asyncio.Protocol`."""
@@ -77,8 +80,26 @@ class Knocking(ServerConnection):
         self._due = self.loop.call_later(DOOR_S, self.transport.abort)
         self._door.hear(self)
 
+    def data_received(self, data: bytes) -> None:
+        """Give the library a whole head and nothing behind it; abort what sends more before it is let in."""
+        if self._head is not None:
+            self._head += data
+            end = self._head.find(HEAD_END)
+            most = MOST_HEAD_BYTES if end < 0 else min(MOST_HEAD_BYTES, end + len(HEAD_END))
+            if len(self._head) > most:
+                self.transport.abort()
+            if end < 0 or len(self._head) > most:
+                return
+            data = bytes(self._head)
+        super().data_received(data)
+
+    def let_in(self) -> None:
+        """The token was shown: read on without these bounds."""
+        self._head = None
+        self.leave_door()
+
     def leave_door(self) -> None:
-        """It has shown the token, or is gone."""
+        """Free its place."""
         self._due.cancel()
         self._door.leave(self)
 
@@ -91,7 +112,7 @@ class Knocking(ServerConnection):
 def let_in(socket: ServerConnection) -> None:
     """Let a connection of `door` in: it has shown the token."""
     assert isinstance(socket, Knocking)
-    socket.leave_door()
+    socket.let_in()
 
 
 def door() -> Any:

@@ -16,12 +16,13 @@ from dataclasses import asdict, dataclass, field
 from http import HTTPStatus
 from importlib.resources import files
 from pathlib import Path, PurePath
+from socket import create_server
 from tempfile import TemporaryDirectory
 from typing import Any
 
 from rig.config.files import preset_names
 from rig.console import requests as asked
-from rig.console.access import HEADERS, Access
+from rig.console.access import HEADERS, SOCKETS, SUBPROTOCOL, Access
 from rig.console.bounds import Allowance, Places, door, let_in
 from rig.console.client import Client, defect
 from rig.console.devices import Devices
@@ -34,11 +35,13 @@ from rig.console.runs import Runs
 from rig.console.service import LATER, Download, Service, Shared
 from rig.console.sessions import PARTICIPANTS, Sessions
 from rig.console.sockets import (
+    LOGGER,
     ConnectionClosed,
     Headers,
     HttpRequest,
     Response,
     ServerConnection,
+    Subprotocol,
     serve,
 )
 from rig.console.terminal import Terminal
@@ -49,11 +52,12 @@ from rig.core.sample import COLUMNS, UNITS, unit_of
 from rig.realtime.hand import SharedHand
 
 MOST_CLIENTS = 16  # pages, and as many participants' screens
+MOST_AT_ONCE = 1  # connections accepted before the loop looks at its sockets again, STOP's among them
+MOST_WAITING = 128  # connections that the system keeps meanwhile
 MOST_HOLDS = 4 * MOST_CLIENTS  # a worker that connects again leaves one behind, which pings find dead
 CLOSE_S = 1.0  # for a page to answer that it is shut out
 DOWNLOAD_S = 600.0  # a download is part of a connection's opening, and may have to be computed
 TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
-SOCKETS = ("/live", "/hold", "/participant")
 UTF8 = "; charset=utf-8"
 
 
@@ -113,23 +117,14 @@ class Console:
         assert socket.request is not None
         path = socket.request.path.partition("?")[0]
         with suppress(ConnectionClosed):
-            name = await self._greeting(socket, path)
+            name = self.access.guest(socket.request)
             if name is None:
                 await socket.close(1008, "the token is missing or wrong")
                 return
-            let_in(socket)
             if path == "/hold":
                 await self._hold(socket, name)
             else:
                 await self._live(socket, Client(socket, name, participant=path == "/participant"))
-
-    async def _greeting(self, socket: ServerConnection, path: str) -> str | None:
-        """Name of the page that shows its token in its first message; None for anybody else."""
-        message = asked.json_of(await socket.recv())
-        name, token = message.get("client"), message.get("token")
-        pages, participants = self.access.token_right(token), self.access.participants_right(token)
-        right = {"/live": pages, "/participant": participants, "/hold": pages or participants}[path]
-        return name if right and isinstance(name, str) and 8 <= len(name) <= 64 else None
 
     async def _hold(self, socket: ServerConnection, name: str) -> None:
         """Heartbeats, and STOP before anything else."""
@@ -264,13 +259,21 @@ async def run(settings: Settings, terminal: Terminal, ended: asyncio.Event) -> N
         async def respond(socket: ServerConnection, request: HttpRequest) -> Response | None:
             return await _respond(console, static, socket, request)
 
+        try:
+            listening = stack.enter_context(create_server(("127.0.0.1", settings.port)))
+        except OSError as error:
+            raise ConfigError(
+                f"port {settings.port}: {error.strerror}", remedy="name another one, or none"
+            ) from error
         served = serve(
             console.attend,
-            "127.0.0.1",
-            settings.port,
+            sock=listening,
+            backlog=MOST_AT_ONCE,
             process_request=respond,
             max_size=asked.MOST_BYTES,
             compression=None,
+            logger=LOGGER,
+            subprotocols=[Subprotocol(SUBPROTOCOL)],
             server_header=None,
             open_timeout=DOWNLOAD_S,  # of who shows the token; others have what the door gives them
             close_timeout=CLOSE_S,
@@ -279,14 +282,10 @@ async def run(settings: Settings, terminal: Terminal, ended: asyncio.Event) -> N
             max_queue=64,
             create_connection=door(),
         )
-        try:
-            server = await stack.enter_async_context(served)
-        except OSError as error:
-            raise ConfigError(
-                f"port {settings.port}: {error.strerror}", remedy="name another one, or none"
-            ) from error
+        await stack.enter_async_context(served)
+        listening.listen(MOST_WAITING)  # asyncio has one number for both
         stack.push_async_callback(console.close)  # before the server waits for its pages: what moves, ends
-        console.access = Access(next(iter(server.sockets)).getsockname()[1], settings.hosts)
+        console.access = Access(listening.getsockname()[1], settings.hosts)
         settings.announce(console.access.url)
         tasks = [
             asyncio.create_task(task())
@@ -322,8 +321,11 @@ async def _respond(
         return _response(HTTPStatus.MISDIRECTED_REQUEST, "this page is served under another name")
     path = request.path.partition("?")[0]
     if path in SOCKETS:
-        allowed = access.origin_allowed(headers)
-        return None if allowed else _response(HTTPStatus.FORBIDDEN, "a socket is for the page of this server")
+        if not access.origin_allowed(headers):
+            return _response(HTTPStatus.FORBIDDEN, "a socket is for the page of this server")
+        if access.guest(request) is not None:
+            let_in(socket)
+        return None  # a browser shows its page why a socket was closed, and nothing of why it was not opened
     found = Download(*static[path]) if path in static else None
     if found is None and access.bearer_right(headers):
         let_in(socket)

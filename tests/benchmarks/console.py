@@ -73,8 +73,7 @@ def look(line: Any, place: str, pid: int) -> None:
             pages = [
                 await stack.enter_async_context(console.page(f"page-number-{i}")) for i in range(PAGES - 1)
             ]
-            stalled = await stack.enter_async_context(console.socket())
-            await stalled.send(json.dumps({"token": console.token, "client": "a-stalled-page"}))
+            await stack.enter_async_context(console.socket(client="a-stalled-page"))
             await pages[0].ask("look", pid=pid)
             line.send("ready")
             while not line.poll():

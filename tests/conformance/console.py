@@ -89,19 +89,27 @@ class Served:
         self.address, self.token = url.removeprefix("http://").split("/#")
         self.port = int(self.address.rpartition(":")[2])
 
-    def socket(self, path: str = "/live", *, origin: str | None = None, host: str | None = None) -> Any:
-        """A connection as a page opens it, or as somebody else does."""
+    def socket(
+        self,
+        path: str = "/live",
+        *,
+        token: str | None = None,
+        client: str = "the-first-page",
+        origin: str | None = None,
+        host: str | None = None,
+    ) -> Any:
+        """A connection as a page opens it, or as another program does."""
         return connect(
-            f"ws://{host or self.address}{path}",
+            f"ws://{host or self.address}{path}{'&' if '?' in path else '?'}client={client}",
             origin=origin or f"http://{self.address}",  # type: ignore[arg-type]
+            subprotocols=["rig", f"token.{self.token if token is None else token}"],  # type: ignore[list-item]
             host="127.0.0.1", port=self.port, proxy=None, close_timeout=0.5,
         )  # fmt: skip
 
     @asynccontextmanager
     async def page(self, name: str = "the-first-page") -> AsyncIterator[Page]:
         """A page that has shown the token."""
-        async with self.socket() as socket:
-            await socket.send(json.dumps({"token": self.token, "client": name}))
+        async with self.socket(client=name) as socket:
             page = Page(socket)
             await page.until(lambda page: page.newest("hello"))
             yield page
@@ -109,8 +117,7 @@ class Served:
     @asynccontextmanager
     async def screen(self, token: str) -> AsyncIterator[Page]:
         """A participant's screen that has shown its token."""
-        async with self.socket("/participant") as socket:
-            await socket.send(json.dumps({"token": token, "client": "a-participant"}))
+        async with self.socket("/participant", token=token, client="a-participant") as socket:
             page = Page(socket)
             await page.until(lambda page: page.newest("participant"))
             yield page
@@ -118,8 +125,7 @@ class Served:
     @asynccontextmanager
     async def hold(self, name: str = "the-first-page") -> AsyncIterator[ClientConnection]:
         """The socket of a page's worker."""
-        async with self.socket("/hold") as socket:
-            await socket.send(json.dumps({"token": self.token, "client": name}))
+        async with self.socket("/hold", client=name) as socket:
             yield socket
 
 

@@ -10,9 +10,8 @@ let answered = 0;
 let wanted = false; // a STOP that no socket has taken yet
 
 function open() {
-  socket = new WebSocket(setup.url);
+  socket = new WebSocket(setup.url, setup.protocols);
   socket.addEventListener("open", () => {
-    socket.send(JSON.stringify({ token: setup.token, client: setup.client }));
     if (wanted) stop();
   });
   socket.addEventListener("message", () => postMessage({ stopped: true }));

@@ -14,7 +14,7 @@ export class Link extends EventTarget {
     this.number = 0;
     this.waiting = new Map();
     this.hold = new Worker("hold.js");
-    this.hold.postMessage({ url: this.#url("hold"), token: this.token, client: this.client });
+    this.hold.postMessage({ url: this.#url("hold"), protocols: this.#protocols() });
     // The worker asks, the page answers: a page that hangs is heard of no more, whatever its worker does.
     this.hold.addEventListener("message", ({ data }) => {
       if (data.alive) this.hold.postMessage({ alive: true });
@@ -59,13 +59,17 @@ export class Link extends EventTarget {
   }
 
   #url(name) {
-    return `ws://${location.host}/${name}`;
+    return `ws://${location.host}/${name}?client=${this.client}`;
+  }
+
+  // The token goes into the head of the request: the server reads no message before it.
+  #protocols() {
+    return ["rig", `token.${this.token.replace(/[^\w-]/g, "")}`];
   }
 
   #open() {
-    this.socket = new WebSocket(this.#url(this.path));
+    this.socket = new WebSocket(this.#url(this.path), this.#protocols());
     this.socket.binaryType = "arraybuffer";
-    this.socket.addEventListener("open", () => this.socket.send(JSON.stringify({ token: this.token, client: this.client })));
     this.socket.addEventListener("message", ({ data }) => this.#hear(data));
     this.socket.addEventListener("close", ({ reason }) => {
       for (const { reject } of this.waiting.values()) reject(new Error("The connection to the console was lost."));

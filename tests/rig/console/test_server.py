@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import errno
-import json
 import os
 import socket
 import urllib.error
@@ -17,15 +16,17 @@ from typing import Any
 
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.frames import Frame
+from websockets.server import ServerProtocol
 
-from rig.console.bounds import MOST_AT_DOOR
+from rig.console.access import SOCKETS
+from rig.console.bounds import MOST_AT_DOOR, MOST_HEAD_BYTES
 from rig.console.client import MOST_REPLIES, Client
 from rig.console.errands import Errands
 from rig.console.follow import Followed
 from rig.console.lease import Lease
 from rig.console.live import Live
 from rig.console.runs import Runs
-from rig.console.server import SOCKETS
 from rig.control import estimators
 from rig.core.errors import ConfigError, RigError
 from rig.core.sample import Phase, RowFlag
@@ -36,7 +37,8 @@ from tests.rig.console.console_fakes import Here
 
 UPGRADE = (
     b"GET /live HTTP/1.1\r\nHost: ADDRESS\r\nOrigin: http://ADDRESS\r\nConnection: Upgrade\r\n"
-    b"Upgrade: websocket\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n"
+    b"Upgrade: websocket\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n"
+    b"Sec-WebSocket-Protocol: rig, token.wrong\r\n\r\n"
 )
 Scenario = Callable[[Served], Awaitable[None]]
 Searched = Callable[[int], Awaitable[None]]
@@ -109,20 +111,12 @@ def test_a_socket_of_another_site_is_refused(path: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "greeting",
-    [
-        '{"token": "wrong", "client": "a-page-here"}',
-        "{}",
-        "no json",
-        '{"client": "a-page-here"}',
-        '{"token": 1, "client": "a"}',
-    ],
+    "shown", [{"token": "wrong"}, {"token": ""}, {"client": ""}, {"client": "short"}, {"client": 65 * "a"}]
 )
-def test_without_the_token_a_socket_is_closed(greeting: str, tmp_path: Path) -> None:
+def test_without_the_token_a_socket_is_closed(shown: dict[str, str], tmp_path: Path) -> None:
     async def scenario(console: Served) -> None:
         for path in SOCKETS:
-            async with console.socket(path) as socket:
-                await socket.send(greeting)
+            async with console.socket(path, **shown) as socket:
                 with pytest.raises(ConnectionClosed) as closed:
                     await socket.recv()
                 assert closed.value.rcvd is not None
@@ -307,6 +301,84 @@ def test_who_has_no_token_holds_no_place_and_keeps_no_page_out(
     play(tmp_path, scenario)
 
 
+MASKED = b"\x80\x00\x00\x00\x00"  # an empty frame's length and mask
+FRAMES = {
+    "continuations": b"\x01" + MASKED + 4000 * (b"\x00" + MASKED),
+    "pings": 4000 * (b"\x89" + MASKED),
+    "messages": 4000 * (b"\x81" + MASKED),
+}
+
+
+@pytest.mark.parametrize(
+    "say",
+    [
+        *(UPGRADE + frames for frames in FRAMES.values()),
+        b"GET /" + 40_000 * b"a",
+        UPGRADE[:-2] + 2000 * b"A-Header: of a long head\r\n",
+        UPGRADE[:-2] + 100 * (b"A-Header: " + 200 * b"a" + b"\r\n") + b"\r\n",
+        UPGRADE + b"\r\n\r\n",
+        40_000 * b"\r\n",
+    ],
+    ids=[*FRAMES, "an endless line", "an endless head", "a long head", "two ends", "empty lines"],
+)
+@pytest.mark.parametrize("piece", [1 << 20, 700], ids=["at once", "in pieces"])
+def test_before_the_token_the_server_parses_one_bounded_head_and_no_frame(
+    say: bytes, piece: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Anything more is cut off at once: no reply, no closing handshake."""
+    parsed: dict[ServerProtocol, int] = {}
+    frames: list[Frame] = []
+    receive, take = ServerProtocol.receive_data, ServerProtocol.recv_frame
+
+    def count(protocol: ServerProtocol, data: bytes) -> None:
+        parsed[protocol] = parsed.get(protocol, 0) + len(data)
+        receive(protocol, data)
+
+    def keep(protocol: ServerProtocol, frame: Frame) -> None:
+        frames.append(frame)
+        take(protocol, frame)
+
+    monkeypatch.setattr(ServerProtocol, "receive_data", count)
+    monkeypatch.setattr(ServerProtocol, "recv_frame", keep)
+
+    async def scenario(console: Served) -> None:
+        reader, writer = await knock(console, b"")
+        said = say.replace(b"ADDRESS", console.address.encode())
+        with suppress(ConnectionError):
+            for first in range(0, len(said), piece):
+                writer.write(said[first : first + piece])
+                await writer.drain()
+                await asyncio.sleep(0)
+        await left(reader)
+        writer.close()
+
+    play(tmp_path, scenario)
+    assert not frames
+    assert sum(parsed.values()) <= MOST_HEAD_BYTES
+
+
+@pytest.mark.parametrize(
+    ("path", "twice", "status"),
+    [
+        ("/", b"Host: ADDRESS", 421),
+        ("/live", b"Origin: http://ADDRESS", 403),
+        ("/download", b"Authorization: Bearer TOKEN", 404),
+    ],
+)
+def test_a_header_that_is_sent_twice_is_as_a_missing_one(
+    path: str, twice: bytes, status: int, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def scenario(console: Served) -> None:
+        head = UPGRADE.partition(b"\r\n")[2].replace(twice + b"\r\n", b"")
+        said = f"GET {path} HTTP/1.1\r\n".encode() + 2 * (twice + b"\r\n") + head
+        reader, writer = await knock(console, said.replace(b"TOKEN", console.token.encode()))
+        assert (await reader.readline()).split()[1] == str(status).encode()
+        writer.close()
+
+    play(tmp_path, scenario)
+    assert not caplog.messages
+
+
 async def knock(console: Served, say: bytes) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
     reader, writer = await asyncio.open_connection("127.0.0.1", console.port)
     writer.write(say.replace(b"ADDRESS", console.address.encode()))
@@ -383,9 +455,8 @@ def test_a_participants_screen_is_told_what_it_shows_and_nothing_else(tmp_path: 
                 assert screen.frames == []
                 assert screen.newest("participant") == {"say": "participant", "runs": False}
             for path in ("/live", "/live?x", "/participant", "/participant?x"):
-                async with console.socket(path) as socket:  # neither token opens what is the other's
-                    token = console.token if path.startswith("/participant") else hello["participants"]
-                    await socket.send(json.dumps({"token": token, "client": "a-participant"}))
+                token = console.token if path.startswith("/participant") else hello["participants"]
+                async with console.socket(path, token=token) as socket:  # neither opens what is the other's
                     with pytest.raises(ConnectionClosed):
                         await socket.recv()
 
@@ -477,8 +548,10 @@ def test_a_page_that_reads_nothing_delays_nobody(tmp_path: Path) -> None:
     loop = HandTurnedLoop(1 << 12, shared=True)
 
     async def scenario(console: Served) -> None:
-        async with console.page("a-page-that-reads") as page, console.socket() as stalled:
-            await stalled.send(json.dumps({"token": console.token, "client": "a-stalled-page"}))
+        async with (
+            console.page("a-page-that-reads") as page,
+            console.socket(client="a-stalled-page") as stalled,
+        ):
             await page.ask("look", pid=os.getpid())
             await page.until(lambda page: page.newest("loop"))
             for _ in range(30):
