@@ -33,6 +33,7 @@ from rig.experiments.lab import zwidth as zwidth
 from rig.experiments.planned import Plan as Plan
 from rig.experiments.replay import ReplayResult as ReplayResult
 from rig.experiments.zwidth import ZWidth as ZWidth
+from rig.recording.counts import read_counts as read_counts
 from rig.recording.data import Column as Column
 from rig.recording.data import Recording as Recording
 from rig.recording.export import export as export

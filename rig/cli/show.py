@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from rig.core.present import Row, plain
 from rig.core.sample import unit_of
 from rig.experiments.judgement import Verdicts, experiment_of, unexpected, verdicts_of
 from rig.experiments.planned import ARITHMETIC_WORDS
+from rig.recording.counts import count_rows, counts_facts, refuse_counts
 from rig.recording.cutting import cut_facts
 from rig.recording.data import Recording
 from rig.recording.marks import Mark
@@ -36,6 +38,15 @@ def show(
 ) -> None:
     """Show what RECORDING holds: rig, wall, why it ended, verdict, losses, columns."""
     opened = open_recording(recording)
+    if (facts := counts_facts(opened)) is not None:
+        if xy or expected:
+            refuse_counts(opened)
+        target = _draw(recording, picture, xy=False)
+        if as_json:
+            output.print_json({**_facts(opened, {}), "picture": target})
+        else:
+            _print_counts(opened, facts, target)
+        return
     experiment = experiment_of(opened)
     verdicts = verdicts_of(opened, experiment)
     target = _draw(recording, replace(picture, wanted=picture.wanted or xy), xy=xy)
@@ -135,7 +146,22 @@ def _agreement(found: dict[str, Any]) -> str:
     )
 
 
-def _facts(opened: Recording, verdicts: Verdicts) -> dict[str, Any]:
+def _print_counts(opened: Recording, facts: Mapping[str, Any], picture: Path | None) -> None:
+    motion = opened.header["motion"]
+    click.echo(f"{click.style(facts['file'], bold=True)}: counts of an encoder, without a rig")
+    rows = [
+        Row("created", opened.header.get("created")),
+        *count_rows(facts, motion),
+        Row("rows", len(opened.rows), note=f"{opened.time_s[-1]:.6g} s"),
+    ]
+    if picture is not None:
+        rows.append(Row("picture", str(picture)))
+    output.print_rows(rows)
+    click.echo("columns")
+    output.print_pairs([(n, f"{opened.units[n]:<8} {opened.descriptions[n]}") for n in opened.names])
+
+
+def _facts(opened: Recording, verdicts: Verdicts | Mapping[str, Any]) -> dict[str, Any]:
     return {
         "header": opened.header,
         "trailer": {**(opened.trailer or {}), **plain(verdicts)},

@@ -22,12 +22,14 @@ from rig.core.present import reported
 from rig.core.sample import Motion, Phase
 from rig.core.signals import Signal, edge_times
 from rig.experiments.judgement import experiment_of
+from rig.recording.counts import counts_facts
 from rig.recording.data import Recording
 
 EARLIEST_S, LATEST_S, DELAY_STEP_S = -5e-3, 50e-3, 2.5e-4  # where a delay is looked for
 DELAY_SAMPLES = 8192  # that many samples tell it
 REFERENCE_HZ = 200.0  # cut-off of the zero-phase reference of a real recording
 REFERENCE_END_S = 5.0 / REFERENCE_HZ
+FEWEST_SAMPLES = 16  # that the filter of the reference takes
 
 
 @dataclass(frozen=True)
@@ -157,18 +159,27 @@ def recording_case(recording: Recording, rate_hz: float | None = None, *, name: 
     filter of order 4 at `REFERENCE_HZ`, run forwards and backwards: no delay, but nothing above that frequency either,
     so that errors against it are comparable, not absolute.
     """
-    experiment = experiment_of(recording)
-    resolution = signed(experiment)
-    position_rate = experiment.controller.position_rate
-    rate = rate_hz or experiment.controller.velocity_rate
+    resolution: float
+    position_rate: float
+    motion: Motion
+    if (facts := counts_facts(recording)) is not None:
+        resolution, position_rate = facts["resolution"], facts["rate_hz"]
+        rate, motion = rate_hz or position_rate, recording.header["motion"]
+    else:
+        experiment = experiment_of(recording)
+        resolution, position_rate = signed(experiment), experiment.controller.position_rate
+        rate, motion = rate_hz or experiment.controller.velocity_rate, experiment.rig.motion
     divider = round(position_rate / rate)
     if divider < 1 or abs(divider * rate - position_rate) > 1e-6 * position_rate:
         raise ConfigError(
-            f"{rate:g} Hz is not a whole fraction of the recording's {position_rate} Hz",
+            f"{rate:g} Hz is not a whole fraction of the recording's {position_rate:g} Hz",
             remedy=f"choose {position_rate / max(1, divider):g} Hz",
         )
-    if len(recording) < 2:
-        raise ConfigError("the recording has no samples", remedy="choose another one")
+    if len(recording) < FEWEST_SAMPLES:
+        raise ConfigError(
+            f"the recording has {len(recording)} samples, and {FEWEST_SAMPLES} are needed",
+            remedy="choose another one",
+        )
     index = recording.column("sample_index") - recording.column("sample_index")[0]
     period = index // divider
     first = np.flatnonzero(np.diff(period, prepend=-1) > 0)  # the samples that enter a new velocity period
@@ -179,9 +190,14 @@ def recording_case(recording: Recording, rate_hz: float | None = None, *, name: 
     judged = trial if trial.any() else np.ones_like(trial)
     if not recording.has_truth:  # the ends of a filter that runs both ways are guesses
         judged = judged & (time_s >= time_s[0] + REFERENCE_END_S) & (time_s <= time_s[-1] - REFERENCE_END_S)
+    if not judged.any():
+        raise ConfigError(
+            f"the recording has {time_s[-1]:.3g} s, and the ends of {REFERENCE_END_S:g} s are not judged",
+            remedy="choose a longer one",
+        )
     return Case(
         name=name,
-        motion=experiment.rig.motion,
+        motion=motion,
         dt=dt,
         resolution=resolution,
         time_s=time_s[first],

@@ -15,6 +15,7 @@ from rig.core.deferred import pydantic
 from rig.core.errors import ConfigError, RecordingError, UnexpectedVerdictError
 from rig.core.present import Row, written
 from rig.core.sample import Phase, unit_of
+from rig.recording.counts import refuse_counts
 from rig.recording.cutting import cut_facts
 from rig.recording.data import Recording
 
@@ -30,6 +31,7 @@ OUT_OF_TIME = {Fault.TICK_OVERRUN.name, Fault.LINK_LOST.name, DriveFault.DRIVE_S
 
 def experiment_of(recording: Recording) -> Experiment:
     """Return the experiment in effect; `RecordingError` when this version cannot read it."""
+    refuse_counts(recording)
     try:
         return experiment_from_mapping(recording.experiment, "the recording's header")
     except ConfigError as error:

@@ -26,6 +26,7 @@ from rig.core.sample import COLUMNS, ROW, unit_of
 from rig.core.shown import Shown
 from rig.experiments.judgement import experiment_of
 from rig.loop.replay import NO_SETS, replay_rows
+from rig.recording.counts import refuse_counts
 from rig.recording.cutting import cut_facts
 from rig.recording.data import Recording
 
@@ -167,6 +168,7 @@ def _sets(recording: Recording, changes: Mapping[str, Any] | None, law: Law | No
 
 
 def _controller(recording: Recording, changes: Mapping[str, Any] | None, law: Law | None) -> Controller:
+    refuse_counts(recording)
     initial, facts = recording.header["initial_state"], cut_facts(recording)
     if facts is not None and (not initial or (facts["first_tick"] and (changes or law))):
         raise RecordingError(

@@ -191,6 +191,10 @@ class Recording(Shown, Drawn):
             Row("rows", f"{len(self)} over {self.time_s[-1] if len(self) else 0.0:.4g} s, {whole}"),
             Row("columns", f"{', '.join(self.names[:6])} … ({len(self.names)})"),
         ]
+        if (counts := (self.header.get("extra") or {}).get("counts")) is not None:
+            rows.append(
+                Row("samples", f"{counts['lost_samples']} lost in {counts['gaps']} gaps, of {counts['file']}")
+            )
         if self.lost:
             rows.append(Row("lost", "; ".join(str(loss) for loss in self.lost[:2])))
         return [f"recording of {self.header.get('rig', 'a rig')}", *rows]

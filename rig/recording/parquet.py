@@ -37,14 +37,15 @@ def has_pyarrow() -> bool:
         return False
 
 
-def _check_pyarrow() -> None:
+def check_pyarrow() -> None:
+    """Raise `RecordingError` where Parquet and CSV cannot be read."""
     if not has_pyarrow():
         raise RecordingError("Parquet needs pyarrow", remedy="pip install pyarrow, or use captures and CSV")
 
 
 def write_parquet(file: BinaryIO, recording: Recording) -> None:
     """Write a recording; equal recordings give equal bytes under the same pyarrow."""
-    _check_pyarrow()
+    check_pyarrow()
     units, descriptions = recording.units, recording.descriptions
     columns = recording.to_numpy()
     fields = [
@@ -105,7 +106,7 @@ def read_parquet_facts(path: Path) -> Recording:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
-    _check_pyarrow()
+    check_pyarrow()
     with plain_errors("read", path), open(path, "rb") as file:
         try:
             yield parquet.ParquetFile(file)

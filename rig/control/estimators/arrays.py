@@ -24,6 +24,8 @@ from rig.control.estimators.own_counts import (
     ELAPSED,
     FROM_SECONDS,
     LARGEST_COUNT,
+    OLDEST_EDGE_S,
+    age_of_last_change,
     real_numbers,
     unwrapped,
     whole_numbers,
@@ -32,9 +34,6 @@ from rig.core.errors import ConfigError
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import ESTIMATOR
 
-OLDEST_EDGE_S = (
-    134.0  # age of an edge that was never seen: the longest that the wire's 32-bit time can express
-)
 FUTURE_S = 1e-9  # an edge at the sample itself may round to after it
 
 _FLOATS, _INTS = types.float64[::1], types.int64[::1]
@@ -169,7 +168,7 @@ def inputs(
     whole = held.astype(np.int64)
     time_s = dt * (np.cumsum(steps) - steps[:1].sum())
     if edge_time is None:
-        return whole, _age_of_last_change(whole, time_s), steps
+        return whole, age_of_last_change(whole, time_s), steps
     edges = real_numbers(edge_time, EDGE_TIME, "s")
     if edges.shape != whole.shape:
         raise ConfigError(
@@ -223,13 +222,6 @@ def update_all(
     for k in range(len(counts)):
         velocities[k] = update(counts[k], edge_age_s[k], elapsed[k], state_f, state_i, parameters)
         windows[k] = state_i[WINDOW]
-
-
-def _age_of_last_change(counts: Ints, time_s: Floats) -> Floats:
-    changed = np.zeros(len(counts), dtype=bool)
-    changed[1:] = counts[1:] != counts[:-1]
-    last = np.maximum.accumulate(np.where(changed, time_s, -np.inf)) if len(counts) else time_s
-    return np.minimum(time_s - last, OLDEST_EDGE_S)
 
 
 def _check_resolution(resolution: float) -> None:

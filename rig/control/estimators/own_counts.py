@@ -18,6 +18,9 @@ from rig.core.errors import ConfigError
 NARROWEST, WIDEST = 2, 64  # bits of a counter
 ESTIMATOR_BITS = 32  # an update takes the difference of two counts modulo 2^32
 LARGEST_COUNT = 2.0**62
+OLDEST_EDGE_S = (
+    134.0  # age of an edge that was never seen: the longest that the wire's 32-bit time can express
+)
 NARROW_BYTES = 2  # integers of so few bytes are those of a counter of that width
 LEAST_JUMP = 127  # counts in a sample that may be a wrap: half of the narrowest counter that is common
 
@@ -158,6 +161,14 @@ def unwrapped(values: NDArray[Any], width: Any, elapsed: Ints) -> Ints:
             remedy="check the counts there",
         )
     return counts
+
+
+def age_of_last_change(counts: Ints, time_s: Floats) -> Floats:
+    """Return the age of the last edge at each sample (s), if an edge happens at the sample that first shows it."""
+    changed = np.zeros(len(counts), dtype=bool)
+    changed[1:] = counts[1:] != counts[:-1]
+    last = np.maximum.accumulate(np.where(changed, time_s, -np.inf)) if len(counts) else time_s
+    return np.minimum(time_s - last, OLDEST_EDGE_S)
 
 
 def _check_direction(counts: Ints, steps: Ints, elapsed: Ints, bits: int) -> None:

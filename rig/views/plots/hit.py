@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 
 from rig.core import program
 from rig.core.sample import Phase, RowFlag, unit_of
+from rig.recording.counts import counts_facts
 from rig.recording.data import Recording
 from rig.recording.reader import open_recording
 from rig.views.plots import style
+from rig.views.plots.column import column_figure
 
 BEFORE_CONTACT_S = 0.02
 SHORTEST_IMPACT_S, LONGEST_IMPACT_S = 0.05, 0.2
@@ -52,7 +54,12 @@ def main() -> None:
 
 
 def hit_figure(recording: Recording) -> Any:
-    """Return the figure of a recording (`matplotlib.figure.Figure`): impact at the left, whole push at the right."""
+    """Return the figure of a recording (`matplotlib.figure.Figure`): impact at the left, whole push at the right.
+
+    Of counts from a file, which have no wall, it is their position over time.
+    """
+    if counts_facts(recording) is not None:
+        return column_figure(recording["position"])
     rows, time_s = _trial(recording)
     hit = len(_contact(recording)) > 0
     figure = style.new_figure(width=11.0)

@@ -17,6 +17,7 @@ from rig.experiments.zwidth import ZWidth
 from rig.experiments.zwidth_frequency import FrequencyMap
 from rig.recording.data import Column, Recording
 from rig.views.plots import style
+from rig.views.plots.column import column_figure
 from rig.views.plots.design import design_figure
 from rig.views.plots.disagreement import disagreement_figure
 from rig.views.plots.hit import hit_figure
@@ -35,17 +36,6 @@ def plot(result: object) -> Picture:
         f"a {type(result).__name__} has no picture",
         remedy="give a hit, a recording or a column of it, a replay, a map, a design or a theory",
     )
-
-
-def column_figure(column: Column) -> Any:
-    """The figure of one column over time."""
-    figure = style.new_figure(height=3.5)
-    axes = figure.subplots()
-    axes.plot(column.time_s, column.values, color=style.MEASURED, linewidth=0.9)
-    axes.set_xlabel("time (s)")
-    axes.set_title(column.description, fontsize=9)
-    style.tidy(axes, f"{column.name} ({column.unit})")
-    return figure
 
 
 _FIGURES: Mapping[type, Callable[[Any], Any]] = {

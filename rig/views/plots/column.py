@@ -1,0 +1,19 @@
+"""The picture of one column of a recording over time."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rig.recording.data import Column
+from rig.views.plots import style
+
+
+def column_figure(column: Column) -> Any:
+    """The figure of one column over time."""
+    figure = style.new_figure(height=3.5)
+    axes = figure.subplots()
+    axes.plot(column.time_s, column.values, color=style.MEASURED, linewidth=0.9)
+    axes.set_xlabel("time (s)")
+    axes.set_title(column.description, fontsize=9)
+    style.tidy(axes, f"{column.name} ({column.unit})")
+    return figure
