@@ -14,16 +14,18 @@ from rig.cli.command import RESULT, command, option
 from rig.config import Experiment
 from rig.core.present import Row, plain
 from rig.core.sample import unit_of
-from rig.experiments.judgement import Verdicts, experiment_of, unexpected, verdicts_of
+from rig.experiments.judgement import JUDGED, Verdicts, experiment_of, unexpected, verdicts_of
 from rig.experiments.planned import ARITHMETIC_WORDS
 from rig.recording.counts import count_rows, counts_facts, refuse_counts
 from rig.recording.cutting import cut_facts
 from rig.recording.data import Recording
 from rig.recording.marks import Mark
 from rig.recording.marks import marks as marks_of
-from rig.recording.reader import open_recording
-from rig.views.plots.hit import draw_hit
-from rig.views.plots.xy import draw_xy
+from rig.recording.reader import open_facts, open_recording
+from rig.views.plots import style
+from rig.views.plots.hit import DRAWN, hit_figure
+from rig.views.plots.xy import DRAWN as DRAWN_XY
+from rig.views.plots.xy import xy_figure
 
 
 @command()
@@ -37,11 +39,11 @@ def show(
     recording: Path, marks: bool, picture: options.Picture, xy: bool, expected: tuple[str, ...], as_json: bool
 ) -> None:
     """Show what RECORDING holds: rig, wall, why it ended, verdict, losses, columns."""
-    opened = open_recording(recording)
+    opened = _opened(recording, every_column=marks)
     if (facts := counts_facts(opened)) is not None:
         if xy or expected:
             refuse_counts(opened)
-        target = _draw(recording, picture, xy=False)
+        target = _draw(recording, opened, picture, xy=False)
         if as_json:
             output.print_json({**_facts(opened, {}), "picture": target})
         else:
@@ -49,7 +51,7 @@ def show(
         return
     experiment = experiment_of(opened)
     verdicts = verdicts_of(opened, experiment)
-    target = _draw(recording, replace(picture, wanted=picture.wanted or xy), xy=xy)
+    target = _draw(recording, opened, replace(picture, wanted=picture.wanted or xy), xy=xy)
     happened = marks_of(opened) if marks else None
     if as_json:
         also = {} if happened is None else {"marks": happened}
@@ -62,12 +64,18 @@ def show(
         raise error
 
 
-def _draw(recording: Path, picture: options.Picture, *, xy: bool) -> Path | None:
+def _opened(path: Path, *, every_column: bool) -> Recording:
+    """Open a recording with the columns that are judged and drawn, and a header that describes all of them."""
+    needed = None if every_column else {*JUDGED, *DRAWN, *DRAWN_XY}
+    return replace(open_recording(path, needed), header=open_facts(path).header)
+
+
+def _draw(recording: Path, opened: Recording, picture: options.Picture, *, xy: bool) -> Path | None:
     stem = recording.with_suffix("")
     target = picture.at(stem.with_name(f"{stem.name}-xy") if xy else stem)
     if target is None:
         return None
-    return draw_xy(recording, target) if xy else draw_hit(recording, target)
+    return style.save(xy_figure(opened) if xy else hit_figure(opened), target)
 
 
 def _print(
@@ -107,7 +115,7 @@ def _print(
         click.echo("marks")
         output.print_pairs(_mark_pairs(happened))
     click.echo("columns")
-    output.print_pairs([(n, f"{opened.units[n]:<8} {opened.descriptions[n]}") for n in opened.names])
+    output.print_pairs([(n, f"{opened.units[n]:<8} {opened.descriptions[n]}") for n in opened.units])
 
 
 def _mark_pairs(happened: list[Mark]) -> list[tuple[str, str]]:
@@ -158,7 +166,7 @@ def _print_counts(opened: Recording, facts: Mapping[str, Any], picture: Path | N
         rows.append(Row("picture", str(picture)))
     output.print_rows(rows)
     click.echo("columns")
-    output.print_pairs([(n, f"{opened.units[n]:<8} {opened.descriptions[n]}") for n in opened.names])
+    output.print_pairs([(n, f"{opened.units[n]:<8} {opened.descriptions[n]}") for n in opened.units])
 
 
 def _facts(opened: Recording, verdicts: Verdicts | Mapping[str, Any]) -> dict[str, Any]:
@@ -168,5 +176,5 @@ def _facts(opened: Recording, verdicts: Verdicts | Mapping[str, Any]) -> dict[st
         "rows": len(opened.rows),
         "complete": opened.complete,
         "lost": [str(loss) for loss in opened.lost],
-        "columns": {name: opened.units[name] for name in opened.names},
+        "columns": {name: opened.units[name] for name in opened.units},
     }

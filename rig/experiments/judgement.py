@@ -19,6 +19,10 @@ from rig.recording.counts import refuse_counts
 from rig.recording.cutting import cut_facts
 from rig.recording.data import Recording
 
+JUDGED = (  # columns that `judge` takes
+    "phase", "elapsed_ticks", "flags", "position", "penetration", "effort_sent", "effort_applied", "limits",
+    "command_age", "position_true", "handle_position_true", "handle_velocity_true", "effort_true",
+)  # fmt: skip
 FINISHED = "finished"  # what the trailer of a whole run says
 THREW_OUT = {  # reasons of a trailer: what the wall did to the handle
     "out_of_window": "the wall threw the handle out of its window or beyond the speed limit",

@@ -38,26 +38,29 @@ from __future__ import annotations
 
 import mmap
 import struct
+import sys
 import zlib
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rig.core.errors import RecordingError
 from rig.recording.canonical import canonical_json
 from rig.recording.data import Loss, Recording
 from rig.recording.files import plain_errors
-from rig.recording.header import VERSION, check_version, dtype_of
+from rig.recording.header import VERSION, check_version, dtype_of, schema_of
 from rig.recording.shape import parsed
 
 SUFFIX = ".rigcap"
 MAGIC = b"\x89RIGCAP\n"
 ROWS_MAGIC = b"\x89RIGROWS"
 END_MAGIC = b"\x89RIGEND\n"
+FORGET_BLOCKS = 100
 BLOCK_ROWS = 1000  # 0.25 MB a block: 20 blocks a second at 20 kHz
 
 _FILE_HEAD = struct.Struct("<8sII")
@@ -137,8 +140,8 @@ class _Findings:
     trailer: dict[str, Any] | None = None
 
 
-def read_capture(path: Path) -> Recording:
-    """Read all good rows of a capture, finished or not.
+def read_capture(path: Path, columns: Collection[str] | None = None) -> Recording:
+    """Read all good rows of a capture, finished or not: all columns, or those named; its header describes all of them.
 
     Raises
     ------
@@ -149,12 +152,18 @@ def read_capture(path: Path) -> Recording:
         header, start = _read_header(path, data)
         dtype = dtype_of(header.get("schema", {}))
         found = _walk(data, start, dtype.itemsize)
-        rows = np.empty(sum(count for _, count in found.blocks), dtype)
-        free = rows.view(np.uint8)  # a row of many columns is slow to copy, its bytes are not
-        for place, count in found.blocks:
-            size = count * dtype.itemsize
-            free[:size] = np.frombuffer(data, np.uint8, size, place)
-            free = free[size:]
+        kept = dtype if columns is None else dtype_of(schema_of(header["schema"], columns))
+        rows = np.empty(sum(count for _, count in found.blocks), kept)
+        filled = 0
+        for number, (place, count) in enumerate(found.blocks):
+            if number % FORGET_BLOCKS == 0:
+                _forget(data)
+            if columns is None:  # a row of many columns is slow to copy, its bytes are not
+                size, start = count * dtype.itemsize, filled * dtype.itemsize
+                rows.view(np.uint8)[start : start + size] = np.frombuffer(data, np.uint8, size, place)
+            else:
+                _copy_columns(rows[filled : filled + count], np.frombuffer(data, dtype, count, place))
+            filled += count
     return Recording(header, rows, found.trailer, found.trailer is not None, tuple(found.lost), path)
 
 
@@ -174,6 +183,17 @@ def _opened(path: Path) -> Iterator[mmap.mmap]:
             )
         with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
             yield data
+
+
+def _copy_columns(rows: NDArray[np.void], block: NDArray[np.void]) -> None:
+    for name in rows.dtype.names or ():
+        rows[name] = block[name]
+
+
+def _forget(data: mmap.mmap) -> None:
+    """Drop the pages of the file that have been read: they count as memory of this process."""
+    if sys.platform == "linux":
+        data.madvise(mmap.MADV_DONTNEED)
 
 
 def _read_header(path: Path, data: mmap.mmap) -> tuple[dict[str, Any], int]:

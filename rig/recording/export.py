@@ -100,12 +100,12 @@ def write_csv(file: BinaryIO, recording: Recording) -> None:
 
 def write_xy(file: BinaryIO, recording: Recording) -> None:
     """Force of the wall over penetration: a CSV of two columns, units in their names, for the trial proper."""
-    trial = recording.rows[recording.rows["phase"] == Phase.TRIAL]
+    trial = recording.rows["phase"] == Phase.TRIAL
     names = ("penetration", "effort_wall")
     text = io.TextIOWrapper(file, encoding="utf-8", newline="")
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow([f"{name} ({recording.units[name]})" for name in names])
-    writer.writerows(zip(*(trial[name].tolist() for name in names), strict=True))
+    writer.writerows(zip(*(recording.rows[name][trial].tolist() for name in names), strict=True))
     text.detach()
 
 

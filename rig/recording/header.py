@@ -10,7 +10,7 @@ import platform
 import re
 import subprocess
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from datetime import UTC, datetime
 from functools import cache, lru_cache
 from importlib.metadata import PackageNotFoundError, version
@@ -66,6 +66,14 @@ def dtype_of(schema: Mapping[str, Any]) -> np.dtype[np.void]:
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise RecordingError(f"the recording's schema is invalid ({error})") from error
+
+
+def schema_of(schema: Mapping[str, Any], names: Collection[str]) -> dict[str, Any]:
+    """Return a schema with some of its columns only, in its order, with the offsets of a row of these."""
+    columns = [column for column in schema["columns"] if column["name"] in names]
+    dtype = np.dtype([(column["name"], column["dtype"]) for column in columns], align=True)
+    placed = [{**column, "offset": _field(dtype, column["name"])[1]} for column in columns]
+    return {"row_bytes": dtype.itemsize, "columns": placed}
 
 
 def make_header(

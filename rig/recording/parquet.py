@@ -8,7 +8,7 @@ columns. pyarrow is loaded when a function here is called.
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -22,11 +22,14 @@ from rig.core.errors import RecordingError
 from rig.recording.canonical import canonical_json
 from rig.recording.data import Loss, Recording
 from rig.recording.files import plain_errors
-from rig.recording.header import check_version, dtype_of
+from rig.recording.header import check_version, dtype_of, schema_of
 from rig.recording.shape import parsed
 
 KEYS = (b"rig.header", b"rig.trailer", b"rig.complete", b"rig.lost")
 CHECKSUM_KEY = b"rig.crc32"
+READ_BYTES = (
+    1 << 25
+)  # of columns that are decoded at once: those of a short recording together, a long one's singly
 
 
 def has_pyarrow() -> bool:
@@ -60,7 +63,7 @@ def write_parquet(file: BinaryIO, recording: Recording) -> None:
     lost = [asdict(loss) for loss in recording.lost]
     facts = (recording.header, recording.trailer, recording.complete, lost)
     metadata = {key: canonical_json(fact) for key, fact in zip(KEYS, facts, strict=True)}
-    metadata[CHECKSUM_KEY] = _checksum(metadata, columns)
+    metadata[CHECKSUM_KEY] = _checksum(metadata, columns.values())
     # The memory as it is: pyarrow.array would import pandas, if it is installed, to ask whether this comes from there.
     arrays = [
         pyarrow.Array.from_buffers(
@@ -72,11 +75,11 @@ def write_parquet(file: BinaryIO, recording: Recording) -> None:
     parquet.write_table(table, file, compression="zstd", **_encodings(columns))
 
 
-def _checksum(metadata: Mapping[bytes, bytes], columns: Mapping[str, NDArray[Any]]) -> bytes:
+def _checksum(metadata: Mapping[bytes, bytes], parts: Iterable[NDArray[Any]]) -> bytes:
     """CRC-32 over metadata and columns in their order, since Parquet checks neither footer nor page heads."""
     crc = zlib.crc32(b"".join(metadata[key] for key in KEYS))
-    for column in columns.values():
-        crc = zlib.crc32(column.data, crc)
+    for part in parts:
+        crc = zlib.crc32(part.data, crc)
     return b"%08x" % crc
 
 
@@ -90,11 +93,13 @@ def _encodings(columns: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
     return {"use_dictionary": False, "column_encoding": chosen}
 
 
-def read_parquet(path: Path) -> Recording:
-    """Read a sealed recording; raises `RecordingError` when it is none, or when a bit of it has changed."""
+def read_parquet(path: Path, columns: Collection[str] | None = None) -> Recording:
+    """Read a sealed recording, of its rows all columns or those named; its header describes all of them.
+
+    Raises `RecordingError` when it is none, or when a bit of it has changed, in any column.
+    """
     with _opened(path) as file:
-        table = file.read()
-        return _recording(path, table, _metadata(path, table.schema))
+        return _recording(path, file, _metadata(path, file.schema_arrow), columns)
 
 
 def read_parquet_facts(path: Path) -> Recording:
@@ -121,28 +126,41 @@ def _metadata(path: Path, schema: Any) -> dict[bytes, bytes]:
     return metadata
 
 
-def _to_numpy(column: Any, dtype: np.dtype[Any]) -> NDArray[Any]:
-    """Return a column of numbers without nulls from its memory, since pyarrow's own conversion imports pandas."""
-    if column.null_count or column.type != pyarrow.from_numpy_dtype(dtype):
-        raise ValueError(f"a column has nulls, or is {column.type} and not {dtype}")
-    chunks = [
-        np.frombuffer(chunk.buffers()[1], dtype, len(chunk), chunk.offset * dtype.itemsize)
-        for chunk in column.chunks
-        if len(chunk)
-    ]
-    if len(chunks) == 1:
-        return chunks[0]
-    return np.concatenate(chunks) if chunks else np.empty(0, dtype)
+def _to_numpy(chunk: Any, dtype: np.dtype[Any]) -> NDArray[Any]:
+    """Return numbers without nulls from the memory of a chunk, since pyarrow's own conversion imports pandas."""
+    if chunk.null_count or chunk.type != pyarrow.from_numpy_dtype(dtype):
+        raise ValueError(f"a column has nulls, or is {chunk.type} and not {dtype}")
+    return np.frombuffer(chunk.buffers()[1], dtype, len(chunk), chunk.offset * dtype.itemsize)
 
 
-def _recording(path: Path, table: Any, metadata: dict[bytes, bytes]) -> Recording:
+def _recording(
+    path: Path, file: Any, metadata: dict[bytes, bytes], columns: Collection[str] | None
+) -> Recording:
     facts = _facts(path, metadata)
-    columns = {name: _to_numpy(table.column(name), facts.rows.dtype[name]) for name in table.column_names}
-    if _checksum(metadata, columns) != metadata[CHECKSUM_KEY]:
+    stored: list[str] = file.schema_arrow.names
+    if set(stored) != set(facts.names):
+        raise ValueError("its columns are not those of its header")
+    dtype = facts.rows.dtype if columns is None else dtype_of(schema_of(facts.header["schema"], columns))
+    rows, wanted = np.empty(file.metadata.num_rows, dtype), set(dtype.names or ())
+    together = max(1, READ_BYTES // (8 * len(rows) + 1))
+
+    def parts() -> Iterator[NDArray[Any]]:
+        """Give the columns, chunk by chunk in the order of the file, and keep those that are wanted."""
+        for first in range(0, len(stored), together):
+            names = stored[first : first + together]
+            table = file.read(columns=names)
+            for name in names:
+                row = 0
+                for chunk in table.column(name).chunks:
+                    if len(chunk):
+                        values = _to_numpy(chunk, facts.rows.dtype[name])
+                        if name in wanted:
+                            rows[name][row : row + len(values)] = values
+                        row += len(values)
+                        yield values
+
+    if _checksum(metadata, parts()) != metadata[CHECKSUM_KEY]:
         raise ValueError("its checksum does not match")
-    rows = np.empty(table.num_rows, facts.rows.dtype)
-    for name in facts.names:
-        rows[name] = columns[name]
     return replace(facts, rows=rows)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+from dataclasses import replace
 from pathlib import Path
 
 from rig.core.errors import RecordingError
@@ -9,14 +11,23 @@ from rig.core.sample import COLUMNS
 from rig.recording.capture import read_capture, read_capture_header
 from rig.recording.data import Recording
 from rig.recording.files import plain_errors
+from rig.recording.header import schema_of
 from rig.recording.parquet import read_parquet, read_parquet_facts
 from rig.recording.shape import HEADER, TRAILER, misfit
 
 _PARQUET_MAGIC = b"PAR1"
 
 
-def open_recording(path: str | Path) -> Recording:
+def open_recording(path: str | Path, columns: Collection[str] | None = None) -> Recording:
     """Read a capture or a sealed recording into memory.
+
+    Parameters
+    ----------
+    path
+        The file.
+    columns
+        Keep only these, as far as the recording has them: of a minute at 20 kHz, a column has 10 MB, all have 400. All
+        of the file is read and checked either way.
 
     Raises
     ------
@@ -26,7 +37,12 @@ def open_recording(path: str | Path) -> Recording:
         and `Recording.complete`.
     """
     path = Path(path)
-    return _checked(path, read_parquet(path) if _is_parquet(path) else read_capture(path))
+    read = read_parquet if _is_parquet(path) else read_capture
+    recording = _checked(path, read(path, columns))
+    if columns is None:
+        return recording
+    schema = schema_of(recording.header["schema"], columns)
+    return replace(recording, header={**recording.header, "schema": schema})
 
 
 def open_facts(path: str | Path) -> Recording:
@@ -45,7 +61,7 @@ def _is_parquet(path: Path) -> bool:
 
 
 def _checked(path: Path, recording: Recording) -> Recording:
-    missing = [column.name for column in COLUMNS if column.name not in recording.names]
+    missing = [column.name for column in COLUMNS if column.name not in recording.units]
     if missing:
         raise RecordingError(
             f"{path} has no column {missing[0]!r}, which every recording has",

@@ -12,7 +12,8 @@ def column_figure(column: Column) -> Any:
     """The figure of one column over time."""
     figure = style.new_figure(height=3.5)
     axes = figure.subplots()
-    axes.plot(column.time_s, column.values, color=style.MEASURED, linewidth=0.9)
+    shown = style.visible(column.values)
+    axes.plot(column.time_s[shown], column.values[shown], color=style.MEASURED, linewidth=0.9)
     axes.set_xlabel("time (s)")
     axes.set_title(column.description, fontsize=9)
     style.tidy(axes, f"{column.name} ({column.unit})")

@@ -18,6 +18,10 @@ from rig.recording.reader import open_recording
 from rig.views.plots import style
 from rig.views.plots.column import column_figure
 
+DRAWN = (  # columns that the figure takes
+    "phase", "device_time", "received_at", "flags", "penetration", "position", "velocity", "effort_wall", "effort_sent",
+    "position_true", "handle_position_true", "handle_velocity_true",
+)  # fmt: skip
 BEFORE_CONTACT_S = 0.02
 SHORTEST_IMPACT_S, LONGEST_IMPACT_S = 0.05, 0.2
 
@@ -37,7 +41,7 @@ def draw_hit(path: str | Path, picture: str | Path | None = None) -> Path:
     Path
         The picture.
     """
-    recording = open_recording(path)
+    recording = open_recording(path, DRAWN)
     target = Path(picture) if picture else Path(path).with_suffix(".png")
     return style.save(hit_figure(recording), target)
 
@@ -117,30 +121,26 @@ def _draw_column(
     """Position, velocity and effort of some rows; the same side of the transmission has the same colour everywhere."""
     top, middle, bottom = panels
     wall, limit = recording.experiment["wall"], recording.experiment["rig"]["limits"]["effort"]
+
+    def line(axes: Any, values: NDArray[np.float64], color: str, width: float, label: str) -> None:
+        shown = style.visible(values)
+        axes.plot(time_s[shown], values[shown], color=color, linewidth=width, label=label)
+
     if recording.has_truth:
-        top.plot(
-            time_s,
-            scale * rows["handle_position_true"],
-            color=style.TRUE,
-            linewidth=0.9,
-            label="true, handle",
-        )
-        middle.plot(
-            time_s, rows["handle_velocity_true"], color=style.TRUE, linewidth=0.9, label="true, handle"
-        )
-    top.plot(time_s, scale * rows["position"], color=style.MEASURED, linewidth=1.0, label="measured")
-    middle.plot(time_s, rows["velocity"], color=style.MEASURED, linewidth=1.0, label="estimated")
-    reaction = -wall["side"] * rows["effort_wall"]
-    bottom.plot(time_s, reaction, color=style.OTHER, linewidth=0.8, label="wall alone")
-    bottom.plot(time_s, rows["effort_sent"], color=style.SENT, linewidth=0.9, label="sent: wall and push")
+        line(top, scale * rows["handle_position_true"], style.TRUE, 0.9, "true, handle")
+        line(middle, rows["handle_velocity_true"], style.TRUE, 0.9, "true, handle")
+    line(top, scale * rows["position"], style.MEASURED, 1.0, "measured")
+    line(middle, rows["velocity"], style.MEASURED, 1.0, "estimated")
+    line(bottom, -wall["side"] * rows["effort_wall"], style.OTHER, 0.8, "wall alone")
+    line(bottom, rows["effort_sent"], style.SENT, 0.9, "sent: wall and push")
     saturated = (rows["flags"] & int(RowFlag.SATURATED)) != 0
     if saturated.any():
-        bottom.plot(
-            time_s[saturated], rows["effort_sent"][saturated], "x", color=style.BAD, label=f"at ±{limit:g}"
-        )
+        times, efforts = time_s[saturated], rows["effort_sent"][saturated]
+        shown = style.visible(efforts)
+        bottom.plot(times[shown], efforts[shown], "x", color=style.BAD, label=f"at ±{limit:g}")
     gaps = time_s[(rows["flags"] & int(RowFlag.GAP)) != 0]
     if len(gaps):
-        low = top.get_ylim()[0]
+        gaps, low = gaps[style.visible(gaps)], top.get_ylim()[0]
         top.plot(
             gaps, np.full(len(gaps), low), "|", color=style.BAD, label="gap in the samples", clip_on=False
         )

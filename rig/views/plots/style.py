@@ -6,6 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from rig.core.deferred import agg, figures, matplotlib
 from rig.core.errors import RecordingError
 
@@ -30,6 +33,7 @@ SERIES = (
 )
 KINDS = {"stable": "#00703c", "limit cycle": "#a85300", "unstable": BAD, "invalid": "#666666"}
 DPI = 120
+STRETCHES = 5000  # of a long line, each drawn by its extremes: some for each pixel of the widest picture
 _KEY_LINE = 0.18  # height of a line of a legend (inch)
 # By ending how it is saved: without what would differ from one minute or version to the next.
 FORMATS: Mapping[str, Mapping[str, Any]] = {
@@ -72,6 +76,20 @@ def count_along(axes: Any) -> None:
     """Let the horizontal axis count: ticks at whole numbers only, one neighbour at least to each side of a value."""
     at_least(axes, "x", 2.0)
     axes.xaxis.get_major_locator().set_params(integer=True, min_n_ticks=1)
+
+
+def visible(*values: NDArray[Any]) -> slice | NDArray[np.int64]:
+    """Return the places of the points that a picture shows of long lines: of each stretch the extremes of each line."""
+    size = len(values[0])
+    rows = size // STRETCHES
+    if rows <= 2 * len(values):
+        return slice(None)
+    whole = size // rows * rows
+    starts, chosen = np.arange(0, whole, rows), [np.array([0, size - 1])]
+    for line in values:
+        stretches = line[:whole].reshape(-1, rows)
+        chosen += [starts + stretches.argmin(axis=1), starts + stretches.argmax(axis=1)]
+    return np.unique(np.concatenate(chosen))
 
 
 def say(axes: Any, text: str) -> None:

@@ -16,6 +16,8 @@ from rig.recording.data import Recording
 from rig.recording.reader import open_recording
 from rig.views.plots import style
 
+DRAWN = ("phase", "penetration", "effort_wall")  # columns that the figure takes
+
 
 def draw_xy(path: str | Path, picture: str | Path | None = None) -> Path:
     """Draw a recording.
@@ -34,15 +36,16 @@ def draw_xy(path: str | Path, picture: str | Path | None = None) -> Path:
     """
     source = Path(path)
     target = Path(picture) if picture else source.with_name(f"{source.stem}-xy.png")
-    return style.save(xy_figure(open_recording(source)), target)
+    return style.save(xy_figure(open_recording(source, DRAWN)), target)
 
 
 def xy_figure(recording: Recording) -> Any:
     """Return the figure of a recording (`matplotlib.figure.Figure`)."""
     rows, wall, motion = recording.rows, recording.experiment["wall"], recording.header["motion"]
+    inside = (rows["phase"] == Phase.TRIAL) & (rows["penetration"] > 0.0)
+    penetration, force = rows["penetration"][inside], rows["effort_wall"][inside]
     figure = style.new_figure(width=7.0, height=5.0)
     axes = figure.subplots()
-    inside = rows[(rows["phase"] == Phase.TRIAL) & (rows["penetration"] > 0.0)]
     axes.set_xlabel(f"penetration ({unit_of('position', motion)})")
     style.tidy(axes, f"force of the wall ({unit_of('effort', motion)})")
     figure.suptitle(
@@ -50,13 +53,12 @@ def xy_figure(recording: Recording) -> Any:
         f"B = {wall['damping']:g} {unit_of('damping', motion)}",
         fontsize=11,
     )
-    if not len(inside):
+    if not len(penetration):
         style.say(axes, "the handle never was inside the wall")
         return figure
-    deepest = float(np.max(inside["penetration"]))
-    axes.plot(
-        inside["penetration"], inside["effort_wall"], color=style.OTHER, linewidth=0.7, label="rendered"
-    )
+    deepest = float(np.max(penetration))
+    shown = style.visible(penetration, force)
+    axes.plot(penetration[shown], force[shown], color=style.OTHER, linewidth=0.7, label="rendered")
     axes.plot((0.0, deepest), (0.0, wall["stiffness"] * deepest), "--", color=style.WALL, label="K·x")
     axes.legend(loc="upper left", frameon=False, fontsize=8)
     return figure
