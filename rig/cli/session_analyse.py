@@ -35,6 +35,12 @@ _FEW = 3  # participants: each is printed
 )
 @click.option("--hashes/--no-hashes", default=True, help="Compare recordings with the hashes in the logs.")
 @options.across_option
+@click.option(
+    "--include-marked",
+    is_flag=True,
+    help="Let limits count that their verdicts do not show: of searches that ended by `most` before they had their "
+    "turns, outside of their own interval, or not between a wall judged stable and one that was not.",
+)
 @options.seed_option("Of the bootstraps.", OWN, default=0, show_default=True)
 @click.option("--report/--no-report", default=True, help="Draw pictures and write the report, one HTML file.")
 @options.output_option(None, "Directory of tables, pictures and report. [analysis, in DIR]", "out")
@@ -46,6 +52,7 @@ def analyse(
     measure: Any,
     hashes: bool,
     across: tuple[str, ...],
+    include_marked: bool,
     seed: int,
     report: bool,
     ending: str,
@@ -57,7 +64,13 @@ def analyse(
     logs alone, corrections included; tables are written as CSV and Parquet, with a dictionary of their columns, and
     one HTML file reports everything, with pictures and the methods as a paper prints them.
     """
-    chosen = Options(measure=MEASURES[measure], hashes=hashes, across=across, seed=seed)  # type: ignore[arg-type]
+    chosen = Options(
+        measure=MEASURES[measure],  # type: ignore[arg-type]
+        hashes=hashes,
+        across=across,
+        seed=seed,
+        include_marked=include_marked,
+    )
     with Steps(quiet=as_json) as steps:
         found = found_in(places, chosen, watch=steps.watch)
         directory = beside(places, found) if out is None else out

@@ -21,6 +21,7 @@ from rig.session.comparisons import (
     energy_check,
     heat_check,
     level_checks,
+    most_checks,
     order_checks,
     rest_checks,
     stop_checks,
@@ -91,6 +92,7 @@ def check(
     checks = [
         *wall_checks([*_walls(protocol, under), *_practice(walls)]),
         *level_checks(cells, base.rig.motion),
+        *most_checks(cells),
         *energy_check(protocol, under),
         *band_checks(protocol.trial, [walls.softest(one) for one in protocol.condition]),
         *cap_checks(protocol, under),

@@ -99,6 +99,22 @@ def level_checks(cells: Sequence[CellPlan], motion: Motion) -> Iterator[Check]:
         )
 
 
+def most_checks(cells: Sequence[CellPlan]) -> Iterator[Check]:
+    """Check whether `most` leaves a search its turns: a limit without them is marked, and left out of the analysis."""
+    short = [cell for cell in cells if cell.trials.ended_by_most]
+    if short:
+        each = "; ".join(
+            f"{_cell(cell)}: {cell.trials.ended_by_most} of {cell.trials.simulated}" for cell in short
+        )
+        yield Check(
+            "search.settings.most",
+            Outcome.WARNING,
+            "ends simulated searches before they have their turns, so that their limits are marked and left out: "
+            + each,
+            "raise search.settings.most, or lower search.settings.turns",
+        )
+
+
 def _step_at(levels: Sequence[float], stiffness: float) -> float:
     """Step of the levels about a stiffness, over it; 0 where that is none of theirs."""
     return max((b - a for a, b in pairwise(levels) if a <= stiffness <= b), default=0.0) / max(

@@ -132,10 +132,15 @@ def _held(by_hand: Mapping[str, float]) -> dict[str, float]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trials:
-    """What one search takes: trials, and how many of them are of unstable walls."""
+    """What one search takes: trials, and how many of them are of unstable walls.
+
+    `ended_by_most` counts the simulated searches, of `simulated`, that ended by `most` before they had their turns.
+    """
 
     count: Range
     failures: Range
+    ended_by_most: int = 0
+    simulated: int = 0
 
     def __add__(self, other: Trials) -> Trials:
         return Trials(count=self.count + other.count, failures=self.failures + other.failures)
@@ -165,10 +170,12 @@ def expected_trials(wanted: Search, limit: Range) -> Trials:
         series = replace(wanted, settings={**settings, "repeats": 1})
         return expected_trials(series, limit) * float(settings.get("repeats", 5))
     taken = {k50: _taken(wanted, max(k50, 1e-3 * levels[0])) for k50 in set(limit.values)}
-    count, failures = zip(*(taken[k50] for k50 in limit.values), strict=True)
+    count, failures, ended_by_most = zip(*(taken[k50] for k50 in limit.values), strict=True)
     return Trials(
         count=Range(min(count), count[1], max(count)),
         failures=Range(min(failures), failures[1], max(failures)),
+        ended_by_most=sum(ended_by_most),
+        simulated=OBSERVERS * len(limit.values),
     )
 
 
@@ -191,9 +198,11 @@ def likely_trials(protocol: Protocol, blocks: Iterable[Block]) -> dict[str, floa
     return found
 
 
-def _taken(wanted: Search, k50: float) -> tuple[float, float]:
-    """Mean trials of some observers, and those among them that were not stable."""
+def _taken(wanted: Search, k50: float) -> tuple[float, float, int]:
+    """Mean trials of some observers, those among them that were not stable, and searches that ended by `most`."""
     observer = Observer(threshold=k50, spread=SPREAD * k50, lapse_rate=LAPSE_RATE)
-    answers = [run(asking(wanted, seed), observer, seed, MOST_TRIALS) for seed in range(OBSERVERS)]
+    rules = [asking(wanted, seed) for seed in range(OBSERVERS)]
+    answers = [run(rule, observer, seed, MOST_TRIALS) for seed, rule in enumerate(rules)]
     failures = sum(answer.stable is False for given in answers for answer in given)
-    return sum(map(len, answers)) / OBSERVERS, failures / OBSERVERS
+    short = sum(rule.estimate(given).ended_by_most for rule, given in zip(rules, answers, strict=True))
+    return sum(map(len, answers)) / OBSERVERS, failures / OBSERVERS, short

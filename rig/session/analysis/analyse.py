@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,7 @@ from rig.session.analysis.mixed import Mixed, mixed
 from rig.session.analysis.people import answers_of, fates, participants_of
 from rig.session.analysis.psychometric import Psychometric, complete_runs, gathered, psychometrics
 from rig.session.analysis.rows import (
+    ENDED_BY_MOST,
     MEASURES,
     AnswerRow,
     Limit,
@@ -32,9 +33,11 @@ from rig.session.analysis.rows import (
     ParticipantRow,
     RunRow,
     TrialRow,
+    runs_as_counted,
 )
 from rig.session.analysis.study import Study, read_study
 from rig.session.analysis.trials import (
+    AMENDED,
     half_way,
     levels,
     levels_by_participant,
@@ -45,6 +48,7 @@ from rig.session.analysis.trials import (
 
 Watch = Callable[[str, int, int], None]
 _VAGUE = 0.4  # of the range of levels: an interval wider than that says little
+_NAMED = 5  # runs in a message
 _JUDGES: dict[Measure, str] = {"rule": "followed", "K50 person": "person", "K50 automatic": "automatic"}
 
 
@@ -62,12 +66,16 @@ class Options:
         Keys of the protocol in which sessions may differ although they can decide a result; see `read_study`.
     seed
         Of all bootstraps: the same gives the same intervals.
+    include_marked
+        Whether limits count that their verdicts do not show: of searches that ended by `most` before they had their
+        turns, outside of their own interval, or not between a wall judged stable and one that was not.
     """
 
     measure: Measure = "rule"
     hashes: bool = True
     across: tuple[str, ...] = ()
     seed: int = 0
+    include_marked: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,7 +133,8 @@ class Analysis:
                 found.append(
                     f"{_plural(count, 'run')} {_was(count)} {state}: in the table of runs, not in K_max"
                 )
-        noted = sum(run.note != "" and "rule" not in run.limits for run in self.runs)
+        found += self._of_marked()
+        noted = sum(run.note == AMENDED for run in self.runs)
         if noted:
             found.append(
                 f"of {_plural(noted, 'run')} trials were amended after the rule had followed them: no limit by the "
@@ -165,9 +174,41 @@ class Analysis:
         grid = levels(self.study.protocol, condition)
         return grid[-1] - grid[0]
 
+    @property
+    def runs_as_counted(self) -> tuple[RunRow, ...]:
+        """Runs as K_max, models and slopes count them, see `rig.session.analysis.rows.runs_as_counted`."""
+        return runs_as_counted(self.runs, include_marked=self.options.include_marked)
+
     def counts(self) -> dict[str, int]:
         """Trials by what became of them; "counted" ones made limits."""
-        return {"recorded": len(self.trials), **dict(sorted(fates(self.trials, self.runs).items()))}
+        return {
+            "recorded": len(self.trials),
+            **dict(sorted(fates(self.trials, self.runs_as_counted).items())),
+        }
+
+    def _of_marked(self) -> Iterator[str]:
+        """Runs that ended by `most`, and limits that their verdicts contradict."""
+        taken = (
+            "taken in"
+            if self.options.include_marked
+            else "left out of K_max (--include-marked takes them in)"
+        )
+        short = [run for run in self.runs if run.state == ENDED_BY_MOST]
+        if short:
+            names = [f"{run.participant}, run {run.run}: {run.note}" for run in short]
+            yield f"{_plural(len(short), 'run')} {_was(len(short))} ended by most, {taken}: {_listed(names)}"
+        names = [
+            f"{run.participant}, run {run.run}: {limit.mark}"
+            for run in self.runs
+            if (limit := run.limits.get("rule")) and limit.mark and run.state == "complete"
+        ]
+        names += [
+            f"{one.participant}, {one.condition} at B = {one.damping:g}, K50 {one.judge}: {one.mark}"
+            for one in self.psychometrics
+            if one.participant and one.mark
+        ]
+        if names:
+            yield f"{_plural(len(names), 'limit')} {_is(len(names))} marked, {taken}: {_listed(names)}"
 
     def as_mapping(self) -> dict[str, Any]:
         """Plain values, for JSON; trials are in their table."""
@@ -179,6 +220,7 @@ class Analysis:
             "units": {name: study.unit(name) for name in ("stiffness", "damping")},
             "measure": self.options.measure,
             "seed": self.options.seed,
+            "include_marked": self.options.include_marked,
             "conditions": [
                 {"name": one.name, "scheme": self.schemes[one.name], "damping": list(one.damping)}
                 for one in protocol.condition
@@ -231,14 +273,19 @@ def analyse(paths: Iterable[Path], options: Options | None = None, *, watch: Wat
     trials = trials_of(study)
     runs = runs_of(study, watch=lambda done, total: report("limits estimated", done, total))
     report("intervals", 0, 4)
-    pooled = _pooled(study, runs)
-    each = of_participants(runs, pooled, options.seed)
+    counted = runs_as_counted(runs, include_marked=options.include_marked)
+    pooled = {
+        key: limit
+        for key, limit in _pooled(study, counted).items()
+        if options.include_marked or not limit.mark
+    }
+    each = of_participants(counted, pooled, options.seed)
     report("intervals", 1, 4)
     names = [condition.name for condition in study.protocol.condition]
     known = [measure for measure in MEASURES if any(measure in run.limits for run in runs)]
-    models = tuple(mixed(observed(runs, measure, pooled), measure, names) for measure in known)
+    models = tuple(mixed(observed(counted, measure, pooled), measure, names) for measure in known)
     report("intervals", 2, 4)
-    functions = psychometrics(study, complete_runs(runs))
+    functions = psychometrics(study, complete_runs(counted), include_marked=options.include_marked)
     report("intervals", 3, 4)
     found = Analysis(
         study=study,
@@ -246,7 +293,7 @@ def analyse(paths: Iterable[Path], options: Options | None = None, *, watch: Wat
         schemes=schemes_of(study),
         trials=trials,
         runs=runs,
-        participants=participants_of(study, trials, runs),
+        participants=participants_of(study, trials, counted),
         answers=answers_of(study),
         of_participants=each,
         over_participants=over_participants(each, names),
@@ -254,7 +301,7 @@ def analyse(paths: Iterable[Path], options: Options | None = None, *, watch: Wat
         mixed=models,
         agreements=agreements(trials),
         psychometrics=functions,
-        slopes=slopes(runs, trials),
+        slopes=slopes(counted, trials),
         blocks=blocks(trials),
     )
     report("intervals", 4, 4)
@@ -273,6 +320,11 @@ def _pooled(study: Study, runs: Sequence[RunRow]) -> dict[tuple[Measure, str, Ce
         for code, verdicts in each.items()
         if (cell[0], measure) in shares
     }
+
+
+def _listed(names: Sequence[str]) -> str:
+    more = len(names) - _NAMED
+    return "; ".join(names[:_NAMED]) + (f"; and {more} more" if more > 0 else "")
 
 
 def _plural(count: int, noun: str) -> str:

@@ -47,14 +47,20 @@ Cell = tuple[str, float]  # condition, damping
 
 @dataclass(frozen=True, slots=True)
 class Beyond:
-    """How many limits there are, and how many of them lie beyond the stiffest or the softest level."""
+    """How many limits there are, how many lie beyond the stiffest or the softest level, and how many are marked."""
 
     limits: int = 0
     above: int = 0
     below: int = 0
+    marked: int = 0
 
     def __add__(self, other: Beyond) -> Beyond:
-        return Beyond(self.limits + other.limits, self.above + other.above, self.below + other.below)
+        return Beyond(
+            self.limits + other.limits,
+            self.above + other.above,
+            self.below + other.below,
+            self.marked + other.marked,
+        )
 
     @property
     def count(self) -> int:
@@ -91,6 +97,8 @@ class OfParticipant:
         Values behind it, and how many of them lie beyond the stiffest or the softest level.
     rounding
         Standard deviation of the error of `mean` that rounding to the levels makes.
+    marked
+        How many of the values are marked (`rig.session.analysis.rows.Limit`); 0 unless they were asked for.
     """
 
     measure: Measure
@@ -111,11 +119,12 @@ class OfParticipant:
     above: int
     below: int
     rounding: float = 0.0
+    marked: int = 0
 
     @property
     def beyond(self) -> Beyond:
-        """The last three."""
-        return Beyond(self.limits, self.above, self.below)
+        """These counts as one value."""
+        return Beyond(self.limits, self.above, self.below, self.marked)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -139,6 +148,7 @@ class OverParticipants:
     above: int
     below: int
     problem: str = ""
+    marked: int = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -175,7 +185,7 @@ def beyond_of(limits: Iterable[tuple[str, float, Limit]]) -> dict[Cell, Beyond]:
     """Count limits and censored ones of each condition and damping."""
     found: dict[Cell, Beyond] = {}
     for condition, damping, limit in limits:
-        one = Beyond(1, limit.censored == "above", limit.censored == "below")
+        one = Beyond(1, limit.censored == "above", limit.censored == "below", limit.mark != "")
         found[condition, damping] = found.get((condition, damping), NONE_BEYOND) + one
     return found
 
@@ -199,7 +209,10 @@ def observed(runs: Sequence[RunRow], measure: Measure, pooled: Pooled) -> tuple[
     pooled
         Limits from all verdicts of a participant under a condition at a damping.
     """
-    counted = [run for run in runs if run.state == "complete" and measure in run.limits]
+    # K50 is of all verdicts together: a run whose own verdicts do not show it adds its own to them
+    counted = [
+        run for run in runs if run.state == "complete" and (measure != "rule" or measure in run.limits)
+    ]
     if measure == "rule":
         return tuple(_observed(measure, [run], run.limits[measure]) for run in counted)
     groups: dict[tuple[str, Cell], list[RunRow]] = {}
@@ -265,6 +278,7 @@ def of_participants(runs: Sequence[RunRow], pooled: Pooled, seed: int = 0) -> tu
                     above=beyond.above,
                     below=beyond.below,
                     rounding=rounding / math.sqrt(len(limits)),
+                    marked=beyond.marked,
                 )
             )
     return tuple(found)
@@ -304,6 +318,7 @@ def over_participants(
                 above=beyond.above,
                 below=beyond.below,
                 problem=interval.problem,
+                marked=beyond.marked,
             )
         )
     return tuple(found)

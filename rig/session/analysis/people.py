@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from datetime import UTC, datetime
 
-from rig.session.analysis.rows import AnswerRow, ParticipantRow, RunRow, TrialRow
+from rig.session.analysis.rows import ENDED_BY_MOST, AnswerRow, ParticipantRow, RunRow, TrialRow
 from rig.session.analysis.study import Session, Study
 from rig.session.search.catching import CatchTrials
 
@@ -48,6 +48,8 @@ def _fate(trial: TrialRow, state: str) -> str:
         return "practice"
     if trial.void:
         return trial.void
+    if state == ENDED_BY_MOST:
+        return "of searches that ended by most"
     if state != "complete":
         return f"of {state} searches"
     return "catch trials" if trial.catch else "unsure" if trial.verdict == "unsure" else "counted"

@@ -61,8 +61,8 @@ class Psychometric:
         λ, the share of verdicts turned round.
     levels, verdicts, stable
         Of each level that was judged: stiffness, verdicts, and how many of them were stable.
-    step
-        Distance of the levels about K50.
+    step, mark
+        Distance of the levels about K50; and why K50 is no limit that the verdicts show, as of a `Limit`.
     """
 
     participant: str
@@ -79,6 +79,7 @@ class Psychometric:
     verdicts: tuple[int, ...]
     stable: tuple[int, ...]
     step: float
+    mark: str
 
     @property
     def bounded(self) -> bool:
@@ -93,8 +94,10 @@ class Psychometric:
 Verdicts = list[tuple[float, bool]]
 
 
-def psychometrics(study: Study, complete: Container[tuple[str, int]]) -> tuple[Psychometric, ...]:
-    """All functions: by judge, condition and damping, each participant and then all of them.
+def psychometrics(
+    study: Study, complete: Container[tuple[str, int]], *, include_marked: bool = False
+) -> tuple[Psychometric, ...]:
+    """All functions: by judge, condition and damping, each participant and then all of them (without marked ones).
 
     Parameters
     ----------
@@ -114,10 +117,12 @@ def psychometrics(study: Study, complete: Container[tuple[str, int]]) -> tuple[P
                     fit(code, name, damping, judge, grids[code, name], of) for code, of in verdicts.items()
                 ]
                 found += each
-                if len(each) > 1:
-                    every = sorted({level for code in verdicts for level in grids[code, name]})
+                kept = [one for one in each if include_marked or not one.mark]
+                if len(kept) > 1:
+                    codes = [one.participant for one in kept]
+                    every = sorted({level for code in codes for level in grids[code, name]})
                     found.append(
-                        together(each, tuple(every), [one for of in verdicts.values() for one in of])
+                        together(kept, tuple(every), [one for code in codes for one in verdicts[code]])
                     )
     return tuple(found)
 
@@ -182,6 +187,7 @@ def fit(
         verdicts=tuple(len(stable) for stable in by_level.values()),
         stable=tuple(sum(stable) for stable in by_level.values()),
         step=half.step,
+        mark=half.mark,
     )
 
 
@@ -195,6 +201,7 @@ def together(
     return replace(
         pooled,
         participants=len(each),
+        mark=f"{marked} of {len(each)} are marked" if (marked := sum(one.mark != "" for one in each)) else "",
         threshold=Posterior(mean=float(own.mean()), low=interval.low, high=interval.high),
         above=sum(one.above for one in each),
         below=sum(one.below for one in each),

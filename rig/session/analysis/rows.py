@@ -6,7 +6,8 @@ dictionary and the sidecars of exports are generated from them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
 from rig.core.quantity import Quantity
@@ -18,6 +19,7 @@ from rig.session.trial import Trial
 Measure = Literal["rule", "K50 person", "K50 automatic"]
 # How the limit of a run is estimated: by the rule that asked for its walls, from the verdicts that it followed;
 # or as the stiffness that is stable half of the time, from the person's or the automatic verdicts, whatever rule asked.
+ENDED_BY_MOST = "ended by most"  # state of a search that had all its verdicts before it had its turns
 MEASURES: tuple[Measure, ...] = ("rule", "K50 person", "K50 automatic")
 
 
@@ -96,7 +98,8 @@ class Limit:
     There the interval is open: `high` is infinite, or `low` zero.
 
     `share` is the share of stable verdicts at the value; None for the ascending rule, which aims at none. `step` is the
-    distance of the levels between which it was found; 0 for a value that is not of levels.
+    distance of the levels between which it was found; 0 for a value that is not of levels. `mark` says why the value is
+    no limit that its verdicts show (`rig.session.search.rule.marked`); marked limits are left out unless asked for.
     """
 
     value: float
@@ -105,6 +108,7 @@ class Limit:
     censored: Censored
     share: float | None
     step: float = 0.0
+    mark: str = ""
 
     @property
     def rounding(self) -> float:
@@ -134,7 +138,13 @@ class RunRow:
     repeat: Annotated[int, Quantity("", "of this condition and damping, from 1")]
     rule: Annotated[str, Quantity("", "search rule")]
     followed: Annotated[str, Quantity("", "whose verdicts the rule followed: person or automatic")]
-    state: Annotated[str, Quantity("", "complete, unfinished or skipped; only complete ones enter K_max")]
+    state: Annotated[
+        str,
+        Quantity(
+            "",
+            "complete, unfinished, skipped, or ended by most: before it had its turns; only complete ones enter K_max",
+        ),
+    ]
     limits: dict[Measure, Limit]
     trials: Annotated[int, Quantity("", "judged hits that count")]
     invalid: Annotated[int, Quantity("", "invalid hits")]
@@ -153,6 +163,19 @@ class RunRow:
     def lapses(self) -> int:
         """Those judged against what is known."""
         return self.caught.lapses
+
+
+def runs_as_counted(runs: Iterable[RunRow], *, include_marked: bool = False) -> tuple[RunRow, ...]:
+    """Return runs as K_max, models and slopes count them.
+
+    A marked limit is left out, and a run that ended by `most` does not count as complete, unless `include_marked`.
+    """
+    if include_marked:
+        return tuple(replace(run, state="complete") if run.state == ENDED_BY_MOST else run for run in runs)
+    return tuple(
+        replace(run, limits={measure: limit for measure, limit in run.limits.items() if not limit.mark})
+        for run in runs
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

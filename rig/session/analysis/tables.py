@@ -274,6 +274,13 @@ def _limit_columns(measure: Measure) -> tuple[DataColumn, ...]:
             "above or below: it lies beyond the levels",
             _limit(measure, "censored"),
         ),
+        DataColumn(
+            f"limit_{name}_mark",
+            str,
+            "",
+            "why the verdicts do not show it, so that it is left out of K_max unless asked for; empty: they do",
+            _limit(measure, "mark"),
+        ),
     )
 
 
@@ -290,6 +297,7 @@ _BEYOND = (
     _own("limits", int, "", "values behind it: runs by the rule, one for each participant as K50"),
     _own("above", int, "", "of them lie above the stiffest level"),
     _own("below", int, "", "of them lie below the softest level"),
+    _own("marked", int, "", "of them are not shown by their verdicts; 0 unless such limits were asked for"),
 )
 _MEAN = (
     _own("kmax", float, "stiffness", "mean", "mean"),
@@ -384,6 +392,13 @@ _DIFFERENCES = (
     DataColumn("problem", str, "", "why there is no interval and no p", lambda row: row["problem"]),
     DataColumn("limits", int, "", "behind it", lambda row: row["beyond"].limits),
     DataColumn("beyond", int, "", "of them lie beyond the levels", lambda row: row["beyond"].count),
+    DataColumn(
+        "marked",
+        int,
+        "",
+        "of them are not shown by their verdicts; 0 unless asked for",
+        lambda row: row["beyond"].marked,
+    ),
 )
 _AGREEMENT = (
     DataColumn("table", str, "", "two, three or four classes", lambda row: row["name"]),
@@ -449,6 +464,12 @@ _PSYCHOMETRIC = (
     ),
     DataColumn(
         "k50_high", float, "stiffness", "upper end; empty: open, or none", lambda row: row.threshold.high
+    ),
+    _own(
+        "mark",
+        str,
+        "",
+        "why the verdicts do not show K50; of all participants, how many of theirs; empty: they do",
     ),
     _own("above", int, "", "participants whose K50 lies above the stiffest level"),
     _own("below", int, "", "participants whose K50 lies below the softest level"),

@@ -7,7 +7,7 @@ from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from typing import Any
 
 from rig.config.schemes import Scheme
-from rig.session.analysis.rows import Limit, Measure, RunRow, TrialRow
+from rig.session.analysis.rows import ENDED_BY_MOST, Limit, Measure, RunRow, TrialRow
 from rig.session.analysis.study import Session, Study
 from rig.session.protocol import Condition, Protocol
 from rig.session.schedule import Run, levels_of
@@ -15,7 +15,7 @@ from rig.session.search import Answer, Estimate, psychometric
 from rig.session.search.ascending import Ascending
 from rig.session.search.catching import CatchTrials
 from rig.session.search.resolution import step_at
-from rig.session.search.rule import Censored, verdicts_of
+from rig.session.search.rule import Censored, contradiction, verdicts_of
 from rig.session.state import WALKING, State
 from rig.session.trial import Trial
 
@@ -30,6 +30,8 @@ NUMBERS = (
     "press",
     "saturated_fraction",
 )  # of the automatic verdict, in tables
+
+AMENDED = "the rule would have asked for other walls after these trials, as they were amended since"
 
 Watch = Callable[[int, int], None]
 
@@ -148,6 +150,7 @@ def half_way(
         censored=found.censored,
         share=share,
         step=step_at(grid, found.value),
+        mark="" if found.censored else contradiction(found.value, found.low, found.high, verdicts),
     )
 
 
@@ -240,7 +243,9 @@ def _state(state: State, run: Run) -> str:
         return "skipped"
     # What was found complete stays so when a correction afterwards would have the rule ask once more.
     done = state.asks(run) is None or (run.number in state.corrected and state.ended == "complete")
-    return "complete" if done else "unfinished"
+    if not done:
+        return "unfinished"
+    return ENDED_BY_MOST if state.rule(run).estimate(state.answers(run)).ended_by_most else "complete"
 
 
 def _caught(judged: Sequence[Trial], levels: Sequence[float], sides: Container[Censored]) -> CatchTrials:
@@ -258,10 +263,12 @@ def _limits(state: State, run: Run, rule: str) -> tuple[dict[Measure, Limit], st
     heard, note = answers(state, run, "followed"), ""
     if _follows(state, run, rule, heard, grid):
         asked = state.rule(run)
-        _add(found, "rule", asked.estimate(heard))
-        note = _of_series(asked, heard) if isinstance(asked, Ascending) else ""
+        estimate = asked.estimate(heard)
+        _add(found, "rule", estimate)
+        series = _of_series(asked, heard) if isinstance(asked, Ascending) else ""
+        note = "; ".join(filter(None, (estimate.mark, series)))
     else:
-        note = "the rule would have asked for other walls after these trials, as they were amended since"
+        note = AMENDED
     for measure, judge in (("K50 person", "person"), ("K50 automatic", "automatic")):
         verdicts = verdicts_of(answers(state, run, judge))
         if verdicts:
@@ -288,6 +295,7 @@ def _add(found: dict[Measure, Limit], measure: Measure, estimate: Estimate) -> N
             censored=estimate.censored,
             share=estimate.share if math.isfinite(estimate.share) else None,
             step=estimate.step,
+            mark=estimate.mark,
         )
 
 

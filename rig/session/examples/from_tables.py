@@ -36,7 +36,7 @@ def read(directory: Path, name: str) -> pd.DataFrame:
 def limits(directory: Path) -> pd.DataFrame:
     """Return K_max of each participant in each condition at each damping: the mean over repeats."""
     runs = read(directory, "runs")
-    runs = runs[(runs["state"] == "complete") & runs["limit_rule"].notna()]
+    runs = runs[(runs["state"] == "complete") & runs["limit_rule"].notna() & (runs["limit_rule_mark"] == "")]
     by = ["participant", "condition", "damping"]
     return runs.groupby(by, as_index=False)[["limit_rule", "order", "block"]].mean()
 

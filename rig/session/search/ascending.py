@@ -22,6 +22,7 @@ from rig.session.search.rule import (
     Probe,
     check_whole,
     checked_levels,
+    marked,
     verdicts_of,
 )
 
@@ -90,7 +91,7 @@ class Ascending:
         elif len(limits) > 1 and censored:
             half = 0.0
         low, high = opened(censored, value, max(0.0, value - half), value + half)
-        return Estimate(
+        estimate = Estimate(
             value=value,
             low=low,
             high=high,
@@ -99,6 +100,7 @@ class Ascending:
             hits=len(answers),
             step=step,
         )
+        return marked(estimate, verdicts_of(answers))
 
     def series(self, answers: Sequence[Answer]) -> tuple[Series, ...]:
         """The series that have ended."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from rig.session.search import psychometric
 from rig.session.search.resolution import step_at
-from rig.session.search.rule import Answer, Censored, Estimate, Probe, verdicts_of
+from rig.session.search.rule import Answer, Censored, Estimate, Probe, marked, verdicts_of
 from rig.session.search.staircase import Staircase
 
 
@@ -75,7 +75,11 @@ class Interleaved:
         value = sum(values) / len(values) if values else math.nan
         censored: Censored = next((one.censored for one in single if one.censored), "")
         low, high = psychometric.opened(censored, value, low, high)
-        return Estimate(
+        short = [f"{one.mark}, track {number}" for number, one in enumerate(single, 1) if one.ended_by_most]
+        mark = "; ".join(short)
+        if {"above", "below"} <= {one.censored for one in single}:
+            mark = "its tracks ended beyond opposite ends of the levels"
+        estimate = Estimate(
             value=value,
             low=low,
             high=high,
@@ -83,4 +87,7 @@ class Interleaved:
             censored=censored,
             hits=len(answers),
             step=step_at(self.levels, value) * self.steps[-1],
+            mark=mark,
+            ended_by_most=bool(short),
         )
+        return marked(estimate, verdicts_of(answers))

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from rig.core.errors import ConfigError
 from rig.session.search import psychometric
 from rig.session.search.resolution import step_at
-from rig.session.search.rule import Answer, Estimate, Probe, check_whole, checked_levels, verdicts_of
+from rig.session.search.rule import Answer, Estimate, Probe, check_whole, checked_levels, marked, verdicts_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,8 +77,9 @@ class Psi:
 
 def posterior_estimate(levels: tuple[float, ...], answers: Sequence[Answer]) -> Estimate:
     """K50 after any answers on these levels, see `rig.session.search.psychometric.locate`."""
-    found = psychometric.locate(levels, verdicts_of(answers))
-    return Estimate(
+    verdicts = verdicts_of(answers)
+    found = psychometric.locate(levels, verdicts)
+    estimate = Estimate(
         value=found.value,
         low=found.low,
         high=found.high,
@@ -87,6 +88,7 @@ def posterior_estimate(levels: tuple[float, ...], answers: Sequence[Answer]) -> 
         hits=len(answers),
         step=step_at(levels, found.value),
     )
+    return marked(estimate, verdicts)
 
 
 def _entropy(joint: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal, Protocol
 
 from rig.core.errors import ConfigError
+from rig.session.search.resolution import FLOATING
 
 Censored = Literal["", "above", "below"]
 
@@ -48,6 +49,10 @@ class Estimate:
         Verdicts that it cost, catch trials and invalid ones included.
     step
         Distance of the levels between which it lies, so how finely the value is known (`resolution`).
+    mark
+        Why the value is no limit that the verdicts show, see `marked`; empty where it is one.
+    ended_by_most
+        True if the rule ended by its largest number of verdicts before it had its turns; then `mark` says so.
     """
 
     value: float
@@ -57,6 +62,8 @@ class Estimate:
     censored: Censored
     hits: int
     step: float = 0.0
+    mark: str = ""
+    ended_by_most: bool = False
 
 
 class Rule(Protocol):
@@ -92,6 +99,30 @@ def check_whole(name: str, value: int, least: int, most: int) -> None:
         raise ConfigError(
             f"{name} = {value!r} is not a whole number from {least} to {most}", remedy="choose another"
         )
+
+
+def marked(estimate: Estimate, verdicts: Sequence[tuple[float, bool]]) -> Estimate:
+    """Return the estimate with the reason in `mark` if its own verdicts contradict it; see `contradiction`."""
+    if estimate.mark or estimate.censored:
+        return estimate
+    return replace(estimate, mark=contradiction(estimate.value, estimate.low, estimate.high, verdicts))
+
+
+def contradiction(value: float, low: float, high: float, verdicts: Sequence[tuple[float, bool]]) -> str:
+    """Return why verdicts contradict a limit among the levels, or an empty text.
+
+    A limit lies inside its own interval, and between a wall that was judged stable and one that was not.
+    """
+    if math.isnan(value):
+        return ""
+    near = FLOATING * value  # a mean of equal levels may differ from them by rounding
+    if not low - near <= value <= high + near:
+        return "outside of its own interval"
+    if not any(stable and level <= value + near for level, stable in verdicts):
+        return "no wall up to it was judged stable"
+    if all(stable or level < value - near for level, stable in verdicts):
+        return "no wall from it on was judged not stable"
+    return ""
 
 
 def verdicts_of(answers: Sequence[Answer], track: int | None = None) -> list[tuple[float, bool]]:

@@ -21,6 +21,7 @@ from rig.session.search.rule import (
     Probe,
     check_whole,
     checked_levels,
+    marked,
     verdicts_of,
 )
 
@@ -55,7 +56,7 @@ class Staircase:
     turns
         Turns at the smallest step that are enough.
     most
-        Verdicts that are enough in any case.
+        Verdicts after which it ends in any case; a limit without its turns is marked (`Estimate.mark`).
     seed
         Not used: the rule draws nothing.
     """
@@ -131,7 +132,8 @@ class Staircase:
             censored = "above" if walk.direction > 0 else "below"
             value = self.levels[-1] if walk.direction > 0 else self.levels[0]
         low, high = psychometric.opened(censored, value, low, high)
-        return Estimate(
+        ended_by_most = not censored and len(fine) < self.turns and walk.hits >= self.most
+        estimate = Estimate(
             value=value,
             low=low,
             high=high,
@@ -139,4 +141,7 @@ class Staircase:
             censored=censored,
             hits=hits,
             step=step_at(self.levels, value) * self.steps[-1],
+            mark=f"ended by `most` after {len(fine)} of {self.turns} turns" if ended_by_most else "",
+            ended_by_most=ended_by_most,
         )
+        return marked(estimate, verdicts)

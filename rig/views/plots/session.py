@@ -414,7 +414,8 @@ def _track(axes: Any, run: RunRow, trials: Sequence[TrialRow], found: Analysis) 
             )
     caught = [trial for trial in trials if trial.catch]
     axes.scatter([trial.trial for trial in caught], [trial.stiffness for trial in caught], **_RING, zorder=2)
-    state = "" if run.state == "complete" else f", {run.state}"
+    marked = limit is not None and limit.mark and run.state == "complete"
+    state = ", limit marked" if marked else "" if run.state == "complete" else f", {run.state}"
     title = f"{run.run}. {_plain(run.condition)}, B = {run.damping:g}, repeat {run.repeat}{state}"
     axes.set_title(title, fontsize=7)
     style.count_along(axes)
@@ -499,7 +500,7 @@ def effects_figure(found: Analysis) -> Any:
     redone, or were cut off.
     """
     measure = found.options.measure
-    runs = [run for run in found.runs if run.state == "complete" and measure in run.limits]
+    runs = [run for run in found.runs_as_counted if run.state == "complete" and measure in run.limits]
     limits = np.array([run.limits[measure].value for run in runs])
     left = less_means(limits, [(run.participant, run.condition, run.damping) for run in runs])
     figure = style.new_figure(10.5, 6.2)

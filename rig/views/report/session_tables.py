@@ -14,7 +14,7 @@ from rig.session.analysis.effects import Slope
 from rig.session.analysis.kmax import Beyond, Bound, Paired
 from rig.session.analysis.mixed import Contrast, Mixed
 from rig.session.analysis.psychometric import Psychometric
-from rig.session.analysis.rows import Measure
+from rig.session.analysis.rows import ENDED_BY_MOST, Measure
 from rig.session.analysis.study import Session
 from rig.session.analysis.tables import PRIOR_LAPSE_RATE
 from rig.session.state import END
@@ -28,6 +28,7 @@ MEASURES: dict[Measure, str] = {
     "K50 automatic": "K50 of the automatic verdicts",
 }
 BOUNDS: dict[Bound, str] = {"": "", "least": "≥ ", "most": "≤ ", "unknown": "? "}
+MARK = " *"  # after a value whose verdicts do not show it
 _SAME = 0.005  # of a lapse rate: no further from the mean of its prior
 
 
@@ -37,7 +38,7 @@ def over_participants(found: Analysis, measure: Measure) -> Table:
         (
             one.condition,
             shortest(one.damping),
-            bounded(one.mean, one.above, one.below),
+            bounded(one.mean, one.above, one.below, one.marked),
             interval(one.low, one.high),
             number(one.deviation),
             str(one.participants),
@@ -58,7 +59,7 @@ def of_participants(found: Analysis, measure: Measure) -> Table:
             one.participant,
             one.condition,
             shortest(one.damping),
-            bounded(one.mean, one.above, one.below),
+            bounded(one.mean, one.above, one.below, one.marked),
             interval(one.low, one.high),
             one.interval,
             interval(one.student_low, one.student_high),
@@ -89,7 +90,7 @@ def contrasts(found: Analysis, some: Iterable[Contrast | Paired], caption: str) 
         (
             f"{one.condition} {MINUS} {one.against}",
             "all" if one.damping is None else shortest(one.damping),
-            f"{BOUNDS[one.bound]}{signed(one.difference)}",
+            f"{BOUNDS[one.bound]}{signed(one.difference)}{MARK if one.beyond.marked else ''}",
             interval(one.low, one.high),
             p(one.p),
             p(one.holm),
@@ -129,7 +130,7 @@ def psychometric(found: Analysis, some: Iterable[Psychometric], caption: str) ->
             one.condition,
             one.judge,
             shortest(one.damping),
-            bounded(one.threshold.mean, one.above, one.below),
+            bounded(one.threshold.mean, one.above, one.below, one.mark),
             NOTHING if _mostly_censored(one) else interval(one.threshold.low, one.threshold.high),
             number(one.spread.mean),
             interval(one.spread.low, one.spread.high),
@@ -242,7 +243,7 @@ def searches(found: Analysis) -> Table:
                 found.schemes[condition.name],
                 shortest(damping),
                 planned,
-                *(states.count(state) for state in ("complete", "unfinished", "skipped")),
+                *(states.count(state) for state in ("complete", ENDED_BY_MOST, "unfinished", "skipped")),
                 planned - len(of),
                 f"{sum(run.hits for run in of) / len(of):.1f}" if of else NOTHING,
                 sum(run.invalid for run in of),
@@ -255,6 +256,7 @@ def searches(found: Analysis) -> Table:
         f"B ({found.study.unit('damping')})",
         "runs planned",
         "complete",
+        ENDED_BY_MOST,
         "unfinished",
     )
     return Table((*head, "skipped", "not begun", "hits a run", "invalid", "void"), rows, "Searches", words=2)
@@ -326,9 +328,10 @@ def tracks(found: Analysis) -> Table:
         limit = run.limits.get(found.options.measure)
         value, ends = NOTHING, NOTHING
         if limit is not None:
-            value = bounded(limit.value, limit.censored == "above", limit.censored == "below")
+            value = bounded(limit.value, limit.censored == "above", limit.censored == "below", limit.mark)
             ends = interval(limit.low, limit.high)
-        state = "; ".join(filter(None, (run.state, run.note)))
+        mark = limit.mark if limit is not None and limit.mark not in run.note else ""
+        state = "; ".join(filter(None, (run.state, run.note, mark)))
         rows.append(
             (
                 run.participant, run.condition, run.rule, state, run.run, run.block, shortest(run.damping),
@@ -402,10 +405,13 @@ def summarised(found: Analysis) -> Iterator[tuple[Contrast | Paired, str]]:
             yield one, method
 
 
-def bounded(value: float, above: int, below: int) -> str:
-    """A value with the sign of a bound, where so many limits behind it lie above or below the levels."""
-    mark = "? " if above and below else "≥ " if above else "≤ " if below else ""
-    return f"{mark}{number(value)}"
+def bounded(value: float, above: int, below: int, marked: object = "") -> str:
+    """A value with the sign of a bound, where so many limits behind it lie above or below the levels.
+
+    An asterisk follows where some of them are marked.
+    """
+    bound = "? " if above and below else "≥ " if above else "≤ " if below else ""
+    return f"{bound}{number(value)}{MARK if marked else ''}"
 
 
 def lapse_rate(mean: float) -> str:

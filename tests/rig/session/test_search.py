@@ -133,6 +133,64 @@ def test_without_an_answer_nothing_is_known(rule: Any) -> None:
     assert estimate.low < LEVELS[0] or estimate.low <= estimate.high
 
 
+# Rules with few verdicts too: these end before they know much.
+SHORT = {
+    **MAKE,
+    "1u1d, most": partial(search.make, "staircase", levels=LEVELS, turns=6, most=3),
+    "1u3d, most": partial(search.make, "staircase", levels=LEVELS, stable_to_rise=3, most=12),
+    "interleaved, most": partial(search.make, "interleaved", levels=LEVELS, turns=6, most=3),
+    "ascending, once": partial(search.make, "ascending", levels=LEVELS[:8], repeats=1),
+    "ascending, twice": partial(search.make, "ascending", levels=LEVELS[:8], repeats=2),
+    "psi, short": partial(search.make, "psi", levels=LEVELS, hits=4),
+    "grid, once": partial(search.make, "grid", levels=LEVELS[:6], repeats=1),
+}
+
+
+@pytest.mark.parametrize("name", SHORT)
+@settings(max_examples=25, deadline=None)
+@given(
+    threshold=st.floats(1.0, 1200.0),
+    spread=st.sampled_from([0.01, 5.0, 40.0, 150.0]),
+    lapse_rate=st.sampled_from([0.0, 0.05, 0.3]),
+    seed=st.integers(0, 999),
+    asked=st.integers(1, 200),
+)
+def test_a_limit_lies_in_its_interval_and_between_a_stable_and_an_unstable_wall_or_is_marked(
+    name: str, threshold: float, spread: float, lapse_rate: float, seed: int, asked: int
+) -> None:
+    rule = SHORT[name](seed=seed)
+    observer = Observer(threshold=threshold, spread=spread, lapse_rate=lapse_rate)
+    answers = run(rule, observer, seed, most=asked)
+    estimate = rule.estimate(answers)
+    if math.isnan(estimate.value):
+        return
+    assert estimate.low <= estimate.value + 1e-6 or estimate.mark
+    assert estimate.value - 1e-6 <= estimate.high or estimate.mark
+    stable = [level for level, held in verdicts_of(answers) if held]
+    others = [level for level, held in verdicts_of(answers) if not held]
+    between = bool(stable and others) and min(stable) - 1e-6 <= estimate.value <= max(others) + 1e-6
+    assert between or estimate.mark or estimate.censored
+
+
+@pytest.mark.parametrize(
+    ("name", "mark"),
+    [
+        ("1u1d, most", "ended by `most` after 0 of 6 turns"),
+        (
+            "interleaved, most",
+            "ended by `most` after 0 of 6 turns, track 1; ended by `most` after 0 of 6 turns, track 2",
+        ),
+    ],
+)
+def test_a_staircase_that_had_no_time_for_its_turns_says_so(name: str, mark: str) -> None:
+    answers = run(SHORT[name](seed=1), SHARP, seed=1)
+    assert SHORT[name](seed=1).next(answers) is None
+    estimate = SHORT[name](seed=1).estimate(answers)
+    assert (estimate.ended_by_most, estimate.mark) == (True, mark)
+    whole = MAKE["1u1d"](seed=1).estimate(run(MAKE["1u1d"](seed=1), SHARP, seed=1))
+    assert (whole.ended_by_most, whole.mark) == (False, "")
+
+
 # ---------------------------------------------------------------------- each in its own way
 
 

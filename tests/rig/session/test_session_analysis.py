@@ -312,6 +312,38 @@ def test_a_climb_that_failed_at_once_is_noted_and_bounds_nothing(tmp_path: Path)
 
 
 @pytest.mark.usefixtures("quick")
+@pytest.mark.parametrize("rule", ["staircase", "interleaved"])
+def test_a_search_that_ended_by_most_is_marked_and_left_out_unless_asked_for(
+    rule: str, tmp_path: Path
+) -> None:
+    mapping = protocol(
+        search={"rule": rule, "settings": {"turns": 6, "most": 3}, "step": None, "ratio": 1.1},
+        order={"repeats": 1},
+    )
+    people = {f"P0{n}": person(40.0 * n) for n in range(1, 4)}
+    write_study(tmp_path, mapping, people)
+    found = analyse([tmp_path])
+    assert {run.state for run in found.runs} == {"ended by most"}
+    for run in found.runs:
+        assert "ended by `most` after 0 of 6 turns" in run.note
+        assert "rule" not in run.limits or run.limits["rule"].mark in run.note
+    assert found.of_participants == found.paired == ()
+    assert any("6 runs were ended by most, left out of K_max" in message for message in found.messages)
+    assert found.counts()["of searches that ended by most"] == len(found.trials)
+    taken = analyse([tmp_path], Options(include_marked=True))
+    assert {one.marked for one in taken.of_participants if one.measure == "rule"} <= {0, 1}
+    assert any(one.marked for one in taken.over_participants)
+    assert any("6 runs were ended by most, taken in" in message for message in taken.messages)
+    write_tables(taken, tmp_path / "out")
+    runs = pq.read_table(tmp_path / "out" / "runs.parquet").to_pylist()
+    assert {row["state"] for row in runs} == {"ended by most"}
+    assert all(row["limit_rule_mark"] for row in runs if row["limit_rule_n_m_per_rad"] is not None)
+    result = CliRunner().invoke(rig, ["session", "analyse", str(tmp_path), "--no-report", "--include-marked"])
+    assert result.exit_code == 0, result.output
+    assert " *" in result.output
+
+
+@pytest.mark.usefixtures("quick")
 def test_redone_and_restarted_trials_are_flagged_and_do_not_count(tmp_path: Path) -> None:
     mapping = protocol(practice={"stiffness": [200.0, 300.0]})
     with sitting(tmp_path / "P01", mapping, person()) as one:

@@ -133,6 +133,22 @@ def test_what_will_not_do_is_warned_of_or_refused(schemes: Protocol, plan: Study
     assert outcome(many, "rest") is Outcome.WARNING
 
 
+@pytest.mark.parametrize("rule", ["staircase", "interleaved"])
+def test_a_largest_number_of_verdicts_that_cannot_hold_the_turns_is_warned_of(
+    schemes: Protocol, rule: str
+) -> None:
+    """Three verdicts cannot hold six turns in any search; sixty do in every one."""
+    told = {}
+    for most in (3, 60):
+        wanted = replace(schemes.search, rule=rule, settings={"turns": 6, "most": most})
+        checks = check(replace(schemes, search=wanted), Path()).checks
+        told[most] = [one for one in checks if one.name == "search.settings.most"]
+    ((warning,), nothing) = told[3], told[60]
+    assert warning.outcome is Outcome.WARNING
+    assert "15 of 15" in warning.text
+    assert nothing == []
+
+
 def test_a_cap_that_can_never_act_is_warned_of(schemes: Protocol, plan: StudyPlan) -> None:
     assert not [one for one in plan.checks if one.name.startswith("caps.")]
     found = check(replace(schemes, caps=replace(schemes.caps, energy=5000.0, stiffness=1e9)), Path())

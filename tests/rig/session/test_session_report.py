@@ -560,7 +560,7 @@ def test_a_session_that_has_hardly_begun_has_a_page(trials: int, tmp_path: Path)
 def test_a_study_beyond_the_levels_has_bounds_and_no_tests(tmp_path: Path) -> None:
     """Five people for whom every wall of one condition holds: no interval, however alike the ends of the levels are."""
     mapping = protocol(
-        search={"highest": 450.0, "step": 50.0, "settings": {"turns": 2, "most": 8}}, order={"repeats": 1}
+        search={"highest": 450.0, "step": 50.0, "settings": {"turns": 2, "most": 30}}, order={"repeats": 1}
     )
     people = {
         f"P0{n}": Person(
