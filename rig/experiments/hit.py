@@ -34,7 +34,7 @@ from rig.experiments.trial import TrialEnd, TrialRequest, end_of, prepared_on, r
 from rig.experiments.zero import position_zero
 from rig.realtime import stop_requests
 from rig.recording.data import Recording
-from rig.recording.files import free_name, plain_errors
+from rig.recording.files import free_name, plain_errors, reserved_name
 from rig.recording.reader import open_recording
 
 
@@ -225,21 +225,22 @@ def hit(request: HitRequest, watch: Watch | None = None) -> Iterator[HitResult]:
             _check_it_moves(request, device, run)
         stem = f"{experiment.rig.name}-{datetime.now():%Y%m%d-%H%M%S}"
         for repeat in range(experiment.trial.repeats):
-            trial = TrialRequest(
-                run=run,
-                recording=free_name(output, request.name or f"{stem}-{repeat + 1}"),
-                seed=experiment.trial.seed,
-                progress=watch(repeat, experiment) if watch else None,
-                blinded=request.blinded,
-                judge=partial(judge, experiment=experiment),
-                extra={
-                    "repeat": repeat + 1,
-                    **({} if gate is None else {"gate": plain(gate)}),
-                    **({"warnings": list(warnings)} if warnings else {}),
-                },
-            )
-            with series:  # not while the caller has the result
-                result = _one(device, trial, gate, warnings)
+            with reserved_name(output, request.name or f"{stem}-{repeat + 1}") as recording:
+                trial = TrialRequest(
+                    run=run,
+                    recording=recording,
+                    seed=experiment.trial.seed,
+                    progress=watch(repeat, experiment) if watch else None,
+                    blinded=request.blinded,
+                    judge=partial(judge, experiment=experiment),
+                    extra={
+                        "repeat": repeat + 1,
+                        **({} if gate is None else {"gate": plain(gate)}),
+                        **({"warnings": list(warnings)} if warnings else {}),
+                    },
+                )
+                with series:  # not while the caller has the result
+                    result = _one(device, trial, gate, warnings)
             yield result
 
 

@@ -7,6 +7,7 @@ import hashlib
 import os
 import re
 import shutil
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -134,9 +135,26 @@ def free_name(directory: Path, stem: str) -> Path:
     stem = re.sub(r"[^A-Za-z0-9._-]+", "-", stem).strip(".-") or "rig"
     for number in range(1, 10_000):
         name = stem if number == 1 else f"{stem}-{number}"
-        if not any(
-            (directory / f"{name}{suffix}").exists()
-            for suffix in (".rigcap", ".parquet", ".png", ".svg", ".pdf")
+        capture = directory / f"{name}.rigcap"
+        if capture not in _reserved and not any(
+            capture.with_suffix(suffix).exists() for suffix in (".rigcap", ".parquet", ".png", ".svg", ".pdf")
         ):
-            return directory / f"{name}.rigcap"
+            return capture
     raise ConfigError(f"{directory} is full of recordings named {stem}", remedy="choose another `output`")
+
+
+_reserved: set[Path] = set()
+_reserving = threading.Lock()
+
+
+@contextmanager
+def reserved_name(directory: Path, stem: str) -> Iterator[Path]:
+    """Yield a `free_name` that no other thread gets meanwhile: its file is made later than the name is chosen."""
+    with _reserving:
+        capture = free_name(directory, stem)
+        _reserved.add(capture)
+    try:
+        yield capture
+    finally:
+        with _reserving:
+            _reserved.discard(capture)
