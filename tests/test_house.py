@@ -147,5 +147,5 @@ def test_every_child_of_this_interpreter_takes_no_module_from_the_working_direct
         for node in everything
         if isinstance(node, ast.List) and node.elts and ast.unparse(node.elts[0]) == "sys.executable"
     ]
-    assert len(commands) == 5
+    assert len(commands) == 6
     assert [command for command in commands if not command.startswith("[sys.executable, '-P', ")] == []

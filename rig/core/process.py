@@ -1,21 +1,24 @@
-"""A process that serves something to this one: it announces where, and ends with whoever started it.
+"""A process that serves something to this one: it announces where, and ends with this one or when it is closed.
 
-It hears no Ctrl-C, which is for the host: a device that died of it could not be brought to rest. It settles that before
-it loads what it serves.
+It gets no Ctrl-C, which is for the host: a device that died of it could not be brought to rest. It settles that before
+it loads what it serves. It is started with its own command line and descriptors alone, so that nothing of the caller's
+program changes, even for a moment: not the environment, not ``__main__``, and several threads may start some at a time.
 """
 
 from __future__ import annotations
 
-import ctypes
-import multiprocessing
 import os
 import pickle
+import select
 import signal
+import subprocess
 import sys
-from collections.abc import Callable, Iterator
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from multiprocessing.reduction import ForkingPickler
-from types import ModuleType
+from multiprocessing.connection import Connection, Pipe
+from pathlib import Path
 from typing import Any
 
 from rig.core import program
@@ -23,29 +26,15 @@ from rig.core.errors import DeviceNotFoundError, RigError
 
 START_TIMEOUT_S = 60.0  # the first start compiles the plant
 STOP_TIMEOUT_S = 5.0
-SAFE_PATH = "PYTHONSAFEPATH"  # python -P, for the children of this process
-PR_SET_PDEATHSIG = 1  # linux/prctl.h
-
-
-class _Later:
-    """Something that a child imports when it asks for it, and not before its first line."""
-
-    def __init__(self, value: Any) -> None:
-        self._value = value
-
-    def __getstate__(self) -> bytes:
-        return bytes(ForkingPickler.dumps(self._value))
-
-    def __setstate__(self, pickled: bytes) -> None:
-        self._pickled = pickled
-
-    def loaded(self) -> Any:
-        return pickle.loads(self._pickled)
 
 
 @contextmanager
-def announced(serve: Callable[..., None], *arguments: Any, name: str, by_hand: str) -> Iterator[Any]:
+def announced(
+    serve: Callable[..., None], *arguments: Any, name: str, by_hand: str, descriptors: Sequence[int] = ()
+) -> Iterator[Any]:
     """Start a process, yield what it announces, and end it with the context.
+
+    It also ends when this process does, by kill -9 too; not with the thread that started it.
 
     Parameters
     ----------
@@ -55,6 +44,8 @@ def announced(serve: Callable[..., None], *arguments: Any, name: str, by_hand: s
         Of the process.
     by_hand
         The command that starts it for a person, who wants to see why it did not come up.
+    descriptors
+        Open files that it gets, under the same numbers.
 
     Raises
     ------
@@ -63,66 +54,94 @@ def announced(serve: Callable[..., None], *arguments: Any, name: str, by_hand: s
     RigError
         What `serve` raised before it announced anything.
     """
-    context = multiprocessing.get_context("spawn")
-    receiver, sender = context.Pipe(duplex=False)
-    process = context.Process(
-        target=_child, args=(sender, _Later((serve, arguments))), name=name, daemon=True
-    )
-    with _no_modules_from_here():
-        process.start()
-    sender.close()
+    served = pickle.dumps((serve, arguments))
+    ours, theirs = Pipe()
+    with ours:
+        with theirs:
+            process = subprocess.Popen(
+                _command(theirs.fileno(), name),
+                stdin=subprocess.DEVNULL,
+                pass_fds=(theirs.fileno(), *descriptors),
+                start_new_session=True,
+            )
+        _lifelines.add(ours)
+        try:
+            yield _first(ours, served, name, by_hand)
+        finally:
+            _lifelines.discard(ours)
+            _end(process)
+
+
+_lifelines: set[Connection] = set()
+
+
+def _close_lifelines() -> None:
+    """A forked child has a copy of each, and with it would keep the processes of a parent that was killed."""
+    while _lifelines:
+        _lifelines.pop().close()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_close_lifelines)
+
+
+def _command(descriptor: int, name: str) -> list[str]:
+    """Command line of the child: the same interpreter and module path, but no module from the working directory."""
+    root = str(Path(__file__).parents[2])
+    path = [entry for entry in sys.path if entry]
+    path += [] if root in path else [root]
+    begin = f"import sys; sys.path[:] = {path!r}; from rig.core.process import serve_parent; "
+    return [sys.executable, "-P", "-c", f"{begin}serve_parent({descriptor})", name]
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    process.terminate()
     try:
-        yield _first(receiver, name, by_hand)
-    finally:
-        process.terminate()
-        process.join(STOP_TIMEOUT_S)
-        if process.is_alive():
-            process.kill()
-            process.join(STOP_TIMEOUT_S)
+        process.wait(STOP_TIMEOUT_S)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait(STOP_TIMEOUT_S)
 
 
-@contextmanager
-def _no_modules_from_here() -> Iterator[None]:
-    """Start a child by multiprocessing: ``python -c``, which else imports what lies here, a json.py for one.
-
-    And the program itself: a script that hits a wall in real time would begin again in the child.
-    """
-    before, program = os.environ.get(SAFE_PATH), sys.modules["__main__"]
-    os.environ[SAFE_PATH], sys.modules["__main__"] = "1", ModuleType("__main__")
-    try:
-        yield
-    finally:
-        sys.modules["__main__"] = program
-        os.environ.pop(SAFE_PATH)
-        if before is not None:
-            os.environ[SAFE_PATH] = before
-
-
-def _child(pipe: Any, served: _Later) -> None:
-    if sys.platform == "linux":
-        os.setsid()
-        _die_with_parent()
-    program.begin()
-    serve, arguments = served.loaded()
-    try:
-        serve(pipe.send, *arguments)
-    except RigError as error:
-        pipe.send(error)
-
-
-def _die_with_parent() -> None:
-    """Ask Linux for SIGTERM when the parent dies, also of kill -9: no device process is left behind."""
-    with suppress(OSError, AttributeError):
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
-
-
-def _first(receiver: Any, name: str, by_hand: str) -> Any:
-    with suppress(EOFError):
-        if receiver.poll(START_TIMEOUT_S):
-            said = receiver.recv()
+def _first(ours: Connection, served: bytes, name: str, by_hand: str) -> Any:
+    with suppress(EOFError, OSError):
+        ours.send_bytes(served)
+        if ours.poll(START_TIMEOUT_S):
+            said = ours.recv()
             if isinstance(said, RigError):
                 raise said
             return said
     raise DeviceNotFoundError(
         f"the process {name} did not start", remedy=f"start it by hand to see why: {by_hand}"
     )
+
+
+def serve_parent(descriptor: int) -> None:
+    """Serve what the parent sends through a connection, in the process that `announced` started."""
+    if sys.platform != "win32":
+        signal.pthread_sigmask(signal.SIG_SETMASK, ())  # the thread that started this may take no signals
+    parent = Connection(descriptor)
+    try:
+        served = parent.recv_bytes()
+    except EOFError:
+        return
+    threading.Thread(target=_end_with, args=(descriptor,), name="rig-parent", daemon=True).start()
+    program.begin()
+    serve, arguments = pickle.loads(served)
+    try:
+        serve(parent.send, *arguments)
+    except RigError as error:
+        parent.send(error)
+
+
+def _end_with(descriptor: int) -> None:
+    """Send this process SIGTERM when its parent has closed the connection or died, and then end it in any case.
+
+    PR_SET_PDEATHSIG would do so when the thread ends that started it.
+    """
+    ended = select.poll()
+    ended.register(descriptor, 0)  # a hang-up is reported always
+    ended.poll()
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(STOP_TIMEOUT_S)
+    os.kill(os.getpid(), signal.SIGKILL)

@@ -54,7 +54,7 @@ class Census:
             threads=tuple(sorted(thread.name for thread in threading.enumerate())),
             tasks=len(os.listdir("/proc/self/task")),
             descriptors=_descriptors(),
-            children=_children(),
+            children=children(),
             mappings=_mappings(),
             segments=tuple(
                 sorted(name for name in _listed("/dev/shm") if "haptic" in name or "rig-" in name)
@@ -139,7 +139,8 @@ def _descriptors() -> tuple[str, ...]:
     return tuple(sorted(found))
 
 
-def _children() -> tuple[int, ...]:
+def children() -> tuple[int, ...]:
+    """Return the processes that this one started and that it has not seen end."""
     found: list[int] = []
     for task in _listed("/proc/self/task"):
         with suppress(OSError):

@@ -7,7 +7,6 @@ last, are struck by every third kind in turn, and of the pages of the dictionary
 one in the middle and the last. What costs a frame and not the run strikes three of a run, far apart.
 """
 
-import multiprocessing
 import os
 import signal
 import subprocess
@@ -45,6 +44,7 @@ from rig.recording.reader import open_recording
 from sim_backend.device import SimulatedDevice
 from sim_backend.link import MemoryLink
 from sim_backend.safety import IDLE_LIFETIME_S
+from tests.conformance.census import children
 from tests.conformance.started import started
 from tests.conformance.trials import trial_on
 
@@ -402,12 +402,13 @@ def test_a_port_that_vanishes_in_mid_run_is_a_lost_link_with_a_whole_recording(t
 
     long = config.override(SHORT, {"trial.duration_s": 30.0, "verdict.tail_s": 0.4})
     path = tmp_path / "unplugged.rigcap"
+    before = set(children())
     with serve_locally("sim://", config.rig_model(long)) as url, open_device(url) as device:
-        (process,) = multiprocessing.active_children()
+        (process,) = set(children()) - before
 
         def pull_the_plug(ticks: Any, phase: Any) -> None:
             if ticks > 200:
-                process.kill()
+                os.kill(process, signal.SIGKILL)
 
         request = partial(
             trial_on,

@@ -6,7 +6,7 @@ The process speaks through a pair of sockets: when this end closes, by kill -9 t
 from __future__ import annotations
 
 import ctypes
-import multiprocessing
+import mmap
 import os
 import socket
 import sys
@@ -60,17 +60,18 @@ class BridgeLink(DescriptorLink):
 
     def __init__(self, url: DeviceUrl, model: RigModel) -> None:
         library()  # compiled here, not by two processes
-        self._shared = multiprocessing.get_context("spawn").RawArray(ctypes.c_byte, ctypes.sizeof(Facts))
-        self.facts = Facts.from_buffer(self._shared)
         self.cpu = max(processors())
         ours, theirs = socket.socketpair()
         self._running = ExitStack()
-        with theirs:
+        with theirs, open(os.memfd_create("bridge-facts"), "r+b", buffering=0) as shared:
+            shared.truncate(ctypes.sizeof(Facts))
+            self.facts = _facts_in(shared.fileno())
+            ends = theirs.fileno(), shared.fileno()
             try:
                 found: Found = self._running.enter_context(
                     announced(
-                        _serve, url, model, theirs, self._shared, self.cpu,
-                        name="rig-bridge", by_hand=f"rig bridge {url.scheme}",
+                        _serve, url, model, *ends, self.cpu,
+                        name="rig-bridge", by_hand=f"rig bridge {url.scheme}", descriptors=ends,
                     )
                 )  # fmt: skip
             except BaseException:
@@ -95,15 +96,18 @@ class BridgeLink(DescriptorLink):
             self._running.close()
 
 
-def _serve(
-    announce: Any, url: DeviceUrl, model: RigModel, host: socket.socket, shared: Any, cpu: int
-) -> None:
-    """Serve in the process of the bridge."""
+def _facts_in(descriptor: int) -> Facts:
+    """The facts in a file that both processes have open."""
+    return Facts.from_buffer(mmap.mmap(descriptor, ctypes.sizeof(Facts)))
+
+
+def _serve(announce: Any, url: DeviceUrl, model: RigModel, host: int, shared: int, cpu: int) -> None:
+    """Serve in the process of the bridge; `host` and `shared` are descriptors."""
     serve(
         url,
         model,
-        host=host,
+        host=socket.socket(fileno=host),
         announce=lambda place, found: announce(found),
-        facts=Facts.from_buffer(shared),
+        facts=_facts_in(shared),
         cpu=cpu,
     )

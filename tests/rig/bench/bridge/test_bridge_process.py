@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -54,7 +55,9 @@ def test_a_link_starts_a_bridge_and_ends_it_and_one_that_is_killed_is_a_lost_lin
         os.kill(device.link.process, signal.SIGKILL)
         with pytest.raises(LinkLostError):
             device.states(PATIENCE_S)
-    with opened(port) as device:
+    with ThreadPoolExecutor() as threads:  # the thread that opens it ends here
+        device = threads.submit(opened, port).result()
+    with device:
         assert isinstance(device.link, BridgeLink)
         bridge = device.link.process
         assert device.dictionary.firmware == "bridge to moteus 1.0.0"

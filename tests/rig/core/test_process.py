@@ -1,0 +1,128 @@
+"""Processes that serve this one: they live until they are closed or their parent ends, and change nothing of it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from typing import Any
+
+import pytest
+
+from rig.core.errors import DeviceNotFoundError, RigError
+from rig.core.process import announced
+from tests.conformance.started import started
+
+WAIT_S = 50.0
+
+
+def announce_and_wait(announce: Callable[[Any], None]) -> None:
+    """Serve nothing, for ever."""
+    announce(os.getpid())
+    threading.Event().wait()
+
+
+def refuse(announce: Callable[[Any], None]) -> None:
+    raise RigError("not today", remedy="tomorrow")
+
+
+def is_alive(pid: int) -> bool:
+    try:
+        with open(f"/proc/{pid}/stat") as file:
+            return file.read().rsplit(")", 1)[1].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def until_dead(pid: int) -> None:
+    deadline = time.monotonic() + WAIT_S
+    while is_alive(pid):
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def serving(name: str = "waits") -> Any:
+    return announced(announce_and_wait, name=name, by_hand="no command")
+
+
+def test_it_outlives_the_thread_that_started_it_and_ends_with_its_context() -> None:
+    with ExitStack() as stack:
+        found: list[int] = []
+        thread = threading.Thread(target=lambda: found.append(stack.enter_context(serving())))
+        thread.start()
+        thread.join()
+        (pid,) = found
+        time.sleep(0.2)
+        assert is_alive(pid)
+    assert not is_alive(pid)
+
+
+PARENT = """
+import os, sys, threading
+from tests.rig.core.test_process import serving
+with serving() as pid:
+    child = os.fork()  # it has a copy of every descriptor
+    if child == 0:
+        threading.Event().wait()
+    print(pid, child, flush=True)
+    threading.Event().wait()
+"""
+
+
+@pytest.mark.signals
+def test_it_ends_with_a_parent_that_is_killed() -> None:
+    with started(sys.executable, "-c", PARENT, stdout=subprocess.PIPE, text=True) as parent:
+        pid, forked = map(int, parent.stdout.readline().split())
+        try:
+            assert is_alive(pid)
+            parent.kill()
+            until_dead(pid)
+            assert is_alive(forked)
+        finally:
+            os.kill(forked, signal.SIGKILL)
+
+
+def looks() -> tuple[Any, ...]:
+    """What a start must not change, even for a moment."""
+    main = sys.modules["__main__"]
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGCHLD)
+    return main, dict(os.environ), os.getcwd(), sys.argv[:], sys.path[:], [*map(signal.getsignal, numbers)]
+
+
+def test_several_threads_start_some_at_a_time_and_nothing_of_the_program_changes() -> None:
+    before, over = looks(), threading.Event()
+
+    def looked() -> bool:
+        while not over.is_set():
+            if looks() != before:
+                return False
+        return True
+
+    def start(number: int) -> int:
+        with serving(f"process {number}") as pid:
+            return int(pid)
+
+    with ThreadPoolExecutor() as threads:
+        same = threads.submit(looked)
+        try:
+            assert len(set(threads.map(start, range(4)))) == 4
+        finally:
+            over.set()
+        assert same.result()
+    assert looks() == before
+
+
+def test_what_it_refuses_is_raised_here_and_what_does_not_start_is_named() -> None:
+    with pytest.raises(RigError, match="not today"), announced(refuse, name="refuses", by_hand="none"):
+        pass
+    with (
+        pytest.raises(DeviceNotFoundError, match="the process ends did not start"),
+        announced(os._exit, name="ends", by_hand="rig ends"),
+    ):
+        pass
