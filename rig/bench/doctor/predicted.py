@@ -139,12 +139,15 @@ def _homing_offset(x: Experiment, ticks: int) -> Check:
     )
     if tolerance <= largest:
         return finding("homing offset", True, text)
+    nearest = servos.nearest_tolerance(x)
+    if ABOVE_FRICTION * offset <= largest:  # the servo continues to its start, but the trial may begin before
+        tighter = {"homing.tolerance_counts": nearest} if nearest < x.homing.tolerance_counts else {}
+        return finding("homing offset", not tighter, text, tighter, otherwise=Outcome.WARNING)
     changes: dict[str, float] = {}
     least = SPARE * ABOVE_FRICTION * holding_effort(x) / servos.usual_offset(x)
     if x.homing.stiffness < least:
         changes = _gains(x, ticks)
     reached = ABOVE_FRICTION * holding_effort(x) / changes.get("homing.stiffness", x.homing.stiffness)
-    nearest = servos.nearest_tolerance(x)
     if x.homing.tolerance_counts > nearest:
         changes["homing.tolerance_counts"] = nearest
     way = SPARE * max(reached, nearest * delta) / USUAL_SHARE
@@ -190,7 +193,7 @@ def _approach_checks(x: Experiment) -> Iterator[Check]:
     if push < least or x.wall.stiffness == 0.0:
         return
     yield _unseen_speed(x, net)
-    way = abs(x.wall.position - x.trial.start) + home_tolerance(x)
+    way = abs(x.wall.position - x.trial.start) + min(home_tolerance(x), servos.largest_offset(x))
     viscous = rig_model(x).damping
     needed = math.sqrt(2.0 * servos.inertia(x) * way / net) + viscous * way / net
     before = push_s(x) - x.verdict.tail_s

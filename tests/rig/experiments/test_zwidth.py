@@ -225,8 +225,13 @@ def test_a_plan_without_sense_is_refused_with_option_value_and_range(changes: An
 
 
 def test_a_handle_that_never_comes_home_says_nothing_and_is_told() -> None:
-    """Gravity on the end mass drags it off its start for ever: there is no trial to judge."""
-    changes = {"rig.mechanics.gravity": 9.81, "trial.duration_s": 0.5, "verdict.tail_s": 0.2}
+    """The end mass weighs more than homing can carry: there is no trial to judge."""
+    changes = {
+        "rig.mechanics.gravity": 9.81,
+        "homing.effort": 0.05,
+        "trial.duration_s": 0.5,
+        "verdict.tail_s": 0.2,
+    }
     simulator = HitSimulator(config.override(presets.load("koul-compliant"), changes))
     hit = simulator.hit(300.0, 0.5)
     assert hit.true.numbers["ticks"] == 0
