@@ -137,7 +137,9 @@ def show(found: Analysis) -> None:
         click.echo(f"No complete run has a limit by {measure}.")
     few = len(study.sessions) <= _FEW
     shown = [limits, *([tables.of_participants(found, measure)] if few else []), *_differences(found)]
-    shown.append(tables.agreement(one for one in found.agreements if not one.condition))
+    shown.append(
+        tables.agreement(one for one in found.agreements if not one.condition and one.kappa is not None)
+    )
     own = (one for one in found.slopes if one.measure in ("", measure) and not one.problem)
     shown.append(tables.slopes(found, own))
     output.show(
@@ -153,5 +155,9 @@ def _differences(found: Analysis) -> Iterator[Item]:
     if model is not None and model.problem:
         yield f"No mixed model: {model.problem}"
     methods = " and ".join(dict.fromkeys(method for _, method in first))
-    yield tables.contrasts(found, [one for one, _ in first], f"Differences between conditions, {methods}")
+    tested = [one for one, _ in first if tables.has_interval(one)]
+    yield tables.contrasts(found, tested, f"Differences between conditions, {methods}")
+    paired = [one for one in found.paired if one.measure == found.options.measure]
+    for problem, names in tables.untested(found, paired).items():
+        yield f"No interval and no p value for {', '.join(names)}: {problem}"
     yield from (f"  {note}" for note in (model.notes if model is not None else ()))

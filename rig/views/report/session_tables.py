@@ -461,6 +461,28 @@ def no_interval(found: Analysis) -> dict[str, list[str]]:
     return problems
 
 
+def no_mean_interval(found: Analysis, measure: Measure) -> dict[str, list[str]]:
+    """Why means over participants have no interval: conditions and dampings by problem."""
+    problems: dict[str, list[str]] = {}
+    for one in found.over_participants:
+        if one.measure == measure and one.problem:
+            problems.setdefault(one.problem, []).append(f"{one.condition} at B = {one.damping:g}")
+    return problems
+
+
+def untested(found: Analysis, some: Iterable[Paired]) -> dict[str, list[str]]:
+    """Differences without an interval, in words, by problem."""
+    unit, problems = found.study.unit("stiffness"), dict[str, list[str]]()
+    for one in some:
+        if one.problem:
+            where = "over all dampings" if one.damping is None else f"at B = {one.damping:g}"
+            value = f"{BOUNDS[one.bound]}{signed(one.difference)} {unit}"
+            problems.setdefault(one.problem, []).append(
+                f"{one.condition} {MINUS} {one.against} {where} ({value})"
+            )
+    return problems
+
+
 def has_interval(one: Contrast | Paired) -> bool:
     """Whether a difference has an interval."""
     return math.isfinite(one.low)

@@ -7,6 +7,7 @@ import math
 import re
 from collections.abc import Iterator
 from dataclasses import replace
+from html import escape
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -44,8 +45,8 @@ CONDITIONS = [
     {"name": "_dual $x", "scheme": "dual:20k/2k", "damping": [0.0, 0.5]},
 ]
 SECTIONS = (
-    "kmax", "differences", "psychometric", "agreement", "effects", "plan", "participants", "tracks", "questionnaire",
-    "deviations", "methods", "provenance",
+    "results", "kmax", "differences", "psychometric", "agreement", "effects", "plan", "participants", "tracks",
+    "questionnaire", "deviations", "methods", "provenance",
 )  # fmt: skip
 
 
@@ -178,6 +179,41 @@ def test_the_page_is_whole_and_needs_nothing_else(page: Any) -> None:
     assert "@media print" in page
     for name in ("Uniform", "nan", "None", "Traceback"):
         assert not re.search(rf"\b{name}\b", read.text)
+
+
+def test_the_first_page_has_the_results_alone(page: Any, found: Any) -> None:
+    """A summary, the picture, the means and what must be known of them; in print the rest begins on a new page."""
+    first, rest = page.split('<section id="kmax">')
+    assert _Page(page).ids[0] == "results"
+    assert first.count("<table>") == 1
+    assert first.count("<img ") == 1
+    assert all(message in " ".join(first.split()) for message in map(escape, found.messages))
+    assert "p (Holm)" in first
+    assert rest.count("<table>") > 10
+    assert "#results { break-after: page; }" in page
+
+
+@pytest.mark.parametrize(("people", "why"), [(1, "1 participant, where"), (2, "2 participants, where")])
+def test_below_three_participants_there_is_no_p_no_interval_over_them_and_one_sentence_why(
+    people: int, why: str, tmp_path: Path
+) -> None:
+    mapping = protocol(search={"step": 50.0, "settings": {"turns": 2}}, order={"repeats": 2})
+    with without_sync():
+        write_study(tmp_path, mapping, {f"P{n:02d}": person(40.0 * n) for n in range(people)})
+    found = analyse([tmp_path])
+    read = _Page(render(found, {}))
+    assert not [
+        head for head, *_ in read.tables if any(name.startswith("p") and "Holm" in name for name in head)
+    ]
+    assert not re.search(r"p \(Holm\) (=|<)", read.text)
+    over = [dict(zip(head, row, strict=True)) for head, *rows in read.tables if "SD" in head for row in rows]
+    assert all("participant" in row or "95 %" not in row for row in over)
+    text = " ".join(read.text.split())
+    (sentence,) = re.findall(r"No interval and no p value for [^;]*?: ([^.]*)", text)
+    assert sentence.startswith(why)
+    for one in (*found.paired, *found.over_participants, *found.slopes):
+        assert all(math.isnan(value) for value in (one.low, one.high))
+        assert one.problem
 
 
 def test_texts_of_users_are_text(page: Any) -> None:
