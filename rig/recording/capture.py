@@ -41,7 +41,7 @@ import struct
 import sys
 import zlib
 from collections.abc import Collection, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
@@ -193,7 +193,8 @@ def _copy_columns(rows: NDArray[np.void], block: NDArray[np.void]) -> None:
 def _forget(data: mmap.mmap) -> None:
     """Drop the pages of the file that have been read: they count as memory of this process."""
     if sys.platform == "linux":
-        data.madvise(mmap.MADV_DONTNEED)
+        with suppress(OSError):  # of locked memory, as while another thread runs in real time
+            data.madvise(mmap.MADV_DONTNEED)
 
 
 def _read_header(path: Path, data: mmap.mmap) -> tuple[dict[str, Any], int]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+import sys
 import zlib
 from io import BytesIO
 from pathlib import Path
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 
 from rig.core.errors import RecordingError
 from rig.core.sample import COLUMNS, ROW
+from rig.realtime.scheduling import memory
 from rig.recording.capture import (
     CRC_BYTES,
     HEAD_BYTES,
@@ -340,3 +342,16 @@ def test_pandas_gets_columns_and_units(path: Path) -> None:
     assert frame["current_measured"].to_numpy().tobytes() == rows["current_measured"].tobytes()
     assert frame.attrs["units"]["position"] == "rad"
     assert frame.attrs["header"]["seed"] == 7
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="memory is locked on Linux alone")
+def test_a_capture_is_read_while_the_memory_of_the_process_is_locked(path: Path) -> None:
+    """As it is while another thread runs in real time: pages that are locked cannot be dropped."""
+    rows = example_rows(10)
+    refusal = memory.take()
+    if refusal is not None:
+        pytest.skip(refusal.text)
+    try:
+        assert len(read_bytes(path, capture_bytes(rows))) == len(rows)
+    finally:
+        memory.give_back()
