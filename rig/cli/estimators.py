@@ -118,17 +118,16 @@ def compare(
         cases += [_recording_case(path, rate) for rate in (_rates(rates) if rates else (None,))]
     variants = [_variant(text) for text in chosen] or list(experiment.default_variants())
     comparison = experiment.compare(cases, variants, timed=timed)
-    target = picture.at(Path("estimators"))
-    drawn = None if target is None else output.drawn(lambda: draw_comparison(comparison, target))
+    picture.draw(Path("estimators"), lambda path: draw_comparison(comparison, path))
     if as_json:
-        output.print_json({**plain(comparison), "picture": drawn})
+        output.print_json({**plain(comparison), **picture.facts()})
         return
     names = [variant.label for variant in variants]
     for i, case in enumerate(cases):
         click.echo(_headline(case))
         _print_table(case, comparison.scores[i * len(names) : (i + 1) * len(names)], names)
-    if drawn:
-        output.print_pairs([("picture", drawn)])
+    if picture.drawn is not None:
+        output.print_pairs([("picture", str(picture.drawn))])
 
 
 @estimators.command()

@@ -13,12 +13,12 @@ from typing import Any, TypeVar, get_args
 import click
 
 from rig import config
-from rig.cli import command, values
+from rig.cli import command, output, values
 from rig.cli.command import DEVICE, EXPERIMENT, RESULT, option
 from rig.config import Experiment, presets
 from rig.config.schemes import parse_rates
 from rig.config.sections import SchemeCutoff
-from rig.core.errors import ConfigError
+from rig.core.errors import ConfigError, RecordingError, RigError
 from rig.devices.device import DeviceUrl
 from rig.views.plots.style import FORMATS
 
@@ -301,23 +301,38 @@ def plot_options(help: str = "Draw a picture.", *, default: bool = True) -> Call
     return add
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Picture:
-    """Whether a picture is wanted, and where."""
+    """Whether a picture is wanted, and where; its path when it is drawn, or why a file that was named was not."""
 
     wanted: bool
     path: Path | None
     ending: str | None
+    drawn: Path | None = None
+    failure: RigError | None = None
 
-    def at(self, stem: Path) -> Path | None:
-        """Its path: the one that was given, else this one with its format as its ending; None where none is wanted."""
+    def draw(self, stem: Path, draw: Callable[[Path], Path]) -> None:
+        """Draw it, if it is wanted, as the file that was named, else beside `stem`; a failure is reported."""
         if not self.wanted:
-            return None
-        return self.path or stem.with_name(f"{stem.name}.{self.ending or _DEFAULT_ENDING}")
+            return
+        try:
+            self.drawn = draw(self.path or stem.with_name(f"{stem.name}.{self.ending or _DEFAULT_ENDING}"))
+        except Exception as error:  # a picture has many ways to fail, and the numbers are to come
+            output.no_picture(error)
+            if self.path is not None:
+                other = RecordingError(f"no picture: {error}", remedy="leave --output out")
+                self.failure = error if isinstance(error, RigError) else other
+
+    def facts(self) -> dict[str, Any]:
+        """Return it for a machine."""
+        return {"picture": self.drawn} | ({"error": output.error_facts(self.failure)} if self.failure else {})
 
 
 def picture_options(help: str, *, default: bool, place: str) -> Callable[[F], F]:
-    """Of a picture that is all that the command writes; the command receives a `Picture` as `picture`."""
+    """Of a picture that is all that the command writes; the command receives a `Picture` as `picture`.
+
+    When a file that the user names cannot be drawn, the command prints its numbers and ends with the exit code of that.
+    """
 
     def add(function: F) -> F:
         @wraps(function)
@@ -326,7 +341,9 @@ def picture_options(help: str, *, default: bool, place: str) -> Callable[[F], F]
                 raise ConfigError(
                     f"--output {path} and --format {ending} are two formats", remedy="leave one of them out"
                 )
-            return function(picture=Picture(plot or path is not None, path, ending), **others)
+            picture = Picture(plot or path is not None, path, ending)
+            result = function(picture=picture, **others)
+            return result if picture.failure is None else picture.failure.exit_code
 
         return added(
             _plot_option(help, default),

@@ -115,8 +115,13 @@ def drawn(draw: Callable[[], Path]) -> str | None:
     try:
         return str(draw())
     except Exception as error:  # a picture has many ways to fail, and its data are on disk
-        click.echo(f"rig: no picture: {error}", err=True)
+        no_picture(error)
         return None
+
+
+def no_picture(error: Exception, name: str = "") -> None:
+    """Report on standard error why a picture was not drawn."""
+    click.echo(f"rig: no picture{name and f' {name}'}: {error}", err=True)
 
 
 def note(text: str) -> None:

@@ -24,11 +24,11 @@ def plot() -> None:
 def levant_regions(picture: options.Picture, as_json: bool) -> None:
     """Draw the gains with which Levant's differentiator converges: α = μ1·C, λ = μ2·√C, by two proofs and by number."""
     computed = compute()
-    path = picture.at(Path("levant-regions"))
-    if path is not None:
-        draw_levant_regions(computed, path)
+    picture.draw(Path("levant-regions"), lambda path: draw_levant_regions(computed, path))
     if as_json:
-        output.print_json({"picture": path, **computed.as_mapping()})
+        output.print_json({**picture.facts(), **computed.as_mapping()})
         return
     mu1, mu2 = crossing()
-    click.echo(f"{'' if path is None else f'{path}: '}HBA and LFBA cross at mu1 = {mu1:.4f}, mu2 = {mu2:.4f}")
+    click.echo(
+        f"{'' if picture.drawn is None else f'{picture.drawn}: '}HBA and LFBA cross at mu1 = {mu1:.4f}, mu2 = {mu2:.4f}"
+    )

@@ -9,6 +9,7 @@ import click
 
 from rig.cli import options, output, values
 from rig.cli.command import command
+from rig.core.present import plain
 from rig.core.sample import unit_of
 from rig.experiments.replay import replay as run
 from rig.recording.reader import open_recording
@@ -32,11 +33,9 @@ def replay(recording: Path, picture: options.Picture, as_json: bool, **changed: 
     """
     opened = open_recording(recording)
     result = run(opened, options.changes(**changed))
-    target = picture.at(recording.with_name(f"{recording.stem}-replay"))
-    if target is not None:
-        draw_replay(result, target)
+    picture.draw(recording.with_name(f"{recording.stem}-replay"), lambda path: draw_replay(result, path))
     if as_json:
-        output.print_json(result)
+        output.print_json({**plain(result), **picture.facts()})
         return
     velocity, effort = (unit_of(q, opened.header["motion"]) for q in ("velocity", "effort"))
     click.echo(f"{recording}: {len(result.rows)} ticks through {result.estimator} and {result.law}")

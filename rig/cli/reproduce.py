@@ -61,8 +61,8 @@ def reproduce(
             workers=workers,
             watch=bar.watch,
         )
-    page, numbers = write_report(found, directory)
-    pictures = draw_into(found, directory, plot) if plot else {}
+    page, numbers = write_report(found, directory, output.no_picture)
+    pictures = draw_into(found, directory, plot, output.no_picture) if plot else {}
     if as_json:
         files = {"report": page, "json": numbers, "pictures": pictures}
         output.print_json({**found.as_mapping(), **files})

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+from rig.cli import output
 from rig.recording.files import plain_errors
 from rig.session.analysis import Analysis
 from rig.views.plots.session import draw_session
@@ -29,7 +30,11 @@ def write_report(
     with plain_errors("make", place):
         place.mkdir(parents=True, exist_ok=True)
     drawn = draw_session(
-        found, place, ("png", ending), watch=lambda done, total: watch("pictures drawn", done, total)
+        found,
+        place,
+        ("png", ending),
+        watch=lambda done, total: watch("pictures drawn", done, total),
+        on_failure=output.no_picture,
     )
     pngs = {path.stem: path.read_bytes() for path in drawn.values() if path.suffix == ".png"}
     page, _ = write_session_report(found, pngs, directory)

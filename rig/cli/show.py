@@ -43,21 +43,22 @@ def show(
     if (facts := counts_facts(opened)) is not None:
         if xy or expected:
             refuse_counts(opened)
-        target = _draw(recording, opened, picture, xy=False)
+        _draw(recording, opened, picture, xy=False)
         if as_json:
-            output.print_json({**_facts(opened, {}), "picture": target})
+            output.print_json({**_facts(opened, {}), **picture.facts()})
         else:
-            _print_counts(opened, facts, target)
+            _print_counts(opened, facts, picture.drawn)
         return
     experiment = experiment_of(opened)
     verdicts = verdicts_of(opened, experiment)
-    target = _draw(recording, opened, replace(picture, wanted=picture.wanted or xy), xy=xy)
+    picture.wanted |= xy
+    _draw(recording, opened, picture, xy=xy)
     happened = marks_of(opened) if marks else None
     if as_json:
         also = {} if happened is None else {"marks": happened}
-        output.print_json({**_facts(opened, verdicts), "picture": target, **also})
+        output.print_json({**_facts(opened, verdicts), **picture.facts(), **also})
     else:
-        _print(opened, experiment, verdicts, happened, target)
+        _print(opened, experiment, verdicts, happened, picture.drawn)
     error = unexpected([verdicts.verdict], expected)
     if error is not None:
         error.reported = as_json
@@ -70,12 +71,12 @@ def _opened(path: Path, *, every_column: bool) -> Recording:
     return replace(open_recording(path, needed), header=open_facts(path).header)
 
 
-def _draw(recording: Path, opened: Recording, picture: options.Picture, *, xy: bool) -> Path | None:
+def _draw(recording: Path, opened: Recording, picture: options.Picture, *, xy: bool) -> None:
     stem = recording.with_suffix("")
-    target = picture.at(stem.with_name(f"{stem.name}-xy") if xy else stem)
-    if target is None:
-        return None
-    return style.save(xy_figure(opened) if xy else hit_figure(opened), target)
+    figure = xy_figure if xy else hit_figure
+    picture.draw(
+        stem.with_name(f"{stem.name}-xy") if xy else stem, lambda path: style.save(figure(opened), path)
+    )
 
 
 def _print(

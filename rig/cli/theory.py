@@ -67,13 +67,13 @@ def theory(
     if changes:
         experiment = config.override(experiment, changes)
     found = theory_of(experiment, schemes or None, operator=operator)
-    picture = _draw(found, directory, plot) if plot else None
+    picture = output.drawn(lambda: _draw(found, directory, plot)) if plot else None
     if as_json:
-        output.print_json({**plain(found), "picture": None if picture is None else str(picture)})
+        output.print_json({**plain(found), "picture": picture})
         return
     _print(found)
     if picture is not None:
-        output.print_pairs([("picture", str(picture))])
+        output.print_pairs([("picture", picture)])
 
 
 def _draw(found: Theory, directory: Path, ending: str) -> Path:

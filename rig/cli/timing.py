@@ -8,7 +8,6 @@ import click
 
 from rig.cli import options, output, values
 from rig.cli.command import command
-from rig.core.errors import RigError
 from rig.core.present import plain
 from rig.experiments.timing import timing_of
 from rig.views.plots.timing import draw_timing
@@ -25,20 +24,13 @@ def timing(recording: Path, picture: options.Picture, as_json: bool) -> None:
     the host's share is known.
     """
     found = timing_of(recording)
-    drawn, failure = None, None
-    target = picture.at(recording.with_name(f"{recording.stem}-timing"))
-    if target is not None:
-        try:
-            drawn = draw_timing(found.ledger, found.summary, target, title=recording.name)
-        except RigError as error:  # the numbers are there all the same
-            failure = error
+    picture.draw(
+        recording.with_name(f"{recording.stem}-timing"),
+        lambda path: draw_timing(found.ledger, found.summary, path, title=recording.name),
+    )
     if as_json:
-        facts = {} if failure is None else {"error": output.error_facts(failure)}
-        output.print_json({**plain(found.summary), "picture": drawn, **facts})
-    else:
-        output.show([str(recording), *found.summary.items()])
-        if drawn is not None:
-            click.echo(f"picture\n  {drawn}")
-    if failure is not None:
-        failure.reported = as_json
-        raise failure
+        output.print_json({**plain(found.summary), **picture.facts()})
+        return
+    output.show([str(recording), *found.summary.items()])
+    if picture.drawn is not None:
+        click.echo(f"picture\n  {picture.drawn}")

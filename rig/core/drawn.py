@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -15,16 +14,15 @@ class Picture:
     """A picture: a notebook shows it, `save` writes it, and `figure` is a `matplotlib.figure.Figure` to go on with."""
 
     figure: Any
-    write: Callable[[Any, Path], Path] = field(repr=False)  # as `rig.views.plots.style.save`
+    write: Callable[[Any, Path], Path] = field(repr=False)  # `rig.views.plots.style.save`
+    png: Callable[[Any], bytes] = field(repr=False)  # `rig.views.plots.style.png`
 
     def save(self, path: str | Path) -> Path:
         """Write it as PNG, SVG or PDF, as the name ends; `RecordingError` when it cannot be."""
         return self.write(self.figure, Path(path))
 
     def _repr_png_(self) -> bytes:
-        buffer = BytesIO()
-        self.figure.savefig(buffer, format="png")
-        return buffer.getvalue()
+        return self.png(self.figure)
 
 
 class Drawn:

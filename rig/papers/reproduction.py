@@ -17,6 +17,7 @@ from rig.papers.rules import Ruling, Status
 from rig.recording.files import whole_file
 from rig.views.report.template import data_uris, fill, provenance_lines
 
+OnFailure = Callable[[Exception, str], None]
 CLAIMS, PAGE = "claims.j2", "page.html.j2"  # templates of a paper
 MARKS = {Status.REPRODUCED: "yes", Status.ONLY_WITH: "only", Status.NOT: "no"}  # classes of the style sheet
 
@@ -168,27 +169,42 @@ def render(found: Reproduction, pictures: Mapping[str, bytes]) -> str:
     )
 
 
-def draw(found: Reproduction) -> dict[str, bytes]:
+def draw(found: Reproduction, on_failure: OnFailure | None = None) -> dict[str, bytes]:
     """Draw every picture of the page; returns PNGs by name."""
     with TemporaryDirectory(prefix=f"rig-{found.paper.name}-") as place:
-        paths = draw_into(found, Path(place), "png")
+        paths = draw_into(found, Path(place), "png", on_failure)
         return {name: path.read_bytes() for name, path in paths.items()}
 
 
-def draw_into(found: Reproduction, directory: Path, ending: str) -> dict[str, Path]:
-    """Draw every picture into a file of this ending, PAPER-NAME; returns their paths by name."""
-    paths = {name: directory / f"{found.paper.name}-{name}.{ending}" for name in found.paper.pictures}
+def draw_into(
+    found: Reproduction, directory: Path, ending: str, on_failure: OnFailure | None = None
+) -> dict[str, Path]:
+    """Draw every picture into a file of this ending, PAPER-NAME; returns their paths by name.
+
+    A picture that fails is reported to `on_failure` with its name, and raised where there is none.
+    """
+    paths = {}
     for name, picture in found.paper.pictures.items():
-        picture(found.results, paths[name])
+        path = directory / f"{found.paper.name}-{name}.{ending}"
+        try:
+            picture(found.results, path)
+        except Exception as error:
+            if on_failure is None:
+                raise
+            on_failure(error, name)
+        else:
+            paths[name] = path
     return paths
 
 
-def write_report(found: Reproduction, directory: Path) -> tuple[Path, Path]:
+def write_report(
+    found: Reproduction, directory: Path, on_failure: OnFailure | None = None
+) -> tuple[Path, Path]:
     """Write the page with its pictures, and the numbers, into a directory; returns both paths.
 
-    `RecordingError` when the disk refuses.
+    `RecordingError` when the disk refuses; a picture that fails as in `draw_into`.
     """
-    page = render(found, draw(found)).encode()
+    page = render(found, draw(found, on_failure)).encode()
     numbers = json.dumps(found.as_mapping(), ensure_ascii=False, allow_nan=False, indent=1).encode()
     paths = directory / f"{found.paper.name}.html", directory / f"{found.paper.name}.json"
     for path, content in zip(paths, (page, numbers), strict=True):

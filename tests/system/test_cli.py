@@ -25,6 +25,7 @@ from rig.config import presets
 from rig.devices import framed
 from rig.experiments.judgement import experiment_of, judge
 from rig.recording.reader import open_recording
+from rig.views.plots import style
 from sim_backend import pty
 from tests.conformance.started import started
 from tests.conformance.tolerance import too_busy
@@ -74,6 +75,34 @@ def test_pictures_have_the_format_that_one_asks_for(run: Any, tmp_path: Path) ->
     assert (tmp_path / "a.pdf").read_bytes().startswith(b"%PDF")
     code, _, err = run("show", hit["recording"], "-o", tmp_path / "a.jpg")
     assert (code, "not a name for a picture" in err, "Traceback" in err) == (9, True, False)
+
+
+def test_a_picture_that_fails_costs_no_command_its_numbers(
+    run: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All alike: the reason on standard error; an error only where the user named the file."""
+    code, out, err = run("hit", "--json", "--no-plot", *QUICK)
+    assert code == 0, err
+    recording = json.loads(out)["hits"][0]["recording"]
+
+    def fails(figure: Any, path: Path) -> Path:
+        raise RuntimeError("no fonts")
+
+    monkeypatch.setattr(style, "save", fails)
+    for command, number in {
+        ("theory",): "schemes",
+        ("plot", "levant-regions"): "crossing",
+        ("show", "--xy", recording): "trailer",
+        ("replay", "--plot", recording): "exact",
+        ("timing", recording): "stages",
+    }.items():
+        code, out, err = run(*command, "--json")
+        assert (code, json.loads(out)["picture"]) == (0, None), command
+        assert number in json.loads(out), (command, list(json.loads(out)))
+        assert "rig: no picture: no fonts" in err
+        assert len(run(*command)[1]) > 40
+    code, out, err = run("show", recording, "-o", tmp_path / "a.png", "--json")
+    assert (code, json.loads(out)["error"]["exit_code"], "no fonts" in err) == (9, 9, True)
 
 
 def test_hit_gives_the_numbers_as_json(run: Any) -> None:

@@ -28,6 +28,7 @@ def _figure_1(_: Chawda, path: Path) -> None:
     draw_levant_regions(levant_regions(), path)
 
 
+@style.own_style()
 def _figure_3(chawda: Chawda, path: Path) -> None:
     figure = style.new_figure(11.0, 4.6)
     panels = figure.subplots(1, 2, sharey=True)
@@ -42,6 +43,7 @@ def _figure_3(chawda: Chawda, path: Path) -> None:
     style.save(figure, path)
 
 
+@style.own_style()
 def _figure_3_gains(chawda: Chawda, path: Path) -> None:
     figure = style.new_figure(11.0, 4.6)
     panels = figure.subplots(1, 2, sharey=True)
@@ -56,6 +58,7 @@ def _figure_3_gains(chawda: Chawda, path: Path) -> None:
     style.save(figure, path)
 
 
+@style.own_style()
 def _hits(chawda: Chawda, path: Path) -> None:
     figure = style.new_figure(7.0, 4.6)
     axes = figure.subplots()
@@ -75,6 +78,7 @@ def _figure_4(chawda: Chawda, path: Path) -> None:
     draw_impedance(chawda.impedances[:2], path)
 
 
+@style.own_style()
 def _figure_6(chawda: Chawda, path: Path) -> None:
     figure = style.new_figure(9.0, 6.4)
     size, error = figure.subplots(2, 1, sharex=True)
@@ -157,6 +161,7 @@ def _seen_mean(values: Any) -> Any:
     return np.where(known.any(axis=0), total / np.maximum(known.sum(axis=0), 1), np.nan)
 
 
+@style.own_style()
 def _panels() -> tuple[Any, Any]:
     figure = style.new_figure(11.0, 8.4)
     return figure, figure.subplots(2, 2, sharex=True, sharey=True).ravel()
@@ -184,6 +189,7 @@ def _ticks(axes: Any, chawda: Chawda) -> None:
     axes.set_ylabel(STIFFNESS)
 
 
+@style.own_style()
 def _readings(chawda: Chawda, path: Path) -> None:
     figure = style.new_figure(12.0, 7.0)
     panels = figure.subplots(2, len(rigs.SCHEMES), sharex=True, sharey="row")
@@ -223,6 +229,7 @@ def _readings(chawda: Chawda, path: Path) -> None:
     style.save(figure, path)
 
 
+@style.own_style()
 def _theory(chawda: Chawda, path: Path) -> None:
     figure = style.new_figure(11.0, 4.6)
     panels = figure.subplots(1, 2, sharey=True)
@@ -240,6 +247,7 @@ def _theory(chawda: Chawda, path: Path) -> None:
     style.save(figure, path)
 
 
+@style.own_style()
 def _dual(chawda: Chawda, path: Path) -> None:
     figure = style.new_figure(11.0, 7.0)
     panels = figure.subplots(1, len(rigs.KOUL), sharey=True)

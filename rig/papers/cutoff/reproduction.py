@@ -115,6 +115,7 @@ def provenance(cutoff: Cutoff) -> dict[str, Any]:
     }
 
 
+@style.own_style()
 def _areas(cutoff: Cutoff, path: Path) -> None:
     figure = style.new_figure(11.0, 4.2)
     panels = figure.subplots(1, 2)

@@ -15,6 +15,7 @@ from rig.views.plots.compare import draw_penetration
 STRETCH = 1.8  # times the largest true speed: noise is the point of figure 8
 
 
+@style.own_style()
 def draw_figure_7(panels: Sequence[Panel], picture: str | Path, *, offset: int = 1) -> Path:
     """Draw figure 7 of Koul et al., a row for each arithmetic and a column for each rate; parameters as above."""
     rows = list(dict.fromkeys(panel.arithmetic for panel in panels))
@@ -35,6 +36,7 @@ def draw_figure_7(panels: Sequence[Panel], picture: str | Path, *, offset: int =
     return style.save(figure, Path(picture))
 
 
+@style.own_style()
 def draw_figure_8(profiles: Profiles, picture: str | Path) -> Path:
     """Draw figure 8 of Koul et al.: early and late in the impact, in each arithmetic; return its path."""
     rows = list(dict.fromkeys(profile.arithmetic for profile in profiles.profiles))

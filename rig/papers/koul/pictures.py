@@ -23,6 +23,7 @@ ORDER = list(rigs.SCHEMES)
 COLOUR = dict(zip(ORDER, style.SERIES, strict=False))
 
 
+@style.own_style()
 def _figure_5(koul: Koul, path: Path) -> None:
     figure = style.new_figure(11.0, 4.4)
     panels = figure.subplots(1, 2, sharey=True)
@@ -60,6 +61,7 @@ def _figure_6(koul: Koul, path: Path, preset: str) -> None:
     draw_zwidth(koul.maps[name], path, theory=curves)  # type: ignore[arg-type]
 
 
+@style.own_style()
 def _hands(koul: Koul, path: Path) -> None:
     figure = style.new_figure(11.0, 4.4)
     panels = figure.subplots(1, 2)
@@ -79,6 +81,7 @@ def _hands(koul: Koul, path: Path) -> None:
     style.save(figure, path)
 
 
+@style.own_style()
 def _ways(koul: Koul, path: Path) -> None:
     keys = (rigs.DUAL, rigs.FAST, rigs.SLOW)
     figure = style.new_figure(12.0, 4.2)
@@ -109,6 +112,7 @@ def _figure_8(koul: Koul, path: Path) -> None:
     draw_figure_8(koul.figure_8, path)
 
 
+@style.own_style()
 def _theory(koul: Koul, path: Path) -> None:
     figure = style.new_figure(11.0, 4.6)
     panels = figure.subplots(1, 2)
@@ -127,6 +131,7 @@ def _theory(koul: Koul, path: Path) -> None:
     style.save(figure, path)
 
 
+@style.own_style()
 def _effects(koul: Koul, path: Path) -> None:
     figure = style.new_figure(11.0, 4.0)
     left, right = figure.subplots(1, 2)
@@ -161,6 +166,7 @@ def _bars(
     axes.legend(fontsize=8)
 
 
+@style.own_style()
 def _plants(koul: Koul, path: Path) -> None:
     figure = style.new_figure(11.0, 4.2)
     left, right = figure.subplots(1, 2)
@@ -185,6 +191,7 @@ def _plants(koul: Koul, path: Path) -> None:
 GROUPS = ("extrapolation", "adaptive T2", "T2", "cut-off", "encoder", "estimator")
 
 
+@style.own_style()
 def _ideas(koul: Koul, path: Path) -> None:
     figure = style.new_figure(13.0, 8.0)
     panels = figure.subplots(2, 3).ravel()
@@ -210,6 +217,7 @@ def _idea_curve(axes: Any, tried: Tried, colour: str, width: float) -> None:
     axes.plot(x, y, color=colour, linewidth=width, label=tried.idea.label)
 
 
+@style.own_style()
 def _ranking(koul: Koul, path: Path) -> None:
     tried = ranked(koul.ideas)
     figure = style.new_figure(10.0, 0.6 + 0.24 * len(tried))

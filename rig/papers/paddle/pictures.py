@@ -15,6 +15,7 @@ from rig.views.plots import style
 COLOUR = dict(zip(data.ESTIMATORS, style.SERIES, strict=False))
 
 
+@style.own_style()
 def _curves(paddle: Paddle, path: Path) -> None:
     figure = style.new_figure(11.0, 4.4)
     panels = figure.subplots(1, 2, sharex=True)
@@ -34,6 +35,7 @@ def _curves(paddle: Paddle, path: Path) -> None:
     style.save(figure, path)
 
 
+@style.own_style()
 def _fits(paddle: Paddle, path: Path) -> None:
     figure = style.new_figure(12.0, 3.8)
     panels = figure.subplots(1, len(paddle.fits), sharey=True)
@@ -56,6 +58,7 @@ def _fits(paddle: Paddle, path: Path) -> None:
     style.save(figure, path)
 
 
+@style.own_style()
 def _decides(paddle: Paddle, path: Path) -> None:
     figure = style.new_figure(11.0, 4.0)
     names = [name for name, _ in paddle.decides[:3]]

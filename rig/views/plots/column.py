@@ -8,6 +8,7 @@ from rig.recording.data import Column
 from rig.views.plots import style
 
 
+@style.own_style()
 def column_figure(column: Column) -> Any:
     """The figure of one column over time."""
     figure = style.new_figure(height=3.5)

@@ -17,6 +17,7 @@ STRONGEST = 1.15  # times the largest true speed: a noisy estimate may not flatt
 SHORTEST_S, LONGEST_S = 0.03, 0.3
 
 
+@style.own_style()
 def draw_comparison(comparison: Comparison, picture: str | Path, *, offset: int = 0) -> Path:
     """Draw penetration above and velocities below, over the time since the first contact; return its path.
 

@@ -19,6 +19,7 @@ def draw_design(found: Design, picture: str | Path) -> Path:
     return style.save(design_figure(found), Path(picture))
 
 
+@style.own_style()
 def design_figure(found: Design) -> Any:
     """The figure of a design.
 

@@ -32,6 +32,7 @@ def draw_disagreement(found: Disagreement, picture: str | Path) -> Path:
     return style.save(disagreement_figure(found), Path(picture))
 
 
+@style.own_style()
 def disagreement_figure(found: Disagreement) -> Any:
     """The figure: a panel for each scheme."""
     plan = found.plan

@@ -19,6 +19,7 @@ MARKS = "osv^Dx"
 PANELS = 4  # more would be too small to read
 
 
+@style.own_style()
 def draw_comparison(comparison: Comparison, picture: str | Path) -> Path:
     """Draw into a file and return its path; raises `ConfigError` when there is nothing to draw.
 

@@ -57,6 +57,7 @@ def main() -> None:
         print(json.dumps(answer), flush=True)
 
 
+@style.own_style()
 def hit_figure(recording: Recording) -> Any:
     """Return the figure of a recording (`matplotlib.figure.Figure`): impact at the left, whole push at the right.
 

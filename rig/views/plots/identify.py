@@ -15,6 +15,7 @@ from rig.recording.reader import open_recording
 from rig.views.plots import style
 
 
+@style.own_style()
 def draw_identification(found: Identification, picture: str | Path) -> Path:
     """Draw data, fits and residuals into a file; returns its path."""
     mapped = found.cogging is not None

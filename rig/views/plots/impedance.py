@@ -19,6 +19,7 @@ Z_SCORE = 2.0  # of the shaded bands
 HEADROOM = 1.3  # of the real part's axis, over what was measured
 
 
+@style.own_style()
 def draw_impedance(results: Sequence[ImpedanceResult], picture: str | Path) -> Path:
     """Draw results into a file, one colour each; returns its path.
 

@@ -63,6 +63,7 @@ def levant_regions() -> Regions:
     )
 
 
+@style.own_style()
 def draw_levant_regions(computed: Regions, picture: str | Path) -> Path:
     """Draw both regions, their crossing, the named gains and the numeric boundary into a file; returns its path."""
     figure = style.new_figure(7.0, 5.0)

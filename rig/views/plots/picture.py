@@ -31,7 +31,7 @@ def plot(result: object) -> Picture:
     """Draw a hit, a recording or a column of it, a replay, a map, a design or a theory; `ConfigError` for others."""
     for kind, figure in _FIGURES.items():
         if isinstance(result, kind):
-            return Picture(figure(result), style.save)
+            return Picture(figure(result), style.save, style.png)
     raise ConfigError(
         f"a {type(result).__name__} has no picture",
         remedy="give a hit, a recording or a column of it, a replay, a map, a design or a theory",

@@ -15,6 +15,7 @@ def draw_replay(result: ReplayResult, picture: str | Path) -> Path:
     return style.save(replay_figure(result), Path(picture))
 
 
+@style.own_style()
 def replay_figure(result: ReplayResult) -> Any:
     """The figure of a replay."""
     recording = result.of

@@ -86,6 +86,7 @@ def draw_session(
     endings: Iterable[str] = ("png", "svg"),
     *,
     watch: Callable[[int, int], None] | None = None,
+    on_failure: Callable[[Exception, str], None] | None = None,
 ) -> dict[str, Path]:
     """Draw everything into a directory, which is there.
 
@@ -99,6 +100,8 @@ def draw_session(
         Of the files, as `rig.views.plots.style.FORMATS` has them.
     watch
         Told how many pictures are done, and of how many.
+    on_failure
+        Called with the error and the name of a picture that fails, in place of raising it.
 
     Returns
     -------
@@ -113,10 +116,15 @@ def draw_session(
     written: dict[str, Path] = {}
     chosen = pictures(found)
     for number, (name, draw) in enumerate(chosen.items(), start=1):
-        figure = draw(found)
-        for file in dict.fromkeys(f"{name}.{ending}" for ending in endings):
-            written[file] = style.save(figure, directory / file)
-            figure.set_layout_engine("none")  # it is laid out now, which takes as long as drawing it
+        try:
+            figure = draw(found)
+            for file in dict.fromkeys(f"{name}.{ending}" for ending in endings):
+                written[file] = style.save(figure, directory / file)
+                figure.set_layout_engine("none")  # it is laid out now, which takes as long as drawing it
+        except Exception as error:
+            if on_failure is None:
+                raise
+            on_failure(error, name)
         if watch is not None:
             watch(number, len(chosen))
     return written
@@ -130,6 +138,7 @@ def tracks_name(code: str) -> str:
 # --------------------------------------------------------------------------------------------------------- Z-width
 
 
+@style.own_style()
 def zwidth_figure(found: Analysis, measure: Measure) -> Any:
     """K_max against B by condition: a thin line for each participant, a thick one with intervals for their mean.
 
@@ -266,6 +275,7 @@ def _censored(
 # ---------------------------------------------------------------------------------------------- psychometric curves
 
 
+@style.own_style()
 def psychometric_figure(found: Analysis) -> Any:
     """Share of stable verdicts over stiffness: a row of panels for each condition, a column for each damping.
 
@@ -361,6 +371,7 @@ def _together(of: Sequence[Psychometric]) -> Psychometric | None:
 # ----------------------------------------------------------------------------------------------------------- tracks
 
 
+@style.own_style()
 def tracks_figure(found: Analysis, code: str) -> Any:
     """Which walls each run of a participant asked for, trial by trial, and what was said of them."""
     runs = [run for run in found.runs if run.participant == code]
@@ -448,6 +459,7 @@ def _key(axes: Any, trials: Sequence[TrialRow]) -> None:
 # -------------------------------------------------------------------------------------------------------- agreement
 
 
+@style.own_style()
 def agreement_figure(found: Analysis) -> Any:
     """Tables of confusions of the person's verdicts and the automatic ones, all conditions together."""
     tables = _unlike([one for one in found.agreements if one.condition == "" and one.trials])
@@ -493,6 +505,7 @@ def _confusions(axes: Any, table: Agreement) -> None:
 # ------------------------------------------------------------------------------------------------- order and fatigue
 
 
+@style.own_style()
 def effects_figure(found: Analysis) -> Any:
     """Limits against the place in the block, the block and the trial, less the mean of each participant and condition.
 

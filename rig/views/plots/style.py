@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,7 +45,30 @@ FORMATS: Mapping[str, Mapping[str, Any]] = {
     "svg": {"metadata": {"Date": None, "Creator": None}},
     "pdf": {"metadata": {"CreationDate": None, "Creator": None, "Producer": None}},
 }
+_alone = (
+    threading.RLock()
+)  # settings are the process's: of two contexts that overlap, one would leave its own behind
 _AS_TEXT = {"svg.hashsalt": "haptic-rig", "svg.fonttype": "none", "pdf.fonttype": 42}
+
+
+@contextmanager
+def own_style() -> Iterator[None]:
+    """Draw with matplotlib's own settings, whatever a matplotlibrc, a style or LaTeX of the user's says.
+
+    Texts and ticks take their settings when they are made, so whatever calls `new_figure` runs inside; also a
+    decorator. Raises `RecordingError` when matplotlib does not load.
+    """
+    with _alone:
+        try:
+            settings = matplotlib.rc_context()
+        except (ImportError, ValueError) as error:  # of a backend in MPLBACKEND that is not installed here
+            raise RecordingError(
+                f"matplotlib does not load: {error}", remedy="unset MPLBACKEND, or reinstall matplotlib"
+            ) from error
+        with settings:
+            matplotlib.rcdefaults()
+            matplotlib.rcParams.update(_AS_TEXT)
+            yield
 
 
 def new_figure(width: float = 9.0, height: float = 7.0) -> Any:
@@ -124,23 +150,35 @@ def save(figure: Any, path: Path) -> Path:
             f"{path} is not a name for a picture",
             remedy=f"give one that ends in {', '.join('.' + known for known in FORMATS)}",
         )
+    try:
+        _write(figure, path, ending)
+    except OSError as error:
+        raise RecordingError(
+            f"cannot write the picture {path}: {error.strerror or error}",
+            remedy="choose another place for it",
+        ) from error
+    return path
+
+
+def png(figure: Any) -> bytes:
+    """Return the picture that `save` writes, for a notebook."""
+    buffer = BytesIO()
+    _write(figure, buffer, "png")
+    return buffer.getvalue()
+
+
+@own_style()
+def _write(figure: Any, target: Path | BinaryIO, ending: str) -> None:
     for text in figure.findobj(lambda artist: hasattr(artist, "set_text")):
         text.set_text(
             text.get_text().encode("utf-8", "backslashreplace").decode()
         )  # a file's name need not be text
     layout = figure.get_layout_engine()
     try:
-        with matplotlib.rc_context(_AS_TEXT):
-            if layout is not None:
-                layout.execute(figure)
-            # Else all is drawn once more, in vain, for the sake of the layout: also with "none", which stands for it.
-            figure.set_layout_engine(None)
-            figure.savefig(path, dpi=DPI, format=ending, **FORMATS[ending])
-    except OSError as error:
-        raise RecordingError(
-            f"cannot write the picture {path}: {error.strerror or error}",
-            remedy="choose another place for it",
-        ) from error
+        if layout is not None:
+            layout.execute(figure)
+        # Else all is drawn once more, in vain, for the sake of the layout: also with "none", which stands for it.
+        figure.set_layout_engine(None)
+        figure.savefig(target, dpi=DPI, format=ending, **FORMATS[ending])
     finally:
         figure.set_layout_engine(layout)
-    return path

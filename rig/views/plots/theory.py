@@ -22,6 +22,7 @@ def draw_theory(theory: Theory, picture: str | Path) -> Path:
     return style.save(theory_figure(theory), Path(picture))
 
 
+@style.own_style()
 def theory_figure(theory: Theory) -> Any:
     """The figure of a result.
 

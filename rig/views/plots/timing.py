@@ -31,6 +31,7 @@ def label(name: str) -> str:
     return STAGES[name].label if name in STAGES else "late on the grid"
 
 
+@style.own_style()
 def draw_timing(ledger: Ledger, summary: TimingSummary, picture: str | Path, *, title: str = "") -> Path:
     """Draw a ledger and its summary into a file; returns its path. `RecordingError` when it cannot be written."""
     figure = style.new_figure(width=11.0, height=7.5)

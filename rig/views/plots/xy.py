@@ -39,6 +39,7 @@ def draw_xy(path: str | Path, picture: str | Path | None = None) -> Path:
     return style.save(xy_figure(open_recording(source, DRAWN)), target)
 
 
+@style.own_style()
 def xy_figure(recording: Recording) -> Any:
     """Return the figure of a recording (`matplotlib.figure.Figure`)."""
     rows, wall, motion = recording.rows, recording.experiment["wall"], recording.header["motion"]

@@ -44,6 +44,7 @@ def draw_zwidth(
     return style.save(zwidth_figure(found, theory=theory, criteria=criteria), Path(picture))
 
 
+@style.own_style()
 def zwidth_figure(
     found: ZWidth,
     *,
@@ -93,6 +94,7 @@ def draw_kmax(
     return style.save(kmax_figure(found, theory=theory, paper=paper), Path(picture))
 
 
+@style.own_style()
 def kmax_figure(found: KMax, *, theory: Curve | None = None, paper: Mapping[str, Curve] | None = None) -> Any:
     """The figure of limits over the rate, see `draw_kmax`."""
     experiment = found.map.plan.experiment

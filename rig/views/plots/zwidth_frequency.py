@@ -63,6 +63,7 @@ def draw_frequency_map(
     return style.save(figure, Path(picture))
 
 
+@style.own_style()
 def frequency_figure(
     found: FrequencyMap,
     *,

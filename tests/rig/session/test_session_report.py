@@ -236,6 +236,19 @@ def test_the_numbers_are_those_of_the_analysis(page: Any, found: Any, tmp_path: 
     assert "(no picture)" in paths[0].read_text(encoding="utf-8")
 
 
+def test_pictures_that_fail_cost_the_page_nothing_else(
+    found: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fails(figure: Any, path: Path) -> Path:
+        raise RuntimeError("no fonts")
+
+    monkeypatch.setattr(style, "save", fails)
+    drawn, page = session_report.write_report(found, tmp_path, "svg", lambda *_: None)
+    assert drawn == {}
+    assert "(no picture)" in page.read_text(encoding="utf-8")
+    assert ": no fonts" in capsys.readouterr().err
+
+
 def test_every_limit_of_the_main_table_is_printed(page: Any, found: Any) -> None:
     text = _Page(page).text
     for one in found.over_participants:

@@ -2,20 +2,31 @@
 
 from __future__ import annotations
 
+import ast
+import os
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import click
+import matplotlib
 import numpy as np
 import pytest
 
-from rig.cli import rig
+import rig.papers
+import rig.views.plots
+from rig.cli import rig as command_line
+from rig.core.drawn import Picture
 from rig.core.errors import RecordingError
 from rig.views.plots import style
 
 BEGINS = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}
 
 
+@style.own_style()
 def a_figure(title: str = "K_max (N·m/rad)") -> Any:
     figure = style.new_figure(3.0, 2.0)
     axes = figure.subplots()
@@ -32,6 +43,74 @@ def test_the_name_chooses_the_format_and_the_same_picture_has_the_same_bytes(
     assert first.startswith(BEGINS[ending])
     assert first == second
     assert style.save(a_figure(), tmp_path / f"c.{ending.upper()}").read_bytes() == first
+
+
+OUTSIDE = """
+text.usetex: True
+font.size: 31
+axes.grid: True
+lines.linewidth: 9
+savefig.bbox: tight
+svg.fonttype: path
+figure.facecolor: black
+"""
+
+
+def test_style_latex_and_backend_of_others_change_no_byte_and_stay_as_they_were(tmp_path: Path) -> None:
+    """A lab's matplotlibrc, a style that a notebook uses, and the backend of a notebook that is not installed here."""
+    plain = style.save(a_figure(), tmp_path / "plain.svg").read_bytes()
+    (tmp_path / "matplotlibrc").write_text(OUTSIDE)
+    drawing = "from tests.rig.views.test_plot_style import *; style.save(a_figure(), Path('theirs.svg'))"
+    backend = "module://matplotlib_inline.backend_inline"
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[3]), "MPLBACKEND": backend}
+    begun = f"from rig.core import program; program.begin(); {drawing}"
+    done = subprocess.run(
+        [sys.executable, "-c", begun],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert (tmp_path / "theirs.svg").read_bytes() == plain
+    with matplotlib.rc_context({"font.size": 31.0, "text.usetex": True, "axes.grid": True}):
+        before = dict(matplotlib.rcParams)
+        assert style.save(a_figure(), tmp_path / "here.svg").read_bytes() == plain
+        assert Picture(a_figure(), style.save, style.png)._repr_png_().startswith(BEGINS["png"])
+        assert dict(matplotlib.rcParams) == before
+
+
+def test_pictures_that_two_threads_draw_at_once_leave_the_settings_of_the_user(tmp_path: Path) -> None:
+    with matplotlib.rc_context({"font.size": 31.0}), ThreadPoolExecutor(4) as threads:
+        list(threads.map(lambda number: style.save(a_figure(), tmp_path / f"{number}.svg"), range(12)))
+        assert matplotlib.rcParams["font.size"] == 31.0
+
+
+def test_whatever_makes_a_figure_draws_in_the_style_of_this_package() -> None:
+    """Texts take their settings when they are made: a function that forgets it would draw with those of the user."""
+    files = [
+        *Path(rig.views.plots.__file__).parent.glob("*.py"),
+        *Path(rig.papers.__file__).parent.rglob("*.py"),
+    ]
+    makers = [
+        (path.name, function.name, {ast.unparse(one) for one in function.decorator_list})
+        for path in files
+        for function in ast.walk(ast.parse(path.read_text("utf-8")))
+        if isinstance(function, ast.FunctionDef) and "style.new_figure(" in ast.unparse(function)
+    ]
+    assert len(makers) > 30
+    assert [(file, name) for file, name, decorators in makers if "style.own_style()" not in decorators] == []
+
+
+def test_a_matplotlib_that_does_not_load_is_said_with_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails() -> None:
+        raise ValueError("Key backend: 'module://x' is not a valid value for backend")
+
+    monkeypatch.setattr(style, "matplotlib", SimpleNamespace(rc_context=fails))
+    with pytest.raises(RecordingError, match="matplotlib does not load: Key backend") as caught:
+        a_figure()
+    assert "unset MPLBACKEND" in caught.value.remedy
 
 
 def test_vector_formats_hold_text(tmp_path: Path) -> None:
@@ -73,7 +152,7 @@ def commands(group: click.Group) -> Any:
 
 def test_every_command_that_draws_offers_every_format() -> None:
     drawing = {}
-    for name, command in commands(rig):
+    for name, command in commands(command_line):
         options = {option: one for one in command.params for option in one.opts}
         if "--plot" in options or name == "session analyse":
             drawing[name] = tuple(options["--format"].type.choices)
