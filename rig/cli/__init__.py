@@ -121,7 +121,10 @@ def main(obj: object = None) -> None:
     for library in ("OPENBLAS", "MKL"):
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="backslashreplace")  # a file's name need not be text; \udcff is JSON
+        # A program reads it, or a file keeps it (`rig preset … > mine.toml`): JSON and TOML are UTF-8 in every locale.
+        encoding = None if sys.stdout.isatty() else "utf-8"
+        # A file's name need not be text, and \udcff is JSON.
+        sys.stdout.reconfigure(encoding=encoding, errors="backslashreplace")
     signal.signal(signal.SIGTERM, _interrupt)
     if {"-q", "--quiet"}.isdisjoint(sys.argv[1:]):
         compiling.listen(CompilingNotice(EXPECTED.get("".join(sys.argv[1:2]), 0)))

@@ -28,8 +28,9 @@ _MARKS = {
 
 
 def print_json(result: Any) -> None:
-    """One JSON document on standard output, by `rig.core.present.plain`; its remedies are those of a terminal."""
-    click.echo(json.dumps(_remedies_for_terminal(plain(result)), ensure_ascii=False, indent=2))
+    """Print one JSON document as UTF-8, by `rig.core.present.plain`; its remedies are those of a terminal."""
+    text = json.dumps(_remedies_for_terminal(plain(result)), ensure_ascii=False, indent=2)
+    click.echo(text.encode("utf-8", "backslashreplace"))  # \udcff of a file's name is JSON
 
 
 def _remedies_for_terminal(value: Any) -> Any:

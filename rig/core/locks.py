@@ -53,7 +53,7 @@ def is_locked(path: str | os.PathLike[str]) -> bool:
         if sys.platform == "linux":
             there = os.stat(path)
             name = f"{os.major(there.st_dev):02x}:{os.minor(there.st_dev):02x}:{there.st_ino}"
-            with open("/proc/locks") as lines:
+            with open("/proc/locks", encoding="ascii") as lines:
                 return any(name in line.split() for line in lines if " FLOCK " in line)
         else:
             with open(path, "rb") as file:

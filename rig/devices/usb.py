@@ -184,7 +184,7 @@ def _path(device: Any) -> str:
 def _text(device: Any, which: str, *, ask: bool = True) -> str:
     """Serial number or product name: as the kernel has read it, else the device is asked; empty when it has none."""
     with suppress(OSError):
-        return (SYSFS / _path(device) / which).read_text().strip()
+        return (SYSFS / _path(device) / which).read_text("utf-8", "replace").strip()
     if ask:
         with suppress(usb.core.USBError, ValueError, NotImplementedError):  # ValueError: no permission to ask
             text = device.serial_number if which == "serial" else device.product

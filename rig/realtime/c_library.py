@@ -123,7 +123,8 @@ class CLibrary:
                 command,
                 env={**os.environ, "PATH": installed_path()},
                 capture_output=True,
-                text=True,
+                encoding="utf-8",
+                errors="replace",
                 timeout=COMPILE_S,
                 check=False,
             )

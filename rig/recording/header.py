@@ -206,7 +206,7 @@ def _described(directory: Path, second: int) -> dict[str, Any] | None:
         with TemporaryDirectory(prefix="rig-git-") as empty:
             for name in ("objects", "refs"):
                 Path(empty, name).mkdir()
-            Path(empty, "HEAD").write_text(revision)
+            Path(empty, "HEAD").write_text(revision, encoding="utf-8")
             own = {
                 "GIT_DIR": empty,
                 "GIT_WORK_TREE": top,
@@ -234,7 +234,7 @@ def _git(directory: Path, *arguments: str, **own: str) -> str:
         capture_output=True,
         check=True,
         timeout=2.0,
-        text=True,
+        encoding="utf-8",
         errors="surrogateescape",
         stdin=subprocess.DEVNULL,
         env={**inherited, "PATH": installed_path(), "GIT_OPTIONAL_LOCKS": "0", **own},

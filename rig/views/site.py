@@ -84,7 +84,8 @@ def build_site(output: Path, *, strict: bool = False) -> Site:
         [sys.executable, "-P", "-m", "sphinx", "-q", "-E", *strictly, str(sources), str(pages)],
         env=with_this_package() | {"MPLBACKEND": "Agg", "PATH": commands},
         capture_output=True,
-        text=True,
+        encoding="utf-8",
+        errors="replace",
         check=False,
     )
     if built.returncode:

@@ -105,6 +105,28 @@ def test_a_picture_that_fails_costs_no_command_its_numbers(
     assert (code, json.loads(out)["error"]["exit_code"], "no fonts" in err) == (9, 9, True)
 
 
+@pytest.mark.parametrize(
+    "outside",
+    [
+        {"PYTHONIOENCODING": "latin-1"},
+        {"PYTHONIOENCODING": "utf-16"},
+        {"PYTHONUTF8": "0", "LC_ALL": "POSIX", "PYTHONCOERCECLOCALE": "0"},
+    ],
+)
+def test_what_a_program_reads_is_utf_8_whatever_the_locale_says(outside: dict[str, str]) -> None:
+    """JSON, and files that are written by redirection: `rig preset koul-compliant > mine.toml`."""
+    command = [sys.executable, "-m", "rig"]
+    environment = {
+        name: value for name, value in os.environ.items() if name not in ("LANG", "LC_ALL", "PYTHONUTF8")
+    }
+    plan, preset = (
+        subprocess.run([*command, *words], env=environment | outside, capture_output=True, check=True).stdout
+        for words in (("plan", "--json"), ("preset", "koul-compliant"))
+    )
+    assert "N·m" in json.dumps(json.loads(plan.decode("utf-8")), ensure_ascii=False)
+    assert tomllib.loads(preset.decode("utf-8"))["rig"]["name"] == "koul-compliant"
+
+
 def test_hit_gives_the_numbers_as_json(run: Any) -> None:
     code, out, _ = run(
         "hit", "--json", "--no-plot", "-K", "200", "-B", "0.3", "--rate", "20k/2k", "--repeats", "2", *QUICK

@@ -75,7 +75,7 @@ def _called(command: list[str], directory: Path | None) -> subprocess.CompletedP
             env=environment,
             stdin=subprocess.DEVNULL,
             capture_output=True,
-            text=True,
+            encoding="utf-8",
             errors="replace",
             timeout=COMPILE_S,
             check=False,

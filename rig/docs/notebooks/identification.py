@@ -45,7 +45,7 @@ command = [
     "--no-plot",
     "--json",
 ]
-found = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+found = json.loads(subprocess.run(command, capture_output=True, encoding="utf-8", check=True).stdout)
 print(sorted(found))
 
 # %%

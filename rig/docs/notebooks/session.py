@@ -19,12 +19,13 @@ import matplotlib.pyplot as plt
 
 def run(*command: str) -> str:
     """Run a command of `rig` and return what it prints."""
-    return subprocess.run(["rig", *command], capture_output=True, text=True, check=True).stdout
+    return subprocess.run(["rig", *command], capture_output=True, encoding="utf-8", check=True).stdout
 
 
 run("session", "new", "study.toml")
 study = Path("study.toml")  # shorter than a study for people would be: ten hits a search, not thirty
-study.write_text(study.read_text().replace("settings.hits = 30", "settings.hits = 10"))
+shorter = study.read_text(encoding="utf-8").replace("settings.hits = 30", "settings.hits = 10")
+study.write_text(shorter, encoding="utf-8")
 print(*run("session", "check", "study.toml").splitlines()[:20], sep="\n")
 
 # %%

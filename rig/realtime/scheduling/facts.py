@@ -20,7 +20,7 @@ _CPUS = "sys/devices/system/cpu"
 def text_of(path: Path) -> str:
     """Return the content of a small file, stripped."""
     try:
-        return path.read_text(errors="replace").strip()
+        return path.read_text("utf-8", errors="replace").strip()
     except OSError:
         return ""
 
