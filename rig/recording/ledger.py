@@ -22,7 +22,7 @@ _log = logging.getLogger(__name__)
 
 
 def with_ledger(recording: Recording) -> Recording:
-    """Return the recording with its fitted columns filled in and the summary in its trailer.
+    """Return the recording with the summary in its trailer; its fitted columns are filled in in place.
 
     A recording without rows, or without a clock in its trailer, is returned as it is. So is one with an invalid clock,
     with a warning: a recording is kept whatever is wrong with its clock.
@@ -35,10 +35,9 @@ def with_ledger(recording: Recording) -> Recording:
     except RigError as error:
         _log.warning("%s: the latency ledger stays empty: %s", recording.path, error)
         return recording
-    rows = recording.rows.view(np.uint8).copy().view(recording.rows.dtype)  # else copied column by column
-    rows["sampled_at"], rows["applied_at"] = found.sampled, found.applied
+    recording.rows["sampled_at"], recording.rows["applied_at"] = found.sampled, found.applied
     timing = lossless(summarise(found, trailer.get("counters")))
-    return replace(recording, rows=rows, trailer={**trailer, TIMING_KEY: timing})
+    return replace(recording, trailer={**trailer, TIMING_KEY: timing})
 
 
 def ledger_of(recording: Recording) -> Ledger:

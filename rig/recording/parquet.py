@@ -27,6 +27,7 @@ from rig.recording.shape import parsed
 
 KEYS = (b"rig.header", b"rig.trailer", b"rig.complete", b"rig.lost")
 CHECKSUM_KEY = b"rig.crc32"
+GROUP_ROWS = 1 << 17  # of a row group: what is held twice while a recording is written
 READ_BYTES = (
     1 << 25
 )  # of columns that are decoded at once: those of a short recording together, a long one's singly
@@ -49,46 +50,55 @@ def check_pyarrow() -> None:
 def write_parquet(file: BinaryIO, recording: Recording) -> None:
     """Write a recording; equal recordings give equal bytes under the same pyarrow."""
     check_pyarrow()
-    units, descriptions = recording.units, recording.descriptions
-    columns = recording.to_numpy()
+    units, descriptions, dtype = recording.units, recording.descriptions, recording.rows.dtype
     fields = [
         pyarrow.field(
             name,
-            pyarrow.from_numpy_dtype(column.dtype),
+            pyarrow.from_numpy_dtype(dtype[name]),
             nullable=False,
             metadata={"unit": units[name], "description": descriptions[name]},
         )
-        for name, column in columns.items()
+        for name in recording.names
     ]
     lost = [asdict(loss) for loss in recording.lost]
     facts = (recording.header, recording.trailer, recording.complete, lost)
     metadata = {key: canonical_json(fact) for key, fact in zip(KEYS, facts, strict=True)}
-    metadata[CHECKSUM_KEY] = _checksum(metadata, columns.values())
-    # The memory as it is: pyarrow.array would import pandas, if it is installed, to ask whether this comes from there.
-    arrays = [
-        pyarrow.Array.from_buffers(
-            pyarrow.from_numpy_dtype(column.dtype), len(column), [None, pyarrow.py_buffer(column)]
-        )
-        for column in columns.values()
-    ]
-    table = pyarrow.Table.from_arrays(arrays, schema=pyarrow.schema(fields, metadata=metadata))
-    parquet.write_table(table, file, compression="zstd", **_encodings(columns))
+    metadata[CHECKSUM_KEY] = _checksum(metadata, (recording.column(name) for name in recording.names))
+    schema = pyarrow.schema(fields, metadata=metadata)
+    with parquet.ParquetWriter(file, schema, compression="zstd", **_encodings(dtype)) as writer:
+        for first in range(0, max(1, len(recording)), GROUP_ROWS):
+            rows = recording.rows[first : first + GROUP_ROWS]
+            writer.write_table(
+                pyarrow.Table.from_arrays([_to_arrow(rows, name) for name in recording.names], schema=schema)
+            )
 
 
-def _checksum(metadata: Mapping[bytes, bytes], parts: Iterable[NDArray[Any]]) -> bytes:
+def _to_arrow(rows: NDArray[np.void], name: str) -> Any:
+    """Wrap the memory of a column; pyarrow.array would import pandas, if installed, to check where it comes from."""
+    column = np.ascontiguousarray(rows[name])
+    return pyarrow.Array.from_buffers(
+        pyarrow.from_numpy_dtype(column.dtype), len(column), [None, pyarrow.py_buffer(column)]
+    )
+
+
+def _checksum(metadata: Mapping[bytes, bytes], columns: Iterable[NDArray[Any]]) -> bytes:
     """CRC-32 over metadata and columns in their order, since Parquet checks neither footer nor page heads."""
-    crc = zlib.crc32(b"".join(metadata[key] for key in KEYS))
-    for part in parts:
-        crc = zlib.crc32(part.data, crc)
+    crc = _checksum_of(metadata)
+    for column in columns:
+        crc = zlib.crc32(column.data, crc)
     return b"%08x" % crc
 
 
-def _encodings(columns: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
+def _checksum_of(metadata: Mapping[bytes, bytes]) -> int:
+    return zlib.crc32(b"".join(metadata[key] for key in KEYS))
+
+
+def _encodings(dtype: np.dtype[np.void]) -> dict[str, Any]:
     """Floats by byte stream: neighbours share exponents. Whole numbers by difference: most repeat."""
     chosen = {
-        name: "BYTE_STREAM_SPLIT" if column.dtype.kind == "f" else "DELTA_BINARY_PACKED"
-        for name, column in columns.items()
-        if column.dtype.kind == "f" or column.dtype.itemsize >= 4
+        name: "BYTE_STREAM_SPLIT" if dtype[name].kind == "f" else "DELTA_BINARY_PACKED"
+        for name in dtype.names or ()
+        if dtype[name].kind == "f" or dtype[name].itemsize >= 4
     }
     return {"use_dictionary": False, "column_encoding": chosen}
 
@@ -137,31 +147,49 @@ def _recording(
     path: Path, file: Any, metadata: dict[bytes, bytes], columns: Collection[str] | None
 ) -> Recording:
     facts = _facts(path, metadata)
+    dtype = facts.rows.dtype if columns is None else dtype_of(schema_of(facts.header["schema"], columns))
+    rows, wanted = np.empty(file.metadata.num_rows, dtype), set(dtype.names or ())
+    for name, row, values in _checked_columns(file, metadata, facts):
+        if name in wanted:
+            rows[name][row : row + len(values)] = values
+    return replace(facts, rows=rows)
+
+
+def is_stored(path: Path, expected: Recording, names: Collection[str]) -> bool:
+    """Check that a sealed recording has these columns of another, to the last bit, a part of a column at a time."""
+    with _opened(path) as file:
+        metadata = _metadata(path, file.schema_arrow)
+        facts = _facts(path, metadata)
+        if not set(names) <= set(facts.names) or file.metadata.num_rows != len(expected):
+            return False
+        return all(
+            name not in names or values.tobytes() == expected.rows[name][row : row + len(values)].tobytes()
+            for name, row, values in _checked_columns(file, metadata, facts)
+        )
+
+
+def _checked_columns(
+    file: Any, metadata: Mapping[bytes, bytes], facts: Recording
+) -> Iterator[tuple[str, int, NDArray[Any]]]:
+    """Yield each part of each column, with its name and first row; `ValueError` at the end where a bit has changed."""
     stored: list[str] = file.schema_arrow.names
     if set(stored) != set(facts.names):
         raise ValueError("its columns are not those of its header")
-    dtype = facts.rows.dtype if columns is None else dtype_of(schema_of(facts.header["schema"], columns))
-    rows, wanted = np.empty(file.metadata.num_rows, dtype), set(dtype.names or ())
-    together = max(1, READ_BYTES // (8 * len(rows) + 1))
-
-    def parts() -> Iterator[NDArray[Any]]:
-        """Give the columns, chunk by chunk in the order of the file, and keep those that are wanted."""
-        for first in range(0, len(stored), together):
-            names = stored[first : first + together]
-            table = file.read(columns=names)
-            for name in names:
-                row = 0
-                for chunk in table.column(name).chunks:
-                    if len(chunk):
-                        values = _to_numpy(chunk, facts.rows.dtype[name])
-                        if name in wanted:
-                            rows[name][row : row + len(values)] = values
-                        row += len(values)
-                        yield values
-
-    if _checksum(metadata, parts()) != metadata[CHECKSUM_KEY]:
+    together = max(1, READ_BYTES // (8 * file.metadata.num_rows + 1))
+    crc = _checksum_of(metadata)
+    for first in range(0, len(stored), together):
+        names = stored[first : first + together]
+        table = file.read(columns=names)
+        for name in names:
+            row = 0
+            for chunk in table.column(name).chunks:
+                if len(chunk):
+                    values = _to_numpy(chunk, facts.rows.dtype[name])
+                    crc = zlib.crc32(values.data, crc)
+                    yield name, row, values
+                    row += len(values)
+    if b"%08x" % crc != metadata[CHECKSUM_KEY]:
         raise ValueError("its checksum does not match")
-    return replace(facts, rows=rows)
 
 
 def _facts(path: Path, metadata: dict[bytes, bytes]) -> Recording:

@@ -7,7 +7,7 @@ Sealing can be repeated: when a crash left both files, the next call compares th
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,8 +24,8 @@ from rig.recording.files import whole_file
 from rig.recording.header import dtype_of, make_schema
 from rig.recording.ledger import with_ledger
 from rig.recording.marks import with_sync_edges
-from rig.recording.parquet import has_pyarrow, write_parquet
-from rig.recording.reader import open_recording
+from rig.recording.parquet import has_pyarrow, is_stored, write_parquet
+from rig.recording.reader import open_facts, open_recording
 
 SEALED_SUFFIX = ".parquet"
 
@@ -47,7 +47,8 @@ def seal(
     Parameters
     ----------
     recording
-        Read from a ``.rigcap`` file whose writer has ended, cleanly or not.
+        Read from a ``.rigcap`` file whose writer has ended, cleanly or not. Its ledger is filled in in place: a second
+        copy of a long recording would be most of the memory that sealing takes.
     truth
         The simulation's truth (`rig.core.sample.TRUTH`); joined by sample index, NaN where it has no such sample.
     judge
@@ -72,21 +73,23 @@ def seal(
         raise RecordingError(
             f"{capture} is not a capture: it has the name of a sealed recording", remedy="name a .rigcap"
         )
-    timed = with_sync_edges(with_ledger(recording))
-    sealed = timed if truth is None else with_truth(timed, truth)
+    names = recording.names
+    sealed = recording if truth is None else with_truth(recording, truth)
+    del recording, truth
+    sealed = with_sync_edges(with_ledger(sealed))
     if judge is not None:
         sealed = replace(sealed, trailer={**(sealed.trailer or {}), **lossless(judge(sealed))})
     read_back = _ReadBack(sealed)
     if not has_pyarrow():
         _log.warning("pyarrow is not installed: %s stays a capture", capture)
-        if sealed is recording or not recording.complete or recording.lost:
-            return recording
+        if not sealed.complete or sealed.lost:
+            return open_recording(capture)
         with whole_file(capture, overwrite=True, check=read_back) as file:
             write_capture(file, sealed)
         return read_back.at(capture)
     target = capture.with_suffix(SEALED_SUFFIX)
     if target.exists():
-        read_back = _ReadBack(timed)
+        read_back = _ReadBack(sealed, names)
         read_back(target)
     else:
         with whole_file(target, check=read_back) as file:
@@ -127,35 +130,35 @@ def _bytes_of(rows: NDArray[np.void]) -> NDArray[np.uint8]:
 
 
 class _ReadBack:
-    """Reads a file back and compares every bit of the expected columns (it may have more)."""
+    """Reads a file back and compares every bit of the expected columns, or of those named (it may have more)."""
 
-    def __init__(self, expected: Recording) -> None:
+    def __init__(self, expected: Recording, names: Collection[str] | None = None) -> None:
         self._expected = expected
+        self._names = expected.names if names is None else names
         self._found = expected
 
     def __call__(self, path: Path) -> None:
-        expected, found = self._expected, open_recording(path)
+        expected, names = self._expected, self._names
+        found = open_facts(path) if has_pyarrow() else open_recording(path)
         same = (
-            len(found) == len(expected)
-            and set(expected.names) <= set(found.names)
-            and {**found.header, "schema": None} == {**expected.header, "schema": None}
+            {**found.header, "schema": None} == {**expected.header, "schema": None}
             and (found.complete, found.lost) == (expected.complete, expected.lost)
-            and _same_bits(found.rows, expected.rows)
+            and (is_stored(path, expected, names) if has_pyarrow() else _same_bits(found.rows, expected.rows))
         )
         if not same:
             raise RecordingError(
                 f"{path} differs from {expected.path}",
                 remedy="the capture is kept; move one of them away",
             )
-        self._found = found
+        if found.names == expected.names:
+            self._found = replace(found, rows=expected.rows)  # equal: not read a second time
+        else:
+            self._found = open_recording(path)
 
     def at(self, path: Path) -> Recording:
-        """What was read, by the name that its file has now."""
+        """Return what was read, by the name that its file has now."""
         return replace(self._found, path=path)
 
 
 def _same_bits(found: NDArray[np.void], expected: NDArray[np.void]) -> bool:
-    """Whether rows hold the expected ones: at once where nothing else is in them, else column by column."""
-    if found.dtype == expected.dtype and np.array_equal(_bytes_of(found), _bytes_of(expected)):
-        return True
-    return all(found[name].tobytes() == expected[name].tobytes() for name in expected.dtype.names or ())
+    return found.dtype == expected.dtype and np.array_equal(_bytes_of(found), _bytes_of(expected))
