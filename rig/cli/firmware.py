@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -24,7 +22,8 @@ from rig.bench.firmware.wiring import wiring as wired
 from rig.cli import options, output, values
 from rig.cli.command import Group, option
 from rig.config import amplifiers, presets
-from rig.core.errors import ConfigError, IncompatibleDeviceError
+from rig.config.files import read_toml
+from rig.core.errors import IncompatibleDeviceError
 from rig.devices import open_device, open_link
 
 DEFAULT_BOARD = "rp2040"
@@ -95,7 +94,7 @@ def build(
         else:
             output.show(item for one in found for item in one.items())
         return
-    chosen = {**_settings(settings_file), **options.key_values(sets)}
+    chosen = {**(read_toml(settings_file, "a settings") if settings_file else {}), **options.key_values(sets)}
     experiment = presets.load_named(preset)
     if amplifier is not None:
         experiment = config.override(experiment, {"rig.amplifier.profile": amplifier}, "--amplifier")
@@ -281,14 +280,3 @@ def check_port(url: str, wired: bool, current: int, seconds: float, bootloader: 
     if error is not None:
         error.reported = as_json
         raise error
-
-
-def _settings(path: Path | None) -> dict[str, Any]:
-    if path is None:
-        return {}
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ConfigError(
-            f"{path} cannot be read: {error}", remedy="write lines like enable_pin = 6"
-        ) from None

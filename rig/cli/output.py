@@ -44,8 +44,9 @@ def _remedies_for_terminal(value: Any) -> Any:
 
 
 def for_terminal(text: str) -> str:
-    """A message as one reads it beside a command: an argument that it names, `arm_anyway`, is the option there."""
-    return _ARGUMENT.sub(lambda named: "--" + named[1].replace("_", "-"), text)
+    """Return a message as a terminal shows it: an argument, `arm_anyway`, is the option; the invisible is escaped."""
+    named = _ARGUMENT.sub(lambda named: "--" + named[1].replace("_", "-"), text)
+    return "".join(one if one.isprintable() or one in "\n\t" else ascii(one)[1:-1] for one in named)
 
 
 def show(items: Iterable[Item]) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
+import unicodedata
 from collections.abc import Iterator, Mapping
 from functools import cache
 from importlib.resources import files
@@ -14,6 +16,7 @@ from rig.core.errors import ConfigError
 
 Table = dict[str, Any]
 LEAVES = {type(None), bool, int, float, str}  # most of what stands in a table: known at a glance
+_QUOTED = re.compile(r"""\"[^"]*\"|'[^']*'|#.*""")  # where any character may stand
 DEPTH = 8  # no section lies deeper; what does is refused by name, not by a stack overflow
 
 
@@ -41,7 +44,23 @@ def parse_toml(text: str, source: str) -> Table:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:
         reason = str(error) if isinstance(error, ValueError) else "nested too deeply"
-        raise ConfigError(f"{source}: not valid TOML: {reason}", remedy="correct the file there") from None
+        names = _misleading(text, reason)
+        raise ConfigError(
+            f"{source}: not valid TOML: {reason}{names and f'; that line contains {names}'}",
+            remedy="type these characters anew, or put them into quotes"
+            if names
+            else "correct the file there",
+        ) from None
+
+
+def _misleading(text: str, reason: str) -> str:
+    """Name the characters of the line that a parser complains of which look like others, or like nothing."""
+    place = re.search(r"at line (\d+)", reason)
+    if place is None:
+        return ""
+    line = _QUOTED.sub("", text.split("\n")[int(place[1]) - 1].removesuffix("\r"))
+    found = dict.fromkeys(one for one in line if one != "\t" and not (one.isascii() and one.isprintable()))
+    return ", ".join(f"U+{ord(one):04X} {unicodedata.name(one, 'control character')}" for one in found)
 
 
 @cache

@@ -200,7 +200,7 @@ def _forget(data: mmap.mmap) -> None:
 def _read_header(path: Path, data: mmap.mmap) -> tuple[dict[str, Any], int]:
     if data[: len(MAGIC)] != MAGIC:
         raise RecordingError(
-            f"{path} is not a recording", remedy="give a .parquet or .rigcap file that `rig` wrote"
+            f"{path} is not a recording", remedy="give a .parquet or .rigcap file that haptic-rig wrote"
         )
     damaged = RecordingError(
         f"the header of {path} is damaged",

@@ -16,6 +16,7 @@ import zlib
 from collections.abc import Iterator
 from io import FileIO
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 from rig.core import locks
@@ -112,6 +113,16 @@ def line_of(text: str) -> bytes:
     """Line of a JSON object's text, which must be ASCII."""
     body = text.encode("ascii")
     return b"%08x %s\n" % (zlib.crc32(body), body)
+
+
+def check_line_end(path: Path, line: bytes) -> None:
+    """Raise `RecordingError` when a line is damaged by nothing but CR LF in place of its line end."""
+    if line.endswith(b"\r\n") and object_of(line[:-2] + b"\n") is not None:
+        raise RecordingError(
+            f"{path}: its lines end with CR LF instead of LF, so their checksums do not match; an editor, git or a "
+            "transfer has changed them, and nothing else",
+            remedy=f"change them back, sed -i 's/\\r$//' {quote(str(path))}, and copy it as binary (git: -text)",
+        )
 
 
 def object_of(line: bytes) -> dict[str, Any] | None:

@@ -65,11 +65,11 @@ def _checked(path: Path, recording: Recording) -> Recording:
     if missing:
         raise RecordingError(
             f"{path} has no column {missing[0]!r}, which every recording has",
-            remedy="record again with `rig`",
+            remedy="record again with haptic-rig",
         )
     wrong = misfit(recording.header, HEADER, "header")
     if not wrong and recording.trailer is not None:
         wrong = misfit(recording.trailer, TRAILER, "trailer")
     if wrong:
-        raise RecordingError(f"{path} is invalid: {wrong}", remedy="record again with `rig`")
+        raise RecordingError(f"{path} is invalid: {wrong}", remedy="record again with haptic-rig")
     return recording

@@ -38,6 +38,7 @@ _STEM = f"task-{TASK}_tracksys-{TRACKSYS}"
 Watch = Callable[[int, int], None]
 Row = Mapping[str, Any]
 
+_TAKEN = ("participant_id", "HED")  # BIDS gives these columns a content of their own
 _EVENT_COLUMNS: Mapping[str, Mapping[str, Any]] = {
     "trial_type": {"LongName": "Kind of event", "Description": "what began", "Levels": dict(EVENTS)},
     "trial": {"Description": FACTS["trial"].meaning},
@@ -293,7 +294,7 @@ def _participants(study: Study, labels: Mapping[str, str]) -> tuple[tuple[str, .
         for (name, block), answer in state.answered.items():
             item = items.get(name)
             column = name if block in {0, END} else f"{name}_block{block}"
-            while column in own or column == "participant_id":
+            while column in own or column in _TAKEN:
                 column += "_answer"
             answers.setdefault(column, {"Description": item.text if item else name})
             if item is not None and item.kind == "scale":

@@ -27,7 +27,7 @@ from typing import Any
 from rig.core.errors import RecordingError
 from rig.core.present import plain
 from rig.recording.files import plain_errors, whole_file
-from rig.recording.lines import LineFile, line_of, object_of
+from rig.recording.lines import LineFile, check_line_end, line_of, object_of
 
 VERSION = 4  # of events and their content; a change of their meaning is another version
 RESERVED = ("n", "after", "at", "kind", "log")
@@ -208,6 +208,7 @@ def _read(path: Path, lines: Iterator[tuple[int, bytes]]) -> tuple[list[Event], 
     for place, line in lines:
         found = object_of(line)
         if found is None:
+            check_line_end(path, line)
             raise DamagedLineError(path, events, place, last=next(lines, None) is None)
         if (found.get("n"), found.get("after")) != (len(events), last):
             raise RecordingError(

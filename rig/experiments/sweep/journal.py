@@ -22,7 +22,7 @@ from typing import Any
 
 from rig.core.errors import ConfigError, RecordingError
 from rig.recording.files import plain_errors
-from rig.recording.lines import LineFile, line_of, object_of
+from rig.recording.lines import LineFile, check_line_end, line_of, object_of
 
 VERSION = 1
 NOT_DONE = -1
@@ -127,6 +127,7 @@ class Journal:
             first = file.readline()
         if len(first) < len(wanted) and wanted.startswith(first):
             return self._begin(wanted)  # new, or its first line was torn: either way it holds nothing
+        check_line_end(self.path, first)
         there = object_of(first)
         if there is None or "sweep" not in there:
             raise RecordingError(

@@ -158,6 +158,18 @@ def test_an_argument_that_a_message_names_is_an_option_of_a_command() -> None:
     assert [one for one in sorted(named) if "--" + one[1].replace("_", "-") not in options] == []
 
 
+def test_a_message_never_means_the_program_where_a_command_shows_an_option() -> None:
+    """`rig` in a message is the argument of a function; the program is haptic-rig, or a whole command."""
+    assert {module for module, text in texts() if "`rig`" in text} == {
+        "rig.core.same_rig",
+        "rig.bench.firmware.selftest",
+    }
+
+
+def test_what_is_invisible_in_a_message_is_seen_in_a_terminal() -> None:
+    assert output.for_terminal("a\u00a0b\u200b\0\x1b[2J\n\t−µ°") == "a\\xa0b\\u200b\\x00\\x1b[2J\n\t−µ°"
+
+
 def test_a_command_shows_an_argument_as_its_option(capsys: pytest.CaptureFixture[str]) -> None:
     text = "this wall must not be armed; or accept the risk: `arm_anyway`; see `rig doctor`"
     assert output.for_terminal(text).endswith("the risk: --arm-anyway; see `rig doctor`")

@@ -119,6 +119,12 @@ def test_a_byte_order_mark_is_no_error(tmp_path: Path) -> None:
         (b"a = " + b"[" * 100_000, ("hit.toml", "not valid TOML")),
         (b"a = " + b"1" * 10_000, ("hit.toml", "not valid TOML")),
         (b'preset = "\xff"', ("hit.toml", "UTF-8", "byte 10")),
+        ("a = 1\n\u00a0b = 2".encode(), ("line 2", "U+00A0 NO-BREAK SPACE", "type these characters anew")),
+        ("stiff\u200bness = 2".encode(), ("line 1", "U+200B ZERO WIDTH SPACE")),
+        ('stiffness = \u22123  # N·m "°'.encode(), ("line 1, column 13", "contains U+2212 MINUS SIGN;")),
+        ("preset = \u201ckoul-rigid\u201d".encode(), ("U+201C LEFT DOUBLE", "U+201D RIGHT DOUBLE")),
+        (b"a = 1\0", ("line 1", "U+0000 control character")),
+        ("[wall]\nstiffness = = 3  # N·m".encode(), ("correct the file there",)),
     ],
 )
 def test_a_file_that_is_not_toml_is_named_with_the_place(

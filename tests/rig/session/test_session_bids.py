@@ -48,6 +48,17 @@ QUICK = {
 }
 CODES = "P[-_]?[0-9]+"
 NASTY = "half\tasleep\nand <b>bored</b>"
+TAKEN = (
+    "HED",
+    "sex",
+    "handedness",
+    "species",
+    "strain",
+    "strain_rrid",
+    "participant_id",
+    "group",
+    "session_id",
+)
 REQUIRED = {"TaskName", "SamplingFrequency"}  # of a motion file's JSON, BIDS 1.10
 UNITS = {"s", "rad", "rad/s", "m", "m/s", "N.m", "N", "A"}
 
@@ -79,6 +90,10 @@ def study(tmp_path_factory: pytest.TempPathFactory, hit: Any) -> Any:
         question=[
             {"name": "age", "text": "How old are you?", "when": "start", "kind": "scale", "highest": 99},
             {"name": "tired", "text": "Tired?", "when": "block", "kind": "scale"},
+            *(
+                {"name": name, "text": "A name that BIDS has taken", "when": "start", "kind": "scale"}
+                for name in TAKEN
+            ),
         ],
     )
     person = Person(threshold=lambda condition, damping: 430.0)
@@ -124,6 +139,8 @@ def test_the_root_says_what_it_is(dataset: Any) -> None:
     people = table(dataset / "participants.tsv")
     assert [row["participant_id"] for row in people] == ["sub-P01", "sub-P02"]
     assert [row["code"] for row in people] == ["P01", "P-02"]
+    assert {name for name in TAKEN if people[0].get(name) != "1"} == {"HED", "participant_id"}
+    assert people[0]["HED_answer"] == people[0]["participant_id_answer"] == "1"
     assert people[0]["age"] == people[0]["tired_block1"] == "1"
     sidecar = json.loads((dataset / "participants.json").read_text())
     assert set(people[0]) - {"participant_id"} == set(sidecar)

@@ -7,7 +7,9 @@ import io
 import json
 import multiprocessing
 import os
+import re
 import signal
+import subprocess
 import sys
 from contextlib import suppress
 from pathlib import Path
@@ -107,6 +109,19 @@ def test_a_damaged_line_that_something_followed_is_not_set_aside(tmp_path: Path)
         set_damaged_line_aside(path)
     assert "what follows was decided on that line" in caught.value.remedy
     assert (path.read_bytes(), set_aside(path)) == (changed, [])
+
+
+def test_line_ends_that_an_editor_or_git_changed_are_named_and_changed_back(tmp_path: Path) -> None:
+    path = written(tmp_path / "log")
+    whole = path.read_bytes()
+    path.write_bytes(whole.replace(b"\n", b"\r\n"))
+    for opened in (read, SessionLog, set_damaged_line_aside):
+        with pytest.raises(RecordingError, match="CR LF instead of LF") as caught:
+            opened(path)
+    remedy = re.search(r"sed .*(?=, and)", caught.value.remedy)
+    assert remedy is not None
+    subprocess.run(remedy[0], shell=True, check=True)
+    assert path.read_bytes() == whole
 
 
 @pytest.mark.parametrize("place", range(4))
