@@ -13,6 +13,7 @@ from typing import Any
 
 from rig.config.problems import did_you_mean
 from rig.core.errors import ConfigError
+from rig.core.regular_file import read_regular
 
 Table = dict[str, Any]
 LEAVES = {type(None), bool, int, float, str}  # most of what stands in a table: known at a glance
@@ -23,7 +24,7 @@ DEPTH = 8  # no section lies deeper; what does is refused by name, not by a stac
 def read_toml(path: Path, kind: str = "an experiment") -> Table:
     """Read a TOML file of this kind; `ConfigError` when it is missing, unreadable or not TOML."""
     try:
-        text = path.read_bytes().decode("utf-8-sig")
+        text = read_regular(path).decode("utf-8-sig")
     except FileNotFoundError:
         nearby = [p.name for p in path.parent.glob("*.toml")] if path.parent.is_dir() else []
         remedy = did_you_mean(path.name, nearby, f"give the path of {kind} file")
@@ -33,7 +34,7 @@ def read_toml(path: Path, kind: str = "an experiment") -> Table:
     except (OSError, ValueError) as error:  # ValueError: a NUL in the path
         reason = getattr(error, "strerror", None) or error
         raise ConfigError(
-            f"{path}: cannot be read: {reason}", remedy="give the path of a readable file"
+            f"{path}: cannot be read: {reason}", remedy="give the path of a readable text file"
         ) from None
     return parse_toml(text, str(path))
 

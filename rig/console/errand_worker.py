@@ -12,14 +12,18 @@ import sys
 from collections.abc import Callable
 from typing import Any, BinaryIO
 
-from rig.console import map_errands, recording_errands, regions
+from rig.console import hits, map_errands, recording_errands, regions, session_desk, session_lists
 from rig.core.errors import RigError
 from rig.core.present import plain
 from rig.realtime import compiling
 
 # Each takes its content by name and returns a result, or one and bytes.
 ERRANDS: dict[str, Callable[..., Any]] = {
+    "experiment": hits.described,
     "regions": regions.asked,
+    "sessions": session_lists.listed,
+    "resumed": session_lists.resumed,
+    "session digest": session_desk.digest_of,
     "maps": map_errands.directories,
     "map": map_errands.described,
     "map growth": map_errands.growth,

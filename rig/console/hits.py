@@ -38,6 +38,12 @@ def in_effect(experiment: Experiment, changes: Mapping[str, Any]) -> Experiment:
     return found
 
 
+def described(rig: str, changes: Mapping[str, Any]) -> dict[str, Any]:
+    """An experiment in effect as a mapping, and its digest."""
+    experiment = in_effect(experiment_of({"rig": rig}), changes)
+    return {"experiment": config.as_mapping(experiment), "digest": digest_of(experiment)}
+
+
 def digest_of(experiment: Experiment) -> str:
     """Short digest of all that decides a hit: two that are equal mean the same experiment."""
     return short(canonical_json(config.as_mapping(experiment)))

@@ -3,14 +3,23 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import signal
 import sys
+import threading
 from collections.abc import Callable, Coroutine, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from rig.console.server import Settings, run
 from rig.console.terminal import Terminal
 from rig.core.errors import ConfigError
+
+if sys.platform == "win32":
+    SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGBREAK)
+else:
+    SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+END_S = 4.0  # from a signal
 
 
 def open_console(
@@ -38,16 +47,39 @@ def open_console(
     settings = Settings(
         port=port, hosts=hosts, verified=verified, own=own, output=Path(output).resolve(), announce=announce
     )
-    asyncio.run(_until_told(lambda ended: run(settings, Terminal(), ended)))
+    end_on_signal(lambda ended: run(settings, Terminal(), ended))
 
 
-async def _until_told(serve: Callable[[asyncio.Event], Coroutine[None, None, None]]) -> None:
-    ended = asyncio.Event()
-    loop = asyncio.get_running_loop()
-    if sys.platform == "win32":  # whose loops take no handlers
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGBREAK):
-            signal.signal(number, lambda *_: loop.call_soon_threadsafe(ended.set))
-    else:
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            loop.add_signal_handler(number, ended.set)
-    await serve(ended)
+def end_on_signal(serve: Callable[[asyncio.Event], Coroutine[None, None, None]]) -> None:
+    """Serve until a signal sets the event; a program that has not ended `END_S` after it is ended at once.
+
+    A thread that waits for a disk that is gone would keep it for ever. What moves has been told to stop by then, and a
+    job's process brings its recording to rest by itself.
+    """
+    late = threading.Timer(END_S, _leave)
+    late.daemon = True
+
+    async def served() -> None:
+        ended, loop = asyncio.Event(), asyncio.get_running_loop()
+
+        def end(*_: object) -> None:
+            with suppress(RuntimeError):  # the second signal
+                late.start()
+            loop.call_soon_threadsafe(ended.set)
+
+        before = {number: signal.signal(number, end) for number in SIGNALS}
+        try:
+            await serve(ended)
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+    try:
+        asyncio.run(served())
+    finally:
+        late.cancel()
+
+
+def _leave() -> None:
+    os.write(2, b"rig: the console has not ended in time, and leaves what it waits for\n")
+    os._exit(1)

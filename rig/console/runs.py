@@ -13,7 +13,6 @@ from rig import config
 from rig.console import consent
 from rig.console import requests as asked
 from rig.console.client import Client
-from rig.console.hits import digest_of, experiment_of, in_effect
 from rig.console.jobs import Job
 from rig.console.lease import LOOK_S
 from rig.console.live import Live
@@ -71,9 +70,11 @@ class Runs(Service):
 
     async def _run_agreed(self, client: Client, request: asked.Run) -> dict[str, Any]:
         """Start what a person at the rig agrees to; meanwhile the page's other requests are answered."""
-        experiment = await asyncio.to_thread(self._experiment, request.rig, request.changes)
-        digest = digest_of(experiment)
-        lines = consent.to_run(request, experiment, digest)
+        found = await self._described(request.rig, request.changes)
+        digest = str(found["digest"])
+        lines = consent.to_run(
+            request, config.experiment_from_mapping(found["experiment"], request.rig), digest
+        )
         await consent.insist(self._terminal, client, request.url, lines)
         self._shared.must_operate(client)  # still: a person takes their time
         return await self._start(request, digest)
@@ -111,14 +112,16 @@ class Runs(Service):
         asked.refuse_reserved(request.changes)
         return self.answer_later(client, request, found())
 
-    async def _ask_experiment(self, client: Client, request: asked.AskExperiment) -> Any:
-        return await asyncio.to_thread(
-            lambda: config.as_mapping(self._experiment(request.rig, request.changes))
-        )
+    async def _ask_experiment(self, client: Client, request: asked.AskExperiment) -> object:
+        async def found() -> Any:
+            return (await self._described(request.rig, request.changes))["experiment"]
 
-    def _experiment(self, name: str, changes: Mapping[str, Any]) -> config.Experiment:
+        return self.answer_later(client, request, found())
+
+    async def _described(self, name: str, changes: Mapping[str, Any]) -> Any:
         asked.refuse_reserved(changes)
-        return in_effect(experiment_of({"rig": name}), changes)
+        found, _ = await self._shared.errands.run("experiment", rig=name, changes=dict(changes))
+        return found
 
     async def every_beat(self) -> None:
         """End what moves while nobody operates: its operator has gone, or let go.

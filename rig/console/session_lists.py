@@ -10,10 +10,25 @@ from typing import Any
 from rig.config.files import read_toml
 from rig.core.errors import RigError
 from rig.session.directory import LOG, REHEARSALS, SESSIONS
-from rig.session.run import session_state
+from rig.session.run import rehearsed, session_state, took_place
 from rig.session.template_files import template_names, template_path, template_subject
 
 MOST = 100  # of each
+
+
+def listed() -> dict[str, Any]:
+    """What a page may begin or resume."""
+    return {"protocols": protocols(), "resumable": resumable()}
+
+
+def resumed(directory: str) -> dict[str, Any]:
+    """What the log of a session says about resuming it: whether somebody is rehearsed, the device, and real time."""
+    place = took_place(Path(directory))
+    return {
+        "rehearsed": rehearsed(Path(directory)) is not None,
+        "url": place.url or "",
+        "realtime": place.realtime,
+    }
 
 
 def protocols() -> list[dict[str, str]]:

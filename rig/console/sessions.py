@@ -14,15 +14,13 @@ import time
 from collections.abc import Mapping
 from dataclasses import asdict
 from functools import partial
-from pathlib import Path
 from typing import Any
 
-from rig.console import consent, session_lists
+from rig.console import consent
 from rig.console.client import Client, defect
 from rig.console.jobs import Job
 from rig.console.requests import Request
 from rig.console.service import Handler, Service, Shared
-from rig.console.session_desk import digest_of
 from rig.console.session_requests import BeginSession, ListSessions, PressKey, Reach, TypeLine
 from rig.console.terminal import Terminal
 from rig.core.errors import ConfigError, RigError
@@ -32,7 +30,6 @@ from rig.session.console.conversation import LATER, Conversation
 from rig.session.console.pointer import START_SHARE, WALL_SHARE
 from rig.session.console.seat import Seat, SeatHand
 from rig.session.keymap import STOP, VERDICTS
-from rig.session.run import rehearsed, took_place
 
 JOB = "session"
 PARTICIPANTS = ("session_key", "session_line", "stop")  # what a participant's screen may ask for
@@ -71,16 +68,20 @@ class Sessions(Service):
             if client.participant == (pages is self._shared.participants):
                 client.put_newest(message)
 
-    async def _list(self, client: Client, request: ListSessions) -> dict[str, Any]:
-        return await asyncio.to_thread(
-            lambda: {"protocols": session_lists.protocols(), "resumable": session_lists.resumable()}
-        )
+    async def _list(self, client: Client, request: ListSessions) -> object:
+        async def found() -> Any:
+            return (await self._shared.errands.run("sessions"))[0]
+
+        return self.answer_later(client, request, found())
 
     async def _begin(self, client: Client, request: BeginSession) -> object:
         self._shared.must_operate(client)
         if not request.directory and not (request.protocol and request.code):
             raise ConfigError("a session needs a protocol and a participant's code", remedy="give both")
-        person, url, realtime = await asyncio.to_thread(self._known, request)
+        person, url, realtime = request.person is not None, request.url, request.realtime
+        if request.directory:  # as its log says
+            log, _ = await self._shared.errands.run("resumed", directory=request.directory)
+            person, url, realtime = log["rehearsed"], request.url or log["url"], log["realtime"]
         content = asdict(request) | {
             "digest": None,
             "url": url,
@@ -100,7 +101,9 @@ class Sessions(Service):
     ) -> dict[str, Any]:
         """Begin what a person at the rig agrees to; meanwhile the page's other requests are answered."""
         url = content["url"]
-        content["digest"] = await asyncio.to_thread(digest_of, request.protocol, request.directory)
+        content["digest"], _ = await self._shared.errands.run(
+            "session digest", protocol=request.protocol, directory=request.directory
+        )
         lines = consent.to_session(request, url, content["digest"])
         await consent.insist(self._terminal, client, url, lines)
         self._shared.must_operate(client)  # still: a person takes their time
@@ -113,14 +116,6 @@ class Sessions(Service):
         self._rounds = asyncio.create_task(self._every_round(job))
         self._tell()
         return {"pid": job.pid}
-
-    @staticmethod
-    def _known(request: BeginSession) -> tuple[bool, str, bool]:
-        """Whether somebody is rehearsed, the device, and whether time is real: those of the log, if it goes on."""
-        if not request.directory:
-            return request.person is not None, request.url, request.realtime
-        place = took_place(Path(request.directory))
-        return rehearsed(Path(request.directory)) is not None, request.url or place.url or "", place.realtime
 
     # At the desk.
 

@@ -18,6 +18,7 @@ from rig import config
 from rig.config import Experiment
 from rig.core.errors import RecordingError, RigError
 from rig.core.present import plain
+from rig.core.regular_file import TABLE_BYTES, read_regular
 from rig.experiments import sweep
 from rig.experiments.disagreement import Disagreement, DisagreementPlan
 from rig.experiments.hit import HitRequest, Recorded, hit, left_by
@@ -191,13 +192,13 @@ def read_plan(directory: Path) -> tuple[MapPlan | FrequencyPlan, str]:
     """
     path = directory / PLAN
     with plain_errors("read", path):
-        text = path.read_bytes()
+        text = read_regular(path, TABLE_BYTES)
     try:
         told = json.loads(text)
         if told["version"] == VERSION:
             kind = FrequencyPlan if told["work"] == FrequencyPlan.work else MapPlan
             return kind.from_mapping(told["plan"], str(path)), str(told["device"])
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise RecordingError(f"{path} is damaged: {error!r}", remedy="run the map's command again") from None
     raise RecordingError(
         f"{path} is of version {told['version']}, and this haptic-rig reads {VERSION}",

@@ -50,6 +50,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.core.errors import RecordingError
+from rig.core.regular_file import TABLE_BYTES, open_regular
 from rig.recording.canonical import canonical_json
 from rig.recording.data import Loss, Recording
 from rig.recording.files import plain_errors
@@ -176,7 +177,7 @@ def read_capture_header(path: Path) -> Recording:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[mmap.mmap]:
-    with plain_errors("read", path), open(path, "rb") as file:
+    with plain_errors("read", path), open_regular(path) as file:
         if not file.read(1):
             raise RecordingError(
                 f"{path} is empty", remedy="its writer ended before it wrote anything; record again"
@@ -210,7 +211,9 @@ def _read_header(path: Path, data: mmap.mmap) -> tuple[dict[str, Any], int]:
         raise damaged
     _, version, length = _FILE_HEAD.unpack(data[: _FILE_HEAD.size])
     end = _FILE_HEAD.size + length
-    if end + _CRC.size > len(data) or _CRC.unpack(data[end : end + _CRC.size])[0] != zlib.crc32(data[:end]):
+    if length > TABLE_BYTES or end + _CRC.size > len(data):
+        raise damaged
+    if _CRC.unpack(data[end : end + _CRC.size])[0] != zlib.crc32(data[:end]):
         raise damaged
     check_version(path, version)
     header = _json_object(data[_FILE_HEAD.size : end])

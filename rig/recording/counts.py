@@ -21,6 +21,7 @@ from rig.control.estimators.own_counts import COUNTS, age_of_last_change, unwrap
 from rig.core.deferred import csv, pyarrow
 from rig.core.errors import ConfigError, RecordingError
 from rig.core.present import Row
+from rig.core.regular_file import ROWS_BYTES, open_regular
 from rig.core.sample import COLUMNS, ROW, Motion, RowFlag, unit_of
 from rig.recording.data import Recording
 from rig.recording.files import plain_errors, sha256_of
@@ -207,7 +208,7 @@ def _check(resolution: float, time: object, time_unit: str, period_s: float | No
 def _read(path: Path, wanted: list[str | int], delimiter: str | None) -> list[Any]:
     """Return the wanted columns (pyarrow.ChunkedArray), converted as their text allows."""
     check_pyarrow()
-    with plain_errors("read", path), open(path, "rb") as file:
+    with plain_errors("read", path), open_regular(path, ROWS_BYTES) as file:
         lines = file.read(HEAD_BYTES).decode("utf-8-sig", "replace").splitlines()
     skipped = next(
         (i for i, line in enumerate(lines) if line.strip() and not line.startswith(COMMENTS)), None

@@ -14,12 +14,15 @@ from pathlib import Path
 from typing import BinaryIO
 
 from rig.core.errors import ConfigError, RecordingError
+from rig.core.regular_file import open_regular
 
 _REMEDIES = {
     errno.ENOENT: "check the path, or make the directory first",
     errno.ENOTDIR: "check the path, or make the directory first",
     errno.EEXIST: "choose another name; recordings are never overwritten",
     errno.EISDIR: "name a file inside it",
+    errno.ENXIO: "name a file on a disk",
+    errno.EOVERFLOW: "name the file that `rig` wrote",
     errno.EACCES: "choose a place that you may write to",
     errno.EPERM: "choose a place that you may write to",
     errno.EROFS: "choose a place that you may write to",
@@ -29,14 +32,15 @@ _REMEDIES = {
 }
 
 
-def disk_error(doing: str, path: Path, number: int) -> RecordingError:
-    """Error for a refusal of the operating system, with its remedy."""
-    return RecordingError(f"cannot {doing} {path}: {os.strerror(number)}", remedy=_REMEDIES.get(number, ""))
+def disk_error(doing: str, path: Path, number: int, reason: str | None = None) -> RecordingError:
+    """Error for a refusal of the operating system, or for the reason of `rig.core.regular_file`, with its remedy."""
+    said = reason or os.strerror(number)
+    return RecordingError(f"cannot {doing} {path}: {said}", remedy=_REMEDIES.get(number, ""))
 
 
 def sha256_of(path: Path) -> str:
     """SHA-256 of a file, in hex."""
-    with open(path, "rb") as file:
+    with open_regular(path) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
@@ -46,7 +50,7 @@ def plain_errors(doing: str, path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise disk_error(doing, path, error.errno or errno.EIO) from error
+        raise disk_error(doing, path, error.errno or errno.EIO, error.strerror) from error
 
 
 def sync_directory(directory: Path) -> None:

@@ -21,6 +21,7 @@ from typing import Any
 
 from rig.core import locks
 from rig.core.errors import RecordingError
+from rig.core.regular_file import open_regular
 from rig.recording.files import disk_error, plain_errors, sync_directory
 
 SYNC_S = 0.5
@@ -58,7 +59,7 @@ class LineFile:
 
     def lines(self) -> Iterator[tuple[int, bytes]]:
         """Yield every whole line, good or damaged, and the place where it begins."""
-        with plain_errors("read", self.path), open(self.path, "rb") as file:
+        with plain_errors("read", self.path), open_regular(self.path) as file:
             place = 0
             for line in file:
                 if not line.endswith(b"\n"):

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from rig.core.deferred import parquet, pyarrow
 from rig.core.errors import RecordingError
+from rig.core.regular_file import open_regular
 from rig.recording.canonical import canonical_json
 from rig.recording.data import Loss, Recording
 from rig.recording.files import plain_errors
@@ -122,7 +123,7 @@ def read_parquet_facts(path: Path) -> Recording:
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
     check_pyarrow()
-    with plain_errors("read", path), open(path, "rb") as file:
+    with plain_errors("read", path), open_regular(path) as file:
         try:
             yield parquet.ParquetFile(file)
         except (pyarrow.ArrowException, OSError, ValueError, KeyError, TypeError, AttributeError) as error:

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from rig.core.errors import RecordingError
+from rig.core.regular_file import open_regular
 from rig.core.sample import COLUMNS
 from rig.recording.capture import read_capture, read_capture_header
 from rig.recording.data import Recording
@@ -56,7 +57,7 @@ def open_facts(path: str | Path) -> Recording:
 
 
 def _is_parquet(path: Path) -> bool:
-    with plain_errors("read", path), open(path, "rb") as file:
+    with plain_errors("read", path), open_regular(path) as file:
         return file.read(len(_PARQUET_MAGIC)) == _PARQUET_MAGIC
 
 

@@ -14,6 +14,7 @@ from rig import config
 from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError, RecordingError
 from rig.core.present import plain
+from rig.core.regular_file import read_regular
 from rig.recording.files import plain_errors
 from rig.session.arming import refuse_unarmable
 from rig.session.check import refuse_walls
@@ -179,7 +180,7 @@ def run_session(
     walls = load_walls(protocol_file, _reach_for(runner))
     protocol, experiment = walls.protocol, walls.base
     with plain_errors("read", protocol_file):
-        text = protocol_file.read_bytes()
+        text = read_regular(protocol_file)
     place = study_directory(protocol, study, rehearsal=person is not None) / code
     changes = changed_keys(walls, place.parent, code)
     if not other_protocol:

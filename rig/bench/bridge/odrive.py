@@ -20,13 +20,13 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
-from pathlib import Path
 from typing import Any, Self
 
 from rig.bench.bridge.fitting import Difference, Output, refuse
 from rig.bench.bridge.library import Drive
 from rig.core.errors import ConfigError, DeviceNotFoundError, DeviceRefusedError, IncompatibleDeviceError
 from rig.core.model import RigModel
+from rig.core.regular_file import TABLE_BYTES, read_regular
 
 if sys.platform == "linux":
     from rig.bench.bridge.bus import Bus, CanFrame
@@ -144,8 +144,8 @@ class Endpoints:
     def load(cls, place: str) -> Self:
         """Read the maker's file; `ConfigError` for what is none."""
         try:
-            return cls.of(place, json.loads(Path(place).read_text(encoding="utf-8")))
-        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+            return cls.of(place, json.loads(read_regular(place, TABLE_BYTES)))
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
             raise ConfigError(
                 f"{place} is no flat_endpoints.json of an ODrive: {error!r}", remedy=WHERE_TO_GET
             ) from None

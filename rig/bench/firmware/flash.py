@@ -21,6 +21,7 @@ from rig.bench.firmware.elf import flat
 from rig.bench.firmware.record import Record, find
 from rig.bench.firmware.uf2 import FAMILIES, RP2040, is_uf2, read_uf2
 from rig.core.errors import ConfigError, DeviceNotFoundError, LinkLostError
+from rig.core.regular_file import TABLE_BYTES, read_regular
 from rig.devices import open_device
 
 INFO_FILE = "INFO_UF2.TXT"
@@ -113,7 +114,7 @@ def flash(
 def read_image(path: Path) -> tuple[bytes, Record]:
     """Return a file and the record in it, whatever its format; raises `ConfigError`."""
     try:
-        content = path.read_bytes()
+        content = read_regular(path, TABLE_BYTES)
     except OSError as error:
         raise ConfigError(
             f"{path} cannot be read: {error.strerror or error}",
@@ -155,7 +156,7 @@ def _mounted() -> list[Path]:
 
 def _drive(path: Path) -> Drive | None:
     try:
-        text = (path / INFO_FILE).read_text(encoding="utf-8", errors="replace")
+        text = read_regular(path / INFO_FILE).decode(errors="replace")
     except OSError:
         return None
     fields = dict(line.split(":", 1) for line in text.splitlines() if ":" in line)

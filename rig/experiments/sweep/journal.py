@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from rig.core.errors import ConfigError, RecordingError
+from rig.core.regular_file import open_regular
 from rig.recording.files import plain_errors
 from rig.recording.lines import LineFile, check_line_end, line_of, object_of
 
@@ -102,7 +103,7 @@ class Journal:
 
         Raises `RecordingError` when the file is no longer what it was.
         """
-        with plain_errors("read", self.path), open(self.path, "rb") as file:
+        with plain_errors("read", self.path), open_regular(self.path) as file:
             for index in indices:
                 file.seek(self._places[index])
                 found = object_of(file.readline())
@@ -123,7 +124,7 @@ class Journal:
     def _load(self, header: Mapping[str, Any], keys: Sequence[str]) -> int:
         """Read what is there, or begin; return the length of the good part."""
         wanted = line_of(json.dumps(header))
-        with plain_errors("read", self.path), open(self.path, "rb") as file:
+        with plain_errors("read", self.path), open_regular(self.path) as file:
             first = file.readline()
         if len(first) < len(wanted) and wanted.startswith(first):
             return self._begin(wanted)  # new, or its first line was torn: either way it holds nothing
@@ -167,7 +168,7 @@ def read_on(path: Path, place: int = 0) -> tuple[list[tuple[str, Any]], int]:
     the next call, and a damaged one is left out. Raises `RecordingError` when it cannot be read.
     """
     found = []
-    with plain_errors("read", path), open(path, "rb") as file:
+    with plain_errors("read", path), open_regular(path) as file:
         file.seek(place)
         for line in file:
             if not line.endswith(b"\n"):

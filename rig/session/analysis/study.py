@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from rig.core.errors import ConfigError, RecordingError
+from rig.core.regular_file import open_regular
 from rig.core.sample import unit_of
 from rig.recording.files import plain_errors
 from rig.session.log import Event, read
@@ -215,7 +216,7 @@ def _recording(directory: Path, trial: Trial, hashes: bool) -> str:
         return "missing"
     if not hashes or not trial.sha256:
         return "not checked"
-    with plain_errors("read", path), open(path, "rb") as file:
+    with plain_errors("read", path), open_regular(path) as file:
         return "ok" if hashlib.file_digest(file, "sha256").hexdigest() == trial.sha256 else "changed"
 
 

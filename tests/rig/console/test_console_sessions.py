@@ -14,8 +14,9 @@ from typing import Any, cast
 
 import pytest
 
-from rig.console import session_desk
+from rig.console import session_desk, session_lists
 from rig.console.client import Client
+from rig.console.errand_worker import ERRANDS
 from rig.console.jobs import Job, Jobs
 from rig.console.lease import Lease
 from rig.console.live import Live
@@ -236,9 +237,9 @@ def test_a_real_rig_needs_a_word_at_the_terminal(
 ) -> None:
     """Also where only the log says that it is one."""
     before = Place(url="serial:///dev/ttyACM0", realtime=True, simulated=False)
-    monkeypatch.setattr("rig.console.sessions.took_place", lambda _: before)
-    monkeypatch.setattr("rig.console.sessions.rehearsed", lambda _: None)
-    monkeypatch.setattr("rig.console.sessions.digest_of", lambda *_: "1234 5678")
+    monkeypatch.setattr(session_lists, "took_place", lambda _: before)
+    monkeypatch.setattr(session_lists, "rehearsed", lambda _: None)
+    monkeypatch.setitem(ERRANDS, "session digest", lambda **_: "1234 5678")
     page.jobs.started = {}
     with pytest.raises(ConfigError, match="ttyACM0 is a real rig, and is not armed") as caught:
         page.ask("session", **given)

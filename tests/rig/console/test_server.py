@@ -26,7 +26,6 @@ from rig.console.errands import Errands
 from rig.console.follow import Followed
 from rig.console.lease import Lease
 from rig.console.live import Live
-from rig.console.runs import Runs
 from rig.control import estimators
 from rig.core.errors import ConfigError, RigError
 from rig.core.sample import Phase, RowFlag
@@ -531,13 +530,13 @@ def test_a_defect_costs_an_answer_and_no_socket(tmp_path: Path, monkeypatch: pyt
     async def broken(*_: object, **content: object) -> None:
         raise KeyError("a defect")
 
-    monkeypatch.setattr(Runs, "_experiment", lambda *_: 1 / 0)
+    monkeypatch.setattr(Lease, "take", lambda *_: 1 / 0)
     monkeypatch.setattr(Errands, "run", broken)
 
     async def scenario(console: Served) -> None:
         async with console.page() as page:
-            for do, told in (("experiment", "ZeroDivision"), ("maps", "a defect")):  # at once, and later
-                answer = await page.ask(do)
+            for do, content, told in (("operate", {"take": True}, "ZeroDivision"), ("maps", {}, "a defect")):
+                answer = await page.ask(do, **content)  # at once, and later
                 assert told in answer["error"]["error"]
                 assert "report it" in answer["error"]["remedy"]
 

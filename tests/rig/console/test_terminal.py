@@ -26,7 +26,7 @@ from rig.core.errors import ConfigError
 from rig.realtime.hand import SharedHand
 from rig.session.template_files import write_template
 from tests.conformance.console import served, stop_of_this_test
-from tests.rig.console.console_fakes import CONTENT, Page, ask
+from tests.rig.console.console_fakes import CONTENT, Here, Page, ask
 from tests.rig.session.session_fakes import FakeRunner
 
 REAL = "serial:///dev/ttyACM0"
@@ -111,7 +111,7 @@ def test_a_word_arms_nothing_for_a_page_that_stopped_or_went(
 ) -> None:
     async def body(terminal: Terminal, person: int) -> None:
         page = Page()
-        shared = Shared(set(), Lease(), Jobs(lambda *_: None), tmp_path)
+        shared = Shared(set(), Lease(), Jobs(lambda *_: None), tmp_path, Here())
         with SharedHand.create(tmp_path / "hand") as hand:
             live = Live(shared, hand, terminal, own=True)
             runs = Runs(shared, live, hand, terminal, verified=True)
@@ -150,7 +150,7 @@ def test_terminal_and_page_show_what_is_agreed_to_and_nothing_else_is_armed(
                 started.append(dict(content))
                 return SimpleNamespace(pid=1)
 
-        shared = Shared(set(), Lease(), Starts(lambda *_: None), tmp_path)
+        shared = Shared(set(), Lease(), Starts(lambda *_: None), tmp_path, Here())
         with SharedHand.create(tmp_path / "hand") as hand:
             live = Live(shared, hand, terminal, own=True)
             runs = Runs(shared, live, hand, terminal, verified=True)

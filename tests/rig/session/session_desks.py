@@ -37,6 +37,7 @@ from rig.session.console.pointer import HandKind
 from rig.session.console.seat import keymap_for
 from rig.session.protocol import Keys
 from tests.conformance.terminal import PATIENCE_S, Terminal
+from tests.rig.console.console_fakes import Here
 from tests.rig.session.test_session_console import contains
 
 _BYTES = {"space": " ", "enter": "\r", "f5": "\x1b[15~", "end": "\x1b[F", "home": "\x1b[H", "left": "\x1b[D"}
@@ -217,7 +218,7 @@ class AtPage(Place):
         self.job, self.line_ = FakeJob(self), Line(self)
         self.jobs = FakeJobs(self.job)
         pages, screens = (cast("set[Client]", {one}) for one in (self.client, self.participant))
-        self.shared = Shared(pages, Lease(), cast("Jobs", self.jobs), Path(), participants=screens)
+        self.shared = Shared(pages, Lease(), cast("Jobs", self.jobs), Path(), Here(), participants=screens)
         self.service = Sessions(self.shared, self.hand, Consents(), verified=False)
         try:
             self.ask("session", protocol="a.toml", code="P01", hand=hand[0] if hand else "simulated")

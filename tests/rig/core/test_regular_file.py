@@ -1,0 +1,71 @@
+"""What a user or a page names is read only if it is a regular file of a bounded size; nothing waits for another one."""
+
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rig.bench.bridge.odrive import Endpoints
+from rig.bench.firmware.flash import read_image
+from rig.config import presets
+from rig.core import regular_file
+from rig.core.errors import RigError
+from rig.experiments import maps
+from rig.experiments.sweep.journal import read_on
+from rig.recording.counts import read_counts
+from rig.recording.reader import open_facts, open_recording
+from rig.session.load import load_protocol
+
+if sys.platform == "win32":
+    pytest.skip("no file there is a FIFO or a device", allow_module_level=True)
+
+READERS: dict[str, Callable[[Path], Any]] = {
+    "a rig": presets.load_named,
+    "a protocol": load_protocol,
+    "a recording": open_recording,
+    "a recording's header": open_facts,
+    "a map": lambda path: maps.read_plan(path.parent),
+    "a journal": read_on,
+    "an image": read_image,
+    "endpoints": lambda path: Endpoints.load(str(path)),
+    "counts": lambda path: read_counts(path, count="count", resolution=1e-3, period_s=1e-3),
+}
+NAMED = {"a map": maps.PLAN, "a rig": "rig.toml"}
+
+
+@pytest.mark.timeout(60)  # a reader that opens a FIFO never comes back
+@pytest.mark.parametrize("what", ["fifo", "/dev/zero", "directory"])
+@pytest.mark.parametrize("kind", READERS)
+def test_no_reader_opens_what_is_no_regular_file(kind: str, what: str, tmp_path: Path) -> None:
+    path = tmp_path / NAMED.get(kind, "file")
+    if what == "fifo":
+        os.mkfifo(path)
+    elif what == "directory":
+        path.mkdir()
+    else:
+        path.symlink_to(what)
+    with pytest.raises(RigError, match=r"not a regular file|[Ii]s a directory") as refused:
+        READERS[kind](path)
+    assert refused.value.remedy
+
+
+@pytest.mark.parametrize("kind", ["a rig", "a protocol", "a map", "an image", "endpoints", "counts"])
+def test_a_text_is_read_up_to_a_bound(kind: str, tmp_path: Path) -> None:
+    path = tmp_path / NAMED.get(kind, "file")
+    with open(path, "wb") as file:
+        file.truncate(1 << 40)  # it takes no room on the disk
+    with pytest.raises(RigError, match=r"larger than 1 MiB|larger than 64 MiB|larger than 2048 MiB"):
+        READERS[kind](path)
+
+
+def test_a_file_that_changes_into_a_fifo_is_not_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    os.mkfifo(tmp_path / "fifo")
+    looked = os.stat(__file__)
+    monkeypatch.setattr(regular_file.os, "stat", lambda path: looked)
+    with pytest.raises(OSError, match="not a regular file"):
+        regular_file.open_regular(tmp_path / "fifo")
