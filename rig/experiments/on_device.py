@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -68,7 +68,7 @@ class Trials:
     where: OnDevice
     device: FramedDevice | None
     reference_count: int | None
-    series: Series
+    series: Series = field(default_factory=Series)
 
     def run(
         self,
