@@ -305,8 +305,11 @@ def _dynamics_pairs(found: Identification) -> list[tuple[str, str]]:
         pairs.append(("drive", f"voltage; back-EMF as described, {amplifier.back_emf:g} {unit['damping']}"))
     mode = dynamics.mode
     if mode is None:
-        highest = dynamics.lines_hz[-1]
-        pairs.append(("mode", f"none up to {highest:g} Hz: one rigid body explains the motion as well"))
+        highest, above = dynamics.lines_hz[-1], dynamics.mode_above_hz
+        text = f"none up to {highest:g} Hz: one rigid body explains the motion as well"
+        if above is not None:
+            text = f"one above the band: by its compliance, an anti-resonance near {above:.3g} Hz"
+        pairs.append(("mode", text))
     else:
         pairs += [
             ("mode", f"{mode.resonance_hz.text('Hz')}, damping ratio {mode.resonance_ratio.text()}"),
@@ -317,6 +320,7 @@ def _dynamics_pairs(found: Identification) -> list[tuple[str, str]]:
     coherence = _coherence(dynamics.coherence)
     return [
         *pairs,
+        ("band", dynamics.band.text),
         ("coherence", coherence),
         ("unexplained", f"{100 * dynamics.unexplained:.2g} % of the motion"),
     ]

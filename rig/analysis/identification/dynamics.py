@@ -16,6 +16,9 @@ damping of the modes. That bias is the same in every realisation and so is not i
 Under voltage drive the effort that flows is H·F less the back-EMF b_e·s·X behind the lag L. So the rig answers like
 1/(1/P + b_e·s·L) in the place of P; b_e is given, because the motion of a rigid rig does not tell it from b.
 
+Where the band ends below a mode, that factor is 1 + c·s²: the compliance c·m of what lies above. It is in the model
+when the realisations agree that c is above zero; left out, it would read as inertia and delay.
+
 An effort that is held between samples has images around each multiple of the rate, and what they move folds back; the
 first ones are part of the model.
 """
@@ -24,12 +27,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from rig.analysis.identification.interval import Interval, from_scatter
-from rig.analysis.identification.quality import IdentificationError, check_excited, check_explained
+from rig.analysis.identification.quality import (
+    LARGEST_UNEXPLAINED,
+    LEAST_LINES,
+    Band,
+    IdentificationError,
+    check_excited,
+    check_explained,
+)
 from rig.analysis.identification.sliding import Sliding
 from rig.analysis.impedance.signals import Complexes, ExcitedRun, Floats, hold
 from rig.core.deferred import optimize
@@ -41,10 +51,12 @@ ROUNDS = 3  # of fit and weights
 MODE_GAIN = 1.5  # by how much a mode must lessen the weighted error, as a factor, to be believed
 LEAST_SPLIT = 1.05  # resonance over anti-resonance: below it the two cancel
 LARGEST_RATIO = 0.5  # damping ratio of what is still a mode
+SHORTER = 0.75  # of the lines: what is tried next where no model explains the whole band
 WHOLE_TICKS = 4  # of delay that are tried beyond those that the first fit suggests: none more
 
 M, B, LAG, F_A, ZETA_A, F_R, ZETA_R = range(7)  # parameters
-RIGID, TWO_MASS = 3, 7  # how many
+COMPLIANCE = 3  # of a rigid body with a mode above the band: 1/ω², in the place of the mode
+RIGID, COMPLIANT, TWO_MASS = 3, 4, 7  # how many
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,14 +101,19 @@ class Dynamics:
         How the delay is divided: a whole number of ticks, and a first-order lag (s).
     mode
         First structural mode, or None where a rigid body explains as much.
+    mode_above_hz
+        Where the anti-resonance of a mode above the band lies, by what it does within the band (Hz); None where it does
+        nothing that is certain.
+    band
+        The lines that were fitted, of those that were excited.
     lines_hz, coherence
-        Lines (Hz) and γ² of motion and excitation there, shape (n,).
+        Fitted lines (Hz) and γ² of motion and excitation there, shape (n,).
     measured, fitted
         Position over effort at the lines, friction removed, delay left in: mean over the realisations, and the model.
     deviation
         Standard deviation of `measured` over the realisations, of its magnitude at each line.
     unexplained
-        Share of the velocity at the lines that the model leaves, rms; the encoder's noise is not counted.
+        Share of the velocity at the lines that follows the effort and that the model leaves, rms; noise is not counted.
     """
 
     inertia: Interval
@@ -105,6 +122,8 @@ class Dynamics:
     delay_ticks: int
     lag_s: Interval
     mode: Mode | None
+    mode_above_hz: float | None
+    band: Band
     lines_hz: Floats
     coherence: Floats
     measured: Complexes
@@ -149,21 +168,20 @@ def fit_dynamics(
     IdentificationError
         Data without coherence, or that no model of one or two masses explains.
     """
-    found = check_excited(runs, resolution)
-    problem = _Problem.of(runs, resolution, sliding, back_emf)
+    whole, found = check_excited(runs, resolution)
     start = np.array([inertia, 0.0 if damping is None else damping.value, 0.0])
     free = [M, LAG] if damping is not None else [M, B, LAG]
-    rigid = problem.with_delay(start, free)
-    best, mode_free = rigid, free
-    mode_start = problem.mode_start(rigid.parameters)
-    if mode_start is not None:
-        mode_free = [*free, F_A, ZETA_A, F_R, ZETA_R]
-        two = problem.with_delay(mode_start, mode_free)
-        if _believable(two, rigid, runs[0].lines_hz):
-            best = two
-    free = mode_free if best is not rigid else free
+    lines, band = whole.lines, whole
+    while True:
+        chosen = [replace(run, lines_hz=run.lines_hz[band.chosen]) for run in runs]
+        problem = _Problem.of(chosen, resolution, sliding, back_emf)
+        best, freed = problem.best(start, free)
+        lines = int(SHORTER * lines)
+        if best.unexplained <= LARGEST_UNEXPLAINED or lines < LEAST_LINES:
+            break
+        band = whole.shorter(runs[0].lines_hz, lines, "no model of one or two masses explains the motion")
     check_explained(best.unexplained)
-    return _dynamics(problem, best, free, found, damping)
+    return _dynamics(problem, best, freed, band, found[band.chosen], damping, sliding)
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,6 +252,8 @@ class _Problem:
         size = np.abs(start)
         size[B] = max(size[B], 1e-3 * abs(start[M]) * 2.0 * np.pi * self.lines[0])
         size[LAG] = 0.1 / self.rate if size[LAG] == 0.0 else size[LAG]
+        if len(start) == COMPLIANT:
+            size[COMPLIANCE] = (2.0 * math.pi * self.lines[-1]) ** -2
 
         def parameters(x: Floats) -> Floats:
             whole = start.copy()
@@ -256,11 +276,18 @@ class _Problem:
             parameters = self.solve(parameters, free, ticks, weights)
             left = np.mean(np.abs(self.error(parameters, ticks)) ** 2, axis=0)
             weights = np.sqrt(_smooth(left) + (0.3 * self.floor) ** 2)
-        speed = self.lines**2  # shares are of the velocity's power, less what the encoder's noise has in it
-        own = float(np.sum(speed * (left - self.floor**2)))
-        unexplained = math.sqrt(max(0.0, own) / float(np.sum(speed * power)))
+        unexplained = self._unexplained(self.error(parameters, ticks), power)
         cost = float(np.mean(left / first**2))
         return _Fit(parameters, ticks, weights, cost, unexplained)
+
+    def _unexplained(self, error: Complexes, power: Floats) -> float:
+        """Share of the velocity (rms) that the fit leaves and that follows the effort; noise follows nothing."""
+        runs, drive = len(error), np.mean(np.abs(self.effort) ** 2, axis=0)
+        gain = np.mean(error * self.effort.conj(), axis=0) / drive
+        noise = np.sum(np.abs(error - gain * self.effort) ** 2, axis=0) / (runs - 1)
+        own = np.abs(gain) ** 2 * drive - noise / runs
+        speed = self.lines**2
+        return math.sqrt(max(0.0, float(np.sum(speed * own))) / float(np.sum(speed * power)))
 
     def with_delay(self, start: Floats, free: Sequence[int]) -> _Fit:
         """The best fit over whole ticks of delay, with a lag that is not negative beside them."""
@@ -274,6 +301,43 @@ class _Problem:
             fits.append(self.fit(begin, free, ticks))
         possible = [fit for fit in fits if fit.parameters[LAG] > -0.1 * period] or [first]
         return min(possible, key=lambda fit: fit.cost)
+
+    def best(self, start: Floats, free: Sequence[int]) -> tuple[_Fit, Sequence[int]]:
+        """A rigid body, two masses, or a rigid body below a mode: the fit that is believed, and its free parameters."""
+        rigid = self.with_delay(start, free)
+        mode_start = self.mode_start(rigid.parameters)
+        if mode_start is not None:
+            freed = [*free, F_A, ZETA_A, F_R, ZETA_R]
+            two = self.with_delay(mode_start, freed)
+            if _believable(two, rigid, self.lines):
+                return two, freed
+        freed = [*free, COMPLIANCE]
+        above = self.with_delay(np.array([*rigid.parameters, 0.0]), freed)
+        each = self.each(above, freed)
+        if from_scatter(above.parameters[COMPLIANCE], each[:, COMPLIANCE]).low > 0.0:
+            return above, freed
+        return rigid, free
+
+    def each(self, fit: _Fit, free: Sequence[int]) -> Floats:
+        """Parameters by each realisation alone, shape (runs, parameters)."""
+        runs = range(len(self.position))
+        return np.array(
+            [self.solve(fit.parameters, free, fit.ticks, fit.weights, slice(i, i + 1)) for i in runs]
+        )
+
+    def shifted(
+        self, fit: _Fit, free: Sequence[int], damping: Interval | None, sliding: Sliding | None
+    ) -> list[Floats]:
+        """Parameters with what was given at the end of its interval: damping, then Coulomb friction."""
+        found = []
+        if damping is not None and math.isfinite(damping.ci95):
+            start = fit.parameters.copy()
+            start[B] += damping.ci95
+            found.append(self.solve(start, free, fit.ticks, fit.weights))
+        if sliding is not None and sliding.coulomb.value > 0.0 and math.isfinite(sliding.coulomb.ci95):
+            harder = self.friction * (1.0 + sliding.coulomb.ci95 / sliding.coulomb.value)
+            found.append(replace(self, friction=harder).solve(fit.parameters, free, fit.ticks, fit.weights))
+        return found
 
     def mode_start(self, rigid: Floats) -> Floats | None:
         """Where to look for a mode: the deepest notch and, above it, the highest peak of position · m·s²."""
@@ -293,6 +357,8 @@ def compliance(frequency_hz: Floats, parameters: Floats) -> Complexes:
     """Position over effort of the free rig: P of the text above."""
     s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)
     p = 1.0 / (s * (parameters[M] * s + parameters[B]))
+    if len(parameters) == COMPLIANT:
+        p = p * (1.0 + parameters[COMPLIANCE] * s**2)
     if len(parameters) == TWO_MASS:
         a, r = s / (2.0 * np.pi * parameters[F_A]), s / (2.0 * np.pi * parameters[F_R])
         p = p * (1.0 + 2.0 * parameters[ZETA_A] * a + a**2) / (1.0 + 2.0 * parameters[ZETA_R] * r + r**2)
@@ -338,15 +404,20 @@ def _believable(two: _Fit, rigid: _Fit, lines_hz: Floats) -> bool:
 
 
 def _dynamics(
-    problem: _Problem, best: _Fit, free: Sequence[int], found: Floats, damping: Interval | None
+    problem: _Problem,
+    best: _Fit,
+    free: Sequence[int],
+    band: Band,
+    found: Floats,
+    damping: Interval | None,
+    sliding: Sliding | None,
 ) -> Dynamics:
-    runs = len(problem.position)
-    each = np.array(
-        [problem.solve(best.parameters, free, best.ticks, best.weights, slice(i, i + 1)) for i in range(runs)]
-    )
+    each, shifted = problem.each(best, free), problem.shifted(best, free, damping, sliding)
 
     def interval(of: Callable[[Floats], float]) -> Interval:
-        return from_scatter(of(best.parameters), [of(one) for one in each])
+        value = of(best.parameters)
+        scatter = from_scatter(value, [of(one) for one in each])
+        return Interval(value, math.hypot(scatter.ci95, *(of(one) - value for one in shifted)))
 
     mode = None
     if len(best.parameters) == TWO_MASS:
@@ -375,6 +446,8 @@ def _dynamics(
         delay_ticks=best.ticks,
         lag_s=lag,
         mode=mode,
+        mode_above_hz=_mode_above_hz(best.parameters),
+        band=band,
         lines_hz=problem.lines,
         coherence=found,
         measured=ratio.mean(axis=0),
@@ -382,6 +455,10 @@ def _dynamics(
         deviation=np.sqrt(0.5 * np.mean(np.abs(ratio - ratio.mean(axis=0)) ** 2, axis=0)),
         unexplained=best.unexplained,
     )
+
+
+def _mode_above_hz(p: Floats) -> float | None:
+    return float(p[COMPLIANCE] ** -0.5 / (2.0 * math.pi)) if len(p) == COMPLIANT else None
 
 
 def _motor_inertia(p: Floats) -> float:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from rig.analysis.impedance.estimate import periodic
@@ -13,15 +15,15 @@ from rig.core.errors import RigError
 
 Floats = NDArray[np.float64]
 
-LEAST_COHERENCE = 0.8  # of the median line
-LEAST_MOTION_COUNTS = 5.0  # rms
-MOST_DRIFT = 0.2  # change from period to period, of the speed at the lines
-LARGEST_UNEXPLAINED = 0.1  # share of the velocity, rms over the lines, that a fit leaves
-
-_LOWER_BAND = (
-    "if the highest lines move the handle by less than a count, end the band lower (a rate of 1 kHz ends it at 150 Hz) "
-    "or allow more effort (rig.limits.effort)"
+LEAST_COHERENCE = 0.8  # of the lines that are fitted: a signal of twice its noise (amplitudes)
+NEAR_LINES = 7  # whose median ends the band: three lines in a notch do not
+BRIDGED_LINES = 16  # an octave
+LEAST_LINES = 12  # of a fit: a rigid body's mass, damping and delay, and room to see a misfit
+LEAST_MOTION_COUNTS = 1.0  # rms: below it the handle stands still
+MOST_DRIFT = (
+    0.4  # change from period to period at the median line; noise at a coherence of 0.93 makes as much
 )
+LARGEST_UNEXPLAINED = 0.1  # share of the velocity, rms over the lines, that a fit leaves
 
 
 class IdentificationError(RigError):
@@ -30,13 +32,81 @@ class IdentificationError(RigError):
     exit_code = 12
 
 
+@dataclass(frozen=True, slots=True)
+class Band:
+    """The lines that a fit uses: neighbours at which the motion follows the excitation.
+
+    Attributes
+    ----------
+    first, lines
+        Place of the lowest one among the excited lines, and how many there are.
+    low_hz, high_hz
+        The lowest and the highest of them (Hz).
+    below, above
+        Why lines at either end are left out; empty where none is.
+    """
+
+    first: int
+    lines: int
+    low_hz: float
+    high_hz: float
+    below: str = ""
+    above: str = ""
+
+    @property
+    def chosen(self) -> slice:
+        """Which of the excited lines."""
+        return slice(self.first, self.first + self.lines)
+
+    @property
+    def text(self) -> str:
+        """The band and why it ends."""
+        why = [f"; {side}: {text}" for side, text in (("below", self.below), ("above", self.above)) if text]
+        return f"{self.low_hz:.4g} to {self.high_hz:.4g} Hz, {self.lines} lines{''.join(why) or ', all excited ones'}"
+
+    def shorter(self, lines_hz: Floats, lines: int, why: str) -> Band:
+        """Return its lowest lines; `lines_hz` are the excited ones."""
+        return replace(self, lines=lines, high_hz=float(lines_hz[self.first + lines - 1]), above=why)
+
+
 def coherence(runs: Sequence[ExcitedRun]) -> Floats:
     """γ² of motion and excitation at each line, over all periods of all realisations (`impedance.estimate`)."""
     return periodic(runs).coherence_motion
 
 
-def check_excited(runs: Sequence[ExcitedRun], resolution: float) -> Floats:
-    """Refuse excited motion that is too small, drifts or does not follow the excitation; return its coherence.
+def find_band(lines_hz: Floats, found: Floats) -> Band:
+    """Return the lowest row of lines whose coherence, a median over neighbours, is high enough.
+
+    A gap of up to an octave, such as an anti-resonance in which the handle stands still, does not end it where as many
+    lines as a fit needs follow. The fit gives the lines in the gap the weight that their scatter deserves.
+    """
+    reach = min(NEAR_LINES, len(found)) // 2
+    near = sliding_window_view(np.pad(np.nan_to_num(found), reach, mode="edge"), 2 * reach + 1)
+    smooth = np.median(near, axis=1)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], smooth >= LEAST_COHERENCE, [0]])))
+    rows = [row for row in edges.reshape(-1, 2).tolist() if row[1] - row[0] >= LEAST_LINES]
+    if not rows:
+        return Band(first=0, lines=0, low_hz=float(lines_hz[0]), high_hz=float(lines_hz[0]))
+    first, end = rows[0]
+    for begin, later in rows[1:]:
+        if begin - end <= BRIDGED_LINES:
+            end = later
+
+    def why(place: int) -> str:
+        return f"coherence {smooth[place]:.2f} at {lines_hz[place]:.4g} Hz, {LEAST_COHERENCE:g} is the least"
+
+    return Band(
+        first=first,
+        lines=end - first,
+        low_hz=float(lines_hz[first]),
+        high_hz=float(lines_hz[end - 1]),
+        below=why(first - 1) if first else "",
+        above=why(end) if end < len(found) else "",
+    )
+
+
+def check_excited(runs: Sequence[ExcitedRun], resolution: float) -> tuple[Band, Floats]:
+    """Refuse excited motion that is too small, drifts or does not follow the excitation; return band and coherence.
 
     Raises
     ------
@@ -48,17 +118,21 @@ def check_excited(runs: Sequence[ExcitedRun], resolution: float) -> Floats:
             "one realisation has no coherence and no interval", remedy="use two or more, six are usual"
         )
     for run in runs:
-        _check_motion(run, resolution)
+        _check_size(run, resolution)
     found = coherence(runs)
-    median = float(np.median(found))
-    if not median >= LEAST_COHERENCE:
-        worst = runs[0].lines_hz[int(np.argmin(found))]
+    band = find_band(runs[0].lines_hz, found)
+    if band.lines < LEAST_LINES:
+        coherent = int(np.sum(found >= LEAST_COHERENCE))
         raise IdentificationError(
-            f"the motion does not follow the excitation: the coherence of the median line is {median:.2f}, "
-            f"{LEAST_COHERENCE:g} is the least (worst at {worst:.4g} Hz)",
-            remedy="increase the excitation, keep hands off the handle, and look for what else moves it",
+            f"the motion does not follow the excitation: {coherent} of {len(found)} lines have a coherence of "
+            f"{LEAST_COHERENCE:g} or more (the median line {np.median(found):.2f}), and {LEAST_LINES} neighbours that "
+            "have it are the least",
+            remedy="keep hands off the handle, allow more effort (rig.limits.effort) or speed (rig.limits.speed), or "
+            "use an encoder of more counts",
         )
-    return found
+    for run in runs:
+        _check_drift(run, band)
+    return band, found
 
 
 def check_explained(unexplained: float) -> None:
@@ -67,25 +141,28 @@ def check_explained(unexplained: float) -> None:
         raise IdentificationError(
             f"the model leaves {100 * unexplained:.0f} % of the motion unexplained, "
             f"{100 * LARGEST_UNEXPLAINED:.0f} % is the most",
-            remedy=f"{_LOWER_BAND}; a second mode, backlash or a loose part needs a band that ends below it, too",
+            remedy="look for a second mode, backlash or a loose part: no shorter band is explained either",
         )
 
 
-def _check_motion(run: ExcitedRun, resolution: float) -> None:
-    motion = run.level_position()
-    rms = float(motion.std())
+def _check_size(run: ExcitedRun, resolution: float) -> None:
+    rms = float(run.level_position().std())
     if rms < LEAST_MOTION_COUNTS * resolution:
         raise IdentificationError(
             f"the handle moved {rms / resolution:.1f} counts rms, {LEAST_MOTION_COUNTS:g} are the least",
             remedy="increase the excitation: friction holds the handle, or the motor is not connected",
         )
-    if run.periods > 1:
-        by_period = motion.reshape(run.periods, run.period_samples)
-        speed = run.bins * np.fft.rfft(by_period, axis=1)[:, run.bins]
-        change = float(np.linalg.norm(np.diff(speed, axis=0)) / np.linalg.norm(speed[1:]))
-        if change > MOST_DRIFT:
-            raise IdentificationError(
-                f"the speed at the lines changes by {100 * change:.0f} % from one period to the next, "
-                f"{100 * MOST_DRIFT:.0f} % is the most",
-                remedy=f"keep hands off the handle; {_LOWER_BAND}",
-            )
+
+
+def _check_drift(run: ExcitedRun, band: Band) -> None:
+    if run.periods < 2:
+        return
+    by_period = run.level_position().reshape(run.periods, run.period_samples)
+    at_lines = np.fft.rfft(by_period, axis=1)[:, run.bins[band.chosen]]
+    change = float(np.median(np.abs(np.diff(at_lines, axis=0)) / np.abs(at_lines[1:])))
+    if change > MOST_DRIFT:
+        raise IdentificationError(
+            f"the motion at the median line changes by {100 * change:.0f} % from one period to the next, "
+            f"{100 * MOST_DRIFT:.0f} % is the most",
+            remedy="keep hands off the handle, and allow more effort (rig.limits.effort)",
+        )

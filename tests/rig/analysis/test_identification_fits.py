@@ -13,7 +13,12 @@ from scipy.linalg import expm
 
 from rig.analysis.identification.dynamics import fit_dynamics
 from rig.analysis.identification.interval import Interval, from_scatter
-from rig.analysis.identification.quality import IdentificationError, check_excited, check_explained
+from rig.analysis.identification.quality import (
+    IdentificationError,
+    check_excited,
+    check_explained,
+    find_band,
+)
 from rig.analysis.identification.signs import check_signs, stiction_warning
 from rig.analysis.identification.sliding import Sliding, Stroke, fit_sliding
 from rig.analysis.impedance.signals import ExcitedRun
@@ -383,8 +388,26 @@ def test_one_realisation_is_refused(rubbing: Any) -> None:
 def test_motion_that_does_not_follow_the_excitation_is_refused(rubbing: Any) -> None:
     rng = np.random.default_rng(3)
     noisy = [changed(run, position=rng.normal(0.0, 1e-3, len(run.position))) for run in rubbing]
-    with pytest.raises(IdentificationError, match="coherence of the median line"):
+    with pytest.raises(IdentificationError, match="2 of 28 lines have a coherence of"):
         check_excited(noisy, QUANTUM)
+
+
+def test_the_band_is_the_lowest_row_of_coherent_lines_and_an_octave_may_lie_in_a_notch() -> None:
+    lines_hz = np.arange(100) + 1.0
+    found = np.full(100, 0.95)
+    found[:2] = 0.5  # friction holds the handle at the lowest lines
+    found[30:40] = 0.1
+    found[50] = 0.0  # one line alone says nothing
+    found[80:] = 0.3
+    band = find_band(lines_hz, found)
+    assert (band.low_hz, band.high_hz) == (3.0, 80.0)
+    assert "coherence 0.30 at 81 Hz, 0.8 is the least" in band.text
+    found[:6], found[30:50] = 0.5, 0.1
+    band = find_band(lines_hz, found)
+    assert (band.low_hz, band.high_hz) == (7.0, 30.0)
+    assert "below: coherence 0.50 at 6 Hz" in band.text
+    assert find_band(lines_hz, np.full(100, 0.5)).lines == 0
+    assert find_band(lines_hz, np.full(100, 0.9)).text == "1 to 100 Hz, 100 lines, all excited ones"
 
 
 def test_a_held_handle_is_refused(rubbing: Any) -> None:

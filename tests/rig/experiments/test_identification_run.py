@@ -125,6 +125,59 @@ def test_koul_rigid_with_a_tick_of_delay(tmp_path: Path) -> None:
     assert found.dynamics.mode is None
 
 
+def coarse(counts: int, **changes: Any) -> dict[str, Any]:
+    """An encoder of few counts; the wall and the push in the file must be able to rest on it."""
+    return {
+        "rig.encoder.counts_per_revolution": counts, "wall.stiffness": 10.0, "trial.effort": 0.3, **changes,
+    }  # fmt: skip
+
+
+PADDLE = {  # a rig of one's own, by two data sheets: capstan 12:1, 2048 lines, 60 g at 8 cm, a PWM servo amplifier
+    "rig.mechanics.motor_inertia": 1.584e-3, "rig.mechanics.link_inertia": 3.84e-4,
+    "rig.mechanics.motor_coulomb": 0.03, "rig.encoder.counts_per_revolution": 2048, "rig.encoder.ratio": 12.0,
+    "rig.amplifier.effort_per_ampere": 0.462, "rig.amplifier.effort_limit": 2.31,
+    "rig.amplifier.set_point_delay_s": 2.5e-4, "rig.limits.nominal_effort": 1.155, "rig.limits.effort": 2.31,
+    "rig.limits.thermal_time_constant_s": 20.0,
+}  # fmt: skip
+ELASTIC = {
+    "rig.mechanics.structure": "two-mass", "rig.mechanics.transmission_stiffness": 2310.0,
+    "rig.mechanics.transmission_damping_ratio": 0.035,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("preset", "changes", "ends"),
+    [
+        ("koul-rigid", PADDLE, False),
+        ("koul-rigid", {**PADDLE, **coarse(100)}, True),
+        ("koul-rigid", {**PADDLE, **ELASTIC, **coarse(100)}, True),
+        ("koul-rigid", {"rig.mechanics.link_inertia": 0.01}, True),
+        ("koul-compliant", coarse(180), True),
+        ("koul-compliant", {"rig.mechanics.link_inertia": 0.01}, False),
+        ("hapkit", {}, False),
+        ("chawda-linear", {"rig.mechanics.link_inertia": 3.0}, False),
+    ],
+)
+def test_the_band_ends_where_the_motion_does_and_the_parameters_are_right(
+    preset: str, changes: Any, ends: bool, tmp_path: Path
+) -> None:
+    """Heavy, coarse and elastic rigs, none of which has to know a rate: the truth lies in the intervals.
+
+    Half a per cent of the inertia is the bias that removing friction leaves, which scatter does not show.
+    """
+    x = config.override(presets.load(preset), changes)
+    found = identified(x, tmp_path, realisations=4, rate_hz=min(4000, x.controller.position_rate))
+    inertia, delay, m = found.dynamics.inertia, found.dynamics.delay_s, x.rig.mechanics
+    off = abs(inertia.value - m.motor_inertia - m.link_inertia)
+    assert off < inertia.ci95 + 0.005 * inertia.value
+    assert inertia.ci95 < 0.03 * inertia.value
+    amplifier = x.rig.amplifier
+    assert abs(delay.value - amplifier.lag_s - amplifier.set_point_delay_s) < 2.0 * delay.ci95 + 1e-5
+    assert bool(found.dynamics.band.above) == ends
+    if preset == "koul-compliant" and not ends:
+        assert found.dynamics.mode.stiffness.value == pytest.approx(m.transmission_stiffness, rel=0.02)
+
+
 def test_a_named_simulated_rig_keeps_its_end_mass_which_is_subtracted(tmp_path: Path) -> None:
     found = identified(RIGID, tmp_path, url="sim://koul-rigid", changes={"controller.position_rate": 2000})
     assert found.dynamics.inertia.value == pytest.approx(3.2e-4 + 0.07 * 0.1**2, rel=0.02)
