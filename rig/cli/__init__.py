@@ -19,6 +19,7 @@ from rig.cli.compiling import EXPECTED, CompilingNotice
 from rig.cli.lazy import LazyGroup
 from rig.cli.output import error_facts, for_terminal, print_json
 from rig.core.errors import ConfigError, RigError
+from rig.core.namesakes import explain_failure, wrong_package
 from rig.realtime import compiling
 
 # Command → module:attribute, and the line that `rig --help` shows without importing it.
@@ -146,6 +147,10 @@ def run(arguments: list[str], obj: object = None) -> int:
 def _run(arguments: list[str], obj: object) -> int:  # noqa: PLR0911  (one exit code for each kind of end)
     try:
         _refuse_empty(arguments)
+        if not hasattr(sys.modules["rig"], "_NAMES") and arguments[:1] != ["stop"]:
+            raise wrong_package("rig") or ConfigError(
+                "the package rig is not complete", remedy="install it again"
+            )
         result = rig.main(args=arguments, prog_name="rig", standalone_mode=False, obj=obj)
         return result if isinstance(result, int) else 0
     except click.ClickException as error:
@@ -166,6 +171,9 @@ def _run(arguments: list[str], obj: object) -> int:  # noqa: PLR0911  (one exit 
     except Exception as error:
         if os.environ.get("RIG_DEBUG"):
             raise
+        if wrong := explain_failure():
+            _report(wrong, arguments)
+            return wrong.exit_code
         click.echo(
             f"rig: internal error: {type(error).__name__}: {error}. This is a bug; RIG_DEBUG=1 shows where",
             err=True,

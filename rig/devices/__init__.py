@@ -17,6 +17,7 @@ from rig.config import presets
 from rig.core import plugins
 from rig.core.errors import ConfigError, DeviceNotFoundError
 from rig.core.model import RigModel
+from rig.core.namesakes import NEEDED, explain_failure, wrong_package
 from rig.devices.device import DeviceUrl, Link
 from rig.devices.fault_script import Faults
 from rig.devices.framed import FramedDevice
@@ -62,7 +63,9 @@ def backends() -> list[Backend]:
 
 
 def broken(scheme: str) -> str:
-    """Why a backend cannot be used, "" where it can."""
+    """Return why a backend cannot be used, "" where it can."""
+    if scheme in NEEDED and (wrong := wrong_package(scheme)):  # serial and usb are the names of both
+        return str(wrong)
     try:
         load_backend(f"{scheme}://")
     except (ConfigError, DeviceNotFoundError) as error:
@@ -86,6 +89,8 @@ def loaded(target: str, scheme: str = "sim") -> Any:
     try:
         return resolve_name(target)
     except Exception as error:
+        if wrong := explain_failure():
+            raise wrong from error
         raise DeviceNotFoundError(
             f"the backend for {scheme}:// ({target}) does not load: {error}",
             remedy=f"reinstall {DISTRIBUTION}",
@@ -111,7 +116,12 @@ def open_link(url: str, model: RigModel | None = None) -> Link:
         No such port, no permission, or somebody else has it.
     """
     parsed = DeviceUrl.parse(url)
-    return load_backend(url)(parsed, simulated_model(parsed, model))
+    try:
+        return load_backend(url)(parsed, simulated_model(parsed, model))
+    except (ImportError, AttributeError) as error:
+        if wrong := explain_failure():
+            raise wrong from error
+        raise
 
 
 def open_watched(url: str, model: RigModel | None = None, faults: Faults | None = None) -> WatchedLink:

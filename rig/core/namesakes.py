@@ -1,0 +1,45 @@
+"""Packages of others with the import name of one that is needed here, which pip installs over it without a word."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Mapping
+from importlib.util import find_spec
+from typing import Any
+
+from rig.core.deferred import metadata, serial, usb
+from rig.core.errors import ConfigError
+
+# By import name: the distribution that is meant, and a name that only its package has.
+NEEDED: Mapping[str, tuple[str, Callable[[], Any]]] = {
+    "rig": ("haptic-rig", lambda: vars(sys.modules["rig"])["_NAMES"]),
+    "serial": ("pyserial", lambda: serial.Serial),
+    "usb": ("pyusb", lambda: usb.find),
+}
+
+
+def explain_failure() -> ConfigError | None:
+    """Return what to say of an unexpected error where a needed package is missing or that of others, else None."""
+    return next((wrong for package in NEEDED if (wrong := wrong_package(package))), None)
+
+
+def wrong_package(package: str) -> ConfigError | None:
+    """Return what to say when the package of this import name is missing or that of others, None when it is right."""
+    distribution, find_own_name = NEEDED[package]
+    try:
+        find_own_name()
+    except Exception:  # whatever a package of others does while it is imported
+        pass
+    else:
+        return None
+    pip = f"{sys.executable} -m pip"
+    spec = find_spec(package)
+    if spec is None:
+        return ConfigError(f"{distribution} is not installed", remedy=f"{pip} install {distribution}")
+    others = sorted(set(metadata.packages_distributions().get(package, ())) - {distribution})
+    place = spec.origin or ", ".join(spec.submodule_search_locations or ())
+    return ConfigError(
+        f"the package {package} in {place} is not that of {distribution}"
+        + (f", but of {' and '.join(others)}, which was installed over it" if others else ""),
+        remedy=f"{pip} uninstall -y {' '.join([*others, distribution])}; {pip} install {distribution}",
+    )

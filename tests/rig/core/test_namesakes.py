@@ -1,0 +1,74 @@
+"""Another package in the place of pyserial, pyusb or this one: a sentence names it, and what puts it right."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import rig as package
+
+ROOT = Path(package.__file__).parents[1]
+NAMESAKES = {
+    "serial": ("devices", "serial:///dev/ttyACM0"),
+    "usb": ("devices", "usb://1209:0001"),
+}
+
+
+def install(place: Path, name: str, distribution: str, text: str = "") -> None:
+    """Put a package of others where Python finds it first, as pip leaves it."""
+    (place / name).mkdir(parents=True)
+    (place / name / "__init__.py").write_text(text)
+    facts = place / f"{distribution}-2.4.1.dist-info"
+    facts.mkdir()
+    (facts / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {distribution}\nVersion: 2.4.1\n")
+    (facts / "top_level.txt").write_text(f"{name}\n")
+
+
+def run(place: Path, *command: str) -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, "PYTHONPATH": f"{place}{os.pathsep}{ROOT}"}
+    return subprocess.run(
+        [sys.executable, *command], env=environment, capture_output=True, text=True, check=False
+    )
+
+
+@pytest.mark.parametrize("name", NAMESAKES)
+@pytest.mark.parametrize("text", ["", "raise SyntaxError('print as it was in Python 2')"])
+def test_a_package_under_the_name_of_another_is_named_with_what_puts_it_right(
+    name: str, text: str, tmp_path: Path
+) -> None:
+    install(tmp_path, name, f"other-{name}", text)
+    done = run(tmp_path, "-m", "rig", *NAMESAKES[name], "--json")
+    assert done.returncode == 2, done.stderr
+    assert re.fullmatch(
+        rf"rig: the package {name} in {tmp_path}/{name}/__init__.py is not that of py{name}, but of other-{name}, "
+        rf"which was installed over it; \S+ -m pip uninstall -y other-{name} py{name}; \S+ -m pip install py{name}\n",
+        done.stderr,
+    ), done.stderr
+    assert json.loads(done.stdout)["error"]["exit_code"] == 2
+    listed = run(tmp_path, "-m", "rig", "devices")
+    assert f"py{name}, but of other-{name}" in listed.stdout + listed.stderr
+
+
+OVERWRITTEN = """
+import sys, rig
+for name in ("__all__", "_NAMES"):
+    delattr(rig, name)
+from rig import cli
+sys.exit(cli.run(sys.argv[1:]))
+"""
+
+
+def test_an_init_of_others_over_ours_is_named_and_a_stop_works_all_the_same(
+    tmp_path: Path,
+) -> None:
+    done = run(tmp_path, "-c", OVERWRITTEN, "plan")
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"rig: the package rig in {ROOT}/rig/__init__.py is not that of haptic-rig")
+    assert "pip install haptic-rig" in done.stderr
+    assert run(tmp_path, "-c", OVERWRITTEN, "stop").returncode == 0
