@@ -151,7 +151,7 @@ def stable_servo(x: Experiment, ticks: int = SPARE_TICKS) -> Servo:
     return Servo(
         stiffness=_rounded(mass * corner**2 / softness),
         damping=_rounded(mass * corner),
-        effort=_rounded(effort),
+        effort=min(_rounded(effort), limits.nominal_effort, limits.effort),
         slew=_rounded(effort * corner / math.sqrt(softness) / USUAL_RISE),
         tolerance_counts=nearest_tolerance(x),
     )

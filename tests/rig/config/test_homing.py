@@ -46,6 +46,13 @@ def test_where_friction_holds_the_handle_farther_away_it_is_home_there() -> None
     )
 
 
+def test_an_effort_is_not_rounded_beyond_its_limit() -> None:
+    limits = {"nominal_effort": 0.192619, "effort": 0.192619}
+    rig = {"name": "weak", "limits": limits, "mechanics": {"motor_coulomb": 0.05}}
+    x = experiment_from_mapping({"preset": "koul-rigid", "rig": rig}, "weak.toml")
+    assert x.homing.effort == 0.192619
+
+
 def test_a_rig_with_its_own_name_has_its_own_servo() -> None:
     x = experiment_from_mapping(PHD, "phd.toml")
     assert x.homing.stiffness > 2.0 * KOUL.homing.stiffness
