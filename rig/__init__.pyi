@@ -30,6 +30,8 @@ from rig.experiments.lab import plan as plan
 from rig.experiments.lab import replay as replay
 from rig.experiments.lab import stop as stop
 from rig.experiments.lab import zwidth as zwidth
+from rig.experiments.new_rig import NewRig as NewRig
+from rig.experiments.new_rig import new_rig as new_rig
 from rig.experiments.planned import Plan as Plan
 from rig.experiments.replay import ReplayResult as ReplayResult
 from rig.experiments.zwidth import ZWidth as ZWidth

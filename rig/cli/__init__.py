@@ -24,6 +24,10 @@ from rig.realtime import compiling
 
 # Command → module:attribute, and the line that `rig --help` shows without importing it.
 COMMANDS: dict[str, tuple[str, str]] = {
+    "new": (
+        "rig.cli.new:new",
+        "Write an experiment file for a rig of your own from the data sheets of motor and encoder.",
+    ),
     "hit": ("rig.cli.hit:hit", "Hit a virtual wall: run, judge, record and draw one automated trial."),
     "zwidth": ("rig.cli.zwidth:zwidth", "Map the walls (K, B) that a rig renders stably, scheme by scheme."),
     "design": (
@@ -46,7 +50,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "console": ("rig.cli.console:console", "See and touch a rig in the browser: scope, wall, handle, STOP."),
     "stop": ("rig.cli.stop:stop", "Stop the loops that run in real time, from any terminal."),
     "set": ("rig.cli.set:set_", "Change the wall of a loop that runs in real time."),
-    "plan": ("rig.cli.plan:plan", "List what an experiment will do and check it; touches no device."),
+    "plan": (
+        "rig.cli.plan:plan",
+        "Check an experiment before it runs, and list what it will do: nothing moves.",
+    ),
     "show": ("rig.cli.show:show", "Show what a recording holds, its verdict and its picture."),
     "replay": ("rig.cli.replay:replay", "Run a recording's inputs through the same or another law."),
     "recover": ("rig.cli.recover:recover", "Seal what a crash left unsealed, and say what it cost."),
@@ -75,7 +82,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     ),
     "check": (
         "rig.cli.check:check",
-        "Send a rig a torque pulse: does it move as it is described, with nobody holding it?",
+        "MOVE THE MOTOR by four small pushes: does the free handle move as the rig is described?",
     ),
     "reference": (
         "rig.cli.reference:reference",
@@ -112,7 +119,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
 def rig() -> None:
     """Run 1-DOF haptic rigs: dual-rate virtual walls, velocity estimators, wall-hit experiments.
 
-    Try it without hardware: `rig hit`. Every command takes --help, and --json for machines.
+    Try it without hardware: `rig hit`. A rig of your own begins with `rig new`. Every command takes --help, and --json
+    for machines.
     """
 
 

@@ -9,6 +9,7 @@ import click
 from rig import config
 from rig.cli import options
 from rig.cli.command import command
+from rig.cli.next_step import name_next
 from rig.cli.output import print_json, print_pairs, show
 from rig.core.sample import unit_of
 from rig.devices import load_backend
@@ -21,11 +22,11 @@ from rig.experiments.pulse import NO_HANDS, PUSHES, check_rig_moves, energy_of
 @options.free_rig_options
 @options.json_option
 def check(asked: dict[str, Any], as_json: bool) -> None:
-    """Send a rig a torque pulse, and compare its motion with the described one: direction, size, delay.
+    """Move the motor by four small pushes, and compare the motion with the described one: direction, size, delay.
 
-    Four small pushes, two each way, that end after a few counts whatever the signs are. Keep hands off the handle. It
-    finds a dead or reversed motor, a dead or swapped encoder and a wrong scale without any current sensor; sessions on
-    a real rig do the same before each block. Ends with 12 when the rig does not move as described.
+    Two pushes each way end after a few counts whatever the signs are. Keep hands off the handle. It finds a dead or
+    reversed motor, a dead or swapped encoder and a wrong scale without any current sensor; sessions on a real rig do
+    the same before each block. Ends with 12 when the rig does not move as described.
     """
     load_backend(asked["url"] or "sim://")
     request = FreeRigRequest(**asked)
@@ -33,8 +34,8 @@ def check(asked: dict[str, Any], as_json: bool) -> None:
     if not as_json:
         effort, position = (unit_of(name, x.rig.motion) for name in ("effort", "position"))
         click.echo(
-            f"{NO_HANDS}; {PUSHES} pushes of at most {most_push(x):.3g} {effort}, {push_way(x):.3g} {position} and "
-            f"{1e3 * energy_of(x):.2g} mJ each; a first run "
+            f"this moves the motor: {NO_HANDS}; {PUSHES} pushes of at most {most_push(x):.3g} {effort}, "
+            f"{push_way(x):.3g} {position} and {1e3 * energy_of(x):.2g} mJ each; a first run "
             "compiles before they begin",
             err=True,
         )
@@ -45,3 +46,4 @@ def check(asked: dict[str, Any], as_json: bool) -> None:
         show(found.checks)
         print_pairs([("recording", str(found.recording))])
     found.insist()
+    name_next()

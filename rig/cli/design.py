@@ -14,6 +14,7 @@ from rig import config
 from rig.bench.firmware.tick_budget import BOARD, INTEGERS, named_budget
 from rig.cli import map_options, options, output
 from rig.cli.command import RESULT, command, option
+from rig.cli.next_step import name_next
 from rig.cli.progress import SweepBar
 from rig.cli.zwidth_rig import CONFIRM, Dialogue, load_device, refuse_without_device
 from rig.config import Experiment
@@ -214,6 +215,7 @@ def design_(
         output.note(text)
     click.echo(found.toml(), nl=False)
     output.print_pairs([(name, path) for name, path in files.items() if path is not None])
+    name_next()
 
 
 def _ticks(request: Request, board: str) -> list[str]:

@@ -14,6 +14,7 @@ from rig.bench.doctor.gate import Gate
 from rig.cli import compare as comparing
 from rig.cli import hit_output, options, output
 from rig.cli.command import command, option
+from rig.cli.next_step import name_next
 from rig.control.verdict import Verdict
 from rig.core.errors import RigError
 from rig.core.present import Row, plain
@@ -130,6 +131,7 @@ def hit(
     if failure is not None:
         failure.reported = as_json
         raise failure
+    name_next()
 
 
 class Artist:

@@ -10,6 +10,7 @@ import click
 
 from rig.cli import options, output
 from rig.cli.command import RESULT, command, option
+from rig.cli.next_step import name_next
 from rig.config import Experiment
 from rig.core.errors import ConfigError, RecordingError
 from rig.core.present import plain
@@ -155,6 +156,7 @@ def identify(
         output.print_json({**plain(found), **more, "plan": plan})
         return
     _print(found, picture, written)
+    name_next()
 
 
 def _weigh(request: WeighRequest, as_json: bool) -> None:

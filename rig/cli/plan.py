@@ -8,6 +8,7 @@ from typing import Any
 from rig import config
 from rig.cli import hit_output, options, output
 from rig.cli.command import command, option
+from rig.cli.next_step import name_next
 from rig.config import controller
 from rig.core.check import refused
 from rig.core.errors import PlanError
@@ -34,7 +35,7 @@ def plan(
     as_json: bool,
     **changed: Any,
 ) -> None:
-    """List what an experiment will do and check it against its limits; no device is touched.
+    """Check an experiment against its limits before it runs, and list what it will do; nothing moves.
 
     With --url, --round-trip or --realtime the wall is also judged with the delay of a link, as the arming gate will
     judge it with the measured one. Exits with an error when something is refused.
@@ -51,7 +52,8 @@ def plan(
     if as_json:
         output.print_json(planned)
     else:
-        output.show([hit_output.headline(experiment), *planned.items()])
+        output.show([f"checked, nothing moves: {hit_output.headline(experiment)}", *planned.items()])
     if not planned.ok:
         names = ", ".join(check.name for check in refused(planned.checks))
         raise PlanError(f"refused: {names}", remedy="see the checks")
+    name_next()

@@ -19,6 +19,7 @@ from rig.analysis.theory import (
 )
 from rig.cli import options, output
 from rig.cli.command import EXPERIMENT, command, option
+from rig.cli.next_step import name_next
 from rig.core.errors import RecordingError
 from rig.core.present import plain
 from rig.core.sample import unit_of
@@ -74,6 +75,7 @@ def theory(
     _print(found)
     if picture is not None:
         output.print_pairs([("picture", picture)])
+    name_next()
 
 
 def _draw(found: Theory, directory: Path, ending: str) -> Path:

@@ -10,6 +10,7 @@ import click
 from rig import config
 from rig.cli import hit_output, map_options, options, output
 from rig.cli.command import command
+from rig.cli.next_step import name_next
 from rig.cli.progress import SweepBar
 from rig.cli.zwidth_explained import explain, explain_option
 from rig.cli.zwidth_frequency import frequency_options, map_frequency, of_frequency, refuse_of_the_other
@@ -138,6 +139,7 @@ def zwidth(
         ("summary", str(place / maps.SUMMARY)),
     ]
     output.print_pairs([*pairs, ("picture", picture)] if picture else pairs)
+    name_next()
 
 
 def _span() -> float:

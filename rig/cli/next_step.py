@@ -1,0 +1,35 @@
+"""The next command of the way from the description of a rig to its map, which each command of it names at its end."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping
+
+import click
+
+from rig.cli import options, output
+
+# Command → the next one:{rig} is the rig of this one (of identify the file that it wrote), {device} its device.
+NEXT: Mapping[str, str] = {
+    "new": "rig plan{rig}",
+    "plan": "rig hit{rig}{device}",
+    "hit": "rig theory{rig}",
+    "theory": "rig zwidth{rig} --ratio 1.3",
+    "zwidth": "rig design{rig}",
+    "design": "rig identify{rig}{device} -o identified.toml",
+    "check": "rig identify{rig}{device} -o identified.toml",
+    "identify": "rig hit{rig}{device}",
+}
+
+
+def name_next() -> None:
+    """Name the command after the one that runs, on standard error; not beside JSON, and not with ``-q``."""
+    context = click.get_current_context()
+    given = context.params
+    if given.get("as_json"):
+        return
+    file, url = given.get("file_out") or given.get("file"), given.get("url")
+    preset = given.get("preset") or options.preset_of(url, file)
+    rig = f" {shlex.quote(str(file))}" if file else f" --rig {shlex.quote(preset)}" if preset else ""
+    device = "" if url is None else f" --url {shlex.quote(url)}" + " --verified" * bool(given.get("verified"))
+    output.note(f"next: {NEXT[context.command.name or ''].format(rig=rig, device=device)}")

@@ -1,0 +1,317 @@
+"""What two data sheets and a mechanism say of a rig: every question, its units, its range, and what else is assumed.
+
+`rig.new_rig` takes the answers by these names, `rig new` as options or at prompts.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Annotated, Any, Literal, TypedDict, cast, get_args, get_type_hints
+
+from rig.config import amplifiers
+from rig.config.problems import did_you_mean
+from rig.core.errors import ConfigError
+
+Mechanism = Literal["lever", "carriage", "linear-motor"]
+Mechanisms = tuple[Mechanism, ...]
+
+LEVER: Mechanisms = ("lever",)
+ROTARY_MOTOR: Mechanisms = ("lever", "carriage")
+LINEAR_MOTOR: Mechanisms = ("linear-motor",)
+CARRIAGES: Mechanisms = ("carriage", "linear-motor")
+ANY: Mechanisms = ("lever", "carriage", "linear-motor")
+
+AMPERE = {"A": 1.0, "mA": 1e-3}
+METRE = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "µm": 1e-6, "nm": 1e-9}
+KILOGRAM = {"kg": 1.0, "g": 1e-3}
+_NUMBER = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*)", re.DOTALL)
+_SPELT = str.maketrans({"·": "", "*": "", " ": "", "⋅": "", "^": "", "²": "2", "µ": "u", "μ": "u"})
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """One answer that describes a rig.
+
+    Attributes
+    ----------
+    text
+        What is asked.
+    units
+        Unit → factor to SI, the SI unit first; empty for a plain number or a choice.
+    low, high
+        Smallest and largest plausible value (SI).
+    choices
+        Allowed names, for a choice.
+    of
+        Mechanisms that have it.
+    assumed
+        What is assumed without an answer; empty where an answer is required.
+    whole
+        Whether it is a whole number.
+    """
+
+    text: str
+    units: Mapping[str, float] | None = None
+    low: float = 0.0
+    high: float = 0.0
+    choices: tuple[str, ...] = ()
+    of: Mechanisms = ANY
+    assumed: str = ""
+    whole: bool = False
+
+    @property
+    def unit(self) -> str:
+        """The SI unit."""
+        return next(iter(self.units)) if self.units else ""
+
+    @property
+    def allowed(self) -> str:
+        """What may be answered, in words."""
+        if self.choices:
+            return f"one of {', '.join(self.choices)}"
+        kind = "a whole number" if self.whole else "a number"
+        others = list(self.units or ())[1:]
+        units = f" {self.unit}" + (f", or with a unit: {', '.join(others)}" if others else "")
+        return f"{kind} from {self.low:g} to {self.high:g}{units if self.unit else ''}"
+
+    def read(self, name: str, text: str) -> Any:
+        """Return the value (SI) of a text such as ``38.5 mN·m/A``; `ConfigError` says what is allowed."""
+        if self.choices:
+            return self.checked(name, text.strip())
+        found = _NUMBER.fullmatch(text.strip())
+        known = {_spelt(unit): factor for unit, factor in (self.units or {}).items()}
+        unit = _spelt(found[2]) if found else ""
+        if found is None or (unit and unit not in known):
+            raise ConfigError(f"{name} = {text!r} cannot be read", remedy=f"give {self.allowed}")
+        value = float(f"{float(found[1]) * known.get(unit, 1.0):.12g}")
+        return self.checked(name, int(value) if self.whole and value.is_integer() else value)
+
+    def checked(self, name: str, value: Any) -> Any:
+        """Return a value that is allowed; `ConfigError` says what is."""
+        if self.choices:
+            if value in self.choices:
+                return value
+            remedy = did_you_mean(str(value), self.choices, f"give {self.allowed}")
+            raise ConfigError(f"{name} = {value!r} is not known: must be {self.allowed}", remedy=remedy)
+        if (
+            isinstance(value, bool)
+            or not isinstance(value, int | float)
+            or not self.low <= value <= self.high
+            or (self.whole and not isinstance(value, int))
+        ):
+            shown = f"{value:g} {self.unit}".rstrip() if isinstance(value, int | float) else repr(value)
+            raise ConfigError(f"{name} = {shown} is out of range", remedy=f"give {self.allowed}")
+        return value if self.whole else float(value)
+
+
+def _spelt(unit: str) -> str:
+    """Return a unit without the signs that people write differently."""
+    return unit.translate(_SPELT).replace("Ω", "ohm").replace("Ω", "ohm").replace("Ohm", "ohm")
+
+
+class DataSheets(TypedDict, total=False):
+    """The answers, in SI units."""
+
+    mechanism: Annotated[
+        Mechanism,
+        Question(
+            "What the hand holds: a lever that a rotary motor turns, a carriage that a rotary motor pulls by belt or "
+            "cable, or a carriage on a linear-motor",
+            choices=ANY,
+        ),
+    ]
+    torque_constant: Annotated[
+        float,
+        Question(
+            "Motor: torque constant (N·m/A)",
+            {"N·m/A": 1.0, "mN·m/A": 1e-3},
+            1e-4,
+            100.0,
+            of=ROTARY_MOTOR,
+        ),
+    ]
+    force_constant: Annotated[
+        float, Question("Motor: force constant (N/A)", {"N/A": 1.0}, 0.01, 1e4, of=LINEAR_MOTOR)
+    ]
+    rotor_inertia: Annotated[
+        float,
+        Question(
+            "Motor: rotor inertia (kg·m²)",
+            {"kg·m²": 1.0, "kg·cm²": 1e-4, "g·cm²": 1e-7},
+            1e-10,
+            0.1,
+            of=ROTARY_MOTOR,
+        ),
+    ]
+    nominal_current: Annotated[
+        float, Question("Motor: nominal (maximum continuous) current (A)", AMPERE, 1e-3, 1e3)
+    ]
+    winding_resistance: Annotated[
+        float,
+        Question(
+            "Motor: terminal resistance (ohm)",
+            {"ohm": 1.0, "mohm": 1e-3},
+            1e-4,
+            1e4,
+            assumed="not what limits the current",
+        ),
+    ]
+    winding_inductance: Annotated[
+        float,
+        Question(
+            "Motor: terminal inductance (H)",
+            {"H": 1.0, "mH": 1e-3, "µH": 1e-6},
+            1e-8,
+            10.0,
+            assumed="a lag of 0.1 ms",
+        ),
+    ]
+    thermal_time_constant: Annotated[
+        float,
+        Question("Motor: thermal time constant of the winding (s)", {"s": 1.0}, 0.1, 1e4, assumed="10 s"),
+    ]
+    encoder_lines: Annotated[
+        int,
+        Question(
+            "Encoder: lines (pulses of one channel) per turn, a fourth of its counts",
+            None,
+            4,
+            10_000_000,
+            of=ROTARY_MOTOR,
+            whole=True,
+        ),
+    ]
+    encoder_resolution: Annotated[
+        float, Question("Encoder: travel for one count (m)", METRE, 1e-10, 1e-2, of=LINEAR_MOTOR)
+    ]
+    encoder_at: Annotated[
+        str,
+        Question(
+            "Encoder: on the shaft of the motor or of the lever",
+            choices=("motor", "lever"),
+            of=LEVER,
+            assumed="motor",
+        ),
+    ]
+    transmission: Annotated[
+        float,
+        Question(
+            "Transmission: turns of the motor for one of the lever; 1: direct drive",
+            None,
+            1e-2,
+            1e3,
+            of=LEVER,
+        ),
+    ]
+    pulley_radius: Annotated[
+        float,
+        Question(
+            "Transmission: radius of the pulley, travel of the carriage for one radian of the motor (m)",
+            METRE,
+            1e-4,
+            1.0,
+            of=("carriage",),
+        ),
+    ]
+    handle_length: Annotated[
+        float, Question("Lever: from its axis to the hand (m)", METRE, 5e-3, 2.0, of=LEVER)
+    ]
+    handle_mass: Annotated[
+        float, Question("Lever: mass, taken as being at the hand (kg)", KILOGRAM, 0.0, 50.0, of=LEVER)
+    ]
+    carriage_mass: Annotated[
+        float, Question("Carriage: mass of all that slides (kg)", KILOGRAM, 1e-3, 500.0, of=CARRIAGES)
+    ]
+    friction: Annotated[
+        float,
+        Question(
+            "Mechanism: force at the hand at which it just begins to move, motor off (N)",
+            {"N": 1.0, "mN": 1e-3},
+            0.0,
+            1e3,
+            assumed="5 % of the nominal force",
+        ),
+    ]
+    travel: Annotated[
+        float,
+        Question(
+            "Mechanism: travel of the hand from stop to stop (m)",
+            METRE,
+            2e-3,
+            10.0,
+            assumed="1 rad, or 60 mm of a carriage",
+        ),
+    ]
+    amplifier: Annotated[
+        str, Question("Amplifier: its profile", choices=amplifiers.names(), assumed="generic")
+    ]
+    peak_current: Annotated[
+        float,
+        Question(
+            "Amplifier: current limit that is set in it (A)",
+            AMPERE,
+            1e-3,
+            1e3,
+            assumed="twice the nominal current",
+        ),
+    ]
+    supply_voltage: Annotated[
+        float,
+        Question(
+            "Amplifier: supply voltage (V)", {"V": 1.0}, 1.0, 1e3, assumed="not what limits the current"
+        ),
+    ]
+    board: Annotated[
+        str,
+        Question(
+            "Board: rp2040 (Raspberry Pi Pico), which runs the law itself, or none: the computer runs it",
+            choices=("rp2040", "none"),
+            assumed="rp2040",
+        ),
+    ]
+
+
+@cache
+def questions() -> Mapping[str, Question]:
+    """Return every question by the name of its answer, in the order in which it is asked."""
+    hints = get_type_hints(DataSheets, include_extras=True)
+    return {name: get_args(hint)[1] for name, hint in hints.items()}
+
+
+def questions_for(mechanism: str) -> Mapping[str, Question]:
+    """Return the questions that a mechanism has, the one for itself left out."""
+    return {
+        name: question
+        for name, question in questions().items()
+        if mechanism in question.of and name != "mechanism"
+    }
+
+
+def check_answers(answers: Mapping[str, Any]) -> DataSheets:
+    """Return the answers if they describe a rig; `ConfigError` lists all that is missing or out of range."""
+    given = {name: value for name, value in answers.items() if value is not None}
+    known = questions()
+    for name in given:
+        if name not in known:
+            raise ConfigError(
+                f"there is no answer {name!r}",
+                remedy=did_you_mean(name, tuple(known), f"choose one of: {', '.join(known)}"),
+            )
+    if "mechanism" not in given:
+        raise ConfigError("`mechanism` is missing", remedy=f"give {known['mechanism'].allowed}")
+    mechanism = known["mechanism"].checked("mechanism", given["mechanism"])
+    asked = questions_for(mechanism)
+    surplus = [f"`{name}`" for name in given if name not in asked and name != "mechanism"]
+    if surplus:
+        raise ConfigError(f"a {mechanism} has no {', '.join(surplus)}", remedy="leave it out")
+    missing = [name for name, question in asked.items() if not question.assumed and name not in given]
+    if missing:
+        lines = "\n".join(f"  `{name}`: {asked[name].text}; {asked[name].allowed}" for name in missing)
+        raise ConfigError(
+            f"missing for a {mechanism}:\n{lines}\n",
+            remedy="take them from the data sheets of motor and encoder",
+        )
+    return cast("DataSheets", {name: known[name].checked(name, value) for name, value in given.items()})
