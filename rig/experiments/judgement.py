@@ -6,10 +6,13 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import numpy as np
+
 from firmware_protocol.faults import Fault
 from rig.bench.bridge.faults import DriveFault
-from rig.config import Experiment, experiment_from_mapping, verdict_thresholds
+from rig.config import Experiment, experiment_from_mapping, rig_model, verdict_thresholds
 from rig.control import judging, verdict
+from rig.control.motion_balance import FACTOR, WINDOW_S, MotionBalance, motion_balance
 from rig.control.verdict import Kind, Measured, Objection, Verdict, percent
 from rig.core.deferred import pydantic
 from rig.core.errors import ConfigError, RecordingError, UnexpectedVerdictError
@@ -23,6 +26,8 @@ JUDGED = (  # columns that `judge` takes
     "phase", "elapsed_ticks", "flags", "position", "penetration", "effort_sent", "effort_applied", "limits",
     "command_age", "position_true", "handle_position_true", "handle_velocity_true", "effort_true",
 )  # fmt: skip
+LATE_SHARE = 0.2  # of a window of the motion balance, that the motor may lag behind its commands
+BALANCED_S = 1.0  # before and after the contact, that it takes: later a handle rests, and memory is bounded
 FINISHED = "finished"  # what the trailer of a whole run says
 THREW_OUT = {  # reasons of a trailer: what the wall did to the handle
     "out_of_window": "the wall threw the handle out of its window or beyond the speed limit",
@@ -53,11 +58,14 @@ class Verdicts:
         wall threw the handle out: then it is unstable.
     began
         Position at the beginning of the trial proper (rad or m); None where it never began.
+    motion
+        The encoder's scale before and after the contact; None where effort or friction are not known (`_motion`).
     """
 
     verdict: Verdict
     verdict_true: Verdict | None
     began: float | None
+    motion: MotionBalance | None
 
     def rows(self, experiment: Experiment) -> list[Row]:
         """The verdict and what it goes by, for people; the truth beside it where there is one."""
@@ -100,6 +108,7 @@ class Verdicts:
             ripple("heard (effort ripple, rms)", "heard", effort, thresholds.heard_effort),
             ripple("moved (position ripple, p-p)", "moved", position, thresholds.moved),
             Row("motor current", _observed(verdict.current_observed)),
+            Row("encoder scale", _scale_text(self.motion)),
             Row("saturated", f"{percent(verdict.saturated_fraction)} of ticks"),
             Row(
                 "late, lost",
@@ -142,6 +151,15 @@ def _observed(windows: int) -> str:
     return f"followed the command, seen in {windows} × 10 ms"
 
 
+def _scale_text(motion: MotionBalance | None) -> str:
+    """What effort and motion say of the encoder's scale, or that they say nothing."""
+    if motion is None:
+        return "not observed: the effort that moves the handle is not known"
+    if motion.ratio is None:
+        return "not observed: too little motion before or after the contact"
+    return f"{motion.ratio:.2f} times that before the contact, by effort and motion"
+
+
 def _nothing(value: Any, threshold: float) -> Any:
     """What is nothing against its threshold is 0, not the rounding of a filter."""
     return 0.0 if isinstance(value, float) and abs(value) < 1e-6 * threshold else value
@@ -156,7 +174,7 @@ class Judgement(Verdicts):
     measured, measured_true
         The numbers that these go by, and what each criterion says.
     early
-        What an early end makes of the verdict (`ended_early`).
+        What an early end makes of the verdict (`ended_early`), or an encoder whose scale changed.
     """
 
     measured: Measured = field(repr=False)
@@ -191,6 +209,13 @@ def judge(recording: Recording, experiment: Experiment) -> Judgement:
     if recording.has_truth:
         signals = judging.true_signals(recording.rows, signals, wall.position, wall.side)
         true = judging.measured(signals, limits, thrown_out=thrown_out)
+    motion = None if early is not None else _motion(recording, experiment, by_the_drive=by_the_drive)
+    if motion is not None and motion.changed:
+        early = (
+            Kind.INVALID,
+            f"the encoder's scale changed in the trial: the motion that the effort makes is {motion.ratio:.2g} times "
+            f"that before the contact, {1.0 / FACTOR:.2g} to {FACTOR:g} are allowed; check encoder, coupling and cable",
+        )
     overruling = early
     if early is None and experiment.trial.kind == "excitation":
         overruling = (
@@ -204,6 +229,44 @@ def judge(recording: Recording, experiment: Experiment) -> Judgement:
         measured_true=true,
         early=early,
         began=_began(recording),
+        motion=motion,
+    )
+
+
+def _motion(recording: Recording, experiment: Experiment, *, by_the_drive: bool) -> MotionBalance | None:
+    """Compare the motion of an automated trial with its effort; None where the effort or the rig is not known so well.
+
+    That is so with a person or an excitation at the handle, a wall that a drive renders, cogging, lost samples, and a
+    motor that follows its commands only after a part of a window.
+    """
+    rig, rows = experiment.rig, recording.rows
+    late_s = rig.amplifier.lag_s + rig.amplifier.set_point_delay_s
+    if experiment.trial.kind != "constant-effort" or by_the_drive:
+        return None
+    if rig.cogging.orders or late_s > LATE_SHARE * WINDOW_S:
+        return None
+    proper = rows["phase"] == Phase.TRIAL
+    hits = np.flatnonzero(proper & (rows["penetration"] > 0.0))
+    if not len(hits):
+        return None
+    first, behind = proper.argmax(), len(proper) - proper[::-1].argmax()
+    rows, hits = rows[first:behind], hits - first  # a view: rows of a minute take gigabytes
+    contact, tick_s = int(hits[0]), 1.0 / experiment.controller.position_rate
+    some = round(BALANCED_S / tick_s)
+    rows = rows[max(0, contact - some) : contact + some]
+    contact = min(contact, some)
+    if (rows["elapsed_ticks"][1:] != 1).any():
+        return None
+    mechanics = rig_model(experiment).mechanics
+    return motion_balance(
+        rows["position"],
+        rows["effort_applied"],
+        contact,
+        tick_s=tick_s,
+        resolution=rig.encoder.resolution,
+        inertia=mechanics.motor_inertia + mechanics.loaded_link_inertia,
+        coulomb=mechanics.motor_coulomb + mechanics.link_coulomb,
+        damping=mechanics.motor_damping + mechanics.link_damping + rig.amplifier.back_emf,
     )
 
 
