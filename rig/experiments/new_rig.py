@@ -69,6 +69,7 @@ CORRECTIONS = 3
 
 SERVO = "[computed] from friction, inertia, resolution and delays"
 REALTIME = "realtime."
+SOFT = {"wall.stiffness": 1e-9, "realtime.wall.stiffness": 1e-9}  # until a wall is chosen
 SECTIONS = (
     "rig", "rig.mechanics", "rig.amplifier", "rig.encoder", "rig.limits", "rig.board", "controller", "wall", "homing",
     "trial", "verdict", "realtime",
@@ -437,7 +438,7 @@ def _set_push(draft: _Draft, push: float, held: float) -> bool:
 
     `held` is the largest distance from the start at which friction may hold the handle.
     """
-    draft.set("[chosen]", {"trial.effort": push})
+    draft.set("[chosen]", {"trial.effort": push, **SOFT})  # else the wall of a harder push may be refused
     x = draft.experiment()
     radius, half, delta = (
         x.rig.mechanics.handle_radius,
@@ -483,7 +484,7 @@ def _provisional(draft: _Draft, push: float) -> Experiment:
             )
         },
     )
-    draft.set("[chosen]", {"wall.stiffness": 1e-9, "wall.damping": 0.0, "wall.position": 0.0, "wall.side": 1})
+    draft.set("[chosen]", {**SOFT, "wall.damping": 0.0, "wall.position": 0.0, "wall.side": 1})
     draft.set(SERVO, {
         "homing.stiffness": 1.0, "homing.damping": 1.0, "homing.effort": push, "homing.slew": 1.0,
         "homing.tolerance_counts": 1.0,
@@ -501,7 +502,7 @@ def _provisional(draft: _Draft, push: float) -> Experiment:
         "realtime.controller.position_rate": PORT_RATE, "realtime.controller.velocity_rate": PORT_RATE,
         "realtime.controller.parameters.cutoff_hz": CUTOFF_SHARE * PORT_RATE,
         "realtime.homing.stiffness": 1.0, "realtime.homing.damping": 1.0,
-        "realtime.wall.stiffness": 1e-9, "realtime.wall.damping": 0.0,
+        "realtime.wall.damping": 0.0,
     })  # fmt: skip
     return draft.experiment()
 

@@ -34,6 +34,12 @@ LINEAR_MOTOR: dict[str, Any] = {
     "carriage_mass": 0.5,
 }  # fmt: skip
 
+COARSE_AND_LIGHT: dict[str, Any] = {  # whose harder pushes need a wall that shows a weaker one too few counts deep
+    "mechanism": "lever", "nominal_current": 4.526, "torque_constant": 0.07628, "rotor_inertia": 9.366e-6,
+    "encoder_lines": 90, "encoder_at": "lever", "transmission": 2.229, "handle_length": 0.03613, "handle_mass": 0.02227,
+    "amplifier": "voltage-bridge", "winding_resistance": 4.57, "winding_inductance": 3.708e-4, "supply_voltage": 48.0,
+}  # fmt: skip
+
 
 @pytest.mark.parametrize(
     ("answers", "inertia", "per_ampere", "nominal", "resolution"),
@@ -208,6 +214,7 @@ SHEETS = st.one_of(
 @settings(max_examples=6)
 @example({**LEVER, "encoder_lines": 90, "transmission": 1.0})  # 360 counts
 @example(LINEAR_MOTOR)
+@example(COARSE_AND_LIGHT)
 @given(SHEETS)
 def test_the_first_hit_of_any_rig_is_planned_and_reaches_its_wall(answers: dict[str, Any]) -> None:
     with TemporaryDirectory() as directory:
