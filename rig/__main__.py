@@ -17,8 +17,11 @@ def main() -> None:
         sys.exit(complete.answer(os.environ["_RIG_COMPLETE"]))
     asked = asked_to_stop(sys.argv[1:])
     program.begin()
-    from rig import cli  # noqa: PLC0415  (it takes many times as long)
-
+    try:
+        from rig import cli  # noqa: PLC0415  (it takes many times as long)
+    except KeyboardInterrupt:  # a command that runs answers it itself
+        sys.stderr.write("\nrig: stopped\n")
+        sys.exit(130)
     cli.main(asked)
 
 

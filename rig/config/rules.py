@@ -11,9 +11,11 @@ from typing import Any
 
 from rig.config import amplifiers
 from rig.config.derive import motor_push, press_for, push_at_rest, push_s
+from rig.config.files import flatten
 from rig.config.problems import Problem, did_you_mean
 from rig.config.sections import Experiment
 from rig.config.table import parameters, shown
+from rig.core.present import plain
 from rig.core.sample import Motion, unit_of
 
 LARGEST_CURRENT = 32767  # quanta; a command carries the current as i16
@@ -21,6 +23,7 @@ SHORTEST_HEARTBEAT_S = 0.1  # five times `rig.loop.run.POLL_S`
 LEAST_INDEX_COUNTS = (
     16  # between two indices: fewer, and one count is too large a share to judge where one lies
 )
+LEAST, GREATEST = 1e-15, 1e15  # of any quantity in SI units
 MOST_ORDER = 1000  # of cogging; no motor has as many slots
 LARGEST_DISC = 10_000_000  # lines of an encoder; no disc has more
 
@@ -28,6 +31,19 @@ LARGEST_DISC = 10_000_000  # lines of an encoder; no disc has more
 def broken_rules(experiment: Experiment) -> list[Problem]:
     """Every problem of every rule."""
     return [problem for rule in RULES for problem in rule(experiment)]
+
+
+def magnitudes(x: Experiment) -> Iterator[Problem]:
+    """Numbers whose squares and products a float can hold: beyond, theory has infinities and no reason.
+
+    Settings of laws and estimators have their own ranges.
+    """
+    for key, value in flatten(plain(x)):
+        if ".parameters." in key:
+            continue
+        if isinstance(value, float) and value and not LEAST <= abs(value) <= GREATEST:
+            must = f"must be 0, or between {LEAST:g} and {GREATEST:g} in magnitude"
+            yield Problem(key, shown(value), must, "no rig has such a value: check its unit")
 
 
 def rates(x: Experiment) -> Iterator[Problem]:
@@ -510,6 +526,7 @@ def device_loop(x: Experiment) -> Iterator[Problem]:
 
 
 RULES: tuple[Callable[[Experiment], Iterator[Problem]], ...] = (
+    magnitudes,
     rates,
     slow_rate,
     encoder,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import signal
 import sys
 import traceback
 from collections.abc import Callable, Mapping
@@ -11,7 +12,7 @@ from contextlib import suppress
 from typing import Any
 
 from rig.core.child import with_this_package
-from rig.core.errors import ConfigError, RigError
+from rig.core.errors import ConfigError, RigError, StoppedError
 from rig.realtime.running import ask_to_stop
 
 END_S = 10.0  # how long a job may take to bring its recording to rest once it was told to end
@@ -43,6 +44,7 @@ class Job:
     ) -> None:
         self.name, self.content, self.goes_on, self.asks = name, content, goes_on, asks
         self._process = process
+        self._interrupted = False
         self._complaint = asyncio.create_task(
             self._complaints()
         )  # read at once: a full pipe stops its writer
@@ -61,8 +63,9 @@ class Job:
         if self.asks:
             self.answer({"kind": "stop"})
         elif loops == 0:
+            self._interrupted = True
             with suppress(ProcessLookupError):
-                self._process.send_signal(2)
+                self._process.send_signal(signal.SIGINT)
 
     def answer(self, value: Any) -> None:
         """Answer what it asks."""
@@ -85,9 +88,11 @@ class Job:
                 tell(message)
         code = await self._process.wait()
         if not concluded:
-            error = RigError(
-                f"the process of the {self.name} ended with {code}", remedy=await self._complaint
-            )
+            why = await self._complaint
+            if self._interrupted and code in (-signal.SIGINT, 1, 130):  # Python was still importing
+                error: RigError = StoppedError("stopped before anything moved")
+            else:
+                error = RigError(f"the process of the {self.name} ended with {code}", remedy=why)
             tell({"say": "failed", **error.as_mapping()})
         return code
 

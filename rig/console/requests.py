@@ -112,7 +112,7 @@ class Look(Request):
 class AskRegions(Request):
     """Which walls are passive and stable at a damping, on a rig with some changes, in real time."""
 
-    damping: Annotated[float, Ge(0)]
+    damping: Annotated[float, Ge(0), Le(1e9)]
     rig: Name = "koul-compliant"
     changes: Changes = field(default_factory=dict)
     delay_ticks: Annotated[int, Ge(0), Le(40)] = 1

@@ -17,7 +17,6 @@ from http import HTTPStatus
 from importlib.resources import files
 from pathlib import Path, PurePath
 from socket import create_server
-from tempfile import TemporaryDirectory
 from typing import Any
 
 from rig.config.files import preset_names
@@ -49,6 +48,7 @@ from rig.control import estimators
 from rig.control.estimators.estimator import Choice, Setting
 from rig.core.errors import ConfigError, RigError
 from rig.core.sample import COLUMNS, UNITS, unit_of
+from rig.core.scratch import scratch
 from rig.realtime.hand import SharedHand
 
 MOST_CLIENTS = 16  # pages, and as many participants' screens
@@ -252,8 +252,8 @@ async def run(settings: Settings, terminal: Terminal, ended: asyncio.Event) -> N
     """
     static = _page()
     async with AsyncExitStack() as stack:
-        place = stack.enter_context(TemporaryDirectory(prefix="rig-console-"))
-        hand = stack.enter_context(SharedHand.create(Path(place) / "hand"))
+        place = stack.enter_context(scratch("console"))
+        hand = stack.enter_context(SharedHand.create(place / "hand"))
         console = Console(settings, hand, terminal)
 
         async def respond(socket: ServerConnection, request: HttpRequest) -> Response | None:

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
-from tempfile import TemporaryDirectory
 from typing import Any
 
 from rig import devices
@@ -17,6 +16,7 @@ from rig.config.sections import Host
 from rig.core.errors import ConfigError
 from rig.core.model import RigModel
 from rig.core.process import announced
+from rig.core.scratch import scratch
 from rig.core.this_system import processors, refuse_real_time
 from rig.devices import simulated_model
 from rig.devices.device import DeviceUrl, Link
@@ -100,7 +100,7 @@ def serve_locally(
     if "hand" in options:
         _check_led(options["hand"], described)
     cpu = max(processors())
-    with TemporaryDirectory(prefix="rig-device-") as place:
+    with scratch("device") as place:
         options |= {"seed": seed, "cpu": cpu} | ({} if terminal else {"socket": f"{place}/port"})
         with announced(
             _child, described, realtime, options, name="rig-device", by_hand="rig sim serve"

@@ -6,10 +6,10 @@ import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, Protocol
 
 from rig.core.present import plain
+from rig.core.scratch import scratch
 from rig.experiments.sweep import Progress
 from rig.papers.claims import Claim, read_claims
 from rig.papers.parts import Part, Parts, run_parts
@@ -171,8 +171,8 @@ def render(found: Reproduction, pictures: Mapping[str, bytes]) -> str:
 
 def draw(found: Reproduction, on_failure: OnFailure | None = None) -> dict[str, bytes]:
     """Draw every picture of the page; returns PNGs by name."""
-    with TemporaryDirectory(prefix=f"rig-{found.paper.name}-") as place:
-        paths = draw_into(found, Path(place), "png", on_failure)
+    with scratch(found.paper.name) as place:
+        paths = draw_into(found, place, "png", on_failure)
         return {name: path.read_bytes() for name, path in paths.items()}
 
 

@@ -18,6 +18,7 @@ from rig.core.regular_file import open_regular
 
 _REMEDIES = {
     errno.ENOENT: "check the path, or make the directory first",
+    errno.ENAMETOOLONG: "check the path",
     errno.ENOTDIR: "check the path, or make the directory first",
     errno.EEXIST: "choose another name; recordings are never overwritten",
     errno.EISDIR: "name a file inside it",

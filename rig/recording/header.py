@@ -15,7 +15,6 @@ from datetime import UTC, datetime
 from functools import cache, lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -23,6 +22,7 @@ import numpy as np
 from rig.core.child import find_program, installed_path
 from rig.core.errors import RecordingError
 from rig.core.sample import COLUMNS, Column, Motion, unit_of
+from rig.core.scratch import scratch
 from rig.recording.canonical import lossless
 
 FORMAT = "haptic-rig recording"
@@ -203,10 +203,11 @@ def _described(directory: Path, second: int) -> dict[str, Any] | None:
             directory, "rev-parse", "HEAD", "--show-toplevel", "--git-path", "index", "--git-path", "objects"
         )
         revision, top, index, objects = answer.removesuffix("\n").split("\n")
-        with TemporaryDirectory(prefix="rig-git-") as empty:
+        with scratch("git") as place:
+            empty = str(place)
             for name in ("objects", "refs"):
-                Path(empty, name).mkdir()
-            Path(empty, "HEAD").write_text(revision, encoding="utf-8")
+                (place / name).mkdir()
+            (place / "HEAD").write_text(revision, encoding="utf-8")
             own = {
                 "GIT_DIR": empty,
                 "GIT_WORK_TREE": top,

@@ -218,11 +218,12 @@ def resume(directory: Path, *, at: str = "trial", clock: Clock = WALL) -> Sessio
 
 
 def _refuse_no_session(directory: Path) -> None:
-    if not (directory / LOG).is_file():
-        raise ConfigError(
-            f"{directory} is not the directory of a session: it has no {LOG}",
-            remedy="give the participant's directory",
-        )
+    with plain_errors("read", directory):
+        if not (directory / LOG).is_file():
+            raise ConfigError(
+                f"{directory} is not the directory of a session: it has no {LOG}",
+                remedy="give the participant's directory",
+            )
 
 
 def event_of_trial(directory: Path, trial: int, value: str) -> int:

@@ -152,8 +152,9 @@ class SessionLog:
 
 def read(path: Path) -> list[Event]:
     """The events of a log, also of one that is being written; raises as `SessionLog`."""
-    if not path.is_file():
-        raise RecordingError(f"there is no session log {path}", remedy="check the path")
+    with plain_errors("read", path):
+        if not path.is_file():
+            raise RecordingError(f"there is no session log {path}", remedy="check the path")
 
     def lines() -> Iterator[tuple[int, bytes]]:
         place = 0

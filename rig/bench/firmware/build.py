@@ -10,7 +10,6 @@ import json
 import math
 import os
 import shutil
-import tempfile
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -30,6 +29,7 @@ from rig.config import Controller, amplifiers
 from rig.core.errors import ConfigError, RecordingError, ToolchainError
 from rig.core.model import RigModel
 from rig.core.present import Row, plain
+from rig.core.scratch import scratch
 
 WARNINGS = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Wdate-time", "-Werror")
 # Floats must round as on the host: no contraction, no reassociation.
@@ -216,8 +216,8 @@ def build(request: BuildRequest, on_progress: Progress = lambda _what, _share: N
     step_a = check_scales(board, request.model, settings)
     sources = (*shared_sources(request.application), *board.sources(ports))
     config = configure(board, request.model, settings, package=package_version(), sources=sources_hash(board))
-    with tempfile.TemporaryDirectory(prefix="haptic-rig-") as scratch:
-        content = _compiled(compiler, board, sources, config, Path(scratch), on_progress)
+    with scratch("firmware") as place:
+        content = _compiled(compiler, board, sources, config, place, on_progress)
     segments = read_segments(content, "the new program")
     return _written(request, board, compiler, config, content, segments, settings, step_a)
 

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from rig.bench.firmware.cortex import CORES, Simulator, build
 from rig.bench.firmware.estimator_c import EstimatorC
 from rig.control.estimators.estimator import Ints
+from rig.core.scratch import scratch
 
 REPORTED = ("M0+", "M4F", "M33F")
 _ENTRIES = ("begin", "velocity")
@@ -61,10 +60,10 @@ def cost_of(
 
 def _cost(name: str, estimator: EstimatorC, counts: Ints, elapsed: Ints) -> Cost:
     core = CORES[name]
-    with tempfile.TemporaryDirectory(prefix="rig-cycles-") as place:
-        source = Path(place) / "called.c"
+    with scratch("cycles") as place:
+        source = place / "called.c"
         source.write_text(estimator.code + _called(estimator), encoding="utf-8")
-        image = build(core, Path(place), [source], _ENTRIES)
+        image = build(core, place, [source], _ENTRIES)
     simulator = Simulator(image)
     simulator.call("begin")
     spent = []

@@ -173,9 +173,12 @@ def find_sessions(paths: Iterable[Path]) -> list[Path]:
     """Directories of sessions at these places, each once."""
     found: dict[Path, Path] = {}
     for path in paths:
-        here = [path.parent] if path.name == LOG and path.is_file() else []
-        if path.is_dir():
-            here = [path] if (path / LOG).is_file() else sorted(log.parent for log in path.glob(f"*/{LOG}"))
+        with plain_errors("read", path):
+            here = [path.parent] if path.name == LOG and path.is_file() else []
+            if path.is_dir():
+                here = (
+                    [path] if (path / LOG).is_file() else sorted(log.parent for log in path.glob(f"*/{LOG}"))
+                )
         if not here:
             raise RecordingError(
                 f"there is no session in {path}",

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import os
-import shutil
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any
 
 from rig.core.errors import ConfigError, StoppedError
 from rig.core.present import plain as plain_of
+from rig.core.scratch import scratch
 from rig.realtime.hand import SharedHand
 from rig.session.console import terminal
 from rig.session.console.asking import SILENCE_S, AskingDesk
@@ -43,12 +42,13 @@ REMEDY = "continue with `rig session resume`; with `plain` it needs next to noth
 class MovedHand:
     """How the simulated hand is moved at the console: by what, through which file, and how hard it can press (N).
 
-    The file has a directory of its own, which goes with the console.
+    The file has a directory of its own, which `close` removes.
     """
 
     kind: HandKind
     path: Path
     press: float
+    close: Callable[[], None] = lambda: None
 
 
 class ConsoleDesk(AskingDesk):
@@ -104,7 +104,9 @@ class ConsoleDesk(AskingDesk):
             "keys": plain_of(self._keymap),
             "plain": plain or self._before is None or os.environ.get("TERM", "dumb") == "dumb",
             "attributes": None if self._before is None else terminal.as_plain(self._before),
-            "hand": None if hand is None else {**asdict(hand), "path": str(hand.path)},
+            "hand": None
+            if hand is None
+            else {"kind": hand.kind, "path": str(hand.path), "press": hand.press},
         }
         if hand is not None and hand.kind == "mouse" and self._setup["plain"]:
             raise ConfigError(
@@ -130,7 +132,7 @@ class ConsoleDesk(AskingDesk):
             if self._place >= 0:
                 os.close(self._place)
             if self._hand is not None:
-                shutil.rmtree(self._hand.path.parent, ignore_errors=True)
+                self._hand.close()
 
     def _say(self, kind: str, **content: Any) -> None:
         self._child.say(kind, **content)
@@ -211,11 +213,10 @@ def at_console(
         refuse_a_hand(hand, runner)
         with ExitStack() as made:
             if hand is not None:
-                directory = Path(tempfile.mkdtemp(prefix="rig-hand-"))
-                made.callback(shutil.rmtree, directory, ignore_errors=True)
-                path = directory / "hand"
+                kept = made.enter_context(ExitStack())
+                path = kept.enter_context(scratch("hand")) / "hand"
                 SharedHand.create(path).close()  # before a device looks for it
-                moved = MovedHand(kind=hand, path=path, press=full_press(experiment))
+                moved = MovedHand(kind=hand, path=path, press=full_press(experiment), close=kept.close)
             desk = ConsoleDesk(protocol.keys, plain=plain, hand=moved, place=place)
             made.pop_all()
         runner.hand = runner.hand if moved is None else moved.path

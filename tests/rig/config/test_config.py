@@ -549,19 +549,19 @@ def _numbers_of(experiment: Experiment) -> st.SearchStrategy[dict[str, Any]]:
     return st.fixed_dictionaries(
         {},
         optional={
-            "wall.stiffness": st.floats(0.0, 400.0),
-            "wall.damping": st.floats(0.0, 1e6),
+            "wall.stiffness": st.just(0.0) | st.floats(1e-9, 400.0),
+            "wall.damping": st.just(0.0) | st.floats(1e-9, 1e6),
             "wall.pull": st.sampled_from(["clamp", "allow"]),
             "trial.seed": st.integers(0, 2**63 - 1),
             "trial.start": st.floats(-0.4, -1e-6),
             "controller.velocity_rate": st.sampled_from([1000, 2000, 4000, 20000]),
             "controller.parameters.extra": st.floats(allow_nan=False, allow_infinity=False),
             "controller.command_lifetime_s": st.none() | st.floats(1e-6, 0.02),
-            "rig.simulation.initial_position": st.none() | st.floats(-0.4, 0.4),
+            "rig.simulation.initial_position": st.none() | st.floats(-0.4, -1e-9) | st.floats(1e-9, 0.4),
             "rig.description": st.text(st.characters(codec="utf-8")),
             "rig.mechanics.end_mass": positive,
             "operator.grip": st.sampled_from(["relaxed", "normal", "firm"]),
-            "operator.press": st.floats(0.0, 5.0),
+            "operator.press": st.just(0.0) | st.floats(1e-9, 5.0),
             "realtime.wall.damping": positive | st.integers(0, 10),
         },
     )

@@ -177,3 +177,26 @@ def test_a_job_that_cannot_be_followed_ends(monkeypatch: pytest.MonkeyPatch) -> 
         assert not Path(f"/proc/{job.pid}").exists()
 
     play('import time; print(\'{"say": "up"}\', flush=True); time.sleep(60)', monkeypatch, body)
+
+
+IMPORTS = 'print(\'{"say": "progress"}\', flush=True)\nimport time\ntime.sleep(60)'
+
+
+def test_a_job_that_is_stopped_while_it_imports_was_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As one that answers an interrupt itself: no exit code, and no line of a traceback."""
+
+    told: list[dict[str, Any]] = []
+
+    async def body(here: Here) -> None:
+        await here.jobs.start("hit", {})
+        async with asyncio.timeout(PATIENCE_S):
+            while {"say": "progress"} not in here.told:
+                await asyncio.sleep(0.01)
+        here.jobs.end()
+        await here.ended()
+        told.extend(one for one in here.told if one["say"] == "failed")
+
+    play(IMPORTS, monkeypatch, body)
+    assert [(one["kind"], one["error"]) for one in told] == [
+        ("StoppedError", "stopped before anything moved")
+    ]

@@ -289,7 +289,7 @@ def test_blinded_lines_say_at_once_why_a_trial_is_invalid_and_name_no_wall(
 def test_the_mouse_is_asked_for_and_given_back(terminal: Terminal, tmp_path: Path) -> None:
     path = tmp_path / "of" / "hand"
     path.parent.mkdir()
-    with console(terminal, hand=MovedHand(kind="mouse", path=path, press=4.0)):
+    with console(terminal, hand=MovedHand(kind="mouse", path=path, press=4.0, close=path.unlink)):
         terminal.until(lambda: terminal.screen.modes >= {1003, 1006}, "reports of the mouse")
         assert 1016 in terminal.screen.asked
     assert terminal.screen.modes & {1003, 1006, 1016} == set()
