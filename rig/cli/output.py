@@ -40,13 +40,18 @@ def _remedies_for_terminal(value: Any) -> Any:
         return value
     found = {key: _remedies_for_terminal(one) for key, one in value.items()}
     remedy = found.get("remedy")
-    return {**found, "remedy": for_terminal(remedy)} if isinstance(remedy, str) else found
+    return {**found, "remedy": _with_options(remedy)} if isinstance(remedy, str) else found
 
 
 def for_terminal(text: str) -> str:
     """Return a message as a terminal shows it: an argument, `arm_anyway`, is the option; the invisible is escaped."""
-    named = _ARGUMENT.sub(lambda named: "--" + named[1].replace("_", "-"), text)
-    return "".join(one if one.isprintable() or one in "\n\t" else ascii(one)[1:-1] for one in named)
+    return "".join(
+        one if one.isprintable() or one in "\n\t" else ascii(one)[1:-1] for one in _with_options(text)
+    )
+
+
+def _with_options(text: str) -> str:
+    return _ARGUMENT.sub(lambda named: "--" + named[1].replace("_", "-"), text)
 
 
 def show(items: Iterable[Item]) -> None:
@@ -139,7 +144,7 @@ def on_terminal() -> bool:
 
 def error_facts(error: RigError) -> dict[str, Any]:
     """Return an error for a machine, in the words of a command."""
-    return {**error.as_mapping(), "error": for_terminal(error.message)}
+    return {**error.as_mapping(), "error": _with_options(error.message)}
 
 
 class Status:
