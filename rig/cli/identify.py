@@ -28,7 +28,8 @@ from rig.views.plots.identify import draw_identification
 @options.file_argument
 @options.rig_option()
 @options.rate_option(
-    "Of the loop while it moves, not of the file that is written: 1k. The excitation ends at 0.15 of it.",
+    "Of the loop while it moves, not of the file that is written: 1k. The excitation ends at 0.15 of it. In real time "
+    "the measured link decides unless given.",
     "HZ",
 )
 @options.set_option

@@ -8,11 +8,12 @@ link and on a real one.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,16 +26,18 @@ from rig.analysis.identification.ripple import Ripple, fit_ripple
 from rig.analysis.identification.signs import SignCheck, stiction_warning
 from rig.analysis.identification.sliding import Sliding, Stroke, fit_sliding
 from rig.analysis.impedance.signals import ExcitedRun
+from rig.bench.doctor.pace import SECONDS
 from rig.config import Experiment
 from rig.control.excitation import Multisine
 from rig.core.check import refuse
-from rig.core.errors import ConfigError
+from rig.core.errors import ConfigError, RigError
 from rig.core.model import Cogging
 from rig.core.present import reported
 from rig.core.same_rig import check_rig
 from rig.core.sample import RowFlag, unit_of
 from rig.devices.device import DeviceUrl
 from rig.devices.framed import FramedDevice
+from rig.experiments.excitation_run import late_ticks
 from rig.experiments.identified_values import identified_values
 from rig.experiments.identify_motions import (
     PERIODS,
@@ -56,12 +59,15 @@ from rig.experiments.identify_motions import (
     strokes_motion,
     strokes_of,
 )
+from rig.experiments.identify_rate import RATES, advice, at_rate, choose_rate, halves, measure_for
 from rig.experiments.motion_run import (
     FreeRigRequest,
     position_now,
     refuse_unverified,
     run_motion,
     signs_of,
+    silence_of,
+    spoiled_by_timing,
 )
 from rig.experiments.plan import link_checks
 from rig.experiments.planned import Plan
@@ -70,7 +76,7 @@ from rig.experiments.zero import position_zero
 from rig.realtime import stop_requests
 from rig.recording.files import free_name, plain_errors
 
-_RATES = ("controller.position_rate", "controller.velocity_rate")
+ATTEMPTS = 4  # of a motion at one rate, when lost or late samples spoil it
 MOST_ORDER = 200  # of cogging, in `rig identify`: a sweep is the slower, the finer the waves are
 
 Tell = Callable[[str], None]
@@ -206,24 +212,21 @@ def identify(request: IdentifyRequest, tell: Tell | None = None, ask: Ask | None
         raise ConfigError("nobody is asked to hang the mass on the rig", remedy="give a function that asks")
     with ExitStack() as stack:
         device = stack.enter_context(devices.open_device(url, config.rig_model(still(free))))
-        base = _for_device(free, request, device)
-        refuse(plan_of(base, request).checks)
-        refuse(link_checks(base, device.dictionary.position_rate_maximum, device.link.bytes_per_second))
         refuse_unverified(device, verified=request.verified)
         output = Path(request.output)
-        with plain_errors("make", output):
-            output.mkdir(parents=True, exist_ok=True)
-        session = _Session(device, base, request)
-        say(f"signs: {PUSHES} small pushes, at most {most_push(base):.3g} {_unit(base, 'effort')}")
-        signs = session.signs(base)
-        _check_signs(signs)
-        if request.cogging is not None:
-            say(f"cogging: slow sweeps for {cogging_sweeps(base, request.cogging)[1][-1].end_s:.3g} s")
-            session.sweep(base, request.cogging)
-        say("friction: strokes at constant speeds")
-        sliding = session.sliding(base)
-        say(f"dynamics: excited {request.realisations} times for {excited_s(request.period_s):.3g} s")
-        dynamics = session.dynamics(base, signs, sliding)
+        for base in _at_rates(free, request, device, say):
+            refuse(plan_of(base, request).checks)
+            refuse(link_checks(base, device.dictionary.position_rate_maximum, device.link.bytes_per_second))
+            with plain_errors("make", output):
+                output.mkdir(parents=True, exist_ok=True)
+            session = _Session(device, base, request)
+            try:
+                signs, sliding, dynamics = session.free_motions(base, say)
+                break
+            except RigError as error:
+                if not halves(base.controller.position_rate) or not session.may_go_slower(error):
+                    raise
+                say(f"at {base.controller.position_rate} Hz: {error.message}")
         cogging = ripple = None
         if request.cogging is not None:
             damping = sliding.damping.value + base.rig.amplifier.back_emf
@@ -254,11 +257,7 @@ def without_end_mass(request: IdentifyRequest) -> Experiment:
     named = url.startswith("sim://") and bool(DeviceUrl.parse(url).place)
     bare = {} if named else {"rig.mechanics.end_mass": 0.0}
     free = config.override(experiment, {**bare, "controller.loop": "host"}, "identification")
-    return free if request.rate_hz is None else _at_rate(free, request.rate_hz, "identification")
-
-
-def _at_rate(free: Experiment, rate_hz: int, origin: str) -> Experiment:
-    return config.override(still(free), dict.fromkeys(_RATES, rate_hz), origin)
+    return free if request.rate_hz is None else at_rate(free, request.rate_hz, "identification")
 
 
 def plan_of(free: Experiment, request: IdentifyRequest) -> Plan:
@@ -296,6 +295,26 @@ class _Session:
         self._swept_in: tuple[float, int]  # period and highest harmonic
         self._cogging = Cogging()  # as measured: what comes after knows it as an effort of the motor's
         self.recordings: dict[str, tuple[Path, ...]] = {}
+        self.repeated = 0  # motions that late or lost samples had spoiled
+
+    def free_motions(self, x: Experiment, say: Tell) -> tuple[SignCheck, Sliding, Dynamics]:
+        """Pushes, sweeps if cogging is looked for, strokes, excitation."""
+        request = self._request
+        say(f"signs: {PUSHES} small pushes, at most {most_push(x):.3g} {_unit(x, 'effort')}")
+        signs = self.signs(x)
+        _check_signs(signs)
+        if request.cogging is not None:
+            say(f"cogging: slow sweeps for {cogging_sweeps(x, request.cogging)[1][-1].end_s:.3g} s")
+            self.sweep(x, request.cogging)
+        say("friction: strokes at constant speeds")
+        sliding = self.sliding(x)
+        say(f"dynamics: excited {request.realisations} times for {excited_s(request.period_s):.3g} s")
+        return signs, sliding, self.dynamics(x, signs, sliding)
+
+    def may_go_slower(self, error: RigError) -> bool:
+        """Return True if timing spoiled a motion at a rate that the user did not state."""
+        virtual = self.device.link.clock.virtual
+        return spoiled_by_timing(error) and not virtual and _stated_rate(self._request) is None
 
     def signs(self, x: Experiment) -> SignCheck:
         at = position_now(self.device, x, self._reference)
@@ -316,13 +335,16 @@ class _Session:
     def dynamics(self, x: Experiment, signs: SignCheck, sliding: Sliding) -> Dynamics:
         request = self._request
         inertia = min(inertia_of(x), signs.inertia) if math.isfinite(signs.inertia) else inertia_of(x)
-        runs = []
+        runs, lates = [], []
         for number in range(request.realisations):
             multisine = excitation(x, request.seed, request.period_s, inertia, number)
             rows, rate = self._run(self._evened(excitation_motion(x, multisine, inertia)), "dynamics", number)
             _check_undisturbed(rows)
-            runs.append(excited_run_of(rows, rate, multisine, self._effort(rows)))
-        return fit_dynamics(
+            effort, late = acting_effort(rows)
+            effort = effort + self._cogging.effort(rows["position"])
+            lates.append(late)
+            runs.append(excited_run_of(rows, rate, multisine, effort))
+        found = fit_dynamics(
             runs,
             resolution=x.rig.encoder.resolution,
             inertia=inertia,
@@ -330,6 +352,7 @@ class _Session:
             damping=sliding.damping,
             back_emf=x.rig.amplifier.back_emf,
         )
+        return found.later(round(float(np.median(lates))), 1.0 / x.controller.position_rate)
 
     def sweep(self, x: Experiment, most_order: int) -> None:
         """Sweep for cogging; from here on it is known, with the inertia that is described."""
@@ -378,14 +401,26 @@ class _Session:
     def _run(self, motion: Motion, name: str, number: int = 0) -> tuple[NDArray[np.void], float]:
         """Run one trial; return its rows and their rate (Hz)."""
         x, request = motion.experiment, self._request
-        rows, recording = run_motion(
-            self.device,
-            motion,
-            free_name(Path(request.output), f"{x.rig.name}-{self._stem}-{name}-{number + 1}"),
-            verified=request.verified,
-            reference_count=self._reference,
-            extra={"identification": name, "number": number + 1, "seed": request.seed},
-        )
+        for attempt in range(ATTEMPTS):
+            try:
+                rows, recording = run_motion(
+                    self.device,
+                    motion,
+                    free_name(Path(request.output), f"{x.rig.name}-{self._stem}-{name}-{number + 1}"),
+                    verified=request.verified,
+                    reference_count=self._reference,
+                    extra={"identification": name, "number": number + 1, "seed": request.seed},
+                )
+                break
+            except RigError as error:
+                last = attempt + 1 == ATTEMPTS or self.device.link.clock.virtual
+                if not spoiled_by_timing(error):
+                    raise
+                if last:
+                    if (silence_s := silence_of(error)) is not None:
+                        error.remedy = advice(silence_s, x.controller.position_rate)
+                    raise
+                self.repeated += 1
         self.recordings[name] = (*self.recordings.get(name, ()), recording)
         return rows, float(x.controller.position_rate)
 
@@ -412,6 +447,17 @@ def excited_run_of(
     )
 
 
+def acting_effort(rows: NDArray[np.void]) -> tuple[NDArray[np.float64], int]:
+    """Return the effort that acted from each sample to the next, by the device, and by how many ticks it is late.
+
+    The command that answers a sample acts from it on where nothing is late, and the next sample reports it. A link
+    whose delay varies would otherwise blur the fit. The lateness is that of most ticks.
+    """
+    late = late_ticks(rows["current_sent"], rows["current_applied"])
+    applied = np.append(rows["effort_applied"][1:], rows["effort_sent"][-1 - late])
+    return applied, late
+
+
 def _check_undisturbed(rows: NDArray[np.void]) -> None:
     bound = (rows["flags"] & (RowFlag.SATURATED | RowFlag.SLEW_BOUND)) != 0
     if bound.any():
@@ -424,13 +470,33 @@ def _check_undisturbed(rows: NDArray[np.void]) -> None:
 # ---------------------------------------------------------------------- checks before, results after
 
 
-def _for_device(free: Experiment, request: IdentifyRequest, device: FramedDevice) -> Experiment:
-    """In real time the loop runs at the device's own rate, unless the user set one."""
+def _at_rates(
+    free: Experiment, request: IdentifyRequest, device: FramedDevice, say: Tell
+) -> Iterator[Experiment]:
+    """The rig at the rate that the user stated or the measured link carries, then at its halves. Nothing moves."""
     refuse([check_rig(config.rig_model(still(free)), device.dictionary)])
-    chosen = request.rate_hz is not None or any(key in request.changes for key in _RATES)
-    if device.link.clock.virtual or chosen:
-        return free
-    return _at_rate(free, device.dictionary.position_rate_default, "real time")
+    if device.link.clock.virtual:
+        yield free
+        return
+    stated, dictionary = _stated_rate(request), device.dictionary
+    most = min(dictionary.position_rate_default, dictionary.position_rate_maximum)
+    say(f"link: measured for {SECONDS:g} s")
+    measurement = measure_for(device, free, most if stated is None else free.controller.position_rate)
+    choice = choose_rate(
+        free, measurement, most_hz=most, stated_hz=None if stated is None else free.controller.position_rate
+    )
+    if stated is not None:
+        yield free
+        return
+    rate = choice.rate_hz
+    say(f"rate: {rate} Hz, by the measured link (silent for {1e3 * choice.silence_s:.3g} ms at most)")
+    for slower in (rate, *halves(rate)):
+        yield at_rate(free, slower, "real time")
+
+
+def _stated_rate(request: IdentifyRequest) -> Any:
+    """The rate that the user set by hand, None where there is none."""
+    return request.rate_hz or next((request.changes[key] for key in RATES if key in request.changes), None)
 
 
 def _check_signs(signs: SignCheck) -> None:

@@ -29,6 +29,9 @@ from rig.experiments.planned import Plan, Step, limited
 Floats = NDArray[np.float64]
 
 SLOW_RATE = 2000  # Hz: pushes and strokes need no more
+RATE_STEP = (
+    50  # Hz, of rates that are named: the usual period of the excitation, 0.5 s, is whole samples of each
+)
 NO_PUSH = 1e-12  # of the effort limit: a trial must push, and this is less than any quantum
 MARGIN_COUNTS = 1.0  # a trial starts that far before its wall
 
@@ -111,6 +114,7 @@ def identification_plan(
     checks: tuple[Check, ...] = (
         _check("push", most_push(x), limits.effort, effort, "raise rig.limits.effort"),
         _check("stroke speed", top_speed, limits.speed, speed, "raise rig.limits.speed"),
+        _follows(x, 0.5 * travel),
         _check("peak effort of the excitation", multisine.peak, limits.effort, effort, "raise rig.limits.effort"),
         _check("peak position of the excitation", multisine.position(impedance).peak, half, position,
                "widen the window"),
@@ -149,6 +153,20 @@ def loaded_plan(plan: Plan, x: Experiment, most_order: int, weight: float) -> Pl
         "sag under the mass", sags, room, position, "hang a smaller mass, or widen the window of positions"
     )
     return replace(plan, steps=(*plan.steps, step), checks=(*plan.checks, sag))
+
+
+def _follows(x: Experiment, limit: float) -> Check:
+    """Whether the servo of the strokes moves the handle against its friction: it is the softer, the slower the loop."""
+    stiffness = servo_of(x, slow_rate(x))[0]
+    held, unit = coulomb_of(x) / stiffness, _unit(x, "position")
+    enough = RATE_STEP * math.ceil(x.controller.position_rate * math.sqrt(held / limit) / RATE_STEP)
+    return limited(
+        "friction under the strokes",
+        held <= limit,
+        f"friction holds the handle {held:.3g} {unit} behind a servo at {x.controller.position_rate} Hz, limit "
+        f"{limit:.3g}",
+        f"choose --rate {enough} or more, raise homing.damping, or widen the window",
+    )
 
 
 def _repeatable(x: Experiment) -> Check:

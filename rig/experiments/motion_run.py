@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,14 +16,21 @@ from rig import config
 from rig.analysis.identification.quality import IdentificationError
 from rig.analysis.identification.signs import SignCheck, check_signs
 from rig.config import Experiment, controller
-from rig.core.errors import ConfigError, DeviceFaultError, PlanError
+from rig.core.errors import ConfigError, DeviceFaultError, PlanError, RigError
 from rig.core.sample import Phase, RowFlag, unit_of
 from rig.devices.framed import FramedDevice
 from rig.experiments.identify_motions import REST_S, Motion, inertia_of
 from rig.experiments.trial import TrialRequest, end_of, prepared_on, run_trial
+from rig.loop.layout import EndReason
 from rig.recording.data import Recording
 
-LATE_SHARE = 0.01
+LATE_SHARE = 0.05  # of the ticks: such an effort acts a tick later, and what acted when is recorded
+MOST_LOST_SHARE = 0.02  # of a motion's samples: so many are filled in
+LONGEST_FILLED = 3  # lost samples in a row
+
+
+class TimingError(IdentificationError):
+    """Too many samples were lost or late: the motion may be measured again."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,7 +110,7 @@ def run_motion(
 
     Raises
     ------
-    IdentificationError
+    TimingError
         Samples were lost or late.
     RigError
         Whatever ended the trial early; the effort is zero.
@@ -131,23 +139,49 @@ def trial_rows(recording: Recording, phases: Sequence[Phase] = (Phase.TRIAL,)) -
 
 
 def whole(recording: Recording, rows: NDArray[np.void]) -> NDArray[np.void]:
-    """Return these rows of a recording.
+    """Return these rows of a recording, one for each tick.
 
-    Raises `IdentificationError` when a tick is missing; or when too many were late, unless the board ran the law: then
-    it is only told late what happened in time.
+    Up to `MOST_LOST_SHARE` of them, `LONGEST_FILLED` in a row, may be lost: positions between two samples are on a
+    straight line, and the effort that the next sample reports has acted since the one before. Laws count elapsed ticks,
+    so that an excitation stays in step.
+
+    Raises `TimingError` when more are missing; or when too many were late, unless the board ran the law: then only the
+    report is late.
     """
-    if len(rows) < 2 or np.any(np.diff(rows["sample_index"]) != 1):
-        raise IdentificationError(
-            f"{recording.path}: samples are missing in the motion",
-            remedy="lower the rate, or use a better link: a fit needs every sample",
+    if len(rows) < 2:
+        raise TimingError(f"{recording.path}: {len(rows)} samples of the motion", remedy="measure it again")
+    rate = int(recording.header["experiment"]["controller"]["position_rate"])
+    apart = np.diff(rows["sample_index"])
+    longest, lost = int(apart.max()) - 1, int((apart - 1).sum())
+    share = lost / (len(rows) + lost)
+    if apart.min() < 1 or longest > LONGEST_FILLED or share > MOST_LOST_SHARE:
+        slower = max(1, min(rate // 2, rate * LONGEST_FILLED // max(longest, 1)))
+        raise TimingError(
+            f"{recording.path}: {100 * share:.2g} % of the samples are missing, up to {longest} in a row; allowed are "
+            f"{100 * MOST_LOST_SHARE:g} % and {LONGEST_FILLED} in a row",
+            remedy=f"free the computer of other work, or choose --rate {slower}, at which the longest gap is "
+            f"{math.floor(longest * slower / rate)} samples",
         )
     late = float(np.mean((rows["flags"] & RowFlag.LATE) != 0))
     if late > LATE_SHARE and recording.header["extra"].get("loop") != "device":
-        raise IdentificationError(
-            f"{recording.path}: {100 * late:.1f} % of the ticks were late",
-            remedy="lower the rate, or free the computer of other work",
+        raise TimingError(
+            f"{recording.path}: {100 * late:.1f} % of the ticks were late, allowed are {100 * LATE_SHARE:g} %",
+            remedy=f"free the computer of other work, or choose --rate {rate // 2}",
         )
-    return rows
+    return _filled(rows) if lost else rows
+
+
+def _filled(rows: NDArray[np.void]) -> NDArray[np.void]:
+    """One row for each tick: what was lost is the row before, with what is known of the time in between."""
+    index = rows["sample_index"].astype(np.int64)
+    ticks = np.arange(index[0], index[-1] + 1)
+    after = np.searchsorted(index, ticks)
+    whole = rows[np.searchsorted(index, ticks, side="right") - 1]
+    whole["sample_index"] = ticks
+    whole["position"] = np.interp(ticks, index, rows["position"])
+    for name in ("effort_applied", "current_applied"):
+        whole[name] = rows[name][after]
+    return whole
 
 
 class Pushes(NamedTuple):
@@ -176,6 +210,24 @@ def stalled(error: DeviceFaultError) -> Recording:
     if sealed is None or not fault or fault["name"] != Fault.RUNAWAY.name:
         raise error
     return sealed
+
+
+def spoiled_by_timing(error: RigError) -> bool:
+    """Return True if a motion ended, or is of no use, because the computer or the link was late."""
+    end = end_of(error)
+    if isinstance(error, TimingError) or end is None:
+        return isinstance(error, TimingError)
+    fault = ((end.sealed.trailer or {}).get("fault") or {}) if end.sealed is not None else {}
+    lost = end.reason == EndReason.DEVICE_FAULT and fault.get("name") == Fault.LINK_LOST.name
+    return lost or end.reason in (EndReason.LINK_SILENT, EndReason.LINK_DELAYED, EndReason.OVERRUN)
+
+
+def silence_of(error: RigError) -> float | None:
+    """Longest time without a sample in the run that ended in this error (s), None where it has no recording."""
+    end = end_of(error)
+    if end is None or end.sealed is None or len(end.sealed.rows) < 2:
+        return None
+    return 1e-9 * float(np.diff(end.sealed.rows["received_at"]).max())
 
 
 def signs_of(x: Experiment, rows: NDArray[np.void], rate: float) -> SignCheck:

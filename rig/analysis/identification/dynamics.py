@@ -51,6 +51,7 @@ ROUNDS = 3  # of fit and weights
 MODE_GAIN = 1.5  # by how much a mode must lessen the weighted error, as a factor, to be believed
 LEAST_SPLIT = 1.05  # resonance over anti-resonance: below it the two cancel
 LARGEST_RATIO = 0.5  # damping ratio of what is still a mode
+FRICTION_BIAS = 0.05  # share of Coulomb friction over effort (rms) by which removing it may miss the inertia
 SHORTER = 0.75  # of the lines: what is tried next where no model explains the whole band
 WHOLE_TICKS = 4  # of delay that are tried beyond those that the first fit suggests: none more
 
@@ -130,6 +131,19 @@ class Dynamics:
     fitted: Complexes
     deviation: Floats
     unexplained: float
+
+    def later(self, ticks: int, tick_s: float) -> Dynamics:
+        """Return it for an effort that was `ticks` late in what was fitted already: those of the link."""
+        delay = Interval(self.delay_s.value + ticks * tick_s, self.delay_s.ci95)
+        s = 2j * np.pi * self.lines_hz
+        late = np.exp(-s * ticks * tick_s)
+        return replace(
+            self,
+            delay_s=delay,
+            delay_ticks=self.delay_ticks + ticks,
+            measured=self.measured * late,
+            fitted=self.fitted * late,
+        )
 
     @reported
     def coherence_median(self) -> float:
@@ -431,6 +445,10 @@ def _dynamics(
             stiffness=interval(_stiffness),
         )
     inertia = interval(lambda p: float(p[M]))
+    if sliding is not None:
+        effort = math.sqrt(0.5 * float(np.mean(np.sum(np.abs(problem.effort) ** 2, axis=1))))
+        missed = FRICTION_BIAS * max(0.0, sliding.coulomb.value) / effort * inertia.value
+        inertia = Interval(inertia.value, math.hypot(inertia.ci95, missed))
     if not inertia.value > 0.0:
         raise IdentificationError(
             f"the fit gives an inertia of {inertia.value:.3g}",

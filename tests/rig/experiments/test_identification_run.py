@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -27,10 +28,11 @@ from rig.core.sample import Phase
 from rig.devices.framed import FramedDevice
 from rig.experiments import identify as identifying
 from rig.experiments import identify_motions as motions
+from rig.experiments import motion_run
 from rig.experiments.identified_file import file_text
 from rig.experiments.identified_values import identified_values
 from rig.experiments.identify import IdentifyRequest, identify
-from rig.experiments.motion_run import trial_rows
+from rig.experiments.motion_run import LONGEST_FILLED, MOST_LOST_SHARE, TimingError, trial_rows, whole
 from rig.recording.reader import open_recording
 from rig.views.plots.identify import draw_identification
 from sim_backend import device as simulated
@@ -161,15 +163,12 @@ ELASTIC = {
 def test_the_band_ends_where_the_motion_does_and_the_parameters_are_right(
     preset: str, changes: Any, ends: bool, tmp_path: Path
 ) -> None:
-    """Heavy, coarse and elastic rigs, none of which has to know a rate: the truth lies in the intervals.
-
-    Half a per cent of the inertia is the bias that removing friction leaves, which scatter does not show.
-    """
+    """Heavy, coarse and elastic rigs, none of which has to know a rate: the truth lies in the intervals."""
     x = config.override(presets.load(preset), changes)
     found = identified(x, tmp_path, realisations=4, rate_hz=min(4000, x.controller.position_rate))
     inertia, delay, m = found.dynamics.inertia, found.dynamics.delay_s, x.rig.mechanics
     off = abs(inertia.value - m.motor_inertia - m.link_inertia)
-    assert off < inertia.ci95 + 0.005 * inertia.value
+    assert off < 1.5 * inertia.ci95, "a 95 % interval may miss a little in one of twenty"
     assert inertia.ci95 < 0.03 * inertia.value
     amplifier = x.rig.amplifier
     assert abs(delay.value - amplifier.lag_s - amplifier.set_point_delay_s) < 2.0 * delay.ci95 + 1e-5
@@ -488,6 +487,16 @@ def test_the_plan_lists_and_checks_before_anything_moves() -> None:
     assert checks["excitation over friction"].outcome == Outcome.WARNING
 
 
+def test_a_rate_at_which_friction_holds_the_strokes_is_refused_with_the_one_that_works(
+    tmp_path: Path,
+) -> None:
+    with pytest.raises(PlanError, match=r"choose --rate (\d+) or more") as caught:
+        identified(RIGID, tmp_path, rate_hz=250)
+    works = int(re.findall(r"--rate (\d+)", str(caught.value))[0])
+    assert 250 < works < 1000
+    assert identified(RIGID, tmp_path, rate_hz=works).sliding.coulomb.value == pytest.approx(0.02, rel=0.3)
+
+
 def test_a_plan_that_is_refused_moves_nothing(tmp_path: Path) -> None:
     with pytest.raises(PlanError, match="device rate"):
         identified(CHAWDA, tmp_path, changes={"controller.position_rate": 100_000})
@@ -510,11 +519,39 @@ def test_what_cannot_be_meant_is_refused(options: Any, message: str, tmp_path: P
         identified(CHAWDA, tmp_path, **options)
 
 
-def test_a_recording_with_a_gap_is_refused(chawda: Any) -> None:
+def test_lost_samples_are_filled_in_up_to_a_bound(chawda: Any) -> None:
     recording = open_recording(chawda.recordings["dynamics"][0])
-    with_gap = np.delete(recording.rows, len(recording.rows) // 2)
-    with pytest.raises(IdentificationError, match="samples are missing"):
-        trial_rows(replace(recording, rows=with_gap))
+    rows = recording.rows
+    middle = len(rows) // 2
+    found = trial_rows(replace(recording, rows=np.delete(rows, slice(middle, middle + LONGEST_FILLED))))
+    assert len(found) == np.sum(rows["phase"] == Phase.TRIAL)
+    assert (np.diff(found["sample_index"]) == 1).all()
+    for lost in (slice(middle, middle + LONGEST_FILLED + 1), slice(middle, None, 20)):
+        with pytest.raises(TimingError, match=r"% of the samples are missing, up to \d in a row") as caught:
+            trial_rows(replace(recording, rows=np.delete(rows, lost)))
+        assert re.search(r"--rate \d+", str(caught.value.remedy))
+
+
+@pytest.mark.parametrize("preset", ["koul-rigid", "koul-compliant", "chawda-linear"])
+def test_a_bounded_share_of_lost_samples_spoils_no_parameter(
+    preset: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Half as many as are allowed, each sample with the same chance, in every motion."""
+    rng = np.random.default_rng(5)
+
+    def with_losses(recording: Any, rows: Any) -> Any:
+        kept = rng.random(len(rows)) >= 0.5 * MOST_LOST_SHARE
+        kept[[0, -1]] = True
+        return whole(recording, rows[kept])
+
+    monkeypatch.setattr(motion_run, "whole", with_losses)
+    found = identified(presets.load(preset), tmp_path, realisations=4, rate_hz=1000)
+    m = found.before.rig.mechanics
+    inertia = found.dynamics.inertia
+    assert abs(inertia.value - m.motor_inertia - m.link_inertia) < inertia.ci95 + 0.005 * inertia.value
+    amplifier = found.before.rig.amplifier
+    assert found.dynamics.delay_s.value == pytest.approx(amplifier.lag_s, abs=5e-5)
+    assert found.sliding.coulomb.value == pytest.approx(m.motor_coulomb + m.link_coulomb, rel=0.05)
 
 
 # ---------------------------------------------------------------------- the laws

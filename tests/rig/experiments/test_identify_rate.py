@@ -1,0 +1,80 @@
+"""The rate of an identification, chosen from a link whose delay and losses the test supplies."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rig.bench.doctor.ping import EXCHANGE
+from rig.bench.doctor.round_trip import LinkMeasurement
+from rig.config import presets
+from rig.core.errors import PlanError
+from rig.experiments.identify_rate import SLOWEST_HZ, advice, choose_rate
+from rig.recording.quantiles import Distribution
+
+RIG = presets.load("koul-rigid")
+RATE = 1000  # of the questions
+
+
+def link(travel_s: float, *, silences_s: tuple[float, ...] = (), capacity: float | None = None) -> Any:
+    """Ten thousand answers, each after `travel_s`; before some of them a silence."""
+    number = 10_000
+    received = np.arange(number) * 1e9 / RATE
+    for place, silence_s in enumerate(silences_s):
+        received[(place + 1) * number // (len(silences_s) + 1) :] += 1e9 * silence_s
+    exchanges = np.zeros((number, len(EXCHANGE)), np.int64)
+    exchanges[:, EXCHANGE.host_received] = received
+    times = Distribution.of(np.full(number, travel_s))
+    return LinkMeasurement(
+        url="serial:///dev/test", virtual=False, simulated=True, duration_s=received[-1] * 1e-9, asked_rate_hz=RATE,
+        sent=number, lost=0, late=0, unsent=0, bad_frames=0, round_trip_s=times, travel_s=times, stamps_trusted=True,
+        bytes_to_device_per_s=0.0, bytes_to_host_per_s=0.0, capacity_bytes_per_s=capacity, states=0,
+        exchanges=exchanges,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("measured", "rate_hz"),
+    [
+        (link(2e-4), 1000),
+        (link(2e-3), 1000),  # a command lives for five ticks, 5 ms, and may be under way for half of it
+        (link(3e-3), 500),
+        (link(6e-3), 250),
+        (link(2e-4, silences_s=(0.004,)), 500),
+        (link(2e-4, silences_s=(0.0095,)), 250),
+        (
+            link(2e-4, silences_s=(0.0024,) * 100),
+            250,
+        ),  # 200 of 10 000 samples are too many, and half of them at 500 Hz
+        (link(2e-4, capacity=40_000.0), 500),
+    ],
+)
+def test_the_highest_rate_is_chosen_that_the_link_carries(measured: Any, rate_hz: int) -> None:
+    assert choose_rate(RIG, measured, most_hz=1000).rate_hz == rate_hz
+
+
+def test_a_stated_rate_is_kept_or_refused_with_the_rate_that_works() -> None:
+    slow = link(3e-3)
+    assert choose_rate(RIG, slow, most_hz=1000, stated_hz=400).rate_hz == 400
+    with pytest.raises(PlanError, match="an identification at 2000 Hz would not end") as caught:
+        choose_rate(RIG, slow, most_hz=1000, stated_hz=2000)
+    assert "--rate 500" in str(caught.value.remedy)
+    works = choose_rate(RIG, slow, most_hz=1000, stated_hz=500)
+    assert works.reason == ""
+
+
+def test_a_link_that_carries_none_is_refused_with_the_numbers() -> None:
+    """At 250 Hz seven whole samples are missing in 30 ms."""
+    with pytest.raises(PlanError, match="silent for 28 ms") as caught:
+        choose_rate(RIG, link(2e-4, silences_s=(0.03,)), most_hz=1000)
+    assert f"carry 62 Hz now, and an identification needs {SLOWEST_HZ} Hz or more" in str(caught.value.remedy)
+
+
+def test_a_run_that_silence_ended_names_the_rate_that_outlives_it() -> None:
+    assert "--rate 300" in advice(0.008, 1000)
+    assert "no rate from 250 Hz up" in advice(0.06, 1000)
+    assert "no rate from 250 Hz up" in advice(0.015, 125), (
+        "a slower loop bears no more: its commands live for 20 ms"
+    )
