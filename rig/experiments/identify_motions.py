@@ -114,7 +114,7 @@ def identification_plan(
     checks: tuple[Check, ...] = (
         _check("push", most_push(x), limits.effort, effort, "raise rig.limits.effort"),
         _check("stroke speed", top_speed, limits.speed, speed, "raise rig.limits.speed"),
-        _follows(x, 0.5 * travel),
+        _follows(x, 0.75 * travel),
         _check("peak effort of the excitation", multisine.peak, limits.effort, effort, "raise rig.limits.effort"),
         _check("peak position of the excitation", multisine.position(impedance).peak, half, position,
                "widen the window"),
@@ -159,7 +159,9 @@ def _follows(x: Experiment, limit: float) -> Check:
     """Whether the servo of the strokes moves the handle against its friction: it is the softer, the slower the loop."""
     stiffness = servo_of(x, slow_rate(x))[0]
     held, unit = coulomb_of(x) / stiffness, _unit(x, "position")
-    enough = RATE_STEP * math.ceil(x.controller.position_rate * math.sqrt(held / limit) / RATE_STEP)
+    enough = RATE_STEP * math.ceil(
+        x.controller.position_rate * math.sqrt(3.0 * held / limit) / RATE_STEP
+    )  # with room
     return limited(
         "friction under the strokes",
         held <= limit,
