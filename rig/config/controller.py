@@ -201,6 +201,12 @@ def command_lifetime_s(experiment: Experiment) -> float:
     return max(min(wanted, LONGEST_LIFETIME_S), FEWEST_PERIODS * period_s)
 
 
+def rate_of_lifetime(lifetime_s: float) -> int:
+    """Highest rate at which a command lives for so long, unless its lifetime is configured (Hz)."""
+    periods = FEWEST_PERIODS if lifetime_s > LONGEST_LIFETIME_S else LIFETIME_PERIODS
+    return math.floor(periods / max(lifetime_s, SHORTEST_LIFETIME_S))
+
+
 def supervise_lifetime_s(experiment: Experiment) -> float:
     """How long a law on the device continues without a command from the host (s)."""
     configured = experiment.controller.supervise_lifetime_s

@@ -58,7 +58,7 @@ FAILURES: dict[int, Failure] = {
     errno.ETIMEDOUT: Failure(
         BlockedError,
         "takes no more bytes",
-        "the firmware does not read: restart the device, or lower the rate",
+        "the firmware does not read: restart the device",
     ),
     errno.EOVERFLOW: Failure(
         OverflowedError,

@@ -41,7 +41,7 @@ ENDINGS: dict[EndReason, tuple[type[RigError], str, str]] = {
     EndReason.LINK_SILENT: (
         LinkLostError,
         "the device at {url} fell silent during the run; it cuts the effort by itself",
-        "check cable, power and the load of this computer, or lower the rate",
+        "check cable, power and the load of this computer: rig doctor --url {url} measures both",
     ),
     EndReason.LINK_DELAYED: (
         LinkLostError,
@@ -83,7 +83,7 @@ ENDINGS: dict[EndReason, tuple[type[RigError], str, str]] = {
     EndReason.OVERRUN: (
         OverrunError,
         'a tick came more than one period late, and host.overrun = "stop"; the effort went to zero',
-        'lower the rate, relieve this computer (rig doctor says how), or set host.overrun = "skip"',
+        '{slower}relieve this computer (rig doctor says how), or set host.overrun = "skip"',
     ),
     EndReason.OUT_OF_WINDOW: (
         GuardError,
@@ -180,6 +180,7 @@ def error_of(end: LoopEnd, url: str, fault: FaultReport | None, rows: NDArray[np
         "cause": repr(end.error),
         "position": f"{rows['position'][-1]:.4g}" if len(rows) else "?",
         "velocity": f"{rows['velocity'][-1]:.4g}" if len(rows) else "?",
+        "slower": _slower(rows),
         **{name: f"{value:.4g}" for name, value in end.watched.items()},
     }
     error = kind(message.format(**words), remedy=remedy.format(**words))
@@ -187,3 +188,9 @@ def error_of(end: LoopEnd, url: str, fault: FaultReport | None, rows: NDArray[np
         error.statistics = end.counters
         error.rows = rows
     return error
+
+
+def _slower(rows: NDArray[np.void]) -> str:
+    """The rate at which the latest of the last ticks would have been late by a period; empty where none is known."""
+    late_ns = int(rows["lateness"].max()) if len(rows) else 0
+    return f"choose a rate of {int(1e9 // late_ns)} Hz or less, " if late_ns > 0 else ""

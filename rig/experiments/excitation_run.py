@@ -289,7 +289,7 @@ def record_of(recording: Recording, x: Experiment) -> ExcitedRun:
     if len(rows) < ticks or lost:
         raise RecordingError(
             f"{len(rows)} of {ticks} samples of an excited run are there, {lost} were lost: its periods are not whole",
-            remedy="measure this realisation again; on a busy host, at a lower rate",
+            remedy=f"measure this realisation again; on a busy host, at {x.controller.position_rate // 2} Hz",
         )
     rows = rows[:ticks]
     parameters = np.array(saved["parameters"], dtype=np.float64)

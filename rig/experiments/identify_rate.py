@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 from rig import config
@@ -10,7 +9,7 @@ from rig.bench.doctor.gate import LIFETIME_SHARE
 from rig.bench.doctor.pace import SECONDS, pace_of
 from rig.bench.doctor.round_trip import LinkMeasurement, measure_link
 from rig.config import Experiment
-from rig.config.controller import FEWEST_PERIODS, LIFETIME_PERIODS, LONGEST_LIFETIME_S, command_lifetime_s
+from rig.config.controller import LIFETIME_PERIODS, LONGEST_LIFETIME_S, command_lifetime_s, rate_of_lifetime
 from rig.core.errors import PlanError
 from rig.devices.device import LINK_SHARE, STATE_BYTES
 from rig.devices.framed import FramedDevice
@@ -117,9 +116,8 @@ def advice(silence_s: float, rate_hz: int) -> str:
 
 def _bearing_rate(silence_s: float) -> int:
     """Highest rate whose commands live for twice this silence (Hz)."""
-    needed_s = max(silence_s / LIFETIME_SHARE, 1e-6)
-    periods = FEWEST_PERIODS if needed_s > LONGEST_LIFETIME_S else LIFETIME_PERIODS
-    return RATE_STEP * math.floor(periods / needed_s / RATE_STEP)
+    rate_hz = rate_of_lifetime(silence_s / LIFETIME_SHARE)
+    return rate_hz - rate_hz % RATE_STEP
 
 
 def _refused(

@@ -31,7 +31,7 @@ from rig.bench.doctor.late_walls import late_wall, stability
 from rig.bench.doctor.predicted import homing_checks
 from rig.bench.doctor.round_trip import ENOUGH, LinkMeasurement, Progress, measure_link
 from rig.config import Experiment
-from rig.config.controller import command_lifetime_s, supervise_lifetime_s
+from rig.config.controller import command_lifetime_s, rate_of_lifetime, supervise_lifetime_s
 from rig.config.sections import Host
 from rig.core import check
 from rig.core.check import Check, Outcome
@@ -219,8 +219,14 @@ def _delay(experiment: Experiment, measurement: LinkMeasurement) -> Check:
     limit = f"half of a command's lifetime of {1e3 * lifetime_s:.3g} ms"
     if travel_s <= LIFETIME_SHARE * lifetime_s:
         return ok(f"{text}, less than {limit}")
-    longer = "lengthen controller.supervise_lifetime_s"
-    other = longer if experiment.controller.loop == "device" else "choose a lower rate"
+    if experiment.controller.loop == "device":
+        other = "lengthen controller.supervise_lifetime_s"
+    elif experiment.controller.command_lifetime_s is not None:
+        other = (
+            f"set controller.command_lifetime_s to {travel_s / LIFETIME_SHARE:.3g} s or more, where it may"
+        )
+    else:
+        other = f"choose a rate of {rate_of_lifetime(travel_s / LIFETIME_SHARE)} Hz or less"
     return refused(
         f"{text}, more than {limit}",
         f"run `rig doctor --url …`, which names what delays it, grant real-time scheduling, or {other}",

@@ -93,7 +93,8 @@ class LateLoops:
         if delay_ticks > LARGEST_DELAY:
             raise ConfigError(
                 f"a delay of {delay_ticks} ticks is not computed (at most {LARGEST_DELAY})",
-                remedy="choose a lower rate or a faster link",
+                remedy=f"choose a rate of {experiment.controller.position_rate * LARGEST_DELAY // delay_ticks} Hz or "
+                "less, or a faster link",
             )
         late = late_by(experiment, delay_ticks)
         schemes, reason = _linear_schemes(late)

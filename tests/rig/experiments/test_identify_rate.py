@@ -10,8 +10,9 @@ import pytest
 from rig.bench.doctor.ping import EXCHANGE
 from rig.bench.doctor.round_trip import LinkMeasurement
 from rig.config import presets
+from rig.config.controller import command_lifetime_s, rate_of_lifetime
 from rig.core.errors import PlanError
-from rig.experiments.identify_rate import SLOWEST_HZ, advice, choose_rate
+from rig.experiments.identify_rate import SLOWEST_HZ, advice, at_rate, choose_rate
 from rig.recording.quantiles import Distribution
 
 RIG = presets.load("koul-rigid")
@@ -78,3 +79,9 @@ def test_a_run_that_silence_ended_names_the_rate_that_outlives_it() -> None:
     assert "no rate from 250 Hz up" in advice(0.015, 125), (
         "a slower loop bears no more: its commands live for 20 ms"
     )
+
+
+@pytest.mark.parametrize("lifetime_s", [0.002, 0.004, 0.0105, 0.02, 0.03, 0.2])
+def test_a_command_lives_for_the_time_of_which_the_rate_is_named(lifetime_s: float) -> None:
+    rate = rate_of_lifetime(lifetime_s)
+    assert command_lifetime_s(at_rate(RIG, rate, "test")) >= lifetime_s
