@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from rig import config, devices
 from rig.analysis.identification.cogging import CoggingMap, fit_cogging, pairs_of
 from rig.analysis.identification.dynamics import Dynamics, fit_dynamics
-from rig.analysis.identification.quality import IdentificationError
+from rig.analysis.identification.quality import MOST_DRIFT, IdentificationError, period_change
 from rig.analysis.identification.ripple import Ripple, fit_ripple
 from rig.analysis.identification.signs import SignCheck, stiction_warning
 from rig.analysis.identification.sliding import Sliding, Stroke, fit_sliding
@@ -241,9 +241,13 @@ def identify(request: IdentifyRequest, tell: Tell | None = None, ask: Ask | None
                 heavy = dynamics.inertia.value + request.mass_kg * arm**2
                 ripple = session.ripple(loaded, request.cogging, dynamics.inertia.value, heavy, damping)
         simulated = device.dictionary.simulated
-    return _identified(
+    found = _identified(
         request, base, signs, sliding, dynamics, cogging, ripple, session.recordings, simulated=simulated
     )
+    if not session.repeated:
+        return found
+    text = f"{session.repeated} motions were measured again: lost or late samples had spoiled them"
+    return replace(found, warnings=(*found.warnings, text))
 
 
 def without_end_mass(request: IdentifyRequest) -> Experiment:
@@ -338,12 +342,9 @@ class _Session:
         runs, lates = [], []
         for number in range(request.realisations):
             multisine = excitation(x, request.seed, request.period_s, inertia, number)
-            rows, rate = self._run(self._evened(excitation_motion(x, multisine, inertia)), "dynamics", number)
-            _check_undisturbed(rows)
-            effort, late = acting_effort(rows)
-            effort = effort + self._cogging.effort(rows["position"])
+            run, late = self._excited(x, multisine, inertia, number)
+            runs.append(run)
             lates.append(late)
-            runs.append(excited_run_of(rows, rate, multisine, effort))
         found = fit_dynamics(
             runs,
             resolution=x.rig.encoder.resolution,
@@ -353,6 +354,23 @@ class _Session:
             back_emf=x.rig.amplifier.back_emf,
         )
         return found.later(round(float(np.median(lates))), 1.0 / x.controller.position_rate)
+
+    def _excited(
+        self, x: Experiment, multisine: Multisine, inertia: float, number: int
+    ) -> tuple[ExcitedRun, int]:
+        """Run one realisation, and again when a command that came late has pushed the handle out of its period."""
+        motion = self._evened(excitation_motion(x, multisine, inertia))
+        for attempt in range(1 if self.device.link.clock.virtual else ATTEMPTS):
+            if attempt:
+                self.repeated += 1
+                self.recordings["dynamics"] = self.recordings["dynamics"][:-1]
+            rows, rate = self._run(motion, "dynamics", number)
+            _check_undisturbed(rows)
+            effort, late = acting_effort(rows)
+            run = excited_run_of(rows, rate, multisine, effort + self._cogging.effort(rows["position"]))
+            if period_change(run) <= MOST_DRIFT or not (rows["flags"] & (RowFlag.GAP | RowFlag.LATE)).any():
+                break
+        return run, late
 
     def sweep(self, x: Experiment, most_order: int) -> None:
         """Sweep for cogging; from here on it is known, with the inertia that is described."""

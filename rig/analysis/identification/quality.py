@@ -154,12 +154,17 @@ def _check_size(run: ExcitedRun, resolution: float) -> None:
         )
 
 
-def _check_drift(run: ExcitedRun, band: Band) -> None:
+def period_change(run: ExcitedRun, lines: slice = slice(None)) -> float:
+    """Return by how much the motion changes from one period to the next, as a share, at the median of these lines."""
     if run.periods < 2:
-        return
+        return 0.0
     by_period = run.level_position().reshape(run.periods, run.period_samples)
-    at_lines = np.fft.rfft(by_period, axis=1)[:, run.bins[band.chosen]]
-    change = float(np.median(np.abs(np.diff(at_lines, axis=0)) / np.abs(at_lines[1:])))
+    at_lines = np.fft.rfft(by_period, axis=1)[:, run.bins[lines]]
+    return float(np.median(np.abs(np.diff(at_lines, axis=0)) / np.abs(at_lines[1:])))
+
+
+def _check_drift(run: ExcitedRun, band: Band) -> None:
+    change = period_change(run, band.chosen)
     if change > MOST_DRIFT:
         raise IdentificationError(
             f"the motion at the median line changes by {100 * change:.0f} % from one period to the next, "
