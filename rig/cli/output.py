@@ -30,7 +30,10 @@ _MARKS = {
 def print_json(result: Any) -> None:
     """Print one JSON document as UTF-8, by `rig.core.present.plain`; its remedies are those of a terminal."""
     text = json.dumps(_remedies_for_terminal(plain(result)), ensure_ascii=False, indent=2)
-    click.echo(text.encode("utf-8", "backslashreplace"))  # \udcff of a file's name is JSON
+    takes_bytes = hasattr(sys.stdout, "buffer")  # not where a program redirected it into a string
+    click.echo(
+        text.encode("utf-8", "backslashreplace") if takes_bytes else text
+    )  # \udcff of a file's name is JSON
 
 
 def _remedies_for_terminal(value: Any) -> Any:

@@ -167,7 +167,7 @@ def _follows(x: Experiment, limit: float) -> Check:
         held <= limit,
         f"friction holds the handle {held:.3g} {unit} behind a servo at {x.controller.position_rate} Hz, limit "
         f"{limit:.3g}",
-        f"choose --rate {enough} or more, raise homing.damping, or widen the window",
+        f"choose `rate` {enough} or more, raise homing.damping, or widen the window",
     )
 
 

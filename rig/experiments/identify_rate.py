@@ -107,7 +107,7 @@ def advice(silence_s: float, rate_hz: int) -> str:
     """What to do after a run that such a silence of the computer or the link spoiled, at a rate (Hz)."""
     bearing = _bearing_rate(silence_s)
     if SLOWEST_HZ <= bearing < rate_hz:
-        return f"choose --rate {bearing}: half of its commands' lifetime is the {1e3 * silence_s:.3g} ms of silence"
+        return f"choose `rate` {bearing}: half of its commands' lifetime is the {1e3 * silence_s:.3g} ms of silence"
     return (
         f"free the computer of other work, or grant real-time scheduling (`rig doctor` says how): no rate from "
         f"{SLOWEST_HZ} Hz up bears {1e3 * silence_s:.3g} ms of silence"
@@ -124,7 +124,7 @@ def _refused(
     x: Experiment, measurement: LinkMeasurement, choice: RateChoice, works: RateChoice | None
 ) -> PlanError:
     if works is not None:
-        remedy = f"choose --rate {works.rate_hz}, or leave it out"
+        remedy = f"choose `rate` {works.rate_hz}, or leave it out"
     else:
         slower = (choice.rate_hz >> number for number in range(1, choice.rate_hz.bit_length()))
         carried = next((rate for rate in slower if not judge_rate(x, measurement, rate).reason), 0)

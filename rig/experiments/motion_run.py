@@ -159,14 +159,14 @@ def whole(recording: Recording, rows: NDArray[np.void]) -> NDArray[np.void]:
         raise TimingError(
             f"{recording.path}: {100 * share:.2g} % of the samples are missing, up to {longest} in a row; allowed are "
             f"{100 * MOST_LOST_SHARE:g} % and {LONGEST_FILLED} in a row",
-            remedy=f"free the computer of other work, or choose --rate {slower}, at which the longest gap is "
+            remedy=f"free the computer of other work, or choose `rate` {slower}, at which the longest gap is "
             f"{math.floor(longest * slower / rate)} samples",
         )
     late = float(np.mean((rows["flags"] & RowFlag.LATE) != 0))
     if late > LATE_SHARE and recording.header["extra"].get("loop") != "device":
         raise TimingError(
             f"{recording.path}: {100 * late:.1f} % of the ticks were late, allowed are {100 * LATE_SHARE:g} %",
-            remedy=f"free the computer of other work, or choose --rate {rate // 2}",
+            remedy=f"free the computer of other work, or choose `rate` {rate // 2}",
         )
     return _filled(rows) if lost else rows
 

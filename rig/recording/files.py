@@ -23,7 +23,7 @@ _REMEDIES = {
     errno.EEXIST: "choose another name; recordings are never overwritten",
     errno.EISDIR: "name a file inside it",
     errno.ENXIO: "name a file on a disk",
-    errno.EOVERFLOW: "name the file that `rig` wrote",
+    errno.EOVERFLOW: "name the file that haptic-rig wrote",
     errno.EACCES: "choose a place that you may write to",
     errno.EPERM: "choose a place that you may write to",
     errno.EROFS: "choose a place that you may write to",

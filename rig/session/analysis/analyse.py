@@ -191,7 +191,7 @@ class Analysis:
         taken = (
             "taken in"
             if self.options.include_marked
-            else "left out of K_max (--include-marked takes them in)"
+            else "left out of K_max (`include_marked` takes them in)"
         )
         short = [run for run in self.runs if run.state == ENDED_BY_MOST]
         if short:

@@ -141,7 +141,7 @@ class Staircase:
             censored=censored,
             hits=hits,
             step=step_at(self.levels, value) * self.steps[-1],
-            mark=f"ended by `most` after {len(fine)} of {self.turns} turns" if ended_by_most else "",
+            mark=f"ended by most after {len(fine)} of {self.turns} turns" if ended_by_most else "",
             ended_by_most=ended_by_most,
         )
         return marked(estimate, verdicts)

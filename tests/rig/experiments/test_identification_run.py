@@ -490,7 +490,7 @@ def test_the_plan_lists_and_checks_before_anything_moves() -> None:
 def test_a_rate_at_which_friction_holds_the_strokes_is_refused_with_the_one_that_works(
     tmp_path: Path,
 ) -> None:
-    with pytest.raises(PlanError, match=r"choose --rate (\d+) or more") as caught:
+    with pytest.raises(PlanError, match=r"choose `rate` (\d+) or more") as caught:
         identified(RIGID, tmp_path, rate_hz=250)
     works = int(re.findall(r"--rate (\d+)", str(caught.value))[0])
     assert 250 < works < 1000

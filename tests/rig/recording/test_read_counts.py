@@ -180,7 +180,17 @@ def test_the_commands_take_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, c
 
     monkeypatch.chdir(tmp_path)
     log(tmp_path / "log.csv", TIME_S[KEPT], (TRUE % 4096)[KEPT])
-    importing = ("estimators", "import", "log.csv", "--time", "t", "--count", "1", "--resolution", "1e-4")
+    importing = (
+        "estimators",
+        "import",
+        "log.csv",
+        "--time-column",
+        "t",
+        "--count",
+        "1",
+        "--resolution",
+        "1e-4",
+    )
     code, _, err = run(*importing)
     assert code != 0
     assert "width=16" in err

@@ -74,7 +74,7 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> Recording:
     experiment = config.override(
         presets.load("koul-compliant"),
         {
-            "trial.duration_s": 0.02,
+            "trial.duration_s": 0.05,
             "trial.release_s": 0.003,
             "homing.settle_s": 0.003,
             "verdict.tail_s": 0.01,

@@ -175,10 +175,10 @@ def test_a_limit_lies_in_its_interval_and_between_a_stable_and_an_unstable_wall_
 @pytest.mark.parametrize(
     ("name", "mark"),
     [
-        ("1u1d, most", "ended by `most` after 0 of 6 turns"),
+        ("1u1d, most", "ended by most after 0 of 6 turns"),
         (
             "interleaved, most",
-            "ended by `most` after 0 of 6 turns, track 1; ended by `most` after 0 of 6 turns, track 2",
+            "ended by most after 0 of 6 turns, track 1; ended by most after 0 of 6 turns, track 2",
         ),
     ],
 )

@@ -325,7 +325,7 @@ def test_a_search_that_ended_by_most_is_marked_and_left_out_unless_asked_for(
     found = analyse([tmp_path])
     assert {run.state for run in found.runs} == {"ended by most"}
     for run in found.runs:
-        assert "ended by `most` after 0 of 6 turns" in run.note
+        assert "ended by most after 0 of 6 turns" in run.note
         assert "rule" not in run.limits or run.limits["rule"].mark in run.note
     assert found.of_participants == found.paired == ()
     assert any("6 runs were ended by most, left out of K_max" in message for message in found.messages)
