@@ -186,7 +186,7 @@ def tune(
 @option("--count", required=True, help="Column of counts: its name, or its number from 0.")
 @option("--time-column", "time", help="Column of times: its name, or its number from 0.")
 @option("--time-unit", default="s", show_default=True, type=click.Choice(tuple(UNITS_S)), help="Of times.")
-@option("--period", type=float, help="s between two rows, instead of --time.")
+@option("--period", type=float, help="s between two rows, instead of --time-column.")
 @option("--width", type=int, help="Bits of the counter, if it wraps at fewer than 32.")
 @option("--resolution", type=float, required=True, help="rad or m a count; negative if counts fall.")
 @option(

@@ -492,7 +492,7 @@ def test_a_rate_at_which_friction_holds_the_strokes_is_refused_with_the_one_that
 ) -> None:
     with pytest.raises(PlanError, match=r"choose `rate` (\d+) or more") as caught:
         identified(RIGID, tmp_path, rate_hz=250)
-    works = int(re.findall(r"--rate (\d+)", str(caught.value))[0])
+    works = int(re.findall(r"`rate` (\d+)", str(caught.value))[0])
     assert 250 < works < 1000
     assert identified(RIGID, tmp_path, rate_hz=works).sliding.coulomb.value == pytest.approx(0.02, rel=0.3)
 
@@ -529,7 +529,7 @@ def test_lost_samples_are_filled_in_up_to_a_bound(chawda: Any) -> None:
     for lost in (slice(middle, middle + LONGEST_FILLED + 1), slice(middle, None, 20)):
         with pytest.raises(TimingError, match=r"% of the samples are missing, up to \d in a row") as caught:
             trial_rows(replace(recording, rows=np.delete(rows, lost)))
-        assert re.search(r"--rate \d+", str(caught.value.remedy))
+        assert re.search(r"`rate` \d+", str(caught.value.remedy))
 
 
 @pytest.mark.parametrize("preset", ["koul-rigid", "koul-compliant", "chawda-linear"])
