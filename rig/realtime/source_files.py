@@ -13,6 +13,9 @@ import importlib.util
 import os
 import re
 from collections.abc import Container, Iterable, Iterator
+from functools import cache
+from hashlib import sha256
+from importlib.metadata import version
 from pathlib import Path
 
 PACKAGES = ("firmware_protocol", "rig", "sim_backend")
@@ -75,3 +78,12 @@ def _imported(text: bytes, modules: Container[str]) -> list[str]:
         parts = [f"{module}.{name.decode()}" for name in _NAME.findall(names)] if base else []
         found += [name for name in (module, *parts) if name in modules]
     return found
+
+
+@cache
+def code_version() -> str:
+    """Return the version of this package and a hash of its sources: what the results depend on."""
+    digest = sha256()
+    for path in source_files().values():
+        digest.update(path.name.encode() + b"\0" + sha256(path.read_bytes()).digest())
+    return f"{version('haptic-rig')}+{digest.hexdigest()[:12]}"

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from firmware_protocol.messages import MAJOR, MINOR
-from rig.experiments.sweep.executors import code_version
+from rig.realtime.source_files import code_version
 from rig.recording.header import checkout, versions
 from rig.session.log import Event
 

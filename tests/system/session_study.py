@@ -56,8 +56,11 @@ def written(directory: Path) -> Path:
 
 
 def comparable(events: list[Event]) -> list[tuple[str, dict[str, Any]]]:
-    """Decisions; of a recording the rows, since its header says when and where it was made."""
+    """Decisions; of a recording the rows, since its header says when and where it was made; without versions.
+
+    Another process names other sources where a file or the checkout changed meanwhile.
+    """
     return [
-        (kind, {key: value for key, value in content.items() if key != "sha256"})
+        (kind, {key: value for key, value in content.items() if key not in ("sha256", "versions")})
         for kind, content in decisions(events)
     ]

@@ -20,7 +20,7 @@ import pytest
 
 from rig.core.errors import ConfigError, RigError
 from rig.experiments import sweep
-from rig.experiments.sweep import SweepStoppedError, Task, TaskError, executors
+from rig.experiments.sweep import SweepStoppedError, Task, TaskError, code_version
 from rig.experiments.sweep import cluster as clusters
 from rig.experiments.sweep.executors import as_json
 from tests.conformance import sweep_work
@@ -208,7 +208,7 @@ def test_another_haptic_rig_on_the_workers_is_refused_with_both_versions(
     cluster: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     cluster.have(2)
-    ours = executors.code_version()
+    ours = code_version()
     monkeypatch.setattr("rig.experiments.sweep.tasks.code_version", lambda: "9.9.9+0123456789ab")
     with pytest.raises(ConfigError) as caught:
         sweep.run(SINES, sines(4), scheduler=cluster.address)

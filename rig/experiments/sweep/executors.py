@@ -15,9 +15,6 @@ import time
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
-from hashlib import sha256
-from importlib.metadata import version
 from itertools import count
 from pkgutil import resolve_name
 from typing import Any, Protocol
@@ -25,7 +22,7 @@ from typing import Any, Protocol
 from rig.core.errors import ConfigError, RigError
 from rig.core.this_system import processors
 from rig.realtime.handlers import take_no_signals
-from rig.realtime.source_files import source_files
+from rig.realtime.source_files import code_version
 
 LONGEST_S = 1.0  # a batch gives back what it has not begun by then
 
@@ -144,15 +141,6 @@ def find_work(name: str) -> Callable[[dict[str, Any]], Any]:
             remedy="name it as module:function, and install its package where the work is done",
         ) from error
     return found  # type: ignore[no-any-return]
-
-
-@cache
-def code_version() -> str:
-    """Return the version of this package and a hash of its sources: what the results depend on."""
-    digest = sha256()
-    for path in source_files().values():
-        digest.update(path.name.encode() + b"\0" + sha256(path.read_bytes()).digest())
-    return f"{version('haptic-rig')}+{digest.hexdigest()[:12]}"
 
 
 def as_json(value: Any, *, sort_keys: bool = False) -> str:

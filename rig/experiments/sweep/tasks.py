@@ -19,8 +19,9 @@ from typing import Any, overload
 from rig.core.errors import ConfigError, RigError, StoppedError
 from rig.experiments.sweep.cluster import Cluster
 from rig.experiments.sweep.coordinator import Coordinator, Progress, Task
-from rig.experiments.sweep.executors import Order, Threads, as_json, code_version
+from rig.experiments.sweep.executors import Order, Threads, as_json
 from rig.experiments.sweep.journal import Journal, Memory
+from rig.realtime.source_files import code_version
 
 
 class Results(Sequence[Any]):

@@ -14,11 +14,11 @@ from rig.config.schemes import Scheme
 from rig.core.present import plain
 from rig.experiments.impedance import ImpedanceResult
 from rig.experiments.searches import GridSearch, trace_grid
-from rig.experiments.sweep.executors import code_version
 from rig.experiments.table_one import FrequencyWidth, Spread
 from rig.experiments.zwidth import ZWidth
 from rig.papers.chawda import rigs
 from rig.papers.chawda.readings import Readings
+from rig.realtime.source_files import code_version
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -16,13 +16,13 @@ from typing import Any
 
 from rig import config
 from rig.control.verdict import CRITERIA
-from rig.experiments.sweep.executors import code_version
 from rig.experiments.zwidth import ZWidth
 from rig.papers.cutoff import rigs, rules
 from rig.papers.koul.parts import map_part
 from rig.papers.parts import Part, Parts
 from rig.papers.reproduction import Paper
 from rig.papers.rules import Ruling
+from rig.realtime.source_files import code_version
 from rig.views.plots import style
 
 

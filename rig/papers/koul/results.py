@@ -11,7 +11,6 @@ import numpy as np
 from rig import config
 from rig.config import presets
 from rig.experiments.kmax import KMax
-from rig.experiments.sweep.executors import code_version
 from rig.experiments.zwidth import Width, ZWidth
 from rig.papers.koul import rigs, rules
 from rig.papers.koul.compare import Panel, Profiles
@@ -28,6 +27,7 @@ from rig.papers.koul.ideas import (
 from rig.papers.koul.parts import Range
 from rig.papers.koul.ways import Way, ways_of
 from rig.papers.rules import over, within
+from rig.realtime.source_files import code_version
 
 NUMBERS = {key: number for number, key in enumerate(rigs.SCHEMES)}
 

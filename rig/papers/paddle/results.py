@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from rig.core.deferred import stats
-from rig.experiments.sweep.executors import code_version
 from rig.experiments.zwidth import ZWidth
 from rig.papers.paddle import data, rigs, rules
 from rig.papers.paddle.rules import Curves
+from rig.realtime.source_files import code_version
 
 CRITERION = "any"
 
