@@ -16,7 +16,10 @@ BOARDS = {
     "cortex-m4f": ["-mcpu=cortex-m4", "-mthumb", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard"],
     "cortex-m7": ["-mcpu=cortex-m7", "-mthumb", "-mfpu=fpv5-d16", "-mfloat-abi=hard"],
 }
-CODE_LIMIT = 29 * 1024  # bytes of code and constants; an RP2040 has 264 KiB of memory
+# Bytes of code and constants: a budget. The smallest board, a Pico with an RP2040, has 2 MiB = 2,097,152 bytes of flash
+# (and 264 KiB of memory). Raised from 29 KiB on 2026-11-29: the measured current is expected behind the set-point's
+# delay, and its delay line made the core 30,168 bytes for a Cortex-M0+.
+CODE_LIMIT = 30 * 1024
 # What a core may ask of a C library: copying, three functions when a block of parameters comes, and a root for Levant's
 # estimator.
 LIBRARY = {"memcpy", "memset", "expm1", "sqrt", "ceil", "floor", "sqrtf"}
