@@ -23,7 +23,8 @@ SHORTEST_HEARTBEAT_S = 0.1  # five times `rig.loop.run.POLL_S`
 LEAST_INDEX_COUNTS = (
     16  # between two indices: fewer, and one count is too large a share to judge where one lies
 )
-LEAST, GREATEST = 1e-15, 1e15  # of any quantity in SI units
+# Magnitudes of any quantity in SI units; a place may be what rounding left, such as 0.1 + 0.2 - 0.3.
+LEAST, GREATEST = 1e-30, 1e15
 MOST_ORDER = 1000  # of cogging; no motor has as many slots
 LARGEST_DISC = 10_000_000  # lines of an encoder; no disc has more
 

@@ -279,6 +279,14 @@ def test_values_that_overflow_are_no_traceback() -> None:
     assert "hit.toml: some values are too large" in refusal({"rig.mechanics.handle_radius": 1e200})
 
 
+def test_a_rounding_residue_is_a_place_and_what_no_float_can_square_is_none() -> None:
+    residue = 0.1 + 0.2 - 0.3
+    assert override(KOUL, {"wall.position": residue}).wall.position == residue
+    for value in (1e-31, -1e-160, 1e16):
+        with pytest.raises(ConfigError, match=r"must be 0, or between 1e-30 and 1e\+15 in magnitude"):
+            override(KOUL, {"wall.position": value})
+
+
 def test_an_unknown_preset_suggests_the_nearest() -> None:
     with pytest.raises(
         ConfigError, match=r'hit\.toml: preset = "koul-complaint".*did you mean koul-compliant\?'
