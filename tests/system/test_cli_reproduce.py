@@ -52,7 +52,7 @@ def test_quick_reproduces_the_paper_in_one_report_and_goes_on_from_its_journal(
     assert by_key["penetration"] == "reproduced only with fixed point"
 
     monkeypatch.setattr(
-        "rig.papers.reproduction.draw", lambda found: {}
+        "rig.papers.reproduction.draw", lambda found, on_failure: {}
     )  # of the same results: the same pictures
     assert rig.cli.run(["reproduce", "koul", "--quick", "--json", "-o", str(place)]) == 0
     again = json.loads(capfd.readouterr().out)
@@ -102,7 +102,7 @@ def test_quick_judges_measured_data_over_the_rigs_that_could_have_given_it(
 def test_quick_judges_the_abstract_of_a_third_paper(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rig.papers.reproduction.draw", lambda found: {})
+    monkeypatch.setattr("rig.papers.reproduction.draw", lambda found, on_failure: {})
     assert rig.cli.run(["reproduce", "cutoff", "--quick", "--json", "-o", str(tmp_path)]) == 0
     found = json.loads(capfd.readouterr().out)
     assert {claim["key"] for claim in found["claims"]} == {"exists", "predicts"}

@@ -61,7 +61,7 @@ def test_a_stated_rate_is_kept_or_refused_with_the_rate_that_works() -> None:
     assert choose_rate(RIG, slow, most_hz=1000, stated_hz=400).rate_hz == 400
     with pytest.raises(PlanError, match="an identification at 2000 Hz would not end") as caught:
         choose_rate(RIG, slow, most_hz=1000, stated_hz=2000)
-    assert "--rate 500" in str(caught.value.remedy)
+    assert "`rate` 500" in str(caught.value.remedy)
     works = choose_rate(RIG, slow, most_hz=1000, stated_hz=500)
     assert works.reason == ""
 
@@ -74,7 +74,7 @@ def test_a_link_that_carries_none_is_refused_with_the_numbers() -> None:
 
 
 def test_a_run_that_silence_ended_names_the_rate_that_outlives_it() -> None:
-    assert "--rate 300" in advice(0.008, 1000)
+    assert "`rate` 300" in advice(0.008, 1000)
     assert "no rate from 250 Hz up" in advice(0.06, 1000)
     assert "no rate from 250 Hz up" in advice(0.015, 125), (
         "a slower loop bears no more: its commands live for 20 ms"

@@ -223,6 +223,7 @@ def test_a_grid_tells_what_ladder_and_bisection_would_have_said() -> None:
         dampings=(0.0,),
         search=search,
         offsets=(0.1,),
+        judged="true",
     )
     rows = [{"stiffness": k, "passes_any_true": k not in (2.0, 64.0)} for k in search.rungs]
     for row in rows:
