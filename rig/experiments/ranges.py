@@ -26,7 +26,7 @@ from rig.experiments.excitation_run import Signal
 from rig.experiments.impedance import Judging
 from rig.experiments.kmax import KMax
 from rig.experiments.on_the_drive import is_on_the_drive
-from rig.experiments.plan import make_plan
+from rig.experiments.plan import make_plan, predict_impact
 from rig.experiments.searches import Search, Way
 from rig.experiments.zwidth import OFFSETS, Judged, MapPlan
 from rig.experiments.zwidth_frequency import FrequencyPlan
@@ -106,7 +106,8 @@ def search_for(
     """Return rungs up to what the push can show and down to well below the linear limits, unless bounds are given.
 
     The lowest stiffness is the highest over `span`, or less: a fourth of the lowest linear limit at B = 0 among the
-    schemes (those of `theory.default_schemes` if empty). On a device it is at least the softest wall it may hit.
+    schemes (those of `theory.default_schemes` if empty), as far as the window holds the push. On a device it is at
+    least the softest wall it may hit.
 
     Raises
     ------
@@ -126,7 +127,9 @@ def search_for(
         lowest = top / span
         below = _lowest_undamped_limit(experiment, schemes) / BELOW
         if 0.0 < below < lowest and ratio > 1.0:  # else refused below
-            lowest /= ratio ** math.ceil(math.log(lowest / below) / math.log(ratio))
+            # In a softer wall the handle may run against the window: a ladder would end there, at a false limit.
+            while lowest > below and _stays_in_window(experiment, lowest / ratio):
+                lowest /= ratio
         if on_device:
             lowest = max(lowest, _softest(experiment, lowest, top))
     try:
@@ -148,6 +151,12 @@ def _lowest_undamped_limit(experiment: Experiment, schemes: Sequence[Scheme]) ->
         theory.k_max(experiment, replace(_with_estimator(scheme, _REFERENCE), prediction=None)).stiffness
         for scheme in one_of_each_rate.values()
     )
+
+
+def _stays_in_window(experiment: Experiment, stiffness: float) -> bool:
+    wall, limits = replace(experiment.wall, stiffness=stiffness), experiment.rig.limits
+    deepest = predict_impact(replace(experiment, wall=wall)).peak_penetration
+    return limits.position_minimum <= wall.position + wall.side * deepest <= limits.position_maximum
 
 
 def _softest(experiment: Experiment, lowest: float, highest: float) -> float:

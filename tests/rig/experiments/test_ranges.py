@@ -55,6 +55,18 @@ def test_the_softest_wall_is_well_below_every_linear_limit_without_damping(prese
     assert search.rungs[-1] == pytest.approx(ranges.highest_stiffness(experiment), rel=0.25)
 
 
+def test_no_rung_is_added_below_the_walls_in_which_the_push_stays_in_the_window() -> None:
+    """A Hapkit pushed by 0.2 N·m: a fourth of its limit at 250 Hz is so soft that the paddle reaches its stop."""
+    pushed = config.override(presets.load("hapkit"), {"trial.effort": 0.2, "trial.start": -0.01})
+    schemes = [Scheme.parse("uniform:250")]
+    lowest = ranges.search_for(pushed, ratio=1.1, schemes=schemes).lowest
+    assert lowest <= ranges.highest_stiffness(pushed) / ranges.SPAN * (1.0 + 1e-9)
+    walled = replace(pushed, wall=replace(pushed.wall, stiffness=lowest))
+    assert [check.outcome for check in make_plan(walled).checks if check.name == "peak penetration"] == [
+        Outcome.OK
+    ]
+
+
 @pytest.mark.parametrize(
     ("bounds", "text"),
     [
