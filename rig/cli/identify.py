@@ -202,7 +202,8 @@ def _write(found: Identification, path: Path) -> Path:
 
 
 def _print(found: Identification, picture: str | None, written: Path | None) -> None:
-    click.echo(click.style(f"{found.experiment.rig.name}, identified (± 95 %, scatter only)", bold=True))
+    title = f"{found.experiment.rig.name}, identified (± 95 %: scatter, and doubt about friction)"
+    click.echo(click.style(title, bold=True))
     output.print_pairs(
         [
             *_sign_pairs(found),
