@@ -54,6 +54,10 @@ def announced(
     RigError
         What `serve` raised before it announced anything.
     """
+    if sys.platform == "win32":  # a child there gets no descriptors by number
+        raise DeviceNotFoundError(
+            f"the process {name} cannot be started on Windows", remedy="use Linux, or a device on a port"
+        )
     served = pickle.dumps((serve, arguments))
     ours, theirs = Pipe()
     with ours:
@@ -139,6 +143,7 @@ def _end_with(descriptor: int) -> None:
 
     PR_SET_PDEATHSIG would do so when the thread ends that started it.
     """
+    assert sys.platform != "win32"  # `announced` refuses
     ended = select.poll()
     ended.register(descriptor, 0)  # a hang-up is reported always
     ended.poll()
