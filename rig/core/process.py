@@ -58,22 +58,23 @@ def announced(
         raise DeviceNotFoundError(
             f"the process {name} cannot be started on Windows", remedy="use Linux, or a device on a port"
         )
-    served = pickle.dumps((serve, arguments))
-    ours, theirs = Pipe()
-    with ours:
-        with theirs:
-            process = subprocess.Popen(
-                _command(theirs.fileno(), name),
-                stdin=subprocess.DEVNULL,
-                pass_fds=(theirs.fileno(), *descriptors),
-                start_new_session=True,
-            )
-        _lifelines.add(ours)
-        try:
-            yield _first(ours, served, name, by_hand)
-        finally:
-            _lifelines.discard(ours)
-            _end(process)
+    else:
+        served = pickle.dumps((serve, arguments))
+        ours, theirs = Pipe()
+        with ours:
+            with theirs:
+                process = subprocess.Popen(
+                    _command(theirs.fileno(), name),
+                    stdin=subprocess.DEVNULL,
+                    pass_fds=(theirs.fileno(), *descriptors),
+                    start_new_session=True,
+                )
+            _lifelines.add(ours)
+            try:
+                yield _first(ours, served, name, by_hand)
+            finally:
+                _lifelines.discard(ours)
+                _end(process)
 
 
 _lifelines: set[Connection] = set()
@@ -143,10 +144,10 @@ def _end_with(descriptor: int) -> None:
 
     PR_SET_PDEATHSIG would do so when the thread ends that started it.
     """
-    assert sys.platform != "win32"  # `announced` refuses
-    ended = select.poll()
-    ended.register(descriptor, 0)  # a hang-up is reported always
-    ended.poll()
-    os.kill(os.getpid(), signal.SIGTERM)
-    time.sleep(STOP_TIMEOUT_S)
-    os.kill(os.getpid(), signal.SIGKILL)
+    if sys.platform != "win32":  # where `announced` refuses
+        ended = select.poll()
+        ended.register(descriptor, 0)  # a hang-up is reported always
+        ended.poll()
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(STOP_TIMEOUT_S)
+        os.kill(os.getpid(), signal.SIGKILL)
