@@ -45,15 +45,16 @@ def test_the_device_dates_its_samples_as_they_come(powered: Powered, rate: int) 
 
 
 # Share of the period that the worst tick may take: a little above what it took when PICO.md was written.
+# Until 2026-11-29 0.30 and 0.77: the comparison of currents got the set-point's delay since, 200 cycles a tick.
 @pytest.mark.parametrize(
     ("output", "position_rate", "velocity_rate", "share"),
     [
-        ("powered", 20_000, 2_000, 0.30),
-        ("powered", 20_000, 20_000, 0.30),
-        ("powered", 50_000, 5_000, 0.77),
-        ("powered", 50_000, 50_000, 0.77),
-        ("powered_dac", 20_000, 20_000, 0.30),
-        ("powered_dac", 50_000, 5_000, 0.77),
+        ("powered", 20_000, 2_000, 0.33),
+        ("powered", 20_000, 20_000, 0.33),
+        ("powered", 50_000, 5_000, 0.81),
+        ("powered", 50_000, 50_000, 0.81),
+        ("powered_dac", 20_000, 20_000, 0.33),
+        ("powered_dac", 50_000, 5_000, 0.81),
     ],
 )
 def test_the_worst_tick_with_the_law_on_the_device(
