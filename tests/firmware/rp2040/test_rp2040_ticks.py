@@ -45,16 +45,19 @@ def test_the_device_dates_its_samples_as_they_come(powered: Powered, rate: int) 
 
 
 # Share of the period that the worst tick may take: a little above what it took when PICO.md was written.
-# Until 2026-11-29 0.30 and 0.77: the comparison of currents got the set-point's delay since, 200 cycles a tick.
+# Measured on 2026-11-29, since the comparison of currents has a delay line: 3217 cycles, and at 50 kHz a jitter of 205.
+@pytest.mark.xfail(
+    reason="core/current.c takes 200 cycles a tick too many", raises=AssertionError, strict=True
+)
 @pytest.mark.parametrize(
     ("output", "position_rate", "velocity_rate", "share"),
     [
-        ("powered", 20_000, 2_000, 0.33),
-        ("powered", 20_000, 20_000, 0.33),
-        ("powered", 50_000, 5_000, 0.81),
-        ("powered", 50_000, 50_000, 0.81),
-        ("powered_dac", 20_000, 20_000, 0.33),
-        ("powered_dac", 50_000, 5_000, 0.81),
+        ("powered", 20_000, 2_000, 0.30),
+        ("powered", 20_000, 20_000, 0.30),
+        ("powered", 50_000, 5_000, 0.77),
+        ("powered", 50_000, 50_000, 0.77),
+        ("powered_dac", 20_000, 20_000, 0.30),
+        ("powered_dac", 50_000, 5_000, 0.77),
     ],
 )
 def test_the_worst_tick_with_the_law_on_the_device(
@@ -79,13 +82,8 @@ def test_the_worst_tick_with_the_law_on_the_device(
     )
     assert worst <= share * period
     off = np.abs(np.diff(ticks.at) - period)
-    print(f"off {np.percentile(off, 99.5):.0f}, at most {np.max(off):.0f}")
-    # At 50 kHz such a tick leaves too little of the period: 94, 205 and 85 cycles were measured on 2026-11-29, within
-    # JITTER before the comparison of currents had a delay line. To be won back in core/current.c.
-    assert np.percentile(off, 99.5) <= (JITTER if position_rate < 50_000 else 250)
-    assert np.max(off) < (0.1 if position_rate < 50_000 else 0.2) * period, (
-        "a request of the host may hold one up"
-    )
+    assert np.percentile(off, 99.5) <= JITTER
+    assert np.max(off) < 0.1 * period, "a request of the host may hold one up a little"
     counts, indices = session.counts()
     assert np.max(counts) > 0, "the handle was in the wall"
     assert len(indices) > 0.06 * position_rate
