@@ -141,7 +141,7 @@ def main(obj: object = None) -> None:
 
 
 def _interrupt(number: int, frame: object) -> None:
-    raise KeyboardInterrupt
+    raise KeyboardInterrupt(signal.Signals(number).name)
 
 
 def run(arguments: list[str], obj: object = None) -> int:
@@ -164,8 +164,14 @@ def _run(arguments: list[str], obj: object) -> int:  # noqa: PLR0911  (one exit 
     except click.ClickException as error:
         error.show()
         return error.exit_code
-    except (click.Abort, KeyboardInterrupt):
-        click.echo("rig: stopped", err=True)
+    except (click.Abort, KeyboardInterrupt) as error:
+        cause = error.__cause__ or error  # click makes an Abort of both
+        if isinstance(cause, EOFError):
+            return _defect(cause, arguments)
+        by = (
+            f" by {cause.args[0] if cause.args else 'SIGINT'}" if isinstance(cause, KeyboardInterrupt) else ""
+        )
+        click.echo(f"rig: stopped{by}", err=True)
         return 130
     except RigError as error:
         _report(error, arguments)
@@ -177,16 +183,20 @@ def _run(arguments: list[str], obj: object) -> int:  # noqa: PLR0911  (one exit 
     except OSError as error:
         return _incomplete(str(error.strerror or error))
     except Exception as error:
-        if os.environ.get("RIG_DEBUG"):
-            raise
-        if wrong := explain_failure():
-            _report(wrong, arguments)
-            return wrong.exit_code
-        click.echo(
-            f"rig: internal error: {type(error).__name__}: {error}. This is a bug; RIG_DEBUG=1 shows where",
-            err=True,
-        )
-        return 70
+        return _defect(error, arguments)
+
+
+def _defect(error: Exception, arguments: list[str]) -> int:
+    if os.environ.get("RIG_DEBUG"):
+        raise error
+    if wrong := explain_failure():
+        _report(wrong, arguments)
+        return wrong.exit_code
+    click.echo(
+        f"rig: internal error: {type(error).__name__}: {error}. This is a bug; RIG_DEBUG=1 shows where",
+        err=True,
+    )
+    return 70
 
 
 def _refuse_empty(arguments: list[str]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
@@ -57,7 +58,7 @@ class Followed:
 
     def stop(self) -> None:
         """Set the stop word: zero effort within one tick."""
-        self._ring.put(STOP, 1)
+        self._ring.put(STOP, -os.getpid())
 
     def changed(self) -> bool:
         """Whether its info is another one than at the last call."""

@@ -27,7 +27,7 @@ from rig.loop.run import LoopEnd
 # row, and what `rig.loop.run.LoopEnd` says was watched.
 ENDINGS: dict[EndReason, tuple[type[RigError], str, str]] = {
     EndReason.RUNNING: (StoppedError, "stopped before the loop had begun; the effort is zero", ""),
-    EndReason.STOPPED: (StoppedError, "stopped; the effort is zero", ""),
+    EndReason.STOPPED: (StoppedError, "stopped{stopper}; the effort is zero", ""),
     EndReason.HEARTBEAT_MISSED: (
         StoppedError,
         "the supervising program fell silent, so the loop stopped; the effort is zero",
@@ -177,6 +177,7 @@ def error_of(end: LoopEnd, url: str, fault: FaultReport | None, rows: NDArray[np
         "fault": named.text if named else "it did not say which",
         "fault_remedy": named.remedy if named else "read its fault log",
         "contradiction": end.contradiction,
+        "stopper": end.stopper,
         "cause": repr(end.error),
         "position": f"{rows['position'][-1]:.4g}" if len(rows) else "?",
         "velocity": f"{rows['velocity'][-1]:.4g}" if len(rows) else "?",

@@ -196,10 +196,14 @@ def run_trial(device: FramedDevice, request: TrialRequest) -> TrialEnd:
     if error is None and watch.stopped is not None and not isinstance(watch.stopped, StoppedError):
         error = watch.stopped
     elif error is None and (signals.is_stopped or watch.stopped):
-        error = StoppedError("stopped after the trial had finished; the effort is zero")
+        by = f" by {stop_requests.requester()}" if signals.is_stopped else ""
+        error = StoppedError(f"stopped{by} after the trial had finished; the effort is zero")
     elif isinstance(error, RigError) and signals.is_stopped and not isinstance(error, StoppedError):
         # A caller may go on after it, with the next wall: not when somebody said stop.
-        error = StoppedError(f"stopped after the trial had ended: {error.message}", remedy=error.remedy)
+        by = stop_requests.requester()
+        error = StoppedError(
+            f"stopped by {by} after the trial had ended: {error.message}", remedy=error.remedy
+        )
     if isinstance(error, StoppedError) and signals.is_stopped:
         error.signal = signals.number
     if isinstance(error, RigError):

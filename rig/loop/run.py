@@ -74,6 +74,7 @@ class LoopEnd:
     """How a loop ended: the reason, an exception of a law or of the simulation, the link's counters.
 
     `contradiction` is what the device said that cannot be, "" for nothing.
+    `stopper` completes "stopped": which signal or process stopped it, "" where the owner of the loop did.
     `watched` has the quantities of `rig.control.watch` and their limits: energy given in the trial and its limit (J),
     oscillations in a row at the end, and the time within which they are in a row (s).
     """
@@ -82,6 +83,7 @@ class LoopEnd:
     error: BaseException | None
     counters: dict[str, int]
     contradiction: str = ""
+    stopper: str = ""
     watched: dict[str, float] = field(
         default_factory=lambda: dict.fromkeys(
             ("energy", "energy_limit", "oscillations", "oscillation_s"), 0.0
@@ -211,6 +213,12 @@ class LoopThread:
         counted_at = self._settings.stop_requests
         return counted_at != 0 and read_word(counted_at) != self._settings.stop_requests_before
 
+    def _stopper(self) -> str:
+        if self._is_requested_to_stop():
+            return f" by {stop_requests.requester()}"
+        process = -self.ring.get(words.STOP)
+        return f" by process {process} (`rig stop`, or STOP of a console)" if process > 0 else ""
+
     def _live(self) -> None:
         if self._heartbeat_ns:
             self.ring.put(words.HEARTBEAT, self._link.clock.now_ns() + self._heartbeat_ns)
@@ -242,7 +250,7 @@ class LoopThread:
             "oscillation_s": float(c["oscillation_ticks"] * c["tick_s"]),
         }
         found = Contradiction(int(self._buffers.progress[0]["contradiction"]))
-        return LoopEnd(reason, failure, counters, found.text, watched)
+        return LoopEnd(reason, failure, counters, found.text, self._stopper(), watched)
 
     @property
     def fault(self) -> int:

@@ -52,7 +52,7 @@ def stop_on_signals() -> Iterator[Signals]:
         seen.append(number)
         if heard is not None:
             return
-        stop_requests.request()  # once more where it was counted in machine code
+        stop_requests.request(number)  # once more where it was counted in machine code
         if callable(before[number]):
             try:
                 before[number](number, frame)

@@ -63,11 +63,11 @@ class Memory:
             raise OSError(f"{path} is not the memory of a running loop") from error
 
     def ask_to_stop(self) -> None:
-        """Set the stop word, unless it is set."""
+        """Set the stop word to minus the number of this process, unless it is set."""
         if self.words[VERSION] != 0:
             self.ran = self.words[LOOP_DONE] == 0
             if self.words[STOP] == 0:
-                self.words[STOP] = 1
+                self.words[STOP] = -os.getpid()
 
     def made_by(self, pid: int) -> bool:
         """Whether a process made what it has open: others look at it too, and forks inherit it without its loop."""

@@ -51,10 +51,10 @@ _raise = types.ExternalFunction("raise", types.int32(types.int32))
 _getpid = types.ExternalFunction("getpid", types.int32())
 
 
-@kernel(_i64(_ptr))
-def _add_request(table: int) -> int:
-    """Count a request that is no signal; returns how many runs it stops."""
-    store_word(table + 8 * _LAST, 0)
+@kernel(_i64(_ptr, _i64))
+def _add_request(table: int, number: int) -> int:
+    """Count a request by a signal, or by this program (0); returns how many runs it stops."""
+    store_word(table + 8 * _LAST, number)
     add_word(table + 8 * _REQUESTS, 1)
     return int(load_word(table + 8 * _RUNS))
 
@@ -195,9 +195,18 @@ def last_signal() -> int | None:
     return int(read_word(_word(_LAST))) or None
 
 
-def request() -> int:
-    """Stop every run of this process, and return how many there are. Waits for nothing; for signal handlers, too."""
-    return int(_add_request(_process().table))
+def requester() -> str:
+    """Name what made the newest request: a signal, or this program."""
+    number = last_signal()
+    return "this program" if number is None else signal.Signals(number).name
+
+
+def request(number: int = 0) -> int:
+    """Stop every run of this process, and return how many there are. Waits for nothing; for signal handlers, too.
+
+    `number` is the signal that asks for it, if one does.
+    """
+    return int(_add_request(_process().table, number))
 
 
 class Series:
@@ -232,7 +241,7 @@ class Series:
     def check(self) -> None:
         """Raise `StoppedError` when a stop was requested, before anything moves."""
         if self.is_stopped:
-            raise StoppedError("stopped before the next run began; the effort is zero")
+            raise StoppedError(f"stopped by {requester()} before the next run began; the effort is zero")
 
 
 @contextmanager

@@ -41,7 +41,6 @@ pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="the loop
 
 ROOT = Path(__file__).parents[2]
 RATE = 250  # Hz: a loop that a loaded machine has time for
-STOPPED = "stopped; the effort is zero"  # by the stop word, and by nothing else
 REACH, LET_GO = "\x1b[F", "\x1b[H"  # end and home: the hand of the keyboard
 START_S = 90.0  # that program, console and simulated device may take to start on a loaded machine
 BY_KEYS_S = 15.0  # from the beginning of a trial to the wall; the script would take longer
@@ -398,7 +397,8 @@ def test_a_hit_is_stopped_while_the_console_is(terminal: Terminal, start: Start)
             break
     else:
         too_busy("every hit ended early")
-    assert check_stopped(operator, trial) == STOPPED
+    stopped = f"stopped by process {os.getpid()} (`rig stop`, or STOP of a console); the effort is zero"
+    assert check_stopped(operator, trial) == stopped
     rows = open_recording(operator.directory / trial["recording"]).rows
     led = rows[rows["phase"] == Phase.TRIAL]
     assert np.argmax(led["penetration"] > 0.0) < BY_KEYS_S * RATE
@@ -415,7 +415,7 @@ def test_a_hit_is_stopped_while_the_console_is(terminal: Terminal, start: Start)
     if trials[-1]["ended"] != "stopped":
         too_busy(f"the second hit ended early: {trials[-1]['ended']}")
     assert code == 130, err
-    assert check_stopped(operator, trials[-1]) == STOPPED
+    assert check_stopped(operator, trials[-1]) == "stopped by SIGINT; the effort is zero"
     assert operator.rested >= 2
 
 

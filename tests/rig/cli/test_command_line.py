@@ -13,11 +13,13 @@ import sys
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import click
 import pytest
 
 import rig.cli
+import rig.cli.doctor
 from rig.cli import output
 from rig.cli.lazy import LazyGroup
 from rig.core.errors import RigError
@@ -38,6 +40,28 @@ main()
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "True True"
+
+
+@pytest.mark.parametrize(
+    ("raised", "code", "words"),
+    [
+        (KeyboardInterrupt(), 130, "rig: stopped by SIGINT\n"),
+        (KeyboardInterrupt("SIGTERM"), 130, "rig: stopped by SIGTERM\n"),
+        (EOFError("a pipe"), 70, "internal error: EOFError: a pipe"),
+    ],
+)
+def test_a_stop_names_its_signal_and_a_broken_pipe_is_none(
+    raised: BaseException, code: int, words: str, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    """Click turns all three into the same exception."""
+
+    def end() -> None:
+        raise raised
+
+    monkeypatch.setattr(rig.cli.doctor.doctor, "callback", end)
+    monkeypatch.setattr(rig.cli.doctor.doctor, "params", [])
+    assert rig.cli.run(["doctor"]) == code
+    assert words in capsys.readouterr().err
 
 
 def commands(
@@ -85,7 +109,7 @@ def test_every_exit_code_is_in_the_readme_and_no_other() -> None:
             importlib.import_module(module)
     returned = {
         node.value.value
-        for function in (rig.cli.run, rig.cli._run, rig.cli._incomplete)
+        for function in (rig.cli.run, rig.cli._run, rig.cli._incomplete, rig.cli._defect)
         for node in ast.walk(ast.parse(inspect.getsource(function)))
         if isinstance(node, ast.Return) and isinstance(node.value, ast.Constant)
     }

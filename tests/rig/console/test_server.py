@@ -162,7 +162,7 @@ def test_a_loop_that_says_nonsense_of_itself_ends_no_console(
                 await searched(2)
             assert page.newest("loop") is None
             await page.ask("stop")
-            assert loop.ring.get(words.STOP) == 1
+            assert loop.ring.get(words.STOP) == -os.getpid()
 
     loop = HandTurnedLoop(64, shared=True, info={"experiment": experiment})
     with loop.ring:
@@ -205,7 +205,7 @@ def test_a_loop_that_cannot_be_read_costs_its_scope_and_no_server(
             assert polled == 1, "it is not looked at again"
             assert (await page.ask("operate", take=True))["result"] == {"operates": True}
             await page.ask("stop")
-            assert loop.ring.get(words.STOP) == 1
+            assert loop.ring.get(words.STOP) == -os.getpid()
 
     loop = HandTurnedLoop(64, shared=True)
     with loop.ring:
@@ -647,7 +647,7 @@ def test_a_blinded_session_of_another_terminal_shows_nothing_and_is_stopped(tmp_
             assert page.newest("loop") is None
             assert not [frame for frame in page.frames if frame["points"]]
             await page.ask("stop")
-            assert loop.ring.get(words.STOP) == 1
+            assert loop.ring.get(words.STOP) == -os.getpid()
 
     with loop.ring:
         play(tmp_path, scenario)

@@ -402,6 +402,7 @@ def test_ctrl_c_however_often_ends_with_a_whole_recording(
     with pytest.raises(StoppedError) as caught:
         bench.run(LONG, progress=interrupting(numbers))
     assert_stopped(bench, caught)
+    assert f"stopped by {numbers[-1].name}; " in str(caught.value)
 
 
 @pytest.fixture

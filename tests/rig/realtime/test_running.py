@@ -90,7 +90,7 @@ def test_a_loop_of_this_process_is_found_once_though_it_is_mapped_too() -> None:
         (loop,) = mine(os.getpid())
         assert loop.info == INFO
         assert running.ask_to_stop(os.getpid()) == 1
-        assert ring.get(words.STOP) == 1
+        assert ring.get(words.STOP) == -os.getpid()
         ring.put(words.LOOP_DONE, 1)
         assert mine(os.getpid()) == []
 
@@ -105,7 +105,7 @@ def test_a_loop_of_another_version_is_listed_and_can_be_stopped_but_not_opened()
         ring.put(words.LOOP_DONE, 0)
         (stopped,) = running.stop(os.getpid(), patience_s=0)
         assert not stopped.ended
-        assert ring.get(words.STOP) == 1
+        assert ring.get(words.STOP) == -os.getpid()
 
 
 def test_the_only_loop_needs_no_name_and_of_several_one_must_be_named(

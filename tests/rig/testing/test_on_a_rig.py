@@ -247,7 +247,7 @@ def test_rig_stop_ends_all_tests(port: SerialRig, pytester: pytest.Pytester) -> 
     if "LinkLostError" in result.stdout.str():
         too_busy("the link was lost before anybody could stop the run")
     assert result.ret == 130
-    result.stdout.fnmatch_lines(["*Exit: stopped; the effort is zero*"])
+    result.stdout.fnmatch_lines([f"*Exit: stopped by process {os.getpid()} *; the effort is zero*"])
     assert "1 passed" not in result.stdout.str()
     did = port.did()
     assert (did.state, did.current) == (State.CONFIGURED, 0)
@@ -266,5 +266,5 @@ def test_ctrl_c_in_a_hit_ends_all_tests(bench: Bench, suite: pytest.Pytester) ->
     with a_person(lambda: bench.device.sample_index > 100, lambda: os.kill(os.getpid(), signal.SIGINT)):
         result = suite.runpytest_inprocess(*TYPED)
     assert result.ret == 130
-    result.stdout.fnmatch_lines(["*Exit: stopped; the effort is zero*"])
+    result.stdout.fnmatch_lines(["*Exit: stopped by SIGINT; the effort is zero*"])
     assert bench.at_rest
