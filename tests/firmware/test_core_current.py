@@ -31,33 +31,38 @@ void configure(struct current_check *check, const struct current_sensor *sensor,
 
 
 class Check(ctypes.Structure):
-    """Struct current_check of current.h."""
+    """Struct current_check of current.h, its delay line unfolded."""
 
     _fields_ = [
+        *((name, ctypes.c_uint16) for name in ("ticks", "passed", "awaited")),
         *(
             (name, ctypes.c_uint32)
-            for name in ("decay", "speed_decay", "back_emf", "late", "quick_decay", "slow_decay")
+            for name in (
+                *("noise", "decay", "quick_decay", "slow_decay", "back_emf"),
+                *("difference", "largest", "sum", "last_largest"),
+            )
         ),
-        ("sign", ctypes.c_int8),
-        ("ticks", ctypes.c_uint16),
-        ("noise", ctypes.c_uint32),
-        *((name, ctypes.c_uint16) for name in ("stride", "first", "middle", "last", "delayed")),
-        *(
-            (name, ctypes.c_int32)
-            for name in ("expected", "quick_low", "quick_high", "slow_low", "slow_high", "count")
-        ),
-        ("known", ctypes.c_uint8),
-        *((name, ctypes.c_uint16) for name in ("newest", "filled", "awaited")),
         *(
             (name, ctypes.c_int32)
             for name in (
-                *("speed", "moved", "left", "before", "smooth"),
-                *("quick_low_left", "quick_high_left", "slow_low_left", "slow_high_left"),
+                *("expected", "quick_low", "slow_low", "quick_high", "slow_high"),
+                *("zero", "largest_zero"),
             )
         ),
-        ("passed", ctypes.c_uint16),
-        *((name, ctypes.c_uint32) for name in ("difference", "largest", "sum", "last_largest")),
-        *((name, ctypes.c_int32) for name in ("zero", "largest_zero")),
+        *((name, ctypes.c_uint32) for name in ("speed_decay", "late")),
+        *(
+            (name, ctypes.c_int32)
+            for name in (
+                *("count", "speed", "moved", "left", "before", "smooth"),
+                *("quick_low_left", "slow_low_left", "quick_high_left", "slow_high_left"),
+            )
+        ),
+        ("sign", ctypes.c_int8),
+        ("known", ctypes.c_uint8),
+        *(
+            (name, ctypes.c_uint16)
+            for name in ("delayed", "stride", "first", "middle", "last", "newest", "filled")
+        ),
         *((name, ctypes.c_int16 * SLOTS) for name in ("lowest", "highest")),
     ]
 
@@ -67,7 +72,7 @@ def rule(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
     directory: Path = tmp_path_factory.mktemp("current")
     source = directory / "configure.c"
     source.write_text(CONFIGURE)
-    parts = [path for path in CORE if path.name in ("current.c", "wide.c")]
+    parts = [path for path in CORE if path.name in ("current.c", "delay_line.c", "wide.c")]
     flags = ["-fPIC", "-shared", f"-I{FIRMWARE / 'core'}", f"-I{FIRMWARE}", *UNDEFINED]
     library = ctypes.CDLL(str(compile_c(directory / "current.so", [source, *parts], flags)))
     library.configure.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int, ctypes.c_uint32]

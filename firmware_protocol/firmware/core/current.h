@@ -7,35 +7,32 @@
 #include <stdint.h>
 
 #include "board.h"
+#include "delay_line.h"
 
-#define CURRENT_SLOTS 33
-
+/* What every tick uses comes first: a Cortex-M0+ reaches the first 62 bytes of half-words and 124 of words in one
+ * instruction. */
 struct current_check {
-    /* Settings: shares of a lag in a tick (1/65536), quanta of back-EMF for a count in a tick (1/256), which way it
-     * acts; ticks of a window, and the sum in it that is noise; of what a lag's input changes by in a tick, how much
-     * comes late (1/65536); shares of half the lag and of twice the lag. Of the delay line: ticks of a slot, slots that
-     * half the delay, the delay and twice the delay reach back, ticks that twice the delay lasts. */
-    uint32_t decay, speed_decay, back_emf, late, quick_decay, slow_decay;
-    int8_t encoder_sign;
-    uint16_t ticks;
-    uint32_t noise;
-    uint16_t stride, first, middle, last, delayed;
-    /* Memory: expected current, back-EMF apart, behind the lag; lowest and highest current of all delays behind half the
-     * lag and behind twice the lag (1/16384 quantum); last count, how many are known (0, 1 or more); newest slot of the
-     * delay line, ticks in it, ticks until the active current of each delay is known. */
-    int32_t expected, quick_low, quick_high, slow_low, slow_high, count;
-    uint8_t known;
-    uint16_t newest, filled, awaited;
-    /* With back-EMF: speed, and behind the lag (1/16384 count a tick); what is left, smoothed and not; expected current,
-     * smoothed (1/16384 quantum); what the four bounds differ by from the expected current, smoothed. */
-    int32_t speed, moved, left, before, smooth, quick_low_left, quick_high_left, slow_low_left, slow_high_left;
-    /* Of this window; the largest of the one before, where it still acts. */
-    uint16_t passed;
+    uint16_t ticks;           /* of a window */
+    uint16_t passed, awaited; /* ticks of this window; until the active current of each delay is known */
+    /* Settings: sum of a window that is noise; shares of the lag, of half of it and of twice it in a tick (1/65536);
+     * quanta of back-EMF for a count in a tick (1/256). */
+    uint32_t noise, decay, quick_decay, slow_decay, back_emf;
+    /* Memory: of this window; the largest of the one before, where it still acts. */
     uint32_t difference, largest, sum, last_largest;
+    /* Expected current, back-EMF apart, behind the lag; lowest current of all delays behind half the lag and behind twice
+     * the lag, and the highest, which is followed only where there is a delay (1/16384 quantum). */
+    int32_t expected, quick_low, slow_low, quick_high, slow_high;
     /* What the sensor shows without a current (1/256 quantum), and how much that may be. */
     int32_t zero, largest_zero;
-    /* Delay line: lowest and highest active current of each slot (quanta). */
-    int16_t lowest[CURRENT_SLOTS], highest[CURRENT_SLOTS];
+    /* Settings with back-EMF: share of the speed's lag in a tick; of what a lag's input changes by in a tick, how much
+     * comes late (1/65536). */
+    uint32_t speed_decay, late;
+    /* Memory with back-EMF: last count; speed, and behind the lag (1/16384 count a tick); what is left, smoothed and not;
+     * expected current, smoothed (1/16384 quantum); what the bounds differ by from the expected current, smoothed. */
+    int32_t count, speed, moved, left, before, smooth, quick_low_left, slow_low_left, quick_high_left, slow_high_left;
+    int8_t encoder_sign;
+    uint8_t known; /* counts: 0, 1 or more */
+    struct delay_line line;
 };
 
 void current_configure(struct current_check *check, const struct board *board, uint32_t rate);

@@ -79,9 +79,9 @@ struct device {
     struct watchdog watchdog;
     struct thermal thermal;
     struct monitor monitor;
-    struct current_check current;
     struct renderer renderer;
     struct batch batch;
+    struct current_check current;
     struct builder state_builder; /* of a STATE that waits to be sent */
     bool state_wanted;            /* one is due that has not been made */
     size_t state_left;            /* bytes of it that the builder has not seen; 0: none waits */

@@ -9,7 +9,9 @@ import pytest
 
 from rig.bench.firmware.build import BuildResult
 from rig.config.derive import rig_model
+from rig.config.load import override
 from rig.config.presets import load
+from rig.core.model import RigModel
 from tests.firmware.rp2040 import emulator
 from tests.firmware.rp2040.session import Session
 
@@ -26,6 +28,13 @@ def built_dac() -> BuildResult:
     return emulator.image(rig_model(load(PRESET)), output="dac")
 
 
+@pytest.fixture(scope="session")
+def delayed() -> tuple[RigModel, BuildResult]:
+    """A rig whose amplifier takes a set-point 0.1 ms late, as the profile of an ESCON by PWM says, and its image."""
+    model = rig_model(override(load(PRESET), {"rig.amplifier.set_point_delay_s": 1e-4}))
+    return model, emulator.image(model)
+
+
 @pytest.fixture(scope="session", autouse=True)
 def emulators() -> Iterator[None]:
     """Their processes end with the tests."""
@@ -38,8 +47,10 @@ def boards() -> Iterator[Callable[..., Session]]:
     """Power a board with an image up: without a rig behind it, or with one at a position (rad)."""
     with ExitStack() as powered:
 
-        def power(image: BuildResult, position: float | None = None) -> Session:
-            pico = emulator.Pico(rig_model(load(PRESET)), image.bin, position=position)
+        def power(
+            image: BuildResult, position: float | None = None, model: RigModel | None = None
+        ) -> Session:
+            pico = emulator.Pico(model or rig_model(load(PRESET)), image.bin, position=position)
             return Session(powered.enter_context(pico), image)
 
         yield power
@@ -53,3 +64,11 @@ def powered(built: BuildResult, boards: Callable[..., Session]) -> Callable[...,
 @pytest.fixture
 def powered_dac(built_dac: BuildResult, boards: Callable[..., Session]) -> Callable[..., Session]:
     return lambda position=None: boards(built_dac, position)
+
+
+@pytest.fixture
+def powered_delayed(
+    delayed: tuple[RigModel, BuildResult], boards: Callable[..., Session]
+) -> Callable[..., Session]:
+    model, image = delayed
+    return lambda position=None: boards(image, position, model)

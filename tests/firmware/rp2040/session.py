@@ -74,12 +74,15 @@ class Session:
                 if isinstance(event.message, m.Batch):
                     self.batches.append(event.message)
 
-    def supervise(self, seconds: float) -> None:
-        """Have the device's own law run for a time."""
+    def supervise(self, seconds: float) -> int:
+        """Have the device's own law run for a time; return how many requests that took."""
         ends = self.link.clock.now_ns() + round(seconds * 1e9)
+        requests = 0
         while self.link.clock.now_ns() < ends:
             self.host.command(mode=m.Mode.SUPERVISE)
             self.listen(min(SUPERVISE_S, (ends - self.link.clock.now_ns()) * 1e-9))
+            requests += 1
+        return requests
 
     def ticks(self) -> Ticks:
         """Those since the last question."""

@@ -13,6 +13,9 @@ from tests.firmware.rp2040.session import Session
 
 Powered = Callable[..., Session]
 JITTER = 12  # cycles, 60 ns: an instruction must end before the interrupt begins
+MOST_POLL = (
+    1_400  # cycles, 7 µs: as long a request of the host is taken, behind a tick, with interrupts masked
+)
 UNITS_A_SECOND = 16_000_000
 
 
@@ -44,20 +47,19 @@ def test_the_device_dates_its_samples_as_they_come(powered: Powered, rate: int) 
     assert np.all(np.abs(passed - counted) < 0.2e-6)
 
 
-# Share of the period that the worst tick may take: a little above what it took when PICO.md was written.
-# Measured on 2026-11-29, since the comparison of currents has a delay line: 3217 cycles, and at 50 kHz a jitter of 205.
-@pytest.mark.xfail(
-    reason="core/current.c takes 200 cycles a tick too many", raises=AssertionError, strict=True
-)
+# Share of the period that the worst tick may take: a little above what it took on 2026-11-29 (PICO.md). A delay of the
+# set-point is two more currents to follow, and a line to look through for the time from half of it to twice of it.
 @pytest.mark.parametrize(
     ("output", "position_rate", "velocity_rate", "share"),
     [
-        ("powered", 20_000, 2_000, 0.30),
-        ("powered", 20_000, 20_000, 0.30),
+        ("powered", 20_000, 2_000, 0.305),
+        ("powered", 20_000, 20_000, 0.305),
         ("powered", 50_000, 5_000, 0.77),
         ("powered", 50_000, 50_000, 0.77),
-        ("powered_dac", 20_000, 20_000, 0.30),
+        ("powered_dac", 20_000, 20_000, 0.305),
         ("powered_dac", 50_000, 5_000, 0.77),
+        ("powered_delayed", 20_000, 20_000, 0.34),
+        ("powered_delayed", 50_000, 5_000, 0.9),
     ],
 )
 def test_the_worst_tick_with_the_law_on_the_device(
@@ -71,7 +73,7 @@ def test_the_worst_tick_with_the_law_on_the_device(
     )
     session.arm()
     session.ticks()
-    session.supervise(0.08)
+    requests = session.supervise(0.08)
     ticks = session.ticks()
     state = session.host.next_state()
     assert (state.state, state.fault, state.missed_ticks) == (State.RUNNING, 0, 0)
@@ -82,8 +84,9 @@ def test_the_worst_tick_with_the_law_on_the_device(
     )
     assert worst <= share * period
     off = np.abs(np.diff(ticks.at) - period)
-    assert np.percentile(off, 99.5) <= JITTER
-    assert np.max(off) < 0.1 * period, "a request of the host may hold one up a little"
+    held_up = off[off > JITTER]
+    assert len(held_up) <= 2 * requests, "a request of the host holds up one tick at most: two distances"
+    assert np.max(off) <= max(JITTER, MOST_POLL - (period - worst))
     counts, indices = session.counts()
     assert np.max(counts) > 0, "the handle was in the wall"
     assert len(indices) > 0.06 * position_rate
