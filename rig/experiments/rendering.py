@@ -8,19 +8,12 @@ hand feels.
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
-from numpy.typing import NDArray
 
 from rig.config import Experiment
-from rig.control import estimators
+from rig.config.velocity_reading import pulse_of_count
 
 RENDERED = 0.8  # share of B from which on a wall counts as rendered
-_BEFORE, _AFTER = (
-    256,
-    4096,
-)  # samples at rest before the count and after it: longer than any filter of an estimator
 _BISECTIONS = 40
 
 
@@ -34,7 +27,7 @@ def rendered_share(experiment: Experiment, damping: float) -> float:
     damping
         B of the wall (N·m·s/rad or N·s/m).
     """
-    asked = damping * _pulse_of_count(experiment)
+    asked = damping * pulse_of_count(experiment)
     if not asked.sum() > 0.0:
         return 1.0
     limit = experiment.rig.limits.effort
@@ -53,18 +46,3 @@ def rendered_damping(experiment: Experiment) -> float:
         middle = 0.5 * (low + high)
         low, high = (middle, high) if rendered_share(experiment, middle) >= RENDERED else (low, middle)
     return low
-
-
-def _pulse_of_count(experiment: Experiment) -> NDArray[np.float64]:
-    own = experiment.controller
-    settings = tuple(sorted(own.parameters.items()))
-    return _pulse(own.estimator, settings, own.velocity_rate, experiment.rig.encoder.resolution)
-
-
-@lru_cache(maxsize=512)
-def _pulse(
-    name: str, settings: tuple[tuple[str, float | str], ...], rate: int, resolution: float
-) -> NDArray[np.float64]:
-    """Velocity that an estimator makes of one count (rad/s or m/s), sample by sample."""
-    counts = np.repeat([0, 1], [_BEFORE, _AFTER])
-    return estimators.estimate(name, counts, 1.0 / rate, resolution=abs(resolution), **dict(settings))

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Mapping
 from rig.config import Experiment, amplifiers, motor_push, push_s, rig_model
 from rig.config import homing as servos
 from rig.config.homing import ABOVE_FRICTION, USUAL_SHARE, holding_effort, home_tolerance
+from rig.config.velocity_reading import CUTOFF, highest_reading, quiet_cutoff
 from rig.control.current import SIGMAS
 from rig.control.watch import UNMOVED_SPEED
 from rig.core.board import current_sensor
@@ -20,6 +21,7 @@ from rig.core.sample import unit_of
 
 SPARE = 1.1  # of a named value over the least or below the largest one that works
 SETTLES = 10.0  # time constants after which the homing servo is at rest
+COUNT_SPEED_SHARE = 0.5  # of the speed limit, as which one count may read where a change is named
 QUIET_SHARE = 0.9  # of a window's ticks in which a current must be above the noise to be compared
 
 
@@ -37,7 +39,28 @@ def homing_checks(x: Experiment, ticks: int) -> list[Check]:
         _homing_resolution(x, ticks),
         _homing_offset(x, ticks),
         _homing_time(x),
+        speed_reading(x),
     ]
+
+
+def speed_reading(x: Experiment) -> Check:
+    """Return whether the limit of speed lets the slowest motion pass: the loop reads a single count as a speed."""
+    reading, limit = highest_reading(x, x.homing.speed), x.rig.limits.speed
+    unit = unit_of("velocity", x.rig.motion)
+    text = (
+        f"a count reads as up to {reading:.3g} {unit} by {x.controller.estimator} at {x.controller.velocity_rate} Hz, "
+        f"moved at homing.speed = {x.homing.speed:g} {unit}; rig.limits.speed = {limit:g} ends the run"
+    )
+    filtered = f"choose an estimator that filters more, or set rig.limits.speed = {_up(reading / COUNT_SPEED_SHARE):g}"
+    return finding("speed reading", reading <= limit, text, quieter_changes(x), filtered)
+
+
+def quieter_changes(x: Experiment) -> dict[str, float]:
+    """Return the cut-off at which one count reads as at most half of the speed limit; nothing where it does now."""
+    most = COUNT_SPEED_SHARE * x.rig.limits.speed
+    if highest_reading(x) <= most or (cutoff := quiet_cutoff(x, most)) is None:
+        return {}
+    return {f"controller.parameters.{CUTOFF}": _down(cutoff)}
 
 
 def finding(

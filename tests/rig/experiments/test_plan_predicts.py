@@ -71,6 +71,29 @@ def test_a_finding_names_values_with_which_the_plan_holds(name: str) -> None:
     assert reaches(x, 0)[0]
 
 
+@pytest.mark.parametrize(("lines", "name"), [(85, "speed reading"), (90, "impact velocity")])
+def test_counts_that_read_as_a_speed_beyond_its_limit_are_refused_with_a_cutoff(
+    lines: int, name: str
+) -> None:
+    changes = {
+        "rig.encoder.ratio": 1.0,
+        "rig.encoder.counts_per_revolution": lines,
+        "homing.stiffness": 2.0,
+        "homing.damping": 0.06,
+        "homing.tolerance_counts": 1.0,
+        "trial.start": -0.2,
+        "trial.duration_s": 1.5,
+        "wall.stiffness": 1.0,
+    }
+    x = override(KOUL, changes)
+    found = {check.name: check for check in make_plan(x).checks if check.outcome is Outcome.REFUSED}
+    assert name in found
+    assert "controller.parameters.cutoff_hz" in found[name].changes
+    again = override(x, named_changes(tuple(found.values())))
+    assert make_plan(again).ok
+    assert reaches(again, 0) == (True, "")
+
+
 def test_steps_of_an_amplifier_that_the_current_s_quantum_does_not_allow_are_named() -> None:
     changes = {"rig.amplifier.profile": "escon-50-5-pwm", "rig.amplifier.set_point_delay_s": 2.5e-4}
     x = override(KOUL, changes)

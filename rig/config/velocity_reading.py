@@ -1,0 +1,92 @@
+"""What the velocity filter of an experiment reads of encoder counts: all that a limit of speed sees.
+
+One count is a pulse of the estimate whose area over time is the count. Behind a fast filter a coarse encoder's single
+count reads as a speed that no handle has.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.config.sections import Controller, Experiment
+from rig.control import estimators
+
+BEFORE, AFTER = (
+    256,
+    4096,
+)  # samples at rest before a count and after it: longer than any filter of an estimator
+RAMP_COUNTS, RAMP_SAMPLES = (
+    64,
+    (64, 1 << 14),
+)  # of a steady motion that is read: so many counts; samples, from and to
+CUTOFF = "cutoff_hz"
+LEAST_CUTOFF, BISECTIONS = (
+    1e-3,
+    14,
+)  # of the described cut-off, below which none is named; the steps of the search
+
+Settings = tuple[tuple[str, float | str], ...]
+
+
+def pulse_of_count(x: Experiment) -> NDArray[np.float64]:
+    """Return the velocity that the estimator reads of one count (rad/s or m/s), sample by sample."""
+    own = x.controller
+    return _pulse(own.estimator, _settings(own), own.velocity_rate, abs(x.rig.encoder.resolution))
+
+
+def highest_reading(x: Experiment, velocity: float = 0.0) -> float:
+    """Return the highest speed (rad/s or m/s) that the loop reads of a handle at a steady velocity.
+
+    It is at least what the loop reads of a single count, however slowly the handle moves.
+    """
+    return _highest(x.controller, abs(x.rig.encoder.resolution), abs(velocity))
+
+
+def quiet_cutoff(x: Experiment, most: float) -> float | None:
+    """Return the highest cut-off (Hz), up to the present one, at which one count reads as no more than a speed.
+
+    None for an estimator without such a setting.
+    """
+    own = x.controller
+    cutoff = own.parameters.get(CUTOFF)
+    if not isinstance(cutoff, float | int):
+        return None
+    low, high = LEAST_CUTOFF, 1.0
+    for _ in range(BISECTIONS):
+        middle = math.sqrt(low * high)
+        filtered = replace(own, parameters={**own.parameters, CUTOFF: middle * cutoff})
+        quiet = highest_reading(replace(x, controller=filtered)) <= most
+        low, high = (middle, high) if quiet else (low, middle)
+    return low * cutoff
+
+
+def _settings(own: Controller) -> Settings:
+    return tuple(sorted(own.parameters.items()))
+
+
+def _highest(own: Controller, delta: float, velocity: float) -> float:
+    ahead = own.position_rate // own.velocity_rate - 1 if own.prediction == "extrapolate" else 0
+    return _peak(own.estimator, _settings(own), own.velocity_rate, delta, velocity, ahead)
+
+
+@lru_cache(maxsize=4096)
+def _peak(name: str, settings: Settings, rate: int, delta: float, velocity: float, ahead: int) -> float:
+    """Highest speed read of one count and of a steady velocity, extrapolated so many ticks of the ahead + 1 between."""
+    read = [_pulse(name, settings, rate, delta)]
+    if velocity > 0.0:
+        samples = int(np.clip(RAMP_COUNTS * delta * rate / velocity, *RAMP_SAMPLES))
+        counts = estimators.quantise(velocity / rate * np.arange(AFTER + samples), delta)
+        read.append(estimators.estimate(name, counts, 1.0 / rate, resolution=delta, **dict(settings))[AFTER:])
+    share = ahead / (ahead + 1)
+    return max(float(np.abs(each[1:] + share * np.diff(each)).max(initial=0.0)) for each in read)
+
+
+@lru_cache(maxsize=512)
+def _pulse(name: str, settings: Settings, rate: int, delta: float) -> NDArray[np.float64]:
+    counts = np.repeat([0, 1], [BEFORE, AFTER])
+    return estimators.estimate(name, counts, 1.0 / rate, resolution=delta, **dict(settings))
