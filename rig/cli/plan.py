@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from rig import config
+from rig.bench.firmware.tick_budget import BOARD
 from rig.cli import hit_output, options, output
 from rig.cli.command import command, option
 from rig.cli.next_step import name_next
@@ -25,6 +26,12 @@ from rig.experiments.plan import is_linked, plan_of
     metavar="S",
     help="Of the link, with the drive's behind a bridge, as rig doctor measures it (s). [one tick]",
 )
+@option(
+    "--board",
+    default=BOARD,
+    show_default=True,
+    help="Board whose processor's time for a tick counts, with a law on the device.",
+)
 @options.json_option
 def plan(
     file: Path | None,
@@ -32,6 +39,7 @@ def plan(
     realtime: bool,
     url: str | None,
     round_trip: float | None,
+    board: str,
     as_json: bool,
     **changed: Any,
 ) -> None:
@@ -48,7 +56,7 @@ def plan(
     elif changes:
         experiment = config.override(experiment, changes)
     config.check_plugins(experiment, str(file or preset or options.DEFAULT_PRESET))
-    planned = plan_of(controller.prepared(experiment), linked=linked, round_trip_s=round_trip)
+    planned = plan_of(controller.prepared(experiment), linked=linked, round_trip_s=round_trip, board=board)
     if as_json:
         output.print_json(planned)
     else:

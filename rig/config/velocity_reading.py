@@ -25,6 +25,9 @@ RAMP_COUNTS, RAMP_SAMPLES = (
     (64, 1 << 14),
 )  # of a steady motion that is read: so many counts; samples, from and to
 CUTOFF = "cutoff_hz"
+COUNT_PEAK = (
+    2.9  # what one count reads as behind a second-order Butterworth filter, over its cut-off: at most 0.46·2π
+)
 LEAST_CUTOFF, BISECTIONS = (
     1e-3,
     14,

@@ -16,7 +16,10 @@ from numpy.typing import NDArray
 from rig import config
 from rig.analysis.identification.cogging import SETTLE_S
 from rig.analysis.identification.sliding import Stroke
+from rig.bench.doctor.predicted import SPARE, finding, round_up
 from rig.config import Experiment
+from rig.config.homing import holding_effort
+from rig.config.velocity_reading import COUNT_PEAK
 from rig.control import bilateral
 from rig.control.excitation import Multisine
 from rig.control.law import Law
@@ -47,6 +50,9 @@ PUSH_END_S = (
 )
 PUSH_WINDOW, PUSH_SPEED = 20.0, 200.0  # window (ways of a push) and speed (ways a second) that end the run
 BRAKE_S = 0.02  # time constant of the brake after a push
+# Most effort of a push over the described friction: below it a dead motor and friction look alike.
+OBSERVABLE = 1.5
+PUSHES_ROOM = 2.5  # ways of a push that the handle may go to one side: two pushes, and their brakes
 
 # Strokes: half their travel as a share of the window, lengths, and most speed as a share of its limit.
 TRAVEL_SHARE, STROKES_S, STROKE_SPEED = 0.2, (0.4, 0.8, 1.6), 0.3
@@ -55,6 +61,9 @@ WAY_END_S = 0.02  # of a way that a board goes: the handle is let go
 WAY_PATIENCE_S = 5.0  # and how much longer than twice its time it may take before it is given up
 HANG_S, WEIGHING_SHARES = 2.0, (1.0, 0.5)  # weighing: time to let go of the load; speeds, over that of homing
 CUTOFF_SHARE = 0.2  # cut-off of the velocity filter over its rate
+COUNT_SHARE = (
+    0.4  # of the speed limit, as which that filter may read one count; strokes and excitation have the rest
+)
 FILTER_DELAY = 0.225  # of that filter: its delay times its cut-off, √2/(2π)
 SERVO_TICKS, SERVO_PHASE = 3.0, 0.5  # delay that a servo must bear besides, and phase (rad) that it may cost
 
@@ -382,9 +391,15 @@ def servo_of(x: Experiment, rate: int) -> tuple[float, float]:
     has, because a mode may be what limits it.
     """
     ticks = SERVO_TICKS + x.rig.amplifier.set_point_ticks(1.0 / rate)
-    delay_s = ticks / rate + FILTER_DELAY / (CUTOFF_SHARE * _divisor(rate, SLOW_RATE))
+    delay_s = ticks / rate + FILTER_DELAY / _cutoff_hz(x, rate)
     corner = min(SERVO_PHASE / delay_s, (x.homing.damping or math.inf) / inertia_of(x))
     return 0.25 * inertia_of(x) * corner**2, inertia_of(x) * corner
+
+
+def _cutoff_hz(x: Experiment, rate: int) -> float:
+    """Cut-off of the velocity filter: lower where single counts of a coarse encoder would end a motion by its speed."""
+    quiet = COUNT_SHARE * x.rig.limits.speed / (COUNT_PEAK * x.rig.encoder.resolution)
+    return min(CUTOFF_SHARE * _divisor(rate, SLOW_RATE), quiet)
 
 
 def _homing(x: Experiment, rate: int) -> dict[str, Any]:
@@ -470,6 +485,52 @@ def most_push(x: Experiment) -> float:
     return min(growth * PUSH_S, coulomb_of(x) + math.sqrt(2.0 * growth * inertia_of(x) * speed))
 
 
+def pushes_checks(x: Experiment) -> list[Check]:
+    """Return what the pushes of `rig check` will run into: friction that hides them, and the ends of the window."""
+    way, limits = push_way(x), x.rig.limits
+    half, middle = 0.5 * (limits.position_maximum - limits.position_minimum), _middle(x)
+    position, needed = _unit(x, "position"), round_up(SPARE * PUSHES_ROOM * way)
+    room = finding(
+        "room of rig check",
+        PUSHES_ROOM * way <= half,
+        f"two pushes of {PUSH_COUNTS} counts go up to {PUSHES_ROOM * way:.3g} {position} to each side, the window has "
+        f"{half:.3g}",
+        {"rig.limits.position_minimum": middle - needed, "rig.limits.position_maximum": middle + needed},
+        otherwise=Outcome.WARNING,
+    )
+    return [observable_check(x), room]
+
+
+def observable_check(x: Experiment) -> Check:
+    """Return whether a push is beyond what holds the handle; a warning, because it may rub less than described."""
+    held, most, effort = holding_effort(x), most_push(x), _unit(x, "effort")
+    return finding(
+        "pushes of rig check",
+        most >= OBSERVABLE * held,
+        f"at most {most:.3g} {effort}, described friction, weight and cogging {held:.3g}; a dead motor shows from "
+        f"{OBSERVABLE:g} times that on",
+        _observable_limits(x),
+        "take a stronger motor, or free the mechanism",
+        Outcome.WARNING,
+    )
+
+
+def _observable_limits(x: Experiment) -> dict[str, float]:
+    """Limits with which `most_push` is enough; empty where the amplifier has not so much effort."""
+    limits, wanted = x.rig.limits, SPARE * OBSERVABLE * holding_effort(x)
+    if (most := round_up(wanted / PUSH_SHARE)) > x.rig.amplifier.effort_limit:
+        return {}
+    raised = replace(limits, nominal_effort=max(limits.nominal_effort, most), effort=max(limits.effort, most))
+    growth = push_growth(replace(x, rig=replace(x.rig, limits=raised)))
+    beyond = max(0.0, wanted - coulomb_of(x))
+    speed = round_up(beyond**2 / (2.0 * growth * inertia_of(x) * UNSEEN_SPEED))
+    raised = replace(raised, speed=max(limits.speed, speed))
+    names = ("nominal_effort", "effort", "speed")
+    return {
+        f"rig.limits.{name}": new for name in names if (new := getattr(raised, name)) > getattr(limits, name)
+    }
+
+
 def push_way(x: Experiment) -> float:
     """How far the handle moves in a push (rad or m)."""
     return PUSH_COUNTS * x.rig.encoder.resolution
@@ -496,7 +557,7 @@ def _moved(x: Experiment, at: float, duration_s: float, rate: int, changes: Mapp
         "verdict.tail_s": 0.5 * duration_s,
         "controller.position_rate": rate,
         "controller.velocity_rate": velocity_rate,
-        "controller.parameters.cutoff_hz": CUTOFF_SHARE * velocity_rate,
+        "controller.parameters.cutoff_hz": _cutoff_hz(x, rate),
         "verdict.lowpass_hz": min(x.verdict.lowpass_hz, 0.4 * rate),
     }
     if x.controller.loop == "device":  # in integers, which every board has

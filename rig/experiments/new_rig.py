@@ -21,6 +21,7 @@ from rig.config.data_sheets import DataSheets, check_answers
 from rig.config.files import nest
 from rig.config.load import experiment_from_mapping
 from rig.config.table import parameters
+from rig.config.velocity_reading import COUNT_PEAK
 from rig.core.check import refused
 from rig.core.errors import ConfigError, PlanError
 from rig.core.present import Item, Row
@@ -55,8 +56,6 @@ SETTLES, LONGEST_S = 2.0, 20.0
 OF_K_MAX, OF_B_MAX = 0.3, 0.25
 # Of the effort limit at impact; and of the push, by one count through the damping.
 PEAK_SHARE, NOISE_SHARE = 0.8, 0.25
-# Velocity that one count shows behind a second-order Butterworth filter, over its cut-off: at most 0.46·2π.
-COUNT_PEAK = 2.9
 # Travel that one toggling count may show without being a motion.
 TOGGLING_COUNTS = 1.5
 # Cut-off over the velocity rate. With a coarse encoder it is less, down to so much over the frequency of the handle on

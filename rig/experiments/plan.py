@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 from firmware_protocol.dictionary import Dictionary
 from firmware_protocol.law_parameters import LAW_PARAMETERS
+from rig.analysis.theory import default_schemes
 from rig.bench.doctor.delay import ticks_late
 from rig.bench.doctor.late_walls import late_wall
 from rig.bench.doctor.predicted import (
@@ -21,6 +22,7 @@ from rig.bench.doctor.predicted import (
     quieter_changes,
     speed_reading,
 )
+from rig.bench.firmware.tick_budget import BOARD, INTEGERS, named_budget
 from rig.config import (
     Experiment,
     controller,
@@ -34,12 +36,14 @@ from rig.config import (
 )
 from rig.config.device_limits import check_limits
 from rig.config.homing import holding_effort
+from rig.config.schemes import describe_cutoffs
 from rig.config.velocity_reading import highest_reading
 from rig.core.check import Check, Outcome
 from rig.core.sample import unit_of
 from rig.devices.device import LINK_SHARE, STATE_BYTES
 from rig.experiments import on_the_drive
 from rig.experiments.excitation_plan import excitation_plan
+from rig.experiments.identify_motions import RATE_STEP, pushes_checks
 from rig.experiments.planned import (
     ARITHMETIC_WORDS,
     Plan,
@@ -76,8 +80,13 @@ def is_linked(url: str | None, *, realtime: bool, round_trip_s: float | None) ->
     return realtime or round_trip_s is not None or (url is not None and not url.startswith("sim:"))
 
 
-def plan_of(run: controller.Run, *, linked: bool = False, round_trip_s: float | None = None) -> Plan:
-    """List and check a prepared run; one that is `linked` also as `delay_checks` do, which say what they raise."""
+def plan_of(
+    run: controller.Run, *, linked: bool = False, round_trip_s: float | None = None, board: str = BOARD
+) -> Plan:
+    """List and check a prepared run; one that is `linked` also as `delay_checks` do, which say what they raise.
+
+    The tick of a law on the device is counted for the processor of `board`; `ConfigError` for an unknown one.
+    """
     experiment = run.experiment
     delay = delay_checks(experiment, round_trip_s) if linked else []
     ticks = (
@@ -98,8 +107,40 @@ def plan_of(run: controller.Run, *, linked: bool = False, round_trip_s: float | 
         _heat_check(experiment),
         *on_the_drive.lost(experiment),
         *delay,
+        *_tick_checks(experiment, board),
+        *_cutoff_checks(experiment),
+        *pushes_checks(experiment),
     )
     return Plan(experiment.rig.name, experiment.trial.repeats, _steps(experiment), checks, run)
+
+
+def _tick_checks(x: Experiment, board: str) -> list[Check]:
+    """Whether a board has the time for its law, as an image and a design count it.
+
+    A warning: the cycles are estimates, and the device reports a tick that it missed.
+    """
+    if x.controller.loop != "device" or on_the_drive.is_on_the_drive(x):
+        return []
+    budget, own = named_budget(board), x.controller
+    most, divider = budget.rate_maximum(own.estimator), own.position_rate // own.velocity_rate
+    velocity_rate = RATE_STEP * math.floor(most / divider / RATE_STEP)
+    rates = {"controller.position_rate": divider * velocity_rate, "controller.velocity_rate": velocity_rate}
+    return [
+        finding(
+            "tick budget",
+            own.position_rate <= most,
+            f"the law at {own.position_rate} Hz; {budget.text(own.estimator)}",
+            rates if velocity_rate > 0 else None,
+            f"choose controller.estimator = {INTEGERS}: {budget.text(INTEGERS)}",
+            Outcome.WARNING,
+        )
+    ]
+
+
+def _cutoff_checks(x: Experiment) -> list[Check]:
+    """The cut-offs that comparisons of this experiment's rates give its filter."""
+    found = describe_cutoffs(default_schemes(x), x)
+    return [] if found is None else [Check("cut-offs compared", Outcome.OK, found)]
 
 
 def link_checks(experiment: Experiment, rate_maximum: int, bytes_per_second: float | None) -> list[Check]:
@@ -411,7 +452,8 @@ def _wall_checks(x: Experiment) -> list[Check]:
         finding(
             "impact velocity",
             reading <= limits.speed,
-            f"up to {hit.velocity:.3g} {velocity}, which reads as up to {reading:.3g}; limit {limits.speed:g}",
+            f"up to {hit.velocity:.3g} {velocity}, which reads as up to {reading:.3g} {velocity}; "
+            f"limit {limits.speed:g}",
             {**quieter_changes(x), **_slower_changes(x, hit.velocity)},
             "push less or start closer to the wall",
         ),

@@ -36,6 +36,7 @@ from rig.experiments.board_pushes import board_pushes
 from rig.experiments.identify_motions import (
     coulomb_of,
     most_push,
+    observable_check,
     push_growth,
     push_way,
     pushes_motion,
@@ -61,8 +62,6 @@ PUSHES = 4
 # The rules, written before their results (`tests/benchmarks/pulses.py`): inertia within this factor of the described
 # one is as described; the motion begins within this factor of the described friction's time, and so long after it.
 SAME_SCALE, SAME_FRICTION, LATEST_S = 1.6, 2.0, 0.05
-# Most effort of a push over the described friction: below it a dead motor and friction look alike.
-OBSERVABLE = 1.5
 
 NO_HANDS = "hands off the handle: the motor moves it a little, both ways"
 
@@ -276,13 +275,9 @@ def judged(x: Experiment, signs: SignCheck) -> tuple[Check, ...]:
 def _not_moved(x: Experiment, signs: SignCheck, most: float, coulomb: float, effort: str) -> Check:
     seen = max((push.seen for push in signs.pushes), default=0.0)
     text = f"nothing moved, up to {most:.3g} {effort}"
-    if most < OBSERVABLE * coulomb:
-        return _check(
-            "motion",
-            False,
-            f"not observed: {text}, and the described friction is {coulomb:.3g} {effort}",
-            "raise rig.limits.effort, nominal_effort and speed as far as the rig bears it, or free the mechanism",
-        )
+    if (hidden := observable_check(x)).outcome is not Outcome.OK:
+        bears = " if the rig bears it, or free the mechanism" if hidden.changes else ""
+        return _check("motion", False, f"not observed: {text}; {hidden.text}", f"{hidden.remedy}{bears}")
     if seen > 0.5 * x.rig.encoder.resolution:
         return _check(
             "motion",

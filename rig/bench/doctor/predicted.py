@@ -51,7 +51,8 @@ def speed_reading(x: Experiment) -> Check:
         f"a count reads as up to {reading:.3g} {unit} by {x.controller.estimator} at {x.controller.velocity_rate} Hz, "
         f"moved at homing.speed = {x.homing.speed:g} {unit}; rig.limits.speed = {limit:g} ends the run"
     )
-    filtered = f"choose an estimator that filters more, or set rig.limits.speed = {_up(reading / COUNT_SPEED_SHARE):g}"
+    higher = round_up(reading / COUNT_SPEED_SHARE)
+    filtered = f"choose an estimator that filters more, or set rig.limits.speed = {higher:g}"
     return finding("speed reading", reading <= limit, text, quieter_changes(x), filtered)
 
 
@@ -79,8 +80,8 @@ def finding(
     return Check(name, otherwise, text, f"set {named}" if named else remedy, changes=changes)
 
 
-def _up(value: float) -> float:
-    """Three digits, not below a value."""
+def round_up(value: float) -> float:
+    """Return three digits, not below a value."""
     return _rounded(value, math.ceil)
 
 
@@ -101,7 +102,7 @@ def _homing_effort(x: Experiment) -> Check:
     least = ABOVE_FRICTION * held + x.rig.amplifier.effort_quantum
     unit = unit_of("effort", x.rig.motion)
     text = f"{effort:.3g} {unit} against {held:.3g} {unit} of friction, weight and cogging; least {least:.3g}"
-    wanted = _up(min(max(servos.stable_servo(x).effort, SPARE * least), limits.effort))
+    wanted = round_up(min(max(servos.stable_servo(x).effort, SPARE * least), limits.effort))
     if wanted < least:
         return finding(
             "homing effort",
@@ -135,7 +136,9 @@ def _homing_slew(x: Experiment) -> Check:
     least = h.effort * natural / servos.SLOWEST_RISE
     unit = unit_of("effort", x.rig.motion)
     text = f"{h.slew:.3g} {unit}/s for homing.effort {h.effort:.3g} {unit} at {natural:.3g} rad/s; least {least:.3g}"
-    return finding("homing slew", h.slew >= least, text, {"homing.slew": _up(least * servos.SLOWEST_RISE)})
+    return finding(
+        "homing slew", h.slew >= least, text, {"homing.slew": round_up(least * servos.SLOWEST_RISE)}
+    )
 
 
 def _homing_resolution(x: Experiment, ticks: int) -> Check:
@@ -177,7 +180,7 @@ def _homing_offset(x: Experiment, ticks: int) -> Check:
         changes["homing.tolerance_counts"] = nearest
     way = SPARE * max(reached, nearest * delta) / USUAL_SHARE
     if way > abs(x.wall.position - x.trial.start):
-        changes["trial.start"] = x.wall.position - x.wall.side * _up(way)
+        changes["trial.start"] = x.wall.position - x.wall.side * round_up(way)
     return finding("homing offset", False, text, changes)
 
 
@@ -197,7 +200,7 @@ def _homing_time(x: Experiment) -> Check:
         "homing time",
         needed <= given,
         text,
-        {"homing.timeout_s": _up(needed * SPARE)},
+        {"homing.timeout_s": round_up(needed * SPARE)},
         otherwise=Outcome.WARNING,
     )
 
@@ -209,7 +212,7 @@ def _approach_checks(x: Experiment) -> Iterator[Check]:
     unit, held, push = unit_of("effort", x.rig.motion), holding_effort(x), abs(motor_push(x))
     least = ABOVE_FRICTION * held + x.rig.amplifier.effort_quantum
     text = f"{push:.3g} {unit} against {held:.3g} {unit} that hold the handle; least {least:.3g}"
-    wanted = x.wall.side * _up(SPARE * least)
+    wanted = x.wall.side * round_up(SPARE * least)
     if abs(wanted) > x.rig.limits.effort:
         yield finding("push", push >= least, text, remedy="take a stronger motor, or less friction")
     else:
@@ -222,7 +225,7 @@ def _approach_checks(x: Experiment) -> Iterator[Check]:
     viscous = rig_model(x).damping
     needed = math.sqrt(2.0 * servos.inertia(x) * way / net) + viscous * way / net
     before = push_s(x) - x.verdict.tail_s
-    duration = _up(SPARE * (needed + x.verdict.tail_s))
+    duration = round_up(SPARE * (needed + x.verdict.tail_s))
     text = f"the wall is reached within {needed:.3g} s; the judged tail begins after {before:.3g} s"
     # A warning: tests of a link or a recording push for milliseconds and mean no contact (`rig.testing`).
     yield finding(
@@ -263,7 +266,7 @@ def _current_checks(x: Experiment) -> Iterator[Check]:
             False,
             f"steps of the set-point are {step_a:.2g} A ({amplifier.profile}), half of which is more than the "
             f"{least_a:.2g} A that rig.amplifier.current_quantum_a = {quantum:g} allows as a difference",
-            {"rig.amplifier.current_quantum_a": _up(step_a)},
+            {"rig.amplifier.current_quantum_a": round_up(step_a)},
             otherwise=Outcome.WARNING,
         )
         return

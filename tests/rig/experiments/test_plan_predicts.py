@@ -4,10 +4,12 @@ from typing import Any
 
 import pytest
 
-from rig.config import override, presets
+from rig.analysis.theory import theory_of
+from rig.config import Experiment, controller, override, presets
 from rig.config.load import experiment_from_mapping, with_realtime
-from rig.core.check import Outcome
-from rig.experiments.plan import make_plan
+from rig.core.check import Check, Outcome
+from rig.experiments.design.paths import fits_a_tick
+from rig.experiments.plan import make_plan, plan_of
 from tests.benchmarks.plausible_rigs import named_changes, outcome, reaches
 from tests.rig.config.test_homing import PHD
 
@@ -101,3 +103,25 @@ def test_steps_of_an_amplifier_that_the_current_s_quantum_does_not_allow_are_nam
     assert found.outcome is Outcome.WARNING
     again = override(x, named_changes((found,)))
     assert all(check.outcome is Outcome.OK for check in make_plan(again).checks if check.name == found.name)
+
+
+def test_a_tick_that_a_board_has_no_time_for_is_named_with_rates_that_fit() -> None:
+    x = override(KOUL, {"controller.loop": "device"})
+
+    def tick(x: Experiment, board: str) -> Check:
+        return next(c for c in plan_of(controller.prepared(x), board=board).checks if c.name == "tick budget")
+
+    slow, fast = (tick(x, board) for board in ("rp2040", "mps2"))
+    assert (slow.outcome, fast.outcome) == (Outcome.WARNING, Outcome.OK)
+    assert not fits_a_tick(x.controller, "rp2040")
+    again = override(x, named_changes((slow,)))
+    assert tick(again, "rp2040").outcome is Outcome.OK
+    assert fits_a_tick(again.controller, "rp2040")
+    assert not [c for c in make_plan(KOUL).checks if c.name == "tick budget"], "the computer runs the law"
+
+
+def test_a_plan_states_the_cutoffs_that_a_comparison_of_its_rates_has() -> None:
+    (found,) = [check for check in make_plan(KOUL).checks if check.name == "cut-offs compared"]
+    assert found.text == theory_of(KOUL).cutoffs
+    same = override(KOUL, {"controller.scheme_cutoff": "same"})
+    assert not [check for check in make_plan(same).checks if check.name == found.name]

@@ -19,12 +19,13 @@ from rig.analysis.identification.signs import check_signs
 from rig.cli import run
 from rig.config import presets
 from rig.core.check import Outcome
-from rig.core.errors import ConfigError, DeviceFaultError, PlanError
+from rig.core.errors import ConfigError, DeviceFaultError, PlanError, RigError
 from rig.devices.framed import FramedDevice
 from rig.experiments.hit import HitRequest, hit
 from rig.experiments.identify_motions import coulomb_of, inertia_of, most_push, push_growth, push_way
 from rig.experiments.motion_run import FreeRigRequest
 from rig.experiments.on_device import OnDevice, Trials
+from rig.experiments.plan import make_plan
 from rig.experiments.pulse import NO_HANDS, PUSHES, Pulse, check_rig_moves, energy_of, judged, pulse
 from rig.recording.reader import open_recording
 from sim_backend.compiled_device import CompiledDevice
@@ -282,3 +283,32 @@ def test_the_command_says_what_was_found(tmp_path: Path, capsys: Any) -> None:
     out, err = capsys.readouterr()
     assert "hands off the handle" in err
     assert "a positive effort raises the position" in out
+
+
+DIRECT = {"rig.encoder.ratio": 1.0, "rig.encoder.counts_per_revolution": 250, "wall.stiffness": 2.0}
+
+
+def test_single_counts_of_a_coarse_encoder_do_not_end_the_pushes(tmp_path: Path) -> None:
+    """At 250 lines on the handle one count reads as 7 rad/s behind the filter of a fine encoder."""
+    x = config.override(presets.load("koul-rigid"), {**DIRECT, "rig.limits.speed": 3.0})
+    assert check_rig_moves(FreeRigRequest(experiment=x, output=tmp_path)).ok
+
+
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [
+        ("pushes of rig check", {"rig.mechanics.motor_coulomb": 0.2, "trial.effort": 0.4}),
+        ("room of rig check", {**DIRECT, "rig.encoder.counts_per_revolution": 90}),
+    ],
+)
+def test_a_plan_names_the_limits_with_which_the_pushes_work(
+    name: str, changes: dict[str, Any], tmp_path: Path
+) -> None:
+    x = config.override(presets.load("koul-rigid"), changes)
+    (found,) = [check for check in make_plan(x).checks if check.name == name]
+    assert found.outcome is Outcome.WARNING
+    request = FreeRigRequest(experiment=x, output=tmp_path)
+    with pytest.raises(RigError):
+        check_rig_moves(request).insist()
+    again = check_rig_moves(dataclasses.replace(request, changes=found.changes))
+    assert again.ok, again.checks
