@@ -543,27 +543,6 @@ class Connection:
         self._received[_STATE] = newest_state & 0xFFFF
         self._move(state)
 
-    def lend_streams(self) -> tuple[int, int, bool]:
-        """Device: what compiled ticks go on with in a session, until `take_streams`.
-
-        Returns
-        -------
-        tuple
-            Sequence of the next STATE, that of the newest COMMAND (−1: none yet), and whether no frame has come in
-            part.
-        """
-        self._only(Role.DEVICE, "lend_streams")
-        newest = self._received.get(_COMMAND, -1)
-        return self._to_send.get(_STATE, 0), newest, self._splitter.between_frames
-
-    def take_streams(self, next_state: int, newest_command: int, frames: int) -> None:
-        """Device: go on behind compiled ticks, which have taken so many frames, all of them good COMMANDs."""
-        self._only(Role.DEVICE, "take_streams")
-        self._to_send[_STATE] = next_state
-        if newest_command >= 0:
-            self._received[_COMMAND] = newest_command
-        self.statistics.frames += frames
-
     def _only(self, role: Role, what: str) -> None:
         if self.role is not role:
             raise LocalProtocolError(f"{what} belongs to the {role.name.lower()}")

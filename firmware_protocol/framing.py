@@ -104,11 +104,6 @@ class FrameSplitter:
         self._keep(tail)
         return frames
 
-    @property
-    def between_frames(self) -> bool:
-        """Whether no frame has come in part."""
-        return not self._pending and not self._skipping
-
     def reset(self) -> None:
         """Forget an unfinished frame, for example when another reader has read from the link in between."""
         self._pending.clear()

@@ -25,7 +25,6 @@ from rig.realtime.groups import Bytes, Int, Ints, group, group_at, group_bytes, 
 from rig.realtime.kernel import kernel, prepare
 from rig.realtime.native import native_call
 from rig.realtime.plugs import TRANSFER_SIGNATURE, WAIT_SIGNATURE
-from sim_backend.compiled_device import CompiledDevice
 from sim_backend.firmware import FirmwareDevice
 from sim_backend.lockstep import (
     BYTE_COUNT,
@@ -250,7 +249,7 @@ class CompiledPort:
 
     def __init__(
         self,
-        device: FirmwareDevice | CompiledDevice,
+        device: FirmwareDevice,
         clock: Clock,
         origin_ns: Callable[[], int],
         *,

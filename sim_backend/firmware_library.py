@@ -20,8 +20,7 @@ FIRMWARE = CLibrary(
     name="firmware",
     root=Path(firmware_protocol.__file__).with_name("firmware"),
     parts=("core", "law", "host"),
-    purpose="a simulated device that runs the law itself is the firmware",
-    instead='set controller.loop = "host"',
+    purpose="the simulated device is the firmware",
 )
 
 

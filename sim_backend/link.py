@@ -28,9 +28,9 @@ from rig.devices.port import LoopPort
 from rig.realtime.callbacks import callback_plugs
 from rig.realtime.clock import VirtualClock
 from sim_backend.channel import Line
-from sim_backend.compiled_device import CompiledDevice, device_for
 from sim_backend.far_end import ARRIVED, CLOSED, DISCARDED, OUTPUT_BYTES, PROGRESS, TICKS, CompiledPort
 from sim_backend.firmware import FirmwareDevice
+from sim_backend.make_device import make_device
 
 
 def _times(text: str) -> tuple[float, ...]:
@@ -60,7 +60,7 @@ _LONG = 1 << 62  # ticks: without an end
 
 
 class Device(Protocol):
-    """A simulated device: `device.SimulatedDevice`, `compiled_device.CompiledDevice`, or the firmware with a rig."""
+    """A simulated device: `device.SimulatedDevice`, or the firmware with a rig."""
 
     @property
     def time(self) -> int:
@@ -116,9 +116,9 @@ def open_link(url: DeviceUrl, model: RigModel | None = None, faults: Faults | No
     fast; `sync` = 0.5,0.75 for pulses on the sync input that begin so many seconds after power-up; `firmware` = 1 for a
     device that can run the law, the firmware itself, compiled for this machine.
 
-    Unless `firmware` is given the device runs no law, and its ticks pass no Python: it is the firmware too where this
-    machine can compile it, else `sim_backend.compiled_device`. Both say what the readable one says
-    (`sim_backend.device`, `firmware` = 0). Where something goes wrong on command (`faults`), bytes pass Python.
+    Unless `firmware` is given the device runs no law: it is the firmware too where this machine can compile it, whose
+    ticks pass no Python, else the readable device (`sim_backend.device`, `firmware` = 0), which says the same and is
+    slower. Where something goes wrong on command (`faults`), bytes pass Python.
 
     Raises
     ------
@@ -134,11 +134,11 @@ def open_link(url: DeviceUrl, model: RigModel | None = None, faults: Faults | No
     sync_s = options.pop("sync", ())
     firmware = options.pop("firmware", None)
     incremental = options.pop("incremental", 0)
-    device = device_for(model, None if firmware is None else bool(firmware), **options)
+    device, messages = make_device(model, None if firmware is None else bool(firmware), **options)
     if incremental:
         device.hardware.slip, device.hardware.count = -device.hardware.count, 0
         device.reset()
-    return MemoryLink(device, faults, url=url, clock_ppm=clock_ppm, sync_s=sync_s)
+    return MemoryLink(device, faults, url=url, clock_ppm=clock_ppm, sync_s=sync_s, messages=messages)
 
 
 def _parse(url: DeviceUrl) -> dict[str, Any]:
@@ -209,6 +209,8 @@ class MemoryLink:
         By how much the device's clock, and its whole world with it, runs faster than the link's (1e-6).
     sync_s
         When pulses on the device's sync input begin (s of device time from now on), rising.
+    messages
+        What could not be had, each with its remedy.
 
     Attributes
     ----------
@@ -221,7 +223,6 @@ class MemoryLink:
     """
 
     bytes_per_second: float | None = None
-    messages: Sequence[str] = ()
 
     def __init__(
         self,
@@ -231,8 +232,10 @@ class MemoryLink:
         url: DeviceUrl = _URL,
         clock_ppm: float = 0.0,
         sync_s: Sequence[float] = (),
+        messages: Sequence[str] = (),
     ) -> None:
         self.url = url
+        self.messages = messages
         self.clock = VirtualClock()
         self._device = device
         self.line = None if faults is None else Line(faults.frames)
@@ -250,7 +253,7 @@ class MemoryLink:
     def _compile(self, device: Device) -> CompiledPort | None:
         """Return what runs the loop's far end without Python, unless frames, the device or its clock go wrong here."""
         scripted = self.line is not None or self._happenings or self._levels or self._pace != _BILLION
-        if scripted or not isinstance(device, FirmwareDevice | CompiledDevice):
+        if scripted or not isinstance(device, FirmwareDevice):
             return None
         start_ns = self._start_ns
         return CompiledPort(

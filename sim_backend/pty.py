@@ -20,10 +20,10 @@ from rig.core.errors import ConfigError
 from rig.core.model import RigModel
 from rig.realtime.hand import HandMotion, SharedHand
 from sim_backend.board_time import BoardTime
-from sim_backend.compiled_device import CompiledDevice, device_for
 from sim_backend.device import SimulatedDevice
 from sim_backend.driven_hand import DrivenHand
 from sim_backend.firmware import FirmwareDevice
+from sim_backend.make_device import make_device
 from sim_backend.real_time import RealTime
 from sim_backend.stopping import stopped_by_signals
 
@@ -65,7 +65,7 @@ def serve(
         What the device calls itself; the model's name unless given.
     firmware
         True: the firmware itself, compiled for this machine, which can run the law. False: the readable device. Unless
-        given, the firmware without its laws where this machine can compile it, else the compiled device.
+        given, the firmware without its laws where this machine can compile it, else the readable device.
     hand
         File through which a person drives the hand at the handle (`rig.realtime.hand`); without one it plays its
         script.
@@ -98,7 +98,7 @@ def serve(
             + ("" if firmware else f", or with the law on the device, up to {FIRMWARE_RATE_MAXIMUM} Hz"),
         )
     stop = stop_event or threading.Event()
-    device = device_for(
+    device, messages = make_device(
         model,
         firmware,
         name=name,
@@ -107,10 +107,12 @@ def serve(
         seed=seed,
         keep_truth=False,  # it would grow without bound, and could not be read
     )
+    for message in messages:
+        print(message, file=sys.stderr)
     with Terminal() if socket is None else Socket(Path(socket)) as port:
         body = (
             BoardTime(device, port.loop_port(), stop, hung_up=port.next_host)
-            if isinstance(device, FirmwareDevice | CompiledDevice)
+            if isinstance(device, FirmwareDevice)
             else RealTime(device, port, stop)
         )
         with _driven(device, model, hand), _linked(link_path, port.place), stopped_by_signals(stop):

@@ -5,8 +5,7 @@ much of that may flow? Does the motion that follows mean that the motor must be 
 wrong, and what happened before it?
 
 All of it is integer counts, current quanta and device time, as in a firmware; `ticks` calls it, and nothing
-here knows a frame, a clock or the plant. What is remembered lies in flat memory (`Safety`), so that the rules are
-written once: Python runs them in the readable device (`device`), and a kernel in the compiled one (`compiled_device`).
+here knows a frame, a clock or the plant. What is remembered lies in flat memory (`Safety`), as in the firmware.
 
 It mirrors the safety rules of DESIGN.md ("Safety on the device"), which hold for every device.
 """
@@ -31,7 +30,6 @@ from rig.control.current import DISAGREES, compare
 from rig.core.board import current_sensor, moved_mechanics, over_current
 from rig.core.model import RigModel
 from rig.realtime.groups import Floats, Ints
-from rig.realtime.kernel import rule
 
 UNITS_PER_SECOND = round(1e9 / TIME_UNIT_NS)  # of device time
 UNITS_PER_US = UNITS_PER_SECOND // 1_000_000
@@ -115,21 +113,19 @@ _ZERO_UNIT = 256
 
 
 def flat(kind: type, size: int) -> Any:
-    """Zeros, as a view of their memory; `numpy.asarray` of it is the array that compiled code takes."""
+    """Zeros, as a view of their memory: Python reads and writes its numbers faster than those of an array."""
     return memoryview(np.zeros(size, kind))  # type: ignore[arg-type]
 
 
 # ---------------------------------------------------------------------- which current does the host want?
 
 
-@rule
 def idle(rules: Ints, now: int) -> None:
     """Want no current, and wait for the host's next command: after ARM, after STOP."""
     rules[AT.lost] = 0
     feed(rules, now, 0, _IDLE_LIFETIME, 0)
 
 
-@rule
 def feed(rules: Ints, now: int, current: int, lifetime: int, ramp: int) -> None:
     """Take a valid command: current in quanta, times in device time."""
     rules[AT.wanted] = current
@@ -138,7 +134,6 @@ def feed(rules: Ints, now: int, current: int, lifetime: int, ramp: int) -> None:
     rules[AT.applied] = rules[AT.ramping] = 0
 
 
-@rule
 def wanted(rules: Ints, until: int) -> int:
     """Return the current for a tick that ends at `until`: that of the command, which fades when its lifetime is over.
 
@@ -163,13 +158,11 @@ def wanted(rules: Ints, until: int) -> int:
 # ---------------------------------------------------------------------- how much of it may flow?
 
 
-@rule
 def warm(heat: Floats, measured: int) -> None:
     """Let one tick of the measured current pass: I²t, the winding's rise as a first-order lag of its square."""
     heat[HEAT] += (measured * measured - heat[HEAT]) * heat[DECAY]
 
 
-@rule
 def overheated(heat: Floats) -> bool:
     """Whether the heat is so far above the budget that reducing the current has failed."""
     return bool(heat[HEAT] > THERMAL_CUT * heat[BUDGET] > 0.0)
@@ -185,7 +178,6 @@ def configure_heat(heat: Floats, continuous_current: float, time_constant_s: flo
     heat[DECAY] = -math.expm1(-1.0 / (rate * time_constant_s))
 
 
-@rule
 def _confirmed(rules: Ints, wanted: int) -> int:
     """Fade an effort that has lasted for longer than any trial holds a handle, with the count on two neighbours.
 
@@ -204,7 +196,6 @@ def _confirmed(rules: Ints, wanted: int) -> int:
     return int(wanted * left // rules[AT.fade] if wanted > 0 else -(-wanted * left // rules[AT.fade]))
 
 
-@rule
 def limited(rules: Ints, heat: Floats, wanted: int) -> int:
     """Put into force what is allowed of a current, and return it.
 
@@ -229,7 +220,6 @@ def limited(rules: Ints, heat: Floats, wanted: int) -> int:
 # ---------------------------------------------------------------------- must the motor be cut?
 
 
-@rule
 def zeroed(rules: Ints, measured: int, off: bool) -> int:
     """Take the sensor's zero off a measured current (quanta); while the amplifier is off, the zero follows it."""
     if off:
@@ -242,7 +232,6 @@ def zeroed(rules: Ints, measured: int, off: bool) -> int:
     return int(min(max(current, -_PEAK), _PEAK))
 
 
-@rule
 def check(
     rules: Ints, heat: Floats, counts: Ints, currents: Ints, count: int, current: int, measured: int
 ) -> int:
@@ -279,13 +268,11 @@ def check(
     return faults
 
 
-@rule
 def in_window(rules: Ints, count: int) -> bool:
     """Whether a count lies in the position window."""
     return bool(rules[AT.first] <= count <= rules[AT.last])
 
 
-@rule
 def _runaway(rules: Ints, current: int, moved: int, stood: bool) -> int:
     """Count the ticks of large effort along the motion, and those on two neighbouring counts; say when these are many.
 
@@ -368,7 +355,6 @@ class Safety:
 # ---------------------------------------------------------------------- what went wrong first, and before it?
 
 
-@rule
 def remember(
     rules: Ints, ring: Ints, index: int, count: int, current: int, measured: int, flags: int
 ) -> None:

@@ -1,9 +1,8 @@
 """A tick of the simulated device in its parts, over flat memory: what a microcontroller does without its host.
 
 The order is that of `device`: `drive`, then the plant moves, then `sample`, and `report` if a STATE is due; between two
-ticks `obey` takes a COMMAND. Python runs these functions in the readable device (`device`), on memory views; a kernel
-runs the same ones in the compiled device (`compiled_device`). What is rare is left to Python: they only leave the
-faults that they find in a word.
+ticks `obey` takes a COMMAND. The functions work on memory views, which Python reads and writes twice as fast as arrays,
+and leave the faults that they find in a word.
 """
 
 from __future__ import annotations
@@ -16,8 +15,7 @@ from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault, Input, LimitFlag
 from firmware_protocol.messages import Mode, Sync
 from rig.realtime.codec import STATE
-from rig.realtime.groups import Floats, Ints, group
-from rig.realtime.kernel import rule
+from rig.realtime.groups import Floats, Ints
 from sim_backend.lockstep import (
     COUNT,
     CUTS,
@@ -75,7 +73,6 @@ _SHOWN = tuple(  # `Sync` bits → `Input` bits
 )
 
 
-@group
 class Board(NamedTuple):
     """The memory of a device.
 
@@ -100,7 +97,6 @@ class Board(NamedTuple):
     state: Ints
 
 
-@rule
 def drive(board: Board) -> int:
     """Begin a tick: the current that flows in it (quanta)."""
     words, rules = board.words, board.rules
@@ -127,7 +123,6 @@ def drive(board: Board) -> int:
     return int(words[OWN.driven])
 
 
-@rule
 def sample(board: Board) -> None:
     """End a tick: its sample is in the words; the monitors look at it."""
     words, rules = board.words, board.rules
@@ -147,13 +142,11 @@ def sample(board: Board) -> None:
     remember(rules, board.ring, words[SAMPLE_INDEX] & _U32, count, current, measured, flags)
 
 
-@rule
 def time_of(words: Ints, index: int) -> int:
     """Device time of a sample, from its number: a period that is no whole number of units does not drift."""
     return int(words[OWN.grid_time] + (index - words[OWN.grid_index]) * UNITS_PER_SECOND // words[OWN.rate])
 
 
-@rule
 def report(board: Board) -> bool:
     """Fill the fields of a STATE, if one is due."""
     words, state = board.words, board.state
@@ -183,14 +176,12 @@ def report(board: Board) -> bool:
     return True
 
 
-@rule
 def lifetime_of(words: Ints, mode: int, lifetime_us: int) -> int:
     """How long a COMMAND counts: the shorter of what it wants and what the parameters allow (device time)."""
     cap = words[OWN.supervise_lifetime] if mode == _SUPERVISE else words[OWN.command_lifetime]
     return int(min(lifetime_us * UNITS_PER_US, cap))
 
 
-@rule
 def is_too_old(board: Board, mode: int, lifetime_us: int, to_come: int, answered: int) -> bool:
     """Whether a COMMAND was under way for longer than its lifetime, by the STATEs since the one that it answers.
 
@@ -204,7 +195,6 @@ def is_too_old(board: Board, mode: int, lifetime_us: int, to_come: int, answered
     )
 
 
-@rule
 def obey(board: Board, sequence: int, mode: int, flags: int, current: int, lifetime_us: int) -> None:
     """Take a COMMAND."""
     words = board.words

@@ -34,7 +34,6 @@ from rig.devices.framed import FramedDevice
 from rig.experiments.identify_motions import still
 from rig.experiments.pulse import Pulse, pulse
 from sim_backend import device as simulated
-from sim_backend.compiled_device import CompiledDevice
 from sim_backend.device import SimulatedDevice
 from sim_backend.firmware import FirmwareDevice
 from sim_backend.hardware import Hardware
@@ -128,9 +127,8 @@ def faulty(experiment: Experiment, fault: Fault, at: float) -> FramedDevice:
         device.stand_before(Hardware(fault.model(sound), 1_000, seed=0, initial_position=at))
     else:
         told = simulated.describe(sound, sound.name, 1_000, 50_000)
-        kind = SimulatedDevice if counts else CompiledDevice  # as above: true counts only
         with patch.object(simulated, "describe", lambda *_: told):
-            device = kind(fault.model(sound), initial_position=at)
+            device = SimulatedDevice(fault.model(sound), initial_position=at)
     if counts:
         device.hardware.__class__ = Counting
     for name, value in fault.hardware:

@@ -6,7 +6,7 @@ import pytest
 
 from rig.core.errors import ConfigError
 from rig.realtime import c_library
-from sim_backend import compiled_device, firmware_library
+from sim_backend import firmware_library, make_device
 
 
 def need_compiler() -> None:
@@ -22,4 +22,4 @@ def hide_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("CC", raising=False)
     monkeypatch.setattr(c_library, "COMPILERS", ())
     monkeypatch.setattr(c_library, "ZIG", "no compiler")
-    monkeypatch.setattr(compiled_device, "library", firmware_library.library.__wrapped__)
+    monkeypatch.setattr(make_device, "library", firmware_library.library.__wrapped__)

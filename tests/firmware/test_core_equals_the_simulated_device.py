@@ -1,4 +1,4 @@
-"""Three devices of one protocol: the simulated one in Python, the same compiled, and the firmware's core in C.
+"""Two devices of one protocol: the readable one in Python, and the firmware's core in C.
 
 They see the same world and the same bytes, and say the same, byte for byte, tick for tick.
 """
@@ -12,7 +12,6 @@ import struct
 from collections import deque
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
 from itertools import pairwise
 from typing import Any, Literal
 from zlib import crc32
@@ -32,22 +31,10 @@ from firmware_protocol.parameters import PARAMETERS, block_crc, encode_block
 from firmware_protocol.transfer import set_parameters
 from firmware_protocol.wire import wire_fields
 from rig.core.model import Reference, RigModel
-from sim_backend.compiled_device import SAID, CompiledDevice
 from sim_backend.device import SimulatedDevice
 from sim_backend.firmware import FirmwareDevice
 from sim_backend.hardware import Hardware
-from sim_backend.lockstep import (
-    BYTE_COUNT,
-    BYTES,
-    COUNT,
-    CUTS,
-    DUE,
-    EDGE_AGE,
-    INDEX_EDGES,
-    MEASURED,
-    RECEIVED_AT,
-)
-from sim_backend.safety import UNITS_PER_SECOND
+from sim_backend.lockstep import INDEX_EDGES
 from tests.conformance.host import RUN_PARAMETERS
 from tests.conformance.rigs import linear_rig, rotary_rig, unmeasured
 from tests.conformance.wire_strategies import messages_of, parameter_sets
@@ -58,8 +45,6 @@ RATES = [50, 99, 300, 500, 700, 1_000, 1_100, 2_000, 3_000, 7_777, 20_000, 50_00
 LIFETIMES_US = [0, 1_000, 3_000, 20_000, 2**32 - 1]
 AGES = [0, 0, 0, 1, 4, 61, 0xFFFF]  # STATEs since the one that a COMMAND answers
 HOST_MESSAGES = [cls for type_id, cls in m.MESSAGES.items() if m.sender_of(type_id) is m.Role.HOST]
-HALF = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_size_t, ctypes.c_size_t)
-DRIVE, SAMPLE, RECEIVE = range(3)
 COUNTERS = [
     "frames", "framing_errors", "crc_errors", "malformed", "unknown_type", "wrong_direction", "foreign_major",
     "stale_session", "out_of_state", "lost", "duplicated", "reordered",
@@ -87,73 +72,24 @@ class Puppet(Hardware):
         self.count += self.speed
 
 
-class ByAddress(CompiledDevice):
-    """The compiled device, the parts of a tick called one by one, as `FirmwareDevice.tick` does."""
-
-    asked = False
-
-    def tick(self) -> bytes:
-        words, hardware = self.board.words, self.hardware
-        self._lend()
-        current = self._call(DRIVE)
-        if words[CUTS]:
-            hardware.cut()
-        hardware.advance(current)
-        hardware.sense(words)
-        words[COUNT], words[MEASURED] = hardware.count, hardware.measured
-        words[EDGE_AGE] = round(min(hardware.edge_age_s * UNITS_PER_SECOND, words[DUE]))
-        self._call(SAMPLE)
-        self._take_back()
-        return self._taken()
-
-    def receive(self, data: bytes, *, received_at: int | None = None) -> bytes:
-        if self.asked:
-            return super().receive(data, received_at=received_at)
-        words, buffer = self.board.words, ctypes.create_string_buffer(data, max(1, len(data)))
-        _, world = self.compiled()
-        words[BYTES], words[BYTE_COUNT] = ctypes.addressof(buffer), len(data)
-        words[RECEIVED_AT] = self.time
-        self.asked = True
-        self._call(RECEIVE)
-        self.asked = False
-        if words[CUTS]:
-            self.hardware.cut()
-        self.passed(world)
-        return self._taken()
-
-    @cached_property
-    def _halves(self) -> list[Any]:
-        return [HALF(address) for address in self._lockstep[:3]]
-
-    def _call(self, half: int) -> int:
-        result: int = self._halves[half](self._lockstep.device, self._lockstep.address)
-        assert self._failure is None
-        return result
-
-    def _taken(self) -> bytes:
-        size, self._counters[SAID] = self._counters[SAID], 0
-        return self._said[:size].tobytes()
-
-
 class Pair:
-    """The devices under the same hand, Python's compiled too; every step compares them."""
+    """The devices under the same hand; every step compares them."""
 
     def __init__(self, library: ctypes.CDLL, model: RigModel, **options: Any) -> None:
         self.python = SimulatedDevice(model, **options)
-        self.compiled = ByAddress(model, **options)
         self.c = FirmwareDevice(model, library=library, law_maximum=0, **options)
         self.nonce = 0
         self.session = 0
         self.sequence = 0
         self.said = b""
         self.frames: deque[bytes] = deque(maxlen=8)  # the last ones, to be sent again
-        self.hardware: list[Any] = [device.hardware for device in (self.python, self.compiled, self.c)]
+        self.hardware: list[Any] = [device.hardware for device in (self.python, self.c)]
         for hardware in self.hardware:
             hardware.__class__ = Shaky
 
     def both(self, call: Callable[[Any], bytes | None]) -> None:
         self.said = call(self.python) or b""
-        assert self.said == (call(self.compiled) or b"") == (call(self.c) or b"")
+        assert self.said == (call(self.c) or b"")
         status, connection = self.c.status, self.python.connection
         assert status.state == connection.state
         assert status.session == connection.session
@@ -241,7 +177,6 @@ class Pair:
         assert {name: getattr(ours, name) for name in COUNTERS} == {
             name: getattr(counted, name) for name in COUNTERS
         }
-        assert self.compiled.connection.statistics == counted
 
 
 def frame_of(message: Message, session: int, sequence: int, major: int = m.MAJOR) -> bytes:

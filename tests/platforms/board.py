@@ -13,7 +13,7 @@ from rig import config
 from rig.config import presets
 from rig.devices.local import serve
 from sim_backend import firmware, pty
-from sim_backend.compiled_device import device_for
+from sim_backend.make_device import make_device
 
 
 def main() -> None:
@@ -21,16 +21,16 @@ def main() -> None:
     described = firmware.describe
 
     def held(*given: Any, **options: Any) -> Any:
-        device = device_for(*given, **options)
+        device, messages = make_device(*given, **options)
         device.hold_to_run(True)
-        return device
+        return device, messages
 
     def announce(path: str) -> None:
         print(f"serial://{path}", flush=True)
 
     with (
         patch.object(firmware, "describe", lambda *given: replace(described(*given), simulated=False)),
-        patch.object(pty, "device_for", held),
+        patch.object(pty, "make_device", held),
     ):
         bare = config.override(presets.load("koul-rigid"), {"rig.mechanics.end_mass": 0.0})  # for a hand
         serve(config.rig_model(bare), rate=5000, firmware=True, announce=announce)

@@ -32,7 +32,7 @@ WAIT_S = 300.0  # a busy machine with an empty cache took 110
 @pytest.mark.timeout(2 * WAIT_S)
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="a trial without the compiler takes minutes")
 def test_what_people_do_off_linux_runs_to_the_end_and_alike(tmp_path: Path) -> None:
-    """Rows to the last bit, of the compiled device where there is no C compiler, and of the firmware."""
+    """Rows to the last bit, of the readable device where there is no C compiler, and of the firmware."""
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
     environment = ENVIRONMENT | {"LOCALAPPDATA": str(tmp_path / "local")}
     with ExitStack() as stack:

@@ -15,7 +15,7 @@ from rig.devices.framed import FramedDevice
 from rig.recording.header import repeatable
 from rig.recording.reader import open_recording
 from sim_backend import trial as bare
-from sim_backend.compiled_device import CompiledDevice
+from sim_backend.device import SimulatedDevice
 from sim_backend.link import open_link
 from sim_backend.operator import Script
 from sim_backend.plant import DiscretePlant
@@ -114,7 +114,7 @@ def test_without_a_c_compiler_the_recording_is_the_same_bit_for_bit(
     experiment = config.override(presets.load("koul-compliant"), {**SHORT, **noise, **changes})
     first = over_the_wire(experiment, tmp_path / "with.rigcap")
     hide_compiler(monkeypatch)
-    assert isinstance(open_link(DeviceUrl.parse("sim://"), rotary_rig()).device, CompiledDevice)
+    assert isinstance(open_link(DeviceUrl.parse("sim://"), rotary_rig()).device, SimulatedDevice)
     second = over_the_wire(experiment, tmp_path / "without.rigcap")
 
     assert first.rows.tobytes() == second.rows.tobytes()

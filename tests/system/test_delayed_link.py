@@ -23,7 +23,6 @@ from rig.devices.framed import FramedDevice
 from rig.experiments.hit import HitRequest, hit, left_by
 from rig.recording.reader import open_recording
 from sim_backend import device as readable
-from sim_backend.compiled_device import CompiledDevice
 from sim_backend.device import SimulatedDevice
 from sim_backend.firmware import FirmwareDevice
 from sim_backend.link import MemoryLink
@@ -187,7 +186,7 @@ def test_beyond_it_nothing_late_drives_the_motor_and_the_effort_ramps_to_zero(
         assert "hub" in run.error.remedy
 
 
-@pytest.mark.parametrize("make", [SimulatedDevice, CompiledDevice, FirmwareDevice])
+@pytest.mark.parametrize("make", [SimulatedDevice, FirmwareDevice])
 def test_a_buffer_that_fills_by_and_by_drives_no_longer_than_a_lifetime(
     make: Callable[..., Any], tmp_path: Path
 ) -> None:

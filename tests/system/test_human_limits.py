@@ -21,8 +21,8 @@ from rig.devices.framed import FramedDevice
 from rig.experiments.hit import HitRequest, hit
 from rig.experiments.plan import make_plan
 from rig.recording.reader import open_recording
-from sim_backend.compiled_device import CompiledDevice
 from sim_backend.link import MemoryLink
+from sim_backend.make_device import make_device
 from tests.conformance.claimed import claim_to_be_real
 from tests.conformance.trials import trial_on
 
@@ -135,7 +135,7 @@ def swapped(
     experiment: config.Experiment, tick: int, path: Path
 ) -> tuple[NDArray[np.float64], RigError | None]:
     """Efforts from the tick on where the motor leads are swapped (N·m), and what ended the trial."""
-    device = CompiledDevice(config.rig_model(experiment), initial_position=experiment.trial.start)
+    device, _ = make_device(config.rig_model(experiment), None, initial_position=experiment.trial.start)
 
     def swap(of: Any) -> None:
         of.hardware.drive = of.hardware.gain = -1.0

@@ -17,8 +17,8 @@ from rig.devices.fault_script import Faults, Happening
 from rig.devices.framed import FramedDevice
 from rig.experiments.judgement import Judgement, judge
 from rig.recording.reader import open_recording
-from sim_backend.compiled_device import CompiledDevice
 from sim_backend.link import MemoryLink
+from sim_backend.make_device import make_device
 from tests.conformance.trials import trial_on
 
 pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="the loop is compiled")
@@ -32,7 +32,7 @@ def walled(preset: str, changes: dict[str, Any]) -> config.Experiment:
 
 def judged(x: config.Experiment, path: Path, *happenings: Happening) -> tuple[Judgement, Any]:
     """What is said of a trial in which this happens, and its rows."""
-    device = CompiledDevice(config.rig_model(x), seed=x.trial.seed, initial_position=x.trial.start)
+    device, _ = make_device(config.rig_model(x), None, seed=x.trial.seed, initial_position=x.trial.start)
     path.unlink(missing_ok=True)
     with FramedDevice(MemoryLink(device, Faults(device=happenings))) as framed:
         trial_on(framed, x, path, seed=x.trial.seed, sealed=False)

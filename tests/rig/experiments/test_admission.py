@@ -23,8 +23,8 @@ from rig.experiments.admission import admission_checks
 from rig.experiments.examine import Examination, Question
 from rig.experiments.hit import HitRequest
 from rig.experiments.trial import prepared_on
-from sim_backend.compiled_device import CompiledDevice, device_for
 from sim_backend.link import MemoryLink
+from sim_backend.make_device import make_device
 from sim_backend.pty import FIRMWARE_RATE_MAXIMUM, POSITION_RATE_MAXIMUM
 from tests.conformance.claimed import claim_to_be_real
 from tests.conformance.firmware import need_compiler
@@ -53,7 +53,7 @@ def served(
     """A board as it is served, on a link whose time counts as real."""
     if firmware is not False:
         need_compiler()
-    device = device_for(
+    device, _ = make_device(
         config.rig_model(experiment), firmware, position_rate_default=1000, position_rate_maximum=maximum
     )
     link = MemoryLink(device)
@@ -151,7 +151,7 @@ def test_a_rate_that_a_served_board_does_not_run_is_refused_by_doctor_too(made_u
     changes = {
         "controller.loop": "device", "controller.position_rate": 10_000, "controller.velocity_rate": 1000,
     }  # fmt: skip
-    device = CompiledDevice(config.rig_model(x), position_rate_maximum=4000, position_rate_default=1000)
+    device, _ = make_device(config.rig_model(x), None, position_rate_maximum=4000, position_rate_default=1000)
     link = MemoryLink(device)
     link.clock.virtual = False  # type: ignore[attr-defined]
     with FramedDevice(link) as framed:

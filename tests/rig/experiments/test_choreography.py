@@ -22,8 +22,8 @@ from rig.experiments.judgement import judge
 from rig.recording.data import Recording
 from rig.recording.marks import marks
 from rig.recording.reader import open_recording
-from sim_backend.compiled_device import CompiledDevice
 from sim_backend.link import MemoryLink
+from sim_backend.make_device import make_device
 from tests.conformance.trials import trial_on
 
 HELD = config.override(
@@ -55,7 +55,9 @@ def trial(directory: Path, experiment: Any = HELD, begins_s: float = 0.0, progre
     assert model.reach is not None
     hurried = replace(model, reach=replace(model.reach, wait_s=model.reach.wait_s + begins_s))
     path = directory / f"{begins_s:g}.rigcap"
-    with FramedDevice(MemoryLink(CompiledDevice(hurried, initial_position=experiment.trial.start))) as device:
+    with FramedDevice(
+        MemoryLink(make_device(hurried, None, initial_position=experiment.trial.start)[0])
+    ) as device:
         trial_on(device, experiment, path, progress=progress)
     return open_recording(path.with_suffix(".parquet"))
 

@@ -36,9 +36,10 @@ from rig.experiments.motion_run import LONGEST_FILLED, MOST_LOST_SHARE, TimingEr
 from rig.recording.reader import open_recording
 from rig.views.plots.identify import draw_identification
 from sim_backend import device as simulated
-from sim_backend.compiled_device import CompiledDevice
+from sim_backend.device import SimulatedDevice
 from sim_backend.hardware import Hardware
 from sim_backend.link import MemoryLink
+from sim_backend.make_device import make_device
 from sim_backend.plant import DiscretePlant
 from sim_backend.trial import run_trial
 from tests.rig.analysis.test_identification_cogging import fitted
@@ -445,7 +446,9 @@ def test_pushes_raise_no_false_alarm_wherever_zero_lies_between_two_counts(exper
 def test_pushes_of_a_wrong_sign_move_as_little(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Motor or encoder the other way round: a few hundred counts at most, then a refusal with a remedy."""
     believed = config.rig_model(CHAWDA)
-    device = CompiledDevice(believed)  # as it was built for this rig, whose encoder is wired the other way
+    device, _ = make_device(
+        believed, None
+    )  # as it was built for this rig, whose encoder is wired the other way
     wired = replace(believed, encoder=replace(believed.encoder, sign=-1))
     device.hardware = Hardware(wired, 1000, seed=0, initial_position=None)
     monkeypatch.setattr(
@@ -464,12 +467,12 @@ def test_a_rig_of_another_scale_is_refused_before_it_is_excited(
 ) -> None:
     mechanics = replace(CHAWDA.rig.mechanics, motor_inertia=5.2)
     heavy = replace(config.rig_model(CHAWDA), mechanics=mechanics)
-    untold = replace(CompiledDevice(heavy)._dictionary, constants=())
+    untold = replace(SimulatedDevice(heavy)._dictionary, constants=())
     monkeypatch.setattr(simulated, "describe", lambda *_: untold)
     monkeypatch.setattr(
         identifying.devices,
         "open_device",
-        lambda url, model: FramedDevice(MemoryLink(CompiledDevice(heavy))),
+        lambda url, model: FramedDevice(MemoryLink(SimulatedDevice(heavy))),
     )
     with pytest.raises(IdentificationError, match="times the inertia described"):
         identified(CHAWDA, tmp_path)

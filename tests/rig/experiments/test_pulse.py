@@ -28,7 +28,6 @@ from rig.experiments.on_device import OnDevice, Trials
 from rig.experiments.plan import make_plan
 from rig.experiments.pulse import NO_HANDS, PUSHES, Pulse, check_rig_moves, energy_of, judged, pulse
 from rig.recording.reader import open_recording
-from sim_backend.compiled_device import CompiledDevice
 from sim_backend.firmware import FirmwareDevice
 from sim_backend.hardware import World
 from sim_backend.link import MemoryLink
@@ -154,13 +153,13 @@ def real(monkeypatch: pytest.MonkeyPatch) -> None:
     claim_to_be_real(monkeypatch)
 
 
-class Failing(CompiledDevice):
+class Failing(FirmwareDevice):
     """A device that finds a fault once it runs, if it is told to."""
 
     fails = False
 
     def compiled(self) -> tuple[Lockstep, World]:
-        if self.fails and self.connection.state == State.RUNNING:
+        if self.fails and self.state is State.RUNNING:
             self.fails = False
             self.inject_fault(Fault.OVER_CURRENT)
         return super().compiled()
@@ -168,7 +167,7 @@ class Failing(CompiledDevice):
 
 def framed(**hardware: float) -> FramedDevice:
     """A rig, held by nobody, of the person's experiment."""
-    device = Failing(config.rig_model(config.override(PERSON, BARE)))
+    device = Failing(config.rig_model(config.override(PERSON, BARE)), law_maximum=0)
     for name, value in hardware.items():
         setattr(device.hardware, name, value)
     return FramedDevice(MemoryLink(device))

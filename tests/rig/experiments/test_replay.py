@@ -31,8 +31,8 @@ from rig.realtime.plugs import LAW_SIGNATURE
 from rig.realtime.ring import Ring
 from rig.recording.capture import BLOCK_ROWS
 from rig.recording.reader import open_recording
-from sim_backend.compiled_device import CompiledDevice
 from sim_backend.link import MemoryLink
+from sim_backend.make_device import make_device
 from tests.conformance.trials import trial_on
 
 START = -0.015
@@ -43,7 +43,7 @@ SHORT = config.override(
 
 
 def new_link(experiment: Any = SHORT, faults: Any = None) -> Any:
-    return MemoryLink(CompiledDevice(config.rig_model(experiment), initial_position=START), faults)
+    return MemoryLink(make_device(config.rig_model(experiment), None, initial_position=START)[0], faults)
 
 
 def recorded(

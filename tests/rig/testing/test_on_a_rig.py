@@ -22,8 +22,8 @@ from rig.config import presets
 from rig.devices.framed import FramedDevice
 from rig.realtime import running
 from rig.testing import SerialRig, serve_rig
-from sim_backend.compiled_device import CompiledDevice
 from sim_backend.link import MemoryLink
+from sim_backend.make_device import make_device
 from tests.conformance.claimed import claim_to_be_real
 from tests.conformance.tolerance import too_busy
 
@@ -36,7 +36,7 @@ class Bench:
     """A rig on a bench: it stays when hosts go."""
 
     def __init__(self) -> None:
-        self.device = CompiledDevice(config.rig_model(presets.load("koul-compliant")))
+        self.device, _ = make_device(config.rig_model(presets.load("koul-compliant")), None)
         self.opened = 0
         self.link: Any = None
 

@@ -27,8 +27,8 @@ from rig.recording.reader import open_recording
 from rig.views.plots import style
 from rig.views.plots.hit import BEFORE_CONTACT_S, draw_hit, hit_figure
 from rig.views.plots.replay import draw_replay, replay_figure
-from sim_backend.compiled_device import CompiledDevice
 from sim_backend.link import MemoryLink
+from sim_backend.make_device import make_device
 from tests.conformance.trials import trial_on
 from tests.rig.views.conftest import scaled
 
@@ -41,7 +41,7 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Any:
         {"trial.duration_s": 0.15, "trial.release_s": 0.02, "homing.settle_s": 0.01, "verdict.tail_s": 0.05},
     )
     directory = tmp_path_factory.mktemp("plots")
-    with FramedDevice(MemoryLink(CompiledDevice(config.rig_model(experiment)))) as device:
+    with FramedDevice(MemoryLink(make_device(config.rig_model(experiment), None)[0])) as device:
         request = partial(
             trial_on, experiment=experiment, recording=directory / "hit.rigcap", verified=True, seed=0
         )

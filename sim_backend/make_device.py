@@ -1,0 +1,49 @@
+"""Which device stands for a simulated rig: the firmware's C code, or the readable one where nothing can compile it.
+
+They say the same, byte for byte (tests/firmware/test_core_equals_the_simulated_device.py). The readable one takes 25 to
+100 µs a tick.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rig.core.errors import ConfigError
+from rig.core.model import RigModel
+from sim_backend.device import SimulatedDevice
+from sim_backend.firmware import LAWS, FirmwareDevice
+from sim_backend.firmware_library import library
+
+
+def make_device(
+    model: RigModel, firmware: bool | None, **options: Any
+) -> tuple[SimulatedDevice | FirmwareDevice, tuple[str, ...]]:
+    """Make the device that stands for a rig, and say what could not be had, with its remedy.
+
+    Parameters
+    ----------
+    model
+        The rig.
+    firmware
+        True: the firmware with its laws. False: the readable device. None: the firmware without its laws, or the
+        readable device where this machine cannot compile it.
+    options
+        Those of `SimulatedDevice`.
+
+    Raises
+    ------
+    ConfigError
+        As the devices do; with `firmware` = True also where it cannot be compiled.
+    """
+    if firmware is False:
+        return SimulatedDevice(model, **options), ()
+    try:
+        compiled = library()
+    except ConfigError as error:
+        if firmware:
+            raise ConfigError(
+                error.message, remedy=f'{error.remedy}; or set controller.loop = "host"'
+            ) from None
+        slow = f"{error.message}; until then it runs in Python, 25 to 100 µs a tick"
+        return SimulatedDevice(model, **options), (f"{slow}: {error.remedy}",)
+    return FirmwareDevice(model, law_maximum=LAWS if firmware else 0, library=compiled, **options), ()
