@@ -28,6 +28,7 @@ from rig.session.analysis.rows import TrialRow
 from rig.session.analysis.study import Session, Study
 from rig.session.analysis.trials import trials_of
 from rig.session.bids_motion import EVENTS, MISSING, TASK, TRACKSYS, Channel
+from rig.session.names import distinct_names
 from rig.session.state import END
 from rig.session.trial_facts import FACTS, facts_of, unusable
 
@@ -230,13 +231,8 @@ class _Writer:
 
 
 def _labels(study: Study) -> dict[str, str]:
-    labels = {session.code: label_of(session.code) for session in study.sessions}
-    if len(set(labels.values())) < len(labels):
-        raise ConfigError(
-            f"these codes are the same in BIDS: {', '.join(sorted(labels))}",
-            remedy="BIDS keeps only letters and digits; export them as two datasets",
-        )
-    return labels
+    codes = [session.code for session in study.sessions]
+    return distinct_names(codes, label_of, "BIDS keeps only letters and digits")
 
 
 def _scans_sidecar(motion: Motion) -> Row:

@@ -13,6 +13,7 @@ from rig.recording.export import export
 from rig.recording.files import whole_directory
 from rig.session.analysis.study import Study
 from rig.session.analysis.trials import trials_of
+from rig.session.names import distinct_names
 from rig.session.trial_facts import FACTS, facts_of, file_name, unusable
 
 INDEX, MEANINGS = "trials.csv", "columns.csv"
@@ -45,19 +46,22 @@ def export_trials(study: Study, directory: Path, kind: str, watch: Watch | None 
 
     Raises
     ------
+    ConfigError
+        Codes that would share a directory.
     RecordingError
         The directory exists, there is no such format, a recording cannot be read, or the disk refuses. What is missing
         or was changed is left out and named.
     """
     trials = [row for row in trials_of(study) if row.recorded != "none"]
-    places = {session.code: (session.directory, file_name(session.code)) for session in study.sessions}
+    sources = {session.code: session.directory for session in study.sessions}
+    places = distinct_names(sources, file_name, "directories keep only letters, digits and . _ + -")
     rows: list[list[Any]] = []
     left_out: list[str] = []
     with whole_directory(directory) as draft:
-        for _, place in places.values():
+        for place in places.values():
             (draft / place).mkdir()
         for number, row in enumerate(trials, start=1):
-            source, place = places[row.participant]
+            source, place = sources[row.participant], places[row.participant]
             problem = unusable(row)
             if problem is not None:
                 left_out.append(problem)

@@ -7,7 +7,10 @@ from __future__ import annotations
 
 import hashlib
 import unicodedata
+from collections.abc import Callable, Iterable
 from itertools import groupby
+
+from rig.core.errors import ConfigError
 
 LONGEST_DIRECTORY = 200  # bytes in UTF-8; file systems take 255
 _HASH_DIGITS = 8
@@ -33,6 +36,20 @@ def directory_name(title: str) -> str:
     digest = hashlib.sha256(title.encode(errors="surrogatepass")).hexdigest()[:_HASH_DIGITS]
     short = name.encode()[: LONGEST_DIRECTORY - _HASH_DIGITS - 1].decode(errors="ignore").strip("-")
     return f"{short or 'study'}-{digest}"
+
+
+def distinct_names(codes: Iterable[str], name_of: Callable[[str], str], allowed: str) -> dict[str, str]:
+    """Return the name of each code's file or directory; `ConfigError` for codes that share one but for capitals."""
+    names = {code: name_of(code) for code in codes}
+    sharing: dict[str, list[str]] = {}
+    for code in sorted(names):
+        sharing.setdefault(names[code].casefold(), []).append(code)
+    if shared := [", ".join(alike) for alike in sharing.values() if len(alike) > 1]:
+        raise ConfigError(
+            f"these codes have one name in the export: {'; '.join(shared)} (capitals make no difference)",
+            remedy=f"{allowed}; export these participants one by one",
+        )
+    return names
 
 
 def _is_kept(character: str) -> bool:

@@ -8,6 +8,7 @@ import os
 import re
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -29,9 +30,10 @@ from rig.core.sample import Phase, RowFlag
 from rig.devices.framed import FramedDevice
 from rig.recording.reader import open_recording
 from rig.session.analysis import read_study
+from rig.session.analysis.study import Study
 from rig.session.bids import Options, export_bids, label_of
 from rig.session.bids_motion import TYPES, channels, spans
-from rig.session.export import export_trials
+from rig.session.export import Exported, export_trials
 from sim_backend.device import SimulatedDevice
 from sim_backend.link import MemoryLink
 from tests.conformance.started import LEASH
@@ -314,15 +316,31 @@ def test_what_is_missing_or_was_changed_is_left_out_and_said(hit: Any, tmp_path:
     assert not [path for path in tmp_path.iterdir() if "other" in path.name]  # nothing half done
 
 
-def test_codes_that_bids_cannot_tell_apart_are_refused(tmp_path: Path) -> None:
+def to_csv(study: Study, directory: Path) -> Exported:
+    return export_trials(study, directory, "csv")
+
+
+@pytest.mark.parametrize(
+    ("export", "codes"),
+    [(export_bids, ("P-1", "P_1")), (to_csv, ("P!1", "P?1")), (to_csv, ("P1", "p1"))],
+)
+def test_codes_that_an_export_cannot_tell_apart_are_refused(
+    export: Callable[[Study, Path], Any], codes: tuple[str, str], tmp_path: Path
+) -> None:
+    """Capitals are no difference: a directory may be copied to a file system that ignores them."""
     person = Person(threshold=lambda condition, damping: 430.0)
-    mapping = protocol(study={"code": CODES})
+    mapping = protocol(study={"code": "[Pp].?1|P2"})
     with without_sync():
-        for row, code in enumerate(("P-1", "P_1")):
-            with sitting(tmp_path / code, mapping, person, code=code, row=row) as one:
+        for row, code in enumerate((*codes, "P2")):
+            with sitting(tmp_path / str(row), mapping, person, code=code, row=row) as one:
                 one.run(1)
-    with pytest.raises(ConfigError, match="P-1, P_1"):
-        export_bids(read_study([tmp_path]), tmp_path / "bids")
+    with pytest.raises(ConfigError, match=f"{re.escape(', '.join(codes))} ") as refused:
+        export(read_study([tmp_path]), tmp_path / "out")
+    assert "P2" not in refused.value.message
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_code_without_letters_or_digits_has_no_label_in_bids() -> None:
     with pytest.raises(ConfigError, match="cannot name"):
         label_of("-_")
 
