@@ -199,6 +199,7 @@ class Terminal:
         self.before = termios.tcgetattr(self.slave)
         self._changed = threading.Condition()
         self._closed = False
+        self._typed = 0  # characters that had been printed when keys were typed last
         self._stop_reader, self._stop_writer = os.pipe()
         self._size(rows, columns)
         self._thread = threading.Thread(target=self._read, daemon=True)
@@ -240,7 +241,18 @@ class Terminal:
 
     def type(self, keys: str) -> None:
         """Press keys."""
+        self._typed = len(self.screen.printed)
         os.write(self.master, keys.encode())
+
+    @property
+    def fresh(self) -> str:
+        """All lines that were printed since keys were typed last."""
+        return self.screen.printed[self._typed :]
+
+    def wait_fresh(self, *texts: str, patience_s: float = PATIENCE_S) -> str:
+        """Wait until all texts were printed since keys were typed last; returns these lines."""
+        self.until(lambda: all(text in self.fresh for text in texts), str(texts), patience_s)
+        return self.fresh
 
     def resize(self, rows: int, columns: int) -> None:
         """Another window; who wants to know of it is told by the kernel only where this is its controlling terminal."""

@@ -17,11 +17,11 @@ class PlainLines:
     def lines(self, talk: Conversation, live: Snapshot | None, now_s: float) -> list[str]:
         """What is new, a line each."""
         view = talk.view
-        found = [self._new("place", words.place(view)), self._new("state", f"state: {words.state(talk)}")]
+        found = [self._new("keys", words.always(talk)), self._new("place", words.place(view))]
+        found.append(self._new("state", f"state: {words.state(talk)}"))
         found.append(self._new("wall", self._wall(talk)))
         found.append(self._new("asked", f"asked: {view.asked}" if view.asked else ""))
         found.append(self._new("say", f"say: {view.say}" if view.say else ""))
-        found.append(self._new("hand", words.hand(talk)))
         found.append(self._new("phase", "" if live is None else f"phase: {live.phase}"))
         found.append(self._new("last", f"last: {view.last}" if view.last else ""))
         fresh = view.lines[_common(self._log, view.lines) :]

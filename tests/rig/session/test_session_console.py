@@ -677,8 +677,8 @@ def test_what_moves_the_hand_stands_on_the_screen_among_the_keys_and_in_lines(
         text = drawn(conversation, None, width, height)
         assert all(contains(text, part) for part in says)
     printer = PlainLines()
-    assert words.hand(conversation) in printer.lines(conversation, None, 0.0)
-    assert words.hand(conversation) not in printer.lines(conversation, SNAPSHOT, 1.0)
+    assert words.always(conversation) in printer.lines(conversation, None, 0.0)
+    assert words.always(conversation) not in printer.lines(conversation, SNAPSHOT, 1.0)
     conversation.press("?")
     for width, height in ((80, 24), (60, 24)):
         page = drawn(conversation, None, width, height)

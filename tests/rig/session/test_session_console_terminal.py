@@ -85,7 +85,7 @@ def watched(desk: ConsoleDesk) -> StoppedError:
 
 def assert_given_back(terminal: Terminal) -> None:
     assert terminal.attributes_are_back()
-    terminal.until(lambda: terminal.screen.modes & {1049, 25} == {25}, "its own screen, and a cursor")
+    terminal.until(lambda: not terminal.screen.modes & {1049, 1003}, "the shell's screen")
 
 
 def resize(terminal: Terminal, desk: ConsoleDesk, rows: int, columns: int) -> None:
@@ -94,9 +94,14 @@ def resize(terminal: Terminal, desk: ConsoleDesk, rows: int, columns: int) -> No
     os.kill(desk.pid, signal.SIGWINCH)
 
 
-def drawn_by(terminal: Terminal, number: int) -> None:
-    """Wait until so many consoles have begun to draw: what stood there before is gone."""
-    terminal.until(lambda: terminal.screen.entered == number, f"{number} consoles")
+def wait_for_console(terminal: Terminal, number: int, *texts: str) -> None:
+    """Wait until the console of this number, counted from 1, has printed the texts."""
+
+    def printed() -> bool:
+        _, *consoles = terminal.screen.printed.split("[SPACE] STOP")
+        return len(consoles) == number and all(text in consoles[-1] for text in texts)
+
+    terminal.until(printed, f"{texts} of console {number}")
 
 
 def test_a_session_on_the_screen(terminal: Terminal) -> None:
@@ -118,17 +123,17 @@ def test_a_session_on_the_screen(terminal: Terminal) -> None:
 
 
 def test_escape_then_space_stops_a_hit(terminal: Terminal) -> None:
-    with console(terminal) as (desk, _):
+    with console(terminal, plain=True) as (desk, _):
         desk.show(View(state="hold"))
-        terminal.wait("hold")
+        terminal.wait_fresh("hold")
         terminal.type("\x1b ")
         assert "stopped at the console" in str(watched(desk))
 
 
 def test_space_before_the_next_console_is_there_is_stop(terminal: Terminal) -> None:
-    with console(terminal, silence_s=20.0) as (desk, _):
+    with console(terminal, plain=True, silence_s=20.0) as (desk, _):
         desk.show(View(state="hold"))
-        terminal.wait("hold")
+        terminal.wait_fresh("hold")
         os.kill(desk.pid, signal.SIGKILL)
         terminal.type("1\x1b ")
         assert "stopped at the console" in str(watched(desk))
@@ -137,20 +142,20 @@ def test_space_before_the_next_console_is_there_is_stop(terminal: Terminal) -> N
 def test_an_escape_does_not_wait_for_the_session_to_be_silent(terminal: Terminal) -> None:
     """Each message wakes the console; the escape is as old as it is all the same."""
     pause, deadline = threading.Event(), time.monotonic() + 5.0
-    with console(terminal) as (desk, _):
+    with console(terminal, plain=True) as (desk, _):
         desk.show(View(state="hold"))
-        terminal.wait("hold")
+        terminal.wait_fresh("hold")
         terminal.type("\x1b")
-        while "escape: no such key" not in terminal.screen.text:
+        while "escape: no such key" not in terminal.screen.printed:
             assert time.monotonic() < deadline
             desk.show(View(state="hold"))
             pause.wait(0.01)
 
 
 def test_a_stopped_console_ends_the_hit_and_is_replaced(terminal: Terminal) -> None:
-    with console(terminal, silence_s=0.3, hung_s=0.3) as (desk, asker):
+    with console(terminal, plain=True, silence_s=0.3, hung_s=0.3) as (desk, asker):
         desk.show(View(state="hold", code="P07"))
-        terminal.wait("P07")
+        terminal.wait_fresh("P07")
         stopped = desk.pid
         os.kill(stopped, signal.SIGSTOP)
         error = watched(desk)
@@ -159,8 +164,7 @@ def test_a_stopped_console_ends_the_hit_and_is_replaced(terminal: Terminal) -> N
         for number in range(200):  # a pipe that nobody reads must not hold the session up
             desk.show(View(state="hold", code="P07", lines=tuple(f"line {number}" * 20 for _ in range(8))))
         reply = asking(desk, asker, VERDICT)
-        drawn_by(terminal, 2)
-        terminal.wait("the verdict?", "P07")
+        wait_for_console(terminal, 2, "the verdict?", "P07")
         terminal.type("1")
         assert answered(reply) == ("judge", "stable")
         assert not Path(f"/proc/{stopped}").exists()
@@ -168,15 +172,14 @@ def test_a_stopped_console_ends_the_hit_and_is_replaced(terminal: Terminal) -> N
 
 
 def test_a_console_that_dies_is_started_anew_with_the_same_question(terminal: Terminal) -> None:
-    with console(terminal, silence_s=20.0) as (desk, asker):
+    with console(terminal, plain=True, silence_s=20.0) as (desk, asker):
         desk.show(View(state="verdict?", code="P08"))
         reply = asking(desk, asker, VERDICT)
-        terminal.wait("the verdict?")
+        terminal.wait_fresh("the verdict?")
         before = desk.pid
         os.kill(before, signal.SIGKILL)
-        drawn_by(terminal, 2)
+        wait_for_console(terminal, 2, "the verdict?", "P08")
         assert desk.pid != before
-        terminal.wait("the verdict?", "P08")
         terminal.type("3")
         assert answered(reply) == ("judge", "unstable")
         before = desk.pid
@@ -194,11 +197,10 @@ def test_a_console_that_dies_again_and_again_ends_the_session(
     terminal: Terminal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("rig.session.console.desk.RESTARTS", 1)
-    with console(terminal) as (desk, asker):
+    with console(terminal, plain=True) as (desk, asker):
         reply = asking(desk, asker, VERDICT)
         for number in (1, 2):
-            drawn_by(terminal, number)
-            terminal.wait("the verdict?")
+            wait_for_console(terminal, number, "the verdict?")
             os.kill(desk.pid, signal.SIGKILL)
         with pytest.raises(StoppedError, match="ended 2 times") as caught:
             reply.result(PATIENCE_S)
@@ -210,8 +212,8 @@ def test_closing_on_a_stopped_console_gives_the_terminal_back(
     terminal: Terminal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("rig.session.console.child.END_S", 0.2)
-    with console(terminal) as (desk, _):
-        terminal.wait("[SPACE] STOP")
+    with console(terminal, plain=True) as (desk, _):
+        terminal.wait_fresh("[SPACE] STOP")
         os.kill(desk.pid, signal.SIGSTOP)
     assert_given_back(terminal)
 
@@ -313,7 +315,7 @@ from rig.session.console.desk import ConsoleDesk
 from rig.session.desk import Question, View
 
 child.END_S = 0.2  # of one that is stopped
-with ConsoleDesk(plain="plain" in sys.argv) as desk:
+with ConsoleDesk(plain=True) as desk:
     print("console", desk.pid, file=sys.stderr, flush=True)
     desk.show(View(state="verdict?", code="P09"))
     try:
@@ -341,9 +343,9 @@ def program(terminal: Terminal) -> Iterator[tuple[Program, int]]:
 @pytest.mark.signals
 def test_ctrl_c_reaches_the_session_past_a_stopped_console(terminal: Terminal) -> None:
     with program(terminal) as (started, child):
-        terminal.wait("P09", "[1] stable")
+        terminal.wait_fresh("P09", "[1] stable")
         terminal.type("\x1a\x1c\x13")  # ^Z, ^\\ and ^S do nothing but be unknown keys
-        terminal.wait("ctrl+s: no such key")
+        terminal.wait_fresh("ctrl+s: no such key")
         os.kill(child, signal.SIGSTOP)
         terminal.type("\x03")
         _, err = started.wait()
@@ -353,9 +355,9 @@ def test_ctrl_c_reaches_the_session_past_a_stopped_console(terminal: Terminal) -
 
 def test_a_console_whose_session_is_gone_gives_the_terminal_back(terminal: Terminal) -> None:
     with program(terminal) as (started, child):
-        terminal.wait("P09", "[1] stable")
+        terminal.wait_fresh("P09", "[1] stable")
         os.kill(started.pid, signal.SIGKILL)
-        terminal.wait_printed("rig session resume")
+        terminal.wait_fresh("rig session resume")
         pause, deadline = threading.Event(), time.monotonic() + PATIENCE_S
         while state_of(child) != "Z" and time.monotonic() < deadline:
             pause.wait(0.005)
@@ -371,7 +373,7 @@ def state_of(pid: int) -> str:
 
 def test_without_a_terminal_keys_come_from_a_script() -> None:
     done = subprocess.run(
-        [sys.executable, "-c", PROGRAM, "plain"],
+        [sys.executable, "-c", PROGRAM],
         cwd=ROOT,
         input="1nnot good\r3",
         capture_output=True,
