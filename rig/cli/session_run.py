@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from datetime import datetime
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import click
 
@@ -16,7 +16,6 @@ from rig.core.errors import ConfigError
 from rig.core.present import plain
 from rig.session import rehearsal
 from rig.session import run as sessions
-from rig.session.console.pointer import HandKind
 from rig.session.desk import Desk
 from rig.session.directory import LOG, event_of_trial
 from rig.session.directory import amend as amend_event
@@ -46,14 +45,12 @@ _device_options = options.added(
     ),
     option(
         "--hand",
-        type=click.Choice(["simulated", "mouse", "keyboard"]),
+        type=click.Choice(["simulated", "keyboard"]),
         default="simulated",
         show_default=True,
-        help="Who moves the handle of a simulated rig: its script; the mouse (to the right: towards and into "
-        "the wall; a button held: full press); or keys (left, right: a step; down, up: five; home: back; end: "
-        "into the wall).",
+        help="Who moves the handle of a simulated rig: its script, or keys (left, right: a step; down, up: five; home: "
+        "back; end: into the wall). The mouse moves it on a page: `rig console`.",
     ),
-    option("--plain", is_flag=True, help="One line for each change, instead of a full screen."),
     option(
         "--lsl", is_flag=True, help="Stream samples and markers by Lab Streaming Layer (haptic-rig[lsl])."
     ),
@@ -123,14 +120,13 @@ def run(
     arm_anyway: bool,
     lossy_anyway: bool,
     hand: str,
-    plain: bool,
     lsl: bool,
     as_json: bool,
 ) -> None:
     """Run the session of participant CODE as PROTOCOL says.
 
     With --rehearse a simulated person hits and judges, and time is virtual. Without --url the rig is simulated: in real
-    time, with the console, and the simulated hand, the mouse or the keyboard moves the handle.
+    time, with the console, and the simulated hand or the keyboard moves the handle.
 
     Everything is kept below the study's directory, one directory a participant. Ctrl-C ends with zero effort; `rig
     session resume` continues it.
@@ -142,10 +138,10 @@ def run(
             "--threshold, --spread, --lapse-rate, --people-sd, --again and --realtime belong to a rehearsal",
             remedy="add --rehearse; a person's session is in real time as it is",
         )
-    if rehearse and (hand != "simulated" or plain):
+    if rehearse and hand != "simulated":
         raise ConfigError(
-            "--hand and --plain belong to a session with a person",
-            remedy="leave them out; a rehearsal has no console",
+            "--hand belongs to a session with a person",
+            remedy="leave it out; a rehearsal has no console",
         )
     person = rehearsal.Person(thresholds=rehearsal.thresholds_of(thresholds), **known) if rehearse else None
     runner = _runner(url, realtime or not rehearse, verified, arm_anyway, lossy_anyway)
@@ -153,7 +149,7 @@ def run(
         protocol, code, study, person, as_json=as_json
     )
     with Rehearsed(quiet=as_json or person is None) as seen:
-        desk = _desk(person, seen, hand=hand, plain=plain)
+        desk = _desk(person, seen, hand=hand)
         result = sessions.run_session(
             protocol,
             code,
@@ -201,7 +197,6 @@ def resume(
     arm_anyway: bool,
     lossy_anyway: bool,
     hand: str,
-    plain: bool,
     lsl: bool,
     as_json: bool,
 ) -> None:
@@ -219,7 +214,7 @@ def resume(
         url or place.url, realtime or place.realtime or person is None, verified, arm_anyway, lossy_anyway
     )
     with Rehearsed(quiet=as_json or person is None) as seen:
-        desk = _desk(person, seen, hand=hand, plain=plain)
+        desk = _desk(person, seen, hand=hand)
         result = sessions.resume_session(
             directory, desk, runner=runner, at=at, on_event=seen.on_event, lsl=lsl, other_device=other_device
         )
@@ -325,9 +320,9 @@ def _is_interactive() -> bool:
     return sys.stdin.isatty()
 
 
-def _desk(person: Person | None, seen: Rehearsed, *, hand: str, plain: bool) -> DeskFor:
+def _desk(person: Person | None, seen: Rehearsed, *, hand: str) -> DeskFor:
     """The console, or the simulated person whose progress is shown."""
-    return _console(hand=hand, plain=plain) if person is None else rehearsal_desk(person, looks=seen.looks)
+    return _console(hand) if person is None else rehearsal_desk(person, looks=seen.looks)
 
 
 def _runner(
@@ -338,8 +333,8 @@ def _runner(
     )
 
 
-def _console(*, hand: str, plain: bool) -> DeskFor:
-    """The operator's terminal; refused where there is none. With --plain, keys may come from a script."""
+def _console(hand: str) -> DeskFor:
+    """The operator's terminal; refused where there is none."""
 
     def desk(*about: Any) -> Desk:  # only when somebody may sit there: what is wrong with a code comes first
         if sys.platform == "win32":
@@ -347,13 +342,7 @@ def _console(*, hand: str, plain: bool) -> DeskFor:
                 "a session at a terminal needs Linux or macOS", remedy="rehearse it: --rehearse"
             )
         else:
-            if not plain and not sys.stdin.isatty():
-                raise ConfigError(
-                    "a session with a person needs a terminal for its operator",
-                    remedy="run it in one, or rehearse: --rehearse; with --plain, keys are read from standard input",
-                )
-            kind = None if hand == "simulated" else cast("HandKind", hand)
-            return at_console(hand=kind, plain=plain)(*about)
+            return at_console(hand="keyboard" if hand == "keyboard" else None)(*about)
 
     return desk
 

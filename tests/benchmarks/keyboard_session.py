@@ -5,7 +5,7 @@
     python tests/benchmarks/keyboard_session.py --reaction 0.8           of somebody who is in no hurry
     python tests/benchmarks/keyboard_session.py --template compare-estimators --trials 40
 
-The script is operator and participant of ``rig session run --hand keyboard`` in a pseudo-terminal. It reads the screen:
+The script is operator and participant of ``rig session run --hand keyboard`` in a pseudo-terminal. It reads the lines:
 at *ready?* it presses the go key, at *go* it waits for its reaction time and presses *end*, which takes the hand into
 the wall; it gives the program's own verdict, and goes on after whatever else it is asked. The last line is one JSON
 object; the exit code is 0 when at most one trial in twenty was invalid, which a quiet machine should reach. Machine and
@@ -31,11 +31,11 @@ if __name__ == "__main__":
 
 ALLOWED = 1 / 20
 INTO_THE_WALL = "\x1b[F"
-LOOK_S = 0.02  # between two looks at the screen
-STUCK_S = 120.0  # without anything new on it
+LOOK_S = 0.02  # between two looks at the lines
+STUCK_S = 120.0  # without a new line
 RELEASED_S = 1.3  # more than that of `rig.session.console.held`
 KEYS = {"stable": "1", "limit cycle": "2", "unstable": "3"}
-ANSWERS = {"answer>": "4\r", "[g] go": "g"}  # what stands on the screen, and the keys that answer it
+ANSWERS = {"item, then enter:": "4\r", "[g] go": "g"}  # what is printed, and the keys that answer it
 
 
 def arguments() -> argparse.Namespace:
@@ -63,37 +63,33 @@ def protocol(options: argparse.Namespace, directory: Path) -> Path:
 
 
 class Participant:
-    """Who reads the screen and presses keys."""
+    """Who reads the lines and presses keys."""
 
     def __init__(self, terminal: Any, log: Path, reaction_s: float) -> None:
         self.terminal, self.log, self.reaction_s = terminal, log, reaction_s
         self.seen, self.since = "", time.monotonic()
         self.pressed_s: dict[str, float] = {}
-        self.gone = False  # into the wall, in this trial
 
     def look(self) -> None:
-        """Do what the screen asks for; raises `TimeoutError` where it asks for nothing new for long."""
-        screen = self.terminal.screen.text
-        if screen != self.seen:
-            self.seen, self.since = screen, time.monotonic()
+        """Do what is asked for; raises `TimeoutError` where it asks for nothing new for long."""
+        printed = self.terminal.fresh
+        if printed != self.seen:
+            self.seen, self.since = printed, time.monotonic()
         elif time.monotonic() - self.since > STUCK_S:
-            raise TimeoutError(screen)
-        if screen.split("\n")[0].endswith(" go") and not self.gone:
-            self.gone = True
+            raise TimeoutError(printed)
+        if "state: go\n" in printed:
             time.sleep(self.reaction_s)
             self.terminal.type(INTO_THE_WALL)
             return
-        asked = next((text for text in ("[1] stable", *ANSWERS) if text in screen), None)
+        asked = next((text for text in ("[1] stable", *ANSWERS) if text in printed), None)
         if asked is None:
             return
-        self.gone = False
         keys = ANSWERS.get(asked) or KEYS[self.trials[-1]["automatic"]]
         time.sleep(
             max(0.0, self.pressed_s.get(keys, 0.0) + RELEASED_S - time.monotonic())
         )  # as a person releases it
         self.terminal.type(keys)
         self.pressed_s[keys] = time.monotonic()
-        self.terminal.until(lambda: self.terminal.screen.text != screen, f"an answer to {asked}")
 
     @property
     def trials(self) -> list[Any]:
@@ -108,7 +104,7 @@ def session(options: argparse.Namespace, directory: Path) -> tuple[int, str, lis
     from tests.conformance.terminal import Terminal  # noqa: PLC0415
 
     command = ["-m", "rig", "session", "run", str(protocol(options, directory)), "P01", "--hand", "keyboard"]
-    with Terminal(rows=40, columns=100) as terminal:
+    with Terminal() as terminal:
         participant = Participant(terminal, directory / "study" / "P01" / "session.log", options.reaction)
         more = ["--study", str(directory / "study"), "--lossy-anyway"]
         program = terminal.run(sys.executable, *command, *more, cwd=ROOT)

@@ -76,7 +76,7 @@ def test_a_rehearsal_takes_nobodys_place(
     assert call(capsys, "run", path, "P01", "--rehearse")[0] == 0
     assert (tmp_path / "rehearsals" / "quick" / "P01" / LOG).is_file()
     assert not (tmp_path / "sessions").exists()
-    status, _, err = call(capsys, "run", path, "P01", "--plain", "--study", "rehearsals/quick")
+    status, _, err = call(capsys, "run", path, "P01", "--study", "rehearsals/quick")
     assert status == 2
     assert "holds a rehearsal with a simulated person already" in err
 
@@ -192,8 +192,8 @@ def test_codes_that_are_refused_change_nothing(
         (["--rehearse", "--lapse-rate", "nan"], "is not a share"),
         (["--rehearse", "--people-sd", "-1"], "--people-sd -1 is no deviation"),
         (["--rehearse", "--row", "99"], "give --row 0 to 11"),
-        (["--plain", "--lapse-rate", "0.1"], "belong to a rehearsal"),
-        (["--plain", "--spread", "3"], "belong to a rehearsal"),
+        (["--lapse-rate", "0.1"], "belong to a rehearsal"),
+        (["--spread", "3"], "belong to a rehearsal"),
     ],
 )
 def test_a_person_whom_nobody_can_be_is_refused(

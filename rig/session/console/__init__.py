@@ -11,14 +11,13 @@ the running loop in shared memory, and sets its stop word.
 `desk`           that side here: the watch over the child
 `child`          the child as a process: started, heard, ended
 `terminal`       how a terminal is taken and given back
-`keyboard`       bytes from it → keys and motions of the mouse
+`keyboard`       bytes from it → keys
 `keymap`         keys → what they mean, from the protocol's ``[keys]``
 `conversation`   what is shown and asked, and what a key does then; touches nothing
 `held`           keys that were down before the question, which answer nothing until they are released
 `live`           the running loop's newest rows → numbers
 `seat`           all that a key, a message and the time come to, whatever shows it
-`screen`         all of this as a picture of the terminal's size
-`plain`          or as one line for each thing that changes
+`plain`          all of this as one line for each thing that changes
 `pointer`        mouse or arrow keys → the simulated hand
 `program`        the child's own loop
 ===============  ===================================================================================================

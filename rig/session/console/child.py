@@ -23,7 +23,6 @@ assert sys.platform != "win32"
 MOST_PENDING = 1 << 20  # bytes for a console that does not read: it hangs
 END_S = 2.0  # how long it may take to give the terminal back
 READ_BYTES = 65536
-SIZE = ("COLUMNS", "LINES")  # of a window, which is the terminal's to say
 
 Message = dict[str, Any]
 
@@ -34,7 +33,7 @@ class Child:
     Parameters
     ----------
     place
-        Descriptor of its terminal; -1: standard input and output of this process, whatever they are.
+        Descriptor of its terminal.
     before
         How the terminal was set.
     setup
@@ -53,12 +52,11 @@ class Child:
     def __init__(
         self,
         place: int,
-        before: list[Any] | None,
+        before: list[Any],
         setup: Message,
         heard: SimpleQueue[tuple[Child, Message]],
     ) -> None:
         self._place, self._before = place, before
-        self._plain = bool(setup["plain"])
         self._inbox = heard
         self._pending = bytearray()
         self._closed = False
@@ -93,11 +91,11 @@ class Child:
             os.set_blocking(self._to, False)
             self._process = subprocess.Popen(
                 [sys.executable, "-P", "-m", "rig.session.console", str(theirs_in), str(theirs_out)],
-                stdin=None if self._place < 0 else self._place,
-                stdout=None if self._place < 0 else self._place,
+                stdin=self._place,
+                stdout=self._place,
                 stderr=self._complaints,
                 pass_fds=(theirs_in, theirs_out),
-                env=with_this_package(without=SIZE),
+                env=with_this_package(),
             )
         ours.callback(self._process.wait)
         ours.callback(self._process.kill)
@@ -155,12 +153,11 @@ class Child:
             self._reader.join(END_S)  # hears of the end at once: `wait` looks for it ever more rarely
             with suppress(subprocess.TimeoutExpired):
                 self._process.wait(0.0 if self._reader.is_alive() else END_S)
-        clean = self._process.poll() == 0
         if not self.dead:
             self.kill()
             self._process.wait()
-        if last and self._place >= 0 and self._before is not None:
-            terminal.give_back(self._place, self._before, screen=not clean and not self._plain)
+        if last:
+            terminal.give_back(self._place, self._before)
         self._closed = True
         self._reader.join(END_S)
         os.close(self._to)

@@ -140,7 +140,7 @@ class Conversation:
         return () if self.question is None else self.question.actions
 
     def press(self, key: str, now_s: float | None = None) -> list[Decision]:
-        """What a key does that arrives at `now_s` (s, the caller's clock); None of a script, which holds no key."""
+        """What a key does that arrives at `now_s` (s, the caller's clock); None if it cannot have been held before."""
         self.notice = ""
         is_new = now_s is None or self.held.arrive(key, now_s)
         if key == STOP and (self.moving or self.entry is None):

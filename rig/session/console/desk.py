@@ -10,7 +10,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from rig.core.errors import ConfigError, StoppedError
 from rig.core.present import plain as plain_of
@@ -18,7 +18,6 @@ from rig.core.scratch import scratch
 from rig.realtime.hand import SharedHand
 from rig.session.console import terminal
 from rig.session.console.asking import SILENCE_S, AskingDesk
-from rig.session.console.pointer import HandKind
 from rig.session.console.seat import full_press, keymap_for, refuse_a_hand
 from rig.session.desk import Desk
 from rig.session.protocol import Keys, Protocol
@@ -27,6 +26,8 @@ if TYPE_CHECKING:  # a desk asks, and loads no loop
     from rig.session.runner import TrialRunner
 
 if sys.platform != "win32":
+    import termios
+
     from rig.session.console.child import Child, Message
 
 assert sys.platform != "win32"
@@ -35,17 +36,16 @@ HUNG_S = 10.0  # of a console while nothing moves; then it is started anew
 START_S = 30.0  # that a console may take to come up on a loaded machine
 RESTARTS = 3  # of the console in one session
 TERMINAL = Path("/dev/tty")
-REMEDY = "continue with `rig session resume`; with `plain` it needs next to nothing of the terminal"
+REMEDY = "continue with `rig session resume`"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MovedHand:
-    """How the simulated hand is moved at the console: by what, through which file, and how hard it can press (N).
+    """The simulated hand that arrow keys move at the console: through which file, and how hard it can press (N).
 
     The file has a directory of its own, which `close` removes.
     """
 
-    kind: HandKind
     path: Path
     press: float
     close: Callable[[], None] = lambda: None
@@ -58,12 +58,10 @@ class ConsoleDesk(AskingDesk):
     ----------
     keys
         Of the protocol.
-    plain
-        Lines instead of a picture.
     hand
         The simulated hand that the console moves; None where a participant or a script does.
     place
-        The terminal. Where there is none, standard input and output are used as they are, as lines.
+        The terminal.
     silence_s
         How long the console may be silent while a hit runs (s).
     hung_s
@@ -72,7 +70,7 @@ class ConsoleDesk(AskingDesk):
     Raises
     ------
     ConfigError
-        Invalid keys, a hand that this console cannot move, or a terminal that belongs to another job.
+        Invalid keys, no terminal, or one that belongs to another job.
     RigError
         The console does not start.
     """
@@ -81,38 +79,27 @@ class ConsoleDesk(AskingDesk):
         self,
         keys: Keys | None = None,
         *,
-        plain: bool = False,
         hand: MovedHand | None = None,
         place: Path = TERMINAL,
         silence_s: float = SILENCE_S,
         hung_s: float = HUNG_S,
     ) -> None:
         super().__init__()
-        self._keymap = keymap_for(keys or Keys(), None if hand is None else hand.kind)
+        self._keymap = keymap_for(keys or Keys(), None if hand is None else "keyboard")
         self._silence_s, self._hung_s = silence_s, hung_s
         with ExitStack() as opened:
-            self._place = _opened(place)
-            if self._place >= 0:
-                opened.callback(os.close, self._place)
-            self._start(plain=plain, hand=hand)
+            self._place, self._before = _open_terminal(place)
+            opened.callback(os.close, self._place)
+            self._start(hand)
             opened.pop_all()
 
-    def _start(self, *, plain: bool, hand: MovedHand | None) -> None:
-        self._before = terminal.attributes(self._place) if self._place >= 0 else None
+    def _start(self, hand: MovedHand | None) -> None:
         self._setup: Message = {
             "pid": os.getpid(),
             "keys": plain_of(self._keymap),
-            "plain": plain or self._before is None or os.environ.get("TERM", "dumb") == "dumb",
-            "attributes": None if self._before is None else terminal.as_plain(self._before),
-            "hand": None
-            if hand is None
-            else {"kind": hand.kind, "path": str(hand.path), "press": hand.press},
+            "attributes": terminal.as_plain(self._before),
+            "hand": None if hand is None else {"path": str(hand.path), "press": hand.press},
         }
-        if hand is not None and hand.kind == "mouse" and self._setup["plain"]:
-            raise ConfigError(
-                "the mouse moves the hand on a full screen alone, and this console prints lines",
-                remedy="leave `plain` out, in a terminal that can draw; or take `hand` keyboard",
-            )
         self._hand = hand
         self._inbox: SimpleQueue[tuple[Child, Message]] = SimpleQueue()
         self._restarts = 0
@@ -129,8 +116,7 @@ class ConsoleDesk(AskingDesk):
         if not self._closed:
             self._closed = True
             self._child.close()
-            if self._place >= 0:
-                os.close(self._place)
+            os.close(self._place)
             if self._hand is not None:
                 self._hand.close()
 
@@ -191,7 +177,7 @@ class ConsoleDesk(AskingDesk):
 
 
 def at_console(
-    *, hand: HandKind | None = None, plain: bool = False, place: Path = TERMINAL
+    *, hand: Literal["keyboard"] | None = None, place: Path = TERMINAL
 ) -> Callable[[Protocol, Mapping[str, Any], TrialRunner], Desk]:
     """A console for `rig.session.run.run_session`.
 
@@ -199,7 +185,7 @@ def at_console(
     ----------
     hand
         By what the handle of a simulated rig is moved here; None: its simulated hand plays its script.
-    plain, place
+    place
         As of `ConsoleDesk`.
 
     Raises
@@ -216,8 +202,8 @@ def at_console(
                 kept = made.enter_context(ExitStack())
                 path = kept.enter_context(scratch("hand")) / "hand"
                 SharedHand.create(path).close()  # before a device looks for it
-                moved = MovedHand(kind=hand, path=path, press=full_press(experiment), close=kept.close)
-            desk = ConsoleDesk(protocol.keys, plain=plain, hand=moved, place=place)
+                moved = MovedHand(path=path, press=full_press(experiment), close=kept.close)
+            desk = ConsoleDesk(protocol.keys, hand=moved, place=place)
             made.pop_all()
         runner.hand = runner.hand if moved is None else moved.path
         return desk
@@ -225,20 +211,26 @@ def at_console(
     return make
 
 
-def _opened(place: Path) -> int:
-    """A descriptor of the terminal, or -1 where there is none.
+def _open_terminal(place: Path) -> tuple[int, list[Any]]:
+    """Open the terminal, and read how it is set.
 
-    Raises `ConfigError` when it is another job's now: who reads from it then is stopped by the kernel.
+    Raises `ConfigError` where there is none, and when it is another job's now: the kernel would stop who reads from it.
     """
-    try:
-        descriptor = os.open(place, os.O_RDWR | os.O_NOCTTY)
-    except OSError:
-        return -1
-    try:
-        ours = os.tcgetpgrp(descriptor) == os.getpgrp()
-    except OSError:
-        ours = True  # nobody's controlling terminal has no foreground
-    if not ours:
-        os.close(descriptor)
-        raise ConfigError("the session runs in the background, where nobody can answer", remedy="fg")
-    return descriptor
+    with ExitStack() as opened:
+        try:
+            descriptor = os.open(place, os.O_RDWR | os.O_NOCTTY)
+            opened.callback(os.close, descriptor)
+            before = termios.tcgetattr(descriptor)
+        except (OSError, termios.error) as error:
+            raise ConfigError(
+                f"a session with a person needs a terminal for its operator ({place}: {error.args[-1]})",
+                remedy="run it in a terminal or on a page (`rig console`), or rehearse it: --rehearse",
+            ) from error
+        try:
+            ours = os.tcgetpgrp(descriptor) == os.getpgrp()
+        except OSError:
+            ours = True  # nobody's controlling terminal has no foreground
+        if not ours:
+            raise ConfigError("the session runs in the background, where nobody can answer", remedy="fg")
+        opened.pop_all()
+    return descriptor, before

@@ -1,4 +1,4 @@
-r"""Bytes of a terminal → keys, motions of the mouse and answers of the terminal itself. Any bytes give some, or none.
+"""Bytes of a terminal → names of keys. Any bytes give some, or none.
 
 A key is named by its character, or by a name: ``enter space tab escape backspace up down left right home end pageup
 pagedown insert delete f1`` … ``f12``, ``ctrl+x``, ``alt+x``. What no name fits is ``unknown``, and matches nothing.
@@ -6,14 +6,12 @@ pagedown insert delete f1`` … ``f12``, ``ctrl+x``, ``alt+x``. What no name fit
 Space is STOP, so no byte before it may swallow it: it ends any sequence that it stands in, and comes after it as a key
 of its own. With a modifier, or as any blank of Unicode (an input method, AltGr), it is space too.
 
-Sources: ECMA-48 (CSI sequences); XTerm Control Sequences (SS3, ``~`` keys, modifyOtherKeys, SGR mouse 1006, pixels
-1016, DECRPM).
+Sources: ECMA-48 (CSI sequences); XTerm Control Sequences (SS3, ``~`` keys, modifyOtherKeys).
 """
 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 
 MOST_SEQUENCE = 64  # bytes of an escape sequence; a longer one is noise
 
@@ -31,36 +29,6 @@ _CONTROL = {
     0: "space",  # with ctrl
 }  # fmt: skip
 _SPACE = re.compile(r"32(;[\d:]*)*u|27;\d+;32~")  # with a modifier, from terminals that tell it
-_MOUSE = re.compile(r"<(\d{1,6});(\d{1,6});(\d{1,6})([Mm])")
-_MODE = re.compile(r"\?(\d{1,6});(\d)\$y")
-_MOUSE_BUTTON, _MOUSE_MOTION, _MOUSE_WHEEL = 3, 32, 64
-
-
-@dataclass(frozen=True, slots=True)
-class Key:
-    """A key that was pressed."""
-
-    name: str
-
-
-@dataclass(frozen=True, slots=True)
-class Mouse:
-    """Where the mouse is, in cells or pixels from 1, and whether a button is held."""
-
-    x: int
-    y: int
-    held: bool
-
-
-@dataclass(frozen=True, slots=True)
-class Mode:
-    """What the terminal answers about one of its modes: known to it or not."""
-
-    number: int
-    known: bool
-
-
-Event = Key | Mouse | Mode
 
 
 class Keyboard:
@@ -74,39 +42,39 @@ class Keyboard:
         """Whether bytes wait for what may belong to them: a lone escape may be the key, or the start of a sequence."""
         return bool(self._rest)
 
-    def feed(self, data: bytes) -> list[Event]:
-        """Events that the bytes so far complete."""
+    def feed(self, data: bytes) -> list[str]:
+        """Return the keys that the bytes so far complete."""
         self._rest += data
-        events: list[Event] = []
+        keys: list[str] = []
         while self._rest:
-            length, event = _first(self._rest)
+            length, key = _first(self._rest)
             if length == 0:
                 break
             self._rest = self._rest[length:]
-            if event is not None:
-                events.append(event)
-        return events
+            if key:
+                keys.append(key)
+        return keys
 
-    def flush(self) -> list[Event]:
+    def flush(self) -> list[str]:
         """What waits will not be completed any more."""
         rest, self._rest = self._rest, b""
         if not rest:
             return []
-        return [Key("escape" if rest == b"\x1b" else "unknown")]
+        return ["escape" if rest == b"\x1b" else "unknown"]
 
 
-def _first(data: bytes) -> tuple[int, Event | None]:
-    """Length and meaning of what comes first; length 0 when it is not complete."""
+def _first(data: bytes) -> tuple[int, str]:
+    """Length and key of what comes first: length 0 when it is not complete, no name when it is not a character."""
     if data[0] == 0x1B:
         return _escape(data)
     if data[0] in _CONTROL:
-        return 1, Key(_CONTROL[data[0]])
+        return 1, _CONTROL[data[0]]
     if data[0] < 0x20:
-        return 1, Key(f"ctrl+{chr(data[0] + 0x60)}")
+        return 1, f"ctrl+{chr(data[0] + 0x60)}"
     return _character(data)
 
 
-def _character(data: bytes) -> tuple[int, Event | None]:
+def _character(data: bytes) -> tuple[int, str]:
     """A character in UTF-8."""
     lead = data[0]
     length = 1 if lead < 0x80 else 2 if lead < 0xE0 else 3 if lead < 0xF0 else 4
@@ -114,63 +82,54 @@ def _character(data: bytes) -> tuple[int, Event | None]:
         text = data[:length].decode()
     except UnicodeDecodeError:
         short = len(data) < length and lead >= 0xC2 and all(byte & 0xC0 == 0x80 for byte in data[1:])
-        return (0, None) if short else (1, None)
-    return length, Key("space" if text.isspace() else text if text.isprintable() else "unknown")
+        return (0, "") if short else (1, "")
+    return length, "space" if text.isspace() else text if text.isprintable() else "unknown"
 
 
-def _escape(data: bytes) -> tuple[int, Event | None]:
+def _escape(data: bytes) -> tuple[int, str]:
     if len(data) == 1:
-        return 0, None
+        return 0, ""
     if data[1] == 0x5B:
         return _control_sequence(data)
     if data[1] == 0x4F:
         return _single_shift(data)
     if data[1] == 0x1B:
-        return 1, Key("escape")
+        return 1, "escape"
     length, key = _first(data[1:])
-    if key == Key("space"):
-        return 1, Key("escape")
+    if key == "space":
+        return 1, "escape"
     name = f"alt+{chr(data[1])}" if 0x20 < data[1] < 0x7F else "unknown"
-    return (1 + length, Key(name)) if length else (0, None)
+    return (1 + length, name) if length else (0, "")
 
 
-def _single_shift(data: bytes) -> tuple[int, Event | None]:
+def _single_shift(data: bytes) -> tuple[int, str]:
     if len(data) == 2:
-        return 0, None
+        return 0, ""
     if not 0x20 < data[2] < 0x7F:
-        return 2, Key("unknown")  # cut short by something else
+        return 2, "unknown"  # cut short by something else
     letter = chr(data[2])
-    return 3, Key(_FUNCTION.get(letter) or _FINAL.get(letter) or ("enter" if letter == "M" else "unknown"))
+    return 3, _FUNCTION.get(letter) or _FINAL.get(letter) or ("enter" if letter == "M" else "unknown")
 
 
-def _control_sequence(data: bytes) -> tuple[int, Event | None]:
+def _control_sequence(data: bytes) -> tuple[int, str]:
     if data[2:3] == b"[":
         if len(data) == 3:
-            return 0, None
+            return 0, ""
         if not 0x20 < data[3] < 0x7F:
-            return 3, Key("unknown")
-        return 4, Key(_LINUX.get(chr(data[3]), "unknown"))
+            return 3, "unknown"
+        return 4, _LINUX.get(chr(data[3]), "unknown")
     for at in range(2, min(len(data), MOST_SEQUENCE)):
         if 0x40 <= data[at] <= 0x7E:
             return at + 1, _meaning(data[2 : at + 1].decode("ascii"))
         if not 0x20 < data[at] < 0x40:
-            return at, Key("unknown")
-    return (0, None) if len(data) < MOST_SEQUENCE else (MOST_SEQUENCE, Key("unknown"))
+            return at, "unknown"
+    return (0, "") if len(data) < MOST_SEQUENCE else (MOST_SEQUENCE, "unknown")
 
 
-def _meaning(text: str) -> Event | None:
-    """What a control sequence says, without its ``ESC [``."""
-    mouse = _MOUSE.fullmatch(text)
-    if mouse:
-        button, x, y = (int(mouse[n]) for n in (1, 2, 3))
-        if button & _MOUSE_WHEEL:
-            return None
-        return Mouse(x, y, held=mouse[4] == "M" and button & _MOUSE_BUTTON != _MOUSE_BUTTON)
-    mode = _MODE.fullmatch(text)
-    if mode:
-        return Mode(int(mode[1]), known=mode[2] in "123")
+def _meaning(text: str) -> str:
+    """Return the key of a control sequence, which is given without its ``ESC [``."""
     if _SPACE.fullmatch(text):
-        return Key("space")
+        return "space"
     if text[-1] == "~":
-        return Key(_TILDE.get(text[:-1], "unknown"))
-    return Key(_FINAL.get(text, "unknown"))
+        return _TILDE.get(text[:-1], "unknown")
+    return _FINAL.get(text, "unknown")

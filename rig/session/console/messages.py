@@ -3,7 +3,7 @@
 ==========  =========  ============================================================================================
 from        kind       content
 ==========  =========  ============================================================================================
-session     setup      pid of the program, keys, plain, how the terminal was set, hand (null, or how it is moved)
+session     setup      pid of the program, keys, how the terminal was set, hand (null, or where it is moved)
 session     view       `rig.session.desk.View`
 session     ask        number (counts up), `rig.session.desk.Question`
 session     end        give the terminal back and go

@@ -1,4 +1,4 @@
-"""The console as lines: one for each thing that changes. For screen readers, dumb terminals and scripts."""
+"""The console as lines: one for each thing that changes."""
 
 from __future__ import annotations
 

@@ -112,8 +112,8 @@ class Seat:
         self.do(answered)
         return ready
 
-    def key(self, name: str, now_s: float | None, shown_s: float | None = None) -> None:
-        """Press a key at `now_s` (None: of a script), `shown_s` after its question could be read, if known."""
+    def key(self, name: str, now_s: float, shown_s: float | None = None) -> None:
+        """Press a key at `now_s`, `shown_s` after its question could be read, if known."""
         if self.hand is None or self.talk.entry is not None or not self.hand.key(name):
             self.do(self.talk.press(name, now_s), shown_s)
 

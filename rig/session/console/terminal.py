@@ -16,37 +16,12 @@ from typing import Any
 
 assert sys.platform != "win32"
 
-# Alternate screen, cursor; mouse reports (any motion, SGR, pixels).
-SCREEN_ON = "\x1b[?1049h\x1b[?25l"
-SCREEN_OFF = "\x1b[?1049l\x1b[?25h"
-MOUSE_ON = "\x1b[?1003h\x1b[?1006h"
-PIXELS_ON, ASK_PIXELS = "\x1b[?1016h", "\x1b[?1016$p"
-MOUSE_OFF = "\x1b[?1016l\x1b[?1006l\x1b[?1003l"
-STYLE_OFF = "\x1b[0m"
-PIXELS = 1016
-
 _OFF = b"\0"  # _POSIX_VDISABLE of Linux
 _INPUT, _LOCAL, _CHARACTERS = 0, 3, 6  # places in what tcgetattr gives
 
 
-def is_terminal(descriptor: int) -> bool:
-    """Whether there is a terminal behind a descriptor."""
-    try:
-        return os.isatty(descriptor)
-    except OSError:
-        return False
-
-
-def attributes(descriptor: int) -> list[Any] | None:
-    """How a terminal is set; None when it is gone, or none."""
-    try:
-        return termios.tcgetattr(descriptor)
-    except (termios.error, OSError):
-        return None
-
-
 def as_plain(before: list[Any]) -> list[Any]:
-    """What `attributes` gave, as plain values for JSON."""
+    """What `termios.tcgetattr` gave, as plain values for JSON."""
     return [
         *before[:_CHARACTERS],
         [value if isinstance(value, int) else value[0] for value in before[_CHARACTERS]],
@@ -76,10 +51,8 @@ def take(descriptor: int, before: list[Any]) -> bytes:
     return os.read(descriptor, 4096) if ready else b""
 
 
-def give_back(descriptor: int, before: list[Any], *, screen: bool) -> None:
-    """Set it as it was; what was typed and not read goes to nobody. Cannot raise, nor wait for output that hangs."""
+def give_back(descriptor: int, before: list[Any]) -> None:
+    """Set it as it was; discard what was typed and not read. Cannot raise, nor wait for output that hangs."""
     with suppress(OSError, termios.error):
         termios.tcflush(descriptor, termios.TCIFLUSH)
         termios.tcsetattr(descriptor, termios.TCSANOW, before)
-    with suppress(OSError):
-        os.write(descriptor, (MOUSE_OFF + (SCREEN_OFF if screen else "") + STYLE_OFF).encode())

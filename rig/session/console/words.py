@@ -1,4 +1,4 @@
-"""What the console says, as plain text: the screen arranges it, the plain mode prints it.
+"""What the console says, as plain text: a terminal prints it, a page arranges it.
 
 Where somebody must be blind to the wall, an effort is a word: low, half, near the limit, saturated. As a number, beside
 the penetration, it would be the stiffness.
@@ -141,14 +141,6 @@ def question(talk: Conversation, now_s: float) -> str:
     return text + (f"  ({left:.0f} s left)" if asked.kind == "rest" and asked.seconds else "")
 
 
-def entry(talk: Conversation) -> str:
-    """The line that is being typed."""
-    if talk.entry is None:
-        return ""
-    purpose = "note" if talk.entry.purpose == "note" else "answer"
-    return f"{purpose}> {talk.entry.text}_   (enter: done, escape: not now)"
-
-
 def offered(talk: Conversation) -> list[tuple[str, str]]:
     """What answers now: key, and what it says."""
     keymap, allowed = talk.keymap, talk.allowed
@@ -188,7 +180,7 @@ def help_pairs(talk: Conversation, *, interrupts: bool = True) -> list[tuple[str
         ("SPACE", "STOP: zero effort now"),
         *((key, f"verdict: {verdict}") for key, verdict in keymap.verdicts),
         *((keymap.key_of(action), MEANINGS[action]) for action in ORDER),
-        *([("^C", "stop, and leave the session; works also when this screen hangs")] if interrupts else []),
+        *([("^C", "stop, and leave the session; works also when this console hangs")] if interrupts else []),
         *(HANDS[talk.hand] if talk.hand else []),
         ("?, enter, escape", "back; any other key does what it says here"),
     ]

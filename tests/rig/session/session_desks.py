@@ -38,7 +38,6 @@ from rig.session.console.seat import keymap_for
 from rig.session.protocol import Keys
 from tests.conformance.terminal import PATIENCE_S, Terminal
 from tests.rig.console.console_fakes import Here
-from tests.rig.session.test_session_console import contains
 
 _BYTES = {"space": " ", "enter": "\r", "f5": "\x1b[15~", "end": "\x1b[F", "home": "\x1b[H", "left": "\x1b[D"}
 
@@ -58,14 +57,14 @@ class Place(ABC):
     def sees(self, *texts: str) -> None:
         """Wait until they stand there."""
         until(
-            lambda: all(contains(self.screen, text) for text in texts),
+            lambda: all(text in self.screen for text in texts),
             f"{texts} on the screen:\n{self.screen}",
         )
 
     @property
     @abstractmethod
     def screen(self) -> str:
-        """All that stands there; keys as ``[g] go``."""
+        """All that stands there, or was printed since the last key; keys as ``[g] go``."""
 
     @property
     @abstractmethod
@@ -86,10 +85,6 @@ class Place(ABC):
         """Type a line, once one is wanted."""
 
     @abstractmethod
-    def point(self, share: float) -> None:
-        """Take the mouse to a share of the way."""
-
-    @abstractmethod
     def hang(self) -> None:
         """From now on nothing is heard of it."""
 
@@ -104,7 +99,7 @@ class Place(ABC):
 class AtTerminal(Place):
     def __init__(self, keys: Keys, hand: tuple[HandKind, Path] | None, silence_s: float) -> None:
         self.terminal = Terminal()
-        moved = None if hand is None else MovedHand(kind=hand[0], path=hand[1], press=4.0)
+        moved = None if hand is None else MovedHand(path=hand[1], press=4.0)
         try:
             self._console = ConsoleDesk(
                 keys, hand=moved, place=Path(self.terminal.path), silence_s=silence_s, hung_s=60.0
@@ -116,26 +111,22 @@ class AtTerminal(Place):
 
     @property
     def screen(self) -> str:
-        return self.terminal.screen.text
+        return self.terminal.fresh
 
     @property
     def all_shown(self) -> str:
-        return self.terminal.screen.printed
+        return self.terminal.printed
 
     @property
     def rings(self) -> int:
-        return self.terminal.screen.bells
+        return self.terminal.bells
 
     def press(self, key: str) -> None:
         self.terminal.type(_BYTES.get(key, key))
 
     def line(self, text: str) -> None:
-        until(lambda: "> _" in self.screen, "a line to type")
+        until(lambda: "then enter:" in self.terminal.printed, "a line to type")
         self.terminal.type(text + "\r")
-
-    def point(self, share: float) -> None:
-        until(lambda: self.terminal.screen.modes >= {1003, 1006}, "reports of the mouse")
-        self.terminal.type(f"\x1b[<35;{1 + round(share * 79)};5M")
 
     def hang(self) -> None:
         os.kill(self._console.pid, signal.SIGSTOP)
@@ -263,7 +254,7 @@ class AtPage(Place):
         parts = [told["place"], told["state"], told["saying"], told["question"]]
         parts.append("  ".join(f"[{key}] {text}" for key, text in told["offered"]))
         parts += [
-            "" if told["entry"] is None else f"{told['entry']}>",
+            "" if told["entry"] is None else f"{told['entry']}, then enter:",
             told["notice"],
             told["hand"],
             told["last"],
@@ -287,9 +278,6 @@ class AtPage(Place):
     def line(self, text: str) -> None:
         until(lambda: self.session["entry"] is not None, "a line to type")
         self.ask("session_line", text=text, asked=self.session["asked"])
-
-    def point(self, share: float) -> None:
-        self.ask("session_hand", share=share)
 
     def hang(self) -> None:
         self.hung_s = time.monotonic()

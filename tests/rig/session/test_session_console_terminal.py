@@ -1,4 +1,4 @@
-"""The console on a terminal: it is drawn and answered, it hangs, it dies, and the terminal is as it was afterwards.
+"""The console on a terminal: it is read and answered, it hangs, it dies, and the terminal is as it was afterwards.
 
 The console is the real child process; the session's side is a `ConsoleDesk` in this process or in one of its own.
 """
@@ -8,7 +8,6 @@ from __future__ import annotations
 import errno
 import os
 import signal
-import subprocess
 import sys
 import threading
 import time
@@ -21,26 +20,16 @@ from typing import Any
 import pytest
 
 from rig.core.errors import ConfigError, RigError, StoppedError
-from rig.session.conduct import conduct
-from rig.session.console.desk import ConsoleDesk, MovedHand, at_console
-from rig.session.console.held import RELEASED_S
+from rig.session.console.desk import ConsoleDesk, at_console
 from rig.session.desk import Action, Question, Reply, View
 from rig.session.protocol import Keys
 from tests.conformance.terminal import PATIENCE_S, Program, Terminal
-from tests.rig.session.session_fakes import INVALID, LOST, FakeRunner, protocol_of
-from tests.rig.session.test_session_conduct import started
-from tests.rig.session.test_session_console import LONG, contains
+from tests.rig.session.session_fakes import FakeRunner, protocol_of
 
 ROOT = Path(__file__).parents[3]
 READY: tuple[Action, ...] = ("go", "pause", "skip", "redo", "note", "abort")
 VERDICT = Question(kind="verdict", text="the verdict?", actions=("judge", "redo", "note", "abort"), trial=3)
 READY_QUESTION = Question(kind="ready", text="ready?", actions=READY)
-
-
-@pytest.fixture(autouse=True)
-def _a_terminal_of_a_kind(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("TERM", "xterm-256color")
-    monkeypatch.delenv("NO_COLOR", raising=False)
 
 
 @pytest.fixture
@@ -85,55 +74,31 @@ def watched(desk: ConsoleDesk) -> StoppedError:
 
 def assert_given_back(terminal: Terminal) -> None:
     assert terminal.attributes_are_back()
-    terminal.until(lambda: not terminal.screen.modes & {1049, 1003}, "the shell's screen")
-
-
-def resize(terminal: Terminal, desk: ConsoleDesk, rows: int, columns: int) -> None:
-    """Make another window; of its controlling terminal the kernel would tell the console."""
-    terminal.resize(rows, columns)
-    os.kill(desk.pid, signal.SIGWINCH)
+    assert "\x1b" not in terminal.printed  # no screen of its own, no mode
 
 
 def wait_for_console(terminal: Terminal, number: int, *texts: str) -> None:
     """Wait until the console of this number, counted from 1, has printed the texts."""
 
     def printed() -> bool:
-        _, *consoles = terminal.screen.printed.split("[SPACE] STOP")
+        _, *consoles = terminal.printed.split("[SPACE] STOP")
         return len(consoles) == number and all(text in consoles[-1] for text in texts)
 
     terminal.until(printed, f"{texts} of console {number}")
 
 
-def test_a_session_on_the_screen(terminal: Terminal) -> None:
-    with console(terminal) as (desk, asker):
-        desk.show(View(state="ready", say="Push.", code="P03", block=2, blocks=5, trial=34, trials=120))
-        reply = asking(desk, asker, READY_QUESTION)
-        screen = terminal.wait("ready?", "Push.", "[g] go", "[SPACE] STOP")
-        assert screen.startswith(" P03 · block 2 of 5 · trial 34 of about 120")
-        assert terminal.screen.modes & {1049, 25} == {1049}  # its own screen, no cursor
-        terminal.type("n")
-        terminal.wait("note>")
-        terminal.type("a b\x7fc")
-        terminal.wait("note> a c_")
-        resize(terminal, desk, 30, 100)
-        terminal.until(lambda: len(terminal.screen.text.split("\n")[0]) > 90, "the new width")
-        terminal.type("\r")
-        assert answered(reply) == ("note", "a c")
-    assert_given_back(terminal)
-
-
 def test_escape_then_space_stops_a_hit(terminal: Terminal) -> None:
-    with console(terminal, plain=True) as (desk, _):
+    with console(terminal) as (desk, _):
         desk.show(View(state="hold"))
-        terminal.wait_fresh("hold")
+        terminal.wait("hold")
         terminal.type("\x1b ")
         assert "stopped at the console" in str(watched(desk))
 
 
 def test_space_before_the_next_console_is_there_is_stop(terminal: Terminal) -> None:
-    with console(terminal, plain=True, silence_s=20.0) as (desk, _):
+    with console(terminal, silence_s=20.0) as (desk, _):
         desk.show(View(state="hold"))
-        terminal.wait_fresh("hold")
+        terminal.wait("hold")
         os.kill(desk.pid, signal.SIGKILL)
         terminal.type("1\x1b ")
         assert "stopped at the console" in str(watched(desk))
@@ -142,20 +107,20 @@ def test_space_before_the_next_console_is_there_is_stop(terminal: Terminal) -> N
 def test_an_escape_does_not_wait_for_the_session_to_be_silent(terminal: Terminal) -> None:
     """Each message wakes the console; the escape is as old as it is all the same."""
     pause, deadline = threading.Event(), time.monotonic() + 5.0
-    with console(terminal, plain=True) as (desk, _):
+    with console(terminal) as (desk, _):
         desk.show(View(state="hold"))
-        terminal.wait_fresh("hold")
+        terminal.wait("hold")
         terminal.type("\x1b")
-        while "escape: no such key" not in terminal.screen.printed:
+        while "escape: no such key" not in terminal.printed:
             assert time.monotonic() < deadline
             desk.show(View(state="hold"))
             pause.wait(0.01)
 
 
 def test_a_stopped_console_ends_the_hit_and_is_replaced(terminal: Terminal) -> None:
-    with console(terminal, plain=True, silence_s=0.3, hung_s=0.3) as (desk, asker):
+    with console(terminal, silence_s=0.3, hung_s=0.3) as (desk, asker):
         desk.show(View(state="hold", code="P07"))
-        terminal.wait_fresh("P07")
+        terminal.wait("P07")
         stopped = desk.pid
         os.kill(stopped, signal.SIGSTOP)
         error = watched(desk)
@@ -172,10 +137,10 @@ def test_a_stopped_console_ends_the_hit_and_is_replaced(terminal: Terminal) -> N
 
 
 def test_a_console_that_dies_is_started_anew_with_the_same_question(terminal: Terminal) -> None:
-    with console(terminal, plain=True, silence_s=20.0) as (desk, asker):
+    with console(terminal, silence_s=20.0) as (desk, asker):
         desk.show(View(state="verdict?", code="P08"))
         reply = asking(desk, asker, VERDICT)
-        terminal.wait_fresh("the verdict?")
+        terminal.wait("the verdict?")
         before = desk.pid
         os.kill(before, signal.SIGKILL)
         wait_for_console(terminal, 2, "the verdict?", "P08")
@@ -197,7 +162,7 @@ def test_a_console_that_dies_again_and_again_ends_the_session(
     terminal: Terminal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("rig.session.console.desk.RESTARTS", 1)
-    with console(terminal, plain=True) as (desk, asker):
+    with console(terminal) as (desk, asker):
         reply = asking(desk, asker, VERDICT)
         for number in (1, 2):
             wait_for_console(terminal, number, "the verdict?")
@@ -212,100 +177,34 @@ def test_closing_on_a_stopped_console_gives_the_terminal_back(
     terminal: Terminal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("rig.session.console.child.END_S", 0.2)
-    with console(terminal, plain=True) as (desk, _):
-        terminal.wait_fresh("[SPACE] STOP")
+    with console(terminal) as (desk, _):
+        terminal.wait("[SPACE] STOP")
         os.kill(desk.pid, signal.SIGSTOP)
     assert_given_back(terminal)
 
 
-def test_lines_for_a_screen_reader(terminal: Terminal) -> None:
-    with console(terminal, plain=True) as (desk, asker):
+def test_a_session_in_lines(terminal: Terminal) -> None:
+    with console(terminal) as (desk, asker):
         desk.show(View(state="ready", say="Push.", code="P03", trial=4))
         reply = asking(desk, asker, READY_QUESTION)
-        terminal.wait_printed("P03 · trial 4", "state: ready", "say: Push.", "ready? [g] go")
+        terminal.wait("[SPACE] STOP", "P03 · trial 4", "state: ready", "say: Push.", "ready? [g] go")
         terminal.type("n")
-        terminal.wait_printed("note, then enter:")
-        terminal.type("ok\r")
-        assert answered(reply) == ("note", "ok")
-        assert "\nok\n" in terminal.wait_printed("\nok\n")
-    assert terminal.screen.modes == set()
-    assert terminal.attributes_are_back()
+        terminal.wait("note, then enter:")
+        terminal.type("a b\x7fc\r")
+        assert answered(reply) == ("note", "a c")
+        terminal.wait("a b\b \bc\n")
+    assert_given_back(terminal)
 
 
-def test_a_reason_stands_whole_on_the_screen(terminal: Terminal) -> None:
-    with console(terminal) as (desk, asker):
-        desk.show(View(state="ready", say="Again. Push.", last=LONG, lines=("trial 6: stable", LONG)))
-        reply = asking(desk, asker, READY_QUESTION)
-        for columns in (80, 60, 40):
-            resize(terminal, desk, 24, columns)  # which leaves nothing on the screen
-            terminal.until(lambda: contains(terminal.screen.text, LONG), LONG)
-            assert "…" not in terminal.wait("Again. Push.", "[SPACE] STOP")
-        terminal.type("g")
-        assert answered(reply) == ("go", "")
+@pytest.mark.parametrize("place", ["nowhere", "no-terminal"])
+def test_a_session_without_a_terminal_is_refused(place: str, tmp_path: Path) -> None:
+    (tmp_path / "no-terminal").write_text("g1g1")
+    with pytest.raises(ConfigError, match="needs a terminal for its operator") as caught:
+        ConsoleDesk(place=tmp_path / place)
+    assert "--rehearse" in caught.value.remedy
 
 
-def test_a_reason_is_a_plain_line(terminal: Terminal) -> None:
-    with console(terminal, plain=True) as (desk, _):
-        desk.show(View(state="ready", last=LONG, lines=("trial 6: stable", LONG)))
-        printed = terminal.wait_printed(f"last: {LONG}\n", "log: trial 6: stable\n")
-    assert printed.count(LONG) == 1
-
-
-def test_blinded_lines_say_at_once_why_a_trial_is_invalid_and_name_no_wall(
-    terminal: Terminal, tmp_path: Path
-) -> None:
-    slew = ["the slew limit bound in 41792 ticks", "saturated in the tail without ripple or motion"]
-    runner = FakeRunner({1: ({**INVALID, "reasons": [LOST]}, None), 2: ({**INVALID, "reasons": slew}, None)})
-    said = 0  # what was printed before the last key
-
-    def reads(text: str) -> None:
-        terminal.until(lambda: contains(terminal.screen.printed[said:], text), text)
-
-    def types(key: str) -> None:
-        nonlocal said
-        said = len(terminal.screen.printed)
-        terminal.type(key)
-
-    with (
-        started(tmp_path / "P01", protocol_of(stop={"trials": 3})) as session,
-        console(terminal, plain=True) as (desk, asker),
-    ):
-        state = asker.submit(conduct, session, runner, desk)
-        reads("ready? [g] go")
-        for trial, why, key in ((1, LOST, "g"), (2, "rig limit", "\r")):  # one key twice so soon is held
-            types(key)
-            reads(f"trial {trial}: invalid, it is repeated: {why}")
-            reads(f"Again. {session.state.protocol.trial.say}")
-            reads("ready? [g] go")
-        threading.Event().wait(RELEASED_S)
-        types("g")
-        reads("the verdict?")
-        types("1")
-        reads("end the session?")
-        types("\r")
-        assert state.result(PATIENCE_S).ended == "3 trials"
-    for secret in ("4179", "slew", "saturated", "0.37", "-hidden", *(f"{hit[1]:g}" for hit in runner.hits)):
-        assert secret not in terminal.screen.printed, secret
-
-
-def test_the_mouse_is_asked_for_and_given_back(terminal: Terminal, tmp_path: Path) -> None:
-    path = tmp_path / "of" / "hand"
-    path.parent.mkdir()
-    with console(terminal, hand=MovedHand(kind="mouse", path=path, press=4.0, close=path.unlink)):
-        terminal.until(lambda: terminal.screen.modes >= {1003, 1006}, "reports of the mouse")
-        assert 1016 in terminal.screen.asked
-    assert terminal.screen.modes & {1003, 1006, 1016} == set()
-    assert not path.exists()
-
-
-def test_a_hand_that_this_console_cannot_move_is_refused(terminal: Terminal, tmp_path: Path) -> None:
-    mouse = MovedHand(kind="mouse", path=tmp_path / "hand", press=4.0)
-    with pytest.raises(ConfigError, match="prints lines"):
-        ConsoleDesk(hand=mouse, plain=True, place=Path(terminal.path))
-    assert terminal.attributes_are_back()
-
-
-# A session's program of its own: the kernel's signals, a script at standard input, an end without a word.
+# A session's program of its own: the kernel's signals, an end without a word.
 
 PROGRAM = """
 import sys
@@ -315,7 +214,7 @@ from rig.session.console.desk import ConsoleDesk
 from rig.session.desk import Question, View
 
 child.END_S = 0.2  # of one that is stopped
-with ConsoleDesk(plain=True) as desk:
+with ConsoleDesk() as desk:
     print("console", desk.pid, file=sys.stderr, flush=True)
     desk.show(View(state="verdict?", code="P09"))
     try:
@@ -343,9 +242,9 @@ def program(terminal: Terminal) -> Iterator[tuple[Program, int]]:
 @pytest.mark.signals
 def test_ctrl_c_reaches_the_session_past_a_stopped_console(terminal: Terminal) -> None:
     with program(terminal) as (started, child):
-        terminal.wait_fresh("P09", "[1] stable")
+        terminal.wait("P09", "[1] stable")
         terminal.type("\x1a\x1c\x13")  # ^Z, ^\\ and ^S do nothing but be unknown keys
-        terminal.wait_fresh("ctrl+s: no such key")
+        terminal.wait("ctrl+s: no such key")
         os.kill(child, signal.SIGSTOP)
         terminal.type("\x03")
         _, err = started.wait()
@@ -355,9 +254,9 @@ def test_ctrl_c_reaches_the_session_past_a_stopped_console(terminal: Terminal) -
 
 def test_a_console_whose_session_is_gone_gives_the_terminal_back(terminal: Terminal) -> None:
     with program(terminal) as (started, child):
-        terminal.wait_fresh("P09", "[1] stable")
+        terminal.wait("P09", "[1] stable")
         os.kill(started.pid, signal.SIGKILL)
-        terminal.wait_fresh("rig session resume")
+        terminal.wait("rig session resume")
         pause, deadline = threading.Event(), time.monotonic() + PATIENCE_S
         while state_of(child) != "Z" and time.monotonic() < deadline:
             pause.wait(0.005)
@@ -369,23 +268,6 @@ def state_of(pid: int) -> str:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
     except OSError:
         return "Z"
-
-
-def test_without_a_terminal_keys_come_from_a_script() -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", PROGRAM],
-        cwd=ROOT,
-        input="1nnot good\r3",
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        start_new_session=True,  # no controlling terminal
-        check=True,
-    )
-    said = done.stderr.splitlines()[1:]
-    assert said[:3] == ["judge stable", "note not good", "judge unstable"]
-    assert "standard input has ended" in said[3]
-    assert "state: verdict?" in done.stdout
 
 
 @pytest.mark.parametrize("refused", ["file", "pipe", "second pipe", "Popen", "Thread"])
@@ -421,7 +303,7 @@ def test_a_console_that_does_not_start_leaves_nothing(
 
 
 def test_a_hand_of_a_console_that_is_refused_leaves_no_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    terminal: Terminal, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(*given: Any) -> Any:
         raise RigError("the console does not start")
@@ -430,7 +312,7 @@ def test_a_hand_of_a_console_that_is_refused_leaves_no_file(
     monkeypatch.setattr("rig.session.console.desk.Child", refuse)
     runner = FakeRunner()
     with pytest.raises(RigError, match="does not start"):
-        at_console(hand="keyboard", place=tmp_path / "none")(protocol_of(), {}, runner)
+        at_console(hand="keyboard", place=Path(terminal.path))(protocol_of(), {}, runner)
     assert list(tmp_path.iterdir()) == []
     assert runner.hand is None
 
