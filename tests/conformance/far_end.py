@@ -4,6 +4,10 @@ The witness is a small file that the device writes at every tick and everybody c
 the device has latched a fault, what it lost. It says what the device did when no frame can tell any more.
 
 A far end differs from another by its port alone (`PORTS`): everything else here serves any of them.
+
+What runs on it does not depend on how busy this machine is: the device's time stands still while its process or its
+host gets no processor (`PatientClock`, `FaultyPort`), and the host waits longer for samples and answers
+(`patient_host`).
 """
 
 from __future__ import annotations
@@ -23,15 +27,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
+from firmware_protocol import transaction
 from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault
+from rig.core.errors import RigError
 from rig.core.model import RigModel
+from rig.devices import open_device
 from rig.devices.fault_script import Direction, FrameFault
 from rig.devices.port import LoopPort
-from rig.realtime.clock import MonotonicClock
-from rig.realtime.plugs import TRANSFER_SIGNATURE, WAIT_SIGNATURE, NativeFunction
-from sim_backend import pty
+from rig.experiments import trial
+from rig.realtime.plugs import NOW_SIGNATURE, TRANSFER_SIGNATURE, WAIT_SIGNATURE, NativeFunction
+from sim_backend import line, pty, real_time
 from sim_backend.board_time import BoardTime
 from sim_backend.channel import Line
 from sim_backend.device import SimulatedDevice
@@ -41,8 +49,14 @@ from sim_backend.line import Terminal
 from sim_backend.real_time import Port, RealTime, sleep_until
 from sim_backend.safety import AT
 from tests.conformance.started import die_with_parent
+from tests.conformance.trials import trial_on
 
 WAIT_S = 30.0  # for anything at all, on a loaded machine
+SLOWER = 100  # a host that died has lost its device after 2 s
+PATIENCE_S = 5.0  # without a sample, after which a device is lost to its host
+ANSWER_S = 0.1  # until a request is sent again
+LONGEST_STEP_NS = 2_500_000  # of device time between two looks at its clock: a tick of 500 Hz and a little
+OWED_NS = 8_000_000  # of device time in which a host sends something: less than any lifetime here
 FLOOD_BYTES = 1000  # a tick: more than a serial line carries, and full of delimiters
 
 WITNESS = np.dtype(
@@ -77,6 +91,43 @@ class Script:
 
 
 # ---------------------------------------------------------------------- in the process of the device
+
+
+class PatientClock:
+    """Device time that counts only while this process runs: a pause of it adds one step.
+
+    It stands for the module `time` in `sim_backend`, and for the two clock functions of a `LoopPort`.
+    """
+
+    perf_counter_ns = staticmethod(time.perf_counter_ns)
+    sleep = staticmethod(time.sleep)
+
+    def __init__(self) -> None:
+        self._seen_ns = self._now_ns = time.monotonic_ns()
+
+    def monotonic_ns(self) -> int:
+        real_ns = time.monotonic_ns()
+        self._now_ns += min(real_ns - self._seen_ns, LONGEST_STEP_NS)
+        self._seen_ns = real_ns
+        return self._now_ns
+
+    def stand_still(self) -> None:
+        """Leave out the time since the last look."""
+        self._seen_ns = time.monotonic_ns()
+
+    def loop_port(self, **plugs: Any) -> LoopPort:
+        """Join what moves bytes with this clock, for compiled code."""
+
+        def sleep_until_(handle: int, deadline_ns: int) -> int:
+            sleep_until(deadline_ns)
+            return 0
+
+        return LoopPort(
+            now=native(lambda handle: self.monotonic_ns(), NOW_SIGNATURE, 1),
+            sleep=native(sleep_until_, WAIT_SIGNATURE, 2),
+            clock_handle=0,
+            **plugs,
+        )
 
 
 class Witness:
@@ -160,7 +211,10 @@ class FaultyPort:
         script: Script,
         unplug: Callable[[], None],
         witness: np.ndarray,
+        clock: PatientClock,
     ) -> None:
+        self._clock = clock
+        self._came_ns = clock.monotonic_ns()
         self._witness = witness
         self._port = port
         self._device = device
@@ -175,12 +229,23 @@ class FaultyPort:
         if self._gone:
             sleep_until(deadline_ns)
             return b""
-        data = self._port.read(deadline_ns)
+        data = self._port.read(deadline_ns) or self._wait_for_the_host()
+        if data:
+            self._came_ns = self._clock.monotonic_ns()
         self._begin()
         tick = self._device.sample_index
         self._line.send(Direction.TO_DEVICE, data, tick)
         self._look()
         return self._line.receive(Direction.TO_DEVICE, tick)
+
+    def _wait_for_the_host(self) -> bytes:
+        """Let device time pass `SLOWER` while the host owes a command. It does pass: a STATE may have been lost."""
+        owed = self._device.state in (State.ARMED, State.RUNNING)
+        if not owed or self._clock.monotonic_ns() - self._came_ns < OWED_NS:
+            return b""
+        data = self._port.read(self._clock.monotonic_ns() + SLOWER * 1_000_000_000 // self._device.rate)
+        self._clock.stand_still()
+        return data
 
     def write(self, frames: bytes) -> None:
         """As `Port.write`, before the line."""
@@ -220,14 +285,14 @@ class FaultyPort:
 class PluggedPort:
     """Plug functions for compiled code that come back into a `Port`."""
 
-    def __init__(self, port: Port) -> None:
+    def __init__(self, port: Port, clock: PatientClock) -> None:
         self._port = port
+        self._clock = clock
         self._heard = b""
 
     def loop_port(self) -> LoopPort:
         """Return them."""
-        return LoopPort.on(
-            MonotonicClock(),
+        return self._clock.loop_port(
             read=native(self._read, TRANSFER_SIGNATURE, 3),
             write=native(self._write, TRANSFER_SIGNATURE, 3),
             wait=native(self._wait, WAIT_SIGNATURE, 2),
@@ -248,12 +313,23 @@ class PluggedPort:
         return size
 
 
+class _FromPython(NativeFunction):
+    """A plug function that Python calls, too."""
+
+    def __call__(self, *words: int) -> int:
+        return self.function(*words)
+
+    function: Callable[..., int]
+
+
 def native(function: Callable[..., int], signature: Any, words: int) -> NativeFunction:
     """Make a plug function of one in Python that takes so many words."""
     callback = ctypes.CFUNCTYPE(ctypes.c_int64, *[ctypes.c_int64] * words)(function)
     address = ctypes.cast(callback, ctypes.c_void_p).value
     assert address is not None
-    return NativeFunction(address, signature, keep=callback)
+    made = _FromPython(address, signature, keep=callback)
+    made.function = function
+    return made
 
 
 @contextmanager
@@ -289,22 +365,33 @@ def _serve(
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     witness = np.memmap(witness_path, WITNESS, mode="r+", shape=1)
     options: dict[str, Any] = {"position_rate_default": rate, "keep_truth": False}
+    clock = PatientClock()
+    real_time.time = line.time = clock  # type: ignore[assignment]
     with PORTS[port_name]() as (url, port, unplug):
         running: BoardTime | RealTime
         if firmware:
             made = WatchedFirmware(
                 model, witness, script, position_rate_maximum=pty.FIRMWARE_RATE_MAXIMUM, **options
             )
-            faulty = PluggedPort(FaultyPort(port, made, script, unplug, witness))
+            faulty = PluggedPort(FaultyPort(port, made, script, unplug, witness, clock), clock)
             running = BoardTime(made, faulty.loop_port(), stop, most=1)
         else:
             device = WatchedDevice(model, witness, script, position_rate_maximum=4_000, **options)
-            running = RealTime(device, FaultyPort(port, device, script, unplug, witness), stop)
+            running = RealTime(device, FaultyPort(port, device, script, unplug, witness, clock), stop)
         pipe.send(url)  # now that it is compiled: a host that knows the URL waits for no compiler
         running.run(None)
 
 
 # ---------------------------------------------------------------------- in the process of the test
+
+
+@contextmanager
+def patient_host() -> Iterator[None]:
+    """Let a host in this process wait for samples and answers as long as a busy machine may need for them."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(trial, "LOST_AFTER_S", PATIENCE_S)
+        patch.setattr(transaction, "_FIRST_NS", round(ANSWER_S * 1e9))
+        yield
 
 
 def processes() -> Any:
@@ -438,14 +525,10 @@ class HostProcess:
 
 
 def _run_host(url: str, experiment: Any, recording: Path, pipe: Any) -> None:
-    from rig.core.errors import RigError  # noqa: PLC0415
-    from rig.devices import open_device  # noqa: PLC0415
-    from tests.conformance.trials import trial_on  # noqa: PLC0415
-
     die_with_parent()
     said = ""
     try:
-        with open_device(url) as device:
+        with patient_host(), open_device(url) as device:
             trial_on(device, experiment=experiment, recording=recording, verified=True, seed=0, sealed=False)
     except RigError as error:
         said = type(error).__name__

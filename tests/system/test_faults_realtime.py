@@ -1,8 +1,8 @@
 """Every fault again, in real time, over a real port: a device process at the other end of a line that breaks.
 
-Nothing here is asserted about latency, since the machine may be busy: a run either completes or ends with a typed error
-that says so, every wait is bounded by seconds, the device ends without current (its own witness says so), the recording
-reads, and what the line lost is counted.
+Nothing here depends on the processors that the machine has left (`tests.conformance.far_end`), and nothing is asserted
+about latency: every wait is bounded by seconds, the device ends without current (its own witness says so), the
+recording reads, and what the line lost is counted.
 """
 
 import resource
@@ -24,7 +24,6 @@ from rig.control.law import Law
 from rig.core.errors import (
     DeviceFaultError,
     DeviceNotFoundError,
-    DeviceRefusedError,
     GuardError,
     LawError,
     LinkLostError,
@@ -38,8 +37,7 @@ from rig.devices.fault_script import Direction, FrameFault, Kind
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import LAW_SIGNATURE
 from rig.recording.reader import open_recording
-from tests.conformance.far_end import PORTS, FarEnd, HostProcess, Script
-from tests.conformance.tolerance import tolerated, too_busy
+from tests.conformance.far_end import PORTS, FarEnd, HostProcess, Script, patient_host
 from tests.conformance.trials import trial_on
 
 BOUND_S = 60.0  # "it comes back", not how soon: a loaded machine may have to compile first
@@ -105,7 +103,7 @@ class Run:
             sealed=False,
         )
         try:
-            with open_device(device_end.url) as device:
+            with patient_host(), open_device(device_end.url) as device:
                 request(device)
         except RigError as error:
             self.error = error
@@ -118,13 +116,12 @@ class Run:
     def recording(self) -> Any:
         return open_recording(self.path)
 
-    def check(self, *allowed: Any) -> Any:
-        """Without an error or with one of these; the device at rest; a recording that is whole."""
-        assert self.error is None or isinstance(self.error, allowed), self.error
+    def check(self, *errors: type[RigError]) -> Any:
+        """It ended with one of these errors, or without any; the device at rest; a recording that is whole."""
+        assert isinstance(self.error, errors or type(None)), self.error
         if self.error is not None:
             assert self.error.remedy or isinstance(self.error, StoppedError)
         self.far_end.wait_for_rest()
-        skip_unless_begun(self.path, self.error, self.far_end)
         recording = self.recording()
         assert recording.complete
         assert not recording.lost
@@ -132,19 +129,13 @@ class Run:
         return self
 
 
-def skip_unless_begun(path: Any, error: Any, device: Any) -> None:
-    """On a machine so busy that not even the questions before arming are answered in time nothing can be shown."""
-    if not path.exists() and (error == "LinkLostError" or isinstance(error, LinkLostError)):
-        assert device["peak"] == 0
-        too_busy(error)
-
-
-def broken(kind: Any, *directions: Any) -> Any:
+def broken(kind: Any, *directions: Any, strikes: int = 1) -> Any:
     return Script(
         after=EARLY,
         frames=tuple(
-            FrameFault(kind=kind, direction=direction, frame=5 * number, byte=7, bit=3, ticks=3)
+            FrameFault(kind=kind, direction=direction, frame=5 * number + 2 * strike, byte=7, bit=3, ticks=3)
             for number, direction in enumerate(directions)
+            for strike in range(strikes)
         ),
     )
 
@@ -160,28 +151,23 @@ COUNTER = {
 }
 
 
-def test_without_a_fault_it_completes_or_says_that_the_machine_was_too_busy(
-    far_end: Any, tmp_path: Path
-) -> None:
+def test_without_a_fault_it_completes(far_end: Any, tmp_path: Path) -> None:
     device = far_end()
-    run = Run(device, tmp_path).check(LinkLostError)
-    if run.error is None:
-        assert device["peak"] > 0, "it did push"
-        assert device["bad_frames"] == 0
-        assert run.counters["bad_frames"] == 0
-    else:
-        tolerated(run.error)
+    run = Run(device, tmp_path).check()
+    assert device["peak"] > 0, "it did push"
+    assert device["bad_frames"] == 0
+    assert run.counters["bad_frames"] == 0
 
 
 @pytest.mark.parametrize("kind", [*COUNTER, Kind.DELAY])
-def test_one_bad_frame_each_way_costs_itself_and_is_counted_where_it_should_have_come(
+def test_a_bad_frame_each_way_costs_itself_and_is_counted_where_it_should_have_come(
     kind: Any, far_end: Any, tmp_path: Path
-) -> Any:
-    device = far_end(broken(kind, *Direction))
-    run = Run(device, tmp_path).check(LinkLostError)
-    if run.error is not None:
-        return tolerated(run.error)
-    assert device["acted"] == len(Direction)
+) -> None:
+    device = far_end(
+        broken(kind, *Direction, strikes=2)
+    )  # one of them may compare clocks: a lost one is not counted
+    run = Run(device, tmp_path).check()
+    assert device["acted"] == 2 * len(Direction)
     if kind is not Kind.DELAY:
         assert device[COUNTER[kind]] >= 1
         assert run.counters[COUNTER[kind]] >= 1
@@ -190,28 +176,24 @@ def test_one_bad_frame_each_way_costs_itself_and_is_counted_where_it_should_have
 @pytest.mark.parametrize("direction", Direction)
 def test_silence_is_a_lost_link_and_a_ramp_to_zero(direction: Any, far_end: Any, tmp_path: Path) -> None:
     device = far_end(broken(Kind.SILENCE, direction))
-    run = Run(device, tmp_path, experiment=LONG).check(LinkLostError)
-    assert isinstance(run.error, LinkLostError)
-    assert device["first_fault"] in (Fault.LINK_LOST, Fault.NONE)
-    if direction is Direction.TO_DEVICE and device["acted"]:
-        assert device["first_fault"] == Fault.LINK_LOST
+    Run(device, tmp_path, experiment=LONG).check(LinkLostError)
+    assert device["acted"]
+    assert device["first_fault"] == Fault.LINK_LOST
 
 
 def test_a_pulled_plug_is_a_lost_link(far_end: Any, tmp_path: Path) -> None:
     device = far_end(broken(Kind.UNPLUG, Direction.TO_HOST))
     run = Run(device, tmp_path, experiment=LONG).check(LinkLostError)
-    assert isinstance(run.error, LinkLostError)
-    assert run.recording().trailer["reason"] in {"link_closed", "link_silent", "device_fault"}
+    assert run.recording().trailer["reason"] == "link_closed"
     assert device["first_fault"] == Fault.LINK_LOST
 
 
-def test_a_flood_of_noise_is_counted_and_ends_nothing_or_the_link(far_end: Any, tmp_path: Path) -> None:
-    run = Run(far_end(Script(after=EARLY, flood=True)), tmp_path)
-    run.check(LinkLostError)
-    if run.error is None:
-        assert run.counters["bad_frames"] > 10
-    else:
-        tolerated(run.error)
+def test_a_flood_of_noise_is_counted_and_a_lost_link(far_end: Any, tmp_path: Path) -> None:
+    """Each sample is glued to the noise before it: none arrives."""
+    device = far_end(Script(after=EARLY, flood=True))
+    run = Run(device, tmp_path, experiment=LONG).check(LinkLostError)
+    assert run.counters["bad_frames"] > 10
+    assert device["first_fault"] == Fault.LINK_LOST
 
 
 # ---------------------------------------------------------------------- the device
@@ -220,11 +202,10 @@ def test_a_flood_of_noise_is_counted_and_ends_nothing_or_the_link(far_end: Any, 
 @pytest.mark.parametrize("fault", [Fault.ENCODER, Fault.EMERGENCY_STOP, Fault.OVER_CURRENT])
 def test_a_fault_of_the_device_is_told_with_its_remedy(fault: Any, far_end: Any, tmp_path: Path) -> None:
     device = far_end(Script(after=EARLY, fault=fault))
-    run = Run(device, tmp_path, experiment=LONG).check(LinkLostError)
-    assert isinstance(run.error, LinkLostError)
-    if device["first_fault"] == fault and isinstance(run.error, DeviceFaultError):
-        assert fault.text in run.error.message
-        assert run.recording().rows["current_sent"][-1] == 0
+    run = Run(device, tmp_path, experiment=LONG).check(DeviceFaultError)
+    assert device["first_fault"] == fault
+    assert fault.text in run.error.message
+    assert run.recording().rows["current_sent"][-1] == 0
 
 
 def test_a_device_that_dies_is_a_lost_link(far_end: Any, tmp_path: Path) -> None:
@@ -236,7 +217,6 @@ def test_a_device_that_dies_is_a_lost_link(far_end: Any, tmp_path: Path) -> None
 
     run = Run(device, tmp_path, experiment=LONG, progress=kill)
     assert isinstance(run.error, LinkLostError)
-    skip_unless_begun(run.path, run.error, device)
     assert run.error.remedy
     assert run.recording().complete
 
@@ -255,7 +235,6 @@ def test_a_device_that_stands_still_is_a_lost_link_and_ramps_when_it_goes_on(
     run = Run(device, tmp_path, experiment=LONG, progress=pause)
     device.go_on()
     run.check(LinkLostError)
-    assert isinstance(run.error, LinkLostError)
 
 
 # ---------------------------------------------------------------------- the law
@@ -275,21 +254,25 @@ def raises(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, para
     return 0.0
 
 
-@pytest.mark.parametrize("function", [gives_nan, raises])
-def test_a_law_that_fails_ends_the_run_with_zero(function: Any, far_end: Any, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("function", "reason"), [(gives_nan, "nonfinite"), (raises, "law_raised")])
+def test_a_law_that_fails_ends_the_run_with_zero(
+    function: Any, reason: str, far_end: Any, tmp_path: Path
+) -> None:
     law = Law("bad", "for this test", function, 2, lambda wall: [])
-    run = Run(far_end(), tmp_path, experiment=LONG, law=law).check(LawError, LinkLostError)
-    assert run.error is not None
-    if isinstance(run.error, LawError):
-        assert run.recording().trailer["reason"] in {"nonfinite", "law_raised"}
+    run = Run(far_end(), tmp_path, experiment=LONG, law=law).check(LawError)
+    assert run.recording().trailer["reason"] == reason
 
 
 def test_leaving_the_window_ends_the_run_with_zero(far_end: Any, tmp_path: Path) -> None:
     narrow = config.override(
         LONG, {"rig.limits.position_maximum": 0.0005, "wall.stiffness": 60.0, "wall.damping": 0.0}
     )
-    run = Run(far_end(), tmp_path, experiment=narrow).check(GuardError, LinkLostError)
-    assert run.error is not None
+    device = far_end()
+    run = Run(device, tmp_path, experiment=narrow).check(
+        GuardError, DeviceFaultError
+    )  # both look, every tick
+    if isinstance(run.error, DeviceFaultError):
+        assert device["first_fault"] == Fault.POSITION_WINDOW
 
 
 # ---------------------------------------------------------------------- the host
@@ -302,14 +285,9 @@ def test_an_exception_of_the_caller_ends_the_run_with_zero(far_end: Any, tmp_pat
         if ticks > EARLY:
             raise ZeroDivisionError("a bug in a progress bar")
 
-    error = None
-    try:
-        error = Run(device, tmp_path, experiment=LONG, progress=break_down).error
-    except ZeroDivisionError as own:
-        error = own
-    assert isinstance(error, ZeroDivisionError | LinkLostError)
+    with pytest.raises(ZeroDivisionError):
+        Run(device, tmp_path, experiment=LONG, progress=break_down)
     device.wait_for_rest()
-    skip_unless_begun(tmp_path / "trial.rigcap", error, device)
     assert open_recording(tmp_path / "trial.rigcap").complete
 
 
@@ -326,8 +304,7 @@ def test_a_signal_stops_the_loop_and_leaves_a_whole_recording(
             sent.append(ticks)
             signal.raise_signal(number)
 
-    run = Run(device, tmp_path, experiment=LONG, progress=interrupt).check(StoppedError, LinkLostError)
-    assert run.error is not None
+    run = Run(device, tmp_path, experiment=LONG, progress=interrupt).check(StoppedError)
     assert run.recording().rows["phase"][-1] in (Phase.HOMING, Phase.TRIAL)
 
 
@@ -343,9 +320,7 @@ def test_a_signal_to_a_host_process_leaves_the_device_at_rest(
     device, path = far_end(), tmp_path / "trial.rigcap"
     host = HostProcess(device.url, LONG, path)
     try:
-        device.wait_for(
-            lambda w: w["running"] > EARLY or not host.process.is_alive(), "the host moves nothing"
-        )
+        device.wait_for(lambda w: w["running"] > EARLY, "the host moves nothing")
         host.send(number)
         device.wait_for_rest()
         if number == signal.SIGSTOP:
@@ -359,15 +334,14 @@ def test_a_signal_to_a_host_process_leaves_the_device_at_rest(
         signal.SIGKILL: "killed",
         signal.SIGSTOP: "DeviceFaultError",
     }[number]
-    assert said in (expected, "LinkLostError", "DeviceFaultError")
-    skip_unless_begun(path, said, device)
+    assert said == expected
     recording = open_recording(path)
     assert recording.complete == (said != "killed")
     if said == "killed":
         assert device["first_fault"] == Fault.LINK_LOST
-        assert device["state"] in (State.FAULT, State.CONFIGURED)
+        assert device["state"] == State.FAULT
         (tmp_path / "next").mkdir()
-        Run(device, tmp_path / "next").check(LinkLostError, DeviceRefusedError)
+        Run(device, tmp_path / "next").check()
 
 
 def test_a_full_disk_is_told_at_the_end_and_the_device_is_at_rest(far_end: Any, tmp_path: Path) -> None:
@@ -382,11 +356,10 @@ def test_a_full_disk_is_told_at_the_end_and_the_device_is_at_rest(far_end: Any, 
         run = Run(device, tmp_path, progress=fill_the_disk)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
-    assert isinstance(run.error, RecordingError | LinkLostError)
+    assert isinstance(run.error, RecordingError)
     device.wait_for_rest()
-    skip_unless_begun(run.path, run.error, device)
     recording = run.recording()
-    assert not recording.complete or isinstance(run.error, LinkLostError)
+    assert not recording.complete
     assert (np.diff(recording.rows["tick"]) == 1).all()
 
 

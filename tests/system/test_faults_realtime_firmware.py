@@ -1,7 +1,7 @@
 """The firmware as a process behind a pseudo-terminal, in real time: the law on it, and a host that is told to break.
 
-Nothing here is asserted about latency, as in test_faults_realtime.py: a run completes or ends with a typed error, every
-wait is bounded by seconds, and the device's own witness says that it ended without current.
+As in test_faults_realtime.py nothing depends on the processors that the machine has left, every wait is bounded by
+seconds, and the device's own witness says that it ended without current.
 """
 
 from __future__ import annotations
@@ -17,19 +17,17 @@ import pytest
 from firmware_protocol.faults import Fault
 from rig import config
 from rig.config import presets
-from rig.core.errors import DeviceFaultError, LinkLostError, RigError, StoppedError
+from rig.core.errors import DeviceFaultError, LinkLostError, RigError
 from rig.devices import open_device
 from rig.devices.fault_script import Direction, FrameFault, Kind
 from rig.experiments.replay import replay
 from rig.recording.reader import open_recording
-from tests.conformance.far_end import FarEnd, HostProcess, Script
+from tests.conformance.far_end import FarEnd, HostProcess, Script, patient_host
 from tests.conformance.firmware import need_compiler
-from tests.conformance.tolerance import tolerated, too_busy
 from tests.conformance.trials import trial_on
 
 RATE = 2_000
 EARLY = 200  # ticks of RUNNING before something breaks
-ALLOWED = (LinkLostError, DeviceFaultError)  # on a machine that is too busy, of any run
 
 SHORT = config.override(
     config.with_realtime(presets.load("koul-compliant")),
@@ -78,20 +76,16 @@ class Run:
             trial_on, experiment=experiment, recording=self.path, verified=True, seed=0, sealed=False
         )
         try:
-            with open_device(device.url) as opened:
+            with patient_host(), open_device(device.url) as opened:
                 request(opened)
         except RigError as error:
             self.error = error
 
-    def check(self, *allowed: type[RigError]) -> Run:
-        """Without an error or with one of these; the device at rest; a recording that is whole and replays."""
-        assert self.error is None or isinstance(self.error, allowed), self.error
+    def check(self, error: type[RigError] | None = None) -> Run:
+        """It ended with this error or without one; the device at rest; a recording that is whole and replays."""
+        assert isinstance(self.error, error or type(None)), self.error
         assert self.error is None or self.error.remedy
         self.device.wait_for_rest()
-        if not self.path.exists():
-            assert isinstance(self.error, LinkLostError)
-            assert self.device["peak"] == 0
-            too_busy(self.error)
         recording = open_recording(self.path)
         assert recording.complete
         assert not recording.lost
@@ -101,15 +95,12 @@ class Run:
 
 def test_without_a_fault_it_completes(far_end: Start, tmp_path: Path) -> None:
     device = far_end()
-    run = Run(device, tmp_path).check(*ALLOWED)
-    if run.error is None:
-        assert device["peak"] > 0, "it did push"
-        assert device["bad_frames"] == 0
-        trailer = open_recording(run.path).trailer
-        assert trailer is not None
-        assert trailer["counters"]["bad_frames"] == 0
-    else:
-        tolerated(run.error)
+    run = Run(device, tmp_path).check()
+    assert device["peak"] > 0, "it did push"
+    assert device["bad_frames"] == 0
+    trailer = open_recording(run.path).trailer
+    assert trailer is not None
+    assert trailer["counters"]["bad_frames"] == 0
 
 
 @pytest.mark.parametrize("direction", Direction)
@@ -117,43 +108,33 @@ def test_silence_is_a_lost_link_and_a_ramp_to_zero(
     direction: Direction, far_end: Start, tmp_path: Path
 ) -> None:
     device = far_end(frames=(FrameFault(kind=Kind.SILENCE, direction=direction, frame=0),))
-    run = Run(device, tmp_path, LONG).check(*ALLOWED)
-    assert run.error is not None
-    if direction is Direction.TO_DEVICE and device["acted"]:
-        assert device["first_fault"] == Fault.LINK_LOST
+    Run(device, tmp_path, LONG).check(LinkLostError)
+    assert device["acted"]
+    assert device["first_fault"] == Fault.LINK_LOST
 
 
 def test_a_pulled_plug_is_a_lost_link_and_the_device_ends_by_itself(far_end: Start, tmp_path: Path) -> None:
     device = far_end(frames=(FrameFault(kind=Kind.UNPLUG, direction=Direction.TO_HOST, frame=0),))
-    run = Run(device, tmp_path, LONG).check(*ALLOWED)
-    assert run.error is not None
-    if device["acted"]:
-        assert device["first_fault"] == Fault.LINK_LOST
-    else:  # a busy machine had ended it before
-        tolerated(run.error)
+    Run(device, tmp_path, LONG).check(LinkLostError)
+    assert device["acted"]
+    assert device["first_fault"] == Fault.LINK_LOST
 
 
 @pytest.mark.parametrize("fault", [Fault.ENCODER, Fault.EMERGENCY_STOP, Fault.OVER_CURRENT])
 def test_a_fault_of_the_device_is_told_with_its_remedy(fault: Fault, far_end: Start, tmp_path: Path) -> None:
     device = far_end(fault=fault)
-    run = Run(device, tmp_path, LONG).check(*ALLOWED)
+    run = Run(device, tmp_path, LONG).check(DeviceFaultError)
+    assert device["first_fault"] == fault
     assert run.error is not None
-    if device["first_fault"] == fault and isinstance(run.error, DeviceFaultError):
-        assert fault.text in run.error.message
+    assert fault.text in run.error.message
 
 
 def test_a_brown_out_is_told(far_end: Start, tmp_path: Path) -> None:
     device = far_end(brown_out=True)
-    run = Run(device, tmp_path, LONG).check(*ALLOWED, StoppedError)
-    assert run.error is not None
-    if device["running"] <= EARLY:  # it had ended before its supply dipped
-        return tolerated(run.error)
-    try:
-        with open_device(device.url) as opened:
-            opened.identify()
-            assert opened.fault_report().name == Fault.WATCHDOG_RESET.name
-    except LinkLostError as error:  # the far end had no time to answer
-        tolerated(error)
+    Run(device, tmp_path, LONG).check(LinkLostError)
+    with patient_host(), open_device(device.url) as opened:
+        opened.identify()
+        assert opened.fault_report().name == Fault.WATCHDOG_RESET.name
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL, signal.SIGSTOP])
@@ -168,9 +149,7 @@ def test_a_signal_to_the_host_leaves_the_device_at_rest(
     device, path = far_end(), tmp_path / "trial.rigcap"
     host = HostProcess(device.url, LONG, path)
     try:
-        device.wait_for(
-            lambda w: w["running"] > EARLY or not host.process.is_alive(), "the host moves nothing"
-        )
+        device.wait_for(lambda w: w["running"] > EARLY, "the host moves nothing")
         host.send(number)
         device.wait_for_rest()
         if number == signal.SIGSTOP:
@@ -179,13 +158,10 @@ def test_a_signal_to_the_host_leaves_the_device_at_rest(
     finally:
         host.close()
     expected = {signal.SIGINT: "StoppedError", signal.SIGKILL: "killed", signal.SIGSTOP: "DeviceFaultError"}
-    assert said in (expected[number], "LinkLostError", "DeviceFaultError")
-    if not path.exists():
-        assert device["peak"] == 0
-        too_busy("the host was lost before arming")
+    assert said == expected[number]
     recording = open_recording(path)
     assert recording.complete == (said != "killed")
     if said == "killed":
         assert device["first_fault"] == Fault.LINK_LOST
         (tmp_path / "next").mkdir()
-        Run(device, tmp_path / "next").check(*ALLOWED)
+        Run(device, tmp_path / "next").check()
