@@ -8,12 +8,14 @@ tests start. A process that a test leaves behind fails the run.
 import functools
 import gc
 import os
+import random
 import signal
 import sys
 import uuid
 from collections.abc import Generator
 from contextlib import suppress
 from multiprocessing import forkserver, resource_tracker
+from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -53,6 +55,32 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int | None:
     """None for a single file, or tests of one: to start workers takes longer than most files do."""
     files = {argument.partition("::")[0] for argument in config.args}
     return 0 if len(files) == 1 and files.pop().endswith(".py") else None
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Take the seed of another order."""
+    parser.addoption(
+        "--shuffle",
+        type=int,
+        metavar="SEED",
+        help="run the files, and the tests of each, in an order drawn from this",
+    )
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Put the tests in another order; those of a file stay together, since they share what is slow to make."""
+    if (seed := config.getoption("shuffle")) is None:
+        return
+    drawn = random.Random(seed)
+    files: dict[Path, list[pytest.Item]] = {item.path: [] for item in items}
+    for item in items:
+        files[item.path].append(item)
+    together = list(files.values())
+    drawn.shuffle(together)
+    for tests in together:
+        drawn.shuffle(tests)
+    items[:] = [item for tests in together for item in tests]
 
 
 class LastFirst:

@@ -16,6 +16,7 @@ from tests.attack.__main__ import attack
 from tests.attack.area import Outcome, chance_of
 from tests.attack.report import AreaReport
 from tests.attack.worker import AREAS, answer, area_of
+from tests.conformance.tiers import first_by_default
 
 if numba.config.DISABLE_JIT:
     pytest.skip("plug points are function types of compiled code", allow_module_level=True)
@@ -24,7 +25,7 @@ SEED = 1
 CASES = {"protocol": 4, "devices": 2, "liars": 66}  # of which every second is a contradiction: each once
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", first_by_default(CASES))
 def test_a_little_of_an_area_finds_nothing(name: str, tmp_path: Path) -> None:
     if name == "devices" and shutil.which("gcc") is None:
         pytest.skip("gcc is not installed (package gcc)")

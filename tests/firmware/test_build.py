@@ -44,6 +44,7 @@ from rig.core.errors import ConfigError, RecordingError, ToolchainError
 from rig.core.model import RigModel
 from rig.core.present import plain
 from rig.core.same_rig import check_rig
+from tests.conformance.tiers import first_by_default
 from tests.firmware import cross
 from tests.firmware.build import CORE, FIRMWARE, compile_c, kept_objects
 from tests.firmware.test_core_objects import BOARDS as PROCESSORS
@@ -309,6 +310,7 @@ def test_a_board_is_whole(name: Any) -> None:
 
 
 @pytest.mark.parametrize("name", [name for name in boards.names() if boards.load(name).uf2_family])
+@pytest.mark.exhaustive("tests/rig/bench/test_firmware_uf2.py::test_every_byte_comes_back_where_it_belongs")
 def test_the_uf2_of_a_board_writes_its_image_and_nothing_else(name: Any) -> None:
     board, made = boards.load(name), cross.image(name)
     written = read_uf2(made.uf2.read_bytes(), "x")
@@ -335,7 +337,7 @@ def test_scales_of_a_port_of_ones_own_are_checked_as_far_as_it_tells_them() -> N
         check_scales(board, model, {**settings, "clock": "external", "full_scale": 1.0})
 
 
-@pytest.mark.parametrize("name", amplifiers.names())
+@pytest.mark.parametrize("name", first_by_default(amplifiers.names()))
 def test_every_amplifier_has_an_image_by_its_own_settings(name: str, pico: str) -> None:
     profile = amplifiers.load(name)
     made = cross.built(pico, of_profile(name))
@@ -376,6 +378,7 @@ def test_scales_that_do_not_fit_the_rig_are_refused_with_both_numbers(
 @pytest.mark.parametrize(
     "chosen", [{"pwm_frequency": 3100, "set_point": "offset"}, {"pwm_frequency": 125_000}]
 )
+@pytest.mark.exhaustive("::test_every_amplifier_has_an_image_by_its_own_settings")
 def test_the_ends_of_what_the_amplifier_may_be_are_built(pico: str, chosen: Any) -> None:
     """At the slowest pulse width a period just fits the 16 bits of its counter; slower is refused by name."""
     model = config.rig_model(presets.load("koul-rigid"))

@@ -18,6 +18,10 @@ from tests.firmware.law.law_rigs import DUAL, SHORT, UNIFORM, controller_of, exp
 from tests.firmware.supervised import Board
 from tests.firmware.test_core_law import told_to_run
 
+pytestmark = pytest.mark.exhaustive(
+    "tests/firmware/test_core_law.py::test_the_fault_log_has_each_tick_with_its_own_limits"
+)
+
 SCHEMES = {
     "20k/2k": DUAL,
     "20k/20k": UNIFORM,

@@ -15,6 +15,10 @@ from firmware_protocol.messages import BATCH_LAYOUTS
 from rig.core.sample import Phase
 from tests.firmware import build
 
+pytestmark = pytest.mark.exhaustive(
+    "tests/firmware/test_core_equals_the_simulated_device.py::test_the_same_is_counted_in_any_bytes"
+)
+
 STEPS = int(os.environ.get("HAPTIC_RIG_FUZZ_STEPS", "500000"))
 FUZZ_S = 100.0
 SEEDS = (1, 2)

@@ -8,6 +8,7 @@ from collections import Counter
 import pytest
 
 from rig.bench.firmware.toolchain import find_compiler
+from tests.conformance.tiers import first_by_default
 from tests.firmware import cross
 from tests.firmware.build import CORE, SOURCES, compiler, kept_objects
 
@@ -37,7 +38,7 @@ def test_nothing_that_changes_stands_outside_of_the_struct_and_nothing_is_alloca
     assert {name for name in wanted if not name.startswith("_")} <= LIBRARY
 
 
-@pytest.mark.parametrize("board", BOARDS)
+@pytest.mark.parametrize("board", first_by_default(BOARDS))
 def test_it_builds_for_a_board_and_is_small(board: str) -> None:
     cross.need_compiler()
     objects = kept_objects(find_compiler().path, CORE, *BOARDS[board]).values()

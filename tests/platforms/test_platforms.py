@@ -11,7 +11,8 @@ import mmap
 import os
 import subprocess
 import sys
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -21,49 +22,88 @@ import pytest
 
 from rig.experiments.pulse import PUSHES
 from tests.conformance.started import started
-from tests.conformance.tolerance import tolerated
 from tests.platforms import emulated
+from tests.platforms.everyday import LINUX_ALONE
 
 ROOT = Path(__file__).parents[2]
 ENVIRONMENT = {**{name: value for name, value in os.environ.items() if name != "CC"}, "PYTHONPATH": str(ROOT)}
 WAIT_S = 300.0  # a busy machine with an empty cache took 110
 
 
-@pytest.mark.timeout(2 * WAIT_S)
-@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="a trial without the compiler takes minutes")
-def test_what_people_do_off_linux_runs_to_the_end_and_alike(tmp_path: Path) -> None:
-    """Rows to the last bit, of the readable device where there is no C compiler, and of the firmware."""
+needs_the_compiler = pytest.mark.skipif(
+    bool(numba.config.DISABLE_JIT), reason="a trial without the compiler takes minutes"
+)
+
+
+@contextmanager
+def programs(place: Path) -> Iterator[Callable[..., Any]]:
+    """Start modules of this directory as processes, and end them."""
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
-    environment = ENVIRONMENT | {"LOCALAPPDATA": str(tmp_path / "local")}
+    environment = ENVIRONMENT | {"LOCALAPPDATA": str(place / "local")}
     with ExitStack() as stack:
 
-        def python(module: str, *words: str, **more: Any) -> Any:
+        def start(module: str, *words: str, **more: Any) -> Any:
             command = (sys.executable, "-m", f"tests.platforms.{module}", *words)
             return stack.enter_context(started(*command, env=environment, **pipes, **more))
 
+        yield start
+
+
+@pytest.mark.timeout(2 * WAIT_S)
+@needs_the_compiler
+@pytest.mark.exhaustive("::test_the_commands_load_where_nothing_of_linux_is")
+def test_what_people_do_off_linux_runs_to_the_end_and_alike(tmp_path: Path) -> None:
+    """Rows to the last bit, of the readable device where there is no C compiler, and of the firmware."""
+    with programs(tmp_path) as start:
+        processes = {}
         for platform in ("darwin", "win32"):
             (tmp_path / platform).mkdir()
-        board = python("board", cwd=ROOT)
-        processes = {"darwin": python("everyday", "darwin", cwd=tmp_path / "darwin")}
-        url = next(line.strip() for line in board.stdout if line.startswith("serial://"))
-        processes["win32"] = python("everyday", "win32", url, cwd=tmp_path / "win32")
+            processes[platform] = start("everyday", platform, cwd=tmp_path / platform)
         told = {platform: process.communicate(timeout=WAIT_S)[0] for platform, process in processes.items()}
-    assert {platform: process.returncode for platform, process in processes.items()} == dict.fromkeys(
-        told, 0
-    ), told
+    assert {process.returncode for process in processes.values()} == {0}, told
     rows = [
         pq.read_table(*(tmp_path / platform).glob("recordings/koul-compliant*.parquet")) for platform in told
     ]
     assert rows[0].equals(rows[1])
-    alone, with_a_person = map(
-        json.loads, (line for line in told["win32"].splitlines() if "supervise_lifetime_s" in line)
-    )
-    for ran in (alone, with_a_person):
-        if ran["code"] != 0:
-            tolerated(ran["complained"])
-    if with_a_person["code"] == 0:  # the board had pushed before
-        assert "hands off the handle" in with_a_person["complained"]
-        assert len(list((tmp_path / "win32").glob("recordings/*-pulse*.parquet"))) == PUSHES
+
+
+@pytest.mark.timeout(2 * WAIT_S)
+@needs_the_compiler
+@pytest.mark.quiet
+def test_a_board_that_runs_the_law_is_hit_off_linux(tmp_path: Path) -> None:
+    """In real time, once with a person."""
+    with programs(tmp_path) as start:
+        board = start("board", cwd=ROOT)
+        url = next(line.strip() for line in board.stdout if line.startswith("serial://"))
+        host = start("everyday", "win32", url, cwd=tmp_path)
+        told = host.communicate(timeout=WAIT_S)[0]
+    assert host.returncode == 0, told
+    _, with_a_person = map(json.loads, (line for line in told.splitlines() if "supervise_lifetime_s" in line))
+    assert "hands off the handle" in with_a_person["complained"]  # the board had pushed before
+    assert len(list(tmp_path.glob("recordings/*-pulse*.parquet"))) == PUSHES
+
+
+A_GLANCE = """
+import sys
+from tests.platforms.emulated import emulate
+from tests.platforms.everyday import preload
+preload()
+emulate(sys.argv[1])
+from rig import cli
+assert cli.run(["devices"]) == 0
+assert cli.run(["session", "new", "study.toml"]) == 0
+sys.exit(cli.run(["sim", "serve"]))
+"""
+
+
+@pytest.mark.parametrize("platform", ["darwin", "win32"])
+def test_the_commands_load_where_nothing_of_linux_is(platform: str, tmp_path: Path) -> None:
+    environment = ENVIRONMENT | {"LOCALAPPDATA": str(tmp_path)}
+    command = [sys.executable, "-c", A_GLANCE, platform]
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 2, done.stderr
+    assert LINUX_ALONE in done.stderr
+    assert (tmp_path / "study.toml").exists()
 
 
 def test_a_file_that_is_open_or_mapped_stays_on_windows(tmp_path: Path) -> None:

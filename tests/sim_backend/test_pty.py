@@ -34,7 +34,6 @@ from tests.conformance.host import Host
 from tests.conformance.link import check_link
 from tests.conformance.rigs import rotary_rig
 from tests.conformance.started import die_with_parent, started
-from tests.conformance.tolerance import tolerated
 
 WAIT_S = 20.0
 SLACK_S = 5.0  # of a loaded machine
@@ -112,12 +111,8 @@ def fault_of(host: Host) -> int:
     return log.fault
 
 
+@pytest.mark.quiet
 def test_the_process_conforms_as_a_device(server: Server) -> None:
-    for _ in range(2):  # in real time: a host that was away for 20 ms has lost its device, as it must be
-        try:
-            return check_device(server.open, starts_in_boot=False)
-        except AssertionError as error:
-            tolerated(error)
     check_device(server.open, starts_in_boot=False)
 
 
@@ -179,6 +174,7 @@ def test_samples_come_in_order_and_answers_act_one_tick_later_at_the_soonest(
     assert 20 in {state.current_commanded for state in states}
 
 
+@pytest.mark.quiet
 def test_after_the_host_is_gone_the_next_one_finds_link_lost_latched_and_goes_on(server: Server) -> None:
     host = Host(server.open())
     host.begin()
@@ -192,11 +188,7 @@ def test_after_the_host_is_gone_the_next_one_finds_link_lost_latched_and_goes_on
     assert heir.disarm(clear_fault=True).status == 0
     heir.begin(session=2)
     last = run(heir, 50)[-1]
-    if last.fault == Fault.LINK_LOST:  # nobody had time for this host either
-        tolerated("the host fell silent in the second session")
-        assert last.current_commanded == 0
-    else:
-        assert last.state == State.RUNNING
+    assert last.state == State.RUNNING
     heir.disarm()
     heir.link.close()
 

@@ -28,6 +28,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Any:
 
 @pytest.mark.usefixtures("coarse")
 @pytest.mark.timeout(300)  # compiles everything when it is cold
+@pytest.mark.exhaustive("::test_quick_judges_the_abstract_of_a_third_paper")
 def test_quick_reproduces_the_paper_in_one_report_and_goes_on_from_its_journal(
     place: Any, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -64,6 +65,7 @@ def test_quick_reproduces_the_paper_in_one_report_and_goes_on_from_its_journal(
 
 @pytest.mark.usefixtures("coarse")
 @pytest.mark.timeout(300)
+@pytest.mark.exhaustive("::test_quick_judges_the_abstract_of_a_third_paper")
 def test_quick_reproduces_the_second_paper_too(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     assert rig.cli.run(["reproduce", "chawda", "--quick", "--json", *ALONE, "-o", str(tmp_path)]) == 0
     found = json.loads(capfd.readouterr().out)
@@ -83,6 +85,7 @@ def test_quick_reproduces_the_second_paper_too(tmp_path: Path, capfd: pytest.Cap
 
 @pytest.mark.usefixtures("coarse")
 @pytest.mark.timeout(300)
+@pytest.mark.exhaustive("::test_quick_judges_the_abstract_of_a_third_paper")
 def test_quick_judges_measured_data_over_the_rigs_that_could_have_given_it(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -11,11 +11,10 @@ import pytest
 
 from rig.bench.doctor import pace
 from rig.cli import run as rig
-from rig.core.errors import LinkLostError
 from rig.session.directory import LOG
 from rig.session.log import SessionLog, read
 from rig.session.rehearsal import Person
-from tests.conformance.tolerance import too_busy
+from tests.conformance.far_end import patient_host
 from tests.system.session_study import PROTOCOL, written
 
 OF_THE_WALL = ("hidden", "0.211", "stiffness", "damping")
@@ -218,11 +217,10 @@ def test_a_person_needs_a_terminal(
 ) -> None:
     busy = "--lossy-anyway"  # how this machine keeps time is no matter here
     monkeypatch.setattr(pace, "SECONDS", 0.1)
-    status, _, err = call(
-        capsys, "run", str(study / "quick.toml"), "P09", "--study", str(study / "all"), busy
-    )
-    if status == LinkLostError.exit_code:
-        too_busy(err)
+    with patient_host():
+        status, _, err = call(
+            capsys, "run", str(study / "quick.toml"), "P09", "--study", str(study / "all"), busy
+        )
     assert status == 2
     assert "terminal" in err
     assert not (study / "all" / "P09").exists()
@@ -234,9 +232,8 @@ def test_a_rate_that_the_device_does_not_do_is_refused_before_anything_is_writte
     path = tmp_path / "fast.toml"
     path.write_text(PROTOCOL.replace("dual:2k/1k", "dual:20k/1k"))
     realtime = ("--rehearse", "--realtime", "--study", str(tmp_path / "all"))
-    status, _, err = call(capsys, "run", str(path), "P01", *realtime)
-    if status == LinkLostError.exit_code:
-        too_busy(err)
+    with patient_host():
+        status, _, err = call(capsys, "run", str(path), "P01", *realtime)
     assert status == 2
     assert "asks for 20000 Hz, and the device runs at most at 4000 Hz" in err
     assert "rehearse in virtual time" in err

@@ -14,7 +14,6 @@ import numba
 import pytest
 
 from tests.conformance.started import started
-from tests.conformance.tolerance import tolerated
 
 if numba.config.DISABLE_JIT:
     pytest.skip("plug points are function types of compiled code", allow_module_level=True)
@@ -291,6 +290,7 @@ def test_a_person_who_does_not_agree_ends_the_session(
     assert len(list(tmp_path.glob("maps/*/hits/*.parquet"))) == hits
 
 
+@pytest.mark.quiet
 def test_in_real_time_a_simulated_device_is_a_process(
     run: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -299,11 +299,7 @@ def test_in_real_time_a_simulated_device_is_a_process(
     code, _, err = run(
         "zwidth", "--realtime", *BRIEF, *search, "--set", "verdict.late_fraction=0.9", "--no-plot", "--json"
     )
-    # On a computer that is too busy hits are invalid, or the device's watchdog ends one: the session ends and says so.
-    busy = "were invalid" in err or "the host fell silent" in err or "fell silent during" in err
-    assert code == 0 or busy, err
-    if code:
-        tolerated(next(line for line in err.splitlines() if line.startswith("rig: ")))
+    assert code == 0, err
     recording = open_recording(next(tmp_path.glob("maps/*/hits/*.parquet")))
     assert recording.header["clocks"]["kind"] == "monotonic"
     assert recording.header["identity"]["url"].startswith("unix://")

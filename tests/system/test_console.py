@@ -22,7 +22,6 @@ from rig.recording.data import Recording
 from rig.recording.reader import open_recording
 from tests.conformance.console import Page, Served, served
 from tests.conformance.started import started
-from tests.conformance.tolerance import reason_of, too_busy
 
 pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="the loop is compiled")
 
@@ -71,10 +70,6 @@ def phase(page: Page) -> str:
     state = page.newest("state")
     loop = None if state is None else state["loop"]
     failed = [one["told"] for one in page.told if one["say"] == "job" and one["told"]["say"] == "failed"]
-    if failed and failed[0]["kind"] in ("LinkLostError", "DeviceFaultError"):
-        if failed[0]["recording"] is not None:
-            reason_of(open_recording(failed[0]["recording"]))  # tells where
-        too_busy(failed[0]["error"])
     if failed:
         pytest.fail(f"the run did not begin: {failed[0]}")
     return "" if loop is None or loop["ended"] else str(loop["phase"])
@@ -91,11 +86,12 @@ def recorded(place: Path) -> Recording:
 
 def check_zero(recording: Recording, reason: str) -> None:
     """It was stopped in the trial, and the loop's last word was zero effort."""
-    assert reason_of(recording) == reason
+    assert recording.trailer["reason"] == reason
     assert recording.rows["phase"][-1] == Phase.TRIAL
     assert recording.trailer["error"]
 
 
+@pytest.mark.quiet
 def test_a_page_that_goes_ends_what_it_moves(tmp_path: Path) -> None:
     async def scenario(console: Served) -> tuple[dict[str, Any], dict[str, Any]]:
         async with console.hold(NAME) as hold, beating(hold), console.page(NAME) as page:
@@ -118,6 +114,7 @@ def test_a_page_that_goes_ends_what_it_moves(tmp_path: Path) -> None:
     assert recording.rows["penetration"].max() > 0.0, "the hand was in the wall"
 
 
+@pytest.mark.quiet
 def test_an_automated_hit_may_outlive_its_page(tmp_path: Path) -> None:
     async def whole() -> None:
         async with asyncio.timeout(100), served(tmp_path, own=True) as console:
@@ -132,9 +129,10 @@ def test_an_automated_hit_may_outlive_its_page(tmp_path: Path) -> None:
                 await over(page)
 
     asyncio.run(whole())
-    assert reason_of(recorded(tmp_path)) == "finished"
+    assert recorded(tmp_path).trailer["reason"] == "finished"
 
 
+@pytest.mark.quiet
 def test_a_killed_console_leaves_nothing_that_moves(tmp_path: Path) -> None:
     command = (sys.executable, "-P", "-m", "rig", "console", "--own", "--json", "-o", tmp_path)
     with started(*command, text=True, stdout=-1, env={**os.environ, "PYTHONPATH": os.getcwd()}) as process:

@@ -231,6 +231,7 @@ def test_a_site_is_built_and_told(small: Path, tmp_path: Path, capsys: pytest.Ca
     assert str(out / "html" / "index.html") in capsys.readouterr().out
 
 
+@pytest.mark.exhaustive("::test_a_site_is_built_and_told")
 def test_a_warning_is_an_error_where_that_is_asked_for(small: Path, tmp_path: Path) -> None:
     (small / "index.md").write_text("# One page\n\n[nothing](nowhere.md)\n")
     assert site.build_site(tmp_path / "out").pages > 0

@@ -38,6 +38,7 @@ from rig.realtime.kernel import kernel
 from rig.realtime.plugs import LAW_SIGNATURE
 from rig.recording.reader import open_recording
 from tests.conformance.far_end import PORTS, FarEnd, HostProcess, Script, patient_host
+from tests.conformance.tiers import first_by_default
 from tests.conformance.trials import trial_on
 
 BOUND_S = 60.0  # "it comes back", not how soon: a loaded machine may have to compile first
@@ -160,6 +161,9 @@ def test_without_a_fault_it_completes(far_end: Any, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", [*COUNTER, Kind.DELAY])
+@pytest.mark.exhaustive(
+    "tests/system/test_faults.py::test_a_fault_at_any_frame_ends_with_zero_effort_and_a_readable_recording"
+)
 def test_a_bad_frame_each_way_costs_itself_and_is_counted_where_it_should_have_come(
     kind: Any, far_end: Any, tmp_path: Path
 ) -> None:
@@ -173,7 +177,7 @@ def test_a_bad_frame_each_way_costs_itself_and_is_counted_where_it_should_have_c
         assert run.counters[COUNTER[kind]] >= 1
 
 
-@pytest.mark.parametrize("direction", Direction)
+@pytest.mark.parametrize("direction", first_by_default(Direction))
 def test_silence_is_a_lost_link_and_a_ramp_to_zero(direction: Any, far_end: Any, tmp_path: Path) -> None:
     device = far_end(broken(Kind.SILENCE, direction))
     Run(device, tmp_path, experiment=LONG).check(LinkLostError)
@@ -188,6 +192,9 @@ def test_a_pulled_plug_is_a_lost_link(far_end: Any, tmp_path: Path) -> None:
     assert device["first_fault"] == Fault.LINK_LOST
 
 
+@pytest.mark.exhaustive(
+    "tests/system/test_faults.py::test_a_fault_at_any_frame_ends_with_zero_effort_and_a_readable_recording"
+)
 def test_a_flood_of_noise_is_counted_and_a_lost_link(far_end: Any, tmp_path: Path) -> None:
     """Each sample is glued to the noise before it: none arrives."""
     device = far_end(Script(after=EARLY, flood=True))
@@ -200,6 +207,9 @@ def test_a_flood_of_noise_is_counted_and_a_lost_link(far_end: Any, tmp_path: Pat
 
 
 @pytest.mark.parametrize("fault", [Fault.ENCODER, Fault.EMERGENCY_STOP, Fault.OVER_CURRENT])
+@pytest.mark.exhaustive(
+    "tests/system/test_faults.py::test_a_fault_at_any_frame_ends_with_zero_effort_and_a_readable_recording"
+)
 def test_a_fault_of_the_device_is_told_with_its_remedy(fault: Any, far_end: Any, tmp_path: Path) -> None:
     device = far_end(Script(after=EARLY, fault=fault))
     run = Run(device, tmp_path, experiment=LONG).check(DeviceFaultError)
@@ -208,6 +218,9 @@ def test_a_fault_of_the_device_is_told_with_its_remedy(fault: Any, far_end: Any,
     assert run.recording().rows["current_sent"][-1] == 0
 
 
+@pytest.mark.exhaustive(
+    "tests/system/test_faults.py::test_a_fault_at_any_frame_ends_with_zero_effort_and_a_readable_recording"
+)
 def test_a_device_that_dies_is_a_lost_link(far_end: Any, tmp_path: Path) -> None:
     device = far_end()
 
@@ -221,6 +234,9 @@ def test_a_device_that_dies_is_a_lost_link(far_end: Any, tmp_path: Path) -> None
     assert run.recording().complete
 
 
+@pytest.mark.exhaustive(
+    "tests/system/test_faults.py::test_a_fault_at_any_frame_ends_with_zero_effort_and_a_readable_recording"
+)
 def test_a_device_that_stands_still_is_a_lost_link_and_ramps_when_it_goes_on(
     far_end: Any, tmp_path: Path
 ) -> None:
@@ -255,6 +271,9 @@ def raises(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, para
 
 
 @pytest.mark.parametrize(("function", "reason"), [(gives_nan, "nonfinite"), (raises, "law_raised")])
+@pytest.mark.exhaustive(
+    "tests/system/test_faults.py::test_a_fault_at_any_frame_ends_with_zero_effort_and_a_readable_recording"
+)
 def test_a_law_that_fails_ends_the_run_with_zero(
     function: Any, reason: str, far_end: Any, tmp_path: Path
 ) -> None:
@@ -263,6 +282,9 @@ def test_a_law_that_fails_ends_the_run_with_zero(
     assert run.recording().trailer["reason"] == reason
 
 
+@pytest.mark.exhaustive(
+    "tests/system/test_faults.py::test_a_fault_at_any_frame_ends_with_zero_effort_and_a_readable_recording"
+)
 def test_leaving_the_window_ends_the_run_with_zero(far_end: Any, tmp_path: Path) -> None:
     narrow = config.override(
         LONG, {"rig.limits.position_maximum": 0.0005, "wall.stiffness": 60.0, "wall.damping": 0.0}
@@ -278,6 +300,9 @@ def test_leaving_the_window_ends_the_run_with_zero(far_end: Any, tmp_path: Path)
 # ---------------------------------------------------------------------- the host
 
 
+@pytest.mark.exhaustive(
+    "tests/system/test_faults.py::test_a_fault_at_any_frame_ends_with_zero_effort_and_a_readable_recording"
+)
 def test_an_exception_of_the_caller_ends_the_run_with_zero(far_end: Any, tmp_path: Path) -> None:
     device = far_end()
 
@@ -308,7 +333,9 @@ def test_a_signal_stops_the_loop_and_leaves_a_whole_recording(
     assert run.recording().rows["phase"][-1] in (Phase.HOMING, Phase.TRIAL)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL, signal.SIGSTOP])
+@pytest.mark.parametrize(
+    "number", first_by_default([signal.SIGKILL, signal.SIGINT, signal.SIGTERM, signal.SIGSTOP])
+)
 @pytest.mark.signals
 def test_a_signal_to_a_host_process_leaves_the_device_at_rest(
     number: Any, far_end: Any, tmp_path: Path
@@ -344,6 +371,9 @@ def test_a_signal_to_a_host_process_leaves_the_device_at_rest(
         Run(device, tmp_path / "next").check()
 
 
+@pytest.mark.exhaustive(
+    "tests/system/test_faults.py::test_a_fault_at_any_frame_ends_with_zero_effort_and_a_readable_recording"
+)
 def test_a_full_disk_is_told_at_the_end_and_the_device_is_at_rest(far_end: Any, tmp_path: Path) -> None:
     """A limit on the size of files stands for it: the same path, with EFBIG for ENOSPC."""
     device = far_end()

@@ -6,15 +6,16 @@ import threading
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import pytest
+
 import rig
-from rig.core.errors import LinkLostError
-from tests.conformance.tolerance import tolerated
 from tests.rig.core.test_process import looks
 
 HITS = 4
 SLOW = {"position_rate": 500, "velocity_rate": 500, "duration_s": 0.6}
 
 
+@pytest.mark.quiet
 def test_four_threads_hit_in_real_time_at_once(tmp_path: Path) -> None:
     before, together = looks(), threading.Barrier(HITS)
 
@@ -26,10 +27,5 @@ def test_four_threads_hit_in_real_time_at_once(tmp_path: Path) -> None:
     with ThreadPoolExecutor(HITS) as threads:
         running = [threads.submit(hit, number) for number in range(HITS)]
     assert looks() == before
-    failed = [error for one in running if (error := one.exception()) is not None]
-    for error in failed:
-        assert isinstance(error, LinkLostError), error  # too late on a loaded machine
-    if failed:
-        return tolerated(str(failed[0]))
     assert len({one.result() for one in running}) == HITS
     assert len(list(tmp_path.glob("*.parquet"))) == HITS

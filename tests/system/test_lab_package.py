@@ -52,6 +52,8 @@ import mylab
 import rig
 import sim_backend
 
+pytestmark = pytest.mark.exhaustive("tests/rig/testing/test_plugin.py::test_its_entry_point_and_dash_p_are_one_plugin")
+
 print(rig.__file__, mylab.__file__, sim_backend.__file__)
 sys.exit(code)
 """

@@ -20,7 +20,7 @@ if numba.config.DISABLE_JIT:
 
 from rig import config, devices
 from rig.config import presets
-from rig.core.errors import DeviceFaultError, LinkLostError, RigError
+from rig.core.errors import RigError
 from rig.core.model import Simulation
 from rig.core.sample import Phase
 from rig.devices import local
@@ -30,7 +30,6 @@ from rig.recording.reader import open_recording
 from rig.session.lsl.session import LslMarks
 from rig.session.lsl.streams import CHANNELS
 from tests.conformance.lsl_loop import OFFSET_NS, HandTurnedLoop
-from tests.conformance.tolerance import tolerated
 from tests.conformance.trials import trial_on
 
 SHORT = config.override(
@@ -172,6 +171,7 @@ def test_inlets_receive_every_row_at_its_time_and_what_a_session_marks(
     assert "dual-rate" not in told
 
 
+@pytest.mark.quiet
 def test_a_hit_in_real_time_is_streamed_as_it_is_recorded(
     streamed: tuple[LslMarks, Inlets], tmp_path: Path
 ) -> None:
@@ -179,16 +179,11 @@ def test_a_hit_in_real_time_is_streamed_as_it_is_recorded(
     inlets.forget()
     path = tmp_path / "trial.rigcap"
     model = config.rig_model(SHORT)
-    try:
-        with (
-            local.serve_locally(
-                "sim://", replace(model, simulation=Simulation(initial_position=-0.015))
-            ) as url,
-            FramedDevice(devices.open_link(url, model)) as device,
-        ):
-            trial_on(device, experiment=SHORT, recording=path, verified=True, seed=0)
-    except (LinkLostError, DeviceFaultError) as error:  # this machine has no time for a loop
-        return tolerated(error)
+    with (
+        local.serve_locally("sim://", replace(model, simulation=Simulation(initial_position=-0.015))) as url,
+        FramedDevice(devices.open_link(url, model)) as device,
+    ):
+        trial_on(device, experiment=SHORT, recording=path, verified=True, seed=0)
     inlets.pull_until("end")
     recording = open_recording(path.with_suffix(".parquet"))
     end = inlets.markers[-1][1]
@@ -201,9 +196,7 @@ def test_a_hit_in_real_time_is_streamed_as_it_is_recorded(
     # Two fits of the same clocks: one at the run's begin, one of all of it.
     allowed_s = bound_s + (clock["asymmetry_bound_ns"] + 3 * clock["offset_sd_ns"]) * 1e-9 + 1e-7
     difference = np.array(inlets.stamps) - inlets.offset_s() - recording.rows["sampled_at"] * 1e-9
-    if np.abs(difference).max() > allowed_s:
-        # A simulated rig's clock is its ticks: it stands still while the machine has no time for them.
-        tolerated(f"the first line through the clocks was more than {allowed_s:.6f} s off the last")
+    assert np.abs(difference).max() <= allowed_s
     assert (np.diff(inlets.stamps) >= 0).all()
     named = {"trial": "trial", "release": "release", "contact": "contact"}
     streamed_at = [

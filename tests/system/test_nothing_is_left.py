@@ -26,7 +26,6 @@ from rig import config
 from rig.config import presets
 from rig.control.law import Law
 from rig.core.errors import (
-    DeviceFaultError,
     DeviceNotFoundError,
     LawError,
     LinkLostError,
@@ -46,7 +45,6 @@ from sim_backend.link import MemoryLink
 from tests.conformance.census import MARK, Census, marked, nothing_left, still_there
 from tests.conformance.far_end import FarEnd, Script, patient_host
 from tests.conformance.started import started
-from tests.conformance.tolerance import tolerated
 from tests.conformance.trials import trial_on
 
 WAIT_S = 50.0  # on a loaded machine
@@ -272,6 +270,7 @@ QUICK = [
 ]
 
 
+@pytest.mark.quiet
 def test_nothing_is_left_of_a_command_and_the_process_that_was_its_device(
     warm: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -280,9 +279,7 @@ def test_nothing_is_left_of_a_command_and_the_process_that_was_its_device(
     with nothing_left():
         code = rig.cli.run([*QUICK, "--realtime"])
     err = capfd.readouterr().err
-    assert code in (0, LinkLostError.exit_code, DeviceFaultError.exit_code), err
-    if code:
-        tolerated(err.strip().splitlines()[-1])
+    assert code == 0, err
 
 
 # ---------------------------------------------------------------------- from outside
@@ -309,6 +306,7 @@ with started("sleep", "600") as process:
 
 
 @pytest.mark.signals
+@pytest.mark.quiet
 def test_no_process_and_no_memory_is_left_of_a_command_that_ctrl_c_ends(tmp_path: Path) -> Any:
     """The device's process, the one that draws, and whatever multiprocessing started all go; the recording stays."""
     mark = uuid.uuid4().hex
@@ -325,11 +323,7 @@ def test_no_process_and_no_memory_is_left_of_a_command_that_ctrl_c_ends(tmp_path
     assert not ours
     text = (tmp_path / "said").read_text()
     assert "Traceback" not in text
-    assert hit.returncode in (StoppedError.exit_code, LinkLostError.exit_code, DeviceFaultError.exit_code), (
-        text
-    )
-    if hit.returncode != StoppedError.exit_code:
-        return tolerated(text.strip().splitlines()[-1])
+    assert hit.returncode == StoppedError.exit_code, text
     assert "stopped" in text
     (recording,) = map(open_recording, tmp_path.glob("recordings/*.parquet"))
     assert (recording.complete, recording.trailer["reason"]) == (True, "stopped")

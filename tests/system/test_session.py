@@ -26,7 +26,6 @@ from rig.session.run import rehearsal_desk, resume_session, run_session
 from rig.session.state import State
 from rig.session.template_files import DEFAULT, write_template
 from rig.views.report.session import render
-from tests.conformance.tolerance import tolerated
 from tests.system.session_study import comparable, written
 
 PERSON = Person(thresholds={"hidden-dual": 65.0, "hidden-uniform": 65.0}, lapse_rate=0.05)
@@ -90,6 +89,9 @@ def test_the_first_session_of_a_newcomer_ends_in_ten_minutes_with_intervals_that
     assert f"{slow.low:.4g}" in page
 
 
+@pytest.mark.exhaustive(
+    "tests/rig/session/test_session_crashes.py::test_death_at_every_write_flush_and_rename"
+)
 def test_ten_kills_change_nothing(calm: tuple[Path, Path], tmp_path: Path) -> None:
     """SIGKILL at random moments of a session, and of its resumptions."""
     protocol, directory = calm
@@ -112,9 +114,7 @@ def test_ten_kills_change_nothing(calm: tuple[Path, Path], tmp_path: Path) -> No
     )
     assert done.returncode == 0, done.stderr
     told = json.loads(done.stdout)
-    assert told["kills"] > 0
-    if told["kills"] < KILLS:  # a busy machine kills late, and each attempt gets further
-        tolerated(f"the session had ended after {told['kills']} kills")
+    assert told["kills"] > 0  # each of them late on a busy machine, so that the session ends after fewer
     events = read(tmp_path / "P01" / LOG)
     assert comparable(events) == comparable(read(directory / LOG))
     assert results(tmp_path / "P01") == results(directory)

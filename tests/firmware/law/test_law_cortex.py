@@ -16,6 +16,8 @@ from tests.firmware.law.law_design import FIXED, FLOAT, parameters_of
 from tests.firmware.law.law_library import Parameters, inputs
 from tests.firmware.law.law_rigs import DUAL, SHORT, UNIFORM, controller_of, experiment_of, on_the_host
 
+pytestmark = pytest.mark.exhaustive("tests/firmware/law/test_law_fixed.py::test_a_whole_run_is_exact")
+
 SCHEMES = {"dual": DUAL, "uniform": UNIFORM}
 LAWS = {
     "fixed": (FIXED, "fdm-butterworth-fixed", {}),

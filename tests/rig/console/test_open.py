@@ -6,6 +6,8 @@ import sys
 
 import pytest
 
+from tests.conformance.tiers import first_by_default
+
 HANGS = {
     "in a thread": "await asyncio.to_thread(threading.Event().wait)",
     "in its loop": "threading.Event().wait()",
@@ -26,8 +28,12 @@ PATIENCE_S = 60.0  # ends a test that would hang
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no signal is sent to another process there")
-@pytest.mark.parametrize("hang", HANGS)
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+@pytest.mark.parametrize(
+    ("number", "hang"),
+    first_by_default(
+        (number, hang) for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP) for hang in HANGS
+    ),
+)
 def test_a_console_that_waits_for_ever_ends_after_a_signal(hang: str, number: signal.Signals) -> None:
     program = [sys.executable, "-P", "-c", PROGRAM.format(hang=HANGS[hang])]
     with subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as console:

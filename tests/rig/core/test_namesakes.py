@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 import rig as package
+from tests.conformance.tiers import first_by_default
 
 ROOT = Path(package.__file__).parents[1]
 NAMESAKES = {
@@ -37,8 +38,14 @@ def run(place: Path, *command: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-@pytest.mark.parametrize("name", NAMESAKES)
-@pytest.mark.parametrize("text", ["", "raise SyntaxError('print as it was in Python 2')"])
+@pytest.mark.parametrize(
+    ("text", "name"),
+    first_by_default(
+        (text, name)
+        for text in ("raise SyntaxError('print as it was in Python 2')", "")
+        for name in NAMESAKES
+    ),
+)
 def test_a_package_under_the_name_of_another_is_named_with_what_puts_it_right(
     name: str, text: str, tmp_path: Path
 ) -> None:

@@ -145,6 +145,9 @@ def test_a_sweep_of_nothing_and_one_outside_the_main_thread() -> None:
 # The journal -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.exhaustive(
+    "::test_a_journal_cut_off_or_with_flipped_bytes_is_completed_or_refused_and_never_believed"
+)
 def test_kill_9_loses_at_most_the_tasks_in_flight(tmp_path: Path) -> None:
     journal, log, workers = tmp_path / "j", tmp_path / "log", 2
     program = (
@@ -399,6 +402,7 @@ def keep_interrupting(thread: Any, first_s: float, ended: threading.Event) -> No
 # Between the return of open() and the entry of its "with" nothing can catch a signal: the collector closes that file.
 @pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.signals
+@pytest.mark.exhaustive("::test_ctrl_c_keeps_what_is_done_and_what_is_running_and_the_same_command_goes_on")
 def test_ctrl_c_at_any_moment_never_harms_the_journal(tmp_path: Path) -> None:
     journal, log, tasks = tmp_path / "j", tmp_path / "log", marks(400, tmp_path / "log", wait_s=0.001)
     main = threading.main_thread().ident

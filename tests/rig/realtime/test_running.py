@@ -62,6 +62,7 @@ def test_a_dead_process_leaves_nothing_to_find() -> None:
             pass
 
 
+@pytest.mark.exhaustive("::test_a_loop_of_another_process_is_found_and_stopped")
 def test_all_loops_are_stopped_by_one_call_and_one_that_does_not_listen_is_named() -> None:
     with loop_process(INFO) as good, loop_process(INFO, "deaf") as deaf:
         asked = {one.loop.pid: one.ended for one in running.stop(deaf.pid, patience_s=0.05)}

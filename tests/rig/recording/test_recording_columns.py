@@ -120,6 +120,7 @@ print(*peaks, file=sys.stderr)
 
 @pytest.mark.skipif(sys.platform != "linux", reason="ru_maxrss has other units elsewhere")
 @pytest.mark.parametrize("kind", ["parquet", "rigcap"])
+@pytest.mark.exhaustive("::test_judging_and_drawing_take_the_columns_that_they_name")
 def test_judging_and_drawing_a_long_recording_stays_within_bytes_a_row(
     kind: str, sealed: Path, tmp_path: Path
 ) -> None:

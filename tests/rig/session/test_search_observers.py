@@ -71,6 +71,9 @@ def test_intervals_hold_what_they_promise_except_the_ascending_rules() -> None:
             assert row["width"] is None
 
 
+@pytest.mark.exhaustive(
+    "tests/rig/session/test_search.py::test_limits_on_levels_a_ratio_apart_are_found_with_honest_intervals"
+)
 def test_intervals_of_psi_hold_the_limit_of_gradual_observers_too() -> None:
     """A prior that ends at a quarter of the range gave intervals that hold it in 91 to 93 % of sessions."""
     assert again(("psi", 0.0, 120.0), sessions=600)["covered"] >= 0.935

@@ -319,6 +319,7 @@ def _append_for_ever(path: Any) -> None:
             log.append("tick", number=len(log.events))
 
 
+@pytest.mark.exhaustive("::test_interrupted_anywhere_in_an_append_the_log_stays_one")
 def test_kill_minus_nine_at_any_moment_leaves_a_log_that_goes_on(tmp_path: Path) -> None:
     path = tmp_path / "log"
     for _ in range(5):

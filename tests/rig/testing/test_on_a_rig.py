@@ -25,7 +25,6 @@ from rig.testing import SerialRig, serve_rig
 from sim_backend.link import MemoryLink
 from sim_backend.make_device import make_device
 from tests.conformance.claimed import claim_to_be_real
-from tests.conformance.tolerance import too_busy
 
 URL = "serial:///dev/ttyRIG"
 TYPED = ("--rig-url", URL, "--rig-verified", "-n0")
@@ -236,6 +235,7 @@ def a_person(sees: Callable[[], bool], does: Callable[[], object]) -> Iterator[N
         person.join()
 
 
+@pytest.mark.quiet
 def test_rig_stop_ends_all_tests(port: SerialRig, pytester: pytest.Pytester) -> None:
     """Else the next test would move the rig again."""
 
@@ -244,8 +244,6 @@ def test_rig_stop_ends_all_tests(port: SerialRig, pytester: pytest.Pytester) -> 
 
     with a_person(runs, lambda: running.ask_to_stop(os.getpid())):
         result = pytester.runpytest_inprocess("--rig-url", port.url, "--rig-verified", "-n0")
-    if "LinkLostError" in result.stdout.str():
-        too_busy("the link was lost before anybody could stop the run")
     assert result.ret == 130
     result.stdout.fnmatch_lines([f"*Exit: stopped by process {os.getpid()} *; the effort is zero*"])
     assert "1 passed" not in result.stdout.str()

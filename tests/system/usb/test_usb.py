@@ -16,12 +16,14 @@ import pytest
 
 from rig import config
 from rig.config import presets
-from rig.core.errors import DeviceFaultError, GuardError, LinkLostError
 from rig.recording.reader import open_recording
 from sim_backend.usb import HIGH_SPEED_PACKET, UsbShape
-from tests.conformance.tolerance import tolerated
 from tests.system.usb import checks
 from tests.system.usb.emulated_bus import Bus, Child, build
+
+pytestmark = pytest.mark.exhaustive(
+    "tests/rig/devices/test_usb.py::test_anything_else_that_goes_wrong_in_opening_is_typed_and_gives_the_bus_back"
+)
 
 if numba.config.DISABLE_JIT:
     pytest.skip("the device's plant is too slow for real time uncompiled", allow_module_level=True)
@@ -149,41 +151,27 @@ def rig(request: pytest.FixtureRequest, program: Path, child: Child) -> Iterator
     one.end()
 
 
+@pytest.mark.quiet
 def test_a_hit_from_the_command_line(rig: Rig, tmp_path: Path) -> None:
-    """It is judged, or ends with a typed loss; either way it is recorded and every tick is accounted for."""
+    """It is judged and recorded, and every tick is accounted for."""
     url = checks.URL if rig.transfers == "queued" else f"{checks.URL}/0001?transfers=plain"
     code, told = rig.check("hits_from_the_command_line", url, str(tmp_path))
-    if not (told["error"] is None and told["hits"][0]["verdict"]["kind"] == "stable"):
-        rig.end()
-        rig.begin()  # its handle may be anywhere
-    if told["error"] is not None:
-        assert (
-            code
-            == told["error"]["exit_code"]
-            in (LinkLostError.exit_code, DeviceFaultError.exit_code, GuardError.exit_code)
-        ), told["error"]
-        assert told["error"]["remedy"]
-        tolerated(told["error"]["error"])
-        if told["error"]["recording"] is None:  # lost before the run began
-            return
+    assert (code, told["error"], len(told["hits"])) == (0, None, 1)
+    assert told["hits"][0]["verdict"]["kind"] == "stable"
     (path,) = tmp_path.glob("*.parquet")
     recording = open_recording(path)
     assert len(recording.rows) > 0
     counters = recording.trailer["counters"]
     assert counters["ticks"] == counters["commands"] + counters["unsent"]
     assert counters["bad_frames"] == 0
-    assert told["error"] is not None or (code, len(told["hits"])) == (0, 1)
 
 
+@pytest.mark.quiet
 def test_a_plug_pulled_in_a_run_is_one_error_with_a_whole_recording(rig: Rig, tmp_path: Path) -> None:
     found = rig.check("unplugged_in_a_trial", str(tmp_path))
     print(found)
     assert found["complete"]
     assert found["remedy"]
     assert found["rows"] <= found["ticks"]
-    if found["after_ms"] is None:  # this machine was too busy to keep the device alive until then
-        assert found["kind"] in ("LinkLostError", "DeviceFaultError")
-        tolerated(found["kind"])
-    else:
-        assert found["kind"] in ("UnpluggedError", "DeviceFaultError")
-        assert found["after_ms"] < SECONDS
+    assert found["kind"] in ("UnpluggedError", "DeviceFaultError")
+    assert found["after_ms"] < SECONDS

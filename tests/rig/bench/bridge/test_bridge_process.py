@@ -85,6 +85,9 @@ def test_a_drive_on_a_can_bus_is_asked_by_its_frames(tmp_path: Path) -> None:
     assert (found.counts, found.source) == (4 * 4096, "SPI")
 
 
+@pytest.mark.exhaustive(
+    "tests/rig/bench/bridge/test_bridge_core.py::test_a_bridge_that_is_killed_leaves_it_to_the_watchdog_of_the_drive"
+)
 def test_an_odrive_gets_no_torque_when_its_bridge_is_killed(tmp_path: Path) -> None:
     """A link starts its bridge on a bus; the drive's own watchdog ends the torque."""
     need_compiler()
@@ -155,6 +158,7 @@ def test_what_is_wrong_with_the_drive_is_said_by_the_link(port: str) -> None:
         opened(port, "?id=nine")
 
 
+@pytest.mark.exhaustive("::test_a_link_starts_a_bridge_and_ends_it_and_one_that_is_killed_is_a_lost_link")
 def test_the_command_serves_one_host_after_the_other(port: str, tmp_path: Path) -> None:
     mine = tmp_path / "mine.toml"
     mine.write_text(describe.text(look(DeviceUrl("moteus", port, {}, port)), f"moteus://{port}"))

@@ -1,0 +1,24 @@
+"""The two tiers: what a contributor waits for, and what repeats a claim on a further level or at every frame.
+
+`pytest` runs the first one, `pytest -m exhaustive` the other, `pytest -m ""` both. Each test of the exhaustive tier
+names a smaller relative of the default tier, which fails when the same mechanism breaks (`tests/test_tiers.py`):
+``@pytest.mark.exhaustive("tests/rig/devices/test_usb.py::test_libusbs_statuses_are_error_numbers")``, in the same file
+``@pytest.mark.exhaustive("::test_of_one_frame")``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import pytest
+
+
+def first_by_default(values: Iterable[Any], number: int = 1) -> list[Any]:
+    """Return parameters, or tuples of them, of which the first run by default; they are relatives of the others."""
+    rest = pytest.mark.exhaustive("the same test, by its first parameters")
+    found = list(values)
+    return found[:number] + [
+        pytest.param(*(value if isinstance(value, tuple) else (value,)), marks=rest)
+        for value in found[number:]
+    ]

@@ -1,0 +1,48 @@
+"""Each test of the exhaustive tier names a relative that the default tier runs."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from tests.conformance.tiers import first_by_default
+
+ROOT = Path(__file__).parents[1]
+MARK = re.compile(r"mark\.exhaustive(?:\(\s*\"([^\"]*)\"\s*\))?")
+RELATIVES = sorted(
+    {
+        (str(path.relative_to(ROOT)), relative)
+        for path in ROOT.glob("tests/**/test_*.py")
+        if path != Path(__file__)
+        for relative in MARK.findall(path.read_text(encoding="utf-8"))
+    }
+)
+
+
+@pytest.mark.parametrize(("file", "relative"), RELATIVES)
+def test_a_relative_exists_and_is_run_by_default(file: str, relative: str) -> None:
+    place, _, name = relative.partition("::")
+    text = (ROOT / (place or file)).read_text(encoding="utf-8")
+    assert not re.search(r"^pytestmark = .*exhaustive", text, re.MULTILINE), "all of it is exhaustive"
+    before, found, _ = text.partition(f"\ndef {name}(")
+    assert found, f"{file} names {relative}, which is not there"
+    assert "mark.exhaustive" not in before.rpartition("\n\n\n")[2]
+
+
+def test_no_test_is_tolerated() -> None:
+    """What needs a quiet machine is marked so and passes there; only whole emulated systems give up on a busy one."""
+    places = [path.relative_to(ROOT / "tests") for path in ROOT.glob("tests/**/*.py")]
+    using = {
+        place.parts[0]
+        for place in places
+        if "conformance.tolerance import" in (ROOT / "tests" / place).read_text(encoding="utf-8")
+    }
+    assert using <= {"browser", "guest", "conftest.py", "test_tolerance.py", "test_tiers.py"}
+
+
+def test_first_parameters_run_by_default() -> None:
+    first, second = first_by_default(["a", "b"])
+    assert first == "a"
+    assert [mark.name for mark in second.marks] == ["exhaustive"]
