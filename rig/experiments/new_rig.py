@@ -575,7 +575,10 @@ def _correct(draft: _Draft, *, in_real_time: bool) -> None:
         draft.set("[computed] as rig plan asks", changes)
     if found:
         text = "; ".join(f"{check.name}: {check.text}" for check in found)
-        raise PlanError(f"{draft.name}: no first hit was found: {text}", remedy=found[0].remedy)
+        remedy = found[0].remedy
+        if draft.keys["rig.mechanics.motor_coulomb"][1].startswith("[assumed]"):
+            remedy += "; friction is assumed: give `friction` as measured"
+        raise PlanError(f"{draft.name}: no first hit was found: {text}", remedy=remedy)
 
 
 def _digits(value: float, way: Any = round) -> float:
