@@ -7,8 +7,9 @@ effort of the world (weight, a bent cable) adds to one and takes from the other,
 friction that differs by direction: `coulomb` is half of up + down, `bias` half of up − down, and only the two levels
 are measured.
 
-The mean over a piece of a stroke is one point; pieces still accelerate a little, and friction varies with position, so
-the scatter of the points about the line is what the intervals come from.
+The mean over a piece of a stroke is one point, where the servo has reached the speed of the stroke. Friction varies
+with position, and with a coarse encoder the servo's effort ripples, so the scatter of the points about the line is what
+the intervals come from. Pieces of one stroke err together: they count as one.
 """
 
 from __future__ import annotations
@@ -33,6 +34,11 @@ END_S = 0.01  # so is its end
 PIECES = 3  # of each stroke
 LEAST_COUNTS = 10.0  # of way in a piece
 LARGEST_SCATTER = 0.3  # of the mean level
+# By how much of its way a piece may differ from the stroke that was asked for, one count aside. With this, and pieces
+# of a stroke that count as one, the interval held the Coulomb friction of 106 simulated rigs of 106 and the damping of
+# 104 (9 presets with coarser encoders, 52 random data sheets, rates of 1 to 4 kHz; 2026-11-29). Before it held 100 and
+# 83 of 108, and in every tenth the damping was wrong by more than 156 %, now 31 %.
+UNSTEADY = 0.03
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,21 +113,23 @@ def fit_sliding(
     Raises
     ------
     IdentificationError
-        Too few strokes that moved, not both directions, or points too far from a line.
+        Too few strokes that slid at their speed, not both directions, or points too far from a line.
     """
     velocity, level = _points(time_s, effort, position, strokes, resolution)
     level = level - back_emf * velocity
     rising = velocity > 0.0
     if rising.sum() < 2 or (~rising).sum() < 2 or len(np.unique(np.round(velocity, 12))) < 3:
         raise IdentificationError(
-            f"{int(rising.sum())} pieces slid up and {int((~rising).sum())} down",
-            remedy="let it slide both ways at two speeds at least, and see that nothing holds it",
+            f"{int(rising.sum())} pieces slid up and {int((~rising).sum())} down at the speed that was asked for, two "
+            "each way are the least, at two speeds",
+            remedy="see that nothing holds it; a wider window of positions makes the strokes longer, and a higher "
+            "`rate` their servo stiffer",
         )
     matrix = np.column_stack([rising, -(~rising).astype(np.float64), velocity])
     solution = np.linalg.lstsq(matrix, level, rcond=None)[0]
     left = level - matrix @ solution
     freedom = len(level) - matrix.shape[1]
-    covariance = float(left @ left) / max(freedom, 1) * np.linalg.inv(matrix.T @ matrix)
+    covariance = PIECES * float(left @ left) / max(freedom, 1) * np.linalg.inv(matrix.T @ matrix)
     factor = quantile(freedom)
 
     def interval(weights: Sequence[float]) -> Interval:
@@ -158,8 +166,10 @@ def _points(
             if len(piece) < 2:
                 continue
             way = position[piece[-1]] - position[piece[0]]
-            if way * stroke.velocity <= 0.0 or abs(way) < LEAST_COUNTS * resolution:
+            elapsed_s = time_s[piece[-1]] - time_s[piece[0]]
+            asked = stroke.velocity * elapsed_s
+            if abs(way - asked) > UNSTEADY * abs(asked) + resolution or abs(way) < LEAST_COUNTS * resolution:
                 continue
-            velocities.append(way / (time_s[piece[-1]] - time_s[piece[0]]))
+            velocities.append(way / elapsed_s)
             efforts.append(effort[piece].mean())
     return np.array(velocities), np.array(efforts)

@@ -183,7 +183,9 @@ def _homing_offset(x: Experiment, ticks: int) -> Check:
         start, limits = x.wall.position - x.wall.side * round_up(way), x.rig.limits
         if not limits.position_minimum < start < limits.position_maximum:
             held = f"{holding_effort(x):.3g} {unit_of('effort', x.rig.motion)}"
-            remedy = f"lessen the friction, {held}; or widen the window of positions beyond {start:.3g} {unit}"
+            remedy = (
+                f"lessen the friction, {held}; or widen the window of positions beyond {start:.3g} {unit}"
+            )
             return Check("homing offset", Outcome.REFUSED, text, remedy)
         changes["trial.start"] = start
     return finding("homing offset", False, text, changes)

@@ -246,6 +246,27 @@ def test_back_emf_that_is_given_is_no_friction(slid: Any) -> None:
     assert found.coulomb.value == pytest.approx(plain_fit.coulomb.value, rel=0.005)
 
 
+def test_a_servo_that_is_still_catching_up_leaves_out_what_is_not_at_its_speed() -> None:
+    """A soft one: while the speed rises its effort is friction and mass, which read as friction alone bend the line."""
+    position, effort, strokes, time_s, at, speed = [], [], [], 0.0, 0.0, 0.0
+    for length in (0.4, 0.8, 1.6):
+        for asked in (0.04 / length, -0.04 / length):
+            strokes.append(Stroke(time_s, time_s + length, asked))
+            for _ in range(round(length * RATE)):
+                rises = (asked - speed) / 0.12
+                speed += rises / RATE
+                at += speed / RATE
+                position.append(at)
+                effort.append((UP if speed > 0.0 else -DOWN) + DAMPING * speed + 2.0 * MASS * rises)
+            time_s += length
+    found = fit_sliding(
+        np.arange(len(effort)) / RATE, np.array(effort), np.array(position), strokes, resolution=QUANTUM
+    )
+    assert found.damping.value == pytest.approx(DAMPING, rel=0.03)
+    assert found.coulomb.value == pytest.approx(0.5 * (UP + DOWN), rel=0.03)
+    assert found.points < 18
+
+
 def test_what_did_not_slide_is_refused(slid: Any) -> None:
     time_s, effort, position, strokes = slid
     with pytest.raises(IdentificationError, match="0 pieces slid up and 0 down"):

@@ -149,7 +149,9 @@ def test_assumed_friction_that_holds_the_carriage_anywhere_is_refused_with_what_
         "mechanism": "linear-motor", "nominal_current": 9.12, "force_constant": 13.6, "encoder_resolution": 2.66e-7,
         "carriage_mass": 0.0534,
     }  # fmt: skip
-    with pytest.raises(PlanError, match=r"lessen the friction, 6.2 N; or widen .* give `friction` as measured"):
+    with pytest.raises(
+        PlanError, match=r"lessen the friction, 6.2 N; or widen .* give `friction` as measured"
+    ):
         rig.new_rig(**strong)
     assert make_plan(rig.new_rig(**strong, friction=1.0).experiment).ok
 
