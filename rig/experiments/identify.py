@@ -21,7 +21,12 @@ from numpy.typing import NDArray
 from rig import config, devices
 from rig.analysis.identification.cogging import CoggingMap, fit_cogging, pairs_of
 from rig.analysis.identification.dynamics import Dynamics, fit_dynamics
-from rig.analysis.identification.quality import MOST_DRIFT, IdentificationError, period_change
+from rig.analysis.identification.quality import (
+    DOUBTFUL_DRIFT,
+    MOST_DRIFT,
+    IdentificationError,
+    period_change,
+)
 from rig.analysis.identification.ripple import Ripple, fit_ripple
 from rig.analysis.identification.signs import SignCheck, stiction_warning
 from rig.analysis.identification.sliding import Sliding, Stroke, fit_sliding
@@ -244,10 +249,28 @@ def identify(request: IdentifyRequest, tell: Tell | None = None, ask: Ask | None
     found = _identified(
         request, base, signs, sliding, dynamics, cogging, ripple, session.recordings, simulated=simulated
     )
-    if not session.repeated:
-        return found
-    text = f"{session.repeated} motions were measured again: lost or late samples had spoiled them"
-    return replace(found, warnings=(*found.warnings, text))
+    return replace(found, warnings=(*found.warnings, *_doubts(base, found, session.drift, session.repeated)))
+
+
+def _doubts(x: Experiment, found: Identification, drift: float, repeated: int) -> Iterator[str]:
+    """Say what of a result may be wrong by more than its interval, or is not known at all."""
+    dynamics, damping = found.dynamics, found.sliding.damping
+    if repeated:
+        yield f"{repeated} motions were measured again: lost or late samples had spoiled them"
+    if drift > DOUBTFUL_DRIFT:
+        yield (
+            f"the motion at the median line changed by {100 * drift:.0f} % from one period to the next, where "
+            f"{100 * DOUBTFUL_DRIFT:.0f} % are usual at most: see that nothing touches the handle, and identify again"
+        )
+    if damping.ci95 > damping.value:
+        value = damping.text(_unit(x, "damping"))
+        yield f"the viscous damping, {value}, is not told from zero: friction and counts hide it"
+    elastic = dynamics.mode_above_hz is not None or x.rig.mechanics.structure == "two-mass"
+    if dynamics.mode is None and elastic:
+        yield (
+            f"the first mode lies above the band or is hidden in it (up to {dynamics.band.high_hz:.4g} Hz): inertia "
+            "and delay may be wrong by more than their intervals; a finer encoder or more effort widens the band"
+        )
 
 
 def without_end_mass(request: IdentifyRequest) -> Experiment:
@@ -300,6 +323,7 @@ class _Session:
         self._cogging = Cogging()  # as measured: what comes after knows it as an effort of the motor's
         self.recordings: dict[str, tuple[Path, ...]] = {}
         self.repeated = 0  # motions that late or lost samples had spoiled
+        self.drift = 0.0  # largest change of an excited motion from period to period
 
     def free_motions(self, x: Experiment, say: Tell) -> tuple[SignCheck, Sliding, Dynamics]:
         """Pushes, sweeps if cogging is looked for, strokes, excitation."""
@@ -353,6 +377,7 @@ class _Session:
             damping=sliding.damping,
             back_emf=x.rig.amplifier.back_emf,
         )
+        self.drift = max(period_change(run, found.band.chosen) for run in runs)
         return found.later(round(float(np.median(lates))), 1.0 / x.controller.position_rate)
 
     def _excited(

@@ -16,6 +16,7 @@ if numba.config.DISABLE_JIT:
 from dataclasses import replace
 
 from rig import config
+from rig.analysis.identification.interval import Interval
 from rig.analysis.identification.quality import IdentificationError
 from rig.analysis.identification.signs import check_signs
 from rig.cli.identify import _ripple_pairs
@@ -176,6 +177,17 @@ def test_the_band_ends_where_the_motion_does_and_the_parameters_are_right(
     assert bool(found.dynamics.band.above) == ends
     if preset == "koul-compliant" and not ends:
         assert found.dynamics.mode.stiffness.value == pytest.approx(m.transmission_stiffness, rel=0.02)
+    unseen = m.structure == "two-mass" and found.dynamics.mode is None
+    assert any("the first mode lies above the band" in text for text in found.warnings) == unseen
+
+
+def test_what_may_be_wrong_by_more_than_its_interval_has_a_warning(compliant: Any) -> None:
+    vague = replace(compliant.sliding, damping=Interval(0.003, 0.004))
+    found = replace(compliant, sliding=vague)
+    assert not list(identifying._doubts(COMPLIANT, compliant, 0.1, 0))
+    changed, damping = identifying._doubts(COMPLIANT, found, 0.25, 0)
+    assert "changed by 25 % from one period to the next, where 20 %" in changed
+    assert "is not told from zero" in damping
 
 
 def test_a_named_simulated_rig_keeps_its_end_mass_which_is_subtracted(tmp_path: Path) -> None:
