@@ -12,9 +12,7 @@ from rig.cli.command import command, option
 from rig.cli.progress import SweepBar
 from rig.papers import reproduction
 from rig.papers.chawda.reproduction import CHAWDA
-from rig.papers.cutoff.reproduction import CUTOFF
 from rig.papers.koul.reproduction import KOUL
-from rig.papers.paddle.reproduction import PADDLE
 from rig.papers.reproduction import Reproduction, draw_into, write_report
 from rig.papers.rules import Status
 from rig.recording.files import plain_errors
@@ -27,7 +25,7 @@ COUNTS = {
     Status.NOT: "not reproduced",
 }
 
-PAPERS = {paper.name: paper for paper in (KOUL, CHAWDA, PADDLE, CUTOFF)}
+PAPERS = {paper.name: paper for paper in (KOUL, CHAWDA)}
 
 
 @command()
@@ -45,9 +43,7 @@ def reproduce(
     """Reproduce a paper: every figure, a verdict on every claim, its open ideas, as one HTML report.
 
     koul: dual-rate sampling and Z-width (Koul et al. 2013), in about two minutes. chawda: velocity estimators,
-    passivity and fidelity (Chawda et al.), in about three. paddle: measured K-B curves of four estimators, against
-    every rig that could have given them, in about four. cutoff: a velocity filter's cut-off (Chawda et al. 2015, the
-    abstract). The same command resumes one that was stopped.
+    passivity and fidelity (Chawda et al.), in about three. The same command resumes one that was stopped.
     """
     with plain_errors("make", directory):
         directory.mkdir(parents=True, exist_ok=True)

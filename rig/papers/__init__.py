@@ -1,1 +1,1 @@
-"""Papers and measured data: every claim computed, every sentence about a result taken from its numbers."""
+"""Reproductions of papers: every claim computed, every sentence about a result taken from its numbers."""

@@ -28,7 +28,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Any:
 
 @pytest.mark.usefixtures("coarse")
 @pytest.mark.timeout(300)  # compiles everything when it is cold
-@pytest.mark.exhaustive("::test_quick_judges_the_abstract_of_a_third_paper")
+@pytest.mark.exhaustive("::test_quick_reproduces_the_second_paper_too")
 def test_quick_reproduces_the_paper_in_one_report_and_goes_on_from_its_journal(
     place: Any, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -65,7 +65,6 @@ def test_quick_reproduces_the_paper_in_one_report_and_goes_on_from_its_journal(
 
 @pytest.mark.usefixtures("coarse")
 @pytest.mark.timeout(300)
-@pytest.mark.exhaustive("::test_quick_judges_the_abstract_of_a_third_paper")
 def test_quick_reproduces_the_second_paper_too(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     assert rig.cli.run(["reproduce", "chawda", "--quick", "--json", *ALONE, "-o", str(tmp_path)]) == 0
     found = json.loads(capfd.readouterr().out)
@@ -81,35 +80,6 @@ def test_quick_reproduces_the_second_paper_too(tmp_path: Path, capfd: pytest.Cap
         assert by_key[key] == "reproduced", key
     for key in ("order", "levant-stiffest", "both", "widths"):
         assert by_key[key] == "not reproduced", key
-
-
-@pytest.mark.usefixtures("coarse")
-@pytest.mark.timeout(300)
-@pytest.mark.exhaustive("::test_quick_judges_the_abstract_of_a_third_paper")
-def test_quick_judges_measured_data_over_the_rigs_that_could_have_given_it(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    assert rig.cli.run(["reproduce", "paddle", "--quick", "--json", "-o", str(tmp_path)]) == 0
-    found = json.loads(capfd.readouterr().out)
-    page = (tmp_path / "paddle.html").read_text(encoding="utf-8")
-    for section in ("curves", "decides", "fourth"):
-        assert f'id="{section}"' in page
-    assert "unattributed" in page
-    assert "(no picture)" not in page
-    assert found["numbers"]["plausible"], "or nothing is judged"
-    by_key = {claim["key"]: claim["verdict"] for claim in found["claims"]}
-    assert by_key["apart"] == "not reproduced"  # at B = 0 no estimate enters the wall, on any rig
-
-
-@pytest.mark.timeout(300)
-def test_quick_judges_the_abstract_of_a_third_paper(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("rig.papers.reproduction.draw", lambda found, on_failure: {})
-    assert rig.cli.run(["reproduce", "cutoff", "--quick", "--json", "-o", str(tmp_path)]) == 0
-    found = json.loads(capfd.readouterr().out)
-    assert {claim["key"] for claim in found["claims"]} == {"exists", "predicts"}
-    assert "abstract" in (tmp_path / "cutoff.html").read_text(encoding="utf-8")
 
 
 def test_an_unknown_paper_is_refused_with_those_that_there_are(capfd: pytest.CaptureFixture[str]) -> None:
