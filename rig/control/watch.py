@@ -37,6 +37,7 @@ from rig.realtime.kernel import kernel
 
 HIGH, LOW = 0.9, 0.1  # shares of the effort limit between which an oscillation goes
 UNMOVED_SPEED = 0.5  # share of the speed limit that a handle may reach without being seen
+UNMOVED_COUNTS = 2.0  # that a handle may travel on two neighbouring counts
 TRAVEL, TRAVEL_COUNTS = 0.25, 1.5  # of the handle: share of what the verdict calls moved; counts at least
 
 

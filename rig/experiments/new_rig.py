@@ -22,6 +22,7 @@ from rig.config.files import nest
 from rig.config.load import experiment_from_mapping
 from rig.config.table import parameters
 from rig.config.velocity_reading import COUNT_PEAK
+from rig.control.watch import UNMOVED_COUNTS
 from rig.core.check import refused
 from rig.core.errors import ConfigError, PlanError
 from rig.core.present import Item, Row
@@ -447,7 +448,7 @@ def _set_push(draft: _Draft, push: float, held: float) -> bool:
     inertia, net = homing.inertia(x), push - homing.holding_effort(x)
     start = min(inertia * (ARRIVAL_M_S / radius) ** 2 / (2.0 * net), START_SHARE * half)
     start = min(max(start, START_COUNTS * delta, HELD_OF_WAY * held), LARGEST_SHARE * half)
-    speed, unseen = (math.sqrt(2.0 * net * way / inertia) for way in (start, delta))
+    speed, unseen = (math.sqrt(2.0 * net * way / inertia) for way in (start, UNMOVED_COUNTS * delta))
     count = COUNT_PEAK * float(x.controller.parameters["cutoff_hz"]) * delta
     draft.set("[chosen]", {
         "rig.limits.speed": _digits(max(LIMIT_M_S / radius, 4.0 * speed, 2.5 * unseen, 4.0 * count), math.ceil),

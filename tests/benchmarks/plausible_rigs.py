@@ -1,6 +1,6 @@
 """Does a hit do what its plan says? Random rigs that somebody might build, each planned and then hit in simulation.
 
-    python -m tests.benchmarks.plausible_rigs              # 400 rigs and the table; about half an hour
+    python -m tests.benchmarks.plausible_rigs              # 400 rigs and the table; some minutes
     python -m tests.benchmarks.plausible_rigs --rigs 50 --first 1000
 
 Each rig is described as a user describes a first own one: a file over a preset, with the keys of two data sheets, and

@@ -14,13 +14,14 @@ from rig.config import homing as servos
 from rig.config.homing import ABOVE_FRICTION, USUAL_SHARE, holding_effort, home_tolerance
 from rig.config.velocity_reading import CUTOFF, highest_reading, quiet_cutoff
 from rig.control.current import SIGMAS
-from rig.control.watch import UNMOVED_SPEED
+from rig.control.watch import UNMOVED_COUNTS, UNMOVED_SPEED
 from rig.core.board import current_sensor
 from rig.core.check import Check, Outcome
 from rig.core.sample import unit_of
 
 SPARE = 1.1  # of a named value over the least or below the largest one that works
 SETTLES = 10.0  # time constants after which the homing servo is at rest
+LEAST_MARGIN = math.radians(2.0)  # of homing: with 1.5° counts kept the handle of a random rig moving
 COUNT_SPEED_SHARE = 0.5  # of the speed limit, as which one count may read where a change is named
 QUIET_SHARE = 0.9  # of a window's ticks in which a current must be above the noise to be compared
 
@@ -122,11 +123,11 @@ def _homing_stability(x: Experiment, ticks: int) -> Check:
     margin = servos.phase_margin(x, x.homing.stiffness, x.homing.damping, ticks)
     text = (
         f"stiffness {x.homing.stiffness:g}, damping {x.homing.damping:g} at {x.controller.position_rate} Hz: "
-        f"phase margin {math.degrees(margin):.0f}°"
+        f"phase margin {math.degrees(margin):.2g}°, least {math.degrees(LEAST_MARGIN):.2g}°"
     )
     # Of the free handle: a hand damps it, by how much is not described.
     otherwise = Outcome.WARNING if x.trial.kind == "human" else Outcome.REFUSED
-    return finding("homing stability", margin > 0.0, text, _gains(x, ticks), otherwise=otherwise)
+    return finding("homing stability", margin >= LEAST_MARGIN, text, _gains(x, ticks), otherwise=otherwise)
 
 
 def _homing_slew(x: Experiment) -> Check:
@@ -241,11 +242,12 @@ def _approach_checks(x: Experiment) -> Iterator[Check]:
 
 
 def _unseen_speed(x: Experiment, net: float) -> Check:
-    """The guard of a dead encoder ends a run in which the handle could become fast within one count."""
-    inertia, delta, unit = servos.inertia(x), x.rig.encoder.resolution, unit_of("velocity", x.rig.motion)
-    speed, limit = math.sqrt(2.0 * net * delta / inertia), UNMOVED_SPEED * x.rig.limits.speed
-    slower = x.wall.side * _down(holding_effort(x) + inertia * (limit / SPARE) ** 2 / (2.0 * delta))
-    text = f"up to {speed:.3g} {unit} within one count, where a dead encoder is suspected from {limit:.3g} {unit} on"
+    """The guard of a dead encoder ends a run in which the handle could become fast on two neighbouring counts."""
+    inertia, unit = servos.inertia(x), unit_of("velocity", x.rig.motion)
+    way, limit = UNMOVED_COUNTS * x.rig.encoder.resolution, UNMOVED_SPEED * x.rig.limits.speed
+    speed = math.sqrt(2.0 * net * way / inertia)
+    slower = x.wall.side * _down(holding_effort(x) + inertia * (limit / SPARE) ** 2 / (2.0 * way))
+    text = f"up to {speed:.3g} {unit} within two counts, where a dead encoder is suspected from {limit:.3g} {unit} on"
     return finding("unseen speed", speed < limit, text, {"trial.effort": slower})
 
 
