@@ -1,0 +1,41 @@
+"""A plug-in of pytest that notes what property tests draw: ``python -m pytest -p tests.conformance.drawn``.
+
+Each test that ran adds a line to the file that `FILE` names in the environment: its name, the number of its examples
+and a digest of all choices that hypothesis made for them.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Generator
+from typing import Any
+
+import pytest
+from hypothesis import core
+
+FILE = "HAPTIC_RIG_DRAWN"
+_execute = core.StateForActualGivenExecution._execute_once_for_engine
+_choices: list[str] = []
+
+
+def _noted(state: Any, data: Any) -> None:
+    try:
+        _execute(state, data)
+    finally:
+        _choices.append(repr(data.choices))
+
+
+core.StateForActualGivenExecution._execute_once_for_engine = _noted
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
+    """Note what one test drew."""
+    _choices.clear()
+    done = yield
+    if _choices:
+        digest = hashlib.sha256("\n".join(_choices).encode("utf-8", "backslashreplace")).hexdigest()
+        with open(os.environ[FILE], "a", encoding="utf-8") as file:
+            file.write(f"{item.nodeid} {len(_choices)} {digest}\n")
+    return done
