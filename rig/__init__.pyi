@@ -2,7 +2,6 @@
 
 from rig.analysis import theory as theory
 from rig.config import Experiment as Experiment
-from rig.config import override as override
 from rig.config.schemes import Scheme as Scheme
 from rig.control.estimators.arrays import estimate as estimate
 from rig.control.estimators.arrays import quantise as quantise
@@ -24,7 +23,6 @@ from rig.experiments.design import Design as Design
 from rig.experiments.hit import HitResult as HitResult
 from rig.experiments.lab import design as design
 from rig.experiments.lab import hit as hit
-from rig.experiments.lab import hits as hits
 from rig.experiments.lab import load as load
 from rig.experiments.lab import plan as plan
 from rig.experiments.lab import replay as replay

@@ -27,13 +27,11 @@ from rig.config.derive import (
 from rig.config.load import (
     LOOP,
     as_mapping,
-    checked,
     experiment_from_mapping,
     load_experiment,
     override,
     realtime_changes,
     with_realtime,
-    with_values,
 )
 from rig.config.people import human_limits_exceeded
 from rig.config.sections import (
@@ -63,7 +61,6 @@ __all__ = [
     "Wall",
     "as_mapping",
     "check_plugins",
-    "checked",
     "describe",
     "excitation_s",
     "excitation_size",
@@ -81,5 +78,4 @@ __all__ = [
     "rig_model",
     "verdict_thresholds",
     "with_realtime",
-    "with_values",
 ]

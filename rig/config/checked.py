@@ -78,7 +78,7 @@ class Kind(Generic[T]):
         return did_you_mean(leaf, siblings, otherwise)
 
 
-def typed(kind: Kind[T], table: Table, motion: Motion | None) -> tuple[T | None, list[Problem]]:
+def parse_table(kind: Kind[T], table: Table, motion: Motion | None) -> tuple[T | None, list[Problem]]:
     """Check every key and value by itself.
 
     Parameters
@@ -101,7 +101,9 @@ def typed(kind: Kind[T], table: Table, motion: Motion | None) -> tuple[T | None,
         return None, list(dict.fromkeys(found)) + problems
 
 
-def changed(kind: Kind[T], described: T, changes: Table, motion: Motion | None) -> tuple[T, list[Problem]]:
+def apply_changes(
+    kind: Kind[T], described: T, changes: Table, motion: Motion | None
+) -> tuple[T, list[Problem]]:
     """Set some keys of what is checked already; only their new values are checked, each by itself.
 
     Parameters
@@ -113,7 +115,7 @@ def changed(kind: Kind[T], described: T, changes: Table, motion: Motion | None) 
     changes
         Nested tables (`rig.config.files.nest`) of new values; in a table of free keys they join those that are there.
     motion
-        As in `typed`.
+        As in `parse_table`.
     """
     making = _Changing(changes)
     result = making.section(described, changes, ())

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from rig.config import homing
-from rig.config.checked import Kind, changed, plain, typed, value_at
+from rig.config.checked import Kind, apply_changes, parse_table, plain, value_at
 from rig.config.files import Table, flatten, nest, overlay, preset_names, preset_table, read_toml, tidy
 from rig.config.people import with_human_limits
 from rig.config.problems import Problem, config_error, did_you_mean
@@ -62,21 +62,39 @@ def experiment_from_mapping(mapping: Mapping[str, Any], source: str) -> Experime
         raise ConfigError(
             f"{source}: not a table of sections", remedy="give tables like those of an experiment file"
         )
+    preset, top = None, table
     if "preset" in table:
         name = table.pop("preset")
-        preset, meant = _preset(name, source), _keys_of(table)
-        servo = _own_servo(preset, table)
-        table = _stack(preset, table)
+        preset = _preset(name, source)
+        table = _stack(preset, top)
         source = f"{source} (on preset {name})"
-        experiment = _validated(table, source)
-        with _computable(source):
-            experiment = with_human_limits(_with_servo(experiment, servo), meant)
-        return checked(experiment, source)
-    return checked(_validated(table, source), source)
+    table = _with_defaults(table)
+    with _computable(source):
+        parsed = parse_table(EXPERIMENT, table, _motion(table))
+        experiment, problems = parsed  # mypy infers None for the kind when unpacked at once
+        problems += _wrong_realtime(table.get("realtime", {}))
+        if experiment is not None and not problems:
+            if preset is not None:
+                experiment = with_human_limits(
+                    _with_servo(experiment, _own_servo(preset, top)), _keys_of(top)
+                )
+            problems = broken_rules(experiment)
+    if problems or experiment is None:
+        raise config_error(problems, source)
+    return experiment
 
 
-def override(experiment: Experiment, changes: Mapping[str, Any], source: str = "command line") -> Experiment:
-    """Return the experiment with some keys changed: their values are checked, and then the rules between all keys.
+def override(
+    experiment: Experiment,
+    changes: Mapping[str, Any],
+    source: str = "command line",
+    *,
+    check_rules: bool = True,
+) -> Experiment:
+    """Return the experiment with some keys changed: each new value is checked, and then the rules between all keys.
+
+    The settings of a replaced estimator and the numbers of a replaced grip are dropped. A key that is set applies in
+    real time too: it is removed from ``[realtime]``. A trial that becomes a person's gets the limits for people.
 
     Parameters
     ----------
@@ -86,15 +104,8 @@ def override(experiment: Experiment, changes: Mapping[str, Any], source: str = "
         New values by dotted key, like ``{"wall.stiffness": 400.0}``.
     source
         Name of the changes in errors.
-    """
-    return checked(with_values(experiment, changes, source), source)
-
-
-def with_values(experiment: Experiment, changes: Mapping[str, Any], source: str) -> Experiment:
-    """Return the experiment with some keys changed, each value checked by itself: a step on the way to `checked`.
-
-    The settings of a replaced estimator and the numbers of a replaced grip are dropped. A key that is set applies in
-    real time too: it is removed from ``[realtime]``. A trial that becomes a person's gets the limits for people.
+    check_rules
+        False for changes that others follow, which may settle what is inconsistent until then.
     """
     wanted = nest(tidy(changes))
     start, meant = _without_what_goes(experiment, wanted), _keys_of(wanted)
@@ -104,20 +115,14 @@ def with_values(experiment: Experiment, changes: Mapping[str, Any], source: str)
         if "realtime" in wanted:
             wanted["realtime"] = dict(flatten(wanted["realtime"]))
     with _computable(source):
-        other, problems = changed(EXPERIMENT, start, wanted, _motion(wanted, experiment.rig.motion))
-    problems += _wrong_realtime(wanted.get("realtime", {}))
+        other, problems = apply_changes(EXPERIMENT, start, wanted, _motion(wanted, experiment.rig.motion))
+        problems += _wrong_realtime(wanted.get("realtime", {}))
+        if not problems:
+            other = with_human_limits(other, meant)
+            problems = broken_rules(other) if check_rules else []
     if problems:
         raise config_error(problems, source)
-    return with_human_limits(other, meant)
-
-
-def checked(experiment: Experiment, source: str) -> Experiment:
-    """Return the experiment if its keys are consistent; `ConfigError` lists those that are not."""
-    with _computable(source):
-        problems = broken_rules(experiment)
-    if problems:
-        raise config_error(problems, source)
-    return experiment
+    return other
 
 
 def _keys_of(table: Table) -> set[str]:
@@ -203,23 +208,11 @@ def _with_servo(x: Experiment, names: frozenset[str]) -> Experiment:
         return x
     servo = asdict(homing.stable_servo(x))
     slower = {key: value for key, value in x.realtime.items() if key.startswith("controller.")}
-    real = asdict(homing.stable_servo(with_values(x, slower, "[realtime]")))
+    real = asdict(homing.stable_servo(override(x, slower, "[realtime]", check_rules=False)))
     gains = {f"homing.{name}": real[name] for name in ("stiffness", "damping") if name in names}
     servo = {name: value for name, value in servo.items() if name in names}
     realtime = {**gains, **x.realtime} if slower else x.realtime
     return replace(x, homing=replace(x.homing, **servo), realtime=realtime)
-
-
-def _validated(table: Table, source: str) -> Experiment:
-    """Check every value of a whole file."""
-    table = _with_defaults(table)
-    with _computable(source):
-        found = typed(EXPERIMENT, table, _motion(table))
-    experiment, problems = found
-    problems += _wrong_realtime(table.get("realtime", {}))
-    if problems or experiment is None:
-        raise config_error(problems, source)
-    return experiment
 
 
 @contextmanager

@@ -23,7 +23,7 @@ from functools import cached_property
 from typing import Any, Literal
 
 from rig.config.derive import check_plugins
-from rig.config.load import checked, with_values
+from rig.config.load import override
 from rig.config.sections import Experiment
 from rig.control import estimators
 from rig.core.errors import ConfigError
@@ -148,12 +148,11 @@ class Scheme:
         ConfigError
             Rates that do not divide, an unknown estimator or setting.
         """
-        source = f"scheme {self.text}"
-        applied = checked(self.on(experiment), source)
-        check_plugins(applied, source)
+        applied = self.on(experiment, check_rules=True)
+        check_plugins(applied, f"scheme {self.text}")
         return applied
 
-    def on(self, experiment: Experiment) -> Experiment:
+    def on(self, experiment: Experiment, *, check_rules: bool = False) -> Experiment:
         """Return the experiment with the keys of this scheme, each checked by itself: a step on the way to `applied`.
 
         What [realtime] says about a controller no longer holds.
@@ -169,7 +168,7 @@ class Scheme:
             key: value for key, value in experiment.realtime.items() if not key.startswith("controller.")
         }
         bare = replace(experiment, controller=replace(experiment.controller, parameters={}), realtime=gentler)
-        return with_values(bare, changes, f"scheme {self.text}")
+        return override(bare, changes, f"scheme {self.text}", check_rules=check_rules)
 
     def _parameters_on(self, experiment: Experiment) -> dict[str, float | str]:
         """Settings of the estimator: the scheme's over the experiment's, a cut-off at its share of the rate."""

@@ -435,7 +435,7 @@ class _Session:
             return motion
         taken = replace(x.controller, cogging_compensation=True, cogging_limit=1.0)
         evened = replace(x, rig=replace(x.rig, cogging=self._cogging), controller=taken)
-        return Motion(config.checked(evened, "identification"), motion.law)
+        return Motion(config.override(evened, {}, "identification"), motion.law)
 
     def _effort(self, rows: NDArray[np.void]) -> NDArray[np.float64]:
         """Effort of the motor, cogging included as far as it is known."""

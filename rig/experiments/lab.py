@@ -42,7 +42,7 @@ ExperimentLike = str | Path | Experiment
 
 
 class HitOptions(WallSettings, total=False):
-    """What `hits` takes by name, beside the settings of the wall; see `rig.experiments.hit.HitRequest`."""
+    """What `hit` takes by name, beside the settings of the wall; see `rig.experiments.hit.HitRequest`."""
 
     law: str | Law
     estimator: str | Estimator
@@ -80,18 +80,24 @@ def load(experiment: ExperimentLike, **settings: Unpack[WallSettings]) -> Experi
     return _changed(experiment, changes_of(settings, WallSettings))
 
 
-def hit(experiment: ExperimentLike = DEFAULT_PRESET, **options: Unpack[HitOptions]) -> HitResult:
+def hit(
+    experiment: ExperimentLike = DEFAULT_PRESET, watch: Watch | None = None, **options: Unpack[HitOptions]
+) -> HitResult:
     """Hit a wall once: home, push into it, judge, record.
 
     Parameters
     ----------
     experiment
         As in `load`.
+    watch
+        Called before the hit with its number, 0, and the experiment in effect; may return a function that is called
+        with (ticks, phase) while it runs.
     **options
         Settings as in `load`, and: `law`, `estimator` (a name, or one of your own); `url` of a device, or an open
         `device` (else the rig is simulated here); `realtime`; `verified` (the signs of a real rig were checked, and its
-        handle is at position zero); `arm_anyway`; `hands_off`, told before a torque pulse that nobody may hold a real
-        rig (a line on standard error unless given); `output`, the directory of the recording, and `name` in it.
+        handle is at position zero); `arm_anyway`; `hands_off`, called before a torque pulse at which no hand may hold a
+        real rig (prints a line to standard error unless given); `output`, the directory of the recording, and `name` in
+        it.
 
     Raises
     ------
@@ -100,57 +106,31 @@ def hit(experiment: ExperimentLike = DEFAULT_PRESET, **options: Unpack[HitOption
     RigError
         Whatever ended the hit early; the effort is zero, and `recording` of the error names what was recorded.
     """
-    loaded = presets.load_named(experiment)
-    repeats = changes_of(options, HitOptions).get("trial.repeats", loaded.trial.repeats)
+    given: dict[str, Any] = {"hands_off": _say, **options}
+    changes, loaded = changes_of(options, HitOptions), presets.load_named(experiment)
+    repeats = changes.get("trial.repeats", loaded.trial.repeats)
     if repeats != 1:
         raise ConfigError(
             f"trial.repeats = {repeats!r}, and this gives one result",
-            remedy="say repeats=1, or use hits, which gives each as it comes",
+            remedy="say repeats=1, and call it in a loop; for several hits of one device, give it as device",
         )
-    (result,) = hits(loaded, **options)
-    return result
-
-
-def hits(
-    experiment: ExperimentLike = DEFAULT_PRESET, watch: Watch | None = None, **options: Unpack[HitOptions]
-) -> Iterator[HitResult]:
-    """Hit a wall as often as the experiment says, give each result as it comes, and let `watch` follow a running one.
-
-    Parameters
-    ----------
-    experiment, **options
-        As in `hit`, and `repeats`.
-    watch
-        Called before each hit with its number and the experiment in effect; may return a function that is told
-        (ticks, phase) while it runs.
-
-    Raises
-    ------
-    RigError
-        As `hit`.
-    """
-    given: dict[str, Any] = {"hands_off": _say, **options}
-    changes = changes_of(options, HitOptions)
     law, estimator = _own(given, changes)
     request = HitRequest(
-        experiment=presets.load_named(experiment),
+        experiment=loaded,
         changes=changes,
         law=law,
         **{name: given[name] for name in _OF_A_REQUEST if name in given},
     )
-
-    def run() -> Iterator[HitResult]:
-        with _lent(law, estimator):
-            yield from one_hit.hit(request, watch)
-
-    return run()
+    with _lent(law, estimator):
+        (result,) = one_hit.hit(request, watch)
+    return result
 
 
 def stop() -> int:
     """Stop every run of this program at once, whichever threads they are in: zero effort within a tick of each.
 
     Call it from any thread, task or signal handler; it waits for nothing. Each stopped call raises `StoppedError`, and
-    its recording ends ``stopped``; a series (`hits`, a map) begins nothing more. Other programs keep running, since
+    its recording ends ``stopped``; a map begins nothing more. Other programs keep running, since
     this one may not own their rigs: the command ``rig stop`` stops all.
 
     Returns

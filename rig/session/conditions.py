@@ -130,25 +130,25 @@ class Walls:
     def _experiment(self, condition: Condition, damping: float, stiffness: float) -> Experiment:
         protocol, name = self.protocol, condition.name
         source = f"condition {shown(name)}"
-        experiment = config.with_values(self.base, _studied(protocol), source)
+        experiment = config.override(self.base, _studied(protocol), source, check_rules=False)
         if condition.scheme is not None:
             experiment = Scheme.parse(condition.scheme).on(experiment)
             source += f" with scheme {condition.scheme}"
-        experiment = config.with_values(experiment, condition.changes, source)
+        experiment = config.override(experiment, condition.changes, source, check_rules=False)
         own = {**protocol.study.changes, **condition.changes}
 
         def at(damping: float, stiffness: float) -> Experiment:
             wall = {"wall.stiffness": stiffness, "wall.damping": damping}
-            x = config.with_values(experiment, wall, source)
+            x = config.override(experiment, wall, source, check_rules=False)
             pressed = {} if "operator.press" in own else pressing(x, protocol.trial)
-            return config.with_values(x, pressed, source)
+            return config.override(x, pressed, source, check_rules=False)
 
-        x, speeds = at(damping, stiffness), protocol.trial.impact_speed
+        x, speeds, reach = at(damping, stiffness), protocol.trial.impact_speed, {}
         if self._reach_for is not None and speeds and "operator.reach_s" not in own:
             if name not in self._reaches:  # by one wall, whichever is asked for first
                 self._reaches[name] = self._reach_for(at(*self._softest(condition)), middle(speeds))
-            x = config.with_values(x, {"operator.reach_s": self._reaches[name]}, source)
-        x = config.checked(x, source)
+            reach["operator.reach_s"] = self._reaches[name]
+        x = config.override(x, reach, source)
         config.check_plugins(x, source)
         return x
 
@@ -233,8 +233,8 @@ def _wide_caps(protocol: Protocol, base: Experiment) -> Iterator[Problem]:
 
 def _wide_bands(protocol: Protocol, base: Experiment) -> Iterator[Problem]:
     """What ends a hit, or what the motor cannot push back with, is not asked of a hand."""
-    studied = _studied(protocol)
-    limits = config.with_values(base, {"trial.kind": protocol.trial.kind}, "the study").rig.limits
+    studied, kind = _studied(protocol), {"trial.kind": protocol.trial.kind}
+    limits = config.override(base, kind, "the study", check_rules=False).rig.limits
     for name, (quantity, _, _) in BANDS.items():
         band, limited = getattr(protocol.trial, name), "effort" if name == "press" else "speed"
         unit = unit_of(quantity, base.rig.motion)

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from rig.config.checked import Kind, plain, typed
+from rig.config.checked import Kind, parse_table, plain
 from rig.config.files import flatten, preset_names, read_toml, tidy
 from rig.config.problems import Problem, config_error
 from rig.config.table import schema_of
@@ -154,8 +154,8 @@ def _checked(table: dict[str, Any], motion: Motion | None) -> tuple[Protocol | N
     """Types and ranges of every key; rules between keys when those are right."""
     table = _with_names(_flat_changes(table))
     try:
-        checked = typed(PROTOCOL, table, motion)
-        protocol, problems = checked
+        parsed = parse_table(PROTOCOL, table, motion)
+        protocol, problems = parsed
         if protocol is not None and not problems:
             problems = broken_rules(protocol)
     except ArithmeticError as error:

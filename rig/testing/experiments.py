@@ -50,7 +50,7 @@ class Experiments:
         Raises
         ------
         ConfigError
-            What `rig.load_experiment` and `rig.override` refuse.
+            What `rig.load` refuses.
         """
         experiment = self._loaded(self._default if source is None else source)
         return config.override(experiment, changes, "the test") if changes else experiment

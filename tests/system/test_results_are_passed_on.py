@@ -30,7 +30,7 @@ pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="the loop
 
 COUNTED: dict[str, Callable[..., Any]] = {
     "files": load.experiment_from_mapping,  # every value of an experiment and every rule
-    "rules": load.checked,  # after a file, and after a change of some values
+    "rules": load.broken_rules,  # after a file, and after a change of some values
     "designs": controller.for_experiment,
     "parameters": controller.device_parameters,
     "plans": plan.plan_of,

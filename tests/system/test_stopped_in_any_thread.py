@@ -18,12 +18,14 @@ import pytest
 
 import rig
 from rig.core.errors import StoppedError
+from rig.experiments.hit import HitRequest, hit
 from rig.recording.reader import open_recording
 from tests.conformance.started import started
 
 PROGRAM = """
 import asyncio, os, signal, sys, threading, time
 import rig
+from rig.experiments.hit import HitRequest, hit
 
 signal.signal(signal.SIGINT, signal.default_int_handler)
 sent = threading.Event()
@@ -37,7 +39,8 @@ def watch(number, experiment):
     return progress
 
 def run():
-    list(rig.hits("koul-compliant", watch, realtime=REALTIME, repeats=2, duration_s=60.0, output=OUTPUT))
+    twice = rig.load("koul-compliant", duration_s=60.0, changes={"trial.repeats": 2})
+    list(hit(HitRequest(experiment=twice, realtime=REALTIME, output=OUTPUT), watch))
 
 """
 TO_THREAD = """
@@ -113,8 +116,10 @@ def test_rig_stop_stops_every_run_of_the_program_and_what_would_follow(tmp_path:
         waits = [ready.wait]
         return lambda ticks, phase: waits.pop()(60) if waits and ticks > 200 else None
 
+    twice = rig.load("koul-compliant", duration_s=600.0, changes={"trial.repeats": 2})
+
     def hits(name: str) -> None:
-        list(rig.hits("koul-compliant", begun, repeats=2, duration_s=600.0, output=tmp_path / name))
+        list(hit(HitRequest(experiment=twice, output=tmp_path / name), begun))
 
     with ThreadPoolExecutor() as threads:
         both = [threads.submit(hits, name) for name in "ab"]

@@ -231,14 +231,15 @@ def test_a_wall_that_an_experiment_refuses_stays_hidden(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What refuses is the check of the experiment, before the rig is asked."""
-    checked = config.checked
+    override = config.override
 
-    def strict(experiment: Any, source: str) -> Any:
+    def strict(*given: Any, **options: Any) -> Any:
+        experiment = override(*given, **options)
         if experiment.wall.stiffness > 200.0:
             raise ConfigError(f"wall.stiffness = {experiment.wall.stiffness:g}: at most 200")
-        return checked(experiment, source)
+        return experiment
 
-    monkeypatch.setattr(config, "checked", strict)
+    monkeypatch.setattr(config, "override", strict)
     with started(tmp_path / "P01") as session, pytest.raises(PlanError) as told:
         conduct(session, FakeRunner(), ScriptedDesk())
     assert not re.search(r"[1-9]\d\d", str(told.value))
