@@ -65,6 +65,7 @@ def stands_for_device(experiment: Experiment) -> str:
     return on_the_drive.STANDS_FOR_NO_DRIVE if on_the_drive.is_on_the_drive(experiment) else STANDS_FOR_DEVICE
 
 
+CUTOFFS = "cut-offs compared"
 LESS = 0.9  # of a limit that a named value leaves
 FLASH = "flash the firmware of this package (rig firmware)"
 LAW_NAMES = frozenset(parameter.name for parameter in LAW_PARAMETERS)
@@ -140,7 +141,7 @@ def _tick_checks(x: Experiment, board: str) -> list[Check]:
 def _cutoff_checks(x: Experiment) -> list[Check]:
     """The cut-offs that comparisons of this experiment's rates give its filter."""
     found = describe_cutoffs(default_schemes(x), x)
-    return [] if found is None else [Check("cut-offs compared", Outcome.OK, found)]
+    return [] if found is None else [Check(CUTOFFS, Outcome.OK, found)]
 
 
 def link_checks(experiment: Experiment, rate_maximum: int, bytes_per_second: float | None) -> list[Check]:
