@@ -214,7 +214,7 @@ def test_a_plan_behind_a_link_is_judged_with_its_delay(link: dict[str, Any]) -> 
     bare, planned = rig.plan(experiment), rig.plan(experiment, **link)
     assert "delay" not in {check.name for check in bare.checks}
     judged = delay_checks(config.with_realtime(experiment), link.get("round_trip_s"))
-    assert list(planned.checks[-len(judged) :]) == judged
+    assert [check for check in planned.checks if check in judged] == judged
     with pytest.raises(PlanError, match="round_trip"):
         rig.plan(experiment, round_trip_s=0.0)
 
