@@ -105,7 +105,9 @@ def test_bash_is_given_what_it_has_to_add(line: str, expected: list[str], tmp_pa
     (tmp_path / "here").mkdir()
     (tmp_path / "here" / "a.parquet").write_text("")
     program = tmp_path / "rig"
-    program.write_text(f"#!/bin/sh\nPYTHONPATH={ROOT} exec {sys.executable} -m rig\n")
+    program.write_text(
+        f"#!/bin/sh\nPYTHONPATH={shlex.quote(str(ROOT))} exec {shlex.quote(sys.executable)} -m rig\n"
+    )
     program.chmod(0o755)
     asking = f"""{complete.script("bash")}
         compopt() {{ :; }}

@@ -71,7 +71,7 @@ def test_a_loop_is_found_changed_and_stopped_by_another_process_and_forgotten_wh
         assert sorted(os.listdir(elsewhere)) == sorted([str(os.getpid()), "lock"])
         assert [loop.pid for loop in running.running()] == [os.getpid()]
         assert running.ask_to_stop(os.getpid()) == 1
-        assert mine.peek(STOP) == 1
+        assert mine.peek(STOP) == -os.getpid()
     assert os.listdir(elsewhere / str(os.getpid())) == [named_memory.ALIVE]
     with pytest.raises(ConfigError, match="no process"):
         running.stop(process.pid)
