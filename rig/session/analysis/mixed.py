@@ -402,7 +402,7 @@ def _optimum(design: _Design, fixed: Floats, *, reml: bool = True) -> _Optimum |
     """Search for the largest likelihood with these fixed columns; None where the search does not converge.
 
     The optimisers of statsmodels work on square roots of the variances, where the likelihood is flat at a variance of
-    zero. Tried on 2026-11-29 (statsmodels 0.14, 70 fits to 14 studies): those with gradients stop up to 0.63 short of
+    zero. Tried on 2026-11-29 (statsmodels 0.15.0, 70 fits to 14 studies): those with gradients stop up to 0.63 short of
     the largest log likelihood; Powell's method, which needs none, at most 0.0007, but at a variance of zero it ends in
     a singular matrix whatever its start (one of 16 studies of six people, and people who differ by chance alone). So
     the variances themselves are varied, within bounds, from two starts.
