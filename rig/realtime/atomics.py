@@ -10,7 +10,6 @@ from typing import Any
 
 from llvmlite import ir
 from numba import types
-from numba.core import cgutils
 from numba.extending import intrinsic
 
 from rig.realtime.kernel import kernel
@@ -98,7 +97,8 @@ def stack_words(count: int) -> Any:
     @intrinsic
     def words(typingctx: Any) -> Any:
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-            memory = cgutils.alloca_once(builder, ir.ArrayType(_WORD, count))
+            with builder.goto_entry_block():  # once for the function, also where the call is in a loop
+                memory = builder.alloca(ir.ArrayType(_WORD, count))
             return builder.ptrtoint(memory, _WORD)
 
         return types.uintp(), codegen

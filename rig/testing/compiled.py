@@ -7,8 +7,9 @@ from typing import Any
 
 import numba
 import numpy as np
-from numba.core.runtime import _nrt_python as runtime
 from numpy.typing import NDArray
+
+from rig.realtime.parts import count_allocations
 
 GUARD = 16  # numbers beside a memory that nobody may touch
 _MARK = 12345
@@ -30,9 +31,4 @@ def allocations(run: Callable[[], object]) -> int:
     """
     if numba.config.DISABLE_JIT:
         return 0
-    runtime.memsys_enable_stats()
-    before = runtime.memsys_get_stats_alloc()
-    run()
-    counted = int(runtime.memsys_get_stats_alloc() - before)
-    runtime.memsys_disable_stats()
-    return counted
+    return count_allocations(run)
