@@ -95,11 +95,17 @@ def plan_of(
         if linked
         else experiment.rig.simulation.computation_delay_ticks
     )
+    beside = (
+        *delay,
+        *_tick_checks(experiment, board),
+        *_cutoff_checks(experiment),
+        *pushes_checks(experiment),
+    )
     if experiment.trial.kind == "excitation":
         planned = excitation_plan(experiment)
         homes = experiment.excitation.channel == "motor"
         homed = homing_checks(experiment, ticks) if homes else [speed_reading(experiment)]
-        return replace(planned, run=run, checks=(*planned.checks, *homed, *delay))
+        return replace(planned, run=run, checks=(*planned.checks, *homed, *beside))
     checks = (
         *_wall_checks(experiment),
         *predicted(experiment, ticks),
@@ -107,10 +113,7 @@ def plan_of(
         *human_limit_checks(experiment),
         _heat_check(experiment),
         *on_the_drive.lost(experiment),
-        *delay,
-        *_tick_checks(experiment, board),
-        *_cutoff_checks(experiment),
-        *pushes_checks(experiment),
+        *beside,
     )
     return Plan(experiment.rig.name, experiment.trial.repeats, _steps(experiment), checks, run)
 
