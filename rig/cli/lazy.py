@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pkgutil import resolve_name
 from typing import Any, cast
 
@@ -18,11 +18,20 @@ class LazyGroup(Group):
     ----------
     table
         Command → module:attribute, and the line that ``--help`` shows without importing it.
+    groups
+        Titles under which ``--help`` lists the commands; one unless given.
     """
 
-    def __init__(self, *arguments: Any, table: Mapping[str, tuple[str, str]], **more: Any) -> None:
+    def __init__(
+        self,
+        *arguments: Any,
+        table: Mapping[str, tuple[str, str]],
+        groups: Mapping[str, Iterable[str]] | None = None,
+        **more: Any,
+    ) -> None:
         super().__init__(*arguments, **more)
         self._table = table
+        self._groups = {"Commands": table} if groups is None else groups
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names, in the order of the table."""
@@ -36,5 +45,6 @@ class LazyGroup(Group):
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """List the commands without importing them."""
-        with formatter.section("Commands"):
-            formatter.write_dl([(name, text) for name, (_, text) in self._table.items()])
+        for title, names in self._groups.items():
+            with formatter.section(title):
+                formatter.write_dl([(name, self._table[name][1]) for name in names])
