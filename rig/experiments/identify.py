@@ -64,14 +64,15 @@ from rig.experiments.identify_motions import (
     strokes_motion,
     strokes_of,
 )
-from rig.experiments.identify_rate import RATES, advice, at_rate, choose_rate, halves, measure_for
+from rig.experiments.identify_rate import RATES, at_rate, choose_rate, halves, measure_for
 from rig.experiments.motion_run import (
+    ATTEMPTS,
     FreeRigRequest,
     position_now,
     refuse_unverified,
+    repeat_if_late,
     run_motion,
     signs_of,
-    silence_of,
     spoiled_by_timing,
 )
 from rig.experiments.plan import link_checks
@@ -81,7 +82,6 @@ from rig.experiments.zero import position_zero
 from rig.realtime import stop_requests
 from rig.recording.files import free_name, plain_errors
 
-ATTEMPTS = 4  # of a motion at one rate, when lost or late samples spoil it
 MOST_ORDER = 200  # of cogging, in `rig identify`: a sweep is the slower, the finer the waves are
 
 Tell = Callable[[str], None]
@@ -219,8 +219,12 @@ def identify(request: IdentifyRequest, tell: Tell | None = None, ask: Ask | None
         device = stack.enter_context(devices.open_device(url, config.rig_model(still(free))))
         refuse_unverified(device, verified=request.verified)
         output = Path(request.output)
+        spoiled: RigError | None = None  # by timing, at a higher rate
         for base in _at_rates(free, request, device, say):
-            refuse(plan_of(base, request).checks)
+            plan = plan_of(base, request)
+            if spoiled is not None and not plan.ok:
+                raise spoiled
+            refuse(plan.checks)
             refuse(link_checks(base, device.dictionary.position_rate_maximum, device.link.bytes_per_second))
             with plain_errors("make", output):
                 output.mkdir(parents=True, exist_ok=True)
@@ -231,6 +235,7 @@ def identify(request: IdentifyRequest, tell: Tell | None = None, ask: Ask | None
             except RigError as error:
                 if not halves(base.controller.position_rate) or not session.may_go_slower(error):
                     raise
+                spoiled = error
                 say(f"at {base.controller.position_rate} Hz: {error.message}")
         cogging = ripple = None
         if request.cogging is not None:
@@ -444,26 +449,19 @@ class _Session:
     def _run(self, motion: Motion, name: str, number: int = 0) -> tuple[NDArray[np.void], float]:
         """Run one trial; return its rows and their rate (Hz)."""
         x, request = motion.experiment, self._request
-        for attempt in range(ATTEMPTS):
-            try:
-                rows, recording = run_motion(
-                    self.device,
-                    motion,
-                    free_name(Path(request.output), f"{x.rig.name}-{self._stem}-{name}-{number + 1}"),
-                    verified=request.verified,
-                    reference_count=self._reference,
-                    extra={"identification": name, "number": number + 1, "seed": request.seed},
-                )
-                break
-            except RigError as error:
-                last = attempt + 1 == ATTEMPTS or self.device.link.clock.virtual
-                if not spoiled_by_timing(error):
-                    raise
-                if last:
-                    if (silence_s := silence_of(error)) is not None:
-                        error.remedy = advice(silence_s, x.controller.position_rate)
-                    raise
-                self.repeated += 1
+
+        def run() -> tuple[NDArray[np.void], Path]:
+            return run_motion(
+                self.device,
+                motion,
+                free_name(Path(request.output), f"{x.rig.name}-{self._stem}-{name}-{number + 1}"),
+                verified=request.verified,
+                reference_count=self._reference,
+                extra={"identification": name, "number": number + 1, "seed": request.seed},
+            )
+
+        (rows, recording), repeated = repeat_if_late(self.device, run, x.controller.position_rate)
+        self.repeated += repeated
         self.recordings[name] = (*self.recordings.get(name, ()), recording)
         return rows, float(x.controller.position_rate)
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from rig import config
 from rig.analysis.identification.cogging import SETTLE_S
-from rig.analysis.identification.sliding import Stroke
+from rig.analysis.identification.sliding import PIECES, UNSTEADY, Stroke
 from rig.bench.doctor.predicted import SPARE, finding, round_up
 from rig.config import Experiment
 from rig.config.homing import holding_effort
@@ -56,6 +56,8 @@ PUSHES_ROOM = 2.5  # ways of a push that the handle may go to one side: two push
 
 # Strokes: half their travel as a share of the window, lengths, and most speed as a share of its limit.
 TRAVEL_SHARE, STROKES_S, STROKE_SPEED = 0.2, (0.4, 0.8, 1.6), 0.3
+HELD_OF_TRAVEL = 0.5  # at which friction may hold a handle: it must still slide for a third of its stroke
+MOST_SLOWING = 16.0  # of strokes, so that a soft servo reaches their speed
 WAY_SPEED, WAY_REST_S = 5.0, 0.3  # a slow way: speed that ends the run, over that of the way; rest at its end
 WAY_END_S = 0.02  # of a way that a board goes: the handle is let go
 WAY_PATIENCE_S = 5.0  # and how much longer than twice its time it may take before it is given up
@@ -123,7 +125,7 @@ def identification_plan(
     checks: tuple[Check, ...] = (
         _check("push", most_push(x), limits.effort, effort, "raise rig.limits.effort"),
         _check("stroke speed", top_speed, limits.speed, speed, "raise rig.limits.speed"),
-        _follows(x, 0.75 * travel),
+        _follows(x, HELD_OF_TRAVEL * travel),
         _check("peak effort of the excitation", multisine.peak, limits.effort, effort, "raise rig.limits.effort"),
         _check("peak position of the excitation", multisine.position(impedance).peak, half, position,
                "widen the window"),
@@ -419,6 +421,10 @@ def strokes_of(x: Experiment) -> tuple[list[tuple[float, float]], list[Stroke]]:
     limits = x.rig.limits
     travel = TRAVEL_SHARE * (limits.position_maximum - limits.position_minimum)
     slowing = max(1.0, 2.0 * travel / STROKES_S[0] / (STROKE_SPEED * limits.speed))
+    while slowing < MOST_SLOWING and not all(
+        _settles(x, slowing * length, travel) for length in STROKES_S[1:]
+    ):
+        slowing *= 1.25
     path, strokes, time_s = [(0.0, _middle(x) - travel)], [], 0.0
     for length in STROKES_S:
         for way in (travel, -travel):
@@ -426,6 +432,20 @@ def strokes_of(x: Experiment) -> tuple[list[tuple[float, float]], list[Stroke]]:
             strokes.append(Stroke(begin_s, time_s, 2.0 * way / (time_s - begin_s)))
             path.append((time_s, _middle(x) + way))
     return path, strokes
+
+
+def _settles(x: Experiment, length_s: float, travel: float) -> bool:
+    """Return True if the servo has the speed of a stroke in its last third.
+
+    After a turn friction holds the handle until the servo's spring has turned, too. Then what is missing of the speed
+    decays by the slower pole of servo, mass and viscous damping.
+    """
+    stiffness, damping = servo_of(x, slow_rate(x))
+    damping, mass = damping + config.rig_model(x).damping, inertia_of(x)
+    pole = 2.0 * stiffness / (damping + math.sqrt(max(0.0, damping**2 - 4.0 * mass * stiffness)))
+    held_s = 2.0 * coulomb_of(x) / stiffness * length_s / (2.0 * travel)
+    decayed = pole * ((1.0 - 1.0 / PIECES) * length_s - held_s)
+    return decayed > 0.0 and 2.0 * (1.0 + decayed) * math.exp(-decayed) < UNSTEADY
 
 
 def excitation(x: Experiment, seed: int, period_s: float, inertia: float, realisation: int = 0) -> Multisine:

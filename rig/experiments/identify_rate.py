@@ -9,18 +9,16 @@ from rig.bench.doctor.gate import LIFETIME_SHARE
 from rig.bench.doctor.pace import SECONDS, pace_of
 from rig.bench.doctor.round_trip import LinkMeasurement, measure_link
 from rig.config import Experiment
-from rig.config.controller import LIFETIME_PERIODS, LONGEST_LIFETIME_S, command_lifetime_s, rate_of_lifetime
+from rig.config.controller import command_lifetime_s
 from rig.core.errors import PlanError
 from rig.devices.device import LINK_SHARE, STATE_BYTES
 from rig.devices.framed import FramedDevice
 from rig.devices.local import host_beside
 from rig.experiments.identify_motions import RATE_STEP, still
-from rig.experiments.motion_run import MOST_LOST_SHARE
+from rig.experiments.motion_run import MOST_LOST_SHARE, SLOWEST_HZ, bearing_rate
 from rig.realtime.scheduling import obtained
 
-SLOWEST_HZ = round(
-    LIFETIME_PERIODS / LONGEST_LIFETIME_S
-)  # below it commands live no longer, and pushes get coarse
+LEAST_RATE_HZ = 10  # of any loop, by the rules of `controller.position_rate`
 LOST_MARGIN = (
     0.5  # of the share that may be filled in: what the next minute loses is not what the last seconds lost
 )
@@ -59,7 +57,7 @@ def choose_rate(
     """
     rates = [most_hz, *halves(most_hz)]
     judged = [judge_rate(x, measurement, rate) for rate in rates]
-    last = _bearing_rate(judged[-1].silence_s)
+    last = bearing_rate(judged[-1].silence_s)
     if SLOWEST_HZ <= last < judged[-1].rate_hz:
         judged.append(judge_rate(x, measurement, last))
     works = next((choice for choice in judged if not choice.reason), None)
@@ -103,23 +101,6 @@ def judge_rate(x: Experiment, measurement: LinkMeasurement, rate_hz: int) -> Rat
     return RateChoice(rate_hz, "; ".join(reasons), silence_s)
 
 
-def advice(silence_s: float, rate_hz: int) -> str:
-    """What to do after a run that such a silence of the computer or the link spoiled, at a rate (Hz)."""
-    bearing = _bearing_rate(silence_s)
-    if SLOWEST_HZ <= bearing < rate_hz:
-        return f"choose `rate` {bearing}: half of its commands' lifetime is the {1e3 * silence_s:.3g} ms of silence"
-    return (
-        f"free the computer of other work, or grant real-time scheduling (`rig doctor` says how): no rate from "
-        f"{SLOWEST_HZ} Hz up bears {1e3 * silence_s:.3g} ms of silence"
-    )
-
-
-def _bearing_rate(silence_s: float) -> int:
-    """Highest rate whose commands live for twice this silence (Hz)."""
-    rate_hz = rate_of_lifetime(silence_s / LIFETIME_SHARE)
-    return rate_hz - rate_hz % RATE_STEP
-
-
 def _refused(
     x: Experiment, measurement: LinkMeasurement, choice: RateChoice, works: RateChoice | None
 ) -> PlanError:
@@ -127,10 +108,12 @@ def _refused(
         remedy = f"choose `rate` {works.rate_hz}, or leave it out"
     else:
         slower = (choice.rate_hz >> number for number in range(1, choice.rate_hz.bit_length()))
-        carried = next((rate for rate in slower if not judge_rate(x, measurement, rate).reason), 0)
+        slower = (rate for rate in slower if rate >= LEAST_RATE_HZ)
+        carried = next((rate for rate in slower if not judge_rate(x, measurement, rate).reason), None)
+        carry = f"{carried} Hz" if carried else f"not even {LEAST_RATE_HZ} Hz"
         remedy = (
             "free the computer of other work, or grant real-time scheduling (`rig doctor` says how): computer and link "
-            f"carry {carried} Hz now, and an identification needs {SLOWEST_HZ} Hz or more"
+            f"carry {carry} now, and an identification needs {SLOWEST_HZ} Hz or more"
         )
     return PlanError(
         f"an identification at {choice.rate_hz} Hz would not end: {choice.reason}", remedy=remedy

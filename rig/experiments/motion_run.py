@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,11 +15,13 @@ from firmware_protocol.faults import Fault
 from rig import config
 from rig.analysis.identification.quality import IdentificationError
 from rig.analysis.identification.signs import SignCheck, check_signs
+from rig.bench.doctor.gate import LIFETIME_SHARE
 from rig.config import Experiment, controller
+from rig.config.controller import LIFETIME_PERIODS, LONGEST_LIFETIME_S, rate_of_lifetime
 from rig.core.errors import ConfigError, DeviceFaultError, PlanError, RigError
 from rig.core.sample import Phase, RowFlag, unit_of
 from rig.devices.framed import FramedDevice
-from rig.experiments.identify_motions import REST_S, Motion, inertia_of
+from rig.experiments.identify_motions import RATE_STEP, REST_S, Motion, coulomb_of, inertia_of
 from rig.experiments.trial import TrialRequest, end_of, prepared_on, run_trial
 from rig.loop.layout import EndReason
 from rig.recording.data import Recording
@@ -28,8 +30,15 @@ from rig.recording.data import Recording
 # late commands (2026-11-29) no fit missed the inertia by more than 1.5 times its interval; of the 73 with 1 to 5 %
 # coherence or the change from period to period refuses all but 3.
 LATE_SHARE = 0.05
+ATTEMPTS = 4  # of a motion at one rate, when lost or late samples spoil it
+SLOWEST_HZ = round(
+    LIFETIME_PERIODS / LONGEST_LIFETIME_S
+)  # below it commands live no longer, and pushes get coarse
 MOST_LOST_SHARE = 0.02  # of a motion's samples: so many are filled in
 LONGEST_FILLED = 3  # lost samples in a row
+
+
+Result = TypeVar("Result")
 
 
 class TimingError(IdentificationError):
@@ -225,6 +234,41 @@ def spoiled_by_timing(error: RigError) -> bool:
     return lost or end.reason in (EndReason.LINK_SILENT, EndReason.LINK_DELAYED, EndReason.OVERRUN)
 
 
+def repeat_if_late(device: FramedDevice, run: Callable[[], Result], rate_hz: int) -> tuple[Result, int]:
+    """Run a motion at a rate (Hz), again while late or lost samples spoil it; return its result and the repetitions.
+
+    The error of the last attempt names the rate that outlives the longest silence in it.
+    """
+    for repeated in range(ATTEMPTS):
+        try:
+            return run(), repeated
+        except RigError as error:
+            if not spoiled_by_timing(error):
+                raise
+            if repeated + 1 == ATTEMPTS or device.link.clock.virtual:
+                if (silence_s := silence_of(error)) is not None:
+                    error.remedy = advice(silence_s, rate_hz)
+                raise
+    raise AssertionError
+
+
+def bearing_rate(silence_s: float) -> int:
+    """Highest rate whose commands live for twice this silence (Hz)."""
+    rate_hz = rate_of_lifetime(silence_s / LIFETIME_SHARE)
+    return rate_hz - rate_hz % RATE_STEP
+
+
+def advice(silence_s: float, rate_hz: int) -> str:
+    """What to do after a run that such a silence of the computer or the link spoiled, at a rate (Hz)."""
+    bearing = bearing_rate(silence_s)
+    if SLOWEST_HZ <= bearing < rate_hz:
+        return f"choose `rate` {bearing}: half of its commands' lifetime is the {1e3 * silence_s:.3g} ms of silence"
+    return (
+        f"free the computer of other work, or grant real-time scheduling (`rig doctor` says how): no rate from "
+        f"{SLOWEST_HZ} Hz up bears {1e3 * silence_s:.3g} ms of silence"
+    )
+
+
 def silence_of(error: RigError) -> float | None:
     """Longest time without a sample in the run that ended in this error (s), None where it has no recording."""
     end = end_of(error)
@@ -234,13 +278,17 @@ def silence_of(error: RigError) -> float | None:
 
 
 def signs_of(x: Experiment, rows: NDArray[np.void], rate: float) -> SignCheck:
-    """Compare pushes (`identify_motions.pushes_motion`), recorded at a rate (Hz), with the described rig."""
+    """Compare pushes (`identify_motions.pushes_motion`), recorded at a rate (Hz), with the described rig.
+
+    The effort is the one that the device reports with the next sample, since a slow loop or a late command delays it.
+    """
     return check_signs(
         np.arange(len(rows)) / rate,
-        rows["effort_sent"],
+        np.append(rows["effort_applied"][1:], rows["effort_sent"][-1]),
         rows["position"],
         resolution=x.rig.encoder.resolution,
         expected_inertia=inertia_of(x),
         rest_s=0.25 * REST_S,
         damping=config.rig_model(x).damping,
+        friction=coulomb_of(x),
     )

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rig import config, devices
 from rig.analysis.identification.quality import IdentificationError
@@ -48,6 +49,7 @@ from rig.experiments.motion_run import (
     Pushes,
     position_now,
     refuse_unverified,
+    repeat_if_late,
     run_motion,
     signs_of,
     stalled,
@@ -194,17 +196,21 @@ def _host_pushes(
     extra: Mapping[str, Any],
 ) -> Pushes:
     """`board_pushes` by a law of this computer, in one trial."""
-    motion = pushes_motion(x, position_now(device, x, reference_count), pushes)
-    try:
-        rows, path = run_motion(
+
+    def run() -> tuple[NDArray[np.void], Path]:
+        used = any(recording.with_suffix(suffix).exists() for suffix in (".rigcap", ".parquet"))
+        return run_motion(
             device,
-            motion,
-            recording,
+            pushes_motion(x, position_now(device, x, reference_count), pushes),
+            free_name(recording.parent, recording.stem) if used else recording,
             verified=verified,
             reference_count=reference_count,
             extra=extra,
             leaves_switch=True,
         )
+
+    try:
+        (rows, path), _ = repeat_if_late(device, run, slow_rate(x))
     except DeviceFaultError as error:
         sealed = stalled(error)
         assert sealed.path is not None

@@ -25,6 +25,7 @@ LEAST_COUNTS = 2.0  # a way below that may be noise
 SETTLED_SHARE = 0.25  # of a push's way: before it, an inertia would be read off single counts
 SAME_SCALE = 3.0  # inertia within this factor of the expected one is as expected
 FRICTIONS = 40  # that are tried, before the best of them is refined
+ALIKE = 2.0  # squared misfit over that of the best friction, or of the counts' steps, up to which another fits as well
 STICKS = 1.5  # breakaway over sliding friction from which stiction is worth a warning
 LOOSE = 0.5  # inertia right after a reversal over that of a second push from which backlash is
 
@@ -86,6 +87,7 @@ def check_signs(
     expected_inertia: float,
     rest_s: float,
     damping: float = 0.0,
+    friction: float | None = None,
 ) -> SignCheck:
     """Judge pushes that grow evenly from zero, with rests in between.
 
@@ -101,13 +103,23 @@ def check_signs(
         Zero effort for this long separates two pushes.
     damping
         Of the description, back-EMF included (N·m·s/rad or N·s/m).
+    friction
+        Of the description (N·m or N), where the pushes leave it open; None: the best fit.
     """
     pushes: list[Push] = []
     for first, last in _spans(effort, max(1, round(rest_s / (time_s[1] - time_s[0])))):
         before = pushes[-1].direction if pushes else 0
         push = slice(first, last)
         pushes.append(
-            _push(time_s[push], effort[push], position[push], resolution, damping / expected_inertia, before)
+            _push(
+                time_s[push],
+                effort[push],
+                position[push],
+                resolution,
+                damping / expected_inertia,
+                friction,
+                before,
+            )
         )
     moved = [push for push in pushes if push.moved]
     agreement = {int(np.sign(push.way)) * push.direction for push in moved}
@@ -149,7 +161,13 @@ def _spans(effort: Floats, rest: int) -> list[tuple[int, int]]:
 
 
 def _push(
-    time_s: Floats, effort: Floats, position: Floats, resolution: float, decay: float, before: int
+    time_s: Floats,
+    effort: Floats,
+    position: Floats,
+    resolution: float,
+    decay: float,
+    friction: float | None,
+    before: int,
 ) -> Push:
     direction: Literal[-1, 1] = 1 if effort[0] > 0.0 else -1
     push = direction * effort
@@ -158,7 +176,7 @@ def _push(
     way = position[:top] - position[0]
     away = np.flatnonzero(np.abs(way) >= LEAST_COUNTS * resolution)
     first = int(away[0]) if len(away) else top - 1
-    inertia, began_s = _fitted(time_s[:top], effort[:top], way, decay)
+    inertia, began_s = _fitted(time_s[:top], effort[:top], way, resolution, decay, friction)
     return Push(
         direction=direction,
         moved=abs(float(way[-1])) >= LEAST_COUNTS * resolution,
@@ -171,7 +189,14 @@ def _push(
     )
 
 
-def _fitted(time_s: Floats, effort: Floats, way: Floats, decay: float) -> tuple[float, float]:
+def _fitted(
+    time_s: Floats,
+    effort: Floats,
+    way: Floats,
+    resolution: float,
+    decay: float,
+    expected_friction: float | None,
+) -> tuple[float, float]:
     """Inertia m and beginning t₀ of m·(x + d·∫x dt) = ∬(u − F) dt² by least squares in x, over every friction F.
 
     Fitted is the way since the handle last was near.
@@ -197,7 +222,13 @@ def _fitted(time_s: Floats, effort: Floats, way: Floats, decay: float) -> tuple[
     grid = most * np.arange(FRICTIONS) / FRICTIONS
     best = grid[int(np.argmin([excess(friction) for friction in grid]))]
     bounds = (max(0.0, best - most / FRICTIONS), best + most / FRICTIONS)
-    friction = float(optimize.minimize_scalar(excess, bounds=bounds, method="bounded").x)
+    found = optimize.minimize_scalar(excess, bounds=bounds, method="bounded")
+    friction = float(found.x)
+    # Within one step of a coarse effort friction and inertia trade for each other: then the described friction decides.
+    alike = ALIKE * max(float(found.fun), len(seen) * resolution**2 / 12.0)
+    expected = friction if expected_friction is None else min(expected_friction, grid[-1])
+    closer = np.linspace(expected, friction, FRICTIONS)
+    friction = next((float(one) for one in closer if excess(one) <= alike), friction)
     action = given(friction)
     inertia = float((action @ action) / (action @ seen))
     return (inertia, float(time_s[np.argmax(pushed > friction)])) if inertia > 0.0 else (math.nan, math.nan)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,8 @@ from rig.bench.doctor.round_trip import LinkMeasurement
 from rig.config import presets
 from rig.config.controller import command_lifetime_s, rate_of_lifetime
 from rig.core.errors import PlanError
-from rig.experiments.identify_rate import SLOWEST_HZ, advice, at_rate, choose_rate
+from rig.experiments.identify_rate import at_rate, choose_rate
+from rig.experiments.motion_run import SLOWEST_HZ, TimingError, advice, repeat_if_late
 from rig.recording.quantiles import Distribution
 
 RIG = presets.load("koul-rigid")
@@ -71,6 +73,33 @@ def test_a_link_that_carries_none_is_refused_with_the_numbers() -> None:
     with pytest.raises(PlanError, match="silent for 28 ms") as caught:
         choose_rate(RIG, link(2e-4, silences_s=(0.03,)), most_hz=1000)
     assert f"carry 62 Hz now, and an identification needs {SLOWEST_HZ} Hz or more" in str(caught.value.remedy)
+
+
+def test_a_link_that_carries_no_loop_at_all_is_refused_too() -> None:
+    with pytest.raises(PlanError, match="an identification at 250 Hz would not end") as caught:
+        choose_rate(RIG, link(2e-4, silences_s=(0.4,) * 10), most_hz=1000)
+    assert "carry not even 10 Hz now" in str(caught.value.remedy)
+
+
+def test_a_motion_that_timing_spoils_is_repeated_in_real_time_alone() -> None:
+    def after(late: int) -> Any:
+        outcomes = iter([*[TimingError("late", remedy="")] * late, "done"])
+
+        def run() -> str:
+            outcome = next(outcomes)
+            if isinstance(outcome, TimingError):
+                raise outcome
+            return outcome
+
+        return run
+
+    real, virtual = (
+        SimpleNamespace(link=SimpleNamespace(clock=SimpleNamespace(virtual=v))) for v in (False, True)
+    )
+    assert repeat_if_late(real, after(3), 1000) == ("done", 3)
+    for device, late in ((real, 4), (virtual, 1)):
+        with pytest.raises(TimingError):
+            repeat_if_late(device, after(late), 1000)
 
 
 def test_a_run_that_silence_ended_names_the_rate_that_outlives_it() -> None:

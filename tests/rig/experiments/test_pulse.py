@@ -104,6 +104,21 @@ def test_a_push_in_coarse_steps_of_current_tells_the_scale(
     assert {check.name: check.outcome for check in found.checks}["size"] is outcome
 
 
+def test_the_described_friction_decides_what_a_push_within_one_step_of_current_leaves_open(
+    tmp_path: Path,
+) -> None:
+    """The step at which the handle begins to move ends the push: inertia and friction are told only together."""
+    sheets = rig.new_rig(
+        mechanism="lever", torque_constant=0.0385, rotor_inertia=1.1e-5, nominal_current=2.5, encoder_lines=2048,
+        transmission=12.0, handle_length=0.08, handle_mass=0.06, amplifier="escon-50-5-pwm", peak_current=5.0,
+    ).experiment  # fmt: skip
+    slow = dict.fromkeys(("controller.position_rate", "controller.velocity_rate"), 1000)
+    for offset in (0.3, 0.6):
+        paddle = config.override(sheets, {**slow, "rig.encoder.offset": offset})
+        found = check_rig_moves(FreeRigRequest(experiment=paddle, output=tmp_path))
+        assert found.signs.scale == pytest.approx(1.0, abs=0.25)  # 0.55 and 0.58 by the best fit alone
+
+
 def test_friction_beyond_a_push_is_not_called_a_dead_motor(sound: Pulse) -> None:
     """Nothing moved, and the described friction alone would explain it."""
     still = dataclasses.replace(
