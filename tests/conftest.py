@@ -129,7 +129,7 @@ class Memory:
     Not after each file: a collection looks at a hundred thousand objects.
     """
 
-    MUCH_BYTES = 100_000_000
+    MUCH_BYTES = 50_000_000
 
     def __init__(self) -> None:
         self._trim = ctypes.CDLL(None).malloc_trim

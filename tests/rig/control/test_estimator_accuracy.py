@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -44,6 +45,13 @@ def differences(row: accuracy.Row) -> tuple[list[str], list[str]]:
                 f"{where}: {number} {found:.4g}, in the table {then:.4g}"
             )
     return worse, better
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _cases_are_forgotten() -> Iterator[None]:
+    """They take 240 MB of a worker."""
+    yield
+    accuracy.case_of.cache_clear()
 
 
 @pytest.mark.parametrize("name", estimators.names())
