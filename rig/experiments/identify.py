@@ -35,7 +35,7 @@ from rig.bench.doctor.pace import SECONDS
 from rig.config import Experiment
 from rig.control.excitation import Multisine
 from rig.core.check import refuse
-from rig.core.errors import ConfigError, RigError
+from rig.core.errors import ConfigError, PlanError, RigError
 from rig.core.model import Cogging
 from rig.core.present import reported
 from rig.core.same_rig import check_rig
@@ -224,7 +224,13 @@ def identify(request: IdentifyRequest, tell: Tell | None = None, ask: Ask | None
             plan = plan_of(base, request)
             if spoiled is not None and not plan.ok:
                 raise spoiled
-            refuse(plan.checks)
+            try:
+                refuse(plan.checks)
+            except PlanError as error:
+                if not device.link.clock.virtual and _stated_rate(request) is None:
+                    carried = f"computer and link carry {base.controller.position_rate} Hz now"
+                    error.remedy = f"{carried}: free the computer of other work; {error.remedy}"
+                raise
             refuse(link_checks(base, device.dictionary.position_rate_maximum, device.link.bytes_per_second))
             with plain_errors("make", output):
                 output.mkdir(parents=True, exist_ok=True)

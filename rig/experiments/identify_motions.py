@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from rig import config
 from rig.analysis.identification.cogging import SETTLE_S
+from rig.analysis.identification.quality import LEAST_MOTION_COUNTS
 from rig.analysis.identification.sliding import PIECES, UNSTEADY, Stroke
 from rig.bench.doctor.predicted import SPARE, finding, round_up
 from rig.config import Experiment
@@ -40,6 +41,8 @@ MARGIN_COUNTS = 1.0  # a trial starts that far before its wall
 
 # Pushes: how many, how far, up to which share of the nominal effort, in which time, and the rest after each.
 PUSHES, PUSH_COUNTS, PUSH_SHARE, PUSH_S, REST_S = 6, 30, 0.3, 1.5, 0.2
+# With a coarse encoder, whose brake is late: ways of a push that half of the window has room for, and the least way.
+COARSE_ROOM, LEAST_PUSH_COUNTS = 3.0, 8
 PUSH_RISE_S = 0.05  # gentle: without friction the way takes that long
 PUSH_COULOMB = 5.0  # but it may grow to this multiple of the described friction in `PUSH_S`
 UNSEEN_SPEED = (
@@ -56,6 +59,7 @@ PUSHES_ROOM = 2.5  # ways of a push that the handle may go to one side: two push
 
 # Strokes: half their travel as a share of the window, lengths, and most speed as a share of its limit.
 TRAVEL_SHARE, STROKES_S, STROKE_SPEED = 0.2, (0.4, 0.8, 1.6), 0.3
+LEAST_STROKE_COUNTS = 45  # ten in a third of what is read of the second stroke
 HELD_OF_TRAVEL = 0.5  # at which friction may hold a handle: it must still slide for a third of its stroke
 MOST_SLOWING = 16.0  # of strokes, so that a soft servo reaches their speed
 WAY_SPEED, WAY_REST_S = 5.0, 0.3  # a slow way: speed that ends the run, over that of the way; rest at its end
@@ -126,6 +130,8 @@ def identification_plan(
         _check("push", most_push(x), limits.effort, effort, "raise rig.limits.effort"),
         _check("stroke speed", top_speed, limits.speed, speed, "raise rig.limits.speed"),
         _follows(x, HELD_OF_TRAVEL * travel),
+        _counts(x, travel),
+        _moves(x, multisine.position(impedance).rms),
         _check("peak effort of the excitation", multisine.peak, limits.effort, effort, "raise rig.limits.effort"),
         _check("peak position of the excitation", multisine.position(impedance).peak, half, position,
                "widen the window"),
@@ -179,6 +185,30 @@ def _follows(x: Experiment, limit: float) -> Check:
         f"friction holds the handle {held:.3g} {unit} behind a servo at {x.controller.position_rate} Hz, limit "
         f"{limit:.3g}",
         f"choose `rate` {enough} or more, raise homing.damping, or widen the window",
+    )
+
+
+def _counts(x: Experiment, travel: float) -> Check:
+    """Whether a third of a stroke has the counts that a speed is read from."""
+    counts, wider = 2.0 * travel / x.rig.encoder.resolution, LEAST_STROKE_COUNTS * x.rig.encoder.resolution
+    return limited(
+        "counts of a stroke",
+        counts >= LEAST_STROKE_COUNTS,
+        f"a stroke has {counts:.0f} counts, least {LEAST_STROKE_COUNTS}",
+        f"widen the window of positions to {0.5 * wider / TRAVEL_SHARE:.3g} {_unit(x, 'position')} or more, or take a "
+        "finer encoder",
+    )
+
+
+def _moves(x: Experiment, rms: float) -> Check:
+    """Whether the excitation moves the handle by counts, friction aside."""
+    counts = rms / x.rig.encoder.resolution
+    return limited(
+        "counts of the excitation",
+        counts >= LEAST_MOTION_COUNTS,
+        f"{counts:.2g} counts rms without friction, least {LEAST_MOTION_COUNTS:g}",
+        f"take an encoder of {math.ceil(2.0 * LEAST_MOTION_COUNTS / counts)} times the counts, or allow more effort "
+        "(rig.limits.effort, rig.limits.nominal_effort)",
     )
 
 
@@ -512,9 +542,9 @@ def pushes_checks(x: Experiment) -> list[Check]:
     position, needed = _unit(x, "position"), round_up(SPARE * PUSHES_ROOM * way)
     room = finding(
         "room of rig check",
-        PUSHES_ROOM * way <= half,
-        f"two pushes of {PUSH_COUNTS} counts go up to {PUSHES_ROOM * way:.3g} {position} to each side, the window has "
-        f"{half:.3g}",
+        PUSHES_ROOM * way <= half * (1.0 + 1e-9),
+        f"two pushes of {way / x.rig.encoder.resolution:.3g} counts go up to {PUSHES_ROOM * way:.3g} {position} to "
+        f"each side, the window has {half:.3g}",
         {"rig.limits.position_minimum": middle - needed, "rig.limits.position_maximum": middle + needed},
         otherwise=Outcome.WARNING,
     )
@@ -552,8 +582,12 @@ def _observable_limits(x: Experiment) -> dict[str, float]:
 
 
 def push_way(x: Experiment) -> float:
-    """How far the handle moves in a push (rad or m)."""
-    return PUSH_COUNTS * x.rig.encoder.resolution
+    """How far the handle moves in a push (rad or m): counts, or with a coarse encoder what the window has room for."""
+    count, half = (
+        x.rig.encoder.resolution,
+        0.5 * (x.rig.limits.position_maximum - x.rig.limits.position_minimum),
+    )
+    return max(LEAST_PUSH_COUNTS * count, min(PUSH_COUNTS * count, half / COARSE_ROOM))
 
 
 def pushes_s(pushes: int = PUSHES) -> float:

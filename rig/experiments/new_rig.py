@@ -343,7 +343,9 @@ def _amplifier(draft: _Draft, a: DataSheets, peak_a: float, ratio: float) -> Non
         {"rig.amplifier.profile": profile.name, "rig.amplifier.drive": profile.drive or "current"},
     )
     draft.set(
-        f"[data sheet] of {profile.name}" if profile.set_point_delay_s else "[assumed]",
+        f"[data sheet] of {profile.name}"
+        if profile.set_point_delay_s
+        else f"[assumed] {profile.name} states none",
         {"rig.amplifier.set_point_delay_s": profile.set_point_delay_s},
     )
     if profile.drive == "voltage" and resistance:

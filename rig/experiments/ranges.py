@@ -132,6 +132,9 @@ def search_for(
                 lowest /= ratio
         if on_device:
             lowest = max(lowest, _softest(experiment, lowest, top))
+        else:  # of a coarse encoder even the stiffest wall is soft
+            while ratio > 1.0 and 0.0 < lowest * ratio <= top and not _stays_in_window(experiment, lowest):
+                lowest *= ratio
     try:
         return Search(way=way, lowest=lowest, highest=top, ratio=ratio)
     except ValueError as error:

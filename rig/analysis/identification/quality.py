@@ -155,7 +155,8 @@ def _check_size(run: ExcitedRun, resolution: float) -> None:
     if rms < LEAST_MOTION_COUNTS * resolution:
         raise IdentificationError(
             f"the handle moved {rms / resolution:.1f} counts rms, {LEAST_MOTION_COUNTS:g} are the least",
-            remedy="increase the excitation: friction holds the handle, or the motor is not connected",
+            remedy="increase the excitation, or use an encoder of more counts; else friction holds the handle, or the "
+            "motor is not connected",
         )
 
 

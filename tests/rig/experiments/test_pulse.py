@@ -312,7 +312,10 @@ def test_single_counts_of_a_coarse_encoder_do_not_end_the_pushes(tmp_path: Path)
     ("name", "changes"),
     [
         ("pushes of rig check", {"rig.mechanics.motor_coulomb": 0.2, "trial.effort": 0.4}),
-        ("room of rig check", {**DIRECT, "rig.encoder.counts_per_revolution": 90}),
+        (
+            "room of rig check",
+            {**DIRECT, "rig.encoder.counts_per_revolution": 40, "wall.stiffness": 1.0},
+        ),
     ],
 )
 def test_a_plan_names_the_limits_with_which_the_pushes_work(
