@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from collections.abc import Callable, Mapping
 from importlib.util import find_spec
@@ -32,7 +33,7 @@ def wrong_package(package: str) -> ConfigError | None:
         pass
     else:
         return None
-    pip = f"{sys.executable} -m pip"
+    pip = f"{shlex.quote(sys.executable)} -m pip"
     spec = find_spec(package)
     if spec is None:
         return ConfigError(f"{distribution} is not installed", remedy=f"{pip} install {distribution}")
