@@ -67,7 +67,9 @@ from rig.experiments.identify_motions import (
 from rig.experiments.identify_rate import RATES, at_rate, choose_rate, halves, measure_for
 from rig.experiments.motion_run import (
     ATTEMPTS,
+    LONGEST_FILLED,
     FreeRigRequest,
+    TimingError,
     position_now,
     refuse_unverified,
     repeat_if_late,
@@ -218,6 +220,8 @@ def identify(request: IdentifyRequest, tell: Tell | None = None, ask: Ask | None
     with ExitStack() as stack:
         device = stack.enter_context(devices.open_device(url, config.rig_model(still(free))))
         refuse_unverified(device, verified=request.verified)
+        if device.dictionary.simulated:
+            free = without_end_mass(request, served=not url.startswith("sim:"))
         output = Path(request.output)
         spoiled: RigError | None = None  # by timing, at a higher rate
         for base in _at_rates(free, request, device, say):
@@ -284,16 +288,16 @@ def _doubts(x: Experiment, found: Identification, drift: float, repeated: int) -
         )
 
 
-def without_end_mass(request: IdentifyRequest) -> Experiment:
+def without_end_mass(request: IdentifyRequest, *, served: bool = False) -> Experiment:
     """The experiment with its changes as it moves: its handle free, its law on this computer, at the rate asked for.
 
-    A board has none of these motions. A rig that a ``sim://name`` simulates keeps its end mass, which is then
-    subtracted.
+    A board has none of these motions. A rig that a ``sim://name`` simulates, or another process behind a port
+    (`served`), keeps its end mass, which is then subtracted.
     """
     experiment = config.override(request.experiment, request.changes)
     url = request.url or "sim://"
     named = url.startswith("sim://") and bool(DeviceUrl.parse(url).place)
-    bare = {} if named else {"rig.mechanics.end_mass": 0.0}
+    bare = {} if named or served else {"rig.mechanics.end_mass": 0.0}
     free = config.override(experiment, {**bare, "controller.loop": "host"}, "identification")
     return free if request.rate_hz is None else at_rate(free, request.rate_hz, "identification")
 
@@ -477,16 +481,20 @@ def excited_run_of(
 ) -> ExcitedRun:
     """The whole periods of one realisation, the settling ones cut.
 
-    The effort of a row is held from its sample to the next; whatever comes later is a delay to be identified.
+    The effort of a row is held from its sample to the next; whatever comes later is a delay to be identified. Where the
+    last samples are lost, the periods end with those before.
     """
     n = round(rate * multisine.period_s)
-    settled = settle_periods(multisine.period_s)
-    kept = slice(settled * n, (settled + PERIODS) * n)
+    end = (settle_periods(multisine.period_s) + PERIODS) * n
+    lost = max(0, end - len(rows))
+    if lost > LONGEST_FILLED:
+        raise TimingError(f"the last {lost} samples of the excitation are missing", remedy="measure it again")
+    kept = slice(end - PERIODS * n - lost, end - lost)
     return ExcitedRun(
         rate_hz=rate,
         period_samples=n,
         periods=PERIODS,
-        excitation=np.tile(multisine.period(rate), PERIODS),
+        excitation=np.roll(np.tile(multisine.period(rate), PERIODS), lost),
         effort=effort[kept],
         position=rows["position"][kept],
         lines_hz=multisine.lines_hz,
