@@ -11,13 +11,14 @@ from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+import pytest
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed
 
-from rig.console import live
 from rig.console.server import Settings, run
 from rig.console.terminal import Terminal
 from rig.realtime.memories import Memory, ask_to_stop
+from rig.realtime.running import RunningLoop, running
 
 PATIENCE_S = 60.0  # machine code may have to be made first, beside other work
 
@@ -129,19 +130,29 @@ class Served:
             yield socket
 
 
-def stop_of_this_test() -> list[Memory]:
-    """Set the stop words of this process's loops and of those that it started: other tests run beside it."""
-    asked, left = [], [os.getpid()]
+def processes_of_this_test() -> list[int]:
+    """This process and those that it started."""
+    found, left = [], [os.getpid()]
     while left:
-        pid = left.pop()
+        found.append(left.pop())
         with suppress(OSError):  # it has ended
             left += [
                 int(name)
-                for file in Path(f"/proc/{pid}/task").glob("*/children")
+                for file in Path(f"/proc/{found[-1]}/task").glob("*/children")
                 for name in file.read_text().split()
             ]
-            asked += ask_to_stop(pid)
-    return asked
+    return found
+
+
+def stop_of_this_test() -> list[Memory]:
+    """Set the stop words of this test's loops: other tests, and people, run some beside it."""
+    return [memory for pid in processes_of_this_test() for memory in ask_to_stop(pid)]
+
+
+def loops_of_this_test() -> list[RunningLoop]:
+    """Loops that a console of this test may look at, and whose stop word it then sets."""
+    mine = processes_of_this_test()
+    return [loop for loop in running() if loop.pid in mine]
 
 
 @asynccontextmanager
@@ -151,13 +162,17 @@ async def served(place: Path, terminal: Terminal | None = None, **settings: Any)
     made = Settings(output=place, announce=urls.put_nowait, **settings)
     task = asyncio.create_task(run(made, terminal or Terminal(), ended))
     first = asyncio.create_task(urls.get())
-    others, live.ask_to_stop = live.ask_to_stop, stop_of_this_test
+    patch = pytest.MonkeyPatch()
+    patch.setattr("rig.console.live.ask_to_stop", stop_of_this_test)
+    patch.setattr("rig.console.follow.running", loops_of_this_test)
     try:
         await asyncio.wait([task, first], return_when=asyncio.FIRST_COMPLETED)
         if task.done():
             task.result()
         yield Served(first.result())
     finally:
-        live.ask_to_stop = others
         ended.set()
-        await task
+        try:
+            await task
+        finally:
+            patch.undo()

@@ -658,3 +658,21 @@ def test_a_port_that_is_taken_is_an_error_that_names_it(tmp_path: Path) -> None:
         port = taken.getsockname()[1]
         with pytest.raises(ConfigError, match=str(port)):
             play(tmp_path, lambda console: asyncio.sleep(0), port=port)
+
+
+def test_a_console_of_a_test_neither_looks_at_a_loop_of_another_process_nor_stops_it(
+    tmp_path: Path, searched: Searched, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its STOP ended runs of whoever else worked on the machine."""
+
+    async def scenario(console: Served) -> None:
+        async with console.page() as page:
+            await searched(2)
+            assert page.newest("loop") is None
+            await page.ask("stop")
+            assert loop.ring.get(words.STOP) == 0
+
+    monkeypatch.setattr("tests.conformance.console.processes_of_this_test", list)
+    loop = HandTurnedLoop(64, shared=True)
+    with loop.ring:
+        play(tmp_path, scenario)
