@@ -223,6 +223,7 @@ class MemoryLink:
     """
 
     bytes_per_second: float | None = None
+    messages: Sequence[str] = ()
 
     def __init__(
         self,
