@@ -1,6 +1,6 @@
-"""The device three times (readable, compiled, and the firmware in C) under the same bytes, most of the time armed.
+"""The device twice (readable, and the firmware in C) under the same bytes, most of the time armed.
 
-All three say the same, byte for byte, and none gives a current that it must not give.
+Both say the same, byte for byte, and none gives a current that it must not give.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _ARM, _DISARM = LAYOUT_OF[m.Arm].type_id, LAYOUT_OF[m.Disarm].type_id
 
 
 class Watched(Pair):
-    """Three devices whose every step is watched."""
+    """Two devices whose every step is watched."""
 
     def __init__(self, library: ctypes.CDLL, chance: random.Random) -> None:
         self.figures: Counter[str] = Counter()
@@ -74,16 +74,16 @@ class Watched(Pair):
             super().tick()
 
     def _look(self) -> None:
-        """What must hold after any step, by the state that all three agree on."""
+        """What must hold after any step, by the state that both agree on."""
         status = self.c.core.status
         state, fault = self.c.state, self.c.fault
-        currents = (self.python.current, self.compiled.current, status.current)
+        currents = (self.python.current, status.current)
         lively = state in LIVELY
         if lively:
             limit = self.python._configuration.values["current_limit"]
             require(all(abs(current) <= limit for current in currents), currents, "above", limit)
         else:
-            require(currents == (0, 0, 0) and not status.enabled, "currents", currents, "in", state.name)
+            require(currents == (0, 0) and not status.enabled, "currents", currents, "in", state.name)
         if lively and (not self.lively or self.c.session != self.told_session):
             require(self._armed_by_right(), "armed by", self.heard.hex())
         if self.latched and not fault and state is not State.BOOT:
@@ -168,7 +168,7 @@ class Watched(Pair):
 
 
 class Devices:
-    """Walks of three devices."""
+    """Walks of two devices."""
 
     def __init__(self, place: Path) -> None:
         self._library = firmware_library.library()
