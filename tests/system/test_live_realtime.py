@@ -104,6 +104,7 @@ def test_another_terminal_changes_the_wall_and_stops_the_loop(
 def test_what_a_killed_hit_left_is_recovered_and_nothing_else_stays(tmp_path: Path) -> None:
     """The capture is sealed; and the device's process, the one that draws, and what multiprocessing started go."""
     mark, before = uuid.uuid4().hex, set(os.listdir("/dev/shm"))
+    links_before = list(links_of_this_process()).count(LINK)
     with hit(tmp_path, ticks=1000, **{MARK: mark}) as (process, _):
         (capture,) = tmp_path.glob("*.rigcap")
         (result,) = recover([tmp_path])
@@ -123,8 +124,10 @@ def test_what_a_killed_hit_left_is_recovered_and_nothing_else_stays(tmp_path: Pa
     assert len(recording) == result.rows
     ticks = recording.column("tick")
     assert (ticks[1:] > ticks[:-1]).all()
-    gc.collect()  # what earlier tests in this process left to the collector
-    assert LINK not in set(links_of_this_process())
+    gc.collect()
+    assert list(links_of_this_process()).count(LINK) <= links_before, (
+        "a test that failed before may keep its own"
+    )
 
 
 def links_of_this_process() -> Iterator[str]:

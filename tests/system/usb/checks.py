@@ -399,9 +399,17 @@ def hits_from_the_command_line(cable: Cable, url: str, directory: str) -> tuple[
         "verdict.tail_s=0.1",
     )
     options = ("--verified", "--no-plot", "--json", "--rate", "500", "-o", directory)
+    wall = ("-K", "10")  # stable with two ticks of delay, as the gate computes it: at most 26.8 N·m/rad
     with contextlib.redirect_stdout(said):
         code = cli.run(
-            ["hit", "--url", url, *options, *(word for change in changes for word in ("--set", change))]
+            [
+                "hit",
+                "--url",
+                url,
+                *wall,
+                *options,
+                *(word for change in changes for word in ("--set", change)),
+            ]
         )
     return code, json.loads(said.getvalue())
 

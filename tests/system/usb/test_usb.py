@@ -157,7 +157,7 @@ def test_a_hit_from_the_command_line(rig: Rig, tmp_path: Path) -> None:
     url = checks.URL if rig.transfers == "queued" else f"{checks.URL}/0001?transfers=plain"
     code, told = rig.check("hits_from_the_command_line", url, str(tmp_path))
     assert (code, told["error"], len(told["hits"])) == (0, None, 1)
-    assert told["hits"][0]["verdict"]["kind"] == "stable"
+    assert told["hits"][0]["verdict"]["kind"] == "stable", told["hits"][0]["verdict"]
     (path,) = tmp_path.glob("*.parquet")
     recording = open_recording(path)
     assert len(recording.rows) > 0
