@@ -91,7 +91,8 @@ class Ticks:
     """What ticks did, one number each: cycles of the processor since its reset; counts that the encoder had.
 
     It came at `came` (ns since power-up). The tick is `at` … `ends` by the pin that shows it, `entered` … `left` by the
-    interrupt's entry and return. While the count was read the encoder went from `before` to `after`.
+    interrupt's entry and return. While the count was read the encoder went from `before`, as the state machines
+    had seen it, at most 32 cycles late, to `after`.
     """
 
     came: NDArray[np.int64]

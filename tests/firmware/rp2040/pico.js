@@ -65,6 +65,7 @@ class Pico {
     this.switches = { hold_to_run: true, emergency_stop: false, sync: false };
     this.phase = 0; // of the encoder, quarters of a line
     this.truth = 0; // counts
+    this.settled = 0; // before the last of them, which the state machines see some cycles later
     this.elapsed = 0; // ns, over all resets
     this.unplugged = false; // the encoder: the pull-ups hold all lines high
     this.broken = [false, false]; // lines A and B, which the pull-ups hold high then
@@ -110,6 +111,7 @@ class Pico {
     this.showMarks();
     this.born = this.elapsed;
     this.cycles = 0;
+    this.turned = -PIO_RESTS;
     this.clear();
     chip.gpio[this.pins.sync_out].addListener((state) => this.syncChanged(state));
     this.boot();
@@ -216,6 +218,8 @@ class Pico {
   /* Move the encoder by `way` counts at once: more than one is what no encoder does. */
   turn(way) {
     this.phase = (this.phase + way) & 3;
+    this.settled = this.truth;
+    this.turned = this.cycles;
     this.truth += way;
     this.showEncoder();
     this.showMarks();
@@ -261,7 +265,8 @@ class Pico {
     const write = pio.writeUint32.bind(pio);
     pio.writeUint32 = (offset, value) => {
       if (offset === PIO_INSTRUCTIONS[0] && (value & 0xffff) === 0x4020)
-        this.before = this.truth; // the processor begins to read the count
+        // The processor begins to read the count.
+        this.before = this.cycles - this.turned < PIO_RESTS ? this.settled : this.truth;
       write(offset, value);
       if (offset === PIO_INSTRUCTIONS[1] && (value & 0xffff) === 0x4040 && this.inTick) this.counted();
       this.wake();
