@@ -151,6 +151,7 @@ class SimulatedDevice:
         self._dictionary = describe(model, name or model.name, position_rate_default, position_rate_maximum)
         self.connection = Connection(Role.DEVICE)
         self.hardware = Hardware(model, position_rate_default, seed=seed, initial_position=initial_position)
+        self.hardware.prepare()  # nothing compiles once it is armed
         self._replies = Replies()
         self._safety = Safety(model)
         self._faults = FaultMemory(self._safety.rules)

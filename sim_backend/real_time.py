@@ -48,7 +48,6 @@ class RealTime:
     """Runs a `device` behind a port, tick by tick, until `stop` is set."""
 
     def __init__(self, device: SimulatedDevice, port: Port, stop: threading.Event) -> None:
-        device.hardware.prepare()
         self.device = device
         self._port = port
         self._stop = stop

@@ -11,6 +11,7 @@ import gc
 import mmap
 import os
 import random
+import shutil
 import signal
 import sys
 import uuid
@@ -25,6 +26,7 @@ from hypothesis.internal.conjecture import providers
 from hypothesis.internal.constants_ast import Constants
 
 from rig.core import program
+from rig.core.errors import ConfigError
 from tests.conformance import tolerance
 from tests.conformance.census import still_there
 
@@ -179,6 +181,28 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
     if left:
         session.shouldfail = f"left running, and killed: {'; '.join(left.values())}"
         session.exitstatus = session.exitstatus or pytest.ExitCode.TESTS_FAILED
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_setup() -> Generator[None, object, object]:
+    """Skip a test whose fixtures need a C compiler that this machine has not."""
+    return (yield from _skipping_without_compiler())
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call() -> Generator[None, object, object]:
+    """Skip a test that needs a C compiler that this machine has not."""
+    return (yield from _skipping_without_compiler())
+
+
+def _skipping_without_compiler() -> Generator[None, object, object]:
+    try:
+        return (yield)
+    except ConfigError as error:
+        has_one = "CC" in os.environ or any(map(shutil.which, ("cc", "gcc", "clang")))
+        if has_one or not error.message.startswith("there is no C compiler"):
+            raise
+        return pytest.skip("no C compiler is installed (package gcc)")
 
 
 @pytest.hookimpl(wrapper=True)

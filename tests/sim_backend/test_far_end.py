@@ -26,7 +26,7 @@ from sim_backend.device import SimulatedDevice
 from sim_backend.firmware import FirmwareDevice
 from sim_backend.link import BUFFER_BYTES, MemoryLink
 from tests.conformance import host as hosts
-from tests.conformance.firmware import hide_compiler
+from tests.conformance.firmware import hide_compiler, need_compiler
 from tests.conformance.host import RUN_PARAMETERS, Host
 from tests.conformance.link import COMPILED, check_link, listen
 from tests.conformance.rigs import rotary_rig
@@ -189,6 +189,7 @@ def test_a_closed_one_is_eio() -> None:
 def test_without_a_c_compiler_the_readable_device_stands_in_and_says_so(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    need_compiler()
     url = DeviceUrl.parse("sim://test")
     link = links.open_link(url, rotary_rig())
     assert isinstance(link.device, FirmwareDevice)

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from rig.bench.firmware import flash as flashing
+from tests.conformance.firmware import need_compiler
 from tests.firmware import cross
 
 
@@ -47,6 +48,7 @@ def test_the_self_test_of_another_rig_fails_with_its_remedy(run: Any) -> None:
 
 
 def test_the_law_of_the_firmware_streams_without_a_current(run: Any) -> None:
+    need_compiler()
     url = "sim://koul-rigid?firmware=1"
     code, out, err = run(
         "firmware", "selftest", url, "--rig", "koul-rigid", "--stream", "--rate", "1000", "--seconds", "0.1"

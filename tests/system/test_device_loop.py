@@ -22,6 +22,7 @@ from rig.experiments.on_device import OnDevice
 from rig.experiments.replay import replay
 from rig.recording.reader import open_recording
 from rig.testing import Hits, assert_stable
+from tests.conformance.firmware import need_compiler
 
 pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="the loop is compiled")
 
@@ -126,6 +127,7 @@ def test_an_impedance_by_the_devices_own_excitation_is_the_hosts(tmp_path: Path)
 
 
 def test_the_commands_say_where_the_law_ran(run: Any, tmp_path: Path) -> None:
+    need_compiler()
     sets = [f"--set={key}={value}" for key, value in SHORT.items()]
     code, out, _ = run("hit", EXAMPLE, *sets, "--no-plot", "--json", "-o", tmp_path)
     assert code == 0
@@ -137,6 +139,7 @@ def test_the_commands_say_where_the_law_ran(run: Any, tmp_path: Path) -> None:
 
 
 def test_a_map_of_a_device_is_hit_by_its_own_law(run: Any, tmp_path: Path) -> None:
+    need_compiler()
     sets = [f"--set={key}={value}" for key, value in SHORT.items()]
     narrow = ["--scheme", "dual:20k/2k", "--damping", "0.1", "--search", "bisection", "-K", "100:120"]
     code, out, _ = run(

@@ -15,6 +15,7 @@ from rig.experiments import hit
 from rig.session import hits
 from rig.session.hits import DeviceRunner
 from rig.session.log import SessionLog, read
+from tests.conformance.firmware import need_compiler
 
 
 def test_a_number_that_is_none_is_null_in_the_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -47,6 +48,7 @@ def test_a_number_that_is_none_is_null_in_the_log(tmp_path: Path, monkeypatch: p
 
 def test_a_trial_leaves_no_memory_to_the_collector(tmp_path: Path) -> None:
     """A session has hundreds of them, and Python looks for cycles when it pleases: no array may wait for that."""
+    need_compiler()
     x = preset("koul-rigid")
     x = replace(x, trial=replace(x.trial, kind="human", duration_s=1.0))
     (tmp_path / "trials").mkdir()

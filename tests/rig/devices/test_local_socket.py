@@ -22,6 +22,7 @@ from rig.devices.local import host_beside
 from rig.devices.local_socket import SocketLink, open_link
 from sim_backend import pty
 from tests.conformance.device import check_device
+from tests.conformance.firmware import need_compiler
 from tests.conformance.host import Host
 from tests.conformance.link import check_link
 from tests.conformance.rigs import rotary_rig
@@ -108,6 +109,7 @@ def test_a_loop_shares_the_processor_of_its_device_unless_the_user_names_another
 
 def test_a_plain_script_may_start_one(tmp_path: Path) -> None:
     """Without `if __name__ == "__main__"`: the child does not run the script again."""
+    need_compiler()
     script = tmp_path / "mine.py"
     script.write_text(
         "from rig.config import presets, rig_model\n"
