@@ -162,7 +162,27 @@ def main(obj: object = None) -> None:
     signal.signal(signal.SIGTERM, _interrupt)
     if {"-q", "--quiet"}.isdisjoint(sys.argv[1:]):
         compiling.listen(CompilingNotice(EXPECTED.get("".join(sys.argv[1:2]), 0)))
-    sys.exit(run(sys.argv[1:], obj))
+    code = run(sys.argv[1:], obj)
+    sys.exit(_flushed(code))
+
+
+def _flushed(code: int) -> int:
+    """Write what is still buffered, and return the exit code: 74 where a good run could not write all of it.
+
+    The interpreter tries again at its end, and would complain and exit with 120 whatever the command returned. So what
+    nothing takes goes to the null device.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            if stream is not None:
+                stream.flush()
+        except OSError as error:
+            null = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(null, stream.fileno())
+            os.close(null)
+            if not isinstance(error, BrokenPipeError):  # a reader that has gone wants no more
+                code = code or 74
+    return code
 
 
 def _interrupt(number: int, frame: object) -> None:
@@ -193,9 +213,8 @@ def _run(arguments: list[str], obj: object) -> int:  # noqa: PLR0911  (one exit 
         cause = error.__cause__ or error  # click makes an Abort of both
         if isinstance(cause, EOFError):
             return _defect(cause, arguments)
-        by = (
-            f" by {cause.args[0] if cause.args else 'SIGINT'}" if isinstance(cause, KeyboardInterrupt) else ""
-        )
+        signal_name = cause.args[0] if cause.args else "SIGINT"
+        by = f" by {signal_name}" if isinstance(cause, KeyboardInterrupt) else ""
         click.echo(f"rig: stopped{by}", err=True)
         return 130
     except RigError as error:

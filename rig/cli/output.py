@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import sys
 from collections.abc import Callable, Iterable, Sequence
@@ -31,9 +32,8 @@ def print_json(result: Any) -> None:
     """Print one JSON document as UTF-8, by `rig.core.present.plain`; its remedies are those of a terminal."""
     text = json.dumps(_remedies_for_terminal(plain(result)), ensure_ascii=False, indent=2)
     takes_bytes = hasattr(sys.stdout, "buffer")  # not where a program redirected it into a string
-    click.echo(
-        text.encode("utf-8", "backslashreplace") if takes_bytes else text
-    )  # \udcff of a file's name is JSON
+    # \udcff of a file's name is JSON.
+    click.echo(text.encode("utf-8", "backslashreplace") if takes_bytes else text)
 
 
 def _remedies_for_terminal(value: Any) -> Any:
@@ -141,8 +141,9 @@ def note(text: str) -> None:
 
 
 def on_terminal() -> bool:
-    """Whether somebody looks: progress is drawn on a terminal only."""
-    return not told_quiet() and sys.stderr is not None and sys.stderr.isatty()
+    """Return True if progress can be drawn: standard error is a terminal that moves its cursor."""
+    is_terminal = sys.stderr is not None and sys.stderr.isatty()
+    return not told_quiet() and is_terminal and os.environ.get("TERM") not in ("dumb", "unknown")
 
 
 def error_facts(error: RigError) -> dict[str, Any]:

@@ -615,7 +615,12 @@ for words, full in json.loads(sys.argv.pop()):
 """
 
 
-def test_an_output_without_room_has_an_exit_code_of_its_own() -> None:
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_an_output_without_room_has_an_exit_code_of_its_own(
+    unbuffered: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where Python buffers its output, as it does unless PYTHONUNBUFFERED is set: it was 120 there."""
+    monkeypatch.setenv("PYTHONUNBUFFERED", unbuffered)
     stdout, stderr = 1, 2
     cases = [
         (words, full, 74 if used in full else code)
@@ -628,6 +633,7 @@ def test_an_output_without_room_has_an_exit_code_of_its_own() -> None:
     )
     assert re.findall(r"^\d+$", done.stderr, re.MULTILINE) == [str(code) for *_, code in cases]
     assert "Traceback" not in done.stderr
+    assert "Exception ignored" not in done.stderr
 
 
 def test_a_pipe_that_breaks_elsewhere_is_no_reader_that_has_gone(

@@ -551,6 +551,7 @@ def test_the_bar_says_how_much_how_fast_and_how_long(monkeypatch: pytest.MonkeyP
     terminal = Terminal()
     monkeypatch.setattr(sys, "stderr", terminal)
     monkeypatch.setenv("COLUMNS", "120")
+    monkeypatch.setenv("TERM", "xterm")
     with SweepBar("Z-width", unit="trials") as bar:
         bar.watch(UNDERWAY)
     assert "Z-width" in terminal.getvalue()
@@ -560,8 +561,13 @@ def test_the_bar_says_how_much_how_fast_and_how_long(monkeypatch: pytest.MonkeyP
 def test_without_a_terminal_or_for_json_there_is_a_line_now_and_then(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for plain, stream in ((False, None), (True, Terminal())):
+    for plain, stream, kind in (
+        (False, None, "xterm"),
+        (True, Terminal(), "xterm"),
+        (False, Terminal(), "dumb"),
+    ):
         with monkeypatch.context() as patch:
+            patch.setenv("TERM", kind)
             if stream is not None:
                 patch.setattr(sys, "stderr", stream)
             clock = iter([100.0, 101.0, 109.9, 110.1, 115.0, 121.0])
@@ -588,6 +594,7 @@ def test_a_count_is_shown_by_the_same_bar(monkeypatch: pytest.MonkeyPatch) -> No
         terminal = Terminal()
         with monkeypatch.context() as patch:
             patch.setattr(sys, "stderr", terminal)
+            patch.setenv("TERM", "xterm")
             patch.setattr("rig.cli.progress.LINE_S", 0.0)
             with CountBar("reading", plain=plain) as bar:
                 bar.watch(3, 10)
