@@ -1,7 +1,7 @@
 """Which device stands for a simulated rig: the firmware's C code, or the readable one where nothing can compile it.
 
-They say the same, byte for byte (tests/firmware/test_core_equals_the_simulated_device.py). The readable one takes 25 to
-100 µs a tick.
+They say the same, byte for byte (tests/firmware/test_core_equals_the_simulated_device.py). A tick takes 1 µs, and
+in the readable one 51 µs (tests/benchmarks/test_byte_link.py).
 """
 
 from __future__ import annotations
@@ -44,6 +44,6 @@ def make_device(
             raise ConfigError(
                 error.message, remedy=f'{error.remedy}; or set controller.loop = "host"'
             ) from None
-        slow = f"{error.message}; until then it runs in Python, 25 to 100 µs a tick"
+        slow = f"{error.message}; until then it runs in Python, 50 times slower"
         return SimulatedDevice(model, **options), (f"{slow}: {error.remedy}",)
     return FirmwareDevice(model, law_maximum=LAWS if firmware else 0, library=compiled, **options), ()

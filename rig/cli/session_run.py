@@ -334,7 +334,7 @@ def _runner(
 
 
 def _console(hand: str) -> DeskFor:
-    """The operator's terminal; refused where there is none."""
+    """Return what makes the desk at the operator's terminal; refuses a process without a terminal."""
 
     def desk(*about: Any) -> Desk:  # only when somebody may sit there: what is wrong with a code comes first
         if sys.platform == "win32":

@@ -16,22 +16,15 @@ from numpy.typing import NDArray
 from rig.config.sections import Controller, Experiment
 from rig.control import estimators
 
-BEFORE, AFTER = (
-    256,
-    4096,
-)  # samples at rest before a count and after it: longer than any filter of an estimator
-RAMP_COUNTS, RAMP_SAMPLES = (
-    64,
-    (64, 1 << 14),
-)  # of a steady motion that is read: so many counts; samples, from and to
+# Samples at rest before a count and after it: longer than any filter of an estimator.
+BEFORE, AFTER = 256, 4096
+# Of a steady motion that is read: so many counts; samples, from and to.
+RAMP_COUNTS, RAMP_SAMPLES = 64, (64, 1 << 14)
 CUTOFF = "cutoff_hz"
-COUNT_PEAK = (
-    2.9  # what one count reads as behind a second-order Butterworth filter, over its cut-off: at most 0.46·2π
-)
-LEAST_CUTOFF, BISECTIONS = (
-    1e-3,
-    14,
-)  # of the described cut-off, below which none is named; the steps of the search
+# What one count reads as behind a second-order Butterworth filter, over its cut-off: at most 0.46·2π.
+COUNT_PEAK = 2.9
+# Of the described cut-off, below which none is named; the steps of the search.
+LEAST_CUTOFF, BISECTIONS = 1e-3, 14
 
 Settings = tuple[tuple[str, float | str], ...]
 
@@ -47,7 +40,10 @@ def highest_reading(x: Experiment, velocity: float = 0.0) -> float:
 
     It is at least what the loop reads of a single count, however slowly the handle moves.
     """
-    return _highest(x.controller, abs(x.rig.encoder.resolution), abs(velocity))
+    own = x.controller
+    ahead = own.position_rate // own.velocity_rate - 1 if own.prediction == "extrapolate" else 0
+    resolution = abs(x.rig.encoder.resolution)
+    return _peak(own.estimator, _settings(own), own.velocity_rate, resolution, abs(velocity), ahead)
 
 
 def quiet_cutoff(x: Experiment, most: float) -> float | None:
@@ -70,11 +66,6 @@ def quiet_cutoff(x: Experiment, most: float) -> float | None:
 
 def _settings(own: Controller) -> Settings:
     return tuple(sorted(own.parameters.items()))
-
-
-def _highest(own: Controller, delta: float, velocity: float) -> float:
-    ahead = own.position_rate // own.velocity_rate - 1 if own.prediction == "extrapolate" else 0
-    return _peak(own.estimator, _settings(own), own.velocity_rate, delta, velocity, ahead)
 
 
 @lru_cache(maxsize=4096)

@@ -279,7 +279,7 @@ def _doubts(x: Experiment, found: Identification, drift: float, repeated: int) -
         )
     if damping.ci95 > damping.value:
         value = damping.text(_unit(x, "damping"))
-        yield f"the viscous damping, {value}, is not told from zero: friction and counts hide it"
+        yield f"the viscous damping, {value}, cannot be distinguished from zero: friction and counts hide it"
     elastic = dynamics.mode_above_hz is not None or x.rig.mechanics.structure == "two-mass"
     if dynamics.mode is None and elastic:
         yield (

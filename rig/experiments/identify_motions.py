@@ -67,9 +67,8 @@ WAY_END_S = 0.02  # of a way that a board goes: the handle is let go
 WAY_PATIENCE_S = 5.0  # and how much longer than twice its time it may take before it is given up
 HANG_S, WEIGHING_SHARES = 2.0, (1.0, 0.5)  # weighing: time to let go of the load; speeds, over that of homing
 CUTOFF_SHARE = 0.2  # cut-off of the velocity filter over its rate
-COUNT_SHARE = (
-    0.4  # of the speed limit, as which that filter may read one count; strokes and excitation have the rest
-)
+# Of the speed limit, as which that filter may read one count; strokes and excitation have the rest.
+COUNT_SHARE = 0.4
 FILTER_DELAY = 0.225  # of that filter: its delay times its cut-off, √2/(2π)
 SERVO_TICKS, SERVO_PHASE = 3.0, 0.5  # delay that a servo must bear besides, and phase (rad) that it may cost
 
@@ -176,9 +175,8 @@ def _follows(x: Experiment, limit: float) -> Check:
     """Whether the servo of the strokes moves the handle against its friction: it is the softer, the slower the loop."""
     stiffness = servo_of(x, slow_rate(x))[0]
     held, unit = coulomb_of(x) / stiffness, _unit(x, "position")
-    enough = RATE_STEP * math.ceil(
-        x.controller.position_rate * math.sqrt(3.0 * held / limit) / RATE_STEP
-    )  # with room
+    stiffer = math.sqrt(3.0 * held / limit)  # with room: stiffness goes as the square of the rate
+    enough = RATE_STEP * math.ceil(x.controller.position_rate * stiffer / RATE_STEP)
     return limited(
         "friction under the strokes",
         held <= limit,
@@ -583,10 +581,8 @@ def _observable_limits(x: Experiment) -> dict[str, float]:
 
 def push_way(x: Experiment) -> float:
     """How far the handle moves in a push (rad or m): counts, or with a coarse encoder what the window has room for."""
-    count, half = (
-        x.rig.encoder.resolution,
-        0.5 * (x.rig.limits.position_maximum - x.rig.limits.position_minimum),
-    )
+    count, limits = x.rig.encoder.resolution, x.rig.limits
+    half = 0.5 * (limits.position_maximum - limits.position_minimum)
     return max(LEAST_PUSH_COUNTS * count, min(PUSH_COUNTS * count, half / COARSE_ROOM))
 
 

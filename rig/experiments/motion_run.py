@@ -31,9 +31,8 @@ from rig.recording.data import Recording
 # coherence or the change from period to period refuses all but 3.
 LATE_SHARE = 0.05
 ATTEMPTS = 4  # of a motion at one rate, when lost or late samples spoil it
-SLOWEST_HZ = round(
-    LIFETIME_PERIODS / LONGEST_LIFETIME_S
-)  # below it commands live no longer, and pushes get coarse
+# Below it commands live no longer, and pushes get coarse.
+SLOWEST_HZ = round(LIFETIME_PERIODS / LONGEST_LIFETIME_S)
 MOST_LOST_SHARE = 0.02  # of a motion's samples: so many are filled in
 LONGEST_FILLED = 3  # lost samples in a row
 

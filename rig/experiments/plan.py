@@ -501,10 +501,8 @@ def _slower_changes(x: Experiment, velocity: float) -> dict[str, float]:
 
     The loop reads a count more than the speed; `quieter_changes` leave that below a share of the limit.
     """
-    way, count = (
-        abs(x.wall.position - x.trial.start),
-        min(highest_reading(x), COUNT_SPEED_SHARE * x.rig.limits.speed),
-    )
+    way = abs(x.wall.position - x.trial.start)
+    count = min(highest_reading(x), COUNT_SPEED_SHARE * x.rig.limits.speed)
     speed = LESS * x.rig.limits.speed - count
     if x.trial.kind == "human" or velocity <= speed:
         return {}

@@ -48,17 +48,14 @@ WORDS = memories.CONTROL_BYTES // 8
 INFO_BYTES = 65536
 MAILBOX_BYTES = 2048  # rig.realtime.mailbox needs less, and must not be loaded to find the rows
 
-ABANDONED = (
-    2  # STOP of a loop that its owner has given up: link and descriptors may be reused, so it touches no more
-)
+# STOP of a loop that its owner has given up: link and descriptors may be reused, so it touches no more.
+ABANDONED = 2
 
 # word                 writer       meaning
 VERSION = memories.VERSION  # creator     layout version, stored last
 HEAD = 1  # loop        rows written so far
 TAIL = 2  # recorder    rows drained so far
-STOP = (
-    memories.STOP
-)  # anybody     non-zero: the loop ends within one tick; below zero: minus the process that set it
+STOP = memories.STOP  # any process non-zero: the loop ends within one tick; below zero: minus that process
 DROPPED = 4  # loop        rows lost because the ring was full
 TICKS = 5  # loop        steps of the law so far
 PHASE = 6  # loop        rig.core.sample.Phase now

@@ -17,8 +17,7 @@
 #define SHARE 10u
 #define SPEED_LAG_S 2.5e-3
 #define HALF 32768u /* of 65536 */
-#define UNIT CURRENT_UNIT
-#define MOST (32767 * UNIT)
+#define MOST (32767 * CURRENT_UNIT)
 #define COUNT 16384
 #define MOST_COUNTS 32767
 #define ZERO_TICKS 64
@@ -47,7 +46,7 @@ static uint32_t size_of(int32_t value)
 static uint32_t apart(int32_t a, int32_t b)
 {
     const uint32_t size = a > b ? (uint32_t)a - (uint32_t)b : (uint32_t)b - (uint32_t)a;
-    return (size + UNIT / 2u) / UNIT;
+    return (size + CURRENT_UNIT / 2u) / CURRENT_UNIT;
 }
 
 static int32_t least(int32_t a, int32_t b)
@@ -78,7 +77,7 @@ static int32_t whole(int32_t value, int32_t unit)
 /* Begin behind each lag with a current. */
 static void begin_at(struct current_check *check, int16_t current)
 {
-    check->expected = check->quick_low = check->quick_high = check->slow_low = check->slow_high = current * UNIT;
+    check->expected = check->quick_low = check->quick_high = check->slow_low = check->slow_high = current * CURRENT_UNIT;
 }
 
 void current_configure(struct current_check *check, const struct board *board, uint32_t rate)
@@ -167,7 +166,7 @@ static int32_t back_emf(struct current_check *check, int32_t count)
 /* Let what is left, back-EMF apart, and what is expected be as smooth as the speed. */
 static void smooth(struct current_check *check, int16_t measured)
 {
-    const int32_t left = measured * UNIT - check->expected;
+    const int32_t left = measured * CURRENT_UNIT - check->expected;
     /* Of a tick's speed it is the middle that follows; in the first tick all of it comes behind the lag. */
     const int32_t middle = left - part(left - check->before, check->known == 1u ? check->late : HALF);
     check->before = left;
@@ -192,7 +191,7 @@ bool current_disagrees(struct current_check *check, int32_t count, int16_t activ
         begin_at(check, measured);
         return false;
     }
-    int32_t low = active * UNIT, high = low, middle = low;
+    int32_t low = active * CURRENT_UNIT, high = low, middle = low;
     if (delays)
         middle = delay_line_look(&check->line, &low, &high);
     int32_t expected = follow(&check->expected, middle, check->decay);
@@ -203,7 +202,7 @@ bool current_disagrees(struct current_check *check, int32_t count, int16_t activ
         quick_high = follow(&check->quick_high, high, check->quick_decay) - expected;
         slow_high = follow(&check->slow_high, high, check->slow_decay) - expected;
     }
-    int32_t left = measured * UNIT - expected;
+    int32_t left = measured * CURRENT_UNIT - expected;
     const uint32_t here = apart(left, 0);
     check->largest = here > check->largest ? here : check->largest;
     if (check->back_emf != 0) {
