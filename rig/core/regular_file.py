@@ -11,9 +11,8 @@ import os
 import stat
 from pathlib import Path
 
-TEXT_BYTES = (
-    1 << 20
-)  # of a text that a person writes: the largest here has 27 kB, and more takes seconds to parse
+# Of a text that a person writes: the largest here has 27 kB, and more takes seconds to parse.
+TEXT_BYTES = 1 << 20
 TABLE_BYTES = 1 << 26  # of a file that a program writes: a plan, a table of endpoints, an image of a firmware
 ROWS_BYTES = 1 << 31  # of a table that is held in memory as a whole, with several copies
 _FLAGS = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
@@ -22,13 +21,16 @@ _FLAGS = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
 def open_regular(path: str | Path, most: int | None = None) -> io.BufferedReader:
     """Open a regular file to read; raises `OSError` for anything else, which is not opened, and above `most` bytes."""
     _check(os.stat(path), path, most)
-    descriptor = os.open(path, _FLAGS)
+    # The file owns its descriptor from the start: whatever interrupts, it is closed once.
+    file = open(  # noqa: SIM115  (the caller closes it)
+        path, "rb", opener=lambda place, _: os.open(place, _FLAGS)
+    )
     try:
-        _check(os.fstat(descriptor), path, most)  # another file may have taken its name
-        return os.fdopen(descriptor, "rb")
+        _check(os.fstat(file.fileno()), path, most)  # another file may have taken its name
     except BaseException:
-        os.close(descriptor)
+        file.close()
         raise
+    return file
 
 
 def read_regular(path: str | Path, most: int = TEXT_BYTES) -> bytes:
