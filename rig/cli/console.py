@@ -9,7 +9,6 @@ import click
 
 from rig.cli import options
 from rig.cli.command import command
-from rig.console.open import open_console
 from rig.core import program
 
 
@@ -37,6 +36,7 @@ def console(
 
     From another computer: ssh -L 8765:127.0.0.1:8765 HOST, and rig console --port 8765 there.
     """
+    from rig.console.open import open_console  # noqa: PLC0415  (needs the extra, and --help does not)
 
     def announce(url: str) -> None:
         click.echo(json.dumps({"url": url}) if as_json else f"rig console: {url}")

@@ -99,6 +99,41 @@ def test_an_empty_value_is_an_error_that_names_it_in_all_commands(capsys: pytest
     assert json.loads(capsys.readouterr().out)["error"]["kind"] == "ConfigError"
 
 
+WITHOUT_EXTRAS = """
+import sys
+for package in sys.argv[1:]:
+    sys.modules[package] = None  # as if it was not installed
+from click.testing import CliRunner
+from rig.cli import rig
+from tests.rig.cli.test_command_line import commands
+for path, _ in commands(rig):
+    result = CliRunner().invoke(rig, [*path, "--help"])
+    assert result.exit_code == 0, (path, result.output, result.exception)
+result = CliRunner().invoke(rig, ["console"])
+print(result.exception)
+"""
+
+
+def test_each_command_explains_itself_without_its_extra() -> None:
+    packages = [
+        "distributed",
+        "mcap",
+        "moteus",
+        "mujoco",
+        "odrive",
+        "pandas",
+        "pylsl",
+        "sphinx",
+        "statsmodels",
+    ]
+    packages += ["unicorn", "websockets", "xarray"]
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT_EXTRAS, *packages], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert "pip install 'haptic-rig[console]'" in done.stdout
+
+
 def codes_of(kind: type[RigError]) -> set[int]:
     return {kind.exit_code}.union(*(codes_of(below) for below in kind.__subclasses__()))
 
