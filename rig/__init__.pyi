@@ -18,9 +18,11 @@ from rig.core.drawn import Picture as Picture
 from rig.core.errors import RigError as RigError
 from rig.core.version import __version__ as __version__
 from rig.devices import open_device as open_device
+from rig.experiments.compare import SchemeComparison as SchemeComparison
 from rig.experiments.cutting import cut_recording as cut_recording
 from rig.experiments.design import Design as Design
 from rig.experiments.hit import HitResult as HitResult
+from rig.experiments.lab import compare as compare
 from rig.experiments.lab import design as design
 from rig.experiments.lab import hit as hit
 from rig.experiments.lab import load as load

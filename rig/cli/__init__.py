@@ -62,6 +62,10 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
             "rig.cli.zwidth:zwidth",
             "Map the walls (K, B) that a rig renders stably, scheme by scheme.",
         ),
+        "compare": (
+            "rig.cli.compare:compare",
+            "Compare one simulated hit without damping, with uniform and with dual-rate sampling.",
+        ),
         "design": (
             "rig.cli.design:design_",
             "Find rates, estimator and filter for a rig, for stated wishes, with their margin.",

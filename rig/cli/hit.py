@@ -11,9 +11,8 @@ from typing import Any
 import click
 
 from rig.bench.doctor.gate import Gate
-from rig.cli import compare as comparing
 from rig.cli import hit_output, options, output
-from rig.cli.command import command, option
+from rig.cli.command import command
 from rig.cli.next_step import name_next
 from rig.control.verdict import Verdict
 from rig.core.errors import RigError
@@ -21,8 +20,6 @@ from rig.core.present import Row, plain
 from rig.devices import load_backend
 from rig.experiments import hit as hits
 from rig.experiments.judgement import unexpected
-
-_COMPARISON = "Comparison"
 
 
 @command()
@@ -34,19 +31,6 @@ _COMPARISON = "Comparison"
 @options.output_option("recordings", "Directory of the recordings.", "directory")
 @options.plot_options("Draw a picture beside the recording.")
 @options.expect_option(options.VERDICTS)
-@option(
-    "--compare",
-    group=_COMPARISON,
-    is_flag=True,
-    help="Simulate the same hit under several schemes; records nothing.",
-)
-@options.scheme_option("none, uniform and dual-rate", group=_COMPARISON)
-@option(
-    "--as-in-the-paper",
-    group=_COMPARISON,
-    is_flag=True,
-    help="Compare under the conditions of figures 7 and 8 of Koul et al., in floating and in fixed point.",
-)
 @options.json_option
 def hit(
     file: Path | None,
@@ -57,9 +41,6 @@ def hit(
     arm_anyway: bool,
     directory: Path,
     plot: str,
-    compare: bool,
-    schemes: tuple[str, ...],
-    as_in_the_paper: bool,
     expected: tuple[str, ...],
     as_json: bool,
     **changed: Any,
@@ -74,21 +55,8 @@ def hit(
     the effort) or moved (position, peak to peak) when it exceeds the threshold printed beside it.
 
     For scripts, --expect stable ends with 17 where a hit's verdict is another one.
-
-    With --compare, the same hit is simulated without damping, with uniform and with dual-rate sampling, and nothing is
-    recorded.
     """
     changes = options.changes(**changed)
-    if compare or schemes or as_in_the_paper or changed["cutoff"]:
-        comparing.refuse_a_verdict(expected)
-        comparing.refuse_a_device(url, realtime, verified, changes)
-        comparing.refuse_what_is_fixed(compare, as_in_the_paper, file or preset or url or changes or schemes)
-        if as_in_the_paper:
-            comparing.run_as_in_the_paper(directory, plot=plot, as_json=as_json)
-            return
-        experiment = options.chosen_experiment(file, preset or options.preset_of(url, file))
-        comparing.run(experiment, changes, schemes, directory, plot=plot, as_json=as_json)
-        return
     experiment = options.chosen_experiment(file, preset or options.preset_of(url, file))
     load_backend(url or "sim://")
     request = hits.HitRequest(

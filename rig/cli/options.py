@@ -123,6 +123,16 @@ def operator_option(help: str) -> Callable[[F], F]:
     return option("--operator", group=EXPERIMENT, metavar="GRIP", type=values.GRIP, help=help)
 
 
+loop_option = option(
+    "--loop",
+    group=EXPERIMENT,
+    type=click.Choice(["host", "device"]),
+    help="Where the law runs: on this computer, or on the device.",
+)
+start_option = option(
+    "--start", group=EXPERIMENT, type=float, help="Where the handle is released (rad or m)."
+)
+duration_option = option("--duration", group=EXPERIMENT, type=float, help="Length of the push (s).")
 effort_option = option(
     "--effort",
     group=EXPERIMENT,
@@ -378,14 +388,11 @@ experiment_options = added(
     damping_option,
     rate_option("Position rate and velocity rate: 20k/2k; uniform: 1k."),
     estimator_option(),
-    option(
-        "--loop", group=EXPERIMENT, type=click.Choice(["host", "device"]),
-        help="Where the law runs: on this computer, or on the device.",
-    ),
+    loop_option,
     effort_option,
     operator_option("Who pushes: a person's hand (relaxed, normal, firm), or none: the motor alone."),
-    option("--start", group=EXPERIMENT, type=float, help="Where the handle is released (rad or m)."),
-    option("--duration", group=EXPERIMENT, type=float, help="Length of the push (s)."),
+    start_option,
+    duration_option,
     repeats_option("How many hits."),
     seed_option("Of the simulation's sensor noise."),
     set_option,

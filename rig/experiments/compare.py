@@ -11,7 +11,7 @@ Source: Koul et al., Fig. 7 and section III ("depth of penetration … after the
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -23,13 +23,17 @@ from rig import config, devices
 from rig.config import Experiment, Wall, controller
 from rig.config.schemes import Scheme, describe_cutoffs
 from rig.control.step import ENDS_RUN, TRIAL, Controller
+from rig.core.drawn import Drawn
 from rig.core.errors import ConfigError
-from rig.core.present import reported
-from rig.core.sample import ROW, Motion
+from rig.core.present import Item, Row, Table, reported
+from rig.core.sample import ROW, Motion, unit_of
+from rig.core.shown import Shown
 from rig.experiments.impact import Impact, ImpactNumbers, mean, measure
 from rig.loop.replay import NO_SETS, replay_rows
 
 OFFSETS = (0.1, 0.4, 0.7, 0.95)  # where position zero lies in its encoder cell, one trial each
+NO_DAMPING = "none"  # name of the entry without damping
+UNUSED = ("trial.repeats", "trial.seed")  # a trial without bytes has no noise: every repeat would be the same
 USUAL_VELOCITY_RATE = 2000  # Hz, of the dual-rate scheme when the experiment's own is uniform
 
 
@@ -114,9 +118,24 @@ class SchemeImpacts:
         peaks = [impact.numbers.peak for impact in self.impacts]
         return min(peaks), max(peaks)
 
+    def cells(self) -> tuple[str, ...]:
+        """Return the row of the table of a comparison."""
+        n, (least, most) = self.numbers, self.peaks
+        return (
+            self.label + ("" if self.complete else ", ended by the guard"),
+            f"{n.impact_velocity:.3g}",
+            f"{n.peak:.2f}",
+            f"{least:.4g}…{most:.4g}",
+            "none" if n.second_peak is None else f"{n.second_peak:.2f}",
+            f"{n.rest:.2f}",
+            f"{n.bounces:.3g}",
+            f"{n.decay:.2f}",
+            "never" if n.settling_s is None else f"{n.settling_s:.3g}",
+        )
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Comparison:
+
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
+class SchemeComparison(Shown, Drawn):
     """Every entry on one rig, wall and start."""
 
     experiment: Experiment = field(repr=False)
@@ -144,6 +163,32 @@ class Comparison:
         damped = [outcome.entry.scheme for outcome in self.outcomes if outcome.damping > 0.0]
         return describe_cutoffs(damped, self.experiment)
 
+    def brief(self) -> list[Item]:
+        """The wall, and of each scheme the peak, its spread over the offsets, and the rest."""
+        return [
+            self._headline(),
+            *(
+                Row(one.label, one.numbers.peak, "counts at the peak", f"rests at {one.numbers.rest:.2f}")
+                for one in self.outcomes
+            ),
+        ]
+
+    def detailed(self) -> list[Item]:
+        """Every number of each scheme, and how the cut-offs differ."""
+        velocity = unit_of("velocity", self.motion)
+        head = ("counts", f"impact ({velocity})", "peak", "of offsets", "second", "rest", "bounces", "decay")
+        table = Table((*head, "settling (s)"), [one.cells() for one in self.outcomes])
+        return [self._headline(), table, *([f"  {self.cutoffs}"] if self.cutoffs is not None else [])]
+
+    def _headline(self) -> str:
+        stiffness, damping = (
+            f"{getattr(self.wall, name):g} {unit_of(name, self.motion)}" for name in ("stiffness", "damping")
+        )
+        return (
+            f"{self.rig}: K = {stiffness}, B = {damping}, the same hit, "
+            f"mean over {len(self.outcomes[0].impacts)} encoder offsets"
+        )
+
     def __getitem__(self, name: str) -> SchemeImpacts:
         """Return the outcome of the entry of that name; `KeyError` if there is none."""
         for outcome in self.outcomes:
@@ -164,10 +209,37 @@ def default_entries(experiment: Experiment) -> tuple[Entry, Entry, Entry]:
         slow = next(rate for rate in range(min(USUAL_VELOCITY_RATE, fast // 2), 0, -1) if fast % rate == 0)
     uniform = Scheme(position_rate=fast, velocity_rate=fast)
     return (
-        Entry(name="none", scheme=uniform, damping=0.0),
+        Entry(name=NO_DAMPING, scheme=uniform, damping=0.0),
         Entry(name="uniform", scheme=uniform),
         Entry(name="dual", scheme=Scheme(position_rate=fast, velocity_rate=slow)),
     )
+
+
+def entries_of(experiment: Experiment, schemes: Sequence[str | Scheme]) -> tuple[Entry, ...]:
+    """Return an entry for each scheme, ``"none"`` for no damping; `default_entries` if there are none."""
+    usual = default_entries(experiment)
+    if not schemes:
+        return usual
+    names = [one if isinstance(one, str) else one.text for one in schemes]
+    for name in names:
+        if names.count(name) > 1:
+            raise ConfigError(f"scheme {name} is named twice", remedy="name each scheme once")
+    return tuple(
+        usual[0]
+        if one == NO_DAMPING
+        else Entry(name=name, scheme=Scheme.parse(one) if isinstance(one, str) else one)
+        for name, one in zip(names, schemes, strict=True)
+    )
+
+
+def refuse_unused(changes: Mapping[str, Any]) -> None:
+    """Raise `ConfigError` for a change that no comparison can use."""
+    for key in UNUSED:
+        if key in changes:
+            raise ConfigError(
+                f"{key} = {changes[key]!r}: a compared hit has no noise and is simulated once at each encoder offset",
+                remedy=f"leave {key} out",
+            )
 
 
 def compare(
@@ -176,7 +248,7 @@ def compare(
     *,
     start: Start | None = None,
     offsets: Sequence[float] = OFFSETS,
-) -> Comparison:
+) -> SchemeComparison:
     """Simulate one hit for each entry and encoder offset.
 
     Parameters
@@ -205,7 +277,7 @@ def compare(
     if experiment.trial.kind != "constant-effort":
         raise ConfigError(
             f"trial.kind = {experiment.trial.kind}: schemes are compared in automated trials, without a hand",
-            remedy="leave the operator out, or set trial.kind = constant-effort",
+            remedy="set trial.kind = constant-effort",
         )
     given = start or Start.of(experiment)
     outcomes: list[SchemeImpacts] = []
@@ -221,7 +293,7 @@ def compare(
                 numbers=mean(impact.numbers for impact in impacts),
             )
         )
-    return Comparison(experiment=experiment, start=given, outcomes=tuple(outcomes))
+    return SchemeComparison(experiment=experiment, start=given, outcomes=tuple(outcomes))
 
 
 def hit(experiment: Experiment, start: Start, offset: float) -> Impact:

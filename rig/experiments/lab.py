@@ -21,11 +21,13 @@ from rig.control.law import Law
 from rig.core import plugins
 from rig.core.errors import ConfigError
 from rig.devices.framed import FramedDevice
+from rig.experiments import compare as comparing
 from rig.experiments import design as designing
 from rig.experiments import hit as one_hit
 from rig.experiments import maps, sweep
 from rig.experiments import plan as planning
 from rig.experiments import replay as replaying
+from rig.experiments.compare import OFFSETS, SchemeComparison, entries_of, refuse_unused
 from rig.experiments.hit import HitRequest, HitResult, Watch
 from rig.experiments.planned import Plan
 from rig.experiments.ranges import SPAN, hit_plan, search_for
@@ -209,6 +211,47 @@ def replay(
         changes["wall.law"] = own_law.name
     with _lent(own_law, own_estimator):
         return replaying.replay(opened, changes, law=own_law)
+
+
+def compare(
+    experiment: ExperimentLike = DEFAULT_PRESET,
+    schemes: Sequence[str | Scheme] = (),
+    *,
+    offsets: Sequence[float] = OFFSETS,
+    law: str | Law | None = None,
+    estimator: str | Estimator | None = None,
+    **settings: Unpack[WallSettings],
+) -> SchemeComparison:
+    """Simulate the same hit under several schemes (`rig compare`); nothing is recorded.
+
+    Parameters
+    ----------
+    experiment
+        As in `load`; the motor pushes, without a hand.
+    schemes
+        ``"dual:20k/2k,estimator=kalman"``, ``"uniform:20k"``, ``"none"`` for no damping; no damping, uniform and
+        dual-rate at the experiment's rates if empty.
+    offsets
+        Where position zero lies in its encoder cell (count, 0 to below 1): one hit each, of whose numbers the result
+        has the mean.
+    law, estimator
+        By name, or of your own.
+    **settings
+        As in `load`.
+
+    Raises
+    ------
+    ConfigError
+        A scheme or an offset that cannot be, a hand on the rig, or a handle that never reaches the wall.
+    """
+    changes = changes_of(settings, WallSettings)
+    refuse_unused(changes)
+    own = _own({"law": law, "estimator": estimator}, changes)
+    if own[0] is not None:
+        changes["wall.law"] = own[0].name
+    with _lent(*own):
+        loaded = _changed(experiment, changes)
+        return comparing.compare(loaded, entries_of(loaded, schemes), offsets=offsets)
 
 
 def zwidth(

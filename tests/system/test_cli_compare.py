@@ -1,4 +1,4 @@
-"""`rig hit --compare` as a person meets it: the table, the picture, JSON, and what it refuses."""
+"""`rig compare` as a person meets it: the table, the picture, JSON, and what it refuses."""
 
 import json
 import re
@@ -19,7 +19,7 @@ def run(capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.chdir(tmp_path)
 
     def call(*arguments: Any) -> Any:
-        code = rig.cli.run(["hit", *(str(argument) for argument in arguments)])
+        code = rig.cli.run(["compare", *(str(argument) for argument in arguments)])
         out, err = capfd.readouterr()
         assert "Traceback" not in err
         return code, out, err
@@ -28,7 +28,7 @@ def run(capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.M
 
 
 def test_it_prints_a_table_and_draws_a_picture_and_records_nothing(run: Any, tmp_path: Path) -> None:
-    code, out, err = run("--compare", "--rig", "koul-rigid", *QUICK)
+    code, out, err = run("--rig", "koul-rigid", *QUICK)
     assert code == 0, err
     assert "koul-rigid: K = 300 N·m/rad, B = 0.5 N·m·s/rad, the same hit, mean over 4 encoder offsets" in out
     lines = [line.split() for line in out.splitlines()]
@@ -40,7 +40,7 @@ def test_it_prints_a_table_and_draws_a_picture_and_records_nothing(run: Any, tmp
 
 def test_json_has_every_number_of_every_scheme_and_offset(run: Any, tmp_path: Path) -> None:
     code, out, _ = run(
-        "--compare", "--json", "--no-plot", "-K", "200", "-B", "0.3", "--scheme", "none",
+        "--json", "--no-plot", "-K", "200", "-B", "0.3", "--scheme", "none",
         "--scheme", "dual:20k/2k", "--scheme", "dual:20k/4k,estimator=fdm", *QUICK,
     )  # fmt: skip
     assert code == 0
@@ -61,21 +61,14 @@ def test_json_has_every_number_of_every_scheme_and_offset(run: Any, tmp_path: Pa
     assert not list(tmp_path.iterdir())
 
 
-def test_a_rig_named_by_its_url_is_compared_too(run: Any) -> None:
-    code, out, _ = run("--compare", "--json", "--no-plot", "--url", "sim://chawda-linear", *QUICK)
-    assert code == 0
-    facts = json.loads(out)
-    assert (facts["rig"], facts["motion"]) == ("chawda-linear", "linear")
-
-
 def test_the_conditions_of_the_paper_give_figures_7_and_8(run: Any, tmp_path: Path) -> None:
-    code, out, _ = run("--compare", "--as-in-the-paper", "-o", "figures")
+    code, out, _ = run("--as-in-the-paper", "-o", "figures")
     assert code == 0
     for words in ("57.00 (57…57)", "39.75 (35…45)", "29.00 (29…29)", "fs/20", "figure 8"):
         assert words in out
     assert len(re.findall(r"^ +\d+ \*", out, re.MULTILINE)) == 2
     assert {p.name for p in (tmp_path / "figures").iterdir()} == {"koul-figure-7.png", "koul-figure-8.png"}
-    code, out, _ = run("--compare", "--as-in-the-paper", "--json", "--no-plot")
+    code, out, _ = run("--as-in-the-paper", "--json", "--no-plot")
     facts = json.loads(out)
     assert code == 0
     assert [panel["position_rate"] for panel in facts["figure_7"]] == [20000, 10000] * 2
@@ -84,21 +77,15 @@ def test_the_conditions_of_the_paper_give_figures_7_and_8(run: Any, tmp_path: Pa
 
 
 WRONG = [
-    (["--compare", "--url", "serial:///dev/ttyACM0"], "schemes are compared in simulation"),
-    (["--compare", "--url", "sim://koul-rigid?seed=3"], "schemes are compared in simulation"),
-    (["--compare", "--realtime"], "--compare and --realtime"),
-    (["--compare", "--verified"], "--compare and --verified"),
-    (["--compare", "--repeats", "3"], "nothing random"),
-    (["--scheme", "uniform:20k"], "belong to --compare"),
-    (["--as-in-the-paper"], "belong to --compare"),
-    (["--compare", "--as-in-the-paper", "-K", "100"], "has its own rig, wall, start and schemes"),
-    (["--compare", "--scheme", "triple:20k"], "no such kind of sampling"),
-    (["--compare", "--scheme", "none", "--scheme", "none"], "named twice"),
-    (["--compare", "--scheme", "dual:20k/3k"], "velocity_rate"),
-    (["--compare", "--estimator", "fmd"], "fmd"),
-    (["--compare", "--rig", "nobody"], "nobody"),
-    (["--compare", "--start", "-0.4", *BRIEF], "never reached the wall within 0.06 s"),
-    (["--compare", "--operator", "normal"], "in automated trials, without a hand"),
+    (["--set", "trial.repeats=3"], "trial.repeats = 3: a compared hit has no noise"),
+    (["--as-in-the-paper", "-K", "100"], "has its own rig, wall, start and schemes"),
+    (["--scheme", "triple:20k"], "no such kind of sampling"),
+    (["--scheme", "none", "--scheme", "none"], "scheme none is named twice"),
+    (["--scheme", "dual:20k/3k"], "velocity_rate"),
+    (["--estimator", "fmd"], "fmd"),
+    (["--rig", "nobody"], "nobody"),
+    (["--start", "-0.4", *BRIEF], "never reached the wall within 0.06 s"),
+    (["--set", "trial.kind=human"], "in automated trials, without a hand"),
 ]
 
 

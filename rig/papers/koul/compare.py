@@ -25,7 +25,7 @@ from rig.control.estimators.estimator import Floats
 from rig.core.errors import ConfigError
 from rig.core.present import plain, reported
 from rig.experiments.cases import Case
-from rig.experiments.compare import OFFSETS, Comparison, Entry, Start, compare, simulate
+from rig.experiments.compare import OFFSETS, Entry, SchemeComparison, Start, compare, simulate
 from rig.experiments.estimators import Variant, delay, estimates
 
 START = Start(position=-2e-3, velocity=1.5, external_effort=0.06)
@@ -49,7 +49,7 @@ class Panel:
 
     position_rate: int
     arithmetic: str
-    comparison: Comparison
+    comparison: SchemeComparison
 
     @property
     def peaks(self) -> tuple[float, float, float]:

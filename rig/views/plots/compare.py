@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from rig.core.sample import unit_of
-from rig.experiments.compare import Comparison, SchemeImpacts
+from rig.experiments.compare import SchemeComparison, SchemeImpacts
 from rig.views.plots import style
 
 COLOURS = (style.TRUE, style.SENT, style.MEASURED, style.OTHER, "#cc79a7", "#56b4e9", "#000000")
@@ -17,19 +17,14 @@ STRONGEST = 1.15  # times the largest true speed: a noisy estimate may not flatt
 SHORTEST_S, LONGEST_S = 0.03, 0.3
 
 
-@style.own_style()
-def draw_comparison(comparison: Comparison, picture: str | Path, *, offset: int = 0) -> Path:
-    """Draw penetration above and velocities below, over the time since the first contact; return its path.
+def draw_comparison(comparison: SchemeComparison, picture: str | Path) -> Path:
+    """Draw a comparison into a file; `RecordingError` when it cannot be written."""
+    return style.save(scheme_figure(comparison), Path(picture))
 
-    Parameters
-    ----------
-    comparison
-        What to draw: of each outcome the hit at one encoder offset.
-    picture
-        File to write, see `rig.views.plots.style.save`; `RecordingError` when it cannot be written.
-    offset
-        Which of the offsets.
-    """
+
+@style.own_style()
+def scheme_figure(comparison: SchemeComparison, *, offset: int = 0) -> Any:
+    """Draw penetration above and velocities below, over the time since the first contact, at one encoder offset."""
     x, motion = comparison.experiment, comparison.experiment.rig.motion
     until_s = _shown_s(comparison.outcomes)
     figure = style.new_figure(width=9.0, height=3.5 + 1.8 * len(comparison.outcomes))
@@ -51,7 +46,7 @@ def draw_comparison(comparison: Comparison, picture: str | Path, *, offset: int 
     below[-1].set_xlim(0.0, until_s)
     stiffness, damping = (f"{getattr(x.wall, q):g} {unit_of(q, motion)}" for q in ("stiffness", "damping"))
     figure.suptitle(f"{x.rig.name}: the same hit, K = {stiffness}, B = {damping}", fontsize=11)
-    return style.save(figure, Path(picture))
+    return figure
 
 
 def draw_penetration(axes: Any, outcomes: Sequence[SchemeImpacts], offset: int) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 from rig.analysis.theory import Theory
 from rig.core.drawn import Picture
 from rig.core.errors import ConfigError
+from rig.experiments.compare import SchemeComparison
 from rig.experiments.design import Design
 from rig.experiments.disagreement import Disagreement
 from rig.experiments.hit import HitResult
@@ -18,6 +19,7 @@ from rig.experiments.zwidth_frequency import FrequencyMap
 from rig.recording.data import Column, Recording
 from rig.views.plots import style
 from rig.views.plots.column import column_figure
+from rig.views.plots.compare import scheme_figure
 from rig.views.plots.design import design_figure
 from rig.views.plots.disagreement import disagreement_figure
 from rig.views.plots.hit import hit_figure
@@ -28,13 +30,16 @@ from rig.views.plots.zwidth_frequency import frequency_figure
 
 
 def plot(result: object) -> Picture:
-    """Draw a hit, a recording or a column of it, a replay, a map, a design or a theory; `ConfigError` for others."""
+    """Draw a hit, a recording or a column of it, a replay, a comparison, a map, a design or a theory.
+
+    Raises `ConfigError` for another result.
+    """
     for kind, figure in _FIGURES.items():
         if isinstance(result, kind):
             return Picture(figure(result), style.save, style.png)
     raise ConfigError(
         f"a {type(result).__name__} has no picture",
-        remedy="give a hit, a recording or a column of it, a replay, a map, a design or a theory",
+        remedy="give a hit, a recording or a column of it, a replay, a comparison, a map, a design or a theory",
     )
 
 
@@ -48,4 +53,5 @@ _FIGURES: Mapping[type, Callable[[Any], Any]] = {
     Theory: theory_figure,
     Disagreement: disagreement_figure,
     Design: design_figure,
+    SchemeComparison: scheme_figure,
 }

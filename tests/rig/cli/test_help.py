@@ -54,10 +54,10 @@ def test_a_rig_is_a_name_or_a_file_in_every_command() -> None:
 def test_options_are_listed_in_groups(capsys: pytest.CaptureFixture[str]) -> None:
     assert rig.cli.run(["hit", "--help"]) == 0
     text = capsys.readouterr().out
-    places = [text.index(f"\n{title}:\n") for title in (EXPERIMENT, "Comparison", DEVICE, RESULT)]
+    places = [text.index(f"\n{title}:\n") for title in (EXPERIMENT, DEVICE, RESULT)]
     assert places == sorted(places)
     assert places[0] < text.index("--stiffness") < places[1]
-    assert places[2] < text.index("--url") < places[3] < text.index("--json")
+    assert places[1] < text.index("--url") < places[2] < text.index("--json")
     assert text.count("--help") == 1
 
 

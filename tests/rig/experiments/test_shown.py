@@ -44,6 +44,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
         "experiment": hit.experiment,
         "plan": rig.plan("koul-compliant"),
         "replay": rig.replay(hit.recording, estimator="fdm"),
+        "comparison": rig.compare("koul-rigid", offsets=[0.4], duration_s=0.2, changes={"verdict.tail_s": 0.05}),
         "zwidth": rig.zwidth(
             "koul-compliant", [levant], dampings=[0.0, 0.5], lowest=100.0, highest=120.0, search="bisection", ratio=1.1,
             offsets=[0.1],
@@ -119,7 +120,16 @@ def test_each_has_its_picture_which_is_saved_as_its_name_ends(
     results: dict[str, Any], tmp_path: Path
 ) -> None:
     drawn = {name: result.plot() for name, result in results.items() if hasattr(result, "plot")}
-    assert set(drawn) == {"hit", "recording", "column", "replay", "zwidth", "frequency", "theory"}
+    assert set(drawn) == {
+        "hit",
+        "recording",
+        "column",
+        "replay",
+        "comparison",
+        "zwidth",
+        "frequency",
+        "theory",
+    }
     for name, picture in drawn.items():
         assert picture.figure.axes, name
     assert drawn["column"]._repr_png_().startswith(b"\x89PNG")
