@@ -6,9 +6,7 @@ leaves it can be mangled frame by frame.
 
 from __future__ import annotations
 
-import ctypes
 from collections.abc import Callable, Sequence
-from typing import Any
 from zlib import crc32
 
 from firmware_protocol import messages as m
@@ -18,8 +16,8 @@ from firmware_protocol.framing import decode_frame, encode_frame
 from firmware_protocol.packing import pack, pack_batch_samples, type_id_of, unpack
 from firmware_protocol.transfer import Assembler
 from rig.devices.port import LoopPort
+from rig.realtime.callbacks import callback_plugs
 from rig.realtime.clock import VirtualClock
-from rig.realtime.plugs import TRANSFER_SIGNATURE, WAIT_SIGNATURE, NativeFunction
 
 U32 = 1 << 32
 Mangle = Callable[[int, bytes], Sequence[bytes]]  # number of a BATCH, its bytes → what arrives instead
@@ -159,33 +157,35 @@ class BatchDevice:
 
     # ------------------------------------------------------------------ the link
 
-    def _wait(self, handle: int, deadline_ns: int) -> int:
+    def _wait(self, deadline_ns: int) -> bool:
         while not self.arrived and not self.error and self._next_ns <= deadline_ns:
             self.clock.sleep_until(self._next_ns)
             self._tick()
-        if self.arrived or self.error:
-            return 1 if self.arrived else self.error
-        self.clock.sleep_until(deadline_ns)
-        return 0
+        if not self.arrived:
+            self._check(self.error)
+            self.clock.sleep_until(deadline_ns)
+        return bool(self.arrived)
 
-    def _read(self, handle: int, address: int, size: int) -> int:
+    def _read(self, size: int) -> bytes:
         data, self.arrived = self.arrived[:size], self.arrived[size:]
-        if not data and self.error:
-            return self.error
-        ctypes.memmove(address, data, len(data))
-        return len(data)
+        if not data:
+            self._check(self.error)
+        return data
 
-    def _write(self, handle: int, address: int, size: int) -> int:
-        if self.write_error:
-            return self.write_error
-        header, message = unpack(decode_frame(ctypes.string_at(address, size)[:-1]))
+    def _write(self, data: bytes) -> None:
+        self._check(self.write_error)
+        header, message = unpack(decode_frame(data[:-1]))
         assert header.session == self.session
         self.heard.append((self.clock.now_ns(), message))
         if isinstance(message, m.Command):
             self._command(header.sequence, message)
         elif self.answers:
             self._answer(message)
-        return size
+
+    @staticmethod
+    def _check(error: int) -> None:
+        if error:
+            raise OSError(-error, "as the test asks")
 
     def _command(self, sequence: int, command: m.Command) -> None:
         if self.state is State.FAULT:
@@ -236,16 +236,5 @@ class BatchDevice:
 
     def port(self) -> LoopPort:
         """Plug functions of the loop."""
-        transfer, wait = (ctypes.CFUNCTYPE(ctypes.c_int64, *[ctypes.c_int64] * n) for n in (3, 2))
-
-        def native(kind: Any, function: Any, signature: Any) -> Any:  # type: ignore[no-untyped-def]
-            callback = kind(function)
-            return NativeFunction(ctypes.cast(callback, ctypes.c_void_p).value, signature, keep=callback)
-
-        return LoopPort.on(
-            self.clock,
-            read=native(transfer, self._read, TRANSFER_SIGNATURE),
-            write=native(transfer, self._write, TRANSFER_SIGNATURE),
-            wait=native(wait, self._wait, WAIT_SIGNATURE),
-            handle=0,
-        )
+        plugs = callback_plugs(read=self._read, write=self._write, wait=self._wait)
+        return LoopPort.on(self.clock, **plugs._asdict())

@@ -42,10 +42,11 @@ from rig.loop.rows import lateness as row_lateness
 from rig.loop.run import LoopSettings, LoopThread
 from rig.realtime import ring, system
 from rig.realtime.atomics import load_word, store_word, write_word
+from rig.realtime.callbacks import callback_plugs
 from rig.realtime.clock import MonotonicClock, VirtualClock
 from rig.realtime.codec import HEAD, STATE
 from rig.realtime.kernel import kernel
-from rig.realtime.plugs import LAW_SIGNATURE, TRANSFER_SIGNATURE, WAIT_SIGNATURE, NativeFunction
+from rig.realtime.plugs import LAW_SIGNATURE
 from rig.realtime.ring import Ring
 from sim_backend.device import SimulatedDevice
 from sim_backend.link import MemoryLink
@@ -309,49 +310,41 @@ class Script:
         self.write_error = 0
         self.room = 1 << 30  # bytes that a write takes
 
-    def _wait(self, handle: Any, deadline_ns: Any) -> Any:
+    def _wait(self, deadline_ns: int) -> bool:
         if self.error or self.arrived:
-            return self.error or 1
+            self._check(self.error)
+            return True
         if not self.events or self.events[0][0] > deadline_ns:
             self.clock.sleep_until(deadline_ns)
-            return 0
+            return False
         at, what = self.events.pop(0)
         self.clock.sleep_until(at)
         if callable(what):
             what()
-            return 0
+            return False
         if isinstance(what, int):
             self.error = what
-            return what
+            self._check(what)
         self.arrived += what
-        return 1
+        return True
 
-    def _read(self, handle: Any, address: Any, size: Any) -> Any:
+    def _read(self, size: int) -> bytes:
         data, self.arrived = self.arrived[:size], self.arrived[size:]
-        ctypes.memmove(address, data, len(data))
-        return len(data)
+        return data
 
-    def _write(self, handle: Any, address: Any, size: Any) -> Any:
-        assert size > 0
-        if self.write_error:
-            return self.write_error
-        self.heard.append((self.clock.now_ns(), ctypes.string_at(address, size)))
-        return min(size, self.room)
+    def _write(self, data: bytes) -> int:
+        self._check(self.write_error)
+        self.heard.append((self.clock.now_ns(), data))
+        return min(len(data), self.room)
+
+    @staticmethod
+    def _check(error: int) -> None:
+        if error:
+            raise OSError(-error, "as the test asks")
 
     def port(self) -> Any:
-        transfer, wait = (ctypes.CFUNCTYPE(ctypes.c_int64, *[ctypes.c_int64] * n) for n in (3, 2))
-
-        def native(kind: Any, function: Any, signature: Any) -> Any:
-            callback = kind(function)
-            return NativeFunction(ctypes.cast(callback, ctypes.c_void_p).value, signature, keep=callback)
-
-        return LoopPort.on(
-            self.clock,
-            read=native(transfer, self._read, TRANSFER_SIGNATURE),
-            write=native(transfer, self._write, TRANSFER_SIGNATURE),
-            wait=native(wait, self._wait, WAIT_SIGNATURE),
-            handle=0,
-        )
+        plugs = callback_plugs(read=self._read, write=self._write, wait=self._wait)
+        return LoopPort.on(self.clock, **plugs._asdict())
 
     def failure(self) -> None:
         return None
@@ -484,7 +477,7 @@ def test_a_full_line_is_counted_and_survived() -> None:
 
 
 def test_a_command_that_does_not_fit_the_wire_is_not_sent() -> None:
-    """Whatever the settings say, no byte beyond a frame leaves (`Script._write` would object)."""
+    """Whatever the settings say, no byte beyond a frame leaves."""
     link = Script(*ticks(1, 5))
     _, end = ran(link, lifetime_us=1 << 40)
     assert end.counters["unsent"] == 4
@@ -817,8 +810,8 @@ class Answering(Script):
     offset_units = 1_000_000
     delay_ns = 200_000
 
-    def _write(self, handle: Any, address: Any, size: Any) -> Any:
-        taken = super()._write(handle, address, size)
+    def _write(self, data: bytes) -> int:
+        taken = super()._write(data)
         header, message = unpack(decode_frame(self.heard[-1][1][:-1]))
         if isinstance(message, m.GetTime):
             received = self.clock.now_ns() * 16 // 1000 + self.offset_units
