@@ -36,6 +36,7 @@ from rig.core.errors import RigError
 from rig.core.model import RigModel
 from rig.devices import open_device
 from rig.devices.fault_script import Direction, FrameFault
+from rig.devices.framed import FramedDevice
 from rig.devices.port import LoopPort
 from rig.experiments import trial
 from rig.realtime.plugs import NOW_SIGNATURE, TRANSFER_SIGNATURE, WAIT_SIGNATURE, NativeFunction
@@ -440,6 +441,12 @@ class FarEnd:
     def __getitem__(self, name: str) -> int:
         """Return what the device wrote down at its last tick."""
         return int(self._witness[0][name])
+
+    @contextmanager
+    def open(self) -> Iterator[FramedDevice]:
+        """Open it as a host does that waits longer."""
+        with patient_host(), open_device(self.url) as device:
+            yield device
 
     def pause(self) -> None:
         """Stop the process, as a debugger or a frozen computer does."""

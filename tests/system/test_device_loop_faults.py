@@ -6,7 +6,6 @@ a run whose frames to the host suffer must show the same samples as an undisturb
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 
 import numba
@@ -16,22 +15,16 @@ import pytest
 if numba.config.DISABLE_JIT:
     pytest.skip("plug points are function types of compiled code", allow_module_level=True)
 
-from firmware_protocol.connection import State
-from firmware_protocol.faults import Fault
 from rig import config
 from rig.cli import run
 from rig.config import presets
-from rig.core.errors import DeviceFaultError, LinkLostError, RigError, StoppedError
+from rig.core.errors import LinkLostError, StoppedError
 from rig.core.sample import Phase
-from rig.devices.fault_script import DeviceFault, Direction, Faults, FrameFault, Kind
-from rig.devices.framed import FramedDevice
-from rig.experiments.replay import replay
-from rig.recording.reader import open_recording
+from rig.devices.fault_script import Direction, Faults, FrameFault, Kind
 from rig.recording.seal import seal
 from sim_backend.firmware import FirmwareDevice
-from sim_backend.firmware_library import FIRMWARE
-from sim_backend.link import MemoryLink
-from tests.conformance.trials import trial_on
+from tests.conformance.firmware import need_compiler
+from tests.conformance.struck import InMemory, StruckTrial
 
 RATE = 5000
 START = -0.015
@@ -52,56 +45,17 @@ SHORT = config.override(
 
 
 @pytest.fixture(scope="module", autouse=True)
-def _has_compiler() -> None:
-    try:
-        FIRMWARE.compiler()
-    except RigError:
-        pytest.skip("no C compiler is installed (package gcc)")
+def _compiler() -> None:
+    need_compiler()
 
 
-class Bench:
-    """One device with a script of faults, and one trial on it."""
+def bench(*frames: FrameFault) -> InMemory:
+    device = FirmwareDevice(config.rig_model(SHORT), initial_position=START)
+    return InMemory(device, Faults(frames=frames), rest_s=0.032)
 
-    def __init__(
-        self, directory: Path, faults: Faults | None = None, experiment: config.Experiment = SHORT
-    ) -> None:
-        self.device = FirmwareDevice(config.rig_model(experiment), initial_position=START)
-        self.link = MemoryLink(self.device, faults or Faults())  # type: ignore[arg-type]
-        self.path = directory / "trial.rigcap"
-        self.experiment = experiment
-        self.error: RigError | None = None
-        self.messages: tuple[str, ...] = ()
 
-    def run(self) -> Bench:
-        request = partial(
-            trial_on, experiment=self.experiment, recording=self.path, verified=True, seed=0, sealed=False
-        )
-        try:
-            with FramedDevice(self.link) as device:
-                self.messages = request(device).messages
-        except RigError as error:
-            self.error, self.messages = error, tuple(error.messages)
-        return self
-
-    @property
-    def rows(self) -> np.ndarray:
-        return open_recording(self.path).rows
-
-    def check_ended_safely(self) -> None:
-        """Zero effort within lifetime and ramp, and a recording, if one was begun, that reads and replays."""
-        self.link.elapse(0.05)
-        assert self.device.current == 0
-        if State(self.device.core.status.state) in (State.ARMED, State.RUNNING):  # nobody ever moved anything
-            self.link.elapse(0.6)
-            assert self.device.current == 0
-        assert State(self.device.core.status.state) not in (State.ARMED, State.RUNNING)
-        if self.path.exists():
-            recording = open_recording(self.path)
-            assert recording.complete
-            assert not recording.lost
-            assert recording.trailer is not None
-            assert recording.trailer["counters"]["ticks"] == len(recording.rows)
-            assert replay(recording).exact
+def ran(directory: Path, *frames: FrameFault) -> StruckTrial:
+    return StruckTrial(bench(*frames), directory, SHORT)
 
 
 class Clean:
@@ -110,24 +64,23 @@ class Clean:
     def __init__(self, directory: Path) -> None:
         first = directory / "first"
         first.mkdir()
-        Bench(first).run()  # reads the dictionary: all others know it
-        bench = Bench(directory)
+        ran(first)  # reads the dictionary: all others know it
+        far_end = bench()
         sent: list[int] = []
-        link_write = bench.link.write
+        link_write = far_end.link.write
 
         def watched(data: bytes) -> None:
             link_write(data)
-            if bench.device.core.status.session and not sent:
-                sent.extend(bench.link.line.frames[way] for way in Direction)  # type: ignore[union-attr]
+            if far_end.device.session and not sent:
+                sent.extend(far_end.link.frames[way] for way in Direction)
 
-        bench.link.write = watched  # type: ignore[method-assign]
-        bench.run()
-        assert bench.error is None, bench.error
-        assert bench.messages == ()
+        far_end.link.write = watched  # type: ignore[method-assign]
+        trial = StruckTrial(far_end, directory, SHORT)
+        self.frames = dict(far_end.link.frames)
+        trial.check()
+        assert trial.messages == ()
         self.first = dict(zip(Direction, sent, strict=True))
-        self.frames = dict(bench.link.line.frames)  # type: ignore[union-attr]
-        self.rows = bench.rows
-        bench.check_ended_safely()
+        self.rows = trial.rows
 
 
 @pytest.fixture(scope="module")
@@ -147,8 +100,7 @@ def test_an_undisturbed_run_is_whole(clean: Clean) -> None:
 def test_timing_says_where_the_law_ran(
     clean: Clean, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    bench = Bench(tmp_path).run()
-    recording = seal(open_recording(bench.path))
+    recording = seal(ran(tmp_path).recording)
     extra, wall = recording.header["extra"], recording.experiment["wall"]
     assert (extra["loop"], extra["arithmetic"]) == ("device", "fixed")
     assert extra["wall"] == pytest.approx({name: wall[name] for name in extra["wall"]}, rel=1e-6)
@@ -180,18 +132,17 @@ def test_a_frame_to_the_host_that_suffers_is_a_counted_gap_and_never_a_wrong_row
         place = tmp_path / str(frame)
         place.mkdir()
         fault = FrameFault(kind=kind, direction=way, frame=frame, byte=frame, bit=frame % 8)
-        bench = Bench(place, Faults(frames=(fault,))).run()
-        assert bench.error is None or isinstance(bench.error, LinkLostError | StoppedError), bench.error
-        finished += bench.error is None
-        rows = bench.rows
+        trial = ran(place, fault)
+        trial.check(*((LinkLostError, StoppedError) if trial.error else ()))
+        finished += trial.error is None
+        rows = trial.rows
         for row in rows[["sample_index", "count", "current_applied"]].tolist():
             assert (true.get(row[0], row[1]), applied.get(row[0], row[2])) == row[1:], frame
         index = rows["sample_index"]
         assert rows["elapsed_ticks"][1:].tolist() == np.diff(index).tolist()
-        lost = open_recording(bench.path).trailer["counters"]["lost"]  # type: ignore[index]
+        lost = trial.counters["lost"]
         assert lost == rows["elapsed_ticks"].sum() - len(rows)
         assert lost == 0 or kind not in (Kind.DUPLICATE, Kind.DELAY)
-        bench.check_ended_safely()
     if kind not in (Kind.SILENCE, Kind.UNPLUG):
         assert finished == len(struck), "one bad frame is a counted loss, never the end of a run"
 
@@ -204,43 +155,4 @@ def test_a_word_of_the_host_that_suffers_changes_no_sample(kind: Kind, clean: Cl
         place = tmp_path / str(frame)
         place.mkdir()
         fault = FrameFault(kind=kind, direction=way, frame=frame, byte=frame, bit=frame % 8)
-        bench = Bench(place, Faults(frames=(fault,))).run()
-        assert bench.error is None, (frame, bench.error)
-        assert bench.rows["count"].tolist() == clean.rows["count"].tolist()
-        bench.check_ended_safely()
-
-
-def test_a_host_that_is_not_heard_leaves_the_device_to_ramp_down_and_say_so(
-    clean: Clean, tmp_path: Path
-) -> None:
-    frame = clean.first[Direction.TO_DEVICE] + 8
-    fault = FrameFault(kind=Kind.SILENCE, direction=Direction.TO_DEVICE, frame=frame)
-    bench = Bench(tmp_path, Faults(frames=(fault,))).run()
-    assert isinstance(bench.error, DeviceFaultError)
-    assert Fault.LINK_LOST.text.partition(":")[0] in str(bench.error)
-    assert bench.error.remedy
-    rows = bench.rows
-    assert rows["fault"][-1] == Fault.LINK_LOST
-    assert rows["current_sent"][-1] == 0
-    assert len(rows) < len(clean.rows)
-    bench.check_ended_safely()
-
-
-@pytest.mark.parametrize(
-    "fault", [Fault.ENCODER, Fault.OVER_CURRENT, Fault.EMERGENCY_STOP, Fault.NON_FINITE, Fault.TICK_OVERRUN]
-)
-@pytest.mark.parametrize("late", [3, 40, 150])
-def test_a_fault_of_the_device_is_told_with_every_sample_up_to_it(
-    fault: Fault, late: int, clean: Clean, tmp_path: Path
-) -> None:
-    first = int(clean.rows["sample_index"][0])
-    bench = Bench(tmp_path, Faults(device=(DeviceFault(first + late, fault),))).run()
-    assert isinstance(bench.error, DeviceFaultError)
-    assert fault.text in str(bench.error)
-    assert bench.error.remedy
-    rows = bench.rows
-    assert rows["fault"][-1] == fault
-    assert (rows["fault"][:-1] == 0).all()
-    assert (rows["elapsed_ticks"] == 1).all()
-    assert late - 3 <= len(rows) <= late + 3
-    bench.check_ended_safely()
+        assert ran(place, fault).check().rows["count"].tolist() == clean.rows["count"].tolist()

@@ -1,17 +1,16 @@
-"""What can break, breaks at every place of a short run; each time the effort ends at zero and the recording reads.
+"""What can break, breaks in a trial of the shipped host, in virtual time; each time the effort ends at zero.
 
-In virtual time, over the real frames, with the shipped loop. A run of one homing, a push and a release is
-some forty ticks long; with configuration it is about 70 frames each way, and each of them is struck once by each kind
-of fault, but for frames that are all alike: those of the push, and comparisons of the clocks between the first and the
-last, are struck by every third kind in turn, and of the pages of the dictionary, which a device tells once, the first,
-one in the middle and the last. What costs a frame and not the run strikes three of a run, far apart.
+Frames suffer at every place of a short run. With homing, a push and a release it is some forty ticks long; with
+configuration it is about 70 frames each way, and each of them is struck once by each kind of fault, but for frames that
+are all alike: those of the push, and comparisons of the clocks between the first and the last, are struck by every
+third kind in turn, and of the pages of the dictionary, which a device sends once, the first, one in the middle and the
+last. What costs a frame and not the run strikes three of a run, far apart. What the world does to the device strikes
+with the law on the host and on the device. What devices do with faults is in tests/firmware/test_firmware_faults.py.
 """
 
 import os
 import signal
-import subprocess
-import sys
-import time
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault
 from rig import config
 from rig.config import presets
@@ -31,31 +29,33 @@ from rig.core.errors import (
     IncompatibleDeviceError,
     LawError,
     LinkLostError,
-    RigError,
     StoppedError,
 )
 from rig.core.sample import Phase, RowFlag
-from rig.devices import framed
-from rig.devices.fault_script import DeviceFault, Direction, Faults, FrameFault, Kind
-from rig.devices.framed import EXCHANGES, STOP_FRAMES, FramedDevice
+from rig.devices import framed, open_device
+from rig.devices.fault_script import DeviceFault, Direction, Faults, FrameFault, Happening, Kind
+from rig.devices.framed import EXCHANGES, STOP_FRAMES
+from rig.devices.local import serve_locally
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import LAW_SIGNATURE
 from rig.recording.reader import open_recording
 from sim_backend.device import SimulatedDevice
-from sim_backend.link import MemoryLink
-from sim_backend.safety import IDLE_LIFETIME_S
+from sim_backend.firmware import FirmwareDevice
 from tests.conformance.census import children
-from tests.conformance.started import started
+from tests.conformance.firmware import need_compiler
+from tests.conformance.struck import InMemory, StruckTrial
 from tests.conformance.trials import trial_on
 
-LIFETIME_S = 0.005  # of a command at 1 kHz: five ticks
+LIFETIME_S = 0.005  # of a command: five ticks at 1 kHz
 RAMP_S = 0.010
+SUPERVISED_S = 0.020  # for how long a device with a law of its own follows it without its host
 START = -0.015
 TICKS = 16  # frames before the first sample and command
 PUSH = range(TICKS + 7, TICKS + 31)  # those of ticks that differ in nothing but their numbers
 CLOCKS = range(
     TICKS - EXCHANGES, TICKS - 2
 )  # and those of comparisons of the clocks, before; as many come at the end
+STRIKE = 900  # ticks of the link: in a long trial, some hundred behind the impact
 
 SHORT = config.override(
     config.with_realtime(presets.load("koul-compliant")),
@@ -66,62 +66,58 @@ SHORT = config.override(
         "verdict.tail_s": 0.01,
     },
 )
+LONG = config.override(
+    presets.load("koul-compliant"),
+    {
+        "controller.position_rate": 2_000,
+        "controller.velocity_rate": 500,
+        "trial.duration_s": 1.0,
+        "trial.release_s": 0.01,
+        "homing.settle_s": 0.01,
+        "verdict.tail_s": 0.2,
+    },
+)
+# Far end → its device, and where the law runs.
+FAR_ENDS: dict[str, tuple[Callable[..., Any], str]] = {
+    "the readable device": (SimulatedDevice, "host"),
+    "the firmware": (FirmwareDevice, "host"),
+    "the law on the firmware": (FirmwareDevice, "device"),
+}
+each_far_end = pytest.mark.parametrize("far_end", FAR_ENDS)
 
 
-class Bench:
-    """One device with a script of faults, and one trial on it."""
+class Bench(InMemory):
+    """A device with a script of faults, and the trial that is run on it."""
 
     def __init__(
-        self, directory: Path, faults: Faults | None = None, experiment: Any = SHORT, law: Any = None
+        self,
+        faults: Faults | None = None,
+        experiment: Any = SHORT,
+        far_end: str = "the readable device",
+        **changes: Any,
     ) -> None:
-        self.device = SimulatedDevice(config.rig_model(experiment), initial_position=START)
-        self.link = MemoryLink(self.device, faults or Faults())
-        self.path = directory / "trial.rigcap"
-        self.experiment = experiment
-        self.law = law
-        self.error: RigError | None = None
+        make, loop = FAR_ENDS[far_end]
+        if make is FirmwareDevice:
+            need_compiler()
+        self.experiment = config.override(experiment, {"controller.loop": loop, **changes})
+        device = make(config.rig_model(self.experiment), initial_position=START)
+        lives_s = LIFETIME_S if loop == "host" else SUPERVISED_S
+        super().__init__(device, faults, rest_s=lives_s + RAMP_S + 0.002)
 
-    def run(self) -> "Bench":
-        request = partial(
-            trial_on,
-            experiment=self.experiment,
-            recording=self.path,
-            verified=True,
-            seed=0,
-            law=self.law,
-            sealed=False,
-        )
-        try:
-            with FramedDevice(self.link) as device:
-                request(device)
-        except RigError as error:
-            self.error = error
-        return self
+    def run(self, directory: Path, **options: Any) -> StruckTrial:
+        return StruckTrial(self, directory, self.experiment, **options)
 
-    def recording(self) -> Any:
-        return open_recording(self.path)
 
-    def check_ended_safely(self) -> None:
-        """Zero effort within lifetime and ramp, and a recording, if one was begun, that reads."""
-        self.link.elapse(LIFETIME_S + RAMP_S + 0.002)
-        assert self.device.current == 0
-        if self.device.connection.state in (State.ARMED, State.RUNNING):  # nobody ever moved anything
-            self.link.elapse(IDLE_LIFETIME_S)
-            assert self.device.current == 0
-        assert self.device.connection.state not in (State.ARMED, State.RUNNING)
-        if self.path.exists():
-            recording = self.recording()
-            assert recording.complete
-            assert not recording.lost
-            assert recording.trailer["counters"]["ticks"] == len(recording.rows)
+def at(act: Callable[[Any], None], tick: int = STRIKE) -> Faults:
+    return Faults(device=(Happening(tick, act),))
 
 
 def frames_of(directory: Any) -> Any:
     """Frames of an undisturbed run, each way."""
-    bench = Bench(directory).run()
-    assert bench.error is None
-    sent = dict(bench.link.line.frames)
-    bench.check_ended_safely()
+    bench = Bench()
+    trial = bench.run(directory)
+    sent = dict(bench.link.frames)
+    trial.check()
     return sent
 
 
@@ -188,14 +184,14 @@ def struck(kind: Any, direction: Any, frames: list[int], directory: Any) -> bool
     place = directory / str(frames[0])
     place.mkdir()
     faults = [FrameFault(kind=kind, direction=direction, frame=n, byte=n, bit=n % 8) for n in frames]
-    bench = Bench(place, Faults(frames=tuple(faults))).run()
-    assert bench.link.line.acted[kind] == len(frames), frames
-    assert bench.error is None or isinstance(
-        bench.error, LinkLostError | DeviceRefusedError | IncompatibleDeviceError
-    ), (frames, bench.error)
-    assert bench.error is None or bench.error.remedy, bench.error
-    bench.check_ended_safely()
-    return bench.error is None
+    bench = Bench(Faults(frames=tuple(faults)))
+    trial = bench.run(place)
+    assert bench.link.struck == len(frames), frames
+    if trial.error is not None:
+        trial.check(LinkLostError, DeviceRefusedError, IncompatibleDeviceError, replays=False)
+        return False
+    trial.check(replays=False)
+    return True
 
 
 def sample_frame(frames: Any) -> int:
@@ -217,47 +213,13 @@ def test_each_kind_of_loss_of_a_sample_is_counted_and_flagged(
     kind: Any, counter: str, frames: Any, tmp_path: Path
 ) -> None:
     fault = FrameFault(kind=kind, direction=Direction.TO_HOST, frame=sample_frame(frames), byte=5, bit=3)
-    bench = Bench(tmp_path, Faults(frames=(fault,))).run()
-    assert bench.error is None
-    rows, counters = bench.recording().rows, bench.recording().trailer["counters"]
+    trial = Bench(Faults(frames=(fault,))).run(tmp_path).check()
+    rows, counters = trial.rows, trial.counters
     assert counters[counter] == 1
     gaps = int(np.count_nonzero(rows["flags"] & int(RowFlag.GAP)))
     assert gaps == (0 if kind is Kind.DUPLICATE else 1)
     assert counters["lost"] == int((rows["elapsed_ticks"] - 1).sum())
     np.testing.assert_array_equal(np.diff(rows["sample_index"]), rows["elapsed_ticks"][1:])
-
-
-def test_silence_of_the_host_ramps_the_effort_down_and_latches(tmp_path: Path, frames: Any) -> None:
-    fault = FrameFault(
-        kind=Kind.SILENCE, direction=Direction.TO_DEVICE, frame=frames[Direction.TO_DEVICE] - 30 - EXCHANGES
-    )
-    bench = Bench(tmp_path, Faults(frames=(fault,))).run()
-    assert isinstance(bench.error, DeviceFaultError | LinkLostError)
-    assert "silent" in str(bench.error)
-    assert bench.device.fault == Fault.LINK_LOST
-    applied = np.abs(bench.recording().rows["effort_applied"])
-    start = int(np.argmax(bench.recording().rows["command_age"] > 5)) or len(applied)
-    assert (np.diff(applied[start:]) <= 1e-12).all(), "the ramp only falls"
-    bench.check_ended_safely()
-
-
-@pytest.mark.parametrize("tick", range(0, 36, 3))
-@pytest.mark.parametrize("fault", [Fault.ENCODER, Fault.EMERGENCY_STOP, Fault.OVER_CURRENT])
-def test_a_device_fault_cuts_at_the_next_tick_and_is_told_with_its_remedy(
-    fault: Any, tick: int, tmp_path: Path
-) -> None:
-    bench = Bench(tmp_path, Faults(device=(DeviceFault(tick, fault),))).run()
-    bench.check_ended_safely()
-    assert isinstance(bench.error, DeviceFaultError | DeviceRefusedError)
-    assert bench.error.remedy
-    if isinstance(bench.error, DeviceFaultError):
-        assert fault.text in bench.error.message
-        rows = bench.error.rows
-        assert rows["fault"][-1] == fault
-        assert rows["effort_applied"][-1] == 0.0
-        assert rows["current_sent"][-1] == 0
-        assert bench.recording().trailer["fault"]["name"] == fault.name
-        assert len(bench.recording().trailer["fault"]["entries"]) >= tick - 1
 
 
 @kernel(LAW_SIGNATURE)
@@ -280,51 +242,40 @@ def raises(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, para
     return 0.0
 
 
-@pytest.mark.parametrize("function", [gives_nan, gives_infinity])
-def test_a_law_that_is_not_finite_ends_the_run_with_zero(function: Any, tmp_path: Path) -> None:
-    law = Law("bad", "for this test", function, 2, lambda wall: [])
-    bench = Bench(tmp_path, law=law).run()
-    assert isinstance(bench.error, LawError)
-    last = bench.recording().rows[-1]
-    assert last["flags"] & int(RowFlag.NONFINITE)
-    assert last["current_sent"] == 0
-    assert not np.isfinite(last["effort_wanted"])
-    bench.check_ended_safely()
-
-
-def test_an_exception_in_a_users_law_ends_the_run_with_zero_and_is_named(tmp_path: Path) -> None:
-    law = Law("bad", "for this test", raises, 2, lambda wall: [])
-    bench = Bench(tmp_path, law=law).run()
-    assert isinstance(bench.error, LawError)
-    assert "too deep for me" in str(bench.error)
-    assert isinstance(bench.error.__cause__, ValueError)
-    assert len(bench.recording().rows) > 10
-    assert bench.recording().trailer["reason"] == "law_raised"
-    bench.check_ended_safely()
+@pytest.mark.parametrize(
+    ("function", "reason"), [(gives_nan, "nonfinite"), (gives_infinity, "nonfinite"), (raises, "law_raised")]
+)
+def test_a_law_that_fails_ends_the_run_with_zero_and_is_named(
+    function: Any, reason: str, tmp_path: Path
+) -> None:
+    trial = Bench().run(tmp_path, law=Law("bad", "for this test", function, 2, lambda wall: []))
+    trial.check(LawError, replays=False)
+    assert trial.recording.trailer["reason"] == reason
+    last = trial.rows[-1]
+    if reason == "nonfinite":
+        assert last["flags"] & int(RowFlag.NONFINITE)
+        assert last["current_sent"] == 0
+        assert not np.isfinite(last["effort_wanted"])
+    else:
+        assert "too deep for me" in str(trial.error)
+        assert isinstance(trial.error.__cause__, ValueError)  # type: ignore[union-attr]
+        assert len(trial.rows) > 10
 
 
 def test_leaving_the_window_ends_the_run_with_zero(tmp_path: Path) -> None:
-    narrow = config.override(
-        SHORT, {"rig.limits.position_maximum": 0.0005, "wall.stiffness": 60.0, "trial.duration_s": 0.2}
-    )
-    bench = Bench(tmp_path, experiment=narrow).run()
-    assert isinstance(bench.error, GuardError | DeviceFaultError)
-    bench.check_ended_safely()
+    narrow = {"rig.limits.position_maximum": 0.0005, "wall.stiffness": 60.0, "trial.duration_s": 0.2}
+    Bench(**narrow).run(tmp_path).check(GuardError, DeviceFaultError)
 
 
 def test_a_start_out_of_reach_is_given_up(tmp_path: Path) -> None:
-    stuck = config.override(
-        SHORT, {"rig.mechanics.link_coulomb": 0.2, "homing.timeout_s": 0.05, "trial.start": -0.02}
-    )
-    bench = Bench(tmp_path, experiment=stuck).run()
-    assert isinstance(bench.error, GuardError)
-    assert "homing" in bench.error.remedy
-    bench.check_ended_safely()
+    stuck = {"rig.mechanics.link_coulomb": 0.2, "homing.timeout_s": 0.05, "trial.start": -0.02}
+    trial = Bench(**stuck).run(tmp_path).check(GuardError)
+    assert trial.error is not None
+    assert "homing" in trial.error.remedy
 
 
 @pytest.mark.signals
 def test_ctrl_c_stops_within_a_tick_and_leaves_a_whole_recording(tmp_path: Path) -> None:
-    bench = Bench(tmp_path, experiment=config.override(SHORT, {"trial.duration_s": 60.0}))
     seen = []
 
     def interrupt(ticks: Any, phase: Any) -> None:
@@ -332,74 +283,146 @@ def test_ctrl_c_stops_within_a_tick_and_leaves_a_whole_recording(tmp_path: Path)
             seen.append(ticks)
             signal.raise_signal(signal.SIGINT)
 
-    request = partial(
-        trial_on,
-        experiment=bench.experiment,
-        recording=bench.path,
-        verified=True,
-        seed=0,
-        progress=interrupt,
-        sealed=False,
-    )
-    with pytest.raises(StoppedError) as caught, FramedDevice(bench.link) as device:
-        request(device)
+    trial = Bench(**{"trial.duration_s": 60.0}).run(tmp_path, progress=interrupt).check(StoppedError)
     assert seen
-    assert caught.value.recording == bench.path
-    assert bench.recording().trailer["reason"] == "stopped"
-    assert bench.recording().rows["phase"][-1] == Phase.TRIAL
-    bench.check_ended_safely()
+    assert trial.error is not None
+    assert trial.error.recording == trial.path
+    assert trial.recording.trailer["reason"] == "stopped"
+    assert trial.rows["phase"][-1] == Phase.TRIAL
 
 
-HOST = """
-import sys
-from pathlib import Path
-from rig import config
-from rig.config import presets
-from rig.devices import open_device
-from tests.conformance.trials import trial_on
-x = config.override(config.with_realtime(presets.load("koul-compliant")), {"trial.duration_s": 30.0})
-with open_device(sys.argv[1]) as device:
-    trial_on(device, experiment=x, recording=Path(sys.argv[2]), verified=True, seed=0)
-"""
+# ---------------------------------------------------------------------- the host falls silent
 
 
-def test_kill_minus_nine_of_the_host_leaves_a_device_at_zero_and_a_readable_recording(tmp_path: Path) -> None:
-    """Over a real serial port, in real time. Also accepted: the host found the link lost before it could be killed."""
-    from rig.devices import open_device  # noqa: PLC0415
-    from rig.devices.local import serve_locally  # noqa: PLC0415
+@each_far_end
+def test_silence_of_the_host_ramps_the_effort_down_and_latches(far_end: str, tmp_path: Path) -> None:
+    silence = FrameFault(kind=Kind.SILENCE, direction=Direction.TO_DEVICE, tick=STRIKE)
+    bench = Bench(Faults(frames=(silence,)), LONG, far_end)
+    trial = bench.run(tmp_path).check(DeviceFaultError, LinkLostError)
+    assert "silent" in str(trial.error)
+    assert bench.device.fault == Fault.LINK_LOST
+    rows = trial.rows
+    assert rows["current_sent"][-1] == 0
+    if FAR_ENDS[far_end][1] == "host":  # else what fades is the law, whose effort follows the handle
+        applied = np.abs(rows["effort_applied"])
+        start = int(np.argmax(rows["command_age"] > 2_000 * LIFETIME_S)) or len(applied)
+        assert (np.diff(applied[start:]) <= 1e-12).all(), "the ramp only falls"
 
-    path = tmp_path / "killed.rigcap"
-    with (
-        serve_locally("sim://", config.rig_model(presets.load("koul-compliant"))) as url,
-        started(sys.executable, "-c", HOST, url, path, stderr=subprocess.PIPE) as host,
-    ):
-        deadline = time.monotonic() + 60.0
-        while host.poll() is None and time.monotonic() < deadline:
-            if path.exists() and path.stat().st_size > 200_000:
-                break
-            time.sleep(0.05)
-        host.send_signal(signal.SIGKILL)
-        _, complaint = host.communicate(timeout=30.0)
-        with open_device(url) as device:
-            device.identify()
-            time.sleep(LIFETIME_S + RAMP_S + 0.05)
-            report = device.fault_report()
-        if host.returncode == -signal.SIGKILL:
-            assert report.name == "LINK_LOST"
-            assert report.entries[-1]["current_commanded"] == 0 or report.entries
-            recording = open_recording(path)
-            assert not recording.complete
-            assert len(recording.rows) > 500
-        else:
-            assert b"LinkLostError" in complaint or b"DeviceFaultError" in complaint
-    assert os.path.exists(path) or os.path.exists(path.with_suffix(".parquet"))
+
+# ---------------------------------------------------------------------- the device and its world
+
+
+@each_far_end
+@pytest.mark.parametrize("fault", [Fault.ENCODER, Fault.EMERGENCY_STOP, Fault.OVER_CURRENT])
+def test_a_fault_of_the_device_at_any_tick_is_reported_with_every_sample_up_to_it(
+    fault: Fault, far_end: str, tmp_path: Path
+) -> None:
+    for tick in range(0, 36, 3):
+        place = tmp_path / str(tick)
+        place.mkdir()
+        trial = Bench(Faults(device=(DeviceFault(tick, fault),)), far_end=far_end).run(place)
+        trial.check(DeviceFaultError, DeviceRefusedError)
+        if not isinstance(trial.error, DeviceFaultError):
+            continue  # it was found before anything moved
+        assert fault.text in trial.error.message
+        rows = trial.error.rows
+        assert rows["fault"][-1] == fault
+        assert not rows["fault"][:-1].any()
+        assert (rows["elapsed_ticks"] == 1).all()
+        assert rows["effort_applied"][-1] == 0.0
+        assert trial.recording.trailer["fault"]["name"] == fault.name
+        assert len(trial.recording.trailer["fault"]["entries"]) >= tick - 1
+
+
+def slip(counts: int) -> Callable[[Any], None]:
+    return lambda device: setattr(device.hardware, "slip", counts)
+
+
+def push(effort: float) -> Callable[[Any], None]:
+    return lambda device: setattr(device.hardware, "external_effort", effort)
+
+
+CASES: dict[str, tuple[Callable[[Any], None], tuple[Fault, ...]]] = {
+    "an encoder that jumps": (slip(1_500), (Fault.OVER_SPEED, Fault.BATCH_OVERFLOW)),
+    "a short circuit": (lambda device: setattr(device.hardware, "leak", 32_767), (Fault.OVER_CURRENT,)),
+    "the emergency stop": (lambda device: device.press_emergency_stop(), (Fault.EMERGENCY_STOP,)),
+    "a law that is not finite": (lambda device: device.inject_fault(Fault.NON_FINITE), (Fault.NON_FINITE,)),
+    "a late tick": (lambda device: device.inject_fault(Fault.TICK_OVERRUN), (Fault.TICK_OVERRUN,)),
+    "a watchdog reset of a port": (lambda device: device.inject_fault(Fault.INTERNAL), (Fault.INTERNAL,)),
+}
+
+
+@each_far_end
+@pytest.mark.parametrize("name", CASES)
+def test_a_fault_in_the_wall_is_reported_with_cause_and_remedy(
+    name: str, far_end: str, tmp_path: Path
+) -> None:
+    act, faults = CASES[name]
+    bench = Bench(at(act), LONG, far_end)
+    trial = bench.run(tmp_path).check(DeviceFaultError)
+    assert trial.error is not None
+    found = bench.device.fault or next(fault for fault in faults if fault.text in trial.error.message)
+    assert found in faults
+    assert found.text in trial.error.message
+    rows = trial.rows
+    assert rows["phase"][-2] == Phase.TRIAL
+    in_rows = bench.experiment.controller.loop == "host"  # BATCH has no fault
+    assert rows["fault"][-1] in (faults if in_rows else (Fault.NONE, *faults))
+    assert rows["current_sent"][-1] == 0 or not in_rows
+    assert trial.recording.trailer["fault"]["name"] in {fault.name for fault in faults}
+    assert len(trial.recording.trailer["fault"]["entries"]) > 50, (
+        "the ticks before it, as the device stored them"
+    )
+
+
+@each_far_end
+@pytest.mark.parametrize("effort", [5.0, -1.0], ids=["a blow", "a pull"])
+def test_a_handle_that_is_driven_beyond_its_limits_ends_the_run(
+    effort: float, far_end: str, tmp_path: Path
+) -> None:
+    """By the guard of the law or the device's monitor, whichever comes first."""
+    bench = Bench(at(push(effort)), LONG, far_end, **{"rig.limits.position_minimum": -0.02})
+    bench.run(tmp_path).check(GuardError, DeviceFaultError)
+
+
+@pytest.mark.parametrize("far_end", list(FAR_ENDS)[1:])
+def test_a_brown_out_in_mid_run_is_a_lost_link_and_then_a_reset_with_its_name(
+    far_end: str, tmp_path: Path
+) -> None:
+    bench = Bench(at(FirmwareDevice.brown_out), LONG, far_end)
+    trial = bench.run(tmp_path).check(LinkLostError, DeviceFaultError, StoppedError)
+    assert trial.rows["phase"][-1] == Phase.TRIAL
+    assert len(bench.device.truth()) == 0, "no session since"
+    with InMemory(bench.device, rest_s=0.0).open() as device:
+        device.identify()
+        report = device.fault_report()
+        assert report.name == Fault.WATCHDOG_RESET.name
+        assert report.remedy
+
+
+@each_far_end
+def test_a_released_switch_is_no_effort_and_no_fault_of_the_device(far_end: str, tmp_path: Path) -> None:
+    bench = Bench(at(lambda device: device.hold_to_run(False)), LONG, far_end, **{"trial.kind": "human"})
+    bench.device.hold_to_run(True)
+    trial = bench.run(tmp_path)
+    assert bench.device.fault is Fault.NONE
+    trial.check(*([type(trial.error)] if trial.error else []))
+    rows = trial.rows
+    assert not rows["current_applied"][rows["sample_index"] > rows["sample_index"][0] + STRIKE + 5].any()
+
+
+@each_far_end
+def test_a_device_that_is_not_safe_does_not_arm(far_end: str, tmp_path: Path) -> None:
+    bench = Bench(None, LONG, far_end)
+    bench.device.press_emergency_stop()
+    trial = bench.run(tmp_path).check(DeviceRefusedError)
+    assert Fault.EMERGENCY_STOP.text in str(trial.error)
+    assert not trial.path.exists()
+    assert len(bench.device.truth()) == 0
 
 
 def test_a_port_that_vanishes_in_mid_run_is_a_lost_link_with_a_whole_recording(tmp_path: Path) -> None:
     """The device process is killed: the pseudo-terminal hangs up, as a pulled USB plug does."""
-    from rig.devices import open_device  # noqa: PLC0415
-    from rig.devices.local import serve_locally  # noqa: PLC0415
-
     long = config.override(SHORT, {"trial.duration_s": 30.0, "verdict.tail_s": 0.4})
     path = tmp_path / "unplugged.rigcap"
     before = set(children())

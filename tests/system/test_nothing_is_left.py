@@ -17,7 +17,6 @@ from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 import rig.cli
@@ -37,8 +36,6 @@ from rig.core.errors import (
 from rig.devices import open_device
 from rig.devices.fault_script import DeviceFault, Direction, Faults, FrameFault, Kind
 from rig.devices.framed import FramedDevice
-from rig.realtime.kernel import kernel
-from rig.realtime.plugs import LAW_SIGNATURE
 from rig.recording.reader import open_recording
 from sim_backend.device import SimulatedDevice
 from sim_backend.link import MemoryLink
@@ -46,6 +43,7 @@ from tests.conformance.census import MARK, Census, marked, nothing_left, still_t
 from tests.conformance.far_end import FarEnd, Script, patient_host
 from tests.conformance.started import started
 from tests.conformance.trials import trial_on
+from tests.system.test_faults import gives_nan, raises
 
 WAIT_S = 50.0  # on a loaded machine
 RATE = 500
@@ -66,20 +64,6 @@ REAL = config.override(
     },
 )
 MODEL = config.rig_model(REAL)
-
-
-@kernel(LAW_SIGNATURE)
-def gives_nan(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any) -> Any:
-    state[1] += 1.0
-    return np.nan if state[1] > 15.0 else 0.0
-
-
-@kernel(LAW_SIGNATURE)
-def raises(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any) -> Any:
-    state[1] += 1.0
-    if state[1] > 15.0:
-        raise ValueError("too deep for me")
-    return 0.0
 
 
 def law_of(function: Any) -> Any:

@@ -1,0 +1,118 @@
+"""A trial of the shipped host on a far end that something strikes, and what must hold however it ends."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
+from typing import Any, Protocol, Self
+
+from rig.config import Experiment
+from rig.control.law import Law
+from rig.core.errors import RigError, StoppedError
+from rig.devices.fault_script import Faults
+from rig.devices.framed import FramedDevice
+from rig.experiments.replay import replay
+from rig.recording.reader import open_recording
+from sim_backend.link import MemoryLink
+from sim_backend.safety import IDLE_LIFETIME_S
+from tests.conformance.trials import trial_on
+
+
+class Struck(Protocol):
+    """A far end with a script of faults."""
+
+    def open(self) -> AbstractContextManager[FramedDevice]:
+        """Open it as a host does."""
+        ...
+
+    def wait_for_rest(self) -> None:
+        """Let time pass until no effort may be left, and check that there is none then and later."""
+        ...
+
+
+class InMemory:
+    """A simulated device in virtual time. `rest_s` is the life of a command and the ramp behind it, and little more."""
+
+    def __init__(self, device: Any, faults: Faults | None = None, *, rest_s: float) -> None:
+        self.device = device
+        self.link = MemoryLink(device, faults or Faults())
+        self._rest_s = rest_s
+
+    @contextmanager
+    def open(self) -> Iterator[FramedDevice]:
+        with FramedDevice(self.link) as device:
+            yield device
+
+    def wait_for_rest(self) -> None:
+        self.link.elapse(self._rest_s)
+        assert self.device.current == 0
+        if self.link.armed:  # it was never commanded to move anything
+            self.link.elapse(IDLE_LIFETIME_S)
+        assert not self.link.armed
+        self.link.elapse(0.1)
+        assert self.device.current == 0
+        assert abs(self.device.hardware.effort) < 1e-6
+
+
+class StruckTrial:
+    """One trial, brought to its end whatever that is.
+
+    Attributes
+    ----------
+    error
+        How it ended, None where it finished.
+    messages
+        What the host reported beside that.
+    path
+        Its recording.
+    """
+
+    def __init__(
+        self,
+        far_end: Struck,
+        directory: Path,
+        experiment: Experiment,
+        *,
+        law: Law | None = None,
+        progress: Callable[[int, int], None] | None = None,
+    ) -> None:
+        self.far_end = far_end
+        self.path = directory / "trial.rigcap"
+        self.error: RigError | None = None
+        options: dict[str, Any] = {"verified": True, "seed": 0, "sealed": False}
+        try:
+            with far_end.open() as device:
+                self.messages = trial_on(
+                    device, experiment, self.path, law=law, progress=progress, **options
+                ).messages
+        except RigError as error:
+            self.error, self.messages = error, tuple(error.messages)
+
+    def check(self, *errors: type[RigError], replays: bool = True) -> Self:
+        """It ended with one of these errors, or finished where none is given; no effort; a recording that is whole."""
+        assert isinstance(self.error, errors or type(None)), self.error
+        assert self.error is None or self.error.remedy or isinstance(self.error, StoppedError)
+        self.far_end.wait_for_rest()
+        if self.path.exists():
+            recording = self.recording
+            assert recording.complete
+            assert not recording.lost
+            assert len(recording.rows) + self.counters["rows_dropped"] == self.counters["ticks"]
+            assert not replays or replay(recording).exact
+        return self
+
+    @property
+    def recording(self) -> Any:
+        """The recording, read anew."""
+        return open_recording(self.path)
+
+    @property
+    def rows(self) -> Any:
+        """Its ticks."""
+        return self.recording.rows
+
+    @property
+    def counters(self) -> Any:
+        """What the host counted."""
+        return self.recording.trailer["counters"]
