@@ -96,15 +96,6 @@ def seen(state: m.State | None) -> m.State:
 # ---------------------------------------------------------------------- instances
 
 
-def test_two_devices_do_not_know_of_each_other(library: ctypes.CDLL) -> None:
-    first, second = Board(library).begin(), Board(library)
-    for _ in range(3):
-        first.tick(100)
-    assert second.tick() is None  # in BOOT a device says nothing
-    assert (first.core.status.state, second.core.status.state) == (State.RUNNING, State.BOOT)
-    assert (first.core.status.current, second.core.status.current) == (100, 0)
-
-
 def test_the_generated_files_are_fresh() -> None:
     for path, text in FILES.items():
         assert path.read_text(encoding="utf-8") == text(), "run python -m firmware_protocol.codegen"
@@ -309,17 +300,6 @@ def test_the_age_of_a_command_saturates(library: ctypes.CDLL) -> None:
 
 
 # ---------------------------------------------------------------------- hardware
-
-
-def test_an_encoder_that_fails_cuts_and_must_be_homed_again(library: ctypes.CDLL) -> None:
-    board = Board(library).begin()
-    board.tick(100)
-    board.library.host_fail_encoder(board.core.address)
-    state = seen(board.tick(100))
-    assert (state.state, state.fault) == (State.FAULT, Fault.ENCODER)
-    assert (board.core.status.current, board.core.status.enabled) == (0, 0)
-    assert board.ask(m.Disarm(9, m.DisarmFlag.CLEAR_FAULT)).status == Status.OK  # type: ignore[attr-defined]
-    assert board.arm(2).status == Status.NOT_HOMED
 
 
 def test_an_encoder_that_fails_is_told_before_arming_too(library: ctypes.CDLL) -> None:

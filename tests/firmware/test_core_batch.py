@@ -9,8 +9,6 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from firmware_protocol import messages as m
-from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault
 from firmware_protocol.framing import RAW_LIMIT
 from firmware_protocol.messages import Mode
@@ -195,19 +193,6 @@ def test_nothing_is_batched_while_the_host_computes(library: ctypes.CDLL) -> Non
     board.run([0] * 100)
     assert not board.frames
     assert [b.sample_index - a.sample_index for a, b in pairwise(board.states)] == [1] * 99
-
-
-def test_two_boards_batch_for_themselves(library: ctypes.CDLL) -> None:
-    first, second = board_of(library, 0, 10), board_of(library, 2, 10)
-    for step in range(40):
-        first.run([step])
-        second.run([-2 * step])
-    for board in (first, second):
-        fed = {sample.index: sample for sample in board.fed}
-        assert [sample.index for sample in board.samples] == list(fed)[:40]
-        assert all(fed[sample.index] == sample for sample in board.samples)
-    assert isinstance(first.frames[0].message, m.Batch)
-    assert first.core.status.state == second.core.status.state == State.RUNNING
 
 
 class Busy(Board):

@@ -376,15 +376,6 @@ def test_limits_act_on_the_law_too(library: ctypes.CDLL) -> None:
     assert board.states[-1].limits == LimitFlag.SLEW
 
 
-def test_a_switch_that_is_not_held_keeps_the_current_away(library: ctypes.CDLL) -> None:
-    board = Board(library).begin(**told_to_run(push(), hold_to_run=1))
-    board.run([0] * 10)
-    assert {sample.commanded for sample in board.fed} == {0}
-    board.inputs = 2
-    board.run([0] * 3)
-    assert board.core.status.current == 50
-
-
 @pytest.mark.parametrize("mode", [Mode.STOP, Mode.CURRENT])
 def test_another_command_ends_the_law_and_supervision_begins_it_anew(
     library: ctypes.CDLL, law: LawLibrary, mode: Mode

@@ -150,19 +150,6 @@ def test_it_tells_what_it_counted_on_its_link() -> None:
     assert (counted.crc_errors, counted.lost, counted.stale_session) == (0, 0, 0)
 
 
-def test_a_late_repeat_of_disarm_does_not_lead_out_of_a_fault_that_came_in_between() -> None:
-    """The first one was answered; its repeat, still on the way when the host went on, gets that answer and no more."""
-    host = armed()
-    nonce = host.nonce()
-    disarm = host.connection.send(m.Disarm(nonce, int(m.DisarmFlag.CLEAR_FAULT)))
-    host.link.write(disarm)
-    assert host.answer(nonce).status == Status.OK
-    host.link.device.connection.fault()
-    host.link.write(disarm)
-    assert host.answer(nonce).status == Status.OK
-    assert host.link.device.connection.state is State.FAULT
-
-
 def test_only_live_parameters_change_while_armed() -> None:
     host = armed()
     ack = host.configure(float_stiffness=5.0)
@@ -237,16 +224,6 @@ def test_the_sync_outputs_go_low_when_their_command_is_over(end: str) -> None:
     else:
         assert host.next_state().inputs & PINS == 0
         assert device.sync == 0
-
-
-@settings(max_examples=60, deadline=None)
-@given(st.lists(st.binary(max_size=80), max_size=20), st.booleans())
-def test_no_bytes_can_make_it_raise(pieces: list[bytes], run: bool) -> None:
-    host = armed() if run else host_of()
-    device = device_of(host)
-    for piece in pieces:
-        device.receive(piece)
-        device.tick()
 
 
 @settings(max_examples=60, deadline=None)
@@ -415,31 +392,11 @@ def test_the_thermal_model_brings_the_current_down_to_what_the_motor_bears() -> 
     assert np.mean([state.current_commanded for state in states[reduced:]]) == pytest.approx(200, rel=0.05)
 
 
-def test_hold_to_run_gives_current_only_while_it_is_held() -> None:
-    host = armed(hold_to_run=1)
-    state = exchange(host, 50)
-    assert (state.current_commanded, state.limits, state.inputs) == (0, LimitFlag.HOLD_TO_RUN_RELEASED, 0)
-    device_of(host).hold_to_run(True)
-    state = exchange(host, 50)
-    assert (state.current_commanded, state.inputs) == (50, Input.HOLD_TO_RUN)
-    device_of(host).hold_to_run(False)
-    assert exchange(host, 50).current_commanded == 0
-    assert host.states[-1].state == State.RUNNING
-
-
 def test_supervise_feeds_the_watchdog_and_gives_no_current() -> None:
     host = armed()
     for _ in range(3):
         assert exchange(host, 50, mode=m.Mode.SUPERVISE).current_commanded == 0
     assert host.states[-1].state == State.RUNNING
-
-
-def test_an_unknown_mode_changes_nothing_and_feeds_no_watchdog() -> None:
-    host = armed()
-    exchange(host, 50, lifetime_us=2_000)
-    states = [exchange(host, 400, mode=9) for _ in range(40)]
-    assert max(state.current_commanded for state in states) == 50
-    assert states[-1].fault == Fault.LINK_LOST
 
 
 # ---------------------------------------------------------------------- the watchdog
@@ -486,14 +443,6 @@ def test_limits_stay_active_in_the_ramp_which_begins_at_what_they_left() -> None
     assert currents[-1] == 0
 
 
-def test_a_command_in_the_ramp_takes_the_effort_back() -> None:
-    host = armed()
-    exchange(host, 200, lifetime_us=1_000)
-    assert silence(host, 12)[-1].limits & LimitFlag.RAMPING
-    state = exchange(host, 200)
-    assert (state.current_commanded, state.limits, state.fault) == (200, 0, Fault.NONE)
-
-
 @given(st.integers(-500, 500), st.integers(0, 400), st.integers(0, 400), st.integers(1, 50))
 def test_the_ramp_never_rises_and_never_changes_sign(
     current: int, lifetime: int, ramp: int, step: int
@@ -522,41 +471,7 @@ def test_without_effort_the_host_has_longer_to_say_something(stopped: bool) -> N
     assert lost * TICK_S == pytest.approx(IDLE_LIFETIME_S, abs=3 * TICK_S)
 
 
-def test_a_command_after_stop_runs_again() -> None:
-    host = armed()
-    exchange(host, 200, mode=m.Mode.STOP, ticks=3)
-    assert exchange(host, 200).current_commanded == 200
-
-
-def test_only_commands_of_the_session_feed_the_watchdog() -> None:
-    host = armed()
-    exchange(host, 200, lifetime_us=3_000)
-    stale = host.sent
-    for _ in range(60):
-        host.ask(m.GetTime(host.nonce(), 0))
-        host.link.write(stale)  # the same sequence again
-        host.next_state()
-    assert host.states[-1].fault == Fault.LINK_LOST
-    assert device_of(host).connection.statistics.duplicated > 0
-
-
 # ---------------------------------------------------------------------- faults
-
-
-@pytest.mark.parametrize("fault", [fault for fault in Fault if fault is not Fault.NONE])
-def test_every_fault_cuts_at_the_next_tick_and_is_left_by_clear_alone(fault: Fault) -> None:
-    host = armed()
-    assert exchange(host, 200, ticks=3).current_commanded == 200
-    device_of(host).inject_fault(fault)
-    state = exchange(host, 200)
-    assert (state.state, state.fault, state.current_commanded) == (State.FAULT, fault, 0)
-    assert exchange(host, 200, ticks=5).current_commanded == 0
-    host.believe(State.CONFIGURED)
-    host.identify()
-    assert host.connection.state is State.FAULT
-    assert host.disarm().status == Status.FAULT_LATCHED
-    assert host.disarm(clear_fault=True).status == Status.OK
-    assert (device_of(host).connection.state, device_of(host).fault) == (State.CONFIGURED, Fault.NONE)
 
 
 def test_a_fault_cuts_the_commands_on_their_way_through_the_computation_delay_too() -> None:
@@ -600,28 +515,6 @@ def test_without_a_fault_the_log_is_empty() -> None:
     host = armed()
     page, entries = log_of(host)
     assert (page.fault, page.total, entries) == (Fault.NONE, 0, [])
-
-
-def test_the_emergency_stop_cuts_and_must_be_released_before_anything_else() -> None:
-    host = armed()
-    exchange(host, 200, ticks=3)
-    device_of(host).press_emergency_stop()
-    state = exchange(host, 200)
-    assert (state.fault, state.current_commanded, state.inputs) == (
-        Fault.EMERGENCY_STOP, 0, Input.EMERGENCY_STOP,
-    )  # fmt: skip
-    ack = host.disarm(clear_fault=True)
-    assert (ack.status, ack.detail) == (Status.FAULT_PRESENT, Fault.EMERGENCY_STOP)
-    device_of(host).press_emergency_stop(False)
-    assert host.disarm(clear_fault=True).status == Status.OK
-
-
-def test_a_pressed_emergency_stop_forbids_arming() -> None:
-    host = host_of()
-    device_of(host).press_emergency_stop()
-    host.identify()
-    ack = host.arm(1, host.configure(**RUN_PARAMETERS).crc)
-    assert (ack.status, ack.detail) == (Status.FAULT_PRESENT, Fault.EMERGENCY_STOP)
 
 
 def test_over_speed_cuts_when_the_limit_is_passed_and_not_by_one_count() -> None:
@@ -759,14 +652,6 @@ def test_heat_that_the_reduction_does_not_stop_cuts() -> None:
     for _ in range(2_000):
         warm(safety.heat, 150)
     assert judge(safety, 0, 0, 150) == 1 << Fault.THERMAL
-
-
-def test_after_an_encoder_fault_it_wants_to_be_homed_again() -> None:
-    host = armed()
-    device_of(host).inject_fault(Fault.ENCODER)
-    host.next_state()
-    host.disarm(clear_fault=True)
-    assert host.arm(2, device_of(host)._configuration.crc).status == Status.NOT_HOMED
 
 
 def test_a_reset_forgets_homing_verification_parameters_and_session_but_not_the_motion() -> None:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import errno
-from collections.abc import Callable
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -15,14 +13,12 @@ from hypothesis import strategies as st
 
 from firmware_protocol import messages as m
 from firmware_protocol.connection import Connection, State
-from firmware_protocol.faults import Fault
-from rig.core.errors import ConfigError, LinkLostError
+from rig.core.errors import ConfigError
 from rig.devices.device import DeviceUrl
-from rig.devices.fault_script import DeviceFault, Direction, Faults, FrameFault, Kind
+from rig.devices.fault_script import Direction, Faults, FrameFault, Kind
 from sim_backend.channel import Line
 from sim_backend.device import SimulatedDevice
 from sim_backend.link import BUFFER_BYTES, MemoryLink, open_link
-from sim_backend.safety import IDLE_LIFETIME_S
 from tests.conformance.host import Host
 from tests.conformance.link import COMPILED, check_link, listen
 from tests.conformance.rigs import rotary_rig
@@ -50,19 +46,6 @@ def run(link: MemoryLink, ticks: int = SHORT_RUN) -> Host:
         if host.states:
             host.command(CURRENT, lifetime_us=3_000)
     return host
-
-
-@cache
-def count_frames() -> tuple[dict[Direction, int], dict[Direction, int]]:
-    """Frames in each direction before the session begins, and in the whole of a short run."""
-    link = fresh(Faults())
-    assert link.line is not None
-    Host(link).begin(position_rate=RATE)
-    before = dict(link.line.frames)
-    link = fresh(Faults())
-    run(link)
-    assert link.line is not None
-    return before, dict(link.line.frames)
 
 
 # ---------------------------------------------------------------------- the contract
@@ -300,112 +283,6 @@ def test_a_delayed_frame_comes_out_at_its_tick_though_nobody_says_anything_meanw
     assert link.read(0.0) == b""
     link.elapse(tick_s)
     assert link.read(0.0) != b""
-
-
-def every_frame(direction: Direction) -> range:
-    """Numbers of the frames of the session."""
-    before, after = count_frames()
-    return range(before[direction], after[direction])
-
-
-def survivors(kind: Kind, direction: Direction, **others: Any) -> list[tuple[int, Host, MemoryLink]]:
-    """A short run for each frame of the session, with that frame hurt."""
-    hosts = []
-    for frame in every_frame(direction):
-        link = fresh(Faults((FrameFault(kind=kind, direction=direction, frame=frame, **others),)))
-        host = run(link)
-        assert link.line is not None
-        assert link.line.acted[kind] == 1
-        hosts.append((frame, host, link))
-    assert len(hosts) >= SHORT_RUN - 1
-    return hosts
-
-
-NEXT_SHOWS_IT = (
-    Kind.DROP,
-    Kind.TRUNCATE,
-    Kind.REORDER,
-)  # the next frame of the direction, which the last lacks
-LOSSES: list[tuple[Kind, dict[str, Any], Callable[[Any], int]]] = [
-    (Kind.CORRUPT, {"byte": 5, "bit": 3}, lambda s: s.crc_errors + s.framing_errors),
-    (Kind.DUPLICATE, {}, lambda s: s.duplicated),
-    (Kind.REORDER, {}, lambda s: s.reordered),
-    (Kind.TRUNCATE, {"byte": 9}, lambda s: s.crc_errors + s.framing_errors),
-    (Kind.DROP, {}, lambda s: s.lost),
-]
-
-
-@pytest.mark.parametrize("direction", [TO_DEVICE, TO_HOST], ids=["to-device", "to-host"])
-@pytest.mark.parametrize(("kind", "others", "counted"), LOSSES, ids=[kind.value for kind, _, _ in LOSSES])
-def test_a_single_hurt_frame_is_counted_and_the_run_goes_on(
-    kind: Kind, others: dict[str, Any], counted: Callable[[Any], int], direction: Direction
-) -> None:
-    for frame, host, link in survivors(kind, direction, **others):
-        connection = host.connection if direction is TO_HOST else link.device.connection
-        first, last = every_frame(direction)[0], every_frame(direction)[-1]
-        hidden = (kind in NEXT_SHOWS_IT and frame == last) or (kind is Kind.DROP and frame == first)
-        assert (counted(connection.statistics) >= 1) is not hidden, frame
-        assert link.device.fault == Fault.NONE
-        assert host.states[-1].state in (State.ARMED, State.RUNNING)
-
-
-@pytest.mark.parametrize("direction", [TO_DEVICE, TO_HOST], ids=["to-device", "to-host"])
-def test_silence_from_any_frame_on_ends_with_zero_effort_and_link_lost(direction: Direction) -> None:
-    for frame, _, link in survivors(Kind.SILENCE, direction, both=direction is TO_HOST):
-        link.elapse(0.003 + 0.010)
-        assert_no_effort(link)
-        link.elapse(IDLE_LIFETIME_S)  # the command that is silenced may be the first
-        assert link.device.fault == Fault.LINK_LOST, frame
-
-
-@pytest.mark.parametrize("direction", [TO_DEVICE, TO_HOST], ids=["to-device", "to-host"])
-def test_an_unplug_at_any_frame_is_told_to_the_host_and_ends_with_zero_effort(direction: Direction) -> None:
-    for frame in every_frame(direction):
-        link = fresh(Faults((FrameFault(kind=Kind.UNPLUG, direction=direction, frame=frame),)))
-        with pytest.raises(LinkLostError, match="unplugged"):
-            run(link)
-        with pytest.raises(LinkLostError):
-            link.read(0.0)
-        link.elapse(0.003 + 0.010)
-        assert_no_effort(link)
-
-
-def test_a_delay_shorter_than_the_lifetime_changes_the_age_and_nothing_else() -> None:
-    for _, host, link in survivors(Kind.DELAY, TO_DEVICE, ticks=3):
-        ages = [state.command_age for state in host.states if state.command_age != 0xFFFF]
-        assert set(ages) <= {1, 2, 3, 4}
-        assert link.device.fault == Fault.NONE
-
-
-@pytest.mark.parametrize("fault", [Fault.EMERGENCY_STOP, Fault.ENCODER, Fault.OVER_CURRENT])
-def test_a_device_fault_at_any_tick_cuts_in_that_tick(fault: Fault) -> None:
-    for tick in range(1, SHORT_RUN):
-        link = fresh(Faults(device=(DeviceFault(tick, fault),)))
-        host = run(link)
-        assert host.states[-1].fault == fault
-        assert host.states[-1].current_commanded == 0
-        assert [state.fault for state in host.states[:-1]] == [Fault.NONE] * (len(host.states) - 1)
-
-
-def assert_no_effort(link: MemoryLink) -> None:
-    before = len(link.device.truth())
-    link.elapse(3 * TICK_S)
-    assert not link.device.truth()["effort_true"][before:].any()
-
-
-def test_a_killed_host_leaves_a_device_that_the_next_one_can_use() -> None:
-    link = fresh()
-    run(link)
-    link.close()
-    link.elapse(0.05)
-    heir = MemoryLink(link.device)
-    host = Host(heir, first_nonce=500)
-    host.identify()
-    assert host.connection.state is State.FAULT
-    assert host.ask(m.GetFaultLog(host.nonce(), 0)).fault == Fault.LINK_LOST
-    host.disarm(clear_fault=True)
-    host.begin(session=2)
-    assert host.next_state().state == State.ARMED
 
 
 # ---------------------------------------------------------------------- a clock that drifts

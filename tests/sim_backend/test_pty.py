@@ -20,7 +20,7 @@ from queue import Queue
 import pytest
 
 from firmware_protocol import messages as m
-from firmware_protocol.connection import Connection, State
+from firmware_protocol.connection import Connection
 from firmware_protocol.faults import Fault
 from firmware_protocol.framing import FrameSplitter
 from firmware_protocol.packing import unpack
@@ -172,25 +172,6 @@ def test_samples_come_in_order_and_answers_act_one_tick_later_at_the_soonest(
     before = states[:1] if firmware else states[:2]
     assert {state.current_commanded for state in before} == {0}
     assert 20 in {state.current_commanded for state in states}
-
-
-@pytest.mark.quiet
-def test_after_the_host_is_gone_the_next_one_finds_link_lost_latched_and_goes_on(server: Server) -> None:
-    host = Host(server.open())
-    host.begin()
-    run(host, 20)
-    host.link.close()  # no STOP, no DISARM
-    heir = Host(server.open(), first_nonce=500)
-    heir.identify()
-    assert fault_of(heir) == Fault.LINK_LOST
-    heir.identify()
-    assert heir.connection.state is State.FAULT
-    assert heir.disarm(clear_fault=True).status == 0
-    heir.begin(session=2)
-    last = run(heir, 50)[-1]
-    assert last.state == State.RUNNING
-    heir.disarm()
-    heir.link.close()
 
 
 def test_a_host_that_does_not_read_loses_states_and_hinders_nobody(server: Server, firmware: bool) -> None:

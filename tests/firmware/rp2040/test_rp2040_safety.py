@@ -8,7 +8,9 @@ import pytest
 
 from firmware_protocol import messages as m
 from firmware_protocol.connection import State
-from firmware_protocol.faults import Fault, Input, Status
+from firmware_protocol.faults import Fault, Status
+from firmware_protocol.parameter import Value
+from tests.conformance.faults import FarEnd, check_faults
 from tests.firmware.rp2040.emulator import START_US, WATCHDOG_US
 from tests.firmware.rp2040.session import Session
 
@@ -93,36 +95,40 @@ def test_power_up_is_no_watchdog_reset(powered: Powered) -> None:
     assert (state.state, state.fault) == (State.IDENTIFIED, Fault.NONE)
 
 
-def test_a_silent_host_ends_in_an_amplifier_that_is_off(powered: Powered) -> None:
-    session = powered()
-    running(session)
-    session.listen(0.05)
-    state = session.host.states[-1]
-    assert (state.state, state.fault) == (State.FAULT, Fault.LINK_LOST)
-    assert not session.pico.look()["enabled"]
+class OnTheBoard(FarEnd):
+    """The board, with a current at its pins that is exactly zero or as near as its pulse width comes."""
+
+    rate, current, lifetime_us, ramp_us, most = 2_000, 300, 10_000, 5_000, 300.0
+    grain = 2.0
+    late = 2  # slices of the emulator
+
+    def __init__(self, session: Session) -> None:
+        super().__init__(session.link)  # type: ignore[arg-type]
+        self.pico = session.pico
+        pressed, illegal = "the emergency stop is pressed", "an illegal transition of the encoder"
+        # The contact of the stop opens: the pull-up shows that in the same way as a broken wire.
+        self.strikes = {
+            pressed: lambda: self.pico.ask("set", emergency_stop=True),
+            illegal: lambda: self.pico.ask("jump"),
+        }
+        self.mends = {pressed: lambda: self.pico.ask("set", emergency_stop=False)}
+
+    def parameters(self) -> dict[str, Value]:
+        return {**super().parameters(), "window_minimum": -(2**31), "window_maximum": 2**31 - 1}
+
+    def effort(self) -> float:
+        return float(self.pico.look()["current"]) * 1e3
+
+    def enabled(self) -> bool:
+        return bool(self.pico.look()["enabled"])
+
+    def hold(self, held: bool) -> None:
+        self.pico.ask("set", hold_to_run=held)
 
 
-def test_an_emergency_stop_or_its_broken_wire_switches_the_amplifier_off(powered: Powered) -> None:
-    session = powered()
-    running(session)
-    session.pico.ask("set", emergency_stop=True)  # the contact opens: the pull-up says so in either case
-    session.listen(0.001)
-    look = session.pico.look()
-    assert not look["enabled"]
-    state = session.host.states[-1]
-    assert state.fault == Fault.EMERGENCY_STOP
-    assert state.inputs & Input.EMERGENCY_STOP
-
-
-def test_letting_go_of_hold_to_run_takes_the_current_away(powered: Powered) -> None:
-    session = powered()
-    session.configure(position_rate=5_000, hold_to_run=1)
-    session.arm()
-    session.host.command(300)
-    session.listen(0.001)
-    assert session.pico.look()["current"] == pytest.approx(0.3, abs=0.002)
-    session.pico.ask("set", hold_to_run=False)
-    session.host.command(300)
-    session.listen(0.001)
-    assert session.pico.look()["current"] == 0.0
-    assert not session.host.states[-1].inputs & Input.HOLD_TO_RUN
+@pytest.mark.parametrize("output", ["pulse width", "converter"])
+def test_a_fault_of_the_board_is_zero_effort_in_time_latched_and_reported(
+    powered: Powered, powered_dac: Powered, output: str
+) -> None:
+    far_end = OnTheBoard(powered() if output == "pulse width" else powered_dac())
+    check_faults(lambda: far_end)

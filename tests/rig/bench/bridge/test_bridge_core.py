@@ -28,6 +28,7 @@ from tests.conformance.bridged import (
     push,
 )
 from tests.conformance.device import check_device
+from tests.conformance.faults import FarEnd, check_faults
 from tests.conformance.firmware import need_compiler
 from tests.conformance.host import RUN_PARAMETERS, Host
 
@@ -160,15 +161,26 @@ def test_a_drive_that_nobody_arms_is_switched_off_again(kind: str) -> None:
 # ---------------------------------------------------------------------- every way ends in zero torque
 
 
+class Behind(FarEnd):
+    """A drive behind a bridge."""
+
+    rate, current, most = 1_000, CURRENT, float(CURRENT)
+    grain, late = 1e-3, 2
+
+    def __init__(self, kind: str) -> None:
+        self.world = Bridged(kind=kind)
+        super().__init__(self.world)
+
+    def effort(self) -> float:
+        return self.world.torque / (1e-3 * 0.1 / 2.0)  # as `test_a_command_turns_the_drive_as_the_rig_says`
+
+    def enabled(self) -> bool:
+        return self.world.mode == self.world.far.on
+
+
 @both
-def test_a_host_that_falls_silent(kind: str) -> None:
-    world, host = armed(Bridged(kind=kind))
-    push(host, 10)
-    world.run(LIFETIME_S + RAMP_S + SLACK_S)
-    assert world.torque == 0.0
-    assert world.bridge.fault == Fault.LINK_LOST
-    world.run(0.01)
-    assert world.mode == world.far.rest
+def test_a_fault_of_the_host_is_zero_torque_in_time_latched_and_reported(kind: str) -> None:
+    check_faults(lambda: Behind(kind))
 
 
 @both
