@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import click
 
 from rig import config
@@ -19,17 +17,16 @@ from rig.experiments.pulse import NO_HANDS, PUSHES, check_rig_moves, energy_of
 
 
 @command()
-@options.free_rig_options
+@options.request_options(FreeRigRequest, options.free_rig_options)
 @options.json_option
-def check(asked: dict[str, Any], as_json: bool) -> None:
+def check(request: FreeRigRequest, as_json: bool) -> None:
     """Move the motor by four small pushes, and compare the motion with the described one: direction, size, delay.
 
     Two pushes each way end after a few counts whatever the signs are. Keep hands off the handle. It finds a dead or
     reversed motor, a dead or swapped encoder and a wrong scale without any current sensor; sessions on a real rig do
     the same before each block. Ends with 12 when the rig does not move as described.
     """
-    load_backend(asked["url"] or "sim://")
-    request = FreeRigRequest(**asked)
+    load_backend(request.url or "sim://")
     x = config.override(request.experiment, request.changes)
     if not as_json:
         effort, position = (unit_of(name, x.rig.motion) for name in ("effort", "position"))

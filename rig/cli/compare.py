@@ -11,6 +11,7 @@ import click
 from rig import config
 from rig.cli import options, output
 from rig.cli.command import command, option
+from rig.cli.keyword_options import keyword_options
 from rig.core.errors import ConfigError
 from rig.core.present import Table, plain
 from rig.experiments import compare as comparing
@@ -25,14 +26,10 @@ from rig.views.plots.compare import draw_comparison
 @command()
 @options.file_argument
 @options.rig_option()
-@options.stiffness_option
-@options.damping_option
+@options.wall_options
 @options.rate_option("Position rate, and velocity rate of the dual-rate scheme: 20k/2k.")
 @options.estimator_option()
-@options.loop_option
-@options.effort_option
-@options.start_option
-@options.duration_option
+@keyword_options(options.CommandSettings, "loop", "effort", "start", "duration_s")
 @options.scheme_option("none, uniform and dual-rate")
 @options.set_option
 @option(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,28 +24,11 @@ from rig.experiments.judgement import unexpected
 
 
 @command()
-@options.experiment_options
-@options.url_option("simulates the rig in this process")
-@options.realtime_option("In real time; a simulated rig then runs as a process of its own.")
-@options.verified_option
-@options.arm_anyway_option
-@options.output_option("recordings", "Directory of the recordings.", "directory")
+@options.request_options(hits.HitRequest, options.experiment_options)
 @options.plot_options("Draw a picture beside the recording.")
 @options.expect_option(options.VERDICTS)
 @options.json_option
-def hit(
-    file: Path | None,
-    preset: str | None,
-    url: str | None,
-    realtime: bool,
-    verified: bool,
-    arm_anyway: bool,
-    directory: Path,
-    plot: str,
-    expected: tuple[str, ...],
-    as_json: bool,
-    **changed: Any,
-) -> None:
+def hit(request: hits.HitRequest, plot: str, expected: tuple[str, ...], as_json: bool) -> None:
     """Hit a virtual wall: home to the start, push into the wall, judge, record and draw.
 
     Without arguments: the dual-rate wall of Koul et al. on the simulated rig koul-compliant, in virtual
@@ -56,20 +40,12 @@ def hit(
 
     For scripts, --expect stable ends with 17 where a hit's verdict is another one.
     """
-    changes = options.changes(**changed)
-    experiment = options.chosen_experiment(file, preset or options.preset_of(url, file))
-    load_backend(url or "sim://")
-    request = hits.HitRequest(
-        experiment=experiment,
-        url=url,
-        changes=changes,
-        realtime=realtime,
-        verified=verified,
-        arm_anyway=arm_anyway,
+    load_backend(request.url or "sim://")
+    request = replace(
+        request,
         measuring=hit_output.measuring_link(quiet=as_json),
         judged_link=_say_gate,
         hands_off=lambda text: click.echo(f"rig: {text}", err=True),
-        output=directory,
     )
     done: list[dict[str, Any]] = []
     failure: RigError | None = None
@@ -85,9 +61,8 @@ def hit(
                     for message in result.messages:
                         click.echo(f"rig: {message}", err=True)
                 if not as_json:
-                    _print_result(
-                        result, picture, hit_output.differences(experiment, result.experiment, changes)
-                    )
+                    changed = hit_output.differences(request.experiment, result.experiment, request.changes)
+                    _print_result(result, picture, changed)
         except RigError as error:
             bars.stop()
             failure = error

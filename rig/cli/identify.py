@@ -10,6 +10,7 @@ import click
 
 from rig.cli import options, output
 from rig.cli.command import RESULT, command, option
+from rig.cli.keyword_options import keyword_options
 from rig.cli.next_step import name_next
 from rig.config import Experiment
 from rig.core.errors import ConfigError, RecordingError
@@ -60,8 +61,7 @@ from rig.views.plots.identify import draw_identification
     "also sweep with it, for the ripple of the effort.",
 )
 @option("--arm", "arm_m", type=float, metavar="M", help="Lever arm of the mass. [radius of the handle]")
-@options.url_option("simulates the rig in this process")
-@options.free_option
+@keyword_options(IdentifyRequest, "url", "verified")
 @options.output_option(None, "Experiment file to write (TOML).", "file_out")
 @option(
     "--recordings",

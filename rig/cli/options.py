@@ -8,18 +8,21 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Annotated, Any, TypeVar, get_args, get_type_hints
 
 import click
 
 from rig import config
 from rig.cli import command, output, values
 from rig.cli.command import DEVICE, EXPERIMENT, RESULT, option
+from rig.cli.keyword_options import keyword_options
 from rig.config import Experiment, presets
 from rig.config.schemes import parse_rates
 from rig.config.sections import SchemeCutoff
 from rig.core.errors import ConfigError, RecordingError, RigError
+from rig.core.keyword import Keyword, keywords
 from rig.devices.device import DeviceUrl
+from rig.experiments.settings import HitSettings, changes_of
 from rig.views.plots.style import FORMATS
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -54,12 +57,15 @@ def rig_option(default: str = DEFAULT_PRESET, *, given: bool = False) -> Callabl
     )
 
 
-stiffness_option = option(
-    "-K", "--stiffness", group=EXPERIMENT, type=float, help="Wall stiffness (N·m/rad or N/m)."
-)
-damping_option = option(
-    "-B", "--damping", group=EXPERIMENT, type=float, help="Wall damping (N·m·s/rad or N·s/m)."
-)
+class CommandSettings(HitSettings, total=False):
+    """What commands change by options of their own, beside rates and operator."""
+
+    estimator: Annotated[str, Keyword(key="controller.estimator")]
+    cutoff: Annotated[str, Keyword(key="controller.scheme_cutoff")]
+
+
+_OF_CHANGES = {"rate", "sets", *get_type_hints(CommandSettings)}
+wall_options = keyword_options(CommandSettings, "stiffness", "damping")
 
 
 def walls_options(stiffness: str, damping: str) -> Callable[[F], F]:
@@ -123,22 +129,7 @@ def operator_option(help: str) -> Callable[[F], F]:
     return option("--operator", group=EXPERIMENT, metavar="GRIP", type=values.GRIP, help=help)
 
 
-loop_option = option(
-    "--loop",
-    group=EXPERIMENT,
-    type=click.Choice(["host", "device"]),
-    help="Where the law runs: on this computer, or on the device.",
-)
-start_option = option(
-    "--start", group=EXPERIMENT, type=float, help="Where the handle is released (rad or m)."
-)
-duration_option = option("--duration", group=EXPERIMENT, type=float, help="Length of the push (s).")
-effort_option = option(
-    "--effort",
-    group=EXPERIMENT,
-    type=float,
-    help="Constant push of the motor, nobody at the handle (N·m or N).",
-)
+effort_option = keyword_options(CommandSettings, "effort")
 set_option = option(
     "--set", "sets", group=EXPERIMENT, multiple=True, metavar="KEY=VALUE",
     help="Any other key of the experiment: --set wall.pull=allow.",
@@ -231,9 +222,6 @@ verified_option = option(
     group=DEVICE,
     is_flag=True,
     help="On a real rig: encoder and motor signs were checked, and the handle is at position zero.",
-)
-free_option = option(
-    "--verified", group=DEVICE, is_flag=True, help="On a real rig: a push of the wrong sign can hurt nothing."
 )
 arm_anyway_option = option(
     "--arm-anyway",
@@ -366,71 +354,39 @@ def picture_options(help: str, *, default: bool, place: str) -> Callable[[F], F]
 
 # ------------------------------------------------------------------ whole experiments
 
-# Option → key of the experiment.
-_KEYS = {
-    "stiffness": "wall.stiffness",
-    "damping": "wall.damping",
-    "estimator": "controller.estimator",
-    "loop": "controller.loop",
-    "cutoff": "controller.scheme_cutoff",
-    "effort": "trial.effort",
-    "start": "trial.start",
-    "duration": "trial.duration_s",
-    "repeats": "trial.repeats",
-    "seed": "trial.seed",
-}
-
-
 experiment_options = added(
     file_argument,
     rig_option(),
-    stiffness_option,
-    damping_option,
+    wall_options,
     rate_option("Position rate and velocity rate: 20k/2k; uniform: 1k."),
     estimator_option(),
-    loop_option,
-    effort_option,
+    keyword_options(CommandSettings, "loop", "effort"),
     operator_option("Who pushes: a person's hand (relaxed, normal, firm), or none: the motor alone."),
-    start_option,
-    duration_option,
-    repeats_option("How many hits."),
-    seed_option("Of the simulation's sensor noise."),
+    keyword_options(CommandSettings, "start", "duration_s", "repeats", "seed"),
     set_option,
-)  # fmt: skip
+)
 """Which experiment, with which changes; the command receives them as `**chosen`."""
 
 
-def free_rig_options(function: F) -> F:
-    """Add the options of a rig that nobody holds; the command receives the arguments of a `FreeRigRequest`."""
+free_rig_options = added(file_argument, rig_option(), set_option)
+"""The same of a rig that nobody holds."""
 
-    @wraps(function)
-    def called(
-        *,
-        file: Path | None,
-        preset: str | None,
-        sets: tuple[str, ...],
-        url: str | None,
-        verified: bool,
-        output: Path,
-        **others: Any,
-    ) -> Any:
-        asked = {
-            "experiment": chosen_experiment(file, preset or preset_of(url, file)),
-            "url": url,
-            "changes": changes(None, sets),
-            "verified": verified,
-            "output": output,
-        }
-        return function(asked=asked, **others)
 
-    return added(
-        file_argument,
-        rig_option(),
-        set_option,
-        url_option("simulates the rig in this process"),
-        free_option,
-        output_option("recordings", "Directory of the recordings."),
-    )(called)  # type: ignore[return-value]
+def request_options(request: type, which: Callable[[F], F]) -> Callable[[F], F]:
+    """Add the options of `which` experiment and of each keyword of a `RigRequest`, which the command receives."""
+
+    def add(function: F) -> F:
+        @wraps(function)
+        def called(*, file: Path | None, preset: str | None, url: str | None, **given: Any) -> Any:
+            own = {name: given.pop(name) for name in keywords(request) if name in given}
+            changed = {name: given.pop(name) for name in list(given) if name in _OF_CHANGES}
+            experiment = chosen_experiment(file, preset or preset_of(url, file))
+            made = request(experiment=experiment, url=url, changes=changes(**changed), **own)
+            return function(request=made, **given)
+
+        return added(which, keyword_options(request))(called)  # type: ignore[arg-type]
+
+    return add
 
 
 def chosen_experiment(file: Path | None, preset: str | None) -> Experiment:
@@ -451,15 +407,9 @@ def preset_of(url: str | None, file: Path | None) -> str | None:
     return DeviceUrl.parse(url).place or None
 
 
-def changes(
-    rate: str | None, sets: tuple[str, ...], operator: str | None = None, **named: Any
-) -> dict[str, Any]:
-    """Return what the user set by hand, by dotted key."""
-    changed = {_KEYS[name]: value for name, value in named.items() if value is not None}
-    if operator == "none":
-        changed["trial.kind"] = "constant-effort"
-    elif operator is not None:
-        changed |= {"trial.kind": "human", "operator.grip": operator}
+def changes(rate: str | None = None, sets: tuple[str, ...] = (), **named: Any) -> dict[str, Any]:
+    """Return what the user set by hand, by dotted key; `named` are `CommandSettings`."""
+    changed = changes_of({name: value for name, value in named.items() if value is not None}, CommandSettings)
     if rate is not None:
         changed["controller.position_rate"], changed["controller.velocity_rate"] = parse_rate(rate)
     for text in sets:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import click
 
 from rig.cli import options
@@ -14,10 +12,9 @@ from rig.experiments.reference import ReferenceRequest, find_reference
 
 
 @command()
-@options.free_rig_options
-@click.option("--by-hand", is_flag=True, help="Somebody moves the handle; the motor stays off.")
+@options.request_options(ReferenceRequest, options.free_rig_options)
 @options.json_option
-def reference(asked: dict[str, Any], by_hand: bool, as_json: bool) -> None:
+def reference(request: ReferenceRequest, as_json: bool) -> None:
     """Find position zero by the encoder's index, which rig.reference of FILE describes.
 
     After a torque pulse the handle moves to the limit switch, at the speed and with the effort of [homing], and back
@@ -25,10 +22,8 @@ def reference(asked: dict[str, Any], by_hand: bool, as_json: bool) -> None:
     walls stand at the same place of the mechanism every day, and each recording names the reference. Ends with 12 when
     the switch, an index or the distance between two is not as described; with 10 or 7 when a limit ended a motion.
     """
-    load_backend(asked["url"] or "sim://")
-    found = find_reference(
-        ReferenceRequest(**asked, by_hand=by_hand), lambda text: click.echo(text, err=True)
-    )
+    load_backend(request.url or "sim://")
+    found = find_reference(request, lambda text: click.echo(text, err=True))
     if as_json:
         print_json(found)
     else:

@@ -18,8 +18,7 @@ from rig.views.plots.replay import draw_replay
 
 @command()
 @click.argument("recording", type=values.RECORDING)
-@options.stiffness_option
-@options.damping_option
+@options.wall_options
 @options.rate_option("Another velocity rate T2; T1 is the recording's.", "T1/T2")
 @options.estimator_option()
 @options.set_option

@@ -120,6 +120,7 @@ URL = Named("url", _urls)
 SIGNAL = Named("signal", _signals)
 EXPERIMENT_FILE = Files("toml", ".toml")
 RECORDING = Files("recording", *_RECORDING)
+PATH = click.Path(path_type=Path)
 KINDS: dict[str, click.ParamType[Any]] = {
-    kind.name: kind for kind in (RIG, ESTIMATOR, SCHEME, GRIP, URL, SIGNAL, EXPERIMENT_FILE, RECORDING)
+    kind.name: kind for kind in (RIG, ESTIMATOR, SCHEME, GRIP, URL, SIGNAL, EXPERIMENT_FILE, RECORDING, PATH)
 }

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from rig import config, devices
 from rig.bench.doctor.gate import Gate, check_armable
@@ -20,6 +20,7 @@ from rig.control.verdict import Verdict
 from rig.core.check import Outcome, refuse
 from rig.core.drawn import Drawn
 from rig.core.errors import ConfigError
+from rig.core.keyword import Keyword
 from rig.core.model import RigModel
 from rig.core.present import Item, Row, plain
 from rig.core.same_rig import check_rig
@@ -30,6 +31,7 @@ from rig.experiments.admission import admission_checks
 from rig.experiments.judgement import Judgement, judge
 from rig.experiments.plan import human_limit_checks
 from rig.experiments.pulse import NO_HANDS, pulse
+from rig.experiments.settings import RigRequest
 from rig.experiments.trial import TrialEnd, TrialRequest, end_of, prepared_on, run_trial
 from rig.experiments.zero import position_zero
 from rig.realtime import stop_requests
@@ -39,23 +41,11 @@ from rig.recording.reader import open_recording
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class HitRequest:
-    """What to hit, where, and how.
+class HitRequest(RigRequest):
+    """What to hit, where, and how; a real device always runs in real time.
 
     Attributes
     ----------
-    experiment
-        Validated experiment, before `changes`.
-    url
-        Of the device; None simulates the experiment's rig in this process.
-    changes
-        Keys that the user set by hand, dotted; they win over everything else.
-    realtime
-        Run in real time: a simulated rig then is a process behind a pseudo-terminal. A real device always is.
-    verified
-        The polarity of encoder and motor of a real rig was checked by its user, and its handle is at position zero now.
-    output
-        Directory of the recordings.
     name
         Of the recording, without its suffix, where the caller has names of its own; else rig, time and repeat.
     law
@@ -65,7 +55,7 @@ class HitRequest:
     reference_count
         Count at position zero of a real rig. None: see `rig.experiments.zero.position_zero`.
     arm_anyway
-        Arm a wall that the link, as measured, makes dangerous (`rig.bench.doctor.gate`); it is said and recorded.
+        See `rig.bench.doctor.gate`; it is said and recorded.
     measuring
         Told, while the link is measured before arming, the share of that which is done.
     judged_link
@@ -76,17 +66,21 @@ class HitRequest:
         Somebody must not know the wall: whoever shows the running loop to people shows nothing of it.
     """
 
-    experiment: Experiment
-    url: str | None = None
-    changes: Mapping[str, Any] = field(default_factory=dict)
-    realtime: bool = False
-    verified: bool = False
-    output: str | Path = "recordings"
+    realtime: Annotated[
+        bool,
+        Keyword("In real time; a simulated rig then runs as a process of its own.", group="Device"),
+    ] = False
+    arm_anyway: Annotated[
+        bool,
+        Keyword(
+            "Arm a real rig although its link, as measured, makes this wall dangerous; `rig doctor` says why.",
+            group="Device",
+        ),
+    ] = False
     name: str | None = None
     law: Law | Callable[[float], Law] | None = None
     device: FramedDevice | None = None
     reference_count: int | None = None
-    arm_anyway: bool = False
     measuring: Callable[[float], None] | None = None
     judged_link: Callable[[Gate], None] | None = None
     hands_off: Callable[[str], None] | None = None

@@ -8,8 +8,9 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import fields
 from pathlib import Path
-from typing import Annotated, Any, Literal, Unpack
+from typing import Any, Literal, Unpack
 
 from rig import config
 from rig.config import Experiment, controller, presets
@@ -33,7 +34,7 @@ from rig.experiments.planned import Plan
 from rig.experiments.ranges import SPAN, hit_plan, search_for
 from rig.experiments.replay import ReplayResult
 from rig.experiments.searches import Way
-from rig.experiments.settings import Settings, WallSettings, changes_of
+from rig.experiments.settings import HitSettings, Settings, WallSettings, changes_of, takes
 from rig.experiments.zwidth import Judged, ZWidth
 from rig.realtime import stop_requests
 from rig.recording.data import Recording
@@ -43,12 +44,11 @@ ExperimentLike = str | Path | Experiment
 """A preset's name, the path of a file, or an experiment."""
 
 
-class HitOptions(WallSettings, total=False):
-    """What `hit` takes by name, beside the settings of the wall; see `rig.experiments.hit.HitRequest`."""
+class HitOptions(HitSettings, total=False):
+    """What `hit` takes by name: settings, and fields of a `HitRequest`, with their types there."""
 
     law: str | Law
     estimator: str | Estimator
-    repeats: Annotated[int, "trial.repeats"]
     url: str
     device: FramedDevice
     realtime: bool
@@ -59,9 +59,7 @@ class HitOptions(WallSettings, total=False):
     name: str
 
 
-_OF_A_REQUEST = ("url", "device", "realtime", "verified", "arm_anyway", "hands_off", "output", "name")
-
-
+@takes(WallSettings)
 def load(experiment: ExperimentLike, **settings: Unpack[WallSettings]) -> Experiment:
     """Load an experiment, with some of its keys changed.
 
@@ -71,8 +69,8 @@ def load(experiment: ExperimentLike, **settings: Unpack[WallSettings]) -> Experi
         A preset's name (``"koul-compliant"``), the path of a file (it ends in ``.toml`` or has a slash), or an
         experiment.
     **settings
-        By the names of `rig.experiments.settings.WallSettings`: ``stiffness=100.0, duration_s=0.6``; any other key by
-        ``changes={"wall.position": 0.1}``.
+        In SI units of the rig: ``stiffness=100.0``; any other key by ``changes={"wall.position": 0.1}``.
+        `operator` is who pushes: the grip of a simulated hand (relaxed, normal, firm), or none: the motor.
 
     Raises
     ------
@@ -82,6 +80,7 @@ def load(experiment: ExperimentLike, **settings: Unpack[WallSettings]) -> Experi
     return _changed(experiment, changes_of(settings, WallSettings))
 
 
+@takes(HitOptions, HitRequest)
 def hit(
     experiment: ExperimentLike = DEFAULT_PRESET, watch: Watch | None = None, **options: Unpack[HitOptions]
 ) -> HitResult:
@@ -95,11 +94,9 @@ def hit(
         Called before the hit with its number, 0, and the experiment in effect; may return a function that is called
         with (ticks, phase) while it runs.
     **options
-        Settings as in `load`, and: `law`, `estimator` (a name, or one of your own); `url` of a device, or an open
-        `device` (else the rig is simulated here); `realtime`; `verified` (the signs of a real rig were checked, and its
-        handle is at position zero); `arm_anyway`; `hands_off`, called before a torque pulse at which no hand may hold a
-        real rig (prints a line to standard error unless given); `output`, the directory of the recording, and `name` in
-        it.
+        Settings as in `load`, and: `law`, `estimator` (a name, or one of your own); an open `device` instead of a
+        `url`; `hands_off`, called before a torque pulse at which no hand may hold a real rig (prints a line to standard
+        error unless given); the `name` of the recording.
 
     Raises
     ------
@@ -117,12 +114,8 @@ def hit(
             remedy="say repeats=1, and call it in a loop; for several hits of one device, give it as device",
         )
     law, estimator = _own(given, changes)
-    request = HitRequest(
-        experiment=loaded,
-        changes=changes,
-        law=law,
-        **{name: given[name] for name in _OF_A_REQUEST if name in given},
-    )
+    own = {one.name: given[one.name] for one in fields(HitRequest) if one.name in given}
+    request = HitRequest(**{**own, "experiment": loaded, "changes": changes, "law": law})
     with _lent(law, estimator):
         (result,) = one_hit.hit(request, watch)
     return result
@@ -143,6 +136,7 @@ def stop() -> int:
     return stop_requests.request()
 
 
+@takes(WallSettings)
 def plan(
     experiment: ExperimentLike = DEFAULT_PRESET,
     *,
@@ -174,6 +168,7 @@ def plan(
         return planning.plan_of(run, linked=linked, round_trip_s=round_trip_s)
 
 
+@takes(WallSettings)
 def replay(
     recording: str | Path | Recording,
     *,
@@ -213,6 +208,7 @@ def replay(
         return replaying.replay(opened, changes, law=own_law)
 
 
+@takes(WallSettings)
 def compare(
     experiment: ExperimentLike = DEFAULT_PRESET,
     schemes: Sequence[str | Scheme] = (),
@@ -254,6 +250,7 @@ def compare(
         return comparing.compare(loaded, entries_of(loaded, schemes), offsets=offsets)
 
 
+@takes(Settings)
 def zwidth(
     experiment: ExperimentLike = DEFAULT_PRESET,
     schemes: Sequence[str | Scheme] = (),
@@ -327,6 +324,7 @@ def zwidth(
         return maps.map_into(planned, place, scheduler=scheduler, workers=workers, watch=watch)
 
 
+@takes(Settings)
 def design(
     experiment: ExperimentLike = DEFAULT_PRESET,
     goal: designing.Goal = "area",

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Annotated, Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +19,11 @@ from rig.bench.doctor.gate import LIFETIME_SHARE
 from rig.config import Experiment, controller
 from rig.config.controller import LIFETIME_PERIODS, LONGEST_LIFETIME_S, rate_of_lifetime
 from rig.core.errors import ConfigError, DeviceFaultError, PlanError, RigError
+from rig.core.keyword import Keyword
 from rig.core.sample import Phase, RowFlag, unit_of
 from rig.devices.framed import FramedDevice
 from rig.experiments.identify_motions import RATE_STEP, REST_S, Motion, coulomb_of, inertia_of
+from rig.experiments.settings import RigRequest
 from rig.experiments.trial import TrialRequest, end_of, prepared_on, run_trial
 from rig.loop.layout import EndReason
 from rig.recording.data import Recording
@@ -45,28 +47,12 @@ class TimingError(IdentificationError):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FreeRigRequest:
-    """Which rig is to move with nobody at its handle, and where.
+class FreeRigRequest(RigRequest):
+    """Which rig is to move with nobody at its handle, and where; the wall and the trial of it are not used."""
 
-    Attributes
-    ----------
-    experiment
-        Its rig is described there, its limits are kept; the wall and the trial in it are not used.
-    url
-        Of the device; None simulates the experiment's rig in this process, in virtual time.
-    changes
-        Keys that the user set by hand, dotted.
-    verified
-        As in `rig.experiments.hit.HitRequest`: a real device does not arm without.
-    output
-        Directory of the recordings.
-    """
-
-    experiment: Experiment
-    url: str | None = None
-    changes: Mapping[str, Any] = field(default_factory=dict)
-    verified: bool = False
-    output: str | Path = "recordings"
+    verified: Annotated[
+        bool, Keyword("On a real rig: a push of the wrong sign can hurt nothing.", group="Device")
+    ] = False
 
 
 def refuse_unverified(device: FramedDevice, *, verified: bool) -> None:

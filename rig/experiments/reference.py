@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,7 @@ from rig.config import Experiment
 from rig.config.controller import resolution
 from rig.core.check import refuse
 from rig.core.errors import ConfigError, DeviceFaultError, GuardError
+from rig.core.keyword import Keyword
 from rig.core.present import Row
 from rig.core.same_rig import check_rig
 from rig.core.sample import Motion, unit_of
@@ -62,15 +64,9 @@ Tell = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReferenceRequest(FreeRigRequest):
-    """Which rig is to find its reference, and how.
+    """Which rig is to find its reference, and how; by hand nothing has to be verified."""
 
-    Attributes
-    ----------
-    by_hand
-        Somebody moves the handle; the motor stays off, and nothing has to be verified.
-    """
-
-    by_hand: bool = False
+    by_hand: Annotated[bool, Keyword("Somebody moves the handle; the motor stays off.")] = False
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,37 +1,59 @@
 """The keys of an experiment that people set by a name of their own, where a whole key would be too much to write.
 
-Each name is that of its key in an experiment file, in SI units of the rig (`rig.core.sample.unit_of`): stiffness in
-N·m/rad or N/m, a time that ends in ``_s`` in seconds, a rate in Hz. Any other key is reached by ``changes``, which has
-whole keys.
+Type, range, unit and meaning are those of the key (`rig.config.table`). Any other key is reached by ``changes``, which
+has whole keys. A help text here makes an option of commands.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import inspect
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from difflib import get_close_matches
-from typing import Annotated, Any, Literal, TypedDict, get_args, get_origin, get_type_hints
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypedDict, TypeVar, get_type_hints
 
+from annotated_types import Ge, Le
+
+from rig.config import Experiment
+from rig.config.table import parameters
 from rig.core.errors import ConfigError
+from rig.core.keyword import Keyword, keywords
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+_ENTRY = re.compile(r"^    \*\*\w+\n(?:        .*\n)+", re.MULTILINE)  # of a docstring
+
+
+def _key(key: str, help: str = "", *names: str) -> Keyword:
+    return Keyword(help, key, names, "Experiment")
 
 
 class Settings(TypedDict, total=False):
     """What drives the handle, and how it is sampled."""
 
-    side: Annotated[Literal[-1, 1], "wall.side"]
-    pull: Annotated[Literal["clamp", "allow"], "wall.pull"]
-    damping_on: Annotated[Literal["both", "entry"], "wall.damping_on"]
-    position_rate: Annotated[int, "controller.position_rate"]
-    velocity_rate: Annotated[int, "controller.velocity_rate"]
-    parameters: Annotated[Mapping[str, float | str], "controller.parameters"]
-    prediction: Annotated[Literal["hold", "extrapolate"], "controller.prediction"]
-    loop: Annotated[Literal["host", "device"], "controller.loop"]
-    friction_compensation: Annotated[float, "controller.friction_compensation"]
-    effort: Annotated[float, "trial.effort"]
-    start: Annotated[float, "trial.start"]
-    duration_s: Annotated[float, "trial.duration_s"]
-    release_s: Annotated[float, "trial.release_s"]
-    minimum_rest_counts: Annotated[float, "trial.minimum_rest_counts"]
-    seed: Annotated[int, "trial.seed"]
+    side: Annotated[Literal[-1, 1], _key("wall.side")]
+    pull: Annotated[Literal["clamp", "allow"], _key("wall.pull")]
+    damping_on: Annotated[Literal["both", "entry"], _key("wall.damping_on")]
+    position_rate: Annotated[int, _key("controller.position_rate")]
+    velocity_rate: Annotated[int, _key("controller.velocity_rate")]
+    parameters: Annotated[Mapping[str, float | str], _key("controller.parameters")]
+    prediction: Annotated[Literal["hold", "extrapolate"], _key("controller.prediction")]
+    loop: Annotated[
+        Literal["host", "device"],
+        _key("controller.loop", "Where the law runs: on this computer, or on the device."),
+    ]
+    friction_compensation: Annotated[float, _key("controller.friction_compensation")]
+    effort: Annotated[
+        float, _key("trial.effort", "Constant push of the motor, nobody at the handle (N·m or N).")
+    ]
+    start: Annotated[float, _key("trial.start", "Where the handle is released (rad or m).")]
+    duration_s: Annotated[float, _key("trial.duration_s", "Length of the push (s).", "--duration")]
+    release_s: Annotated[float, _key("trial.release_s")]
+    minimum_rest_counts: Annotated[float, _key("trial.minimum_rest_counts")]
+    seed: Annotated[int, Ge(0), _key("trial.seed", "Of the simulation's sensor noise.")]
     operator: Literal["none", "relaxed", "normal", "firm"]
     changes: Mapping[str, Any]
 
@@ -39,8 +61,54 @@ class Settings(TypedDict, total=False):
 class WallSettings(Settings, total=False):
     """And one wall."""
 
-    stiffness: Annotated[float, "wall.stiffness"]
-    damping: Annotated[float, "wall.damping"]
+    stiffness: Annotated[
+        float, _key("wall.stiffness", "Wall stiffness (N·m/rad or N/m).", "-K", "--stiffness")
+    ]
+    damping: Annotated[float, _key("wall.damping", "Wall damping (N·m·s/rad or N·s/m).", "-B", "--damping")]
+
+
+class HitSettings(WallSettings, total=False):
+    """And how often it is hit."""
+
+    repeats: Annotated[int, Ge(1), Le(10_000), _key("trial.repeats", "How many hits.")]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RigRequest:
+    """Which rig, with which changes, on which device.
+
+    Attributes
+    ----------
+    experiment
+        Validated experiment, before `changes`.
+    url
+        Of the device; None simulates the experiment's rig in this process, in virtual time.
+    changes
+        Keys that the user set by hand, dotted; they win over everything else.
+    verified
+        A real rig may be moved; without it a real device does not arm.
+    """
+
+    experiment: Experiment
+    url: Annotated[
+        str | None,
+        Keyword(
+            "serial:///dev/ttyACM0, usb://1209:0001, sim://. [simulates the rig in this process]",
+            group="Device",
+            values="url",
+        ),
+    ] = None
+    changes: Mapping[str, Any] = field(default_factory=dict)
+    verified: Annotated[
+        bool,
+        Keyword(
+            "On a real rig: encoder and motor signs were checked, and the handle is at position zero.",
+            group="Device",
+        ),
+    ] = False
+    output: Annotated[
+        str | Path, Keyword("Directory of the recordings.", "", ("-o", "--output"), "Result", "path")
+    ] = "recordings"
 
 
 def changes_of(options: Mapping[str, Any], known: type) -> dict[str, Any]:
@@ -48,7 +116,7 @@ def changes_of(options: Mapping[str, Any], known: type) -> dict[str, Any]:
 
     `known` is the TypedDict whose names may be said; `ConfigError` for another one, with the closest of them.
     """
-    names = get_type_hints(known, include_extras=True)
+    names, keys = get_type_hints(known), keywords(known)
     changes: dict[str, Any] = {}
     for name, value in options.items():
         if name not in names:
@@ -57,8 +125,8 @@ def changes_of(options: Mapping[str, Any], known: type) -> dict[str, Any]:
             raise ConfigError(f"there is no setting {name!r}", remedy=remedy)
         if name == "operator":
             changes |= _pushed_by(str(value))
-        elif get_origin(names[name]) is Annotated:
-            changes[get_args(names[name])[1]] = value
+        elif name in keys:
+            changes[keys[name].key] = value
     return changes | dict(options.get("changes", {}))
 
 
@@ -67,3 +135,32 @@ def _pushed_by(operator: str) -> dict[str, Any]:
     if operator == "none":
         return {"trial.kind": "constant-effort"}
     return {"trial.kind": "human", "operator.grip": operator}
+
+
+def takes(options: type, request: type = RigRequest) -> Callable[[F], F]:
+    """Show the keywords of a TypedDict in a function's signature and docstring, in place of ``**options``.
+
+    `request` is the dataclass whose fields some of them are.
+    """
+    hints, own = get_type_hints(options), keywords(request)
+    said = {**own, **keywords(options)}
+
+    def shown(function: F) -> F:
+        signature = inspect.signature(function)
+        keyword = partial(inspect.Parameter, kind=inspect.Parameter.KEYWORD_ONLY)
+        named = [
+            keyword(name, annotation=hint, default=own[name].default if name in own else ...)
+            for name, hint in hints.items()
+        ]
+        every = [*list(signature.parameters.values())[:-1], *named]
+        function.__dict__["__signature__"] = signature.replace(parameters=every)
+        lines = "".join(f"        * `{name}`: {_meaning(said[name])}\n" for name in hints if name in said)
+        function.__doc__ = _ENTRY.sub(lambda found: f"{found[0]}\n{lines}", function.__doc__ or "")
+        return function
+
+    return shown
+
+
+def _meaning(one: Keyword) -> str:
+    key = parameters().get(one.key)
+    return f"{key.meaning}; {key.expected(None)} (``{one.key}``)" if key else one.help

@@ -1,0 +1,68 @@
+"""Options of a command, made of the keywords of a request (`rig.core.keyword`)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import wraps
+from typing import Any, Literal, TypeVar, get_args, get_origin
+
+import click
+from annotated_types import Ge, Gt, Le
+
+from rig.cli import values
+from rig.cli.command import option
+from rig.core.keyword import Keyword, keywords
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def keyword_options(request: type, *names: str) -> Callable[[F], F]:
+    """Add an option for each of these keywords of a request; for each that has a help text if none is named."""
+    chosen = [one for name, one in keywords(request).items() if (name in names if names else one.help)]
+
+    def add(function: F) -> F:
+        for one in reversed(chosen):
+            function = _option(one)(function)
+        return function
+
+    return add
+
+
+def gathered_options(request: type, name: str) -> Callable[[F], F]:
+    """Add an option for each keyword of a dataclass; the command receives them as one argument of this name."""
+
+    def add(function: F) -> F:
+        @wraps(function)
+        def called(**given: Any) -> Any:
+            own = {field: given.pop(field) for field, one in keywords(request).items() if one.help}
+            return function(**given, **{name: request(**own)})
+
+        return keyword_options(request)(called)  # type: ignore[return-value]
+
+    return add
+
+
+def _option(one: Keyword) -> Callable[[F], F]:
+    names = one.names or (f"--{one.name.replace('_', '-')}",)
+    more: dict[str, Any] = {"default": one.default, "show_default": bool(one.default)}
+    if one.type is bool:
+        more["is_flag"] = True
+    else:
+        more["multiple"] = get_origin(one.type) is tuple
+        more["type"] = _type(one, get_args(one.type)[0] if more["multiple"] else one.type)
+    return option(*names, one.name, group=one.group, help=one.help, **more)
+
+
+def _type(one: Keyword, kind: Any) -> Any:
+    """How click reads one value."""
+    if get_origin(kind) is Literal:
+        return click.Choice(get_args(kind))
+    if one.values:
+        return values.KINDS[one.values]
+    marks = {type(mark): mark for mark in one.marks}
+    lowest, highest = marks.get(Ge) or marks.get(Gt), marks.get(Le)
+    if lowest is None and highest is None:
+        return kind
+    return (click.IntRange if kind is int else click.FloatRange)(
+        getattr(lowest, "ge", getattr(lowest, "gt", None)), getattr(highest, "le", None), min_open=Gt in marks
+    )

@@ -1,0 +1,64 @@
+"""A value that people give by name: an argument in Python, an option of a command, a field of a page's request.
+
+A request says it once, at its field: ``Annotated[int, Ge(1), Keyword("How many hits.", key="trial.repeats")]``. What
+checks, explains and asks for the value reads type, range, default and text there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
+from functools import cache
+from types import NoneType, UnionType
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
+
+
+@dataclass(frozen=True, slots=True)
+class Keyword:
+    """How people give a value: what it is, with its unit; a command has an option for it if there is such a text.
+
+    Attributes
+    ----------
+    key
+        Dotted key of the experiment that it changes; empty for a field of the request itself.
+    names
+        Of its option; the field's own name if empty.
+    group
+        Of options on a help page.
+    values
+        Kind of values that a shell completes (`rig.cli.values.KINDS`).
+    name, type, marks, default
+        Of its field, the type without None, as `keywords` finds them.
+    """
+
+    help: str = ""
+    key: str = ""
+    names: tuple[str, ...] = ()
+    group: Literal["Experiment", "Options", "Device", "Result"] = "Options"
+    values: str = ""
+    name: str = ""
+    type: Any = None
+    marks: tuple[Any, ...] = ()
+    default: Any = None
+
+
+@cache
+def keywords(request: type) -> Mapping[str, Keyword]:
+    """Return the fields of a dataclass or a TypedDict that people give by name, in order."""
+    defaults = {one.name: one.default for one in fields(request)} if is_dataclass(request) else {}
+    found = {}
+    for name, hint in get_type_hints(request, include_extras=True).items():
+        kind, *marks = get_args(hint) if get_origin(hint) is Annotated else (hint,)
+        default = defaults.get(name, MISSING)
+        if get_origin(kind) is UnionType:
+            kind = next(arm for arm in get_args(kind) if arm is not NoneType)
+        for mark in marks:
+            if isinstance(mark, Keyword):
+                found[name] = replace(
+                    mark,
+                    name=name,
+                    type=kind,
+                    marks=tuple(marks),
+                    default=None if default is MISSING else default,
+                )
+    return found

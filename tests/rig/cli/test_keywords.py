@@ -1,0 +1,115 @@
+"""A value that people give by name is described once: commands, Python and experiment files say the same of it."""
+
+from __future__ import annotations
+
+import inspect
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
+
+import click
+import pytest
+from annotated_types import Ge, Gt, Le
+
+import rig
+from rig.cli.command import Command
+from rig.cli.keyword_options import gathered_options
+from rig.cli.options import CommandSettings
+from rig.config.table import parameters
+from rig.core.keyword import Keyword, keywords
+from rig.experiments.hit import HitRequest
+from rig.experiments.lab import HitOptions
+
+TYPES = {float: "number", int: "whole number", bool: "true or false", str: "text"}
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A request of every kind of value."""
+
+    count: Annotated[int, Ge(1), Le(9), Keyword("How many.")] = 3
+    share: Annotated[float | None, Gt(0), Le(1), Keyword("Of all.")] = None
+    way: Annotated[Literal["up", "down"], Keyword("Which way.", names=("-w", "--which-way"))] = "up"
+    names: Annotated[tuple[str, ...], Keyword("Repeat it.")] = ()
+    output: Annotated[str | Path, Keyword("Where.", group="Result", values="path")] = "here"
+    by_hand: Annotated[bool, Keyword("No motor.")] = False
+    silent: Annotated[int, Keyword()] = 0
+    unasked: int = 0
+
+
+def answered(*words: str) -> Any:
+    """What a command receives whose only argument is such a request."""
+
+    @click.command(cls=Command)
+    @gathered_options(Asked, "request")
+    def command(request: Asked) -> Asked:
+        return request
+
+    return command.main(list(words), standalone_mode=False)
+
+
+def test_a_field_makes_an_option_with_its_type_range_and_default() -> None:
+    assert answered() == Asked(output=Path("here"))
+    words = [
+        "--count",
+        "2",
+        "--share",
+        "0.5",
+        "-w",
+        "down",
+        "--names",
+        "a",
+        "--names",
+        "b",
+        "--output",
+        "x",
+        "--by-hand",
+    ]
+    assert answered(*words) == Asked(2, 0.5, "down", ("a", "b"), Path("x"), True)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("--count 0", "0 is not in the range 1<=x<=9"),
+        ("--share 0", "0.0 is not in the range 0<x<=1"),
+        ("--which-way left", "'left' is not one of 'up', 'down'"),
+        ("--silent 1", "No such option"),
+        ("--unasked 1", "No such option"),
+    ],
+)
+def test_a_wrong_value_is_named_with_what_is_allowed(words: str, message: str) -> None:
+    with pytest.raises(click.UsageError) as failed:
+        answered(*words.split())
+    assert message in failed.value.format_message()
+
+
+def test_a_setting_has_type_and_unit_of_its_key() -> None:
+    hints = get_type_hints(CommandSettings)
+    for name, one in keywords(CommandSettings).items():
+        key = parameters()[one.key]
+        if get_origin(hints[name]) is Literal:
+            assert get_args(hints[name]) == key.choices, name
+        elif key.kind not in ("table", "choice"):
+            assert TYPES[hints[name]] == key.kind, name
+        if one.help and key.unit not in ("", "1"):
+            assert f"({key.unit_for(None)})" in one.help, name
+
+
+def test_the_keywords_of_a_hit_are_the_fields_of_its_request() -> None:
+    asked, given = get_type_hints(HitRequest), get_type_hints(HitOptions)
+    for name in {one.name for one in fields(HitRequest)} & set(given) - {"changes", "law"}:
+        assert asked[name] in (given[name], given[name] | None), name
+
+
+def test_python_shows_every_keyword_with_range_and_unit() -> None:
+    for function in (rig.hit, rig.load, rig.plan, rig.compare):
+        named = inspect.signature(function).parameters
+        assert set(named) > {"stiffness", "duration_s", "operator", "changes"}
+        assert not any(one.kind is inspect.Parameter.VAR_KEYWORD for one in named.values())
+    assert set(get_type_hints(HitOptions)) <= set(inspect.signature(rig.hit).parameters)
+    assert inspect.signature(rig.hit).parameters["verified"].default is False
+    text = inspect.getdoc(rig.hit) or ""
+    assert "* `stiffness`: K; a number ≥ 0 N·m/rad or N/m (``wall.stiffness``)" in text
+    assert "* `arm_anyway`: Arm a real rig although" in text
+    assert text.index("`stiffness`") < text.index("Raises")
