@@ -6,7 +6,6 @@ import math
 from dataclasses import replace
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
 from hypothesis import given
@@ -20,9 +19,6 @@ from rig.control.cogging import FADE, around, bounded_at, compensated
 from rig.core.model import Cogging
 from rig.core.sample import Phase
 from rig.testing import Hits
-
-if numba.config.DISABLE_JIT:
-    pytest.skip("plug points are function types of compiled code", allow_module_level=True)
 
 MAP = Cogging(
     period=0.0628,

@@ -112,15 +112,6 @@ def test_rounding_gives_the_finite_difference_its_noise_at_every_rate() -> None:
         assert noise == pytest.approx(DELTA * rate / math.sqrt(6), rel=2e-3)
 
 
-@pytest.mark.parametrize("name", estimators.names())
-def test_the_sign_of_the_resolution_is_the_encoders_and_cancels(name: Any) -> None:
-    """Counts that fall while the position rises, with a negative resolution, give the same velocity."""
-    position = 1e-3 * np.sin(np.arange(600) / 60)
-    one = estimate(name, quantise(position, DELTA), DT, resolution=DELTA)
-    other = estimate(name, quantise(position, -DELTA), DT, resolution=-DELTA)
-    assert one == pytest.approx(other, rel=1e-6, abs=1e-6 * DELTA / DT)
-
-
 def test_lost_samples_are_told_by_elapsed() -> None:
     elapsed = np.array([1, 1, 5, 1, 2, 1])
     counts = 3 * np.cumsum(elapsed)

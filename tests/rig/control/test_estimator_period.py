@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from bisect import bisect_right
-from importlib.resources import files
 from typing import Any
 
 import numpy as np
@@ -17,8 +15,6 @@ from rig.control import estimators
 from rig.control.estimators.arrays import run
 from rig.control.estimators.estimator import WINDOW
 from rig.core.errors import ConfigError
-from rig.core.model import Amplifier, Encoder, Mechanics, RigModel
-from sim_backend.plant import DiscretePlant, advance
 
 RESOLUTION, PERIOD = 1e-5, 5e-4
 TICK = 62.5e-9  # of the edge time on the wire
@@ -85,15 +81,6 @@ def test_steady_motion_is_read_over_lost_periods(name: Any) -> None:
     counts, ages = steady(3.7, 0.2, when[-1] + 1)
     v = velocities(prepare(name), counts[when], ages[when], elapsed)
     assert v[5:] == pytest.approx(3.7, rel=1e-9)
-
-
-def test_the_finite_difference_is_no_match_for_it() -> None:
-    """At 0.37 counts a period the difference reads 0 or 1."""
-    counts, ages = steady(0.37, 0.1, 400)
-    v = velocities(prepare("period"), counts, on_the_wire(ages))[20:]
-    fdm = velocities(estimators.get("fdm").prepare({}, RESOLUTION, PERIOD), counts, ages)[20:]
-    assert np.std(fdm) > 0.4
-    assert np.std(v) < 1e-3
 
 
 @settings(max_examples=50, deadline=None)
@@ -321,31 +308,3 @@ def test_a_window_beyond_the_memory_is_refused() -> None:
         prepare("period-frequency", window_s=0.2)
     assert prepare("period-frequency", window_s=1e-6).parameters[3] == 1.0
     assert prepare("period-frequency", window_s=3 * PERIOD).parameters[3] == 3.0
-
-
-def test_on_the_simulated_rig_it_is_several_times_closer_to_the_truth_than_the_difference() -> None:
-    """A slow push and pull on koul-rigid at 20 kHz, with edge times as the device gives them."""
-    table = tomllib.loads((files("rig.config.presets") / "koul-rigid.toml").read_text())["rig"]
-    model = RigModel(
-        name="koul-rigid",
-        motion="rotary",
-        mechanics=Mechanics(**table["mechanics"]),
-        amplifier=Amplifier(**table["amplifier"]),
-        encoder=Encoder(**table["encoder"]),
-    )
-    plant = DiscretePlant.build(model, 5e-5)
-    state = plant.at_rest(0.0)
-    rows = []
-    for k in range(4000):
-        count = advance(plant.arguments(state), 0.08 * math.cos(k / 300), 0.0)
-        rows.append((count, state[plant.edge_age], state[plant.sensed_position + 1]))
-    counts, ages, true = (np.array(column) for column in zip(*rows, strict=True))
-    ages = on_the_wire(np.minimum(ages, 134.0))
-    resolution = model.encoder.resolution
-
-    def error(name: str) -> float:
-        p = estimators.get(name).prepare({}, resolution, 5e-5)
-        v, _ = run(p, counts.astype(np.int64), ages, np.ones(4000, np.int64))
-        return float(np.sqrt(np.mean((v - true)[200:] ** 2)))
-
-    assert error("period") < error("fdm") / 10

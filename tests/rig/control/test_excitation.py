@@ -179,12 +179,6 @@ def test_what_cannot_be_meant_is_refused(make: Any, reason: str) -> None:
     assert caught.value.remedy
 
 
-def test_its_mapping_is_json() -> None:
-    mapping = json.loads(json.dumps(plain(Multisine.schroeder((1.0, 3.0), rms=1.0))))
-    again = Multisine(mapping["period_s"], mapping["lines_hz"], mapping["amplitudes"], mapping["phases"])
-    assert again.crest_factor == pytest.approx(mapping["crest_factor"])
-
-
 def test_it_needs_numpy_alone() -> None:
     code = "import sys, rig.control.excitation; print([m for m in ('scipy', 'numba', 'pydantic') if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
 from hypothesis import given
@@ -24,9 +23,6 @@ from rig.realtime.kernel import kernel
 from rig.realtime.plugs import LAW_SIGNATURE
 from rig.testing import Hits
 from sim_backend.plant import PLANT_TYPE, DiscretePlant, PlantArguments, advance
-
-if numba.config.DISABLE_JIT:
-    pytest.skip("plug points are function types of compiled code", allow_module_level=True)
 
 LEVEL = 0.02  # of koul-rigid (N·m)
 FREE = config.override(

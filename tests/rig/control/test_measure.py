@@ -6,23 +6,18 @@ import math
 from dataclasses import asdict, replace
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import butter, sosfilt, sosfilt_zi, sosfiltfilt
 
-from rig import config
-from rig.config import controller, presets
 from rig.control import measure
 from rig.control.judging import meter
 from rig.control.measure import FEWEST_TICKS, LOST_BITS, NUMBERS, OVERRULED, filters, toggling_floor
 from rig.control.median import median
 from rig.control.verdict import Thresholds, Verdict
-from rig.core.sample import Phase, RowFlag
-from sim_backend.plant import DiscretePlant
-from sim_backend.trial import run_trial
+from rig.core.sample import RowFlag
 
 RATE = 20_000
 DELTA = 1.5708e-4  # Koul et al.: 1000 lines, x4, 10:1
@@ -300,117 +295,29 @@ def test_an_oscillation_over_many_counts_has_the_floor_of_its_own_frequency(
 # --- the meter --------------------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def hits() -> Any:
-    """Hits of the simulated rigs: a calm one, one that bounces for ever, and one on the linear rig."""
-    return [
-        hit("koul-compliant", {}),
-        hit(
-            "koul-compliant",
-            {"wall.stiffness": 450.0, "wall.damping": 1.5, "controller.velocity_rate": 20000},
-        ),
-        hit("chawda-linear", {}),
-    ]
-
-
-def hit(name: Any, changes: Any) -> Any:
-    """Arrays of the trial phase of one hit, as a sweep has them: columns of its states, and what was recorded."""
-    experiment = config.override(presets.load(name), changes)
-    tick_s = 1.0 / experiment.controller.position_rate
-    quantum = experiment.rig.amplifier.current_quantum_a
-    law = controller.for_experiment(experiment, current_quantum_a=quantum)
-    plant = DiscretePlant.build(config.rig_model(experiment), tick_s)
-    trace = run_trial(law, plant, experiment.trial.start, most_ticks=round(2.5 / tick_s))
-    trial = np.flatnonzero(trace.phases == Phase.TRIAL)
-    span = slice(trial[0], trial[-1] + 1)
-    encoder, wall = experiment.rig.encoder, experiment.wall
-    states, flags = trace.states[span], trace.flags[span]
-    position = trace.counts[span] * encoder.resolution * encoder.sign
-    return {
-        "tick_s": tick_s,
-        "resolution": encoder.resolution,
-        "limits": config.verdict_thresholds(experiment),
-        "recorded": (
-            position,
-            trace.currents[span] * float(law.control["effort_quantum"][0]),
-            wall.side * (position - wall.position),
-            flags,
-        ),
-        "true": (
-            states[:, plant.sensed_position],
-            states[:, plant.sensed_position + 1],
-            states[:, plant.effort],
-            wall.side * (states[:, plant.sensed_position] - wall.position),
-            flags,
-        ),
-    }
-
-
-def test_hits_of_the_simulated_rigs_have_the_numbers_that_scipy_gives_for_the_whole_trial(hits: Any) -> None:
-    for trial in hits:
-        limits = replace(trial["limits"], felt_velocity=1e9)
-        rate = 1.0 / trial["tick_s"]
-        measuring = meter(limits, trial["tick_s"], trial["resolution"])
-        position, effort, _, _ = trial["recorded"]
-        velocity = np.gradient(position, trial["tick_s"])
-        expected = by_scipy(position, velocity, effort, rate, limits)
-        expected["moved"] = max(0.0, expected["moved"] - trial["resolution"])
-        compare(measuring.recorded(*trial["recorded"]), expected)
-        position, velocity, effort, _, _ = trial["true"]
-        compare(measuring.true(*trial["true"]), by_scipy(position, velocity, effort, rate, limits))
-
-
-def compare(numbers: Any, expected: Any) -> None:
-    """A millionth of the value, or the billionth of the impact that a filter may still remember."""
-    assert numbers["felt"] == pytest.approx(expected["felt"], rel=1e-6, abs=1e-9)
-    assert numbers["heard"] == pytest.approx(expected["heard"], rel=1e-6, abs=1e-8)
-    assert numbers["moved"] == pytest.approx(expected["moved"], rel=1e-6, abs=1e-11)
-    if expected["heard"] > 1e-4:
-        assert numbers["growth"] == pytest.approx(expected["growth"], rel=1e-5)
-
-
-def test_the_floor_of_a_hit_at_rest_on_the_edge_of_a_count_is_that_of_all_its_changes(hits: Any) -> None:
-    """Friction holds the handle where the count toggles in pulses, 407 of them a second; the highest line is at 115 Hz.
-
-    Pulses that short read a quarter of their floor: it is no estimate but a bound, also with the highest line.
-    """
-    position, *others = hits[0]["recorded"]
-    toggled = int(np.count_nonzero(np.diff(position[-8_001:])))
-    numbers = meter(LIMITS, 1.0 / RATE, DELTA).recorded(position, *others)
-    assert np.ptp(position[-8_000:]) == pytest.approx(DELTA, rel=1e-3)
-    assert numbers["felt_floor"] == pytest.approx(floor_at(toggled / 0.8))
-    assert numbers["felt"] < floor_at(dominant_hz(position)) < numbers["felt_floor"]
-
-
-def test_the_floor_of_a_hit_that_bounces_is_that_of_the_mode_that_excites_the_encoder(hits: Any) -> None:
-    """The handle hops at a low frequency, while the capstan's mode at 586 Hz moves the motor by some counts."""
-    numbers = meter(LIMITS, 1.0 / RATE, DELTA).recorded(*hits[1]["recorded"])
-    assert numbers["exits_in_tail"] > 50
-    assert numbers["felt_floor"] == pytest.approx(floor_at(586.0), rel=0.05)
-    assert dominant_hz(hits[1]["recorded"][0]) < 60.0
-
-
-def test_columns_of_a_bigger_array_give_the_same_bits_as_copies_and_nothing_is_written_to_them(
-    hits: Any,
-) -> None:
-    trial = hits[0]
-    measuring = meter(trial["limits"], trial["tick_s"], trial["resolution"])
-    assert not trial["true"][0].flags.c_contiguous
-    copies = [np.ascontiguousarray(signal) for signal in trial["true"]]
+def test_columns_of_a_bigger_array_give_the_same_bits_as_copies_and_nothing_is_written_to_them() -> None:
+    """As a sweep has them: columns of the states of a trial."""
+    position = 1e-2 * impact(1)
+    states = np.stack([position, np.gradient(position, 1.0 / RATE), impact(2), position], axis=1)
+    columns = [*states.T, np.zeros(RATE, np.int64)]
+    assert not columns[0].flags.c_contiguous
+    copies = [np.ascontiguousarray(signal) for signal in columns]
     for signal in copies:
         signal.flags.writeable = False
-    assert measuring.true(*trial["true"]).tobytes() == measuring.true(*copies).tobytes()
+    measuring = meter(LIMITS, 1.0 / RATE, DELTA)
+    assert measuring.true(*columns).tobytes() == measuring.true(*copies).tobytes()
 
 
-def test_a_meter_remembers_nothing_of_the_trial_before(hits: Any) -> None:
-    trial = hits[0]
-    used, fresh = (meter(trial["limits"], trial["tick_s"], trial["resolution"]) for _ in range(2))
-    first = used.recorded(*trial["recorded"])
+def test_a_meter_remembers_nothing_of_the_trial_before() -> None:
+    position, effort, flags = counts(1e-2 * impact(1)), impact(2), np.zeros(RATE, np.int64)
+    trial = position, effort, position, flags
+    used, fresh = (meter(LIMITS, 1.0 / RATE, DELTA) for _ in range(2))
+    first = used.recorded(*trial)
     kept = first.tobytes()
-    used.true(*trial["true"])
-    used.recorded(*(signal[:100] for signal in trial["recorded"]))
+    used.true(position, effort, effort, position, flags)
+    used.recorded(*(signal[:100] for signal in trial))
     assert first.tobytes() == kept, "a record is the caller's"
-    assert used.recorded(*trial["recorded"]).tobytes() == fresh.recorded(*trial["recorded"]).tobytes() == kept
+    assert used.recorded(*trial).tobytes() == fresh.recorded(*trial).tobytes() == kept
 
 
 def test_flags_are_counted_in_the_trial_and_in_its_tail() -> None:
@@ -462,7 +369,6 @@ def test_a_trial_too_short_to_be_measured_is_written_whole(ticks: Any) -> None:
     assert all(value == 0 or math.isnan(value) for value in rest.values())
 
 
-@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="plain Python allocates")
 def test_measuring_allocates_nothing() -> None:
     """Without numba's runtime a kernel that makes an array does not compile."""
     assert measure.measure.targetoptions["_nrt"] is False

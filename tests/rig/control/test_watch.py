@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from typing import Any
 
 import numpy as np
@@ -10,9 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rig.config.sections import Limits
 from rig.control import watch
-from rig.core.oscillation import OSCILLATION_S, OSCILLATIONS
 from rig.core.sample import Phase, RowFlag
 from tests.rig.control.test_step import DELTA, Tick
 
@@ -173,9 +170,3 @@ def test_an_oscillation_is_what_the_constants_say() -> None:
         assert watch.extreme(reaction, 100.0, -1.0, 1.0, 1.9) == meaning
     assert watch.extreme(100.0, 100.0, -1.0, 1.0, 2.0) == 0
     assert np.isclose(watch.energy_given(-3.0, 2.0, 1.0, False), -1.0)
-
-
-def test_the_default_oscillations_are_the_ones_that_were_measured() -> None:
-    limits = inspect.get_annotations(Limits, eval_str=True)
-    assert Limits.__dataclass_fields__["oscillation_s"].default == OSCILLATION_S
-    assert f"left out: {OSCILLATIONS} in" in str(limits["oscillations"])
