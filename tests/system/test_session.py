@@ -6,7 +6,6 @@ import json
 import os
 import random
 import signal
-import subprocess
 import sys
 import time
 import traceback
@@ -29,7 +28,6 @@ from rig.views.report.session import render
 from tests.system.session_study import comparable, written
 
 PERSON = Person(thresholds={"hidden-dual": 65.0, "hidden-uniform": 65.0}, lapse_rate=0.05)
-KILLS = 10
 
 
 def rehearse(protocol: Path, study: Path, code: str = "P01", person: Person = PERSON) -> Path:
@@ -87,38 +85,6 @@ def test_the_first_session_of_a_newcomer_ends_in_ten_minutes_with_intervals_that
     assert slow.high < dual.low
     page = render(found, {})
     assert f"{slow.low:.4g}" in page
-
-
-@pytest.mark.exhaustive(
-    "tests/rig/session/test_session_crashes.py::test_death_at_every_write_flush_and_rename"
-)
-def test_ten_kills_change_nothing(calm: tuple[Path, Path], tmp_path: Path) -> None:
-    """SIGKILL at random moments of a session, and of its resumptions."""
-    protocol, directory = calm
-    done = subprocess.run(
-        [
-            sys.executable,
-            "-W",
-            "error",
-            "-m",
-            "tests.system.test_session",
-            protocol,
-            tmp_path,
-            str(KILLS),
-            "4",
-        ],
-        capture_output=True,
-        text=True,
-        timeout=100,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout)
-    assert told["kills"] > 0  # each of them late on a busy machine, so that the session ends after fewer
-    events = read(tmp_path / "P01" / LOG)
-    assert comparable(events) == comparable(read(directory / LOG))
-    assert results(tmp_path / "P01") == results(directory)
-    check_files(tmp_path / "P01")
 
 
 def test_what_was_known_of_the_person_is_found_by_the_analysis(calm: tuple[Path, Path]) -> None:

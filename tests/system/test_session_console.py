@@ -17,7 +17,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
 
@@ -33,10 +32,8 @@ from rig.session.console.live import snapshot_of
 from rig.session.desk import Desk
 from rig.session.hits import DeviceRunner
 from rig.session.log import Event, read
-from rig.session.run import DeskFor, SessionResult, resume_session, run_session
+from rig.session.run import DeskFor, SessionResult, run_session
 from tests.conformance.terminal import PATIENCE_S, Program, Terminal
-
-pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="the loop is compiled")
 
 ROOT = Path(__file__).parents[2]
 RATE = 250  # Hz: a loop that a loaded machine has time for
@@ -166,17 +163,6 @@ class Operator:
         self.terminal.type(keys)
         self._pressed_s |= dict.fromkeys(keys, time.monotonic())
 
-    def hits(self) -> None:
-        """Say go until a hit is there to be judged."""
-        for _ in range(HITS):
-            asked = self.sees("[1] stable", "hit ended early:", "were invalid:", "ready?")
-            if asked == "[1] stable":
-                return
-            assert asked, self.result()
-            self.press("g")
-        self.close()
-        pytest.fail("every hit ended early")
-
     @property
     def events(self) -> list[Event]:
         return read(self.directory / "session.log")
@@ -229,10 +215,8 @@ def start(terminal: Terminal, tmp_path: Path) -> Iterator[Start]:
         runner = DeviceRunner(
             url="sim://?firmware=0"
         )  # whose hits last long enough for somebody to act in them
-        session = partial(run_session, path, "P01", study=study)
-        if what == "resume":
-            session = partial(resume_session, study / "P01")
-        started.append(Operator(terminal, tmp_path, partial(session, runner=runner)))
+        session = partial(run_session, path, "P01", study=study, runner=runner)
+        started.append(Operator(terminal, tmp_path, session))
         return started[-1]
 
     yield begin
@@ -283,52 +267,6 @@ def eventually(condition: Callable[[], Any], what: str) -> Any:
             return found
         pause.wait(0.01)
     raise AssertionError(f"it never came: {what}")
-
-
-@pytest.mark.quiet
-def test_a_session_with_a_redo_an_abort_and_a_resume(
-    terminal: Terminal, start: Start, currents: list[float]
-) -> None:
-    operator = start("run")
-    operator.hits()
-    operator.press("1")
-    operator.hits()
-    operator.press("r")  # a slip of the key: that hit does not count
-    operator.hits()
-    operator.terminal.type("a")
-    terminal.wait("leave the session (it can be resumed)?")
-    terminal.type("y")
-    assert operator.result().stands == "session of P01: left: the operator left"
-    assert terminal.attributes_are_back()
-    assert operator.of_kind("stopped") == [{"reason": "the operator left"}]
-    assert currents == [0.0] * 3
-
-    resumed = start("resume")
-    assert resumed.sees("[1] stable")  # the hit that was made, and not yet judged
-    resumed.press("2")
-    assert resumed.sees("How tired?  (1 to 7) item, then enter:")
-    terminal.type("9\r")
-    terminal.wait("a number from 1 to 7")
-    terminal.type("5\r")
-    assert resumed.sees("end the session?")
-    resumed.press("g")
-    assert resumed.result().stands == "session of P01: complete"
-    assert terminal.attributes_are_back()
-
-    trials = {trial["trial"]: trial for trial in resumed.of_kind("trial")}
-    judged = [
-        (trials[one["trial"]]["stiffness"], one["verdict"], one["judged_by"])
-        for one in resumed.of_kind("judged")
-    ]
-    assert judged == [(10, "stable", "person"), (20, "buzz", "person")]
-    (redone,) = resumed.of_kind("redone")
-    assert trials[redone["trial"]]["stiffness"] == 20
-    assert resumed.of_kind("answered") == [{"item": "tired", "answer": 5, "block": -1}]
-    assert [event["reason"] for event in resumed.of_kind("ended")] == ["complete"]
-    for trial in trials.values():
-        assert sha256_of(resumed.directory / trial["recording"]) == trial["sha256"]
-    assert "hidden-name" not in terminal.printed
-    assert "N·m" not in terminal.printed
 
 
 def pressing(pid: int) -> bool:

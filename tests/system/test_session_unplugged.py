@@ -8,12 +8,8 @@ from typing import Any
 
 import pytest
 
-from rig import config
-from rig.bench.doctor import pace
-from rig.config import Experiment, presets
-from rig.core.errors import RigError
+from rig.config import Experiment
 from rig.devices.fault_script import Direction, FrameFault, Kind
-from rig.devices.local import serve_locally
 from rig.experiments import hit as one_hit
 from rig.recording.reader import open_recording
 from rig.session.analysis import Options, analyse
@@ -26,7 +22,6 @@ from rig.session.run import rehearsal_desk, resume_session, run_session
 from rig.session.runner import Done
 from rig.session.state import State, Trial
 from sim_backend.channel import Line
-from tests.rig.session.session_fakes import ScriptedDesk
 from tests.system.session_study import written
 
 PERSON = Person(thresholds={"hidden-dual": 65.0, "hidden-uniform": 65.0}, spread=0.5)
@@ -101,39 +96,3 @@ def test_a_session_whose_rig_was_unplugged_goes_on_to_the_same_results(tmp_path:
 def about(trial: Trial) -> tuple[Any, ...]:
     """What a trial asked, and what was said."""
     return trial.condition, trial.repeat, trial.stiffness, trial.verdict
-
-
-def runner_on(port: str) -> DeviceRunner:
-    return DeviceRunner(url=port, realtime=True, verified=True, arm_anyway=True, lossy_anyway=True)
-
-
-def test_a_second_session_on_the_same_rig_is_refused_and_leaves_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(pace, "SECONDS", 0.1)  # what is lost meanwhile is accepted
-    protocol = tmp_path / "one.toml"
-    protocol.write_text(written(tmp_path).read_text().replace('"koul-rigid"', '"koul-compliant"'))
-    model = config.rig_model(config.override(presets.load("koul-compliant"), {"trial.kind": "human"}))
-    study = tmp_path / "study"
-    refused: list[RigError] = []
-
-    def nobody(*about: Any) -> Desk:
-        raise AssertionError("nobody is asked to sit down at a rig that is in use")
-
-    def meanwhile(question: Question) -> Reply:
-        before = {path: path.stat().st_mtime_ns for path in study.rglob("*")}
-        with pytest.raises(RigError) as caught:
-            run_session(protocol, "P02", nobody, runner=runner_on(port), study=study)
-        refused.append(caught.value)
-        assert {path: path.stat().st_mtime_ns for path in study.rglob("*")} == before
-        return Reply(action="abort")
-
-    def somebody(*about: Any) -> Desk:
-        return ScriptedDesk(meanwhile)
-
-    with serve_locally("sim://", model) as port:
-        result = run_session(protocol, "P01", somebody, runner=runner_on(port), study=study)
-    assert result.stopped == "the operator left"
-    assert len(refused) == 1
-    assert "in use" in refused[0].message or "another" in refused[0].message, refused[0]
-    assert [path.name for path in study.iterdir()] == ["P01"]

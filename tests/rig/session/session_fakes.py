@@ -12,19 +12,24 @@ import numpy as np
 from rig.analysis.identification.signs import check_signs
 from rig.bench.doctor.pace import Pace
 from rig.config import Experiment
+from rig.config.presets import load as preset
 from rig.core.check import Check, Outcome
 from rig.core.errors import RigError
 from rig.experiments.pulse import Pulse
 from rig.recording.files import whole_file
+from rig.session.conduct import conduct
 from rig.session.desk import Desk, Question, Reply, View
+from rig.session.directory import Session, begin
 from rig.session.load import protocol_from_mapping
 from rig.session.log import Event
 from rig.session.protocol import Protocol
+from rig.session.rehearsal import Day, Person, RehearsalDesk
 from rig.session.runner import Done, RefusedWalls, Wall
-from rig.session.state import BOOKKEEPING
+from rig.session.state import BOOKKEEPING, State
 from rig.session.trial import Hit
 
 TRUE_LIMIT = 430.0
+TEXT = b"# as it was\n"  # of the protocol's file
 
 
 def study(**keys: Any) -> dict[str, Any]:
@@ -50,6 +55,21 @@ def protocol_of(**sections: Any) -> Protocol:
         ],
     }
     return protocol_from_mapping({**table, **sections}, "the test")
+
+
+def started(directory: Path, protocol: Protocol | None = None) -> Session:
+    """A session about koul-rigid that has just begun, on a day of its own."""
+    return begin(
+        directory, protocol or protocol_of(), preset("koul-rigid"), text=TEXT, sha256="0" * 64, code="P01", row=0,
+        versions={"haptic-rig": "test"}, clock=Day(),
+    )  # fmt: skip
+
+
+def rehearsed(session: Session, runner: FakeRunner, person: Person) -> State:
+    """Conduct a session on its own day with a simulated person."""
+    assert isinstance(session.clock, Day)
+    with session:
+        return conduct(session, runner, RehearsalDesk(person, session.clock))
 
 
 class FakeRunner:

@@ -6,14 +6,10 @@ import json
 import os
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
-if numba.config.DISABLE_JIT:
-    pytest.skip("atomics are intrinsics", allow_module_level=True)
 
 from rig.core.errors import ConfigError
 from rig.core.sample import Phase

@@ -35,8 +35,7 @@ from rig.session.simulated_hand import reach_for, simulated
 from rig.session.telling import outcome, whole_line
 from rig.session.trial import Hit
 from rig.views.report.session_methods import methods
-from tests.rig.session.session_fakes import FakeRunner, ScriptedDesk, protocol_of, study
-from tests.rig.session.test_session_conduct import started
+from tests.rig.session.session_fakes import FakeRunner, ScriptedDesk, protocol_of, started, study
 
 BOTH = Trial(impact_speed=(0.2, 0.4), press=(0.15, 0.25))
 FAST = "hit too fast: 0.5 rad/s (0.2 to 0.4 rad/s asked)"

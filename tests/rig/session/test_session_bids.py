@@ -14,13 +14,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
 from click.testing import CliRunner
-
-if numba.config.DISABLE_JIT:
-    pytest.skip("recordings are made by the compiled loop", allow_module_level=True)
 
 from rig import config
 from rig.cli import rig

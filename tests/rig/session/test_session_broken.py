@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 
 from rig import config
-from rig.config.presets import load as preset
 from rig.core.errors import ConfigError, LawError, LinkLostError, PlanError, RigError, StoppedError
 from rig.experiments.trial import TrialEnd
 from rig.loop.layout import EndReason
@@ -18,28 +17,14 @@ from rig.session import hits
 from rig.session.clock import WallClock
 from rig.session.conduct import conduct
 from rig.session.desk import Desk, Question, Reply, View
-from rig.session.directory import LOG, Session, begin, resume
+from rig.session.directory import LOG, Session, resume
 from rig.session.hits import DeviceRunner
 from rig.session.log import Event, read
 from rig.session.protocol import Protocol
 from rig.session.rehearsal import Day
 from rig.session.state import DoTrial
 from rig.session.telling import line_of_event
-from tests.rig.session.session_fakes import INVALID, FakeRunner, ScriptedDesk, protocol_of, study
-
-
-def started(directory: Path, protocol: Protocol | None = None) -> Session:
-    return begin(
-        directory,
-        protocol or protocol_of(),
-        preset("koul-rigid"),
-        text=b"",
-        sha256="",
-        code="P01",
-        row=0,
-        versions={},
-        clock=Day(),
-    )
+from tests.rig.session.session_fakes import INVALID, FakeRunner, ScriptedDesk, protocol_of, started, study
 
 
 def events_of(directory: Path) -> list[Event]:
@@ -255,6 +240,7 @@ def test_what_names_no_wall_is_told_as_it_is(tmp_path: Path, error: RigError) ->
     with started(tmp_path / "P01") as session, pytest.raises(type(error)) as told:
         conduct(session, runner, ScriptedDesk())
     assert told.value is error
+    assert [event.kind for event in events_of(tmp_path / "P01")][-2:] == ["trial", "stopped"]
 
 
 def test_who_sees_walls_reads_the_error_itself(tmp_path: Path) -> None:

@@ -21,8 +21,7 @@ from rig.core.check import Check, Outcome
 from rig.core.errors import ConfigError
 from rig.core.present import plain
 from rig.experiments.plan import predict_impact
-from rig.session import disk, state
-from rig.session import times as session_times
+from rig.session import disk
 from rig.session.check import check
 from rig.session.conditions import Walls, base_of
 from rig.session.device_checks import device_checks
@@ -312,12 +311,3 @@ def test_the_motor_begins_no_hit_warmer_than_it_may(schemes: Protocol, share: fl
     assert found.peak <= share + found.after_one
     assert (found.first_pause > 0) == (found.pauses > 0) == (found.cooling_s > 0.0)
     assert found.pauses < trials
-
-
-def test_the_plan_cools_as_the_session_does() -> None:
-    assert state.cooling_s is session_times.cooling_s
-
-
-def test_a_rehearsal_costs_by_its_ticks(plan: StudyPlan, schemes: Protocol) -> None:
-    ticks = 20_000 * plan.trial.recorded * (plan.trials.likely - plan.practice)
-    assert plan.rehearsal_s.likely == pytest.approx(1e-4 * ticks)

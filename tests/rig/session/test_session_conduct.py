@@ -18,19 +18,16 @@ from rig.core.errors import (
     GuardError,
     LinkLostError,
     OverrunError,
-    PlanError,
-    RecordingError,
     StoppedError,
 )
 from rig.core.present import plain
 from rig.session.analysis import analyse
 from rig.session.conduct import conduct
 from rig.session.desk import Question, Reply
-from rig.session.directory import LOG, Session, amend, begin, event_of_trial, resume
+from rig.session.directory import LOG, Session, amend, event_of_trial, resume
 from rig.session.hits import heat_after
 from rig.session.log import Event, read
-from rig.session.protocol import Protocol
-from rig.session.rehearsal import Day, Person, RehearsalDesk
+from rig.session.rehearsal import Day, Person
 from rig.session.run import row_of, summary
 from rig.session.state import BOOKKEEPING, State
 from rig.session.telling import line_of_event
@@ -42,24 +39,12 @@ from tests.rig.session.session_fakes import (
     ScriptedDesk,
     decisions,
     protocol_of,
+    rehearsed,
+    started,
     study,
 )
 
 OFF = {"fastest_verdict_s": 0.0}
-
-
-def started(directory: Path, protocol: Protocol | None = None, code: str = "P01", row: int = 0) -> Session:
-    return begin(
-        directory,
-        protocol or protocol_of(),
-        preset("koul-rigid"),
-        text=b"# as it was\n",
-        sha256="0" * 64,
-        code=code,
-        row=row,
-        versions={"haptic-rig": "test"},
-        clock=Day(),
-    )
 
 
 def run_with(session: Session, runner: FakeRunner, desk: ScriptedDesk) -> State:
@@ -79,32 +64,9 @@ def test_a_session_goes_through_all_runs_and_ends_complete(tmp_path: Path) -> No
     assert (tmp_path / "P01" / "protocol.toml").read_bytes() == b"# as it was\n"
 
 
-def test_the_log_is_the_state(tmp_path: Path) -> None:
-    state = run_with(started(tmp_path / "P01"), FakeRunner(), ScriptedDesk())
-    again = State.of(read(tmp_path / "P01" / LOG))
-    assert again.trials == state.trials
-    assert summary(tmp_path, again) == summary(tmp_path, state)
-
-
-def test_the_same_seed_gives_the_same_bytes_of_log(tmp_path: Path) -> None:
-    logs = []
-    for name in ("a", "b"):
-        session = started(tmp_path / name)
-        person = Person(
-            thresholds={"dual-hidden": 430.0, "uniform-hidden": 300.0}, lapse_rate=0.1, unsure=0.1
-        )
-        assert isinstance(session.clock, Day)
-        with session:
-            conduct(session, FakeRunner(), RehearsalDesk(person, session.clock))
-        logs.append((tmp_path / name / LOG).read_bytes())
-    assert logs[0] == logs[1]
-
-
 def test_a_simulated_person_takes_as_long_before_a_trial_as_the_protocol_plans(tmp_path: Path) -> None:
     session = started(tmp_path / "P01", protocol_of(trial={"ready_s": 7.0}))
-    assert isinstance(session.clock, Day)
-    with session:
-        conduct(session, FakeRunner(), RehearsalDesk(Person(thresholds={}), session.clock))
+    rehearsed(session, FakeRunner(), Person(thresholds={}))
     events = read(tmp_path / "P01" / LOG)
     waited = [after.at - before.at for before, after in pairwise(events) if after.kind == "trial"]
     assert waited == pytest.approx([7.0 + 1.5] * len(waited))  # the rig's own seconds
@@ -409,9 +371,7 @@ def test_heat_of_a_constant_load_is_the_closed_form() -> None:
 )
 def test_stop_rules_end_a_session(tmp_path: Path, stop: Any, fails: Any, reason: str) -> None:
     session = started(tmp_path / "P01", protocol_of(stop=stop))
-    assert isinstance(session.clock, Day)
-    with session:
-        state = conduct(session, FakeRunner(fails), RehearsalDesk(Person(thresholds={}), session.clock))
+    state = rehearsed(session, FakeRunner(fails), Person(thresholds={}))
     assert state.ended is not None
     assert state.ended.startswith(reason)
 
@@ -472,14 +432,6 @@ def test_a_lost_link_is_asked_about_after_the_effort_is_zero(tmp_path: Path) -> 
     assert state.ended == "complete"
 
 
-def test_a_hit_that_was_cut_off_is_judged_afterwards(tmp_path: Path) -> None:
-    desk = ScriptedDesk()
-    cut = ({"automatic": "unstable", "aborted": "energy", "ended": "energy"}, None)
-    state = run_with(started(tmp_path / "P01"), FakeRunner({1: cut}), desk)
-    assert desk.questions[1].kind == "verdict"
-    assert state.trials[0].verdict == "stable"  # what the person says is theirs
-
-
 def test_a_person_hears_that_a_hit_was_cut_off_only_after_their_verdict(tmp_path: Path) -> None:
     cut = ({"automatic": "unstable", "aborted": "energy", "ended": "energy"}, None)
     seen: dict[str, str] = {}
@@ -497,16 +449,6 @@ def test_a_person_hears_that_a_hit_was_cut_off_only_after_their_verdict(tmp_path
     assert "trial 2: over" in seen["before"]
     assert not any(word in seen["before"] for word in ("cut off", "energy", "safety"))
     assert "trial 2: done, cut off for safety" in seen["after"]
-
-
-def test_ctrl_c_in_a_hit_logs_it_and_leaves(tmp_path: Path) -> None:
-    stop = StoppedError("stopped; the effort is zero")
-    stop.signal = 2
-    session = started(tmp_path / "P01")
-    with session, pytest.raises(StoppedError):
-        conduct(session, FakeRunner({1: ({**INVALID, "ended": "stopped"}, stop)}), ScriptedDesk())
-    kinds = [event.kind for event in read(tmp_path / "P01" / LOG)]
-    assert kinds[-2:] == ["trial", "stopped"]
 
 
 def test_a_desk_where_nobody_answers_leaves_a_session_that_can_be_resumed(tmp_path: Path) -> None:
@@ -601,11 +543,6 @@ def test_a_participant_has_one_session(tmp_path: Path) -> None:
     assert (tmp_path / "P01" / LOG).read_bytes() == before
 
 
-def test_two_processes_do_not_share_a_session(tmp_path: Path) -> None:
-    with started(tmp_path / "P01"), pytest.raises(RecordingError, match="another process"):
-        resume(tmp_path / "P01")
-
-
 def test_what_is_no_session_is_not_resumed(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"no session\.log|has no"):
         resume(tmp_path)
@@ -626,35 +563,12 @@ def test_a_stop_is_answered_by_a_person_or_by_nobody(tmp_path: Path) -> None:
     """`rig stop` in a hit: a simulated person does not go on; a person is asked."""
     stop = StoppedError("stopped; the effort is zero")
     fails = {1: ({**INVALID, "ended": "stopped"}, stop)}
-    session = started(tmp_path / "nobody")
-    assert isinstance(session.clock, Day)
-    with session, pytest.raises(StoppedError):
-        conduct(session, FakeRunner(fails), RehearsalDesk(Person(thresholds={}), session.clock))
+    with pytest.raises(StoppedError):
+        rehearsed(started(tmp_path / "nobody"), FakeRunner(fails), Person(thresholds={}))
     desk = ScriptedDesk()
     state = run_with(started(tmp_path / "somebody"), FakeRunner(fails), desk)
     assert [question.kind for question in desk.questions[:3]] == ["ready", "trouble", "ready"]
     assert state.ended == "complete"
-
-
-def test_a_lost_link_of_a_real_rig_leaves_the_session_since_zero_may_be_elsewhere(tmp_path: Path) -> None:
-    runner = FakeRunner({2: ({**INVALID, "ended": "link_closed"}, LinkLostError("unplugged"))})
-    runner.simulated = False
-    with started(tmp_path / "P01") as session, pytest.raises(LinkLostError):
-        conduct(session, runner, ScriptedDesk())
-    assert len(runner.hits) == 2
-    assert read(tmp_path / "P01" / LOG)[-1].kind == "stopped"
-
-
-def test_a_refused_trial_tells_a_blinded_operator_no_wall(tmp_path: Path) -> None:
-    class Refusing(FakeRunner):
-        def hit(self, *arguments: Any) -> Any:
-            raise PlanError("K = 412 with B = 0.37 is unstable", remedy="choose --stiffness below 400")
-
-    with started(tmp_path / "P01") as session, pytest.raises(PlanError) as refused:
-        conduct(session, Refusing(), ScriptedDesk())
-    event = read(tmp_path / "P01" / LOG)[-1]
-    assert "412" not in str(refused.value) + line_of_event(event)
-    assert "412" in event.content["detail"]
 
 
 @pytest.mark.parametrize("rule", ["ascending", "staircase", "interleaved"])
@@ -668,10 +582,7 @@ def test_a_corrected_verdict_never_leads_to_a_wall_that_nobody_has_come_near(
         stop={"trials": 12},
     )
     person = Person(thresholds={"one": 330.0}, spread=5.0)
-    session = started(tmp_path / "P01", protocol)
-    assert isinstance(session.clock, Day)
-    with session:
-        conduct(session, FakeRunner(), RehearsalDesk(person, session.clock))
+    rehearsed(started(tmp_path / "P01", protocol), FakeRunner(), person)
     events = read(tmp_path / "P01" / LOG)
     judged = [event for event in events if event.kind == "judged"]
     for wrong in judged:
@@ -732,21 +643,6 @@ def test_a_finished_block_does_not_start_over(tmp_path: Path) -> None:
     run_with(started(tmp_path / "P01", protocol), FakeRunner(), leaves)
     with resume(tmp_path / "P01", at="block", clock=Day()) as session:
         assert not [trial for trial in session.state.trials if trial.void]
-
-
-def test_the_very_last_trial_can_be_redone(tmp_path: Path) -> None:
-    def answer(question: Question) -> Reply | None:
-        if question.text == "end the session?" and len(runner.hits) == last:
-            return Reply(action="redo")
-        return None
-
-    last = 0
-    runner = FakeRunner()
-    run_with(started(tmp_path / "counted"), runner, ScriptedDesk())
-    last = len(runner.hits)
-    runner.hits.clear()
-    state = run_with(started(tmp_path / "P01"), runner, ScriptedDesk(answer))
-    assert [trial.void for trial in state.trials[-2:]] == ["redone", ""]
 
 
 def test_the_console_is_told_about_how_many_trials_there_will_be(tmp_path: Path) -> None:
@@ -818,30 +714,14 @@ def test_a_session_killed_at_such_a_pause_goes_on_like_one_that_was_not(tmp_path
     assert sum(question.kind == "paused" for question in desk.questions) == (kept != "continued")
 
 
-def test_who_leaves_at_such_a_pause_finds_it_again(tmp_path: Path) -> None:
-    protocol = protocol_of(stop={"machine": 3})
-    state = run_with(
-        started(tmp_path / "P01", protocol), spoiled(1, 2, 3), ScriptedDesk(first("paused", "abort"))
-    )
-    assert (state.stopped, state.newest) == ("the operator left", 3)
-    desk = ScriptedDesk()
-    with resume(tmp_path / "P01", clock=Day()) as session:
-        state = conduct(session, FakeRunner(), desk)
-    assert "spoiled 3 trials" in desk.questions[0].text
-    assert state.ended == "complete"
-
-
 def test_where_nobody_sits_the_session_ends_there_and_is_resumed(tmp_path: Path) -> None:
     session, person = started(tmp_path / "P01", protocol_of(stop={"machine": 3})), Person(thresholds={})
-    assert isinstance(session.clock, Day)
-    with session, pytest.raises(OverrunError, match="spoiled 3 trials in a row: from contact on") as ended:
-        conduct(session, spoiled(1, 2, 3, 4), RehearsalDesk(person, session.clock))
+    with pytest.raises(OverrunError, match="spoiled 3 trials in a row: from contact on") as ended:
+        rehearsed(session, spoiled(1, 2, 3, 4), person)
     assert ended.value.exit_code == 14
     assert "rig session resume" in ended.value.remedy
     kinds = [event.kind for event in read(tmp_path / "P01" / LOG)]
     assert kinds[-2:] == ["paused", "stopped"]
-    with resume(tmp_path / "P01", clock=Day()) as session:
-        assert isinstance(session.clock, Day)
-        state = conduct(session, spoiled(4), RehearsalDesk(person, session.clock))
+    state = rehearsed(resume(tmp_path / "P01", clock=Day()), spoiled(4), person)
     assert state.ended == "complete"
     assert not state.skipped

@@ -129,10 +129,6 @@ def test_space_is_a_key_after_any_part_of_a_sequence(before: str, space: str) ->
     assert not keyboard.waiting
 
 
-def test_space_after_an_escape_is_both_keys() -> None:
-    assert Keyboard().feed(b"\x1b ") == ["escape", "space"]
-
-
 @pytest.mark.parametrize("data", [b"\0", b"\x1b[32;2u", b"\x1b[32u", b"\x1b[27;5;32~"])
 def test_space_with_a_modifier_is_space(data: bytes) -> None:
     assert Keyboard().feed(data) == ["space"]
@@ -302,22 +298,6 @@ def test_abort_in_a_hit_stops_it_and_answers_the_next_question() -> None:
     assert conversation.ask(plain(asked()), 0.0) == [Answer("abort")]
 
 
-@pytest.mark.parametrize("help_shown", [False, True])
-@pytest.mark.parametrize("live", [False, True])
-def test_space_is_stop_whatever_is_shown(live: bool, help_shown: bool) -> None:
-    conversation = told()
-    conversation.live, conversation.help = live, help_shown
-    assert conversation.press("space") == [Stop()]
-    conversation.press("a")
-    assert conversation.press("space") == [Stop()]
-    conversation = told(asked())
-    conversation.press("n")
-    conversation.live = live
-    assert conversation.press("space") == (
-        [Stop()] if live else []
-    )  # a blank of the note while nothing moves
-
-
 def test_what_shows_the_keys_hides_no_stop_and_no_question() -> None:
     conversation = told()
     conversation.live = True
@@ -384,23 +364,6 @@ def test_a_rest_ends_itself_but_not_under_a_note() -> None:
     conversation.press("escape")
     assert conversation.pass_time(111.0) == [Answer("go")]
     assert conversation.pass_time(112.0) == []
-
-
-@pytest.mark.parametrize(
-    ("item", "typed", "answers"),
-    [
-        ({"kind": "scale", "lowest": 1, "highest": 7}, ["9", "x", "", "7"], "7"),
-        ({"kind": "scale", "lowest": -3, "highest": 3}, ["-4", "-2"], "-2"),
-        ({"kind": "choice", "choices": ["left", "right"]}, ["0", "foot", "2"], "right"),
-        ({"kind": "text"}, [" it felt hard "], "it felt hard"),
-    ],
-)
-def test_an_item_takes_only_what_is_an_answer(item: dict[str, Any], typed: list[str], answers: str) -> None:
-    conversation = told(asked("item", ("answer", "note", "abort"), item=item))
-    for text in typed[:-1]:
-        assert type_line(conversation, text) == []
-        assert "number" in conversation.notice
-    assert type_line(conversation, typed[-1]) == [Answer("answer", answers)]
 
 
 def test_an_item_can_be_left_for_a_note() -> None:

@@ -21,15 +21,12 @@ import pytest
 
 from rig.core.errors import ConfigError, RigError, StoppedError
 from rig.session.console.desk import ConsoleDesk, at_console
-from rig.session.desk import Action, Question, Reply, View
-from rig.session.protocol import Keys
+from rig.session.desk import Question, Reply, View
 from tests.conformance.terminal import PATIENCE_S, Program, Terminal
 from tests.rig.session.session_fakes import FakeRunner, protocol_of
 
 ROOT = Path(__file__).parents[3]
-READY: tuple[Action, ...] = ("go", "pause", "skip", "redo", "note", "abort")
 VERDICT = Question(kind="verdict", text="the verdict?", actions=("judge", "redo", "note", "abort"), trial=3)
-READY_QUESTION = Question(kind="ready", text="ready?", actions=READY)
 
 
 @pytest.fixture
@@ -85,14 +82,6 @@ def wait_for_console(terminal: Terminal, number: int, *texts: str) -> None:
         return len(consoles) == number and all(text in consoles[-1] for text in texts)
 
     terminal.until(printed, f"{texts} of console {number}")
-
-
-def test_escape_then_space_stops_a_hit(terminal: Terminal) -> None:
-    with console(terminal) as (desk, _):
-        desk.show(View(state="hold"))
-        terminal.wait("hold")
-        terminal.type("\x1b ")
-        assert "stopped at the console" in str(watched(desk))
 
 
 def test_space_before_the_next_console_is_there_is_stop(terminal: Terminal) -> None:
@@ -180,19 +169,6 @@ def test_closing_on_a_stopped_console_gives_the_terminal_back(
     with console(terminal) as (desk, _):
         terminal.wait("[SPACE] STOP")
         os.kill(desk.pid, signal.SIGSTOP)
-    assert_given_back(terminal)
-
-
-def test_a_session_in_lines(terminal: Terminal) -> None:
-    with console(terminal) as (desk, asker):
-        desk.show(View(state="ready", say="Push.", code="P03", trial=4))
-        reply = asking(desk, asker, READY_QUESTION)
-        terminal.wait("[SPACE] STOP", "P03 · trial 4", "state: ready", "say: Push.", "ready? [g] go")
-        terminal.type("n")
-        terminal.wait("note, then enter:")
-        terminal.type("a b\x7fc\r")
-        assert answered(reply) == ("note", "a c")
-        terminal.wait("a b\b \bc\n")
     assert_given_back(terminal)
 
 
@@ -315,9 +291,3 @@ def test_a_hand_of_a_console_that_is_refused_leaves_no_file(
         at_console(hand="keyboard", place=Path(terminal.path))(protocol_of(), {}, runner)
     assert list(tmp_path.iterdir()) == []
     assert runner.hand is None
-
-
-def test_keys_that_cannot_be_meant_are_refused_before_anything_is_started(terminal: Terminal) -> None:
-    with pytest.raises(ConfigError, match="it is STOP"):
-        ConsoleDesk(Keys(go="space"), place=Path(terminal.path))
-    assert terminal.attributes_are_back()

@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-import os
-import random
 from contextlib import suppress
-from itertools import pairwise
 from pathlib import Path
 
 import pytest
 
-from rig.config.presets import load as preset
 from rig.core.errors import ConfigError, RecordingError
 from rig.recording.files import sha256_of
-from rig.session.conduct import conduct
-from rig.session.directory import LOG, Session, begin, resume
+from rig.session.directory import LOG, Session, resume
 from rig.session.log import read
 from rig.session.protocol import Protocol
-from rig.session.rehearsal import Day, Person, RehearsalDesk
+from rig.session.rehearsal import Day, Person
 from rig.session.state import State
-from tests.rig.session.session_fakes import FakeRunner, decisions, protocol_of
+from tests.rig.session.session_fakes import FakeRunner, decisions, protocol_of, rehearsed, started
 from tests.rig.session.session_fuse import DeadError, Full, Fuse, fused
 
 PERSON = Person(thresholds={"dual-hidden": 330.0, "uniform-hidden": 330.0}, lapse_rate=0.1)
@@ -40,24 +35,8 @@ def short() -> Protocol:
     )
 
 
-def started(directory: Path) -> Session:
-    return begin(
-        directory,
-        short(),
-        preset("koul-rigid"),
-        text=b"# as it was\n",
-        sha256="0" * 64,
-        code="P01",
-        row=0,
-        versions={},
-        clock=Day(),
-    )
-
-
 def finish(session: Session) -> State:
-    assert isinstance(session.clock, Day)
-    with session:
-        return conduct(session, FakeRunner(), RehearsalDesk(PERSON, session.clock))
+    return rehearsed(session, FakeRunner(), PERSON)
 
 
 def go_on(directory: Path) -> State:
@@ -67,7 +46,7 @@ def go_on(directory: Path) -> State:
     except ConfigError as error:
         if "is over" in str(error):
             return State.of(read(directory / LOG))
-        session = started(directory)
+        session = started(directory, short())
     return finish(session)
 
 
@@ -95,7 +74,7 @@ def check_equal(directory: Path, calm: Path) -> None:
 @pytest.fixture(scope="module")
 def calm(tmp_path_factory: pytest.TempPathFactory) -> Path:
     directory = tmp_path_factory.mktemp("calm") / "P01"
-    finish(started(directory))
+    finish(started(directory, short()))
     return directory
 
 
@@ -105,13 +84,13 @@ def test_death_at_every_write_flush_and_rename(
 ) -> None:
     whole = Fuse()
     with fused(monkeypatch, whole):
-        finish(started(tmp_path / "counted" / "P01"))
+        finish(started(tmp_path / "counted" / "P01", short()))
     assert whole.calls > 35
     for place in range(whole.calls):
         directory = tmp_path / str(place) / "P01"
         fuse = Fuse(place, after=after)
         with fused(monkeypatch, fuse), suppress(DeadError):
-            finish(started(directory))
+            finish(started(directory, short()))
         assert fuse.dead
         go_on(directory)
         check_equal(directory, calm)
@@ -123,12 +102,12 @@ def test_a_disk_that_is_full_at_any_write_ends_the_session_in_order(
     """The process lives, says so, and leaves what can be gone on with when there is room again."""
     whole = Fuse()
     with fused(monkeypatch, whole):
-        finish(started(tmp_path / "counted" / "P01"))
+        finish(started(tmp_path / "counted" / "P01", short()))
     for place in range(0, whole.calls - 1, 3):  # the very last call is a flush
         directory = tmp_path / str(place) / "P01"
         full = Full(place)
         with fused(monkeypatch, full), pytest.raises(RecordingError, match="No space left"):
-            finish(started(directory))
+            finish(started(directory, short()))
         go_on(directory)
         check_equal(directory, calm)
 
@@ -139,37 +118,12 @@ def test_death_in_the_middle_of_coming_back(
     """Recordings are moved aside, listed and named in the log: each of that may be the last thing that happens."""
     first = Fuse(28)
     with fused(monkeypatch, first), suppress(DeadError):
-        finish(started(tmp_path / "model" / "P01"))
+        finish(started(tmp_path / "model" / "P01", short()))
     for place in range(12):
         directory = tmp_path / str(place) / "P01"
         with fused(monkeypatch, Fuse(28)), suppress(DeadError):
-            finish(started(directory))
+            finish(started(directory, short()))
         with fused(monkeypatch, Fuse(place)), suppress(DeadError):
             go_on(directory)
-        go_on(directory)
-        check_equal(directory, calm)
-
-
-def test_a_log_torn_at_every_byte_of_its_last_line(tmp_path: Path, calm: Path) -> None:
-    """Every line may be the last one, torn anywhere; it goes on from the lines before, wherever that one is cut."""
-    text = (calm / LOG).read_bytes()
-    ends = [0, *(place + 1 for place, byte in enumerate(text) if byte == ord("\n"))]
-    events, torn = read(calm / LOG), tmp_path / LOG
-    last = max(event.number for event in events if event.kind == "judged")
-    for number, (start, end) in enumerate(pairwise(ends)):
-        # Bytes of one line differ little from each other: all of a verdict's, of the others one in seven.
-        for cut in range(start, end, 1 if number == last else 7):
-            torn.write_bytes(text[:cut])
-            assert read(torn) == events[:number]
-    drawn = random.Random(1)
-    for start, end in pairwise(ends[1:]):
-        cut = drawn.randrange(start + 1, end)
-        directory = tmp_path / str(cut) / "P01"
-        (directory / "trials").mkdir(parents=True)
-        (directory / LOG).write_bytes(text[:cut])
-        for event in read(directory / LOG):
-            if event.kind == "trial":
-                name = event.content["recording"]
-                os.link(calm / name, directory / name)
         go_on(directory)
         check_equal(directory, calm)

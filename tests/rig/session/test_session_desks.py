@@ -20,14 +20,11 @@ from rig.session.desk import Action, Question, Reply, View
 from rig.session.protocol import Keys
 from tests.conformance.terminal import PATIENCE_S
 from tests.rig.session.session_desks import PLACES, Place, until
-from tests.rig.session.session_fakes import INVALID, LOST, FakeRunner, protocol_of
-from tests.rig.session.test_session_conduct import started
-from tests.rig.session.test_session_console import LONG
+from tests.rig.session.session_fakes import INVALID, LOST, FakeRunner, protocol_of, started
 
 READY: tuple[Action, ...] = ("go", "pause", "skip", "redo", "note", "abort")
 VERDICT = Question(kind="verdict", text="the verdict?", actions=("judge", "redo", "note", "abort"), trial=3)
 READY_QUESTION = Question(kind="ready", text="ready?", actions=READY)
-ITEM = {"name": "tired", "text": "How tired?", "kind": "scale", "lowest": 1, "highest": 7, "choices": []}
 
 Sit = Callable[..., Place]
 
@@ -117,17 +114,6 @@ def test_a_pedal_and_no_bell(sit: Sit, asker: ThreadPoolExecutor) -> None:
     assert place.rings == 0
 
 
-def test_an_item_takes_only_what_is_an_answer(sit: Sit, asker: ThreadPoolExecutor) -> None:
-    place = sit()
-    asked = Question(kind="item", text="How tired?", actions=("answer", "note", "abort"), item=ITEM)
-    reply = asker.submit(place.desk.ask, asked)
-    place.sees("How tired?")
-    place.line("9")
-    place.sees("a number from 1 to 7")
-    place.line("5")
-    assert answered(reply) == ("answer", "5")
-
-
 def test_space_stops_the_hit_that_runs_and_not_the_next_one(sit: Sit, asker: ThreadPoolExecutor) -> None:
     place = sit()
     place.desk.show(View(state="hold"))
@@ -143,15 +129,6 @@ def test_space_stops_the_hit_that_runs_and_not_the_next_one(sit: Sit, asker: Thr
     watch = place.desk.watch()
     assert watch is not None
     watch(0, 3)
-
-
-def test_pause_waits_for_the_next_question(sit: Sit, asker: ThreadPoolExecutor) -> None:
-    place = sit()
-    place.desk.show(View(state="hold"))
-    place.sees("hold")
-    place.press("p")
-    place.sees("hold (pause next)", "pause: when this is over")
-    assert answered(asker.submit(place.desk.ask, READY_QUESTION)) == ("pause", "")
 
 
 def test_a_hit_ends_when_nothing_is_heard_of_who_shows_it(sit: Sit) -> None:
@@ -172,15 +149,6 @@ def test_a_question_ends_when_nobody_can_answer(sit: Sit, asker: ThreadPoolExecu
     with pytest.raises(StoppedError, match="gone") as caught:
         reply.result(PATIENCE_S)
     assert caught.value.remedy
-
-
-def test_a_reason_stands_whole(sit: Sit, asker: ThreadPoolExecutor) -> None:
-    place = sit()
-    place.desk.show(View(state="ready", say="Again. Push.", last=LONG, lines=("trial 6: stable", LONG)))
-    reply = asker.submit(place.desk.ask, READY_QUESTION)
-    place.sees(LONG, "Again. Push.", "trial 6: stable", "ready?")
-    place.press("g")
-    assert answered(reply) == ("go", "")
 
 
 def test_a_blinded_desk_says_at_once_why_a_trial_is_invalid_and_names_no_wall(
@@ -285,17 +253,3 @@ def test_a_key_that_repeats_from_before_the_question_judges_nothing_until_it_was
     threading.Event().wait(RELEASED_S + 0.1)
     place.press("1")
     assert answered(reply) == ("judge", "stable")
-
-
-def test_a_key_that_is_new_answers_while_another_is_held(sit: Sit, asker: ThreadPoolExecutor) -> None:
-    place = sit()
-    place.desk.show(View(state="hold"))
-    place.sees("hold")
-    place.press("1")
-    place.sees("not now")
-    reply = asker.submit(place.desk.ask, VERDICT)
-    place.sees("the verdict?")
-    place.press("1")
-    place.sees("down since before the question;")
-    place.press("3")
-    assert answered(reply) == ("judge", "unstable")

@@ -22,8 +22,8 @@ from rig.session.fitting import refuse_misfit
 from rig.session.log import read
 from rig.session.protocol import Protocol
 from rig.session.state import DoTrial, State
-from tests.rig.session.session_fakes import FakeRunner, ScriptedDesk, protocol_of
-from tests.rig.session.test_session_conduct import run_with, started
+from tests.rig.session.session_fakes import FakeRunner, ScriptedDesk, protocol_of, started
+from tests.rig.session.test_session_conduct import run_with
 
 DAMPER = "an eddy-current damper"
 DAMPED = {"rig.mechanics.link_damping": 0.02}

@@ -5,10 +5,8 @@ from __future__ import annotations
 import errno
 import io
 import json
-import multiprocessing
 import os
 import re
-import signal
 import subprocess
 import sys
 from contextlib import suppress
@@ -30,7 +28,6 @@ from rig.session.log import (
     set_aside,
     set_damaged_line_aside,
 )
-from tests.conformance.started import die_with_parent
 
 SAID = [
     ("trial", {"k": 40.0}),
@@ -310,33 +307,6 @@ def test_interrupted_anywhere_in_an_append_the_log_stays_one(tmp_path: Path, pla
             "asked",
             "stopped",
         ]  # there was nothing to interrupt any more
-
-
-def _append_for_ever(path: Any) -> None:
-    die_with_parent()
-    with SessionLog(path) as log:
-        while True:
-            log.append("tick", number=len(log.events))
-
-
-@pytest.mark.exhaustive("::test_interrupted_anywhere_in_an_append_the_log_stays_one")
-def test_kill_minus_nine_at_any_moment_leaves_a_log_that_goes_on(tmp_path: Path) -> None:
-    path = tmp_path / "log"
-    for _ in range(5):
-        before = len(read(path)) if path.exists() else 0
-        child = multiprocessing.get_context("fork").Process(
-            target=_append_for_ever, args=(path,), daemon=True
-        )
-        child.start()
-        while not path.exists() or len(_whole(path)) < before + 20:
-            assert child.is_alive()
-        os.kill(child.pid, signal.SIGKILL)
-        child.join()
-        assert [event.content["number"] for event in read(path)] == list(range(len(read(path))))
-
-
-def _whole(path: Any) -> Any:
-    return [line for line in path.read_bytes().splitlines(keepends=True) if line.endswith(b"\n")]
 
 
 def test_an_event_is_on_the_disk_before_append_returns(

