@@ -9,14 +9,13 @@ import re
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
 from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.bench.doctor import access, kernel, limits
+from rig.bench.doctor import access, kernel, limits, wake_up
 from rig.bench.doctor.machine import CHECKS, machine_checks
 from rig.bench.doctor.subject import Machine
 from rig.bench.doctor.udev import RIGS, udev_rules
@@ -389,17 +388,8 @@ def test_rules_do_what_rigs_want() -> None:
 # ---------------------------------------------------------------------- wake-ups
 
 
-@pytest.fixture
-def wake_up() -> Any:
-    if numba.config.DISABLE_JIT:
-        pytest.skip("system calls exist only in compiled code")
-    from rig.bench.doctor import wake_up  # noqa: PLC0415
-
-    return wake_up
-
-
 @pytest.mark.parametrize("realtime", ["enforce", "try", "off"])
-def test_wake_ups_are_measured_as_far_as_granted(wake_up: Any, realtime: str) -> None:
+def test_wake_ups_are_measured_as_far_as_granted(realtime: str) -> None:
     before = facts.status_kilobytes("VmLck"), ThreadState.here()
     woken = wake_up.measure(Host(realtime=realtime), 0.05)
     assert (facts.status_kilobytes("VmLck"), ThreadState.here()) == before
@@ -414,13 +404,13 @@ def test_wake_ups_are_measured_as_far_as_granted(wake_up: Any, realtime: str) ->
     assert finding.numbers["worst_s"] == woken.worst_s
 
 
-def test_the_kernel_sleeps_to_a_grid_and_skips_what_it_missed(wake_up: Any) -> None:
+def test_the_kernel_sleeps_to_a_grid_and_skips_what_it_missed() -> None:
     late = np.full(20, -1, np.int64)
     assert wake_up.wake_ups(200_000, late) >= 0
     assert (late >= 0).all()
 
 
-def test_late_wake_ups_are_a_warning_with_what_was_refused(wake_up: Any) -> None:
+def test_late_wake_ups_are_a_warning_with_what_was_refused() -> None:
     thread = ThreadState(policy=0, priority=0, cpus=(0,), timer_slack_ns=1)
     woken = wake_up.WakeUps(
         rate_hz=1000,

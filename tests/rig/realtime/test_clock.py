@@ -4,12 +4,7 @@ from __future__ import annotations
 
 import time
 
-import numba
-import pytest
-
 from rig.realtime.clock import MonotonicClock, VirtualClock
-
-compiled = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="reads a word by its address")
 
 
 def test_virtual_time_moves_only_when_told_to() -> None:
@@ -25,7 +20,6 @@ def test_virtual_time_never_runs_backwards() -> None:
     assert clock.now_ns() == 100
 
 
-@compiled
 def test_compiled_code_reads_the_same_virtual_time() -> None:
     clock = VirtualClock(7)
     assert clock.now_plug(clock.handle) == 7
@@ -33,7 +27,6 @@ def test_compiled_code_reads_the_same_virtual_time() -> None:
     assert clock.now_plug(clock.handle) == clock.now_ns() == 1 << 40
 
 
-@compiled
 def test_two_virtual_clocks_do_not_share_their_time() -> None:
     one, two = VirtualClock(), VirtualClock()
     one.sleep_until(9)
@@ -51,7 +44,6 @@ def test_a_deadline_in_the_past_returns() -> None:
     MonotonicClock().sleep_until(0)
 
 
-@compiled
 def test_compiled_and_python_read_one_and_the_same_monotonic_clock() -> None:
     """Stamps of both are compared and recorded side by side, so they must interleave."""
     clock = MonotonicClock()

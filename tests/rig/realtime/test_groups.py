@@ -11,9 +11,6 @@ import numpy as np
 import pytest
 from numba import types
 
-if numba.config.DISABLE_JIT:
-    pytest.skip("types of arguments are those of compiled code", allow_module_level=True)
-
 from rig.config import controller, presets
 from rig.loop import host
 from rig.loop.layout import SETTINGS, Buffers, Shared

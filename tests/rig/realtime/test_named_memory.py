@@ -10,15 +10,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import numba
 import pytest
 
 from rig.core.errors import ConfigError, RigError
 from rig.realtime import memories, named_memory, ring, running
 from rig.realtime.ring import STOP, Ring
 from tests.conformance.started import started
-
-pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="atomic words need the compiler")
 
 WAIT_S = 30.0
 LOOP = """

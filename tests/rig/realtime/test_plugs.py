@@ -6,7 +6,6 @@ import ctypes
 import ctypes.util
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
 from numba import types
@@ -15,8 +14,6 @@ from numba.core.registry import CPUDispatcher
 from rig.control import estimators, laws
 from rig.realtime import plugs
 from rig.realtime.kernel import kernel
-
-pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="function types need the compiler")
 
 
 @kernel(types.float64(plugs.LAW, types.float64, types.float64[::1], types.float64[::1]), cache=False)

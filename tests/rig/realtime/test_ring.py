@@ -26,8 +26,6 @@ from rig.realtime.mailbox import MAILBOX_BYTES
 from rig.realtime.ring import WORDS, Ring
 from rig.realtime.system import monotonic_now, sleep_until
 
-pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="atomics are intrinsics")
-
 ROWS = types.Array(numba.from_dtype(ROW), 1, "C")
 PATIENCE_NS = 20_000_000_000  # a broken publication must fail a test, not hang it
 JOIN_S = 30.0

@@ -504,18 +504,6 @@ def test_memory_is_not_locked_when_its_limit_leaves_no_room_for_the_run(
     assert "memlock unlimited" in refusal.remedy
 
 
-def test_off_is_silent_without_rights() -> None:
-    found = child(
-        """
-        with obtained(Asked("off")) as realtime:
-            found["entered"] = in_thread(realtime.enter_thread).as_mapping()
-            found["messages"] = realtime.messages
-        """
-    )
-    assert found["messages"] == []
-    assert found["entered"]["timer_slack_ns"] > 1
-
-
 def test_a_control_group_without_a_share_of_real_time_refuses_even_root() -> None:
     parent = Path("/sys/fs/cgroup/cpu")
     if not (parent / "cpu.rt_runtime_us").exists() or not os.access(parent, os.W_OK):

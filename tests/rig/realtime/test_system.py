@@ -14,12 +14,8 @@ import tty
 from collections.abc import Iterator
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
-
-if numba.config.DISABLE_JIT:
-    pytest.skip("system calls exist only in compiled code", allow_module_level=True)
 
 from rig.realtime.system import descriptor_read, descriptor_wait, descriptor_write, monotonic_now, sleep_until
 
