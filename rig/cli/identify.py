@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import click
 
 from rig.cli import options, output
-from rig.cli.command import RESULT, command, option
-from rig.cli.keyword_options import keyword_options
+from rig.cli.command import EXPERIMENT, command, option
 from rig.cli.next_step import name_next
 from rig.config import Experiment
 from rig.core.errors import ConfigError, RecordingError
@@ -26,32 +26,15 @@ from rig.views.plots.identify import draw_identification
 
 
 @command()
-@options.file_argument
-@options.rig_option()
-@options.rate_option(
-    "Of the loop while it moves, not of the file that is written: 1k. The excitation ends at 0.15 of it. In real time "
-    "the measured link decides unless given.",
-    "HZ",
-)
-@options.set_option
-@options.seed_option("Of the phases of the excitation.", default=0, show_default=True)
+@options.request_options(IdentifyRequest, options.free_rig_options)
 @option(
-    "--realisations",
-    type=int,
-    default=6,
-    show_default=True,
-    help="How many times the rig is excited, each with other phases.",
+    "--rate",
+    "loop_rate",
+    group=EXPERIMENT,
+    metavar="HZ",
+    help="Of the loop while it moves, not of the file that is written: 1k. The excitation ends at 0.15 of it. In real "
+    "time the measured link decides unless given.",
 )
-@option(
-    "--period", "period_s", type=float, default=0.5, show_default=True, help="Period of the excitation (s)."
-)
-@option(
-    "--cogging",
-    type=int,
-    metavar="ORDER",
-    help="Also map cogging, up to this harmonic of the motor's turn, by slow sweeps over the window.",
-)
-@option("--plan", "only_plan", is_flag=True, help="List and check what would be done; touches no device.")
 @option(
     "--weight",
     "mass_kg",
@@ -61,33 +44,16 @@ from rig.views.plots.identify import draw_identification
     "also sweep with it, for the ripple of the effort.",
 )
 @option("--arm", "arm_m", type=float, metavar="M", help="Lever arm of the mass. [radius of the handle]")
-@keyword_options(IdentifyRequest, "url", "verified")
+@option("--plan", "only_plan", is_flag=True, help="List and check what would be done; touches no device.")
 @options.output_option(None, "Experiment file to write (TOML).", "file_out")
-@option(
-    "--recordings",
-    group=RESULT,
-    type=click.Path(path_type=Path),
-    default=Path("recordings"),
-    show_default=True,
-    help="Directory of recordings and picture.",
-)
 @options.plot_options("Draw data, fit and residual.")
 @options.json_option
 def identify(
-    file: Path | None,
-    preset: str | None,
-    rate: str | None,
-    sets: tuple[str, ...],
-    url: str | None,
-    verified: bool,
-    realisations: int,
-    period_s: float,
-    cogging: int | None,
-    seed: int,
-    file_out: Path | None,
-    recordings: Path,
+    request: IdentifyRequest,
+    loop_rate: str | None,
     mass_kg: float | None,
     arm_m: float | None,
+    file_out: Path | None,
     plot: str,
     only_plan: bool,
     as_json: bool,
@@ -106,42 +72,28 @@ def identify(
     both it sweeps once more with the mass at the end, which tells the ripple of the motor's effort: a share of it that
     varies with place, and in sweeps without a mass looks like friction that does.
     """
-    experiment = options.chosen_experiment(file, preset or options.preset_of(url, file))
-    changes = options.changes(None, sets)
     if file_out is not None and file_out.exists() and file_out.is_dir():
         raise ConfigError(f"{file_out} is a directory", remedy="give the name of a file, such as rig.toml")
-    load_backend(url or "sim://")
-    if (mass_kg is not None or arm_m is not None) and (cogging is None or mass_kg is None):
+    load_backend(request.url or "sim://")
+    if (mass_kg is not None or arm_m is not None) and (request.cogging is None or mass_kg is None):
         if mass_kg is None or only_plan or file_out is not None:
             raise ConfigError(
                 "--weight KG with --arm M weighs; it has no --plan, and writes no file",
                 remedy="put the effort_per_ampere that it names into your file",
             )
         weighing = WeighRequest(
-            experiment=experiment,
-            url=url,
-            changes=options.changes(rate, sets),
-            verified=verified,
-            output=recordings,
+            experiment=request.experiment,
+            url=request.url,
+            changes={**options.changes(loop_rate), **request.changes},
+            verified=request.verified,
+            output=request.output,
             mass_kg=mass_kg,
             arm_m=arm_m,
         )
         _weigh(weighing, as_json)
         return
-    request = identifying.IdentifyRequest(
-        experiment=experiment,
-        url=url,
-        changes=changes,
-        verified=verified,
-        realisations=realisations,
-        period_s=period_s,
-        seed=seed,
-        cogging=cogging,
-        rate_hz=None if rate is None else options.parse_rate(rate)[0],
-        mass_kg=mass_kg,
-        arm_m=arm_m,
-        output=recordings,
-    )
+    rate_hz = None if loop_rate is None else options.parse_rate(loop_rate)[0]
+    request = replace(request, rate_hz=rate_hz, mass_kg=mass_kg, arm_m=arm_m)
     plan = _plan(request)
     if only_plan:
         if as_json:

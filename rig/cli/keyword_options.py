@@ -50,7 +50,7 @@ def _option(one: Keyword) -> Callable[[F], F]:
     else:
         more["multiple"] = get_origin(one.type) is tuple
         more["type"] = _type(one, get_args(one.type)[0] if more["multiple"] else one.type)
-    return option(*names, one.name, group=one.group, help=one.help, **more)
+    return option(*names, one.name, group=one.group, help=one.help, metavar=one.metavar, **more)
 
 
 def _type(one: Keyword, kind: Any) -> Any:

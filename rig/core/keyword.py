@@ -25,8 +25,8 @@ class Keyword:
         Of its option; the field's own name if empty.
     group
         Of options on a help page.
-    values
-        Kind of values that a shell completes (`rig.cli.values.KINDS`).
+    values, metavar
+        Kind of values that a shell completes (`rig.cli.values.KINDS`), and how a help page calls one.
     name, type, marks, default
         Of its field, the type without None, as `keywords` finds them.
     """
@@ -36,6 +36,7 @@ class Keyword:
     names: tuple[str, ...] = ()
     group: Literal["Experiment", "Options", "Device", "Result"] = "Options"
     values: str = ""
+    metavar: str | None = None
     name: str = ""
     type: Any = None
     marks: tuple[Any, ...] = ()

@@ -13,9 +13,10 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from annotated_types import Ge
 from numpy.typing import NDArray
 
 from rig import config, devices
@@ -36,6 +37,7 @@ from rig.config import Experiment
 from rig.control.excitation import Multisine
 from rig.core.check import refuse
 from rig.core.errors import ConfigError, PlanError, RigError
+from rig.core.keyword import Keyword
 from rig.core.model import Cogging
 from rig.core.present import reported
 from rig.core.same_rig import check_rig
@@ -97,12 +99,6 @@ class IdentifyRequest(FreeRigRequest):
 
     Attributes
     ----------
-    realisations, period_s
-        Of the multisine: how many draws of phases, and the period of each (s).
-    seed
-        Of the phases.
-    cogging
-        Highest harmonic of cogging that is looked for; None: none is.
     rate_hz
         Of the loop while it moves, and of nothing else: what is identified keeps the rates of the experiment. None:
         those, or in real time the device's own.
@@ -111,13 +107,22 @@ class IdentifyRequest(FreeRigRequest):
         handle.
     """
 
-    realisations: int = 6
-    period_s: float = 0.5
-    seed: int = 0
-    cogging: int | None = None
+    realisations: Annotated[int, Keyword("How many times the rig is excited, each with other phases.")] = 6
+    period_s: Annotated[float, Keyword("Period of the excitation (s).", names=("--period",))] = 0.5
+    seed: Annotated[int, Ge(0), Keyword("Of the phases of the excitation. [0]", group="Experiment")] = 0
+    cogging: Annotated[
+        int | None,
+        Keyword(
+            "Also map cogging, up to this harmonic of the motor's turn, by slow sweeps over the window.",
+            metavar="ORDER",
+        ),
+    ] = None
     rate_hz: int | None = None
     mass_kg: float | None = None
     arm_m: float | None = None
+    output: Annotated[
+        str | Path, Keyword("Directory of recordings and picture.", "", ("--recordings",), "Result", "path")
+    ] = "recordings"
 
     def __post_init__(self) -> None:
         if self.mass_kg is not None and self.cogging is None:
