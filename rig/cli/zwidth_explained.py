@@ -34,7 +34,6 @@ def explain(
     if click.get_current_context().get_parameter_source("way") == ParameterSource.COMMANDLINE:
         raise ConfigError("--explain hits every wall of the range", remedy="drop --search")
     whole = DisagreementPlan(map=plan)
-    whole.check()
     place = maps.directory_for(whole, directory, "zwidth-explained")
     with SweepBar("columns", unit="ticks", plain=as_json) as bar:
         found = maps.compare_into(whole, place, scheduler=scheduler, workers=workers, watch=bar.watch)

@@ -106,7 +106,6 @@ def map_frequency(
         judged_band, z_score=z_score, residual_threshold=residual_threshold, effective_hz=effective_hz
     )
     plan = _plan(experiment, schemes, stiffness, damping, signal=signal, judging=judging)
-    plan.check()
     place = maps.directory_for(plan, directory, "zwidth-frequency")
     with SweepBar("columns", unit="runs", plain=as_json) as bar:
         found = maps.map_into(plan, place, scheduler=scheduler, workers=workers, watch=bar.watch)

@@ -31,6 +31,7 @@ from rig.config.load import (
     load_experiment,
     override,
     realtime_changes,
+    restore_experiment,
     with_realtime,
 )
 from rig.config.people import human_limits_exceeded
@@ -75,6 +76,7 @@ __all__ = [
     "push_at_rest",
     "push_s",
     "realtime_changes",
+    "restore_experiment",
     "rig_model",
     "verdict_thresholds",
     "with_realtime",

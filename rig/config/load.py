@@ -84,6 +84,14 @@ def experiment_from_mapping(mapping: Mapping[str, Any], source: str) -> Experime
     return experiment
 
 
+def restore_experiment(mapping: Mapping[str, Any]) -> Experiment:
+    """Return the experiment of which `as_mapping` made these values: it was checked then, and no rule is again."""
+    parsed = parse_table(EXPERIMENT, dict(mapping), None)
+    if parsed[0] is None:
+        raise config_error(parsed[1], "a checked experiment")
+    return parsed[0]
+
+
 def override(
     experiment: Experiment,
     changes: Mapping[str, Any],

@@ -36,7 +36,6 @@ from rig.control.bilateral import clinging_law
 from rig.experiments.hit_simulator import HitSimulator
 from rig.experiments.searches import Search
 
-WORK = "rig.experiments.ablation:hit_column"
 FRICTION, QUANTUM, SATURATION, CONTACT = FOUR = ("friction", "quantum", "saturation", "contact")
 EACH, OTHERS, NONE = "each of several", "any of several", "none of the four"
 CAUSES = (*FOUR, EACH, OTHERS, NONE)
@@ -120,7 +119,7 @@ class _Column:
 
 def hit_column(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
     """One task of the sweep, JSON in and out: all walls of a scheme at a damping, the softest first."""
-    experiments = [config.experiment_from_mapping(one, "a task of a map") for one in payload["experiments"]]
+    experiments = [config.restore_experiment(one) for one in payload["experiments"]]
     column, first = _Column(experiments, payload["judged"]), experiments[0]
     rungs = Search(**payload["search"]).rungs
     radii = Lifted.of(linear_loop(first)).radius(rungs, first.wall.damping)

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -29,20 +30,19 @@ from rig.core.present import Item, Row, Table, plain, reported
 from rig.core.sample import unit_of
 from rig.core.shown import Shown
 from rig.experiments import sweep
-from rig.experiments.ablation import CAUSES, WORK, Cure, Holds, cause_of
+from rig.experiments.ablation import CAUSES, Cure, Holds, cause_of, hit_column
 from rig.experiments.searches import check_values
 from rig.experiments.zwidth import MapPlan, Series
 
 Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)  # without slots: `tasks` is cached
 class DisagreementPlan:
     """All walls of a map, hit, and those that differ from theory hit again."""
 
     map: MapPlan
 
-    work: ClassVar[str] = WORK
     unit: ClassVar[str] = "ticks"
 
     @property
@@ -50,8 +50,7 @@ class DisagreementPlan:
         """That of the map."""
         return self.map.experiment
 
-    def check(self) -> None:
-        """Raise `PlanError` for another wall than spring and damper, `NotLinearError` for a scheme of that kind."""
+    def _check(self) -> None:
         wall = self.experiment.wall
         for key, value, linear in (
             ("law", wall.law, "spring-damper"),
@@ -66,8 +65,13 @@ class DisagreementPlan:
         for scheme in self.map.schemes:
             linear_loop(self.experiment, scheme)
 
+    @cached_property
     def tasks(self) -> list[sweep.Task]:
-        """One for each scheme and damping."""
+        """One for each scheme and damping.
+
+        Raises `PlanError` for a wall of which linear theory says nothing, `NotLinearError` for a scheme of that kind.
+        """
+        self._check()
         columns: dict[tuple[int, float], list[Series]] = {}
         for one in self.map.series():
             columns.setdefault((one.scheme, one.damping), []).append(one)
@@ -75,6 +79,7 @@ class DisagreementPlan:
         return [
             sweep.Task(
                 f"{scheme}/{damping!r}",
+                hit_column,
                 {
                     "experiments": [
                         config.as_mapping(self.map.experiment_of(one, applied[scheme])) for one in series

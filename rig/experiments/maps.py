@@ -26,7 +26,7 @@ from rig.experiments.hit_simulator import start_of
 from rig.experiments.results import make_directory, write_document, write_table
 from rig.experiments.table_one import table_one
 from rig.experiments.zwidth import MapPlan, Series, ZWidth
-from rig.experiments.zwidth_frequency import FrequencyMap, FrequencyPlan
+from rig.experiments.zwidth_frequency import FrequencyMap, FrequencyPlan, run_column
 from rig.experiments.zwidth_rig import Session, zwidth_on_rig
 from rig.recording.files import plain_errors
 from rig.recording.seal import SEALED_SUFFIX
@@ -60,7 +60,6 @@ M_co = TypeVar("M_co", bound=Map, covariant=True)
 class Plan(Protocol[M_co]):
     """What to map: tasks of one kind of work, and what their results are."""
 
-    work: ClassVar[str]
     unit: ClassVar[str]  # number in each row of a result that the progress counts
 
     @property
@@ -68,12 +67,9 @@ class Plan(Protocol[M_co]):
         """Its rig gives the directory its name."""
         ...
 
-    def tasks(self) -> list[sweep.Task]:
-        """The independent parts."""
-        ...
-
-    def check(self) -> None:
-        """Raise `PlanError` for what must not run."""
+    @property
+    def tasks(self) -> Sequence[sweep.Task]:
+        """The independent parts, checked and made when first asked for; raises `PlanError` for what must not run."""
         ...
 
     def as_mapping(self) -> dict[str, Any]:
@@ -113,10 +109,8 @@ def zwidth(
     StoppedError
         Ctrl-C; what is done stays in the journal.
     """
-    plan.check()
     results = sweep.run(
-        plan.work,
-        plan.tasks(),
+        plan.tasks,
         journal=None if journal is None else Path(journal),
         scheduler=scheduler,
         workers=workers,
@@ -131,7 +125,7 @@ def directory_for(plan: Plan[Map], where: Path, name: str, device: str = "") -> 
 
     `device` names what is mapped, if not the simulation (`rig.experiments.zwidth_rig.work_of`).
     """
-    described = [sweep.code_version(), device, [[task.key, task.payload] for task in plan.tasks()]]
+    described = [sweep.code_version(), device, [[task.key, task.payload] for task in plan.tasks]]
     digest = sha256(json.dumps(described, sort_keys=True).encode()).hexdigest()[:8]
     return where / f"{name}-{plan.experiment.rig.name}-{digest}"
 
@@ -176,8 +170,13 @@ def map_on_rig(plan: MapPlan, directory: Path, session: Session) -> ZWidth:
 
 def _write_plan(plan: Plan[Any], directory: Path, device: str = "") -> None:
     make_directory(directory)
-    told = {"version": VERSION, "work": plan.work, "device": device, "plan": plan.as_mapping()}
-    write_document(directory / PLAN, told)
+    document = {
+        "version": VERSION,
+        "work": plan.tasks[0].work_name,
+        "device": device,
+        "plan": plan.as_mapping(),
+    }
+    write_document(directory / PLAN, document)
 
 
 def read_plan(directory: Path) -> tuple[MapPlan | FrequencyPlan, str]:
@@ -196,7 +195,7 @@ def read_plan(directory: Path) -> tuple[MapPlan | FrequencyPlan, str]:
     try:
         told = json.loads(text)
         if told["version"] == VERSION:
-            kind = FrequencyPlan if told["work"] == FrequencyPlan.work else MapPlan
+            kind = FrequencyPlan if told["work"].endswith(f":{run_column.__name__}") else MapPlan
             return kind.from_mapping(told["plan"], str(path)), str(told["device"])
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise RecordingError(f"{path} is damaged: {error!r}", remedy="run the map's command again") from None

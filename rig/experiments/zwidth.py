@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from functools import cache
+from functools import cache, cached_property
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -59,7 +59,7 @@ class Series:
         return f"{self.scheme}/{self.damping!r}/{self.offset!r}/{self.repeat}"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)  # without slots: `tasks` is cached
 class MapPlan:
     """What to map.
 
@@ -92,7 +92,6 @@ class MapPlan:
     judged: Judged = "recorded"
     criteria: tuple[str, ...] = CRITERIA
 
-    work: ClassVar[str] = "rig.experiments.zwidth:run_series"
     unit: ClassVar[str] = "ticks"
 
     def __post_init__(self) -> None:
@@ -123,12 +122,14 @@ class MapPlan:
         applied = self.schemes[series.scheme].applied(self.experiment) if under is None else under
         return config.override(applied, changes, "the map")
 
+    @cached_property
     def tasks(self) -> list[sweep.Task]:
-        """The series as they are sent to whoever runs them."""
+        """The series as a sweep runs them: here their experiments are checked, and nowhere again."""
         applied = [scheme.applied(self.experiment) for scheme in self.schemes]
         return [
             sweep.Task(
                 series.key,
+                run_series,
                 {
                     "experiment": config.as_mapping(self.experiment_of(series, applied[series.scheme])),
                     "search": asdict(self.search),
@@ -162,9 +163,6 @@ class MapPlan:
             criteria=tuple(mapping["criteria"]),
         )
 
-    def check(self) -> None:
-        """Hits are judged whatever they do: nothing to refuse."""
-
     def found(self, results: Sequence[Any]) -> ZWidth:
         """The map that the results of all tasks make."""
         return ZWidth.of(self, results)
@@ -172,7 +170,7 @@ class MapPlan:
 
 def run_series(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Run one series in simulation; payload and result are JSON: a row for each hit, in the order of hits."""
-    experiment = config.experiment_from_mapping(payload["experiment"], "a task of a map")
+    experiment = config.restore_experiment(payload["experiment"])
     simulator = HitSimulator(experiment)
     rows: list[dict[str, Any]] = []
 

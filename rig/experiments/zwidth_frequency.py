@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -52,7 +53,7 @@ NUMBERS = (
 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)  # without slots: `tasks` is cached
 class FrequencyPlan:
     """What to map.
 
@@ -77,7 +78,6 @@ class FrequencyPlan:
     judging: Judging = Judging()  # noqa: RUF009  (frozen)
     signal: Signal = "count"
 
-    work: ClassVar[str] = "rig.experiments.zwidth_frequency:run_column"
     unit: ClassVar[str] = "runs"
 
     def __post_init__(self) -> None:
@@ -101,12 +101,18 @@ class FrequencyPlan:
         """Number of the scheme and damping of every task."""
         return [(number, damping) for number in range(len(self.schemes)) for damping in self.dampings]
 
+    @cached_property
     def tasks(self) -> list[sweep.Task]:
-        """The columns as they are sent to whoever runs them."""
+        """The columns as a sweep runs them.
+
+        Raises `PlanError` when the excitation is too large for the rig at the softest wall of some scheme.
+        """
         applied = [scheme.applied(config.excited(self.experiment)) for scheme in self.schemes]
+        refuse_excitations([_walled(one, self.stiffnesses[0], self.dampings[0]) for one in applied])
         return [
             sweep.Task(
                 f"{number}/{damping!r}",
+                run_column,
                 {
                     "experiment": config.as_mapping(_walled(applied[number], 0.0, damping)),
                     "stiffnesses": list(self.stiffnesses),
@@ -136,13 +142,6 @@ class FrequencyPlan:
             signal=mapping["signal"],
         )
 
-    def check(self) -> None:
-        """Raise `PlanError` when the excitation is too large for the rig at the softest wall of some scheme."""
-        softest = self.stiffnesses[0], self.dampings[0]
-        refuse_excitations(
-            [_walled(scheme.applied(config.excited(self.experiment)), *softest) for scheme in self.schemes]
-        )
-
     def found(self, results: Sequence[Any]) -> FrequencyMap:
         """The map that the results of all tasks make."""
         return FrequencyMap.of(self, results)
@@ -150,7 +149,7 @@ class FrequencyPlan:
 
 def run_column(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Excite every wall of one column; payload and result are JSON: a row per wall and realisation, and for all."""
-    experiment = config.experiment_from_mapping(payload["experiment"], "a task of a map")
+    experiment = config.restore_experiment(payload["experiment"])
     judging = _judging(payload["judging"])
     bench = ExcitedRig(experiment, signal=payload["signal"])
     rows: list[dict[str, Any]] = []

@@ -87,7 +87,7 @@ def zwidth_on_rig(plan: MapPlan, session: Session, *, journal: Path | None = Non
         Whatever ended a hit early, but for a wall that throws the handle out; or a hit that is invalid every time.
     """
     _check(plan)
-    series, tasks = plan.series(), plan.tasks()
+    series, tasks = plan.series(), plan.tasks
     numbers = {task.key: number for number, task in enumerate(tasks)}
     where = replace(session.where, arm_anyway=True)
 

@@ -6,31 +6,17 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from pkgutil import resolve_name
 from typing import Any
 
 from rig.experiments import sweep
 from rig.experiments.sweep import Progress, Task
 
-RUN_PART = "rig.papers.parts:run_part"
+Part = Sequence[Task]  # of one kind; weights in hits of a 20 kHz rig
 
 
-@dataclass(frozen=True, slots=True)
-class Part:
-    """Some tasks of one kind: `work` as in `rig.experiments.sweep.run`; weights in hits of a 20 kHz rig."""
-
-    work: str
-    tasks: tuple[Task, ...]
-
-
-def part(work: str, payload: Mapping[str, Any], weight: float) -> Part:
+def part(work: Callable[[Any], Any], payload: Mapping[str, Any], weight: float) -> Part:
     """Return a part of one task."""
-    return Part(work, (Task("all", payload, weight),))
-
-
-def run_part(payload: Mapping[str, Any]) -> Any:
-    """Run one task of a part, in plain values."""
-    return resolve_name(payload["work"])(payload["payload"])
+    return (Task("all", work, payload, weight),)
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,11 +42,7 @@ def run_parts(
 ) -> Parts:
     """Run everything as one sweep; parameters and errors as `rig.experiments.sweep.run`."""
     started = time.monotonic()
-    tasks = [
-        replace(task, key=f"{name}:{task.key}", payload={"work": part.work, "payload": task.payload})
-        for name, part in parts.items()
-        for task in part.tasks
-    ]
+    tasks = [replace(task, key=f"{name}:{task.key}") for name, part in parts.items() for task in part]
     kept = 0
 
     def watched(progress: Progress) -> None:
@@ -69,6 +51,6 @@ def run_parts(
         if watch is not None:
             watch(progress)
 
-    results = iter(sweep.run(RUN_PART, tasks, journal=journal, workers=workers, watch=watched))
-    by_name = {name: [next(results) for _ in part.tasks] for name, part in parts.items()}
+    results = iter(sweep.run(tasks, journal=journal, workers=workers, watch=watched))
+    by_name = {name: [next(results) for _ in part] for name, part in parts.items()}
     return Parts(by_name, time.monotonic() - started, kept)

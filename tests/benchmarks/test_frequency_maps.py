@@ -27,7 +27,7 @@ ONCE = config.override(presets.load("chawda-linear"), {"excitation.realisations"
 def test_the_papers_map_with_one_realisation(capsys: pytest.CaptureFixture[str]) -> None:
     """60 × 16 walls, four estimators: every ninth of their 64 columns, and the whole in proportion."""
     plan = frequency_plan(ONCE)
-    tasks = plan.tasks()
+    tasks = plan.tasks
     run_column({**tasks[0].payload, "stiffnesses": [1e3]})  # warm
     chosen = tasks[::9]
     began = time.thread_time()
@@ -71,7 +71,7 @@ def test_judging_costs_less_than_exciting(scheme: int, capsys: pytest.CaptureFix
 
 def test_memory_is_that_of_a_column() -> None:
     plan = frequency_plan(ONCE)
-    payload = {**plan.tasks()[0].payload, "stiffnesses": list(plan.stiffnesses[:3])}
+    payload = {**plan.tasks[0].payload, "stiffnesses": list(plan.stiffnesses[:3])}
     run_column(payload)
 
     def peak(stiffnesses: Any) -> Any:

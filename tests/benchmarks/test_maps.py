@@ -35,7 +35,7 @@ def figure_6() -> Any:
 def test_the_whole_map_of_figure_6(figure_6: Any) -> None:
     """Every fourth damping, first and last among them, and the whole in proportion."""
     started = time.process_time()
-    tasks = figure_6.tasks()
+    tasks = figure_6.tasks
     planned_s = time.process_time() - started
     chosen = figure_6.dampings[::4]
     started = time.process_time()
@@ -60,7 +60,7 @@ def test_python_takes_a_small_share_of_a_series(figure_6: Any, monkeypatch: pyte
         inside[0] += time.thread_time() - started
         return ticks
 
-    payloads = [json.loads(json.dumps(task.payload)) for task in figure_6.tasks()[::17]]
+    payloads = [json.loads(json.dumps(task.payload)) for task in figure_6.tasks[::17]]
     run_series(payloads[0])
     monkeypatch.setattr(hits, "hit", timed)
     started = time.thread_time()

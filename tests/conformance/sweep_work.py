@@ -48,7 +48,7 @@ def leave_a_mark(payload: Payload) -> str:
     return str(payload["name"])
 
 
-def raise_when_told(payload: Payload) -> int:
+def raise_as_given(payload: Payload) -> int:
     """Raise for some tasks, each its own way."""
     time.sleep(payload.get("wait_s", 0.0))
     match payload.get("raises"):
@@ -88,8 +88,13 @@ def open_one_and_wait_for_another(payload: Payload) -> str:
     """Open a gate and wait at another: for tasks that meet in one process."""
     GATES[payload["opens"]].set()
     if not GATES[payload["waits_for"]].wait(20.0):
-        raise TimeoutError(f"nobody opened {payload['waits_for']}")
+        raise TimeoutError(f"{payload['waits_for']} was not opened")
     return str(payload["opens"])
+
+
+def wait_for_ever(payload: Payload) -> None:
+    """No result ever comes of this."""
+    threading.Event().wait()
 
 
 def large(payload: Payload) -> str:

@@ -10,8 +10,11 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
+from dataclasses import replace
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -26,8 +29,6 @@ from rig.experiments.sweep.executors import as_json
 from tests.conformance import sweep_work
 from tests.conformance.started import LEASH
 
-HERE = sweep_work.__name__
-SINES, KILLS = f"{HERE}:sines", f"{HERE}:kill_the_worker"
 ROOT = Path(__file__).parents[2]
 START_S = 30.0
 
@@ -132,7 +133,7 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
 
 
 def sines(number: Any, **payload: Any) -> Any:
-    return [Task(f"seed {seed}", {"seed": seed, **payload}) for seed in range(number)]
+    return [Task(f"seed {seed}", sweep_work.sines, {"seed": seed, **payload}) for seed in range(number)]
 
 
 def text(results: Any) -> Any:
@@ -144,32 +145,19 @@ def keys_in(journal: Any) -> Any:
 
 
 def assert_nothing_lost_and_nothing_twice(results: Any, journal: Any, tasks: Any) -> None:
-    at_once = [Task(task.key, {"seed": task.payload["seed"]}) for task in tasks]
-    assert text(results) == text(sweep.run(SINES, at_once, workers=1))
+    at_once = [Task(task.key, sweep_work.sines, {"seed": task.payload["seed"]}) for task in tasks]
+    assert text(results) == text(sweep.run(at_once, workers=1))
     assert sorted(keys_in(journal)) == sorted(task.key for task in tasks)
 
 
 @needs_distributed
-def test_two_workers_give_the_bits_of_one_process_and_small_tasks_travel_together(
-    cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_two_workers_give_the_bits_of_one_process(cluster: Any, tmp_path: Path) -> None:
     cluster.have(2)
-    batches, submit = [], clusters.Cluster.submit
-    monkeypatch.setattr(
-        clusters.Cluster, "submit", lambda self, batch: (batches.append(len(batch)), submit(self, batch))[1]
-    )
-    tasks, seen = sines(400), []
-    options = {
-        "journal": tmp_path / "j",
-        "scheduler": cluster.address,
-        "unit": "trials",
-        "watch": seen.append,
-    }
-    results = sweep.run(SINES, tasks, **options)
+    tasks, seen = sines(100), []
+    options: Any = {"scheduler": cluster.address, "unit": "trials", "watch": seen.append}
+    results = sweep.run(tasks, journal=tmp_path / "j", **options)
     assert_nothing_lost_and_nothing_twice(results, tmp_path / "j", tasks)
-    assert [seen[-1].workers, seen[-1].units] == [2, 4000]
-    assert sum(batches) == 400
-    assert len(batches) < 40, "a task of 0.1 ms must not travel alone"
+    assert [seen[-1].workers, seen[-1].units] == [2, 1000]
 
 
 @needs_distributed
@@ -183,10 +171,10 @@ def test_ctrl_c_on_a_cluster_and_the_rest_in_this_process(cluster: Any, tmp_path
             os.kill(os.getpid(), signal.SIGINT)
 
     with pytest.raises(SweepStoppedError) as caught:
-        sweep.run(SINES, tasks, journal=tmp_path / "j", scheduler=cluster.address, watch=watch)
+        sweep.run(tasks, journal=tmp_path / "j", scheduler=cluster.address, watch=watch)
     assert 6 <= caught.value.done < 60
     seen = []
-    results = sweep.run(SINES, tasks, journal=tmp_path / "j", workers=2, watch=seen.append)
+    results = sweep.run(tasks, journal=tmp_path / "j", workers=2, watch=seen.append)
     assert seen[-1].kept == caught.value.done
     assert_nothing_lost_and_nothing_twice(results, tmp_path / "j", tasks)
 
@@ -194,10 +182,10 @@ def test_ctrl_c_on_a_cluster_and_the_rest_in_this_process(cluster: Any, tmp_path
 @needs_distributed
 def test_a_task_that_fails_there_is_named_here(cluster: Any) -> None:
     cluster.have(2)
-    tasks = [Task(f"number {i}", {"number": i}) for i in range(20)]
-    tasks[7] = Task("number 7", {"number": 7, "raises": "ours"})
+    tasks = [Task(f"number {i}", sweep_work.raise_as_given, {"number": i}) for i in range(20)]
+    tasks[7] = replace(tasks[7], payload={"number": 7, "raises": "ours"})
     with pytest.raises(TaskError, match="task number 7 failed: this wall is out of reach") as caught:
-        sweep.run(f"{HERE}:raise_when_told", tasks, scheduler=cluster.address)
+        sweep.run(tasks, scheduler=cluster.address)
     assert caught.value.remedy == "lower the stiffness"
     assert "sweep_work.py" in caught.value.__notes__[0]
     assert 7 not in list(caught.value.results)
@@ -209,17 +197,22 @@ def test_another_haptic_rig_on_the_workers_is_refused_with_both_versions(
 ) -> None:
     cluster.have(2)
     ours = code_version()
-    monkeypatch.setattr("rig.experiments.sweep.tasks.code_version", lambda: "9.9.9+0123456789ab")
+    monkeypatch.setattr("rig.experiments.sweep.coordinator.code_version", lambda: "9.9.9+0123456789ab")
     with pytest.raises(ConfigError) as caught:
-        sweep.run(SINES, sines(4), scheduler=cluster.address)
+        sweep.run(sines(4), scheduler=cluster.address)
     assert f"runs haptic-rig {ours}, this is 9.9.9+0123456789ab" in caught.value.message
 
 
 @needs_distributed
-def test_work_that_the_workers_do_not_have_is_refused(cluster: Any) -> None:
+def test_work_that_the_workers_do_not_have_is_refused(
+    cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     cluster.have(2)
-    with pytest.raises(ConfigError, match="'nowhere:work' cannot be imported"):
-        sweep.run("nowhere:work", sines(4), scheduler=cluster.address)
+    (tmp_path / "only_here.py").write_text("def work(payload):\n    return 1\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    task = Task("all", import_module("only_here").work, {})
+    with pytest.raises(ConfigError, match=r"cannot run this .*install this version of haptic-rig"):
+        sweep.run([task], scheduler=cluster.address)
 
 
 @needs_distributed
@@ -234,7 +227,7 @@ def test_a_worker_killed_in_the_middle_loses_nothing_and_duplicates_nothing(
             assert progress.workers == 2
             cluster.workers[0].kill()
 
-    results = sweep.run(SINES, tasks, journal=tmp_path / "j", scheduler=cluster.address, watch=watch)
+    results = sweep.run(tasks, journal=tmp_path / "j", scheduler=cluster.address, watch=watch)
     assert cluster.workers[0].wait() == -signal.SIGKILL
     assert_nothing_lost_and_nothing_twice(results, tmp_path / "j", tasks)
 
@@ -243,26 +236,28 @@ def test_a_worker_killed_in_the_middle_loses_nothing_and_duplicates_nothing(
 def test_a_result_that_died_with_its_worker_before_it_was_fetched_is_computed_again(
     cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    cluster.have(1)
-    fetch, fetched = clusters.Cluster._report, []
+    from distributed import cfexecutor  # noqa: PLC0415
 
-    def kill_before_the_first(self: Any, future: Any, batch: Any) -> Any:
-        if not fetched:
+    cluster.have(1)
+    fetch, killed = cfexecutor._cascade_future, threading.Event()
+
+    async def kill_before_the_first(future: Any, of_caller: Any) -> None:
+        await future._state.wait()
+        if not killed.is_set():
             cluster.workers[0].kill()
             cluster.workers[0].wait()
-        fetched.append(fetch(self, future, batch))
-        return fetched[-1]
+            killed.set()
+        await fetch(future, of_caller)
 
     def watch(progress: Any) -> None:
-        """In the main thread: its leash ends a worker with the thread that started it, and a sweep's ends before us."""
-        if len(cluster.workers) == 1 and cluster.workers[0].poll() is not None:
+        """In the main thread: its leash ends a worker with the thread that started it."""
+        if len(cluster.workers) == 1 and killed.is_set():
             cluster.add_worker()
 
-    monkeypatch.setattr(clusters.Cluster, "_report", kill_before_the_first)
-    monkeypatch.setattr(clusters, "GATHER_S", 0.2)
+    monkeypatch.setattr(cfexecutor, "_cascade_future", kill_before_the_first)
     tasks = sines(20)
-    results = sweep.run(SINES, tasks, journal=tmp_path / "j", scheduler=cluster.address, watch=watch)
-    assert fetched[0] is None, "the case was not met"
+    results = sweep.run(tasks, journal=tmp_path / "j", scheduler=cluster.address, watch=watch)
+    assert killed.is_set()
     assert_nothing_lost_and_nothing_twice(results, tmp_path / "j", tasks)
 
 
@@ -271,10 +266,10 @@ def test_a_task_that_kills_every_worker_is_named(cluster: Any, tmp_path: Path) -
     cluster.have(1)
     allowed = cluster.ask(lambda dask_scheduler: dask_scheduler.allowed_failures)
     cluster.ask(lambda dask_scheduler: setattr(dask_scheduler, "allowed_failures", 0))
-    work, tasks = f"{HERE}:always_kill_the_worker", [Task("murder", {})]
+    tasks = [Task("murder", sweep_work.always_kill_the_worker, {})]
     try:
         with pytest.raises(TaskError, match="murder failed: it ended every worker that tried it, 1 in all"):
-            sweep.run(work, tasks, scheduler=cluster.address, journal=tmp_path / "j")
+            sweep.run(tasks, scheduler=cluster.address, journal=tmp_path / "j")
     finally:
         cluster.ask(lambda dask_scheduler: setattr(dask_scheduler, "allowed_failures", allowed))
     assert keys_in(tmp_path / "j") == []
@@ -285,8 +280,8 @@ def test_a_worker_that_dies_under_a_task_is_started_again_by_its_nanny(cluster: 
     cluster.have(0)
     cluster.add_worker(nanny=True)
     tasks = sines(30, wait_s=0.02)
-    tasks[5] = Task("dies", {"seed": 5, "dies": str(tmp_path / "died")})
-    results = sweep.run(KILLS, tasks, journal=tmp_path / "j", scheduler=cluster.address)
+    tasks[5] = Task("dies", sweep_work.kill_the_worker, {"seed": 5, "dies": str(tmp_path / "died")})
+    results = sweep.run(tasks, journal=tmp_path / "j", scheduler=cluster.address)
     assert (tmp_path / "died").exists()
     cluster.have(0)
     assert_nothing_lost_and_nothing_twice(results, tmp_path / "j", tasks)
@@ -302,7 +297,7 @@ def test_a_sweep_waits_for_workers_and_says_so(cluster: Any, tmp_path: Path) -> 
             waited.append(progress)
             cluster.add_worker()
 
-    results = sweep.run(SINES, tasks, journal=tmp_path / "j", scheduler=cluster.address, watch=watch)
+    results = sweep.run(tasks, journal=tmp_path / "j", scheduler=cluster.address, watch=watch)
     assert waited
     assert_nothing_lost_and_nothing_twice(results, tmp_path / "j", tasks)
 
@@ -316,9 +311,7 @@ def test_a_scheduler_that_dies_ends_the_sweep_with_what_is_done(cluster: Any, tm
             cluster.scheduler.kill()
 
     with pytest.raises(RigError, match=f"the Dask scheduler at {cluster.address} is gone"):
-        sweep.run(
-            SINES, sines(200, wait_s=0.05), journal=tmp_path / "j", scheduler=cluster.address, watch=watch
-        )
+        sweep.run(sines(200, wait_s=0.05), journal=tmp_path / "j", scheduler=cluster.address, watch=watch)
     assert 3 <= len(keys_in(tmp_path / "j")) < 200
 
 
@@ -327,10 +320,10 @@ def test_a_scheduler_that_dies_ends_the_sweep_with_what_is_done(cluster: Any, tm
 def test_no_scheduler_there_is_said_with_the_remedy(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(clusters, "CONNECT_S", 0.1)
     with pytest.raises(ConfigError, match=r"no Dask scheduler answers at .*start one with `dask scheduler`"):
-        sweep.run(SINES, sines(2), scheduler=address)
+        sweep.run(sines(2), scheduler=address)
 
 
 def test_without_distributed_the_remedy_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(ConfigError, match=r"install it: pip install 'haptic-rig\[cluster\]'"):
-        sweep.run(SINES, sines(2), scheduler="tcp://127.0.0.1:1")
+        sweep.run(sines(2), scheduler="tcp://127.0.0.1:1")

@@ -30,7 +30,7 @@ from rig.experiments.design.rules import Boundary, Measures
 from rig.experiments.rendering import RENDERED, rendered_share
 from rig.experiments.sweep import Task
 
-WORK, STAGE = "rig.experiments.design.linear:of_estimator", "linear theory"
+STAGE = "linear theory"
 STAND_IN = "fdm-butterworth"
 STIFFNESSES, CHUNK = 40, 4
 
@@ -74,6 +74,7 @@ def tasks(
     found = [
         Task(
             key,
+            of_estimator,
             {
                 "experiment": mapping,
                 "candidates": [
@@ -105,7 +106,7 @@ def results(done: Sequence[Sequence[Mapping[str, Any]]], order: Sequence[int]) -
 
 def of_estimator(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Theory of some candidates that share estimator, settings and velocity rate; plain data in and out."""
-    experiment = config.experiment_from_mapping(payload["experiment"], "a design")
+    experiment = config.restore_experiment(payload["experiment"])
     k, b = np.array(payload["stiffnesses"]), np.array(payload["dampings"])
     first: LinearLoop | None = None
     stands_in, noise, rows = False, None, []

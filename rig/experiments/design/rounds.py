@@ -57,9 +57,7 @@ class Sweeper:
     watch: Watch | None = None
     hits: dict[str, int] = field(default_factory=dict)
 
-    def run(
-        self, stage: str, work: str, tasks: Sequence[sweep.Task], unit: str | None = None
-    ) -> sweep.Results:
+    def run(self, stage: str, tasks: Sequence[sweep.Task], unit: str | None = None) -> sweep.Results:
         """Run one stage; errors as `rig.experiments.sweep.run`."""
         journal = None
         if self.directory is not None:
@@ -67,7 +65,6 @@ class Sweeper:
             journal = self.directory / f"{stage.replace(' ', '-')}.journal"
         watch = self.watch
         return sweep.run(
-            work,
             tasks,
             journal=journal,
             scheduler=self.scheduler,
@@ -97,13 +94,13 @@ class Sweeper:
     def each(self, stage: str, plans: Sequence[Plan[M]]) -> list[M]:
         """What plans of one kind find, as one sweep."""
         of_plan = [
-            [replace(task, key=f"{number}/{task.key}") for task in plan.tasks()]
+            [replace(task, key=f"{number}/{task.key}") for task in plan.tasks]
             for number, plan in enumerate(plans)
         ]
         if not plans:
             return []
         tasks = [task for some in of_plan for task in some]
-        done: Sequence[Any] = self.run(stage, plans[0].work, tasks, plans[0].unit)
+        done: Sequence[Any] = self.run(stage, tasks, plans[0].unit)
         found, first = [], 0
         for plan, some in zip(plans, of_plan, strict=True):
             found.append(plan.found(done[first : first + len(some)]))

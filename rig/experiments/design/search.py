@@ -228,7 +228,7 @@ class _Search:
         search = search_for(self.request.experiment, schemes=[one.scheme for one in candidates])
         k = np.geomspace(search.lowest, search.highest, linear.STIFFNESSES).tolist()
         tasks, order = linear.tasks(self.request.experiment, candidates, dampings, k)
-        return linear.results(self.run.run(linear.STAGE, linear.WORK, tasks), order)
+        return linear.results(self.run.run(linear.STAGE, tasks), order)
 
     def _promising(
         self,

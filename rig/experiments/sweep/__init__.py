@@ -1,8 +1,8 @@
 """Long computations: many independent tasks, on all cores or on a cluster, that survive whatever ends the process.
 
-    results = sweep.run("module:function", [sweep.Task("a", {"x": 1})], journal=Path("journal"))
+    results = sweep.run([sweep.Task("a", function_of_a_module, {"x": 1})], journal=Path("journal"))
 
-* `tasks`: what a task is, and running them all
+* `tasks`: running tasks to their results
 * `coordinator`: hands tasks out, keeps what comes back, counts
 * `executors`, `cluster`: threads here, a Dask cluster elsewhere
 * `journal`: what is done, on disk

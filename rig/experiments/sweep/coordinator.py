@@ -1,39 +1,44 @@
-"""Who hands out the tasks of a sweep, keeps what comes back, and knows how far it is.
+"""Hands out the tasks of a sweep, keeps what comes back, shows how far it is, and takes the Ctrl-C.
 
-A thread of its own does all three, so that no Ctrl-C can strike between a result and its line in the journal. The
-caller's thread waits, shows the progress and takes the Ctrl-C: the first one ends the handing out, a second one the
-waiting for what is running.
+All in the caller's thread. Signals are only noted while it runs, and acted on between two results, so that no Ctrl-C
+can strike between a result and its line in the journal. The first one ends the handing out, a second one the waiting
+for what is running.
 """
 
 from __future__ import annotations
 
-import threading
+import math
+import queue
+import signal
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from concurrent.futures import Future
 from dataclasses import dataclass, replace
-from enum import IntEnum
-from statistics import median
 from typing import Any
 
-from rig.experiments.sweep.executors import Executor, Failure, Job, Report, as_json
+from rig.experiments.sweep.executors import Done, Executor, Failure, Work, as_json, perform
 from rig.experiments.sweep.journal import Journal, Memory
+from rig.realtime.handlers import handled
+from rig.realtime.source_files import code_version
 from rig.realtime.stop_requests import Series, listening
 
 POLL_S = 0.05
-SPEEDS = 32  # so many of the last tasks tell how long the next ones take
-SHARES = 2.0  # near the end a batch is at most one of so many that each worker still gets
+
+Watch = Callable[["Progress"], None]
 
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """One independent piece of a computation.
+    """One independent piece of a computation: ``work(payload)``.
 
     Attributes
     ----------
     key
         Its name, different from all others of the sweep.
+    work
+        Function of a module, which other processes import: payload (a dict) → result that JSON can hold. It must
+        depend on nothing but the payload.
     payload
         What the work gets, in values that JSON can hold (numpy's become plain ones, tuples lists).
     weight
@@ -41,8 +46,14 @@ class Task:
     """
 
     key: str
+    work: Work
     payload: Mapping[str, Any]
     weight: float = 1.0
+
+    @property
+    def work_name(self) -> str:
+        """``module:function``."""
+        return f"{self.work.__module__}:{self.work.__qualname__}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,7 +66,7 @@ class Progress:
         Tasks that are done, handed out, and all.
     kept
         Those of the done that the journal already held.
-    weight_done, weight_running, weight_total, weight_kept
+    weight_done, weight_total, weight_kept
         The same by weight.
     units
         What the results of this run stand for.
@@ -76,7 +87,6 @@ class Progress:
     done: int = 0
     weight_done: float = 0.0
     running: int = 0
-    weight_running: float = 0.0
     units: int = 0
     elapsed_s: float = 0.0
     workers: int = 0
@@ -121,154 +131,117 @@ class Progress:
         return self.elapsed_s * left / achieved if achieved > 0.0 else None
 
 
-class Stop(IntEnum):
-    """How much of an end the caller wants."""
-
-    NO = 0
-    DRAIN = 1  # hand out nothing more, keep what is running
-    LEAVE = 2  # at once
-
-
 class Coordinator:
     """One run over the tasks that are not done yet. `run` it, then read `failure` and `interruption`.
 
     Attributes
     ----------
-    progress
-        How far it is, replaced as a whole, so that any thread may read it.
     failure
-        Of the first task in order that raised, or why nothing could be run; None when all went well.
+        Index of the first task in order that failed, -1 when no task can run, and what went wrong; None if all is well.
     interruption
-        What struck the waiting thread: Ctrl-C, or what `watch` raised.
+        Ctrl-C, or what `watch` raised.
     """
 
     def __init__(
-        self, tasks: Sequence[Task], kept: Sequence[int], store: Journal | Memory, executor: Executor
+        self,
+        tasks: Sequence[Task],
+        kept: Sequence[int],
+        store: Journal | Memory,
+        executor: Executor,
+        *,
+        unit: str | None,
+        watch: Watch | None,
     ) -> None:
-        self.progress = Progress.begin(tasks, kept, store.damaged)
-        self.failure: Failure | None = None
+        self.failure: tuple[int, Failure] | None = None
         self.interruption: BaseException | None = None
-        self._tasks = tasks
-        self._store = store
-        self._executor = executor
-        done = set(kept)
-        left = [index for index in range(len(tasks)) if index not in done]
-        self._queue = deque(sorted(left, key=lambda index: -tasks[index].weight))
-        self._weight_queued = self.progress.weight_total - self.progress.weight_done
-        self._out: dict[int, list[Job]] = {}  # by ticket
-        self._speeds: deque[float] = deque(maxlen=SPEEDS)  # seconds per weight
-        self._started_s = time.monotonic()
-        self._stop = Stop.NO
-        self._error: BaseException | None = None
-        # Not Thread.join: interrupted by Ctrl-C, it forgets in Python 3.11 that the thread is still running.
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._body, name="rig-sweep", daemon=True)
+        self._tasks, self._store, self._executor, self._unit, self._watch = (
+            tasks,
+            store,
+            executor,
+            unit,
+            watch,
+        )
+        self._progress = Progress.begin(tasks, kept, store.damaged)
+        left = set(range(len(tasks))).difference(kept)
+        self._queue = deque(sorted(left, key=lambda index: (-tasks[index].weight, index)))
+        self._out: dict[Future[Any], int] = {}
+        self._back: queue.SimpleQueue[Future[Any]] = queue.SimpleQueue()
+        self._started_s, self._shown_s = time.monotonic(), -math.inf
 
-    def run(self, watch: Callable[[Progress], None] | None) -> None:
-        """Run until all is done, a task has failed, or Ctrl-C. Raises what kept the coordinator from its work."""
-        self._thread.start()
-        try:
-            with listening() as series:
-                self._wait(watch, series)
-        except BaseException as error:
-            self.interruption, self._stop = error, Stop.DRAIN
-            try:
-                self._wait(watch if isinstance(error, KeyboardInterrupt) else None)
-            except BaseException:
-                self._leave()
-        if self._error is not None:
-            raise self._error
-        if watch is not None and self.interruption is None:
-            try:
-                watch(self.progress)
-            except BaseException as error:  # Ctrl-C after the last task: told like one before it
-                self.interruption = error
-
-    def _wait(self, watch: Callable[[Progress], None] | None, series: Series | None = None) -> None:
-        while not self._ended.wait(POLL_S):
-            if series is not None and series.is_stopped:
-                raise KeyboardInterrupt  # Ctrl-C, seen in a thread that gets none, or `rig.stop`
-            if watch is not None:
-                watch(self.progress)
-
-    def _leave(self) -> None:
-        while not self._ended.is_set():
-            with suppress(KeyboardInterrupt):
-                self._stop = Stop.LEAVE
-                self._ended.wait(POLL_S)
-
-    # In the coordinator's thread ----------------------------------------------------------------------
-
-    def _body(self) -> None:
-        workers = 0
-        try:
-            while self._stop != Stop.LEAVE and (self._out or (self._queue and not self._stopping())):
-                workers = self._executor.capacity()
-                self._hand_out(workers)
-                self._look(workers)
-                for ticket, report in self._executor.finished(POLL_S):
-                    self._keep(self._out.pop(ticket), report)
+    def run(self) -> None:
+        """Run until all is done, a task has failed, or Ctrl-C. Raises what kept it from its work."""
+        # A signal that ends the process at once is left alone: the journal is good whatever ends it.
+        numbers = tuple(one for one in (signal.SIGINT, signal.SIGTERM) if callable(signal.getsignal(one)))
+        signals: list[int] = []
+        with handled(numbers, lambda number, frame: signals.append(number)), listening() as series:
+            while self._out or (self._queue and not self._stopping):
+                self._hand_out()
+                if self._interrupted(signals, series):
+                    return
+                self._take()
                 self._store.sync()
-            self._look(workers)
-        except BaseException as error:
-            self._error = error
-        finally:
-            self._ended.set()
+            self._shown_s = -math.inf
+            self._interrupted(signals, series)
 
+    @property
     def _stopping(self) -> bool:
-        return self._stop != Stop.NO or self.failure is not None
+        return self.interruption is not None or self.failure is not None
 
-    def _hand_out(self, workers: int) -> None:
-        while self._queue and len(self._out) < workers and not self._stopping():
-            batch = self._batch(workers)
-            self._out[self._executor.submit(batch)] = batch
-
-    def _look(self, workers: int) -> None:
-        """Write down who is at what."""
-        running = [job.index for batch in self._out.values() for job in batch]
-        self.progress = replace(
-            self.progress,
-            running=len(running),
-            weight_running=sum(self._tasks[index].weight for index in running),
-            elapsed_s=time.monotonic() - self._started_s,
-            workers=workers,
-            stopping=self._stopping(),
+    def _hand_out(self) -> None:
+        workers = self._executor.workers()
+        while self._queue and not self._stopping and len(self._out) < workers * self._executor.ahead:
+            task = self._tasks[index := self._queue.popleft()]
+            text = as_json(task.payload, sort_keys=True)
+            future = self._executor.submit(perform, task.work, text, self._unit, code_version())
+            self._out[future] = index
+            future.add_done_callback(self._back.put)
+        self._progress = replace(
+            self._progress, running=len(self._out), workers=workers, stopping=self._stopping
         )
 
-    def _batch(self, workers: int) -> list[Job]:
-        """Take the next tasks off the queue: one, or as many as make a batch of the wanted length."""
-        wanted = 0.0
-        if self._executor.batch_s > 0.0 and self._speeds:
-            in_time = self._executor.batch_s / max(median(self._speeds), 1e-9)
-            wanted = min(in_time, self._weight_queued / (SHARES * workers))
-        batch: list[Job] = []
-        weight = 0.0
-        while self._queue and (not batch or weight + self._tasks[self._queue[0]].weight <= wanted):
-            task = self._tasks[index := self._queue.popleft()]
-            batch.append(Job(index, as_json(task.payload, sort_keys=True)))
-            weight += task.weight
-        self._weight_queued -= weight
-        return batch
+    def _interrupted(self, signals: list[int], series: Series) -> bool:
+        """Show the progress and act on Ctrl-C; returns True for the second one, which waits for nothing."""
+        before = self.interruption
+        try:
+            # `rig.stop`, and a Ctrl-C that another thread was given, count in the series: once.
+            if signals or (before is None and series.is_stopped):
+                signals.clear()
+                raise KeyboardInterrupt
+            if self._watch is not None and time.monotonic() - self._shown_s >= POLL_S:
+                self._shown_s = time.monotonic()
+                self._watch(replace(self._progress, elapsed_s=self._shown_s - self._started_s))
+        except BaseException as error:
+            self.interruption = before or error
+            if not isinstance(error, KeyboardInterrupt):
+                self._watch = None
+            return before is not None
+        return False
 
-    def _keep(self, batch: Sequence[Job], report: Report) -> None:
-        now = self.progress
-        done, weight_done, units = now.done, now.weight_done, now.units
-        for job in report.completed:
-            task = self._tasks[job.index]
-            self._store.append(job.index, task.key, job.text)
-            self._speeds.append(job.seconds / task.weight)
-            done, weight_done, units = done + 1, weight_done + task.weight, units + job.units
-        self.progress = replace(now, done=done, weight_done=weight_done, units=units)
-        self._take_back(batch[len(report.completed) :])
-        if report.failure is not None and self._comes_first(report.failure):
-            self.failure = report.failure
+    def _take(self) -> None:
+        """Keep the results that have come back; wait a moment for the first one."""
+        try:
+            self._keep(self._back.get(timeout=POLL_S))
+            while True:
+                self._keep(self._back.get_nowait())
+        except queue.Empty:
+            return
 
-    def _take_back(self, jobs: Sequence[Job]) -> None:
-        """Put what a batch had no time for to the front again."""
-        self._queue.extendleft(job.index for job in reversed(jobs))
-        self._weight_queued += sum(self._tasks[job.index].weight for job in jobs)
-
-    def _comes_first(self, failure: Failure) -> bool:
-        if self.failure is None or failure.index is None:
-            return True
-        return self.failure.index is not None and failure.index < self.failure.index
+    def _keep(self, future: Future[Any]) -> None:
+        index = self._out.pop(future)
+        try:
+            report: Done | Failure = future.result()
+        except BaseException as error:
+            report = self._executor.explain(error)
+        if isinstance(report, Failure):
+            found = (index if report.of_task else -1, report)
+            self.failure = min(self.failure or found, found, key=lambda failure: failure[0])
+            return
+        task, now = self._tasks[index], self._progress
+        self._store.append(index, task.key, report.text)
+        self._progress = replace(
+            now,
+            done=now.done + 1,
+            weight_done=now.weight_done + task.weight,
+            units=now.units + report.units,
+            running=len(self._out),
+        )

@@ -109,7 +109,7 @@ class Journal:
                 found = object_of(file.readline())
                 if found is None:
                     raise RecordingError(
-                        f"{self.path} was changed by somebody", remedy="run the same command again"
+                        f"{self.path} changed while it was read", remedy="run the same command again"
                     )
                 yield found["result"]
 
@@ -174,9 +174,9 @@ def read_on(path: Path, place: int = 0) -> tuple[list[tuple[str, Any]], int]:
             if not line.endswith(b"\n"):
                 break
             place += len(line)
-            told = object_of(line)
-            if told is not None and "key" in told:
-                found.append((told["key"], told["result"]))
+            entry = object_of(line)
+            if entry is not None and "key" in entry:
+                found.append((entry["key"], entry["result"]))
     return found, place
 
 

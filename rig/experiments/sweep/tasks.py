@@ -1,11 +1,8 @@
 """Long computations: many independent tasks, on all cores or on a cluster, that survive whatever ends the process.
 
-A task is a key and plain data; the work is a function, named by a string, from that data to a result that JSON can
-hold. `run` returns the results in the order of the tasks, the same to the last bit whoever computed them, in whatever
-order, in one go or in ten: results always pass through JSON, which gives floats back as they were.
-
-What is where: `rig.experiments.sweep.coordinator` hands out and keeps, `rig.experiments.sweep.executors` and
-`rig.experiments.sweep.cluster` are where tasks run, `rig.experiments.sweep.journal` is the file.
+A task is a key, a function of a module and plain data, from which that function makes a result that JSON can hold.
+`run` returns the results in the order of the tasks, the same to the last bit on any executor, in any order,
+in one go or in ten: results always pass through JSON, which gives floats back as they were.
 """
 
 from __future__ import annotations
@@ -17,9 +14,8 @@ from pathlib import Path
 from typing import Any, overload
 
 from rig.core.errors import ConfigError, RigError, StoppedError
-from rig.experiments.sweep.cluster import Cluster
-from rig.experiments.sweep.coordinator import Coordinator, Progress, Task
-from rig.experiments.sweep.executors import Order, Threads, as_json
+from rig.experiments.sweep.coordinator import Coordinator, Progress, Task, Watch
+from rig.experiments.sweep.executors import as_json, executor_for
 from rig.experiments.sweep.journal import Journal, Memory
 from rig.realtime.source_files import code_version
 
@@ -77,30 +73,26 @@ class SweepStoppedError(StoppedError):
 
 
 def run(
-    work: str,
     tasks: Sequence[Task],
     *,
     journal: Path | None = None,
     scheduler: str | None = None,
     workers: int | None = None,
     unit: str | None = None,
-    watch: Callable[[Progress], None] | None = None,
+    watch: Watch | None = None,
 ) -> Results:
     """Run all tasks and return their results.
 
     Parameters
     ----------
-    work
-        ``module:function``, imported where it runs: payload (a dict) → result. It must depend on nothing but the
-        payload. Threads run it in this process, several at a time.
     tasks
         What to compute.
     journal
         File that keeps results as they come. What it already holds is not computed again; a finished one returns at
         once. None: results are kept in memory.
     scheduler
-        Address of a Dask scheduler, like ``tcp://10.0.0.5:8786``. It and its workers need the same haptic-rig, the
-        workers also the module of `work`. None: threads of this process.
+        Address of a Dask scheduler, like ``tcp://10.0.0.5:8786``. It and its workers need the same haptic-rig, and the
+        modules of the tasks' functions. None: threads of this process.
     workers
         How many threads. [one for each core that this process may use]
     unit
@@ -112,7 +104,7 @@ def run(
     Raises
     ------
     ConfigError
-        A journal of another plan; work that cannot be imported; no such scheduler; workers with another haptic-rig.
+        A journal of another plan; no such scheduler; workers with another haptic-rig, or without a task's function.
     RecordingError
         The journal cannot be written, or another process writes it.
     TaskError
@@ -120,24 +112,17 @@ def run(
     SweepStoppedError
         Ctrl-C: as above. A second Ctrl-C does not wait for what is running.
     """
-    if scheduler is not None and workers is not None:
-        raise ConfigError(
-            "a scheduler decides on its workers itself",
-            remedy="give either a scheduler or a number of workers",
-        )
-    header = _header(work, tasks)
-    store = Memory(len(tasks)) if journal is None else Journal(journal, header, [task.key for task in tasks])
+    store = _open(tasks, journal)
     try:
         kept = store.done()
         if len(kept) == len(tasks):
             if watch is not None:
                 watch(Progress.begin(tasks, kept, store.damaged))
             return Results(tasks, kept, store)
-        order = Order(work, unit, code_version())
-        executor = Threads(order, workers) if scheduler is None else Cluster(order, scheduler)
+        executor = executor_for(scheduler, workers)
         try:
-            coordinator = Coordinator(tasks, kept, store, executor)
-            coordinator.run(watch)
+            coordinator = Coordinator(tasks, kept, store, executor, unit=unit, watch=watch)
+            coordinator.run()
         finally:
             executor.close()
     finally:
@@ -148,21 +133,20 @@ def run(
 
 
 def run_here(
-    work: str, perform: Callable[[Task], Any], tasks: Sequence[Task], *, journal: Path | None = None
+    name: str, perform: Callable[[Task], Any], tasks: Sequence[Task], *, journal: Path | None = None
 ) -> Results:
     """Run tasks one after the other in the caller's thread, for work with a rig or a person in it.
 
     Parameters
     ----------
-    work
-        What the journal calls it.
+    name
+        What the journal calls the work, in place of the tasks' functions.
     perform
         Does one task and returns what JSON can hold. An exception from it ends the run; what was done is kept.
     tasks, journal
         As in `run`, with the same errors of the journal.
     """
-    header = _header(work, tasks)
-    store = Memory(len(tasks)) if journal is None else Journal(journal, header, [task.key for task in tasks])
+    store = _open(tasks, journal, name)
     try:
         kept = set(store.done())
         for index, task in enumerate(tasks):
@@ -173,18 +157,23 @@ def run_here(
     return Results(tasks, store.done(), store)
 
 
-def _header(work: str, tasks: Sequence[Task]) -> dict[str, Any]:
-    """Return what a journal says first: ``plan`` is a hash of all that decides the results."""
+def _open(tasks: Sequence[Task], journal: Path | None, name: str | None = None) -> Journal | Memory:
+    """Open where results are kept. A journal says first what is computed: ``plan`` is a hash of all that decides it."""
     if len({task.key for task in tasks}) != len(tasks):
         raise ValueError("two tasks have the same key")
     if not all(task.weight > 0.0 for task in tasks):
         raise ValueError("a task's weight is not above zero")
-    code = code_version()
+    works = [task.work_name if name is None else name for task in tasks]
+    local = next((work for work in works if name is None and "<" in work), None)
+    if local is not None:
+        raise ValueError(f"{local} is not a function of a module: neither a journal nor a worker can name it")
+    work, code = ", ".join(dict.fromkeys(works)), code_version()
     digest = sha256(as_json([work, code]).encode())
-    for task in tasks:
-        digest.update(as_json([task.key, task.payload], sort_keys=True).encode())
+    for task, of_task in zip(tasks, works, strict=True):
+        digest.update(as_json([task.key, of_task, task.payload], sort_keys=True).encode())
     first = json.loads(as_json({"key": tasks[0].key, "payload": tasks[0].payload})) if tasks else None
-    return {"work": work, "version": code, "tasks": len(tasks), "plan": digest.hexdigest(), "first": first}
+    plan = {"work": work, "version": code, "tasks": len(tasks), "plan": digest.hexdigest(), "first": first}
+    return Memory(len(tasks)) if journal is None else Journal(journal, plan, [task.key for task in tasks])
 
 
 def _raise_what_ended(
@@ -195,14 +184,15 @@ def _raise_what_ended(
     so_far = f"{len(results)} of {total} tasks are done" + (
         "" if journal is None else f" and kept in {journal}"
     )
-    if failure is not None and failure.index is None:
-        raise ConfigError(failure.message, remedy=failure.remedy)
-    if failure is not None and failure.index is not None:
-        key = tasks[failure.index].key
+    if failure is not None:
+        index, why = failure
+        if not why.of_task:
+            raise ConfigError(why.message, remedy=why.remedy)
+        key = tasks[index].key
         error = TaskError(
-            f"task {key} failed: {failure.message}; {so_far}", remedy=failure.remedy, key=key, results=results
+            f"task {key} failed: {why.message}; {so_far}", remedy=why.remedy, key=key, results=results
         )
-        error.add_note(failure.details)
+        error.add_note(why.details)
         raise error
     if isinstance(interruption, KeyboardInterrupt):
         remedy = "the same command resumes from there" if journal else "name a journal to be able to resume"

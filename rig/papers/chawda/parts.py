@@ -27,10 +27,6 @@ from rig.experiments.searches import Search
 from rig.papers.chawda.readings import read
 from rig.papers.chawda.rigs import FIGURE_3_RATE, FILTERED_SCHEME, Reading, pushed_rig
 
-LINEAR = "rig.papers.chawda.parts:linear"
-CONSTANT = "rig.papers.chawda.parts:constant"
-CONTROL = "rig.papers.chawda.parts:control"
-
 # A rig as linear theory sees it: no friction, next to no quantum.
 IDEAL = {
     "rig.mechanics.motor_coulomb": 0.0,
@@ -56,7 +52,7 @@ def linear(payload: Mapping[str, Any]) -> dict[str, Any]:
 
     None for an estimator that is not linear.
     """
-    experiment = config.experiment_from_mapping(payload["experiment"], "theory")
+    experiment = config.restore_experiment(payload["experiment"])
     scheme, dampings = Scheme.parse(payload["scheme"]), payload["dampings"]
     stable = [limit.stiffness for limit in theory.k_max_curve(experiment, scheme, dampings)]
     loop = linear_loop(experiment, scheme)
@@ -113,7 +109,7 @@ def control(payload: Mapping[str, Any]) -> dict[str, float]:
         ``stiffness``: largest K at B = 0 that the strict test passes, by bisection; ``fidelity``: rms of |Z| with
         no wall.
     """
-    experiment = _ideal(config.experiment_from_mapping(payload["experiment"], "a control"))
+    experiment = _ideal(config.restore_experiment(payload["experiment"]))
     reading = [Reading(low_hz=payload["low_hz"], high_hz=payload["high_hz"], tolerance=0.0)]
     bench = ExcitedRig(experiment)
 

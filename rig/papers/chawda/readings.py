@@ -27,8 +27,6 @@ from rig.experiments.table_one import FrequencyWidth, Spread
 from rig.papers.chawda.rigs import COHERENCE, RESIDUAL, Reading
 from rig.papers.parts import Part
 
-COLUMN = "rig.papers.chawda.readings:column"
-
 Flags = NDArray[np.bool_]
 
 
@@ -66,8 +64,8 @@ class Grid:
                     "signal": self.signal,
                 }
                 runs = len(self.stiffnesses) * self.experiment.excitation.realisations
-                tasks.append(Task(f"{number}/{damping!r}", payload, weight=weight * runs))
-        return Part(COLUMN, tuple(tasks))
+                tasks.append(Task(f"{number}/{damping!r}", column, payload, weight=weight * runs))
+        return tasks
 
 
 def column(payload: Mapping[str, Any]) -> list[list[dict[str, Any]]]:
@@ -76,7 +74,7 @@ def column(payload: Mapping[str, Any]) -> list[list[dict[str, Any]]]:
     ``passive`` is a string of a digit for each reading, ``fidelity`` the rms of |Z| − |K/(jω) + B| in each of `bands`;
     a measurement that the guard ended is passive in none and has no fidelity.
     """
-    experiment = config.experiment_from_mapping(payload["experiment"], "a task of a map")
+    experiment = config.restore_experiment(payload["experiment"])
     readings = [
         Reading(low_hz=low, high_hz=high, tolerance=t, kind=k) for low, high, t, k in payload["readings"]
     ]

@@ -68,7 +68,7 @@ class ChawdaPlan:
         parts["slow-hits"] = koul_parts.map_part(self._slow_hits)
         for stiffness, damping in WALLS[1:]:
             payload: dict[str, Any] = {"stiffness": stiffness, "damping": damping}
-            parts[f"constant/{stiffness:g}"] = part(chawda_parts.CONSTANT, payload, 300.0)
+            parts[f"constant/{stiffness:g}"] = part(chawda_parts.constant, payload, 300.0)
         rig = config.excited(rigs.excited_rig(self._scale))
         for name in (rigs.FDM, rigs.AKF):
             payload = {
@@ -78,11 +78,11 @@ class ChawdaPlan:
                 "low_hz": rigs.LOWEST_HZ[0],
                 "highest_hz": list(rigs.HIGHEST_HZ),
             }
-            parts[f"linear/{name}"] = part(chawda_parts.LINEAR, payload, 500.0)
+            parts[f"linear/{name}"] = part(chawda_parts.linear, payload, 500.0)
         # The printed process noise allows no fine encoder; without damping any filter does.
         for name, scheme in {**rigs.SCHEMES, rigs.AKF: Scheme.parse("uniform:1k,estimator=kalman")}.items():
             payload = chawda_parts.control_payload(rig, scheme, CONTROL_SEARCH, rigs.CONTROL_BAND)
-            parts[f"control/{name}"] = part(chawda_parts.CONTROL, payload, 20.0)
+            parts[f"control/{name}"] = part(chawda_parts.control, payload, 20.0)
         return parts
 
     def results(self, done: Parts) -> Chawda:

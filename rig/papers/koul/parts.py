@@ -31,13 +31,6 @@ from rig.experiments.zwidth import TRUE, MapPlan, run_series
 from rig.papers.koul import compare as compare_koul
 from rig.papers.parts import Part
 
-SERIES = "rig.papers.koul.parts:series"
-RANGE = "rig.papers.koul.parts:damping_range"
-LINEAR = "rig.papers.koul.parts:linear_limits"
-PLANTS = "rig.papers.koul.parts:random_plants"
-WORDS = "rig.papers.koul.parts:word_lengths"
-NOISE = "rig.papers.koul.parts:velocity_noise"
-
 PASSIVE_POINTS = 12  # of the curve below which walls are passive
 
 # --- a series of a map -----------------------------------------------------------------------------------------
@@ -54,8 +47,7 @@ def map_part(plan: MapPlan) -> Part:
     """The series of a map, weighed in hits of a 20 kHz rig."""
     rungs = len(plan.search.rungs)
     hits = {"grid": rungs, "ladder": 0.6 * rungs, "bisection": 4.0 + 2.0 * np.log2(rungs)}[plan.search.way]
-    tasks = tuple(replace(task, weight=float(hits) * task.weight / 20_000) for task in plan.tasks())
-    return Part(SERIES, tasks)
+    return [replace(task, work=series, weight=float(hits) * task.weight / 20_000) for task in plan.tasks]
 
 
 # --- the range of damping of a soft wall, in simulation --------------------------------------------------
@@ -69,12 +61,13 @@ def range_tasks(
     stiffness: float,
     search: Search,
     weight: float,
-) -> tuple[Task, ...]:
+) -> Part:
     """Plan the search for the largest damping of a wall of one stiffness, for each scheme and encoder offset."""
     applied = [scheme.applied(experiment) for scheme in schemes]
     return tuple(
         Task(
             f"{number}/{offset!r}",
+            damping_range,
             {
                 "experiment": config.as_mapping(
                     config.override(applied[number], {"rig.encoder.offset": offset}, "a range")
@@ -91,7 +84,7 @@ def range_tasks(
 
 def damping_range(payload: Mapping[str, Any]) -> dict[str, Any]:
     """Largest damping at one stiffness, by criterion: the same search as through stiffnesses, through dampings."""
-    simulator = HitSimulator(config.experiment_from_mapping(payload["experiment"], "a range"))
+    simulator = HitSimulator(config.restore_experiment(payload["experiment"]))
     tried: dict[str, dict[float, bool | None]] = {criterion: {} for criterion in CRITERIA}
 
     def hit(damping: float) -> Outcomes:
@@ -169,7 +162,7 @@ def linear_limits(payload: Mapping[str, Any]) -> dict[str, Any]:
 
     With ``islands`` the range beyond gaps. With ``rates`` in the payload instead: K_max at B = 0 for each uniform rate.
     """
-    experiment = config.experiment_from_mapping(payload["experiment"], "theory")
+    experiment = config.restore_experiment(payload["experiment"])
     if "rates" in payload:
         schemes = [
             Scheme(position_rate=rate, velocity_rate=rate, estimator="fdm") for rate in payload["rates"]

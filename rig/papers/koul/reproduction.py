@@ -58,7 +58,7 @@ class KoulPlan:
         for (preset, lag), plan in self._kmax.items():
             parts[f"kmax/{preset}/{lag}"] = koul_parts.map_part(plan)
             parts[f"kmax-theory/{preset}/{lag}"] = part(
-                koul_parts.LINEAR,
+                koul_parts.linear_limits,
                 {"experiment": config.as_mapping(plan.experiment), "rates": scale.rates},
                 5.0 * len(scale.rates),
             )
@@ -74,7 +74,7 @@ class KoulPlan:
         for idea in self._ideas:
             parts[f"idea/{idea.key}"] = koul_parts.map_part(self._idea_maps[idea.key])
             parts[f"idea-linear/{idea.key}"] = part(
-                koul_parts.LINEAR,
+                koul_parts.linear_limits,
                 {
                     "experiment": config.as_mapping(idea.experiment()),
                     "scheme": idea.scheme.text,
@@ -93,11 +93,11 @@ class KoulPlan:
                 "islands": [list(rigs.SCHEMES).index(key) for key in (rigs.DUAL, rigs.SLOW)],
                 "seed": rigs.SEED,
             }
-            parts[f"plants/{number}"] = part(koul_parts.PLANTS, payload, 50.0 * len(chunk))
-        parts["noise"] = part(koul_parts.NOISE, {"offsets": scale.impact_offsets}, 60.0)
+            parts[f"plants/{number}"] = part(koul_parts.random_plants, payload, 50.0 * len(chunk))
+        parts["noise"] = part(koul_parts.velocity_noise, {"offsets": scale.impact_offsets}, 60.0)
         for bits in scale.state_bits:
             payload = {"bits": bits, "offsets": scale.impact_offsets}
-            parts[f"words/{bits}"] = part(koul_parts.WORDS, payload, 60.0)
+            parts[f"words/{bits}"] = part(koul_parts.word_lengths, payload, 60.0)
         return parts
 
     def results(self, done: Parts) -> Koul:
@@ -195,7 +195,7 @@ class KoulPlan:
 
     def _ranges(self, experiment: Experiment, schemes: Sequence[Scheme] | None = None) -> Part:
         search = Search(way="bisection", lowest=0.02, highest=10.0, ratio=self._scale.range_ratio)
-        tasks = koul_parts.range_tasks(
+        return koul_parts.range_tasks(
             experiment,
             schemes or tuple(rigs.SCHEMES.values()),
             self._scale.offsets,
@@ -203,7 +203,6 @@ class KoulPlan:
             search=search,
             weight=15.0,
         )
-        return Part(koul_parts.RANGE, tasks)
 
     def _ranges_of(self, results: Sequence[Any]) -> dict[str, dict[str, Range]]:
         found = koul_parts.ranges_of(results, len(self._scale.offsets))
@@ -220,7 +219,7 @@ class KoulPlan:
             "islands": main and self._scale.theory_points > rigs.QUICK.theory_points,
             "passivity": main,
         }
-        return part(koul_parts.LINEAR, payload, 100.0 if main else 30.0)
+        return part(koul_parts.linear_limits, payload, 100.0 if main else 30.0)
 
 
 def _search(experiment: Experiment, way: Way, ratio: float) -> Search:

@@ -1,7 +1,7 @@
 """The view of maps: what a page is told of a directory that grows, and a map that it starts is the command's."""
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from rig.console.maps import Maps, Watched
 from rig.console.requests import request_of
 from rig.core.errors import ConfigError, RecordingError, RigError
 from rig.experiments import maps
-from rig.experiments.sweep import Task, run_here
+from rig.experiments.sweep import run_here
 from rig.experiments.sweep.journal import Journal, read_on
 from rig.recording.reader import open_recording
 from tests.conformance.maps import SHORT, short_map
@@ -103,7 +103,7 @@ def test_what_a_journal_gains_is_told_once_and_who_writes_it_makes_it_running(
     one = map_errands.growth(str(growing), first["place"])
     assert [column["key"] for column in one["columns"]] == [json.loads(lines[1][9:])["key"]]
     (growing / maps.JOURNAL).write_bytes(b"".join(lines))
-    tasks = PLAN.tasks()
+    tasks = PLAN.tasks
     plan = json.loads(lines[0][9:])
     held = Journal(
         growing / maps.JOURNAL, {k: v for k, v in plan.items() if k != "sweep"}, [t.key for t in tasks]
@@ -154,7 +154,8 @@ def test_a_hit_of_a_device_is_the_recording_that_it_left(tmp_path: Path) -> None
     place, series = tmp_path / "maps" / "of-a-rig", PLAN.series()[0]
     maps._write_plan(PLAN, place, "serial:///dev/rig")
     row = {"stiffness": 10.0, "recording": "koul-1.parquet", "kind": "stable"}
-    run_here("serial:///dev/rig", lambda task: [row], [Task(series.key, {})], journal=place / maps.JOURNAL)
+    task = replace(PLAN.tasks[0], key=series.key)
+    run_here("serial:///dev/rig", lambda task: [row], [task], journal=place / maps.JOURNAL)
     with pytest.raises(RecordingError, match=r"koul-1\.parquet is no longer there"):
         map_errands.recorded(str(place), series.key, 10.0, str(tmp_path / "out"))
     (place / maps.RECORDINGS).mkdir()

@@ -165,7 +165,7 @@ def test_cells_end_half_way_to_their_neighbours() -> None:
 def test_what_theory_says_nothing_about_is_refused(experiment: Any, changes: Any, text: str) -> None:
     changed = config.override(experiment, changes)
     with pytest.raises(PlanError, match=text):
-        plan_of(changed, "dual:20k/2k", (0.0,), Search(lowest=10.0, highest=90.0, ratio=3.0)).check()
+        _ = plan_of(changed, "dual:20k/2k", (0.0,), Search(lowest=10.0, highest=90.0, ratio=3.0)).tasks
 
 
 def test_the_paragraph_has_every_scheme_its_share_and_its_causes(experiment: Any) -> None:

@@ -1,6 +1,7 @@
 """A map on disk: units, a table that others open, and a finished map that is read instead of computed."""
 
 import json
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,8 +16,9 @@ import pandas as pd
 import pyarrow.parquet as pq
 
 from rig import config
+from rig.config import load
 from rig.core.errors import RecordingError
-from rig.experiments import maps, zwidth
+from rig.experiments import maps
 from rig.experiments.sweep import executors
 from rig.experiments.sweep.journal import read_on
 from rig.recording.reader import open_recording
@@ -56,10 +58,25 @@ def test_the_summary_holds_the_whole_experiment(place: Any) -> None:
 
 
 def test_a_finished_map_is_read_again_without_a_hit(place: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(zwidth, "run_series", None)
-    monkeypatch.setattr(executors, "find_work", None)
+    monkeypatch.setattr(executors, "Threads", None)
     found = maps.map_into(PLAN, place)
     assert found.hits == json.loads((place / maps.SUMMARY).read_text())["hits"]
+
+
+def test_each_series_of_a_plan_is_checked_once_and_never_where_it_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    checked: Counter[tuple[float, float]] = Counter()
+    broken_rules = load.broken_rules
+
+    def counted(x: config.Experiment) -> Any:
+        checked[x.wall.damping, x.rig.encoder.offset] += 1
+        return broken_rules(x)
+
+    monkeypatch.setattr(load, "broken_rules", counted)
+    plan = short_map(0.2, 0.7)
+    maps.map_into(plan, maps.directory_for(plan, tmp_path, "zwidth"), workers=1)
+    assert [checked[one.damping, one.offset] for one in plan.series()] == [1, 1, 1, 1]
 
 
 def test_the_place_depends_on_all_that_decides_and_on_the_device(tmp_path: Path) -> None:

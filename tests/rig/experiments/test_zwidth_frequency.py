@@ -206,14 +206,13 @@ def test_the_same_bytes_from_one_worker_two_and_after_a_stop(tmp_path: Path) -> 
     one = zwidth(asked, workers=1)
     two = zwidth(asked, workers=2)
     journal = tmp_path / "journal"
-    tasks = asked.tasks()
 
     def stop(progress: Any) -> None:
         if progress.done:
             raise KeyboardInterrupt
 
     with pytest.raises(sweep.SweepStoppedError):
-        sweep.run(asked.work, tasks, journal=journal, workers=1, unit="runs", watch=stop)
+        sweep.run(asked.tasks, journal=journal, workers=1, unit="runs", watch=stop)
     went_on = zwidth(asked, journal=journal)
     texts = {json.dumps(list(found.columns)) for found in (one, two, went_on)}
     assert len(texts) == 1

@@ -198,8 +198,8 @@ def test_every_scale_plans_every_part_once_and_in_plain_data() -> None:
     quick, full = (chawda.ChawdaPlan(scale).parts() for scale in (QUICK, FULL))
     assert set(quick) == set(full)  # nothing is left out when it is quick
     for part in quick.values():
-        assert len({task.key for task in part.tasks}) == len(part.tasks)
-        json.dumps([task.payload for task in part.tasks], allow_nan=False)
+        assert len({task.key for task in part}) == len(part)
+        json.dumps([task.payload for task in part], allow_nan=False)
 
 
 def test_schemes_can_run_on_their_rigs_and_table_one_is_in_their_order() -> None:

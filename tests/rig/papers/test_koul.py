@@ -18,7 +18,7 @@ from rig.papers.koul import reproduction as koul
 from rig.papers.koul import rules as koul_rules
 from rig.papers.koul import ways as koul_ways
 from rig.papers.koul.rigs import DUAL, FULL, HELD, MAIN, QUICK, SCHEMES, SLOW
-from rig.papers.parts import Part, part, run_parts
+from rig.papers.parts import part, run_parts
 from rig.papers.rules import Status, each, judge, judge_settable, judge_share, within
 
 RATES = (1000, 2000, 20_000, 50_000)
@@ -183,8 +183,8 @@ def test_every_scale_plans_every_part_once_and_in_plain_data() -> None:
     names = {name.partition("/")[0] for name in full}
     assert names == {name.partition("/")[0] for name in quick}  # nothing is left out when it is quick
     for some in quick.values():
-        assert len({task.key for task in some.tasks}) == len(some.tasks)
-        json.dumps([task.payload for task in some.tasks], allow_nan=False)
+        assert len({task.key for task in some}) == len(some)
+        json.dumps([task.payload for task in some], allow_nan=False)
 
 
 def test_ideas_differ_in_key_and_are_all_possible_on_their_rig() -> None:
@@ -241,9 +241,9 @@ def test_ranges_are_the_same_whoever_computes_them() -> None:
     tasks = koul_parts.range_tasks(held, schemes, (0.1,), stiffness=50.0, search=search, weight=1.0)
     plants = {"schemes": [s.text for s in schemes], "numbers": [0, 1], "seed": 3, "islands": [0, 1]}
     parts = {
-        "range": Part(koul_parts.RANGE, tasks),
-        "plants": part(koul_parts.PLANTS, plants, 1.0),
-        "noise": part(koul_parts.NOISE, {"offsets": [0.4]}, 1.0),
+        "range": tasks,
+        "plants": part(koul_parts.random_plants, plants, 1.0),
+        "noise": part(koul_parts.velocity_noise, {"offsets": [0.4]}, 1.0),
     }
     one, two = (run_parts(parts, workers=workers) for workers in (1, 2))
     found = [json.dumps({name: list(of) for name, of in done.results.items()}) for done in (one, two)]
