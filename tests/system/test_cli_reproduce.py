@@ -28,7 +28,9 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Any:
 
 @pytest.mark.usefixtures("coarse")
 @pytest.mark.timeout(300)  # compiles everything when it is cold
-@pytest.mark.exhaustive("::test_quick_reproduces_the_second_paper_too")
+@pytest.mark.exhaustive(
+    "tests/rig/papers/test_reproduction.py::test_the_command_writes_one_report_and_resumes_from_its_journal"
+)
 def test_quick_reproduces_the_paper_in_one_report_and_goes_on_from_its_journal(
     place: Any, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -65,6 +67,9 @@ def test_quick_reproduces_the_paper_in_one_report_and_goes_on_from_its_journal(
 
 @pytest.mark.usefixtures("coarse")
 @pytest.mark.timeout(300)
+@pytest.mark.exhaustive(
+    "tests/rig/papers/test_reproduction.py::test_the_command_writes_one_report_and_resumes_from_its_journal"
+)
 def test_quick_reproduces_the_second_paper_too(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     assert rig.cli.run(["reproduce", "chawda", "--quick", "--json", *ALONE, "-o", str(tmp_path)]) == 0
     found = json.loads(capfd.readouterr().out)

@@ -14,10 +14,14 @@ from typing import Any
 import pytest
 from jinja2 import UndefinedError
 
+import rig.cli
+from rig.cli.reproduce import PAPERS
+from rig.experiments.sweep import Task
 from rig.papers import reproduction
 from rig.papers.chawda.reproduction import CHAWDA
 from rig.papers.claims import read_claims
 from rig.papers.koul.reproduction import KOUL
+from rig.papers.parts import Part, Parts
 from rig.papers.reproduction import Paper, Reproduction, draw_into, render, write_report
 from rig.papers.rules import Ruling, Status
 from rig.views.report import template, writing
@@ -279,6 +283,45 @@ def test_pictures_lie_beside_the_report_by_paper_and_name(templates: None, tmp_p
     made = replace(made_up(), paper=replace(paper(), pictures=drawn))
     assert draw_into(made, tmp_path, "svg") == {name: tmp_path / f"made-up-{name}.svg" for name in drawn}
     assert {path.name for path in tmp_path.iterdir()} == {"made-up-one.svg", "made-up-two.svg"}
+
+
+class Sums:
+    """A plan of three tasks."""
+
+    def parts(self) -> dict[str, Part]:
+        tasks = tuple(Task(str(n), {"number": n}, 1.0) for n in range(3))
+        return {"sums": Part("tests.conformance.sweep_work:raise_when_told", tasks)}
+
+    def results(self, done: Parts) -> int:
+        return sum(done.results["sums"])
+
+
+def test_the_command_writes_one_report_and_resumes_from_its_journal(
+    templates: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    known = replace(
+        paper(),
+        quick=SimpleNamespace(name="quick"),
+        plan=lambda _: Sums(),
+        numbers=lambda found: {"sum": found},
+        pictures={"drawn": lambda _, path: path.write_bytes(PNG), "failed": lambda _, path: 1 / 0},
+    )
+    monkeypatch.setitem(PAPERS, "koul", known)
+    command = ["reproduce", "koul", "--quick", "--json", "--workers", "1", "-o", str(tmp_path)]
+    told = []
+    for kept in (0, 3):
+        assert rig.cli.run(command) == 0
+        out, err = capfd.readouterr()
+        told.append(json.loads(out))
+        assert (told[-1]["kept"], told[-1]["numbers"]) == (kept, {"sum": 3})
+        assert "no picture" in err
+    assert told[0]["claims"] == told[1]["claims"]
+    page = _Page(Path(told[0]["report"]).read_text(encoding="utf-8"))
+    assert "figure-5" in page.ids
+    assert sum(source.startswith("data:image/png;base64,") for source in page.sources) == 1
+    assert rig.cli.run([*command[:3], "-o", str(tmp_path)]) == 0
+    printed = capfd.readouterr().out
+    assert all(claim["claim"] in printed for claim in told[0]["claims"])
 
 
 def test_a_page_that_calls_for_what_it_does_not_get_is_an_error(templates: None) -> None:
