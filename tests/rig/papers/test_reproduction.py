@@ -25,6 +25,7 @@ from rig.papers.parts import Part, Parts
 from rig.papers.reproduction import Paper, Reproduction, draw_into, render, write_report
 from rig.papers.rules import Ruling, Status
 from rig.views.report import template, writing
+from tests.conformance.sweep_work import raise_as_given
 
 NASTY = "</script><script>alert('K < B & \"C\"')</script>"
 PNG = b"\x89PNG\r\n\x1a\nnot a picture"
@@ -289,8 +290,7 @@ class Sums:
     """A plan of three tasks."""
 
     def parts(self) -> dict[str, Part]:
-        tasks = tuple(Task(str(n), {"number": n}, 1.0) for n in range(3))
-        return {"sums": Part("tests.conformance.sweep_work:raise_when_told", tasks)}
+        return {"sums": [Task(str(n), raise_as_given, {"number": n}, 1.0) for n in range(3)]}
 
     def results(self, done: Parts) -> int:
         return sum(done.results["sums"])
