@@ -18,138 +18,22 @@ import click
 from rig.cli.compiling import EXPECTED, CompilingNotice
 from rig.cli.lazy import LazyGroup
 from rig.cli.output import error_facts, for_terminal, print_json
+from rig.cli.table import COMMANDS, TITLES
 from rig.core.errors import ConfigError, RigError
 from rig.core.namesakes import explain_failure, wrong_package
 from rig.realtime import compiling
 
-# Group of `rig --help` → command → module:attribute, and the line that is shown without importing it.
-GROUPS: dict[str, dict[str, tuple[str, str]]] = {
-    "Run": {
-        "new": (
-            "rig.cli.new:new",
-            "Write an experiment file for a rig of your own from the data sheets of motor and encoder.",
-        ),
-        "plan": (
-            "rig.cli.plan:plan",
-            "Check an experiment before it runs, and list what it will do: nothing moves.",
-        ),
-        "hit": ("rig.cli.hit:hit", "Hit a virtual wall: run, judge, record and draw one automated trial."),
-        "preset": (
-            "rig.cli.preset:preset",
-            "List the built-in rigs, print one as a file to start from, or the schema of such files.",
-        ),
-    },
-    "Measure a rig": {
-        "check": (
-            "rig.cli.check:check",
-            "MOVE THE MOTOR by four small pushes: does the free handle move as the rig is described?",
-        ),
-        "reference": (
-            "rig.cli.reference:reference",
-            "Find position zero by the encoder's index and a limit switch, once after power-up.",
-        ),
-        "identify": (
-            "rig.cli.identify:identify",
-            "Identify a rig: signs, friction, inertia, damping, delay, first mode.",
-        ),
-        "impedance": (
-            "rig.cli.impedance:impedance",
-            "Measure the impedance of a rig and its walls: passive or not, and how faithful.",
-        ),
-    },
-    "Rates and estimators": {
-        "zwidth": (
-            "rig.cli.zwidth:zwidth",
-            "Map the walls (K, B) that a rig renders stably, scheme by scheme.",
-        ),
-        "compare": (
-            "rig.cli.compare:compare",
-            "Compare one simulated hit without damping, with uniform and with dual-rate sampling.",
-        ),
-        "design": (
-            "rig.cli.design:design_",
-            "Find rates, estimator and filter for a rig, for stated wishes, with their margin.",
-        ),
-        "kmax": ("rig.cli.kmax:kmax", "Find the stiffest undamped wall at each sampling rate."),
-        "theory": (
-            "rig.cli.theory:theory",
-            "Say which walls are stable on a rig by exact linear theory, and what binds.",
-        ),
-        "limit-cycles": (
-            "rig.cli.limit_cycles:limit_cycles",
-            "Predict how the encoder's quantum makes walls oscillate, and simulate the same walls.",
-        ),
-        "plot": ("rig.cli.plot:plot", "Draw what the theory says: levant-regions."),
-        "estimators": (
-            "rig.cli.estimators:estimators",
-            "List, compare and tune velocity estimators, and take one out as C.",
-        ),
-        "reproduce": (
-            "rig.cli.reproduce:reproduce",
-            "Reproduce a paper: figures, claims and open ideas, as one report.",
-        ),
-    },
-    "People": {
-        "session": (
-            "rig.cli.session:session",
-            "Run wall-hit experiments with people: protocol, sessions, analysis.",
-        ),
-    },
-    "Recordings": {
-        "show": ("rig.cli.show:show", "Show what a recording holds, its verdict and its picture."),
-        "replay": ("rig.cli.replay:replay", "Run a recording's inputs through the same or another law."),
-        "timing": (
-            "rig.cli.timing:timing",
-            "Show where the time of each tick of a recording went, and its worst ticks.",
-        ),
-        "export": ("rig.cli.export:export", "Write a recording as CSV, X-Y, Parquet, MAT or MCAP."),
-        "recover": ("rig.cli.recover:recover", "Seal what a crash left unsealed, and say what it cost."),
-    },
-    "Live": {
-        "console": (
-            "rig.cli.console:console",
-            "See and touch a rig in the browser: scope, wall, handle, STOP.",
-        ),
-        "stop": ("rig.cli.stop:stop", "Stop the loops that run in real time, from any terminal."),
-        "set": ("rig.cli.set:set_", "Change the wall of a loop that runs in real time."),
-        "lsl": ("rig.cli.lsl:lsl", "Stream the running loop by Lab Streaming Layer: samples and markers."),
-    },
-    "Hardware": {
-        "devices": (
-            "rig.cli.devices:devices",
-            "List device backends and ports, or ask one device who it is and what is active there.",
-        ),
-        "doctor": (
-            "rig.cli.doctor:doctor",
-            "Report what this machine and a link can do, which walls that supports, and what fixes the rest.",
-        ),
-        "firmware": (
-            "rig.cli.firmware:firmware",
-            "Build the firmware of a controller board for a rig, flash it, have it test itself.",
-        ),
-        "bridge": ("rig.cli.bridge:bridge", "Run a bridge to a drive that you own: moteus, ODrive."),
-        "sim": ("rig.cli.sim:sim", "Serve a simulated rig on a serial port of its own."),
-    },
-    "This program": {
-        "docs": ("rig.cli.docs:docs", "Build these documents as a site, and open it in the browser."),
-        "completion": (
-            "rig.cli.completion:completion",
-            "Print the script by which a shell completes commands, rigs, estimators, schemes and recordings.",
-        ),
-    },
-}
-COMMANDS = {name: command for group in GROUPS.values() for name, command in group.items()}
-
 
 @click.group(
-    cls=LazyGroup, table=COMMANDS, groups=GROUPS, context_settings={"help_option_names": ["-h", "--help"]}
+    cls=LazyGroup, table=COMMANDS, titles=TITLES, context_settings={"help_option_names": ["-h", "--help"]}
 )
 @click.version_option(package_name="haptic-rig", prog_name="rig")
 def rig() -> None:
     """Run 1-DOF haptic rigs: dual-rate virtual walls, velocity estimators, wall-hit experiments.
 
-    Try it without hardware: `rig hit`. A rig of your own begins with `rig new`. Every command takes --help, and --json
-    for machines.
+    Try it without hardware: `rig hit`. A rig of your own begins with `rig experiment new`. Every command takes --help,
+    and --json for machines. For completion, put eval "$(_RIG_COMPLETE=bash_source rig)" into ~/.bashrc; zsh and fish
+    likewise.
     """
 
 
@@ -159,7 +43,7 @@ def main(obj: object = None) -> None:
     for library in ("OPENBLAS", "MKL"):
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     if isinstance(sys.stdout, io.TextIOWrapper):
-        # A program reads it, or a file keeps it (`rig preset … > mine.toml`): JSON and TOML are UTF-8 in every locale.
+        # A program reads it, or a file stores it (`rig experiment preset … > mine.toml`): UTF-8 in every locale.
         encoding = None if sys.stdout.isatty() else "utf-8"
         # A file's name need not be text, and \udcff is JSON.
         sys.stdout.reconfigure(encoding=encoding, errors="backslashreplace")

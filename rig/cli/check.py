@@ -1,4 +1,4 @@
-"""``rig check``."""
+"""``rig device check``."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from rig.experiments.pulse import NO_HANDS, PUSHES, check_rig_moves, energy_of
 @options.request_options(FreeRigRequest, options.free_rig_options)
 @options.json_option
 def check(request: FreeRigRequest, as_json: bool) -> None:
-    """Move the motor by four small pushes, and compare the motion with the described one: direction, size, delay.
+    """MOVE THE MOTOR by four small pushes, and compare the motion with the described one: direction, size, delay.
 
     Two pushes each way end after a few counts whatever the signs are. Keep hands off the handle. It finds a dead or
     reversed motor, a dead or swapped encoder and a wrong scale without any current sensor; sessions on a real rig do

@@ -87,12 +87,6 @@ class Command(click.Command):
             return super().invoke(ctx)
 
 
-class Group(click.Group):
-    """A group of such commands."""
-
-    command_class = Command
-
-
 def command(name: str | None = None, *, quiet: bool = True) -> Callable[[Callable[..., Any]], Command]:
     """Make a function a command, as `click.command` does."""
     return click.command(name, cls=Command, quiet=quiet)

@@ -15,7 +15,7 @@ import click
 from click.shell_completion import BashComplete, FishComplete, ShellComplete, ZshComplete, split_arg_string
 
 from rig.cli import values
-from rig.core.errors import ConfigError
+from rig.cli.listing import listing
 
 ASKED = "_RIG_COMPLETE"  # variable by which a shell's script asks
 
@@ -56,28 +56,20 @@ class Bash(BashComplete):
         return (words, "") if line.endswith(" ") else (words[:-1], words[-1] if words else "")
 
 
-_CLASSES: dict[str, type[ShellComplete]] = {"bash": Bash, "zsh": ZshComplete, "fish": FishComplete}
-
-
-SHELLS = tuple(_CLASSES)
-
-
-def script(shell: str) -> str:
-    """The script for a shell, one of `SHELLS`."""
-    known = _CLASSES.get(shell)
-    if known is None:
-        raise ConfigError(f"there is no completion for {shell}", remedy=f"choose one of: {', '.join(SHELLS)}")
-    asking = known(click.Group("rig"), {}, "rig", ASKED)
-    return (asking.source_template % asking.source_vars()).strip()
+SHELLS: dict[str, type[ShellComplete]] = {"bash": Bash, "zsh": ZshComplete, "fish": FishComplete}
 
 
 def answer(instruction: str) -> int:
-    """Answer a shell's script: ``bash_complete``; the words come by its variables. Returns the exit code."""
+    """Answer a shell, as click does: ``bash_source`` asks for its script, and that for ``bash_complete``.
+
+    The words come by the script's variables. Returns the exit code.
+    """
     shell, _, what = instruction.partition("_")
-    known = _CLASSES.get(shell)
-    if known is None or what != "complete":
+    known = SHELLS.get(shell)
+    if known is None or what not in ("source", "complete"):
         return 1
-    click.echo(known(tree(values.table()), {}, "rig", ASKED).complete())
+    asked = known(tree(listing()), {}, "rig", ASKED)
+    click.echo(asked.source_template % asked.source_vars() if what == "source" else asked.complete())
     return 0
 
 

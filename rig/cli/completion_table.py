@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import click
 
 from rig import cli
-from rig.cli import values
+from rig.cli import listing, values
 from rig.control import estimators
 from rig.core.signals import SIGNALS
 
@@ -32,7 +33,7 @@ def _rows(group: click.Group, above: str) -> Iterator[tuple[str, dict[str, Any]]
     for last in group.list_commands(context):
         one, name = group.get_command(context, last), f"{above} {last}".strip()
         if isinstance(one, click.Group):
-            yield name, {"help": one.get_short_help_str(100)}
+            yield name, {"help": one.get_short_help_str(120)}
             yield from _rows(one, name)
         elif one is not None:
             yield name, _row(one)
@@ -41,7 +42,7 @@ def _rows(group: click.Group, above: str) -> Iterator[tuple[str, dict[str, Any]]
 def _row(one: click.Command) -> dict[str, Any]:
     taken = [parameter for parameter in one.params if isinstance(parameter, click.Option)]
     return {
-        "help": one.get_short_help_str(100),
+        "help": one.get_short_help_str(120),
         "options": {" ".join([*each.opts, *each.secondary_opts]): _kind(each) for each in taken},
         "arguments": [[_kind(each), each.nargs] for each in one.params if isinstance(each, click.Argument)],
     }
@@ -60,4 +61,4 @@ def _kind(parameter: click.Parameter) -> Any:
 
 
 if __name__ == "__main__":
-    values.TABLE.write_text(made(), encoding="utf-8")
+    Path(listing.FILE).write_text(made(), encoding="utf-8")

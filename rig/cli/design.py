@@ -32,7 +32,7 @@ from rig.experiments.design import (
 )
 from rig.experiments.design.device import places_of
 from rig.experiments.design.linear import STAGE
-from rig.experiments.ranges import SPAN, hit_plan
+from rig.experiments.ranges import hit_plan, search_for
 from rig.experiments.results import write_document
 from rig.experiments.sweep import Progress
 from rig.recording.files import whole_file
@@ -114,7 +114,7 @@ ON_RIG_COLUMNS, ON_RIG_RATIO = 3, 1.06  # of the map on a rig: dampings, and sti
     help="Hold all of the set against the schemes of the rig's own paper, too, in each of its measures.",
 )
 @options.workers_option
-@option("--scheduler", metavar="tcp://HOST:PORT", help="Run on a Dask cluster (haptic-rig[cluster]).")
+@options.scheduler_option
 @options.url_option("simulates without a link")
 @options.verified_option
 @options.confirm_option(CONFIRM, "each hit; no with a simulated device")
@@ -317,7 +317,7 @@ def _on_rig(
             experiment,
             [one.scheme],
             dampings=sorted({top * n / ON_RIG_COLUMNS for n in range(ON_RIG_COLUMNS)}),
-            search=map_options.search(experiment, None, "bisection", ON_RIG_RATIO, SPAN, device=True),
+            search=search_for(experiment, "bisection", ratio=ON_RIG_RATIO, on_device=True),
             on_device=True,
         )
         _, mapped = Dialogue(plan, url, realtime=False, confirm=confirm).map(place, verified=verified)

@@ -1,4 +1,4 @@
-"""``rig docs``."""
+"""``rig serve docs``."""
 
 from __future__ import annotations
 

@@ -11,11 +11,11 @@ import click
 
 from rig import config
 from rig.cli import options, output, values
-from rig.cli.command import Group, option
+from rig.cli.command import command, option
 from rig.control import estimators as family
 from rig.core.errors import ConfigError
 from rig.core.present import Row, Table, plain
-from rig.core.sample import Motion, unit_of
+from rig.core.sample import unit_of
 from rig.core.signals import SIGNALS
 from rig.experiments import estimators as experiment
 from rig.experiments.cases import Case, recording_case, signal_case
@@ -25,8 +25,6 @@ from rig.experiments.judgement import experiment_of
 from rig.experiments.lipschitz import lipschitz_of
 from rig.experiments.tuning import Tuning, shown_range
 from rig.experiments.tuning import tune as run
-from rig.recording.counts import UNITS_S, count_rows, counts_facts, read_counts
-from rig.recording.export import export as write
 from rig.recording.reader import open_recording
 from rig.views.plots.estimators import draw_comparison
 
@@ -41,12 +39,7 @@ resolution_option = option(
 )
 
 
-@click.group(cls=Group)
-def estimators() -> None:
-    """List the velocity estimators, compare them on motions that are known, tune one to a motion."""
-
-
-@estimators.command("list")
+@command("list")
 @click.argument("names", nargs=-1, type=values.ESTIMATOR)
 @option("--rate", default=DEFAULT_RATE, show_default=True, help="Velocity rate at which the delay is stated.")
 @options.json_option
@@ -84,7 +77,7 @@ def _facts(name: str, case: Case, hertz: int) -> dict[str, Any]:
     }
 
 
-@estimators.command()
+@command()
 @click.argument("recordings", nargs=-1, type=values.RECORDING)
 @options.signal_option("signals", help=f"Reference signal. [{DEFAULT_SIGNAL}]", multiple=True)
 @option("--rate", "rates", help=f"Velocity rates. [{DEFAULT_RATES}; of a recording: its own]")
@@ -130,7 +123,7 @@ def compare(
         output.print_pairs([("picture", str(picture.drawn))])
 
 
-@estimators.command()
+@command()
 @click.argument("estimator", type=values.ESTIMATOR)
 @click.argument("recording", required=False, type=values.RECORDING)
 @options.signal_option(default=DEFAULT_SIGNAL, show_default=True, help="Reference signal, without RECORDING.")
@@ -181,65 +174,7 @@ def tune(
     output.print_pairs([("written", str(path))])
 
 
-@estimators.command("import")
-@click.argument("file", type=click.Path(path_type=Path))
-@option("--count", required=True, help="Column of counts: its name, or its number from 0.")
-@option("--time-column", "time", help="Column of times: its name, or its number from 0.")
-@option("--time-unit", default="s", show_default=True, type=click.Choice(tuple(UNITS_S)), help="Of times.")
-@option("--period", type=float, help="s between two rows, instead of --time-column.")
-@option("--width", type=int, help="Bits of the counter, if it wraps at fewer than 32.")
-@option("--resolution", type=float, required=True, help="rad or m a count; negative if counts fall.")
-@option(
-    "--motion", type=click.Choice(("rotary", "linear")), default="rotary", show_default=True, help="rad or m."
-)
-@option("--delimiter", help="Between columns. [semicolon, tab or comma, as the first line has it]")
-@options.output_option(None, "Recording to write. [FILE.parquet]", "target")
-@options.overwrite_option
-@options.json_option
-def import_(
-    file: Path,
-    count: str,
-    time: str | None,
-    time_unit: str,
-    period: float | None,
-    width: int | None,
-    resolution: float,
-    motion: Motion,
-    delimiter: str | None,
-    target: Path | None,
-    overwrite: bool,
-    as_json: bool,
-) -> None:
-    """Make a recording of FILE, a CSV of times and counts from another logger.
-
-    `compare`, `tune` and `rig show` take it. Lost samples are found by the times and by empty cells; an interval may
-    differ from whole periods by 10 % of one.
-    """
-    recording = read_counts(
-        file,
-        count=_column(count),
-        resolution=resolution,
-        time=None if time is None else _column(time),
-        time_unit=time_unit,
-        period_s=period,
-        width=width,
-        motion=motion,
-        delimiter=delimiter,
-    )
-    path = write(recording, target or file.with_suffix(".parquet"), "parquet", overwrite=overwrite)
-    facts = counts_facts(recording) or {}
-    if as_json:
-        output.print_json({**facts, "rows": len(recording), "recording": path})
-        return
-    rows = Row("rows", len(recording), note=f"{recording.time_s[-1]:.6g} s")
-    output.print_rows([rows, *count_rows(facts, motion), Row("written", str(path))])
-
-
-def _column(text: str) -> str | int:
-    return int(text) if text.isdecimal() else text
-
-
-@estimators.command()
+@command()
 @click.argument("estimator", type=values.ESTIMATOR)
 @click.argument("recording", required=False, type=values.RECORDING)
 @options.rig_option("that of RECORDING, or koul-compliant")
@@ -385,7 +320,7 @@ def _variant(text: str) -> Variant:
     return Variant(name, settings)
 
 
-@estimators.command()
+@command()
 @click.argument("recording", type=values.RECORDING)
 @option("--sines", type=click.IntRange(1, 40), default=6, show_default=True, help="Sines in the fit.")
 @options.json_option

@@ -1,4 +1,4 @@
-"""``rig export``."""
+"""``rig recording export``."""
 
 from __future__ import annotations
 

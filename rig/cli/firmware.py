@@ -20,19 +20,15 @@ from rig.bench.firmware.selftest import selftest as run
 from rig.bench.firmware.wiring import draw
 from rig.bench.firmware.wiring import wiring as wired
 from rig.cli import options, output, values
-from rig.cli.command import Group, option
-from rig.config import amplifiers, presets
+from rig.cli.command import command, option
+from rig.config import amplifiers as profiles
+from rig.config import presets
 from rig.config.files import read_toml
 from rig.core.errors import IncompatibleDeviceError
 from rig.devices import open_device, open_link
 
 DEFAULT_BOARD = "rp2040"
 _LISTED = ("name", "description", "rate_maximum", "settings")
-
-
-@click.group(cls=Group)
-def firmware() -> None:
-    """The firmware of a controller board: build it for a rig, inspect it, flash it, test it."""
 
 
 board_option = option(
@@ -50,7 +46,7 @@ pins_option = option(
 )
 
 
-@firmware.command()
+@command()
 @options.rig_option(given=True)
 @board_option
 @pins_option
@@ -121,23 +117,23 @@ def build(
         output.note(f"rig: next: rig firmware flash {built.uf2}")
 
 
-@firmware.command("amplifiers")
+@command()
 @options.json_option
-def list_amplifiers(as_json: bool) -> None:
+def amplifiers(as_json: bool) -> None:
     """List the amplifiers that are known: what a rig and a board must say of one, and what to set in it."""
-    found = [amplifiers.load(name) for name in amplifiers.names()]
+    found = [profiles.load(name) for name in profiles.names()]
     if as_json:
         output.print_json(found)
     else:
         output.show(item for one in found for item in one.items())
 
 
-@firmware.command("wiring")
+@command()
 @board_option
 @pins_option
 @options.output_option("wiring.svg", "File of the drawing (SVG).", "drawing")
 @options.json_option
-def draw_wiring(board: str, sets: tuple[str, ...], drawing: Path, as_json: bool) -> None:
+def wiring(board: str, sets: tuple[str, ...], drawing: Path, as_json: bool) -> None:
     """Draw the reference rig around a board, with the pins as they are set, and list its wires."""
     known = boards.load(board)
     found = wired(known, boards.settings_of(known, options.key_values(sets)))
@@ -149,7 +145,7 @@ def draw_wiring(board: str, sets: tuple[str, ...], drawing: Path, as_json: bool)
     click.echo(str(path))
 
 
-@firmware.command()
+@command()
 @click.argument("source", metavar="FILE|URL", type=values.URL)
 @options.json_option
 def info(source: str, as_json: bool) -> None:
@@ -171,7 +167,7 @@ def info(source: str, as_json: bool) -> None:
         raise refused
 
 
-@firmware.command()
+@command()
 @click.argument("image", type=click.Path(path_type=Path, dir_okay=False))
 @click.option(
     "--drive",
@@ -194,10 +190,10 @@ def flash(image: Path, drive: Path | None, url: str | None, as_json: bool) -> No
         f"the drive at {done.drive} took the image: {done.board}, {done.firmware}, for the rig {done.rig}. "
         "Check that it runs: rig firmware info URL"
     )
-    click.echo("next: rig devices lists it; then rig firmware selftest URL")
+    click.echo("next: rig device list lists it; then rig firmware selftest URL")
 
 
-@firmware.command()
+@command()
 @click.argument("url", type=values.URL)
 @options.rig_option("any")
 @click.option(
@@ -240,7 +236,7 @@ def selftest(
         raise error
 
 
-@firmware.command("check-port")
+@command("check-port")
 @click.argument("url", type=values.URL)
 @click.option(
     "--wired",

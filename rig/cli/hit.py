@@ -32,7 +32,7 @@ def hit(request: hits.HitRequest, plot: str, expected: tuple[str, ...], as_json:
     """Hit a virtual wall: home to the start, push into the wall, judge, record and draw.
 
     Without arguments: the dual-rate wall of Koul et al. on the simulated rig koul-compliant, in virtual
-    time. FILE is an experiment in TOML (`rig preset koul-compliant` prints one). Ctrl-C ends with zero
+    time. FILE is an experiment in TOML (`rig experiment preset koul-compliant` prints one). Ctrl-C ends with zero
     effort and a valid recording.
 
     The verdict goes by the last part of the trial: an oscillation is felt (velocity of the handle), heard (ripple of

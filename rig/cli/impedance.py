@@ -1,4 +1,4 @@
-"""``rig impedance``."""
+"""``rig impedance measure``."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ CONFIRM = ("each", "no")
 @options.plot_options("Draw magnitude, phase and real part.")
 @options.expect_option(("passive", "not-passive"))
 @options.json_option
-def impedance(
+def measure(
     file: Path | None,
     preset: str | None,
     stiffness: str | None,

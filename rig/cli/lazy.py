@@ -4,47 +4,57 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from pkgutil import resolve_name
-from typing import Any, cast
+from typing import Any, TypeAlias, cast
 
 import click
 
-from rig.cli.command import Group
+from rig.cli.listing import listing
+
+# Name → module:attribute of a command; or help and table of a group.
+Table: TypeAlias = "Mapping[str, str | tuple[str, Table]]"
 
 
-class LazyGroup(Group):
-    """A group whose commands stand in a table.
+class LazyGroup(click.Group):
+    """A group whose commands stand in a table; ``completion.json`` has their lines for ``--help``.
 
     Parameters
     ----------
+    words
+        By which it is called, without ``rig``.
     table
-        Command → module:attribute, and the line that ``--help`` shows without importing it.
-    groups
-        Titles under which ``--help`` lists the commands; one unless given.
+        See `Table`.
+    titles
+        Title → names that ``--help`` lists under it; one title for all of them unless given.
     """
 
     def __init__(
         self,
         *arguments: Any,
-        table: Mapping[str, tuple[str, str]],
-        groups: Mapping[str, Iterable[str]] | None = None,
+        table: Table,
+        words: str = "",
+        titles: Mapping[str, Iterable[str]] | None = None,
         **more: Any,
     ) -> None:
         super().__init__(*arguments, **more)
-        self._table = table
-        self._groups = {"Commands": table} if groups is None else groups
+        self._words, self._table = words, table
+        self._titles = {"Commands": table} if titles is None else titles
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names, in the order of the table."""
         return list(self._table)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Import a command."""
-        if cmd_name not in self._table:
-            return None
-        return cast("click.Command", resolve_name(self._table[cmd_name][0]))
+        """Import a command, or make the group of a table."""
+        entry = self._table.get(cmd_name)
+        if isinstance(entry, tuple):
+            return LazyGroup(
+                cmd_name, words=f"{self._words} {cmd_name}".strip(), help=entry[0], table=entry[1]
+            )
+        return None if entry is None else cast("click.Command", resolve_name(entry))
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """List the commands without importing them."""
-        for title, names in self._groups.items():
+        known = listing()["commands"]
+        for title, names in self._titles.items():
             with formatter.section(title):
-                formatter.write_dl([(name, self._table[name][1]) for name in names])
+                formatter.write_dl([(n, known[f"{self._words} {n}".strip()]["help"]) for n in names])

@@ -1,4 +1,4 @@
-"""``rig limit-cycles``."""
+"""``rig theory limit-cycles``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``rig lsl``."""
+"""``rig serve lsl``."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
-"""What `rig zwidth` and `rig kmax` share: which rig, how it is pushed, how stiffness is searched, where results go."""
+"""What commands that map share: whose walls are hit, and which; how a map is computed, and where it is written."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,16 +11,17 @@ from rig import config
 from rig.cli import options
 from rig.cli.command import option
 from rig.config import Experiment
-from rig.config.schemes import Scheme, parse_rates
+from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError
 from rig.experiments.impedance import Judging
-from rig.experiments.ranges import search_for
-from rig.experiments.searches import Search, bounds_of
+from rig.experiments.kmax import undamped_schemes
+from rig.experiments.ranges import hit_plan, search_for
+from rig.experiments.searches import Way, bounds_of, numbers_of
+from rig.experiments.zwidth import MapPlan
 
 WAYS = ("ladder", "bisection", "grid")
 
-
-map_options = options.added(
+walls_hit_options = options.added(
     options.file_argument,
     options.rig_option(),
     options.operator_option(
@@ -30,26 +30,33 @@ map_options = options.added(
     ),
     options.effort_option,
     options.set_option,
-    option(
-        "--search",
-        "way",
-        type=click.Choice(WAYS),
-        default="ladder",
-        show_default=True,
-        help="How K is searched.",
+    options.walls_options(
+        "Range of stiffness, FROM:TO. [up to where the push rests trial.minimum_rest_counts deep]",
+        "Dampings. [17, to beyond the limit of the linear theory]",
+    ),
+    options.scheme_option(
+        "the experiment's and the uniform ones of its rates; -B 0: uniform, 100 Hz to 50 kHz"
     ),
     option("--ratio", type=float, default=1.06, show_default=True, help="Between two stiffnesses."),
     option("--offsets", help="Places of zero in its encoder cell (count). [0.1,0.6; a device has one]"),
     options.repeats_option("Of each series.", default=1, show_default=True),
     options.judge_option,
     options.seed_option("Of everything random."),
+)
+"""Whose walls are hit, and which: the arguments of `plan_hits`."""
+
+search_option = option(
+    "--search", "way", type=click.Choice(WAYS), default="ladder", show_default=True, help="How K is searched."
+)
+
+sweep_options = options.added(
     options.workers_option,
-    option("--scheduler", metavar="tcp://HOST:PORT", help="Run on a Dask cluster (haptic-rig[cluster])."),
+    options.scheduler_option,
     options.output_option("maps", "Directory of the maps.", "directory"),
     options.plot_options(),
     options.json_option,
 )
-"""What every map has."""
+"""How a map is computed, and where it is written."""
 
 
 def chosen(
@@ -63,7 +70,7 @@ def chosen(
     *,
     device: bool = False,
 ) -> Experiment:
-    """The experiment to map: in simulation a built-in rig is held by a hand unless something else is said."""
+    """Return the experiment to map: in simulation a built-in rig is held by a hand unless something else is given."""
     experiment = options.chosen_experiment(file, preset)
     says = any(text.partition("=")[0].strip() == "trial.kind" for text in sets)
     if operator is None and file is None and effort is None and not device and not says:
@@ -78,20 +85,40 @@ def chosen(
     return experiment
 
 
-def search(
-    experiment: Experiment,
-    stiffness: str | None,
-    way: Any,
-    ratio: float,
-    span: float,
+def plan_hits(
     *,
-    schemes: Sequence[Scheme] = (),
+    stiffness: str | None,
+    damping: str | None,
+    schemes: tuple[str, ...],
+    ratio: float,
+    offsets: str | None,
+    repeats: int,
+    judged: Any,
+    way: Way = "ladder",
     device: bool = False,
-) -> Search:
-    """The rungs that the options mean."""
+    realtime: bool = False,
+    **rig: Any,
+) -> MapPlan:
+    """Return the plan of a map that `walls_hit_options` mean."""
+    experiment = chosen(**rig, device=device)
+    if realtime:
+        experiment = config.with_realtime(experiment)
+    dampings = None if damping is None else numbers_of(damping, "--damping")
+    schemes_ = tuple(Scheme.parse(text) for text in schemes)
+    if not schemes_ and dampings == (0.0,) and not device:
+        schemes_ = undamped_schemes()
     low, high = (None, None) if stiffness is None else bounds_of(stiffness, "--stiffness")
-    return search_for(
-        experiment, way, ratio=ratio, lowest=low, highest=high, span=span, schemes=schemes, on_device=device
+    return hit_plan(
+        experiment,
+        schemes_,
+        dampings=dampings,
+        search=search_for(
+            experiment, way, ratio=ratio, lowest=low, highest=high, schemes=schemes_, on_device=device
+        ),
+        offsets=None if offsets is None else numbers_of(offsets, "--offsets"),
+        repeats=repeats,
+        judged=judged,
+        on_device=device,
     )
 
 
@@ -100,17 +127,3 @@ def judging(judged_band: str | None, **thresholds: float | None) -> Judging:
     given: dict[str, Any] = {name: value for name, value in thresholds.items() if value is not None}
     found = None if judged_band is None else options.band(judged_band, "--judged-band")
     return Judging(band_hz=found, **given)
-
-
-def rates(text: str) -> tuple[int, ...]:
-    """Rates of ``1k,20k`` in Hz."""
-    try:
-        pairs = [parse_rates(part) for part in text.split(",")]
-    except ConfigError as error:
-        raise ConfigError(f"--rates {text!r}: {error.message}", remedy="write them as 1k,20k") from None
-    if any(fast != slow for fast, slow in pairs):
-        raise ConfigError(
-            f"--rates {text!r}: at B = 0 nothing is damped, so there is no second rate",
-            remedy="write them as 1k,20k",
-        )
-    return tuple(fast for fast, _ in pairs)

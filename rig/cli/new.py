@@ -1,4 +1,4 @@
-"""``rig new``."""
+"""``rig experiment new``."""
 
 from __future__ import annotations
 
@@ -49,8 +49,8 @@ def new(file: Path, overwrite: bool, as_json: bool, **given: str | None) -> None
     Asks for what no option gives, in a terminal. Numbers are in SI units, or have a unit: 38.5mNm/A, 110gcm², 8cm, 60g.
     Every number of the file has its unit and its source; what no data sheet says is assumed, marked and listed.
 
-    Example: rig new mine.toml --mechanism lever --torque-constant 38.5mNm/A --rotor-inertia 110gcm2 --nominal-current
-    2.5A --encoder-lines 2048 --transmission 12 --handle-length 8cm --handle-mass 60g
+    Example: rig experiment new mine.toml --mechanism lever --torque-constant 38.5mNm/A --rotor-inertia 110gcm2
+    --nominal-current 2.5A --encoder-lines 2048 --transmission 12 --handle-length 8cm --handle-mass 60g
     """
     asks = not as_json and sys.stdin is not None and sys.stdin.isatty() and not _is_complete(given)
     if file.exists() and not overwrite:

@@ -11,13 +11,13 @@ from rig.cli import options, output
 
 # Command → the next one:{rig} is the rig of this one (of identify the file that it wrote), {device} its device.
 NEXT: Mapping[str, str] = {
-    "new": "rig plan{rig}",
-    "plan": "rig hit{rig}{device}",
-    "hit": "rig theory{rig}",
-    "theory": "rig zwidth{rig} --ratio 1.3",
+    "experiment new": "rig experiment plan{rig}",
+    "experiment plan": "rig hit{rig}{device}",
+    "hit": "rig theory walls{rig}",
+    "theory walls": "rig zwidth{rig} --ratio 1.3",
     "zwidth": "rig design{rig}",
     "design": "rig identify{rig}{device} -o identified.toml",
-    "check": "rig identify{rig}{device} -o identified.toml",
+    "device check": "rig identify{rig}{device} -o identified.toml",
     "identify": "rig hit{rig}{device}",
 }
 
@@ -32,4 +32,5 @@ def name_next() -> None:
     preset = given.get("preset") or options.preset_of(url, file)
     rig = f" {shlex.quote(str(file))}" if file else f" --rig {shlex.quote(preset)}" if preset else ""
     device = "" if url is None else f" --url {shlex.quote(url)}" + " --verified" * bool(given.get("verified"))
-    output.note(f"next: {NEXT[context.command.name or ''].format(rig=rig, device=device)}")
+    words = context.command_path.partition(" ")[2]
+    output.note(f"next: {NEXT[words].format(rig=rig, device=device)}")

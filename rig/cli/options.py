@@ -259,6 +259,9 @@ def output_option(default: str | None, help: str, *names: str) -> Callable[[F], 
 
 
 workers_option = option("--workers", type=click.IntRange(1, 1024), help="Threads. [one for each core]")
+scheduler_option = option(
+    "--scheduler", metavar="tcp://HOST:PORT", help="Run on a Dask cluster (haptic-rig[cluster])."
+)
 overwrite_option = option("--overwrite", group=RESULT, is_flag=True, help="Replace files that are there.")
 
 

@@ -1,4 +1,4 @@
-"""``rig plan``."""
+"""``rig experiment plan``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``rig preset``."""
+"""``rig experiment preset`` and ``rig experiment schema``."""
 
 from __future__ import annotations
 
@@ -6,32 +6,16 @@ import click
 
 from rig import config
 from rig.cli import options, output, values
-from rig.cli.command import command, option
+from rig.cli.command import command
 from rig.config import presets
-from rig.core.errors import ConfigError
 
 
 @command()
 @click.argument("name", required=False, type=values.RIG)
-@option(
-    "--schema",
-    is_flag=True,
-    help="Print the JSON schema of experiment files, by which editors complete and check.",
-)
 @options.json_option
-def preset(name: str | None, schema: bool, as_json: bool) -> None:
-    """List the built-in rigs, or print the file of NAME: commented, with the source of each number.
-
-    For editors (taplo, Even Better TOML in VS Code): rig preset --schema > rig.schema.json, and as the first line of an
-    experiment file: #:schema ./rig.schema.json
-    """
-    if schema:
-        if name is not None:
-            raise ConfigError(
-                f"--schema is the same for every rig: {name} is too much", remedy="leave it out"
-            )
-        output.print_json(config.json_schema())
-    elif name is None:
+def preset(name: str | None, as_json: bool) -> None:
+    """List the built-in rigs, or print the file of NAME: commented, with the source of each number."""
+    if name is None:
         loaded = {each: presets.load(each) for each in presets.names()}
         if as_json:
             output.print_json({each: experiment.rig.description for each, experiment in loaded.items()})
@@ -42,3 +26,14 @@ def preset(name: str | None, schema: bool, as_json: bool) -> None:
     else:
         presets.load(name)
         click.echo(presets.text(name), nl=False)
+
+
+@command()
+@options.json_option
+def schema(as_json: bool) -> None:
+    """Print the JSON schema of experiment files, for editors.
+
+    For taplo and Even Better TOML in VS Code: rig experiment schema > rig.schema.json, and as the first line of an
+    experiment file: #:schema ./rig.schema.json
+    """
+    output.print_json(config.json_schema())

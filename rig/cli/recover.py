@@ -1,4 +1,4 @@
-"""``rig recover``."""
+"""``rig recording recover``."""
 
 from __future__ import annotations
 

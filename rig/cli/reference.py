@@ -1,4 +1,4 @@
-"""``rig reference``."""
+"""``rig device reference``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``rig replay``."""
+"""``rig recording replay``."""
 
 from __future__ import annotations
 

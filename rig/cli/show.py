@@ -1,4 +1,4 @@
-"""``rig show``."""
+"""``rig recording show``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``rig theory``."""
+"""``rig theory walls``."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ _MEANINGS = {"exact": "exact (rigid rig)"}
 @options.output_option(".", "Directory of the picture.", "directory")
 @options.plot_options("Draw K_max over B into theory-RIG.")
 @options.json_option
-def theory(
+def walls(
     file: Path | None,
     preset: str | None,
     schemes: tuple[str, ...],
@@ -60,8 +60,8 @@ def theory(
 
     For each scheme: the largest stable stiffness at B = 0 and at the wall's damping, the largest damping, islands of
     stability beyond, and the conditions for passivity. Friction, quantum and saturation are left out: on the papers'
-    rigs, with their Coulomb friction, `rig kmax` finds 1.1 to 2.5 times this K_max, without it 0.4 to 0.9 times; the
-    quantum takes 30 to 50 % off the range of B. `rig zwidth --explain` shows where that matters.
+    rigs, with their Coulomb friction, `rig zwidth -B 0` finds 1.1 to 2.5 times this K_max, without it 0.4 to 0.9 times;
+    the quantum takes 30 to 50 % off the range of B. `rig theory disagreement` shows where that matters.
     """
     experiment = options.chosen_experiment(file, preset)
     changes = options.changes(rate=None, sets=sets, damping=damping, cutoff=cutoff)

@@ -1,4 +1,4 @@
-"""``rig timing``."""
+"""``rig recording timing``."""
 
 from __future__ import annotations
 

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterable, Iterator
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 import click
 from click.shell_completion import CompletionItem
 
+from rig.cli.listing import listing
 from rig.core import plugins
 
-TABLE = Path(__file__).with_name("completion.json")  # made by rig.cli.completion
 _PRESETS = Path(__file__).parents[1] / "config" / "presets"
 _PORTS = ("ttyACM*", "ttyUSB*", "cu.usbmodem*")
 GRIPS = ("none", "relaxed", "normal", "firm")  # rig.core.operators.GRIPS and nobody, without its imports
@@ -66,13 +64,6 @@ def paths(incomplete: str, endings: tuple[str, ...]) -> Iterator[str]:
             yield before + entry.name
 
 
-@cache
-def table() -> dict[str, Any]:
-    """The commands and their options, and the names of built-in parts, as they were when the table was made."""
-    read: dict[str, Any] = json.loads(TABLE.read_text(encoding="utf-8"))
-    return read
-
-
 def presets() -> list[str]:
     """Names of the built-in rigs."""
     return sorted(path.stem for path in _PRESETS.glob("*.toml"))
@@ -80,7 +71,7 @@ def presets() -> list[str]:
 
 def estimators() -> list[str]:
     """Names of all estimators, plug-ins included."""
-    known: list[str] = table()["estimators"]
+    known: list[str] = listing()["estimators"]
     return [*known, *(point.name for point in plugins.found("rig.estimators", known))]
 
 
@@ -108,7 +99,7 @@ def _urls(incomplete: str) -> Iterator[str]:
 
 
 def _signals(incomplete: str) -> list[str]:
-    known: list[str] = table()["signals"]
+    known: list[str] = listing()["signals"]
     return known
 
 

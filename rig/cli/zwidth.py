@@ -7,117 +7,72 @@ from typing import Any
 
 import click
 
-from rig import config
 from rig.cli import hit_output, map_options, options, output
 from rig.cli.command import command
 from rig.cli.next_step import name_next
 from rig.cli.progress import SweepBar
-from rig.cli.zwidth_explained import explain, explain_option
-from rig.cli.zwidth_frequency import frequency_options, map_frequency, of_frequency, refuse_of_the_other
 from rig.cli.zwidth_rig import CONFIRM, CRITERIA, Dialogue, load_device, refuse_without_device
-from rig.config import Experiment
-from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError
 from rig.core.present import Table
 from rig.core.sample import unit_of
 from rig.experiments import maps
+from rig.experiments.kmax import KMax
 from rig.experiments.plan import stands_for_device
-from rig.experiments.ranges import SPAN, hit_plan, theory_curves
+from rig.experiments.ranges import kmax_theory, theory_curves
 from rig.experiments.rendering import RENDERED
-from rig.experiments.searches import numbers_of
-from rig.experiments.zwidth import Width, ZWidth
-from rig.views.plots.zwidth import draw_zwidth
+from rig.experiments.zwidth import Boundary, Width, ZWidth
+from rig.views.plots.zwidth import draw_kmax, draw_zwidth
 
 
 @command()
-@map_options.map_options
-@options.walls_options(
-    "Range of stiffness, FROM:TO; excited: a list or FROM:TO:N. [up to where the push rests trial.minimum_rest_counts "
-    "deep]",
-    "Dampings. [17, to beyond the limit of the linear theory]",
-)
-@options.scheme_option("the experiment's and the uniform ones of its rates")
+@map_options.walls_hit_options
+@map_options.search_option
 @options.url_option("simulates without a link")
 @options.realtime_option("A simulated device (sim://) as a process, in real time.")
 @options.verified_option
 @options.confirm_option(CONFIRM, "each hit; no with a simulated device")
-@explain_option
-@frequency_options
+@map_options.sweep_options
 def zwidth(
     file: Path | None,
     preset: str | None,
-    stiffness: str | None,
-    way: Any,
-    ratio: float,
-    offsets: str | None,
-    repeats: int,
-    judged: Any,
+    url: str | None,
+    realtime: bool,
+    verified: bool,
+    confirm: str | None,
     workers: int | None,
     scheduler: str | None,
     directory: Path,
     plot: str,
     as_json: bool,
-    schemes: tuple[str, ...],
-    damping: str | None,
-    url: str | None,
-    realtime: bool,
-    verified: bool,
-    confirm: str | None,
-    domain: str,
-    explained: bool,
-    **push: Any,
+    **hits: Any,
 ) -> None:
-    """Map the walls (K, B) that a rig renders stably, by hitting them; or passively, by exciting it.
+    """Map the walls (K, B) that a rig renders stably, scheme by scheme, by hitting them.
 
     Without arguments: Fig. 6 of Koul et al. on the simulated rig koul-compliant in a simulated hand. The same command
     resumes a map that was stopped.
 
+    With -B 0: the stiffest undamped wall at each sampling rate, as in Fig. 5 of Koul et al.
+
     With --url the walls are hit on a device, one after the other: a person agrees, the handle goes to its start and
     into the wall, the motor cools. Every hit is recorded.
 
-    With --explain: where linear theory and hits differ, and why, as a picture and a paragraph to cite.
-
-    With --domain frequency: Figs. 5 to 8 and Table I of Chawda et al. on the simulated rig chawda-linear. Every wall of
-    a grid (-K and -B as first:last:count) is excited; where its impedance is passive, its fidelity is the colour.
+    `rig theory disagreement` says where linear theory and these hits differ, and why; `rig impedance map` maps where
+    the rendered impedance is passive.
     """
-    refuse_of_the_other(domain)
-    excitation = {name: push.pop(name) for name in of_frequency()}
-    if domain == "frequency":
-        map_frequency(
-            file=file, preset=preset, schemes=schemes, stiffness=stiffness, damping=damping, judged=judged,
-            directory=directory, plot=plot, as_json=as_json, workers=workers, scheduler=scheduler,
-            sets=push["sets"], seed=push["seed"], cutoff=push["cutoff"], **excitation,
-        )  # fmt: skip
-        return
     device = url is not None or realtime
     if device:
         _refuse_with_device(workers, scheduler)
-        if explained:
-            raise ConfigError(
-                "--explain takes parts of a simulated rig out; a device keeps them", remedy="drop one of both"
-            )
         url = url or "sim://"
+        load_device(url)
     else:
         refuse_without_device(verified, confirm)
-    experiment = map_options.chosen(file, preset or options.preset_of(url, file), **push, device=device)
-    if url is not None:
-        load_device(url)
-    if realtime or (url is not None and not url.startswith("sim:")):
-        experiment = _in_real_time(experiment)
-    chosen = [Scheme.parse(text) for text in schemes]
-    plan = hit_plan(
-        experiment,
-        chosen,
-        dampings=None if damping is None else numbers_of(damping, "--damping"),
-        search=map_options.search(experiment, stiffness, way, ratio, _span(), schemes=chosen, device=device),
-        offsets=None if offsets is None else numbers_of(offsets, "--offsets"),
-        repeats=repeats,
-        judged=judged,
-        on_device=device,
+    plan = map_options.plan_hits(
+        file=file,
+        preset=preset or options.preset_of(url, file),
+        device=device,
+        realtime=realtime or (url is not None and not url.startswith("sim:")),
+        **hits,
     )
-    if explained:
-        explain(plan, directory, plot, as_json, workers=workers, scheduler=scheduler)
-        return
     if url is None:
         place = maps.directory_for(plan, directory, "zwidth")
         with SweepBar("series", unit="ticks", plain=as_json) as bar:
@@ -125,15 +80,15 @@ def zwidth(
     else:
         dialogue = Dialogue(plan, url, realtime=realtime, confirm=confirm)
         place, found = dialogue.map(directory, verified=verified)
-    picture = (
-        output.drawn(lambda: draw_zwidth(found, place / f"zwidth.{plot}", theory=theory_curves(plan)))
-        if plot
-        else None
-    )
+    undamped = KMax.of(found) if KMax.is_of(plan) else None
+    picture = output.drawn(lambda: _draw(found, undamped, place / f"zwidth.{plot}")) if plot else None
     if as_json:
-        output.print_json({**found.as_mapping(), "directory": str(place), "picture": picture})
+        output.print_json({**(undamped or found).as_mapping(), "directory": str(place), "picture": picture})
         return
-    _print(found)
+    if undamped is None:
+        _print(found)
+    else:
+        _print_undamped(undamped)
     pairs = [
         ("hits", f"{found.hits}, in {place / found.table_name}"),
         ("summary", str(place / maps.SUMMARY)),
@@ -142,12 +97,10 @@ def zwidth(
     name_next()
 
 
-def _span() -> float:
-    return SPAN
-
-
-def _in_real_time(experiment: Experiment) -> Experiment:
-    return config.with_realtime(experiment)
+def _draw(found: ZWidth, undamped: KMax | None, path: Path) -> Path:
+    if undamped is not None:
+        return draw_kmax(undamped, path, theory=kmax_theory(undamped))
+    return draw_zwidth(found, path, theory=theory_curves(found.plan))
 
 
 def _refuse_with_device(workers: int | None, scheduler: str | None) -> None:
@@ -175,6 +128,29 @@ def _print(found: ZWidth) -> None:
     output.print_table(Table(rows[0], rows[1:]))
     for note in _notes(found):
         click.echo(f"  {note}")
+
+
+def _print_undamped(found: KMax) -> None:
+    experiment = found.map.plan.experiment
+    unit = unit_of("stiffness", experiment.rig.motion)
+    click.echo(f"{experiment.rig.name}, {hit_output.push_text(experiment)}: largest K at B = 0 ({unit})")
+    curves = {name: found.curve(name) for name in CRITERIA}
+    rows = [
+        (f"{rate}", *(_limit(curve[number], found.map.plan.search.lowest) for curve in curves.values()))
+        for number, rate in enumerate(found.rates)
+    ]
+    output.print_table(Table(("rate (Hz)", *curves), rows))
+    for name in curves:
+        ratio = found.saturation(name)
+        if ratio is not None:
+            click.echo(f"  {name}: K at {found.rates[-1] / 1e3:g} kHz is {ratio:.2f} of that at 20 kHz")
+
+
+def _limit(found: Boundary, lowest: float) -> str:
+    if found.stiffness <= 0.0:
+        return f"< {lowest:.4g}"
+    scatter = f" ± {found.deviation:.2g}" if len(found.limits) > 1 else ""
+    return f"{'≥ ' if found.capped else ''}{found.stiffness:.4g}{scatter}"
 
 
 def _notes(found: ZWidth) -> list[str]:

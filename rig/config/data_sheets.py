@@ -1,6 +1,6 @@
 """What two data sheets and a mechanism say of a rig: every question, its units, its range, and what else is assumed.
 
-`rig.new_rig` takes the answers by these names, `rig new` as options or at prompts.
+`rig.new_rig` takes the answers by these names, `rig experiment new` as options or at prompts.
 """
 
 from __future__ import annotations

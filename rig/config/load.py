@@ -46,7 +46,8 @@ def load_experiment(path: str | Path) -> Experiment:
     mapping = read_toml(Path(path))
     if not mapping:
         raise ConfigError(
-            f"{path}: is empty", remedy='begin with preset = "koul-compliant" (rig preset lists others)'
+            f"{path}: is empty",
+            remedy='begin with preset = "koul-compliant" (rig experiment preset lists others)',
         )
     return experiment_from_mapping(mapping, str(path))
 

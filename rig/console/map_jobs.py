@@ -24,7 +24,7 @@ def zwidth(content: Mapping[str, Any], talk: Talk) -> Any:
     experiment = config.override(experiment_of(content), content["changes"], "the page")
     frequency = content["domain"] == "frequency"
     plan = _impedances(experiment, content) if frequency else _hits(experiment, content)
-    name = "zwidth-frequency" if frequency else "zwidth"
+    name = "impedance-map" if frequency else "zwidth"
     place = maps.directory_for(plan, Path(content["output"]), name)
     said = False
 

@@ -1,7 +1,7 @@
 """A simulated device as a process of its own, for a run in real time on this machine.
 
 The process speaks through a socket (`rig.devices.local_socket`); everything above the link is what a real rig meets.
-`rig sim serve` speaks through a pseudo-terminal, which has pyserial in it too.
+`rig serve rig` speaks through a pseudo-terminal, which has pyserial in it too.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ def serve_locally(
     with scratch("device") as place:
         options |= {"seed": seed, "cpu": cpu} | ({} if terminal else {"socket": f"{place}/port"})
         with announced(
-            _child, described, realtime, options, name="rig-device", by_hand="rig sim serve"
+            _child, described, realtime, options, name="rig-device", by_hand="rig serve rig"
         ) as port:
             yield f"serial://{port}" if terminal else DeviceUrl.of("unix", port, {"cpu": str(cpu)}).text
 

@@ -1,4 +1,4 @@
-"""Settings of Sphinx for the copy of this directory that `rig.views.site` makes: ``rig docs``, not ``sphinx-build``."""
+"""Settings of Sphinx for the copy of this directory that `rig.views.site` makes: ``rig serve docs`` uses it."""
 
 from __future__ import annotations
 

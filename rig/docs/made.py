@@ -25,6 +25,8 @@ from firmware_protocol.faults import Described, DescribedFlag, Fault, Input, Lim
 from firmware_protocol.fmea import SingleFault, single_faults
 from rig import cli
 from rig.cli.command import RESULT, Option
+from rig.cli.listing import listing
+from rig.cli.table import COMMANDS
 from rig.config import presets
 from rig.config.table import Parameter, parameters, parameters_of, shown
 from rig.control import estimators
@@ -172,7 +174,8 @@ def further() -> str:
 
 def command_list() -> str:
     """Every command with its line."""
-    rows = ((f"[`rig {name}`](commands/{name}.md)", _prose(line)) for name, (_, line) in cli.COMMANDS.items())
+    known = listing()["commands"]
+    rows = ((f"[`rig {name}`](commands/{name}.md)", _prose(known[name]["help"])) for name in COMMANDS)
     return table(("command", "what it does"), rows)
 
 
@@ -323,9 +326,9 @@ def _fault(fault: Fault, rows: Sequence[SingleFault]) -> str:
         )
     parts.append(
         "Effort is zero and the fault is latched on the device; a recording has it in column `fault`; the first one is "
-        "kept. `rig devices URL` shows what a device has latched. The next `rig hit` reads it, says so and clears it; "
-        "a cause that is still there comes back before anything moves. All that may break, and what shows it: "
-        "[single faults](../../explanation/single-faults.md)."
+        "kept. `rig device show URL` shows what a device has latched. The next `rig hit` reads it, reports it and "
+        "clears it; a cause that is still there comes back before anything moves. All that may break, and what shows "
+        "it: [single faults](../../explanation/single-faults.md)."
     )
     return "\n\n".join(parts) + "\n"
 

@@ -114,7 +114,7 @@ ENDINGS: dict[EndReason, tuple[type[RigError], str, str]] = {
         GuardError,
         "the limit switch was pressed at position {position}, or its wire is broken; the effort went to zero",
         "move the handle back into its travel; if the switch stood where none should be reached, find the reference "
-        "again (`rig reference`), else mend the wire",
+        "again (`rig device reference`), else mend the wire",
     ),
     EndReason.UNMOVED: (
         GuardError,
@@ -126,8 +126,8 @@ ENDINGS: dict[EndReason, tuple[type[RigError], str, str]] = {
     EndReason.HOMING_FAILED: (
         GuardError,
         "the start was not reached in time; the effort went to zero",
-        "free the handle; if friction holds it, describe the friction (`rig identify` measures it), and `rig plan` "
-        "names the homing.stiffness and homing.effort that arrive",
+        "free the handle; if friction holds it, describe the friction (`rig identify` measures it), and "
+        "`rig experiment plan` names the homing.stiffness and homing.effort that arrive",
     ),
 }
 

@@ -280,7 +280,7 @@ def record_of(recording: Recording, x: Experiment) -> ExcitedRun:
     if x.trial.kind != "excitation" or saved["name"] != "excited":
         raise RecordingError(
             f"a recording of kind {x.trial.kind} with the law {saved['name']}, where nothing excites",
-            remedy="record one with rig impedance --url",
+            remedy="record one with rig impedance measure --url",
         )
     rows = recording.rows[recording.rows["phase"] == Phase.TRIAL]
     tick_s = 1.0 / x.controller.position_rate

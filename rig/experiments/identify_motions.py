@@ -534,12 +534,12 @@ def most_push(x: Experiment) -> float:
 
 
 def pushes_checks(x: Experiment) -> list[Check]:
-    """Return what the pushes of `rig check` will run into: friction that hides them, and the ends of the window."""
+    """Return what limits the pushes of `rig device check`: friction that hides them, and the ends of the window."""
     way, limits = push_way(x), x.rig.limits
     half, middle = 0.5 * (limits.position_maximum - limits.position_minimum), _middle(x)
     position, needed = _unit(x, "position"), round_up(SPARE * PUSHES_ROOM * way)
     room = finding(
-        "room of rig check",
+        "room of rig device check",
         PUSHES_ROOM * way <= half * (1.0 + 1e-9),
         f"two pushes of {way / x.rig.encoder.resolution:.3g} counts go up to {PUSHES_ROOM * way:.3g} {position} to "
         f"each side, the window has {half:.3g}",
@@ -553,7 +553,7 @@ def observable_check(x: Experiment) -> Check:
     """Return whether a push is beyond what holds the handle; a warning, because it may rub less than described."""
     held, most, effort = holding_effort(x), most_push(x), _unit(x, "effort")
     return finding(
-        "pushes of rig check",
+        "pushes of rig device check",
         most >= OBSERVABLE * held,
         f"at most {most:.3g} {effort}, described friction, weight and cogging {held:.3g}; a dead motor shows from "
         f"{OBSERVABLE:g} times that on",

@@ -220,7 +220,7 @@ def judge(recording: Recording, experiment: Experiment) -> Judgement:
     if early is None and experiment.trial.kind == "excitation":
         overruling = (
             Kind.INVALID,
-            "the rig was excited about its wall, not driven into it: see rig impedance",
+            "the rig was excited about its wall, not driven into it: see rig impedance measure",
         )
     return Judgement(
         verdict=_overruled(measured, overruling),

@@ -25,9 +25,16 @@ class KMax:
     rates: tuple[int, ...]
     map: ZWidth
 
+    @staticmethod
+    def is_of(plan: MapPlan) -> bool:
+        """Return True for a plan whose map is one of limits over the rate: B = 0, and uniform rates in rising order."""
+        rates = [scheme.position_rate for scheme in plan.schemes]
+        uniform = all(scheme.position_rate == scheme.velocity_rate for scheme in plan.schemes)
+        return plan.dampings == (0.0,) and uniform and rates == sorted(set(rates))
+
     @classmethod
     def of(cls, found: ZWidth) -> KMax:
-        """Take a map that `kmax_plan` planned."""
+        """Take a map of a plan that `is_of` accepts."""
         return cls(tuple(scheme.position_rate for scheme in found.plan.schemes), found)
 
     def curve(self, criterion: str) -> list[Boundary]:
@@ -52,6 +59,13 @@ class KMax:
         return {**mapping, "saturation": {name: self.saturation(name) for name in CRITERIA}}
 
 
+def undamped_schemes(rates: Sequence[int] = RATES) -> tuple[Scheme, ...]:
+    """Return a uniform scheme for each rate (Hz), in rising order."""
+    return tuple(
+        Scheme(position_rate=rate, velocity_rate=rate, estimator="fdm") for rate in sorted(set(rates))
+    )
+
+
 def kmax_plan(
     experiment: Experiment,
     search: Search,
@@ -61,12 +75,9 @@ def kmax_plan(
     repeats: int = 1,
 ) -> MapPlan:
     """Plan the climbs; run them with `rig.experiments.zwidth.zwidth` and wrap the map in `KMax`."""
-    schemes = tuple(
-        Scheme(position_rate=rate, velocity_rate=rate, estimator="fdm") for rate in sorted(set(rates))
-    )
     return MapPlan(
         experiment=experiment,
-        schemes=schemes,
+        schemes=undamped_schemes(rates),
         dampings=(0.0,),
         search=search,
         offsets=tuple(offsets),

@@ -1,7 +1,7 @@
 """An experiment file for a rig of one's own, from two data sheets: every number with its unit and where it is from.
 
-Values are computed at the hand. Start, push, wall and homing are chosen so that `rig plan` holds and a hit reaches the
-wall; what the plan still refuses is changed as its checks name it.
+Values are computed at the hand. Start, push, wall and homing are chosen so that `rig experiment plan` holds and a hit
+reaches the wall; what the plan still refuses is changed as its checks name it.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ PEAK_OVER_NOMINAL = 2.0
 QUANTUM_A, QUANTA = 1e-3, 30_000.0
 
 # Chosen for the first hit, speeds at the hand. The push: a share of the nominal effort and a multiple of friction; then
-# what it is above friction is halved, down to a tenth more than what `rig plan` asks for.
+# what it is above friction is halved, down to a tenth more than what `rig experiment plan` asks for.
 PUSH_SHARE, PUSH_FRICTIONS, HALVINGS = 0.25, 4.0, 8
 LEAST_FRICTIONS = 1.1 * homing.ABOVE_FRICTION
 ARRIVAL_M_S, HOMING_M_S, LIMIT_M_S = 0.1, 0.02, 1.5
@@ -178,7 +178,7 @@ class _Draft:
 
     def text(self) -> str:
         lines = [
-            f"# {self.name}, made by rig new. Values are at the hand, in SI units. Where each is from:",
+            f"# {self.name}, made by rig experiment new. Values are at the hand, in SI units. Where each is from:",
             "# [data sheet]  as given",
             "# [computed]    from what was given",
             "# [assumed]     not known: rig identify measures it",
@@ -220,7 +220,7 @@ def _describe(draft: _Draft, a: DataSheets) -> None:
         "[chosen]",
         {
             "rig.description": f"{a['mechanism']}, described from data sheets",
-            "rig.source": "data sheets, by rig new",
+            "rig.source": "data sheets, by rig experiment new",
         },
     )
     constant, what = a.get("force_constant", a.get("torque_constant", 0.0)), "torque constant"
@@ -575,7 +575,7 @@ def _correct(draft: _Draft, *, in_real_time: bool) -> None:
         changes = {f"{before}{key}": value for check in found for key, value in check.changes.items()}
         if not changes:
             break
-        draft.set("[computed] as rig plan asks", changes)
+        draft.set("[computed] as rig experiment plan asks", changes)
     if found:
         text = "; ".join(f"{check.name}: {check.text}" for check in found)
         remedy = found[0].remedy

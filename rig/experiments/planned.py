@@ -58,7 +58,7 @@ class Plan(Shown):
         return [f"plan of {self.rig}", *(refusals or [Row("refused", "nothing")]), *steps]
 
     def detailed(self) -> list[Item]:
-        """Everything that `rig plan` prints."""
+        """Everything that `rig experiment plan` prints."""
         return [f"plan of {self.rig}", *self.items()]
 
     def items(self) -> list[Item]:

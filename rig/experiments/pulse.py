@@ -296,7 +296,7 @@ def _not_moved(x: Experiment, signs: SignCheck, most: float, coulomb: float, eff
         "motion",
         False,
         f"{text}{times}: the motor is dead, the encoder is dead, or the handle is blocked or rubs more than that",
-        "move the handle by hand: if the position follows (`rig devices URL`), check the motor's leads and the "
+        "move the handle by hand: if the position follows (`rig device show URL`), check the motor's leads and the "
         "amplifier's supply, or describe its friction (rig.mechanics.motor_coulomb); if not, the encoder's",
     )
 

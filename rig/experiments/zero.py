@@ -33,7 +33,7 @@ def position_zero(device: FramedDevice, x: Experiment) -> int:
             raise DeviceRefusedError(
                 f"{device.dictionary.device} does not know where it is: rig.reference.index is set, and its index "
                 "has not been found since the device started or lost counts",
-                remedy="`rig reference` finds it; without an index (rig.reference.index = false, limit_switch = "
+                remedy="`rig device reference` finds it; without an index (rig.reference.index = false, limit_switch = "
                 '"none") position zero is where the handle stands',
             )
     return device.reference_count

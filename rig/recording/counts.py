@@ -145,7 +145,7 @@ def refuse_counts(recording: Recording) -> None:
     if (facts := counts_facts(recording)) is not None:
         raise RecordingError(
             f"the recording has counts of {facts['file']} alone, no rig and no wall",
-            remedy="use it with `rig show`, `rig export`, `rig estimators compare` and `rig estimators tune`",
+            remedy="use it with `rig show`, `rig recording export`, `rig estimators compare` and `rig estimators tune`",
         )
 
 

@@ -77,7 +77,7 @@ AS_DESCRIBED, NOT_AS_DESCRIBED = (
     "the rig does not move as it is described",
 )
 WAIT, STAY = "Wait for the signal; do not move yet.", "Stay there."
-SEE_TO_IT = "see that nobody holds the handle; `rig check` says more"
+SEE_TO_IT = "see that nobody holds the handle; `rig device check` says more"
 _ALWAYS: tuple[Action, ...] = ("note", "abort")
 _ASKED = (
     GuardError,

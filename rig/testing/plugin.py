@@ -83,8 +83,8 @@ def _check_consent(config: pytest.Config) -> None:
         )
     if VERIFIED not in config.invocation_params.args:
         raise pytest.UsageError(
-            f"tests would move {url}: check the signs of its motor and encoder (rig check --url {url}), put its handle "
-            f"at position zero, take all hands away, and type {VERIFIED} on this command line"
+            f"tests would move {url}: check the signs of its motor and encoder (rig device check --url {url}), put its "
+            f"handle at position zero, take all hands away, and type {VERIFIED} on this command line"
         )
 
 

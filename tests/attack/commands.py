@@ -64,11 +64,9 @@ def main_of(arguments: Sequence[str]) -> int:
 def preload() -> None:
     """Import what commands need, so that a fork has it."""
     import rig.cli  # noqa: F401, PLC0415
-    from rig.cli import COMMANDS  # noqa: PLC0415
-    from rig.cli.session import COMMANDS as OF_SESSION  # noqa: PLC0415
+    from rig.cli.completion_table import made  # noqa: PLC0415
 
-    for module, _ in (*COMMANDS.values(), *OF_SESSION.values()):
-        __import__(module.partition(":")[0])
+    made()  # it imports every command
 
 
 def forked(work: Callable[[], int], directory: Path, environment: Mapping[str, str] | None = None) -> int:

@@ -32,18 +32,18 @@ BRIEF = ("--duration", "0.3", "--set", "verdict.tail_s=0.1", "--set", "trial.rel
 COMMANDS = {
     "hit": ("hit", "--no-plot", *BRIEF),
     "hit with a picture": ("hit", *BRIEF),
-    "plan": ("plan",),
+    "plan": ("experiment", "plan"),
     "show": ("show", "good.parquet"),
-    "export": ("export", "good.parquet", "new.csv"),
-    "replay": ("replay", "good.parquet"),
-    "recover": ("recover", "."),
+    "export": ("recording", "export", "good.parquet", "new.csv"),
+    "replay": ("recording", "replay", "good.parquet"),
+    "recover": ("recording", "recover", "."),
     "zwidth": (
         "zwidth", "--no-plot", "--search", "bisection", "--ratio", "4", "--scheme", "uniform:10k", "-B", "0.1",
         "--offsets", "0.1", "--workers", "1",
     ),
-    "theory": ("theory",),
+    "theory": ("theory", "walls"),
     "doctor": ("doctor",),
-    "devices": ("devices",),
+    "devices": ("device", "list"),
     "session": ("session", "new", "study.toml"),
 }  # fmt: skip
 # A wall clock that jumps by hours, back and forth, each time it is looked at.

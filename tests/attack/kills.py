@@ -128,13 +128,13 @@ class Kills:
         for capture in here.rglob("*.rigcap"):
             os.utime(capture, LONG_AGO)
             if capture.with_suffix(".parquet").exists():
-                finished = run(("recover", str(capture)), here)
+                finished = run(("recording", "recover", str(capture)), here)
                 require(finished.code == 0 and not capture.exists(), "sealed and left:", finished)
             elif capture.stat().st_size < ROWS_BYTES and _has_no_header(capture):
-                named = run(("recover", str(capture)), here)
+                named = run(("recording", "recover", str(capture)), here)
                 require(named.code == 9 and capture.name in named.err, "without a header:", named)
                 capture.unlink()
-        recovered = run(("recover", "."), here)
+        recovered = run(("recording", "recover", "."), here)
         require(recovered.code == 0, "recover:", recovered.code, recovered.out, recovered.err)
         left = [path for path in here.rglob("*") if path.suffix == ".rigcap" or path.name.endswith(".draft")]
         require(not left, "left after recovering:", left, recovered.out)
@@ -160,7 +160,7 @@ class Kills:
         require(not left, "left running:", left)
         for capture in here.rglob("*.rigcap"):
             os.utime(capture, LONG_AGO)
-        recovered = waited(forked(lambda: main_of(("recover", ".")), here), here, 60.0)
+        recovered = waited(forked(lambda: main_of(("recording", "recover", ".")), here), here, 60.0)
         require(recovered.code == 0, "recover:", recovered.code, recovered.out, recovered.err)
         return Outcome(Counter({"kills": int(killed), "kills in real time": int(killed), "runs": 1}))
 

@@ -9,7 +9,6 @@ import random
 import resource
 import shutil
 from collections import Counter
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +16,18 @@ import click
 
 from tests.attack.area import Outcome, isolation, require
 from tests.attack.commands import Ended, documented, preload, run
+from tests.conformance.commands import commands
 
 PATIENCE_S = 4.0  # a value may be right and the work long: then Ctrl-C has to end it
 SERVED_S = 0.5  # of what ends by Ctrl-C alone: while it begins, or when it serves
-SERVE = {("console",), ("lsl",), ("sim", "serve"), ("bridge", "moteus"), ("bridge", "odrive")}
+SERVE = {("console",), *(("serve", what) for what in ("rig", "moteus", "odrive", "lsl"))}
 FILE_BYTES = 1 << 28  # that a huge value may not fill the disk
 MEMORY_BYTES = 1 << 33
-OF_ALL_LOOPS = ("stop", "set", "lsl")  # they look for loops of this user: not without processes of our own
+OF_ALL_LOOPS = {
+    ("stop",),
+    ("set",),
+    ("serve", "lsl"),
+}  # they look for loops of this user: not without processes of our own
 BESIDE = {"home", "tmp", "model", "model.out", "model.err", "fonts", "here", "here.out", "here.err"}
 WORDS = (
     "", " ", "x", "-1", "0", "1", "-0.0", "nan", "inf", "-inf", "1e308", "-1e308", "1e-320", "9" * 400,
@@ -42,30 +46,14 @@ FILES = (
 )  # fmt: skip
 
 
-def commands(
-    group: click.Command, words: tuple[str, ...] = ()
-) -> Iterator[tuple[tuple[str, ...], click.Command]]:
-    """All commands of a group and of the groups in it, with the words that call them."""
-    if not isinstance(group, click.Group):
-        yield words, group
-        return
-    context = click.Context(group)
-    for name in group.list_commands(context):
-        inner = group.get_command(context, name)
-        assert inner is not None
-        yield from commands(inner, (*words, name))
-
-
 class Options:
     """Each case is one command line."""
 
     def __init__(self, place: Path) -> None:
-        from rig.cli import rig  # noqa: PLC0415
-
         preload()
         self._place = place
         self._codes = documented()
-        self._commands = [one for one in commands(rig) if isolation() or one[0][0] not in OF_ALL_LOOPS]
+        self._commands = [one for one in commands() if isolation() or one[0] not in OF_ALL_LOOPS]
         self._home = place / "home"
         self._elsewhere = place / "tmp"
         self._model = place / "model"
@@ -155,7 +143,7 @@ def _write_files(place: Path) -> None:
     whole = recording.read_bytes()
     protocol = run(["session", "new", "study.toml"], place, 600.0)
     require(protocol.code == 0, "no protocol to begin with:", protocol.err)
-    preset = run(["preset", "koul-compliant"], place, 600.0).out
+    preset = run(["experiment", "preset", "koul-compliant"], place, 600.0).out
     for name, content in {
         "empty": b"",
         "noise": random.Random(0).randbytes(5000),

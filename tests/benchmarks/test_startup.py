@@ -121,13 +121,15 @@ def test_commands_that_check_and_show_take_a_few_bare_interpreters(private: Any)
     options, _ = private
     run = [sys.executable, "-m", "rig"]
     subprocess.run([*run, "session", "new", "study.toml"], check=True, capture_output=True, **options)
-    preset = subprocess.run([*run, "preset", "koul-compliant"], check=True, capture_output=True, **options)
+    preset = subprocess.run(
+        [*run, "experiment", "preset", "koul-compliant"], check=True, capture_output=True, **options
+    )
     (Path(options["cwd"]) / "mine.toml").write_bytes(preset.stdout)
     numba = best_of(3, [sys.executable, "-c", "import numba"])
     recording = str(next(Path(options["cwd"]).glob("recordings/*.parquet")))
     print("\nwarm, wall seconds (goal 1; a hit 2)")
     for name, most, *arguments in (
-        ("rig plan", 5.0, "plan", "mine.toml"),
+        ("rig experiment plan", 5.0, "experiment", "plan", "mine.toml"),
         ("rig show", 6.0, "show", recording),
         ("rig session check", 7.0, "session", "check", "study.toml"),
         ("rig hit --no-plot", 9.0, "hit", "--no-plot"),

@@ -13,7 +13,7 @@ import serial
 from click.testing import CliRunner
 from serial.tools import list_ports
 
-from rig.cli.devices import devices
+from rig.cli import device
 from rig.core.errors import DeviceNotFoundError, LinkLostError, UnpluggedError
 from rig.devices import open_device
 from rig.devices.device import DeviceUrl
@@ -73,7 +73,7 @@ def test_the_port_is_listed_with_its_maker_and_number(plugged: Any) -> None:
 
 
 def test_rig_devices_names_it(plugged: Any) -> None:
-    done = CliRunner().invoke(devices, ["--json"])
+    done = CliRunner().invoke(device.list_, ["--json"])
     assert done.exit_code == 0, done.output
     assert URL in {port["url"] for port in json.loads(done.stdout)["ports"]}
 

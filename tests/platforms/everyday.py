@@ -68,7 +68,7 @@ def main(platform: str, url: str = "") -> int:
         run("hit", *ON_THE_BOARD, *IN_TIME, "--arm-anyway", "--url", url)
         run("hit", *ON_THE_BOARD, *IN_TIME, *A_PERSON, "--url", url)
         run("hit", *SHORT, "--rig", "koul-rigid", "--url", url, "--verified", refused=LINUX_ALONE)
-        run("check", "--rig", "koul-rigid", "--url", url, "--verified", refused=LINUX_ALONE)
+        run("device", "check", "--rig", "koul-rigid", "--url", url, "--verified", refused=LINUX_ALONE)
         return 1 if wrong else 0
     run("hit", *SHORT)
     if platform != "darwin":
@@ -83,16 +83,16 @@ def main(platform: str, url: str = "") -> int:
     if platform != "darwin":
         (recording,) = map(str, Path("recordings").glob("koul-compliant*.parquet"))
         run("show", recording, "--json")
-        run("replay", recording, "--estimator", "fdm", "--json")
-        run("export", recording, "hit.csv")
-        run("recover", "recordings")
+        run("recording", "replay", recording, "--estimator", "fdm", "--json")
+        run("recording", "export", recording, "hit.csv")
+        run("recording", "recover", "recordings")
         run("session", "analyse", "rehearsals/first-steps", "--format", "png")
-        run("devices")
+        run("device", "list")
         run("doctor")
         run("stop")
     if platform == "win32":
         run("session", "run", "study.toml", "P02", refused=LINUX_ALONE)
-        run("sim", "serve", refused=LINUX_ALONE)
+        run("serve", "rig", refused=LINUX_ALONE)
     return 1 if wrong else 0
 
 

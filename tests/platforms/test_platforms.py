@@ -90,9 +90,9 @@ from tests.platforms.everyday import preload
 preload()
 emulate(sys.argv[1])
 from rig import cli
-assert cli.run(["devices"]) == 0
+assert cli.run(["device", "list"]) == 0
 assert cli.run(["session", "new", "study.toml"]) == 0
-sys.exit(cli.run(["sim", "serve"]))
+sys.exit(cli.run(["serve", "rig"]))
 """
 
 

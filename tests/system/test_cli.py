@@ -90,11 +90,11 @@ def test_a_picture_that_fails_costs_no_command_its_numbers(
 
     monkeypatch.setattr(style, "save", fails)
     for command, number in {
-        ("theory",): "schemes",
-        ("plot", "levant-regions"): "crossing",
+        ("theory", "walls"): "schemes",
+        ("theory", "levant-regions"): "crossing",
         ("show", "--xy", recording): "trailer",
-        ("replay", "--plot", recording): "exact",
-        ("timing", recording): "stages",
+        ("recording", "replay", "--plot", recording): "exact",
+        ("recording", "timing", recording): "stages",
     }.items():
         code, out, err = run(*command, "--json")
         assert (code, json.loads(out)["picture"]) == (0, None), command
@@ -116,14 +116,14 @@ def test_a_picture_that_fails_costs_no_command_its_numbers(
     ),
 )
 def test_what_a_program_reads_is_utf_8_whatever_the_locale_says(outside: dict[str, str]) -> None:
-    """JSON, and files that are written by redirection: `rig preset koul-compliant > mine.toml`."""
+    """JSON, and files that are written by redirection: `rig experiment preset koul-compliant > mine.toml`."""
     command = [sys.executable, "-m", "rig"]
     environment = {
         name: value for name, value in os.environ.items() if name not in ("LANG", "LC_ALL", "PYTHONUTF8")
     }
     plan, preset = (
         subprocess.run([*command, *words], env=environment | outside, capture_output=True, check=True).stdout
-        for words in (("plan", "--json"), ("preset", "koul-compliant"))
+        for words in (("experiment", "plan", "--json"), ("experiment", "preset", "koul-compliant"))
     )
     assert "N·m" in json.dumps(json.loads(plan.decode("utf-8")), ensure_ascii=False)
     assert tomllib.loads(preset.decode("utf-8"))["rig"]["name"] == "koul-compliant"
@@ -219,17 +219,19 @@ def test_show_draws_force_over_penetration(run: Any, recording: Any) -> None:
 
 def test_a_rig_is_a_name_or_a_file_with_the_same_option(run: Any, tmp_path: Path) -> None:
     (tmp_path / "mine.toml").write_text('preset = "koul-rigid"\n[wall]\nstiffness = 123.0\n')
-    as_file, as_rig = (run("plan", *words, "--json") for words in (("mine.toml",), ("--rig", "mine.toml")))
+    as_file, as_rig = (
+        run("experiment", "plan", *words, "--json") for words in (("mine.toml",), ("--rig", "mine.toml"))
+    )
     assert as_file == as_rig
     assert (as_rig[0], json.loads(as_rig[1])["rig"]) == (0, "koul-rigid")
-    assert as_rig != run("plan", "--rig", "koul-rigid", "--json")
-    code, _, err = run("plan", "mine.toml", "--rig", "mine.toml")
+    assert as_rig != run("experiment", "plan", "--rig", "koul-rigid", "--json")
+    code, _, err = run("experiment", "plan", "mine.toml", "--rig", "mine.toml")
     assert (code, "both a file and --rig" in err) == (2, True)
 
 
 def test_the_schema_of_experiment_files_is_printed(run: Any) -> None:
     jsonschema = pytest.importorskip("jsonschema")
-    code, out, _ = run("preset", "--schema")
+    code, out, _ = run("experiment", "schema")
     schema = json.loads(out)
     assert code == 0
     jsonschema.Draft202012Validator.check_schema(schema)
@@ -237,24 +239,22 @@ def test_the_schema_of_experiment_files_is_printed(run: Any) -> None:
     table = tomllib.loads('preset = "koul-rigid"\n[wall]\nstiffness = 100.0\n')
     assert not list(validator.iter_errors(table))
     assert list(validator.iter_errors({"wall": {"stiffness": "stiff"}}))
-    assert run("preset", "koul-rigid", "--schema")[0] == 2
 
 
 def test_what_is_active_on_a_device_is_dumped_and_nothing_changes(run: Any) -> None:
-    code, out, _ = run("devices", "sim://koul-rigid", "--dump", "--json")
+    code, out, _ = run("device", "parameters", "sim://koul-rigid", "--json")
     active = json.loads(out)
     parameters = {one["name"]: one for one in active["parameters"]}
     assert code == 0
     assert {"current_limit", "float_stiffness"} <= set(parameters)
     assert all(one["value"] == one["default"] for one in parameters.values())
     assert parameters["float_stiffness"]["unit"] == "quantum/count"
-    code, out, _ = run("devices", "sim://koul-rigid", "--dump")
+    code, out, _ = run("device", "parameters", "sim://koul-rigid")
     assert f"{active['crc']:08x}" in out
-    assert run("devices", "--dump")[0] == 2
 
 
 def test_replay_with_the_same_settings_is_bit_exact(run: Any, recording: Any) -> None:
-    code, out, _ = run("replay", recording, "--json")
+    code, out, _ = run("recording", "replay", recording, "--json")
     assert code == 0
     result = json.loads(out)
     assert result["exact"]
@@ -264,53 +264,55 @@ def test_replay_with_the_same_settings_is_bit_exact(run: Any, recording: Any) ->
 def test_replay_through_another_estimator_shows_the_difference(
     run: Any, recording: Any, tmp_path: Path
 ) -> None:
-    code, out, _ = run("replay", recording, "--estimator", "fdm", "--json", "-o", tmp_path / "replay.png")
+    code, out, _ = run(
+        "recording", "replay", recording, "--estimator", "fdm", "--json", "-o", tmp_path / "replay.png"
+    )
     assert code == 0
     result = json.loads(out)
     assert result["estimator"] == "fdm"
     assert not result["exact"]
     assert result["velocity_difference"] > 0.01
     assert (tmp_path / "replay.png").exists()
-    code, out, _ = run("replay", recording, "-K", "100", "--json")
+    code, out, _ = run("recording", "replay", recording, "-K", "100", "--json")
     assert json.loads(out)["effort_difference"] > 0.01
 
 
 @pytest.mark.parametrize("ending", ["csv", "mat", "parquet"])
 def test_export_writes_the_formats_that_people_open(run: Any, recording: Any, ending: str) -> None:
-    code, out, _ = run("export", recording, f"hit.{ending}")
+    code, out, _ = run("recording", "export", recording, f"hit.{ending}")
     assert code == 0
     assert out.strip() == f"hit.{ending}"
-    code, _, err = run("export", recording, f"hit.{ending}")
+    code, _, err = run("recording", "export", recording, f"hit.{ending}")
     assert code != 0
     assert "exists" in err
-    assert run("export", recording, f"hit.{ending}", "--overwrite")[0] == 0
+    assert run("recording", "export", recording, f"hit.{ending}", "--overwrite")[0] == 0
 
 
 def test_plan_lists_steps_and_checks_and_touches_nothing(run: Any, tmp_path: Path) -> None:
-    code, out, _ = run("plan", "--rig", "chawda-linear")
+    code, out, _ = run("experiment", "plan", "--rig", "chawda-linear")
     assert code == 0
     for words in ("home", "push", "release", "impact velocity", "N/m", "motor heat"):
         assert words in out
     assert not list(tmp_path.iterdir())
-    code, out, _ = run("plan", "--json")
+    code, out, _ = run("experiment", "plan", "--json")
     assert json.loads(out)["ok"]
 
 
 def test_a_preset_prints_as_a_file_that_runs(run: Any, tmp_path: Path) -> None:
-    code, out, _ = run("preset", "koul-rigid")
+    code, out, _ = run("experiment", "preset", "koul-rigid")
     assert code == 0
     (tmp_path / "mine.toml").write_text(out, encoding="utf-8")
-    assert run("plan", "mine.toml")[0] == 0
-    code, out, _ = run("preset")
+    assert run("experiment", "plan", "mine.toml")[0] == 0
+    code, out, _ = run("experiment", "preset")
     assert "koul-compliant" in out
 
 
 def test_devices_lists_backends_and_asks_a_simulated_one_who_it_is(run: Any) -> None:
-    code, out, _ = run("devices")
+    code, out, _ = run("device", "list")
     assert code == 0
     assert "sim://" in out
     assert "serial://" in out
-    code, out, _ = run("devices", "sim://chawda-linear", "--json")
+    code, out, _ = run("device", "show", "sim://chawda-linear", "--json")
     facts = json.loads(out)
     assert facts["device"] == "chawda-linear"
     assert facts["simulated"]
@@ -329,14 +331,14 @@ def test_devices_asks_the_port_as_well_as_the_device_behind_it(
     thread.start()
     url = f"serial://{announced.get(timeout=60.0)}"
     try:
-        code, out, err = run("devices", url, "--json")
+        code, out, err = run("device", "show", url, "--json")
         assert code == 0, err
         told = json.loads(out)
         assert told["device"] == "koul-compliant"
         assert told["port"]["device"] == url.removeprefix("serial://")
         assert told["port"]["hangs_up"] is False
         assert told["messages"] == []
-        code, out, err = run("devices", url)
+        code, out, err = run("device", "show", url)
         assert code == 0, err
         assert "port device" in out
     finally:
@@ -359,7 +361,7 @@ def test_a_wrong_file_is_refused_with_file_key_value_range_and_remedy(
 ) -> None:
     text, words = WRONG[case]
     (tmp_path / "mine.toml").write_text(f'preset = "koul-compliant"\n{text}\n', encoding="utf-8")
-    for command in (["plan"], ["hit", "--no-plot"]):
+    for command in (["experiment", "plan"], ["hit", "--no-plot"]):
         code, out, err = run(*command, "mine.toml")
         assert code == 2
         assert out == ""
@@ -385,9 +387,9 @@ REFUSED = [
     (["hit", "--set", "wall.stiffness"], 2, "key=value"),
     (["hit", "--set", "controller.parameters.cutoff_hz=1500"], 2, "1000 Hz"),
     (["show", "nothere.parquet"], 9, "nothere.parquet"),
-    (["replay", "nothere.parquet"], 9, "nothere.parquet"),
-    (["export", "nothere.parquet", "x.csv"], 9, "nothere.parquet"),
-    (["devices", "serial:///dev/null"], 3, "/dev/null"),
+    (["recording", "replay", "nothere.parquet"], 9, "nothere.parquet"),
+    (["recording", "export", "nothere.parquet", "x.csv"], 9, "nothere.parquet"),
+    (["device", "show", "serial:///dev/null"], 3, "/dev/null"),
 ]
 
 
@@ -459,7 +461,13 @@ def test_an_error_is_json_too_when_json_was_asked_for(run: Any) -> None:
 
 @pytest.mark.parametrize(
     "command",
-    [("hit", "--no-plot"), ("identify",), ("impedance", "--channel", "motor"), ("zwidth",), ("check",)],
+    [
+        ("hit", "--no-plot"),
+        ("identify",),
+        ("impedance", "measure", "--channel", "motor"),
+        ("zwidth",),
+        ("device", "check"),
+    ],
     ids=lambda command: command[0],
 )
 def test_a_device_of_another_rig_is_refused_before_anything_moves(
@@ -482,7 +490,7 @@ def test_a_url_alone_names_the_rig(run: Any) -> None:
 
 
 def test_a_push_that_rests_below_two_counts_is_refused_with_the_number(run: Any) -> None:
-    _, _, err = run("plan", "--effort", "0.05")
+    _, _, err = run("experiment", "plan", "--effort", "0.05")
     assert "1.1 counts" in err
 
 
@@ -490,7 +498,7 @@ def test_a_file_that_is_no_recording_is_refused(run: Any, tmp_path: Path) -> Non
     (tmp_path / "x.parquet").write_bytes(b"PAR1 but not really")
     assert run("show", "x.parquet")[0] == 9
     (tmp_path / "y.rigcap").write_bytes(np.random.default_rng(1).bytes(1000))
-    assert run("replay", "y.rigcap")[0] == 9
+    assert run("recording", "replay", "y.rigcap")[0] == 9
 
 
 def test_a_directory_that_cannot_be_written_is_refused_before_anything_moves(
@@ -549,8 +557,18 @@ for arguments, code in json.loads(sys.argv[1]):
 
 
 def test_without_the_simulation_the_rest_still_works(recording: Any, tmp_path: Path) -> None:
-    theory = ["theory", "--rig", "koul-rigid", "--scheme", "dual:20k/2k", "--operator", "normal", "--no-plot"]
-    whole = (["--help"], ["plan"], ["devices"], ["show", str(recording)], theory)
+    theory = [
+        "theory",
+        "walls",
+        "--rig",
+        "koul-rigid",
+        "--scheme",
+        "dual:20k/2k",
+        "--operator",
+        "normal",
+        "--no-plot",
+    ]
+    whole = (["--help"], ["experiment", "plan"], ["device", "list"], ["show", str(recording)], theory)
     runs = [*((words, 0) for words in whole), (["hit"], 3)]
     done = subprocess.run(
         [sys.executable, "-c", HIDE_THE_SIMULATION, json.dumps(runs)],
@@ -590,7 +608,7 @@ def test_a_reader_that_has_gone_is_nothing_to_complain_about() -> None:
     os.close(reader)
     try:
         done = subprocess.run(
-            [sys.executable, "-m", "rig", "preset"], stdout=writer, stderr=PIPE, check=False
+            [sys.executable, "-m", "rig", "experiment", "preset"], stdout=writer, stderr=PIPE, check=False
         )
     finally:
         os.close(writer)
@@ -602,7 +620,7 @@ WITHOUT_ROOM = """
 import contextlib, io, json, os, runpy, sys
 import rig.cli
 with contextlib.redirect_stdout(io.StringIO()):
-    rig.cli.run(["preset"])
+    rig.cli.run(["experiment", "preset"])
 for words, full in json.loads(sys.argv.pop()):
     if child := os.fork():
         print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), file=sys.stderr, flush=True)
@@ -623,7 +641,10 @@ def test_an_output_without_room_has_an_exit_code_of_its_own(
     stdout, stderr = 1, 2
     cases = [
         (words, full, 74 if used in full else code)
-        for words, code, used in ((["preset"], 0, stdout), (["preset", "nobody"], 2, stderr))
+        for words, code, used in (
+            (["experiment", "preset"], 0, stdout),
+            (["experiment", "preset", "nobody"], 2, stderr),
+        )
         for full in ([stdout], [stderr], [stdout, stderr])
     ]
     words = json.dumps([one[:2] for one in cases])
@@ -642,14 +663,14 @@ def test_a_pipe_that_breaks_elsewhere_is_no_reader_that_has_gone(
         raise BrokenPipeError(errno.EPIPE, "Broken pipe")
 
     monkeypatch.setattr(rig.cli.rig, "invoke", lambda context: breaks())
-    assert rig.cli.run(["preset"]) == 74
+    assert rig.cli.run(["experiment", "preset"]) == 74
     assert "may be incomplete" in capfd.readouterr().err
 
 
 @pytest.mark.parametrize("option", [[], ["--json"]])
 def test_a_name_that_is_no_text_is_shown_in_any_locale(option: list[str]) -> None:
     environment = {**os.environ, "PYTHONUTF8": "1", "PYTHONIOENCODING": "utf-8:strict"}
-    command = [sys.executable, "-m", "rig", "preset", *option, b"\xff.toml"]
+    command = [sys.executable, "-m", "rig", "experiment", "preset", *option, b"\xff.toml"]
     done = subprocess.run(command, capture_output=True, env=environment, check=False)
     assert done.returncode == 2
     assert b"\\udcff.toml" in done.stderr

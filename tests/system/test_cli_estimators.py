@@ -184,5 +184,5 @@ def test_the_lipschitz_constant_of_a_recorded_hit_can_be_put_into_levant(
     assert 60.0 < fit["lipschitz"] < 100.0, "an impact at 0.4 m/s on 20 kN/m: 80 m/s²"
     assert fit["lipschitz_with_one_more_sine"] == pytest.approx(fit["lipschitz"], rel=0.1)
     given = ["--estimator", "levant", "--set", f"controller.parameters.lipschitz={fit['lipschitz']}"]
-    assert rig.cli.run(["replay", hit["recording"], "--json", *given]) == 0
+    assert rig.cli.run(["recording", "replay", hit["recording"], "--json", *given]) == 0
     assert json.loads(capfd.readouterr().out)["estimator"] == "levant"

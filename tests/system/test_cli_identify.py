@@ -33,7 +33,7 @@ def test_it_prints_parameters_and_writes_file_recordings_and_picture(run: Any, t
 
 def test_the_file_can_be_hit_and_identified_again(run: Any, tmp_path: Path) -> None:
     assert run("identify", "--rig", "chawda-linear", "--realisations", 2, "-o", "a.toml", "--no-plot")[0] == 0
-    assert run("plan", "a.toml")[0] == 0
+    assert run("experiment", "plan", "a.toml")[0] == 0
     code, out, _ = run("identify", "a.toml", "--realisations", 2, "--no-plot", "--json")
     assert code == 0
     found = json.loads(out)

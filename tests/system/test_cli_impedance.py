@@ -1,4 +1,4 @@
-"""`rig impedance` as a person meets it: numbers, picture, JSON, a device, and what it says when something cannot be."""
+"""`rig impedance measure` as a person meets it: numbers, picture, JSON, a device, and refusals."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ SHORT = ("--periods", "2", "--realisations", "2", "--set", "excitation.settle_pe
 
 
 def test_without_arguments_it_shows_the_bare_rig_and_its_wall(run: Any, tmp_path: Path) -> None:
-    code, out, _ = run("impedance")
+    code, out, _ = run("impedance", "measure")
     assert code == 0
     for text in (
         "bare rig, uniform 1 kHz", "K = 20000 N/m, B = 60 N·s/m", "over 250 lines, 1 to 250 Hz", "worst line", "mass",
@@ -27,7 +27,7 @@ def test_without_arguments_it_shows_the_bare_rig_and_its_wall(run: Any, tmp_path
 
 def test_json_is_one_document_with_every_line(run: Any) -> None:
     code, out, _ = run(
-        "impedance", "--json", "--no-plot", *SHORT, "-K", "5000,10000", "-B", "20", "--band", "2:100",
+        "impedance", "measure", "--json", "--no-plot", *SHORT, "-K", "5000,10000", "-B", "20", "--band", "2:100",
         "--judged-band", "5:50", "--effective-hz", "12",
         "--scheme", "uniform:1k,estimator=kalman", "--scheme", "uniform:1k,estimator=levant", "--amplitude", "1.5",
         "--judge", "true", "-o", "here",
@@ -49,7 +49,7 @@ def test_json_is_one_document_with_every_line(run: Any) -> None:
 
 
 def test_a_script_learns_whether_the_rig_is_passive_by_the_exit_code(run: Any) -> None:
-    bare = ("impedance", "--bare", "--no-plot", *SHORT)
+    bare = ("impedance", "measure", "--bare", "--no-plot", *SHORT)
     assert run(*bare, "-q", "--expect", "passive") == (0, "", "")
     code, out, err = run(*bare, "--expect", "not-passive")
     assert code == 17
@@ -59,7 +59,7 @@ def test_a_script_learns_whether_the_rig_is_passive_by_the_exit_code(run: Any) -
 
 def test_welch_and_schroeder_by_the_papers_way(run: Any) -> None:
     code, out, _ = run(
-        "impedance", "--bare", "--method", "welch", "--kind", "schroeder", "--json", "--no-plot"
+        "impedance", "measure", "--bare", "--method", "welch", "--kind", "schroeder", "--json", "--no-plot"
     )
     assert code == 0
     (only,) = json.loads(out)["results"]
@@ -69,7 +69,7 @@ def test_welch_and_schroeder_by_the_papers_way(run: Any) -> None:
 
 
 def test_over_the_link_the_own_motor_excites_and_every_run_is_recorded(run: Any, tmp_path: Path) -> None:
-    code, out, _ = run("impedance", "--url", "sim://", *SHORT, "-K", "10000", "-B", "20")
+    code, out, _ = run("impedance", "measure", "--url", "sim://", *SHORT, "-K", "10000", "-B", "20")
     assert code == 0
     assert "K = 10000 N/m" in out
     (place,) = (tmp_path / "impedances").iterdir()
@@ -81,7 +81,9 @@ def test_over_the_link_the_own_motor_excites_and_every_run_is_recorded(run: Any,
 
 
 def test_a_wall_that_ends_every_run_is_told_with_the_guards_exit_code(run: Any) -> None:
-    code, out, err = run("impedance", "-K", "200000", "-B", "0", "--set", "rig.limits.speed=0.2", "--no-plot")
+    code, out, err = run(
+        "impedance", "measure", "-K", "200000", "-B", "0", "--set", "rig.limits.speed=0.2", "--no-plot"
+    )
     assert code != 0
     assert "ended" in out
     assert "estimated speed" in out
@@ -93,7 +95,7 @@ def test_plan_lists_a_excited_run(run: Any, tmp_path: Path) -> None:
     file.write_text(
         'preset = "chawda-linear"\n[trial]\nkind = "excitation"\n[excitation]\nchannel = "motor"\n'
     )
-    code, out, _ = run("plan", file)
+    code, out, _ = run("experiment", "plan", file)
     assert code == 0
     for text in (
         "the rig's own motor: random multisine, 1 to 250 Hz every 1 Hz, rms 2 N",
@@ -102,7 +104,7 @@ def test_plan_lists_a_excited_run(run: Any, tmp_path: Path) -> None:
     ):
         assert text in out
     file.write_text(file.read_text() + "rms = 90.0\n")
-    code, out, err = run("plan", file)
+    code, out, err = run("experiment", "plan", file)
     assert code != 0
     assert "peak excitation" in err
 
@@ -127,7 +129,7 @@ def test_plan_lists_a_excited_run(run: Any, tmp_path: Path) -> None:
     ],
 )
 def test_what_cannot_be_is_one_line_with_a_remedy(run: Any, arguments: tuple[str, ...], message: str) -> None:
-    code, _, err = run("impedance", "--no-plot", *arguments)
+    code, _, err = run("impedance", "measure", "--no-plot", *arguments)
     assert code != 0
     assert message in err
     assert err.strip().splitlines()[-1].startswith("rig: ")

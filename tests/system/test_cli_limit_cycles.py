@@ -1,4 +1,4 @@
-"""`rig limit-cycles` as a person meets it: errors, a table of walls, JSON, and what is refused."""
+"""`rig theory limit-cycles` as a person meets it: errors, a table of walls, JSON, and what is refused."""
 
 import json
 from typing import Any
@@ -9,7 +9,7 @@ import pytest
 if numba.config.DISABLE_JIT:
     pytest.skip("plug points are function types of compiled code", allow_module_level=True)
 
-WALL = ["limit-cycles", "--scheme", "uniform:20k", "-K", "400", "-B", "0.6"]
+WALL = ["theory", "limit-cycles", "--scheme", "uniform:20k", "-K", "400", "-B", "0.6"]
 
 
 def test_it_prints_errors_and_walls_and_json_has_both(run: Any) -> None:
@@ -40,6 +40,6 @@ def test_it_prints_errors_and_walls_and_json_has_both(run: Any) -> None:
     ],
 )
 def test_what_cannot_be_predicted_is_refused(run: Any, arguments: list[str], text: str) -> None:
-    code, out, err = run("limit-cycles", *arguments)
+    code, out, err = run("theory", "limit-cycles", *arguments)
     assert (code, out) == (2, "")
     assert text in err

@@ -1,4 +1,4 @@
-"""`rig new` by options and at a terminal, and the way from nothing to a map."""
+"""`rig experiment new` by options and at a terminal, and the way from nothing to a map."""
 
 from __future__ import annotations
 
@@ -11,13 +11,14 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import click
 import pytest
 
 import rig
 import rig.cli
+from rig.cli.listing import listing
 from rig.cli.next_step import NEXT
 from rig.views import site
+from tests.conformance.commands import parse_line, resolve
 from tests.conformance.guides import blocks
 
 OPTIONS = shlex.split(
@@ -50,30 +51,30 @@ def typed(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
 
 
 def test_options_make_the_file_of_the_function(run: Any) -> None:
-    code, out, err = run("new", "mine.toml", *OPTIONS)
+    code, out, err = run("experiment", "new", "mine.toml", *OPTIONS)
     assert code == 0
     assert "assumed  rig.mechanics" in out
-    assert err == "next: rig plan mine.toml\n"
+    assert err == "next: rig experiment plan mine.toml\n"
     made = rig.new_rig(
         mechanism="lever", torque_constant=0.0385, rotor_inertia=1.1e-5, nominal_current=2.5, encoder_lines=2048,
         transmission=12.0, handle_length=0.08, handle_mass=0.06,
     )  # fmt: skip
     assert Path("mine.toml").read_text(encoding="utf-8") == made.text
-    code, out, err = run("new", "other.toml", *OPTIONS, "--json")
+    code, out, err = run("experiment", "new", "other.toml", *OPTIONS, "--json")
     assert (code, err) == (0, "")
     assert json.loads(out)["experiment"]["rig"]["name"] == "other"
 
 
 def test_what_is_missing_is_named_as_options(run: Any) -> None:
-    code, _, err = run("new", *OPTIONS[2:])
+    code, _, err = run("experiment", "new", *OPTIONS[2:])
     assert code == 2
     assert "--mechanism is missing" in err
-    code, _, err = run("new", *OPTIONS[:-4])
+    code, _, err = run("experiment", "new", *OPTIONS[:-4])
     assert code == 2
     assert "--handle-length" in err
     assert "--handle-mass" in err
     assert "--torque-constant" not in err
-    code, _, err = run("new", *OPTIONS, "--peak-current", "5 V")
+    code, _, err = run("experiment", "new", *OPTIONS, "--peak-current", "5 V")
     assert code == 2
     assert "--peak-current = '5 V'" in err
     assert not list(Path().iterdir())
@@ -81,22 +82,22 @@ def test_what_is_missing_is_named_as_options(run: Any) -> None:
 
 def test_a_file_that_exists_is_kept_unless_someone_agrees(run: Any, typed: Any) -> None:
     Path("mine.toml").write_text("# mine\n")
-    code, _, err = run("new", *OPTIONS)
+    code, _, err = run("experiment", "new", *OPTIONS)
     assert code == 2
     assert "--overwrite" in err
     typed("n", *ANSWERS)
-    assert run("new")[0] == 2
+    assert run("experiment", "new")[0] == 2
     assert Path("mine.toml").read_text() == "# mine\n"
     typed("y", *ANSWERS)
-    assert run("new")[0] == 0
+    assert run("experiment", "new")[0] == 0
     assert rig.load("mine.toml").rig.motion == "linear"
-    assert run("new", *OPTIONS, "--overwrite")[0] == 0
+    assert run("experiment", "new", *OPTIONS, "--overwrite")[0] == 0
     assert rig.load("mine.toml").rig.motion == "rotary"
 
 
 def test_a_wrong_answer_is_asked_again_with_what_is_allowed(run: Any, typed: Any) -> None:
     typed("belt", *ANSWERS[:1], "20 N·m/A", *ANSWERS[1:7], *ANSWERS[8:])
-    code, out, err = run("new", "slide.toml", "--carriage-mass", "0.4")  # not asked for
+    code, out, err = run("experiment", "new", "slide.toml", "--carriage-mass", "0.4")  # not asked for
     assert code == 0, out + err
     assert "one of lever, carriage, linear-motor" in out + err
     assert "a number from 0.01 to 10000 N/A" in out + err
@@ -109,7 +110,7 @@ def test_a_wrong_answer_is_asked_again_with_what_is_allowed(run: Any, typed: Any
 @pytest.mark.parametrize("answered", [0, 1, 5, len(ANSWERS) - 1])
 def test_ctrl_c_leaves_no_file(run: Any, typed: Any, answered: int) -> None:
     typed(*ANSWERS[:answered], ends=KeyboardInterrupt)
-    assert run("new")[0] == 130
+    assert run("experiment", "new")[0] == 130
     assert not list(Path().iterdir())
 
 
@@ -120,36 +121,40 @@ def test_ctrl_c_leaves_no_file(run: Any, typed: Any, answered: int) -> None:
 def test_a_next_command_exists_with_its_options(name: str) -> None:
     words = shlex.split(NEXT[name].format(rig=" mine.toml", device=" --url sim://"))
     assert words[0] == "rig"
-    command = rig.cli.rig.get_command(click.Context(rig.cli.rig), words[1])
-    assert command is not None
-    command.make_parser(click.Context(command)).parse_args(words[2:])
+    parse_line(words[1:])
 
 
 def test_a_map_takes_eight_commands_each_named_by_the_one_before() -> None:
     """The page runs as it stands (test_docs), so that none of them fails."""
     page = site.SOURCES / "first-walls.md"
     lines = [line for block in blocks(page) if not block.reason for line in block.commands()]
-    way = [shlex.split(line)[1] for line in lines]
+    way = [resolve(shlex.split(line)[1:])[0].command_path.removeprefix("rig ") for line in lines]
     way = way[: way.index("zwidth") + 1]
     assert len(way) <= 7  # after the installation
-    assert way[0] == "new"
+    assert way[0] == "experiment new"
     for before, after in pairwise(way):
         assert NEXT[before].startswith(f"rig {after}{{rig}}")
 
 
 def test_the_next_command_has_the_rig_and_the_device_of_this_one(run: Any) -> None:
-    assert run("plan", "--rig", "koul-rigid")[2] == "next: rig hit --rig koul-rigid\n"
-    assert run("plan")[2] == "next: rig hit\n"
-    assert run("plan", "--url", "sim://hapkit")[2] == "next: rig hit --rig hapkit --url sim://hapkit\n"
-    assert run("plan", "--json")[2] == ""
-    assert run("plan", "-q")[1:] == ("", "")
-    code, _, err = run("plan", "-K", "0")
+    assert run("experiment", "plan", "--rig", "koul-rigid")[2] == "next: rig hit --rig koul-rigid\n"
+    assert run("experiment", "plan")[2] == "next: rig hit\n"
+    assert (
+        run("experiment", "plan", "--url", "sim://hapkit")[2]
+        == "next: rig hit --rig hapkit --url sim://hapkit\n"
+    )
+    assert run("experiment", "plan", "--json")[2] == ""
+    assert run("experiment", "plan", "-q")[1:] == ("", "")
+    code, _, err = run("experiment", "plan", "-K", "0")
     assert code == 2
     assert "next:" not in err
 
 
 def test_what_moves_the_motor_says_so_first(run: Any) -> None:
-    assert run("plan")[1].startswith("checked, nothing moves: ")
-    assert "nothing moves" in rig.cli.COMMANDS["plan"][1]
-    assert rig.cli.COMMANDS["check"][1].startswith("MOVE THE MOTOR")
-    assert run("check", "--rig", "koul-rigid")[2].startswith("this moves the motor: hands off the handle")
+    assert run("experiment", "plan")[1].startswith("checked, nothing moves: ")
+    known = listing()["commands"]
+    assert "nothing moves" in known["experiment plan"]["help"]
+    assert known["device check"]["help"].startswith("MOVE THE MOTOR")
+    assert run("device", "check", "--rig", "koul-rigid")[2].startswith(
+        "this moves the motor: hands off the handle"
+    )

@@ -1,4 +1,4 @@
-"""`rig theory` as a person meets it: numbers, bounds, picture, JSON; and without the simulation on the machine."""
+"""`rig theory walls` as a person meets it: numbers, bounds, picture, JSON; and without the simulation."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_it_prints_limits_and_what_binds_and_draws_a_picture(run: Any, tmp_path: Path) -> None:
-    code, out, _ = run("theory", "--rig", "koul-compliant")
+    code, out, _ = run("theory", "walls", "--rig", "koul-compliant")
     assert code == 0
     for text in (
         "koul-compliant, end mass 0.07 kg, no hand", "dual 20/2 kHz", "uniform 20 kHz", "uniform 2 kHz",
@@ -37,14 +37,14 @@ def test_it_prints_limits_and_what_binds_and_draws_a_picture(run: Any, tmp_path:
 
 def test_it_says_what_the_maps_of_a_hand_would_speak_of(run: Any) -> None:
     """An automated trial has an end mass and no hand, a map a normal hand: K_max at B = 0 is 30 and 519."""
-    code, out, _ = run("theory", "--rig", "koul-compliant", "--no-plot", "--scheme", "dual:20k/2k")
+    code, out, _ = run("theory", "walls", "--rig", "koul-compliant", "--no-plot", "--scheme", "dual:20k/2k")
     assert code == 0
     (line,) = (line for line in out.splitlines() if "--operator normal" in line)
     held = theory.k_max("koul-compliant", "dual:20k/2k", operator="normal").stiffness
     assert "in a normal hand" in line
     assert f"{held:.4g}" in line
     for more in (("--operator", "normal"), ("--operator", "none"), ("--set", "trial.kind=human")):
-        code, out, _ = run("theory", "--no-plot", "--scheme", "uniform:20k", *more)
+        code, out, _ = run("theory", "walls", "--no-plot", "--scheme", "uniform:20k", *more)
         assert code == 0
         assert "--operator normal" not in out
     assert "normal hand (which the bounds leave out)" in out
@@ -52,7 +52,18 @@ def test_it_says_what_the_maps_of_a_hand_would_speak_of(run: Any) -> None:
 
 def test_rates_are_compared_with_the_same_filter_if_asked_and_a_difference_is_printed(run: Any) -> None:
     """Koul et al. filter at a tenth of the velocity rate; K_max at B = 0.5 is then 3360, else 589 N·m/rad."""
-    asked = ("theory", "--rig", "koul-rigid", "--no-plot", "--scheme", "uniform:20k", "-B", "0.5", "--json")
+    asked = (
+        "theory",
+        "walls",
+        "--rig",
+        "koul-rigid",
+        "--no-plot",
+        "--scheme",
+        "uniform:20k",
+        "-B",
+        "0.5",
+        "--json",
+    )
     found = {}
     for cutoff in ("as-in-the-paper", "same"):
         code, out, _ = run(*asked, "--cutoff", cutoff)
@@ -67,14 +78,18 @@ def test_rates_are_compared_with_the_same_filter_if_asked_and_a_difference_is_pr
 
 
 def test_equal_rules_are_one_line_and_meaningless_ones_none(run: Any) -> None:
-    code, out, _ = run("theory", "--rig", "koul-rigid", "--no-plot", "--scheme", "dual:20k/2k", "-B", "1e6")
+    code, out, _ = run(
+        "theory", "walls", "--rig", "koul-rigid", "--no-plot", "--scheme", "dual:20k/2k", "-B", "1e6"
+    )
     assert code == 0
     assert out.count("Gil") == 1
     (line,) = (line for line in out.splitlines() if "Gil" in line)
     for text in ("multi-rate passivity, lag and delay", "necessary", "Diolaiti"):
         assert text in line
     assert "exact (rigid rig)" in out
-    code, out, _ = run("theory", "--rig", "koul-rigid", "--no-plot", "--scheme", "dual:20k/2k", "--json")
+    code, out, _ = run(
+        "theory", "walls", "--rig", "koul-rigid", "--no-plot", "--scheme", "dual:20k/2k", "--json"
+    )
     (scheme,) = json.loads(out)["schemes"]
     names = [bound["name"] for bound in scheme["at_zero"]["passivity"]["bounds"]]
     assert len(names) == 6
@@ -88,28 +103,28 @@ def test_schemes_that_are_not_linear_are_a_line_beside_those_that_are(run: Any, 
         "dual:20k/2k,slow_velocity_rate=500,slow_below=0.1",
     )
     arguments = [text for scheme in schemes for text in ("--scheme", scheme)]
-    code, out, _ = run("theory", *arguments)
+    code, out, _ = run("theory", "walls", *arguments)
     assert code == 0
     assert "uniform 20 kHz" in out
     assert "levant: not linear: " in out
     assert "500 Hz below 0.1: not linear: " in out
     assert (tmp_path / "theory-koul-compliant.png").exists()
-    code, out, _ = run("theory", "--json", "--no-plot", *arguments)
+    code, out, _ = run("theory", "walls", "--json", "--no-plot", *arguments)
     facts = json.loads(out)
     assert [scheme["scheme"] for scheme in facts["schemes"]] == ["uniform:20k"]
     assert [refused["scheme"] for refused in facts["not_linear"]] == [schemes[0], schemes[2]]
     assert all(refused["reason"] for refused in facts["not_linear"])
-    code, _, err = run("theory", "--no-plot", "--scheme", schemes[0], "--scheme", schemes[2])
+    code, _, err = run("theory", "walls", "--no-plot", "--scheme", schemes[0], "--scheme", schemes[2])
     assert code == 2
     assert "not linear" in err
 
 
 def test_a_delay_is_told_in_ticks_and_for_each_scheme(run: Any) -> None:
     late = ("--no-plot", "--set", "rig.simulation.computation_delay_ticks=2", "--rig", "koul-rigid")
-    code, out, _ = run("theory", *late)
+    code, out, _ = run("theory", "walls", *late)
     assert code == 0
     assert "delay 2 ticks;" in out.splitlines()[0]
-    code, out, _ = run("theory", *late, "--json")
+    code, out, _ = run("theory", "walls", *late, "--json")
     facts = json.loads(out)
     assert facts["delay_ticks"] == 2
     assert [scheme["delay_s"] for scheme in facts["schemes"]] == pytest.approx([1e-4, 1e-4, 1e-3])
@@ -118,20 +133,20 @@ def test_a_delay_is_told_in_ticks_and_for_each_scheme(run: Any) -> None:
 def test_what_a_capped_scan_does_not_know_is_null(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where the scan ends before stability does no frequency belongs to the end; JSON has no NaN."""
     monkeypatch.setattr(limits, "stiffnesses", lambda lifted, damping: np.geomspace(1.0, 500.0, 100))
-    code, out, _ = run("theory", "--no-plot", "--json", "--scheme", "dual:20k/2k", "-B", "2")
+    code, out, _ = run("theory", "walls", "--no-plot", "--json", "--scheme", "dual:20k/2k", "-B", "2")
     assert code == 0
     assert "NaN" not in out
     assert "Infinity" not in out
     limit = json.loads(out)["schemes"][0]["at_wall"]["limit"]
     assert limit["capped"]
     assert limit["frequency_hz"] is None
-    code, out, _ = run("theory", "--no-plot", "--scheme", "dual:20k/2k", "-B", "2")
+    code, out, _ = run("theory", "walls", "--no-plot", "--scheme", "dual:20k/2k", "-B", "2")
     assert "above 500 N·m/rad, where the scan ended" in out
 
 
 def test_a_rig_without_damping_has_no_passive_wall_and_still_a_picture(run: Any, tmp_path: Path) -> None:
     code, out, _ = run(
-        "theory", "--rig", "koul-rigid", "--scheme", "uniform:20k",
+        "theory", "walls", "--rig", "koul-rigid", "--scheme", "uniform:20k",
         "--set", "rig.mechanics.motor_damping=0", "--set", "rig.mechanics.link_damping=0",
     )  # fmt: skip
     assert code == 0
@@ -142,7 +157,7 @@ def test_a_rig_without_damping_has_no_passive_wall_and_still_a_picture(run: Any,
 
 def test_json_is_the_result_of_the_function(run: Any, tmp_path: Path) -> None:
     code, out, _ = run(
-        "theory", "--json", "--scheme", "dual:20k/2k", "--scheme", "uniform:20k,estimator=kalman",
+        "theory", "walls", "--json", "--scheme", "dual:20k/2k", "--scheme", "uniform:20k,estimator=kalman",
         "--operator", "firm", "--damping", "2", "-o", tmp_path / "new" / "place", "--format", "pdf",
     )  # fmt: skip
     assert code == 0
@@ -160,7 +175,7 @@ def test_json_is_the_result_of_the_function(run: Any, tmp_path: Path) -> None:
 
 
 def test_a_linear_rig_has_its_units_and_no_picture_is_drawn_unless_wanted(run: Any, tmp_path: Path) -> None:
-    code, out, _ = run("theory", "--rig", "chawda-linear", "--no-plot", "--set", "wall.damping=0")
+    code, out, _ = run("theory", "walls", "--rig", "chawda-linear", "--no-plot", "--set", "wall.damping=0")
     assert code == 0
     assert "N/m" in out
     assert "N·m" not in out
@@ -171,7 +186,7 @@ def test_a_linear_rig_has_its_units_and_no_picture_is_drawn_unless_wanted(run: A
 def test_a_file_and_its_own_scheme(run: Any, tmp_path: Path) -> None:
     file = tmp_path / "mine.toml"
     file.write_text('preset = "koul-rigid"\n[controller]\nposition_rate = 4000\nvelocity_rate = 4000\n')
-    code, out, _ = run("theory", file, "--no-plot", "--json")
+    code, out, _ = run("theory", "walls", file, "--no-plot", "--json")
     assert code == 0
     (only,) = json.loads(out)["schemes"]
     assert only["label"].startswith("uniform 4 kHz")
@@ -189,7 +204,7 @@ def test_a_file_and_its_own_scheme(run: Any, tmp_path: Path) -> None:
 def test_what_cannot_be_meant_is_one_line_with_a_remedy(
     run: Any, arguments: tuple[str, ...], message: str
 ) -> None:
-    code, _, err = run("theory", "--no-plot", *arguments)
+    code, _, err = run("theory", "walls", "--no-plot", *arguments)
     assert code == 2
     assert message in err
     assert err.strip().splitlines()[-1].startswith("rig: ")

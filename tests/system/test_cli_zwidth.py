@@ -1,4 +1,4 @@
-"""`rig zwidth` and `rig kmax` as a person meets them: table, picture, JSON, refusals, Ctrl-C, and a device."""
+"""`rig zwidth` as a person meets them: table, picture, JSON, refusals, Ctrl-C, and a device."""
 
 import json
 import os
@@ -106,14 +106,11 @@ def test_a_picture_that_fails_takes_no_map_with_it(
     assert (the_map(tmp_path / "maps") / "hits.parquet").exists()
 
 
-def test_kmax_has_a_row_for_each_rate_and_json_its_saturation(run: Any, tmp_path: Path) -> None:
-    code, out, err = run("kmax", *BRIEF, "--search", "bisection", "--ratio", "2", "--rates", "1k,20k,40k")
+def test_undamped_walls_are_limits_over_the_rate(run: Any) -> None:
+    rates = [word for rate in ("1k", "20k", "40k") for word in ("--scheme", f"uniform:{rate}")]
+    options = ("zwidth", *BRIEF, "-B", "0", "--search", "bisection", "--ratio", "2", *rates)
+    code, out, err = run(*options, "--json")
     assert code == 0, err
-    assert [line.split()[0] for line in out.splitlines()[2:5]] == ["1000", "20000", "40000"]
-    assert (the_map(tmp_path / "maps") / "kmax.png").exists()
-    code, out, _ = run(
-        "kmax", *BRIEF, "--search", "bisection", "--ratio", "2", "--rates", "1k,20k,40k", "--json"
-    )
     facts = json.loads(out)
     assert [scheme["rate_hz"] for scheme in facts["schemes"]] == [1000, 20000, 40000]
     assert set(facts["saturation"]) == {"felt", "heard", "any"}
@@ -121,17 +118,17 @@ def test_kmax_has_a_row_for_each_rate_and_json_its_saturation(run: Any, tmp_path
 
 # --- explained ------------------------------------------------------------------------------------------------
 
-EXPLAINED = [*BRIEF, "--explain", "--ratio", "3", "--scheme", "uniform:10k", "-B", "0.1,0.3"]
+EXPLAINED = ["theory", "disagreement", *BRIEF, "--ratio", "3", "--scheme", "uniform:10k", "-B", "0.1,0.3"]
 
 
 def test_an_explained_map_is_shares_a_paragraph_a_picture_and_files(run: Any, tmp_path: Path) -> None:
-    code, out, err = run("zwidth", *EXPLAINED)
+    code, out, err = run(*EXPLAINED)
     assert code == 0, err
     assert re.match(r"where linear theory and \d+ hits differ on koul-compliant, in 10 walls\n", out)
     assert "On the simulated rig koul-compliant, pushed by 0.15 N·m, 10 walls" in out
     files = {path.name for path in the_map(tmp_path / "maps").iterdir()}
-    assert files == {"journal", "walls.parquet", "map.json", "zwidth.png"}
-    code, again, _ = run("zwidth", *EXPLAINED, "--json", "--no-plot")
+    assert files == {"journal", "walls.parquet", "map.json", "disagreement.png"}
+    code, again, _ = run(*EXPLAINED, "--json", "--no-plot")
     facts = json.loads(again)
     assert facts["paragraph"] in out
     assert facts["schemes"][0]["differ"]["share"] <= 1.0
@@ -141,17 +138,12 @@ def test_an_explained_map_is_shares_a_paragraph_a_picture_and_files(run: Any, tm
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        (["--search", "grid"], r"--explain hits every wall of the range; drop --search"),
-        (["--url", "sim://"], r"--explain takes parts of a simulated rig out"),
         (["-B", "0.3,0.1"], r"\(--damping\) are not in rising order"),
         (["--scheme", "uniform:10k,estimator=levant"], r"estimator levant is not linear"),
-        (["--domain", "frequency"], r"--explain is for hits"),
     ],
 )
 def test_what_cannot_be_explained_is_refused(run: Any, arguments: list[str], text: str) -> None:
-    code, out, err = run(
-        "zwidth", *(EXPLAINED if "frequency" not in arguments else ["--explain"]), *arguments
-    )
+    code, out, err = run(*EXPLAINED, *arguments)
     assert (code, out) == (2, "")
     assert re.search(text, err)
 
@@ -202,14 +194,6 @@ def test_what_cannot_be_meant_is_one_line_with_option_value_and_remedy(
     (line,) = (line for line in err.splitlines() if line.startswith("rig: "))
     assert re.search(text, line)
     assert not list(tmp_path.rglob("hits.parquet"))
-
-
-@pytest.mark.parametrize("rates", ["1k,x", "0", "20k/2k", "1k,"])
-def test_rates_of_kmax_are_rates(run: Any, rates: str) -> None:
-    code, _, err = run("kmax", *BRIEF, "--rates", rates)
-    assert code == 2
-    assert f"--rates '{rates}'" in err
-    assert "write them as 1k,20k" in err
 
 
 def test_an_output_that_is_no_directory(run: Any, tmp_path: Path) -> None:

@@ -164,7 +164,7 @@ def test_equal_seeds_still_give_equal_bits(tmp_path: Path) -> None:
     assert first.trailer["timing"] == second.trailer["timing"]
 
 
-# ---------------------------------------------------------------------- rig timing
+# ---------------------------------------------------------------------- rig recording timing
 
 
 @pytest.fixture(scope="module")
@@ -186,14 +186,14 @@ def command(capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pyte
 
 
 def test_timing_prints_stages_counts_and_clock_and_draws(command: Any, sealed: Any, tmp_path: Path) -> None:
-    code, out, err = command("timing", sealed, "-o", tmp_path / "when.png")
+    code, out, err = command("recording", "timing", sealed, "-o", tmp_path / "when.png")
     assert code == 0, err
     assert "sampled to applied" in out
     assert (tmp_path / "when.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_timing_as_json_is_what_the_trailer_has(command: Any, sealed: Any, tmp_path: Path) -> None:
-    code, out, _ = command("timing", sealed, "--json", "--no-plot")
+    code, out, _ = command("recording", "timing", sealed, "--json", "--no-plot")
     assert code == 0
     facts = json.loads(out)
     assert facts.pop("picture") is None
@@ -219,7 +219,7 @@ def changed(sealed: Any, path: Any, **changes: Any) -> Any:
 def test_a_run_cut_off_has_the_hosts_share_alone(command: Any, sealed: Any, tmp_path: Path) -> None:
     """Its process was killed: no trailer, no clock."""
     path = changed(sealed, tmp_path / "cut.rigcap", trailer=None, complete=False)
-    code, out, _ = command("timing", path)
+    code, out, _ = command("recording", "timing", path)
     assert code == 0
     assert "unknown" in out
     assert "no clock exchanges" in out
@@ -235,10 +235,10 @@ def test_a_picture_that_cannot_be_drawn_does_not_take_the_numbers_with_it(
 
     monkeypatch.setattr(style, "save", save)  # which says this when it has painted
     nowhere = tmp_path / "nowhere" / "x.png"
-    code, out, err = command("timing", sealed, "-o", nowhere)
+    code, out, err = command("recording", "timing", sealed, "-o", nowhere)
     assert (code, "counted apart" in out) == (9, True)
     assert "cannot write the picture" in err
-    code, out, _ = command("timing", sealed, "-o", nowhere, "--json")
+    code, out, _ = command("recording", "timing", sealed, "-o", nowhere, "--json")
     told = json.loads(out)
     assert (code, told["picture"], told["error"]["exit_code"]) == (9, None, 9)
     assert told["stages"]
@@ -246,7 +246,7 @@ def test_a_picture_that_cannot_be_drawn_does_not_take_the_numbers_with_it(
 
 def test_a_picture_does_not_overwrite_the_recording(command: Any, sealed: Any) -> None:
     content = sealed.read_bytes()
-    code, out, err = command("timing", sealed, "-o", sealed)
+    code, out, err = command("recording", "timing", sealed, "-o", sealed)
     assert (code, "counted apart" in out) == (9, True)
     assert "not a name for a picture" in err
     assert sealed.read_bytes() == content
@@ -265,24 +265,24 @@ def test_recordings_without_a_ledger_are_refused_in_one_line(
     rows = np.zeros(len(recording), [(name, recording.rows.dtype[name]) for name in names])
     header = {**recording.header, "schema": {"row_bytes": offset, "columns": columns}}
     old = changed(sealed, tmp_path / "old.rigcap", rows=rows, header=header)
-    code, out, err = command("timing", old)
+    code, out, err = command("recording", "timing", old)
     assert (code, out) == (9, "")
     assert "no column 'command_active'" in err
     empty = changed(sealed, tmp_path / "empty.rigcap", rows=recording.rows[:0])
-    code, _, err = command("timing", empty)
+    code, _, err = command("recording", "timing", empty)
     assert code == 9
     assert "no rows" in err
     broken = changed(sealed, tmp_path / "broken.rigcap", trailer={"clock": {"drift_ppm": 1.0}})
-    code, _, err = command("timing", broken)
+    code, _, err = command("recording", "timing", broken)
     assert code == 9
     assert "clock" in err
-    assert command("timing", tmp_path / "nothere.parquet")[0] == 9
+    assert command("recording", "timing", tmp_path / "nothere.parquet")[0] == 9
 
 
 def test_devices_says_how_the_clocks_stand(command: Any) -> None:
-    code, out, _ = command("devices", "sim://koul-compliant?clock_ppm=50")
+    code, out, _ = command("device", "show", "sim://koul-compliant?clock_ppm=50")
     assert code == 0
     assert "clock drift" in out
-    code, out, _ = command("devices", "sim://koul-compliant?clock_ppm=50", "--json")
+    code, out, _ = command("device", "show", "sim://koul-compliant?clock_ppm=50", "--json")
     clock = ClockFit.from_mapping(json.loads(out)["clock"])
     assert clock.drift_ppm == pytest.approx(-50.0, abs=3 * clock.drift_sd_ppm)

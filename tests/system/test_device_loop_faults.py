@@ -110,7 +110,7 @@ def test_timing_says_where_the_law_ran(
     found = recording.trailer["device_host_agreement"]  # type: ignore[index]
     assert (found["holds"], found["beyond"]) == (True, 0)
     assert found["compared"] > 0.8 * len(recording.rows)
-    assert run(["timing", str(recording.path), "--no-plot"]) == 0
+    assert run(["recording", "timing", str(recording.path), "--no-plot"]) == 0
     said = capsys.readouterr().out
     assert "law on the device" in said
     assert "sent to applied" not in said

@@ -15,17 +15,18 @@ from io import StringIO
 from pathlib import Path
 from typing import Any
 
-import click
 import numba
 import pytest
 
 import rig
 import rig.cli
 from firmware_protocol.faults import Fault, Input, LimitFlag, Status
+from rig.cli import table
 from rig.config.table import parameters
 from rig.core.errors import ConfigError, RigError
 from rig.core.sample import COLUMNS
 from rig.views import site
+from tests.conformance.commands import parse_line
 from tests.conformance.firmware import need_compiler
 from tests.conformance.guides import ROOT, Block, blocks
 
@@ -121,15 +122,7 @@ COMMANDS = [
 
 @pytest.mark.parametrize("line", COMMANDS)
 def test_a_command_that_is_not_run_exists_with_its_options(line: str) -> None:
-    words = shlex.split(line, comments=True)[1:]
-    command: click.Command = rig.cli.rig
-    context = click.Context(command, info_name="rig")
-    while isinstance(command, click.Group):
-        found = command.get_command(context, words[0])
-        assert found is not None, f"no command {words[0]!r}"
-        command, words = found, words[1:]
-        context = click.Context(command, info_name=command.name, parent=context)
-    command.make_parser(context).parse_args(list(words))  # raises for an option that is not there
+    parse_line(shlex.split(line, comments=True)[1:])
 
 
 def test_every_page_of_commands_is_looked_at() -> None:
@@ -154,7 +147,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_every_command_fault_key_and_column_has_its_place(made: Path) -> None:
     reference = made / "reference"
-    assert {page.stem for page in (reference / "commands").iterdir()} == set(rig.cli.COMMANDS)
+    assert {page.stem for page in (reference / "commands").iterdir()} == set(table.COMMANDS)
     assert len(list((reference / "faults").iterdir())) == len(Fault) - 1
     limits = (reference / "limits.md").read_text()
     assert all(f"| `{one.name}` |" in limits for one in (*LimitFlag, *Status, *Input))
@@ -229,7 +222,7 @@ def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_a_site_is_built_and_told(small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
-    assert rig.cli.run(["docs", "--no-open", "--strict", "-o", str(out)]) == 0
+    assert rig.cli.run(["serve", "docs", "--no-open", "--strict", "-o", str(out)]) == 0
     assert "One page" in (out / "html" / "index.html").read_text()
     assert str(out / "html" / "index.html") in capsys.readouterr().out
 
@@ -248,11 +241,11 @@ def test_a_missing_extra_is_named(
     monkeypatch.setattr(site, "find_spec", lambda name: None if name == "furo" else name)
     with pytest.raises(ConfigError, match="furo"):
         site.build_site(tmp_path)
-    assert rig.cli.run(["docs", "--no-open", "-o", str(tmp_path)]) == 2
+    assert rig.cli.run(["serve", "docs", "--no-open", "-o", str(tmp_path)]) == 2
     assert "haptic-rig[docs]" in capsys.readouterr().err
 
 
 def test_a_directory_that_cannot_be_made_is_an_error(tmp_path: Path) -> None:
     pytest.importorskip("sphinx")
     (tmp_path / "file").write_text("")
-    assert rig.cli.run(["docs", "--no-open", "-o", str(tmp_path / "file")]) == 9
+    assert rig.cli.run(["serve", "docs", "--no-open", "-o", str(tmp_path / "file")]) == 9

@@ -17,7 +17,7 @@ stands in `rig.analysis.theory.loop`, with what that is worth.
 * `dissipation`: the work that a wall gives back, exactly
 * `passivity`: the multi-rate bound and the conditions of the literature
 * `describing`: the limit cycle of the encoder's quantum
-* `summary`: all of it for a rig, as `rig theory` prints and draws it
+* `summary`: all of it for a rig, as `rig theory walls` prints and draws it
 """
 
 from rig.analysis.theory.describing import LimitCycle, limit_cycle

@@ -1,4 +1,4 @@
-"""Everything that theory says of a rig under some schemes, as one typed result: what `rig theory` prints and draws."""
+"""All that theory says of a rig under some schemes, as one typed result: what `rig theory walls` prints and draws."""
 
 from __future__ import annotations
 

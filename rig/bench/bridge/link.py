@@ -71,7 +71,7 @@ class BridgeLink(DescriptorLink):
                 found: Found = self._running.enter_context(
                     announced(
                         _serve, url, model, *ends, self.cpu,
-                        name="rig-bridge", by_hand=f"rig bridge {url.scheme}", descriptors=ends,
+                        name="rig-bridge", by_hand=f"rig serve {url.scheme}", descriptors=ends,
                     )
                 )  # fmt: skip
             except BaseException:

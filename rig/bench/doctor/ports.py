@@ -41,7 +41,7 @@ def serial_port(name: str, description: str = "") -> tuple[Port, PortFacts]:
 
 @question(NO_PORTS, "without a rig only the simulation can be run")
 def _nothing_here() -> Check:
-    return warning("no serial port and no USB rig is connected", "plug the rig in, then run: rig devices")
+    return warning("no serial port and no USB rig is connected", "plug the rig in, then run: rig device list")
 
 
 def rules_for_rigs() -> str:

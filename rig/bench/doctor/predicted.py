@@ -1,7 +1,7 @@
 """What a run will run into, as far as a description says it: homing, the way to the wall, the measured current.
 
-`rig plan`, a hit and the arming gate call this one function. Each check that does not hold names the keys and the
-values with which it would. Predictions are those of one rigid mass, which friction and weight hold back.
+`rig experiment plan`, a hit and the arming gate call this one function. Each check that does not hold names the keys
+and the values with which it would. Predictions are those of one rigid mass, which friction and weight hold back.
 """
 
 from __future__ import annotations

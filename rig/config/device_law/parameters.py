@@ -255,7 +255,7 @@ def _excitation(controller: Controller) -> Values:
     if law.name == "excited" and not law.device:
         raise PlanError(
             'wall.law = "excited" with controller.loop = "device": a table of the host cannot be sent',
-            remedy=f"measure with rig impedance, whose excitation the device makes itself, or {ELSE_HOST}",
+            remedy=f"measure with rig impedance measure, whose excitation the device makes itself, or {ELSE_HOST}",
         )
     return dict(law.device)
 

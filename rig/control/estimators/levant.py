@@ -144,7 +144,7 @@ def multipliers(settings: Mapping[str, Any], estimator: str = "levant") -> tuple
     if not (mu1 and mu2):
         raise ConfigError(
             f"estimator {estimator}: gains = {gains!r} needs mu1 and mu2",
-            remedy="give both; `rig plot levant-regions` shows which pairs converge",
+            remedy="give both; `rig theory levant-regions` shows which pairs converge",
         )
     if gains == "hba" and not levant_regions.in_hba(mu1, mu2):
         raise _outside(

@@ -78,7 +78,7 @@ READINGS = tuple(
     Reading(low_hz=low, high_hz=high, tolerance=tolerance, kind=kind)
     for low, high, (tolerance, kind) in product(LOWEST_HZ, HIGHEST_HZ, TOLERANCES)
 )
-# Of the pictures and of Table I: what `rig impedance` and `rig zwidth --domain frequency` do by default.
+# Of the pictures and of Table I: what `rig impedance measure` and `rig impedance map` do by default.
 MAIN = READINGS.index(Reading(low_hz=1.0, high_hz=250.0, tolerance=2.0))
 RESIDUAL, COHERENCE = 0.1, 0.5  # as in rig.analysis.impedance.verdict
 

@@ -53,7 +53,7 @@ def _refuse_if_missing() -> None:
 
 
 class LslMarks:
-    """``rig lsl`` for the loops of this process, with markers of this process's own; a context manager.
+    """``rig serve lsl`` for the loops of this process, with markers of this process's own; a context manager.
 
     Once it has started nothing here raises or blocks but `wait`: a session does not end because a stream did. What
     could not be said is counted (`lost`), and each reason for it is warned of once. A `text` that is too long is cut.
@@ -86,7 +86,18 @@ class LslMarks:
         expected: tuple[Motion, float] | None = None,
     ) -> None:
         _refuse_if_missing()
-        command = [sys.executable, "-P", "-m", "rig", "lsl", "--json", "--markers", "--pid", str(os.getpid())]
+        command = [
+            sys.executable,
+            "-P",
+            "-m",
+            "rig",
+            "serve",
+            "lsl",
+            "--json",
+            "--markers",
+            "--pid",
+            str(os.getpid()),
+        ]
         command += ["--name", name, *([] if rate is None else ["--rate", repr(rate)])]
         command += ["--blind"] if blind else []
         command += [] if expected is None else ["--open-early", expected[0], repr(expected[1])]
@@ -124,7 +135,7 @@ class LslMarks:
         while sum("stream" in news for news in self._news()) < self._streams:
             if self._process.poll() is not None:
                 raise RigError(
-                    f"LSL does not start: {self._complaint()}", remedy="`rig lsl` alone shows more"
+                    f"LSL does not start: {self._complaint()}", remedy="`rig serve lsl` alone shows more"
                 )
             if time.monotonic() > deadline:
                 raise RigError(f"LSL has not started in {timeout_s:g} s", remedy="run without `lsl`")

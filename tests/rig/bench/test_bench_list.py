@@ -5,11 +5,11 @@ import shlex
 from pathlib import Path
 from typing import Any
 
-import click
 import pytest
 
 import firmware_protocol
 import rig.cli
+from tests.conformance.commands import resolve
 
 BENCH = Path(firmware_protocol.__file__).with_name("firmware") / "BENCH.md"
 TEXT = BENCH.read_text(encoding="utf-8")
@@ -24,15 +24,8 @@ def test_there_are_commands() -> None:
 
 @pytest.mark.parametrize("line", COMMANDS)
 def test_a_command_of_the_list_exists_with_its_options(line: Any) -> None:
-    words = shlex.split(line)[1:]
-    command: click.Command = rig.cli.rig
-    context = click.Context(command, info_name="rig")
-    while isinstance(command, click.Group):
-        found = command.get_command(context, words[0])
-        assert found is not None, f"no command {words[0]!r}"
-        command, words = found, words[1:]
-        context = click.Context(command, info_name=command.name, parent=context)
-    command.parse_args(context, list(words))  # raises for an option that is not there
+    context, words = resolve(shlex.split(line)[1:])
+    context.command.parse_args(context, list(words))  # raises for an option that is not there
 
 
 @pytest.mark.parametrize("line", [line for line in COMMANDS if re.search(r"--set|--operator|-K", line)])
@@ -42,6 +35,6 @@ def test_keys_of_the_list_are_keys_of_an_experiment(
     """What the list runs on a rig can be planned for the file that it shows."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mine.toml").write_text(MINE)
-    words = shlex.split(line)[2:]
+    _, words = resolve(shlex.split(line)[1:])
     words = [word for i, word in enumerate(words) if word not in ("URL", "--url", "--verified")]
-    assert rig.cli.run(["plan", *words]) == 0, capfd.readouterr().err
+    assert rig.cli.run(["experiment", "plan", *words]) == 0, capfd.readouterr().err

@@ -10,7 +10,6 @@ import json
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -21,10 +20,10 @@ import pytest
 import rig.cli
 import rig.cli.doctor
 from rig.cli import output
-from rig.cli.lazy import LazyGroup
 from rig.core.errors import RigError
 from rig.experiments import live
 from rig.realtime.source_files import source_files
+from tests.conformance.commands import commands
 from tests.conformance.sources import nodes
 
 EXIT_CODES = Path(rig.__file__).parent / "docs" / "reference" / "exit-codes.md"
@@ -64,23 +63,9 @@ def test_a_stop_names_its_signal_and_a_broken_pipe_is_none(
     assert words in capsys.readouterr().err
 
 
-def commands(
-    group: click.Group, path: tuple[str, ...] = ()
-) -> Iterator[tuple[tuple[str, ...], click.Command]]:
-    context = click.Context(group)
-    for name in group.list_commands(context):
-        command = group.get_command(context, name)
-        assert command is not None
-        if isinstance(command, click.Group):
-            yield from commands(command, (*path, name))
-        else:
-            yield (*path, name), command
-
-
 def test_an_empty_value_is_an_error_that_names_it_in_all_commands(capsys: pytest.CaptureFixture[str]) -> None:
-    assert isinstance(rig.cli.rig, LazyGroup)
     tried = 0
-    for path, command in commands(rig.cli.rig):
+    for path, command in commands():
         for parameter in command.params:
             if getattr(parameter, "is_flag", False):
                 continue
@@ -95,7 +80,7 @@ def test_an_empty_value_is_an_error_that_names_it_in_all_commands(capsys: pytest
                 assert rig.cli.run(words) == 2, words
                 assert f" {named};" in capsys.readouterr().err, words
     assert tried > 400
-    assert rig.cli.run(["plan", "--json", "--set", ""]) == 2
+    assert rig.cli.run(["experiment", "plan", "--json", "--set", ""]) == 2
     assert json.loads(capsys.readouterr().out)["error"]["kind"] == "ConfigError"
 
 
@@ -105,7 +90,7 @@ for package in sys.argv[1:]:
     sys.modules[package] = None  # as if it was not installed
 from click.testing import CliRunner
 from rig.cli import rig
-from tests.rig.cli.test_command_line import commands
+from tests.conformance.commands import commands
 for path, _ in commands(rig):
     result = CliRunner().invoke(rig, [*path, "--help"])
     assert result.exit_code == 0, (path, result.output, result.exception)
@@ -205,8 +190,7 @@ def test_a_message_of_a_function_names_arguments_and_no_options() -> None:
 
 
 def test_an_argument_that_a_message_names_is_an_option_of_a_command() -> None:
-    assert isinstance(rig.cli.rig, LazyGroup)
-    options = {name for _, command in commands(rig.cli.rig) for one in command.params for name in one.opts}
+    options = {name for _, command in commands() for one in command.params for name in one.opts}
     named = {
         (module, found)
         for module, text in texts()

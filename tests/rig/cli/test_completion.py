@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 import rig.cli
-from rig.cli import complete, completion_table, options, values
+from rig.cli import complete, completion_table, listing, options, values
 from rig.config import presets
 from rig.control import estimators
 from rig.control.verdict import Kind
@@ -37,7 +37,7 @@ def asked(words: list[str], shell: str = "fish", **more: Any) -> subprocess.Comp
 def completed(*words: str) -> list[str]:
     """Completions of the last word, in this process."""
     os.environ["COMP_WORDS"] = " ".join(["rig", *words])
-    bash = complete.Bash(complete.tree(values.table()), {}, "rig", complete.ASKED)
+    bash = complete.Bash(complete.tree(listing.listing()), {}, "rig", complete.ASKED)
     return [line.partition(",")[2] for line in bash.complete().splitlines()]
 
 
@@ -54,7 +54,7 @@ def cpu_s(run: Callable[[], Any]) -> float:
 
 
 def test_the_table_is_that_of_the_commands() -> None:
-    assert values.TABLE.read_text(encoding="utf-8") == completion_table.made(), (
+    assert Path(listing.FILE).read_text(encoding="utf-8") == completion_table.made(), (
         "run: python -m rig.cli.completion_table"
     )
 
@@ -80,12 +80,12 @@ def test_values_are_completed_by_what_they_are(tmp_path: Path, monkeypatch: pyte
     assert completed("hit", "--estimator", "kal") == ["kalman"]
     assert completed("hit", "--rig", "") == [*presets.names(), "below/", "mine.toml"]
     assert completed("show", "") == ["a.parquet", "b.rigcap", "below/"]
-    assert completed("plan", "m") == ["mine.toml"]
+    assert completed("experiment", "plan", "m") == ["mine.toml"]
     assert completed("zwidth", "--scheme", "du") == ["dual:"]
     assert completed("zwidth", "--scheme", "dual:20k/2k,estimator=lev") == ["dual:20k/2k,estimator=levant"]
     assert completed("hit", "--loop", "d") == ["device"]
     assert completed("hit", "--exp") == ["--expect"]
-    assert "sim://koul-rigid" in completed("devices", "sim://k")
+    assert "sim://koul-rigid" in completed("device", "show", "sim://k")
 
 
 @pytest.mark.parametrize(
@@ -98,7 +98,9 @@ def test_values_are_completed_by_what_they_are(tmp_path: Path, monkeypatch: pyte
         ("rig show here/", ["here/a.parquet"]),
     ],
 )
-def test_bash_is_given_what_it_has_to_add(line: str, expected: list[str], tmp_path: Path) -> None:
+def test_bash_is_given_what_it_has_to_add(
+    line: str, expected: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Behind the last : or =, at which bash ends a word."""
     if shutil.which("bash") is None:
         pytest.skip("bash is not installed (package bash)")
@@ -109,7 +111,8 @@ def test_bash_is_given_what_it_has_to_add(line: str, expected: list[str], tmp_pa
         f"#!/bin/sh\nPYTHONPATH={shlex.quote(str(ROOT))} exec {shlex.quote(sys.executable)} -m rig\n"
     )
     program.chmod(0o755)
-    asking = f"""{complete.script("bash")}
+    assert complete.answer("bash_source") == 0
+    asking = f"""{capsys.readouterr().out}
         compopt() {{ :; }}
         COMP_LINE={shlex.quote(line)} COMP_POINT={len(line)} COMPREPLY=()
         _rig_completion {program}
@@ -132,7 +135,7 @@ def test_verdicts_and_grips_are_those_of_the_rig() -> None:
 
 @pytest.mark.parametrize("shell", complete.SHELLS)
 def test_the_script_of_a_shell_asks_for_our_answers(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert rig.cli.run(["completion", shell]) == 0
+    assert complete.answer(f"{shell}_source") == 0
     text = capsys.readouterr().out
     assert f"{complete.ASKED}={shell}_complete" in text
     found = shutil.which(shell)

@@ -11,15 +11,14 @@ import pytest
 
 import rig.cli
 from rig.cli.command import DEVICE, EXPERIMENT, OWN, RESULT, Command
-from tests.rig.cli.test_command_line import commands
+from tests.conformance.commands import commands
 
 DIFFERENT = {"--rate"}  # one rate, several, or T1/T2
 WALLS = {"--stiffness", "--damping"}  # one wall, or several
 
 
 def all_commands() -> list[tuple[str, click.Command]]:
-    assert isinstance(rig.cli.rig, click.Group)
-    return [(" ".join(path), command) for path, command in commands(rig.cli.rig)]
+    return [(" ".join(path), command) for path, command in commands()]
 
 
 def test_every_command_is_ours_and_prints_json_and_can_be_quiet() -> None:
@@ -62,10 +61,10 @@ def test_options_are_listed_in_groups(capsys: pytest.CaptureFixture[str]) -> Non
 
 
 def test_quiet_prints_nothing_but_json_and_keeps_the_exit_code(capsys: pytest.CaptureFixture[str]) -> None:
-    assert rig.cli.run(["preset", "-q"]) == 0
+    assert rig.cli.run(["experiment", "preset", "-q"]) == 0
     assert capsys.readouterr() == ("", "")
-    assert rig.cli.run(["preset", "nothing", "--quiet"]) == 2
+    assert rig.cli.run(["experiment", "preset", "nothing", "--quiet"]) == 2
     out, err = capsys.readouterr()
     assert (out, err.startswith("rig: ")) == ("", True)
-    assert rig.cli.run(["preset", "-q", "--json"]) == 0
+    assert rig.cli.run(["experiment", "preset", "-q", "--json"]) == 0
     assert "koul-rigid" in json.loads(capsys.readouterr().out)

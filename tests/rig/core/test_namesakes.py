@@ -16,8 +16,8 @@ from tests.conformance.tiers import first_by_default
 
 ROOT = Path(package.__file__).parents[1]
 NAMESAKES = {
-    "serial": ("devices", "serial:///dev/ttyACM0"),
-    "usb": ("devices", "usb://1209:0001"),
+    "serial": ("device", "show", "serial:///dev/ttyACM0"),
+    "usb": ("device", "show", "usb://1209:0001"),
 }
 
 
@@ -58,7 +58,7 @@ def test_a_package_under_the_name_of_another_is_named_with_what_puts_it_right(
         done.stderr,
     ), done.stderr
     assert json.loads(done.stdout)["error"]["exit_code"] == 2
-    listed = run(tmp_path, "-m", "rig", "devices")
+    listed = run(tmp_path, "-m", "rig", "device", "list")
     assert f"py{name}, but of other-{name}" in listed.stdout + listed.stderr
 
 

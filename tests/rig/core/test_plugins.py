@@ -51,10 +51,10 @@ def test_the_lists_show_it_with_the_reason_beside_what_works(
         True
     ]
     assert rig.cli.run(["estimators", "list", "theirs"]) == 2
-    assert rig.cli.run(["devices", "--json"]) == 0
+    assert rig.cli.run(["device", "list", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)["backends"]
     assert [one["scheme"] for one in told if one["broken"]] == ["theirs"]
-    assert rig.cli.run(["devices", "theirs://x"]) == 2
+    assert rig.cli.run(["device", "show", "theirs://x"]) == 2
 
 
 def test_a_part_is_lent_for_a_while_whoever_else_lends_one_of_that_name() -> None:

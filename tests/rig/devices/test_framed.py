@@ -218,7 +218,7 @@ def test_a_dictionary_that_makes_no_sense_is_an_incompatible_device(answer: Any)
 
 
 @pytest.mark.parametrize("answer", [another_major, garbage])
-@pytest.mark.parametrize("command", [["devices", "sim://"], ["hit", "--no-plot", "--url", "sim://"]])
+@pytest.mark.parametrize("command", [["device", "show", "sim://"], ["hit", "--no-plot", "--url", "sim://"]])
 def test_the_command_line_says_so_in_one_line(
     command: list[str],
     answer: Any,

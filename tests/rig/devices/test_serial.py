@@ -242,7 +242,7 @@ def test_a_symbolic_link_is_as_good_as_the_port(line: Any, tmp_path: Path) -> No
 
 
 def test_of_two_names_that_differ_behind_a_hash_the_named_one_is_opened(line: Any, tmp_path: Path) -> None:
-    """`rig devices` found another rig behind the shorter name, which belongs to another device."""
+    """`rig device show` found another rig behind the shorter name, which belongs to another device."""
     (tmp_path / "usb-ACME_Rig").symlink_to("/dev/null")
     for name in ("usb-ACME_Rig#2", "usb-ACME_Rig%", "usb-ACME_Rig?x=1", os.fsdecode(b"usb \xff\n")):
         (tmp_path / name).symlink_to(line.path)

@@ -34,11 +34,11 @@ RATES = (500, 1000, 4000, 5000, 10_000, 20_000)
 LOOPS = ("host", "device")
 WALLS = {"calm": (20.0, 0.02), "unstable": (5000.0, 0.1), "deeper than the window": (0.05, 0.0)}
 SLOW_PORT = 92_160.0  # bytes/s, of a serial line at 921600 baud
-SERVED = {  # `rig sim serve`, with and without --firmware, over a fast and a slow port; and what has no compiler
-    "rig sim serve": (None, POSITION_RATE_MAXIMUM, None),
-    "rig sim serve, slow port": (None, POSITION_RATE_MAXIMUM, SLOW_PORT),
-    "rig sim serve --firmware": (True, FIRMWARE_RATE_MAXIMUM, None),
-    "rig sim serve --firmware, slow port": (True, FIRMWARE_RATE_MAXIMUM, SLOW_PORT),
+SERVED = {  # `rig serve rig`, with and without --firmware, over a fast and a slow port; and what has no compiler
+    "rig serve rig": (None, POSITION_RATE_MAXIMUM, None),
+    "rig serve rig, slow port": (None, POSITION_RATE_MAXIMUM, SLOW_PORT),
+    "rig serve rig --firmware": (True, FIRMWARE_RATE_MAXIMUM, None),
+    "rig serve rig --firmware, slow port": (True, FIRMWARE_RATE_MAXIMUM, SLOW_PORT),
     "without a compiler": (False, POSITION_RATE_MAXIMUM, None),
 }
 

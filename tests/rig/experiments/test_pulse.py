@@ -293,7 +293,7 @@ def test_a_device_of_another_rig_gets_no_pulse(tmp_path: Path) -> None:
 
 
 def test_the_command_says_what_was_found(tmp_path: Path, capsys: Any) -> None:
-    assert run(["check", "--rig", "koul-rigid", "-o", str(tmp_path)]) == 0
+    assert run(["device", "check", "--rig", "koul-rigid", "-o", str(tmp_path)]) == 0
     out, err = capsys.readouterr()
     assert "hands off the handle" in err
     assert "a positive effort raises the position" in out
@@ -311,9 +311,9 @@ def test_single_counts_of_a_coarse_encoder_do_not_end_the_pushes(tmp_path: Path)
 @pytest.mark.parametrize(
     ("name", "changes"),
     [
-        ("pushes of rig check", {"rig.mechanics.motor_coulomb": 0.2, "trial.effort": 0.4}),
+        ("pushes of rig device check", {"rig.mechanics.motor_coulomb": 0.2, "trial.effort": 0.4}),
         (
-            "room of rig check",
+            "room of rig device check",
             {**DIRECT, "rig.encoder.counts_per_revolution": 40, "wall.stiffness": 1.0},
         ),
     ],

@@ -201,7 +201,7 @@ def test_two_at_once_seal_each_capture_once(tmp_path: Path) -> None:
 
 
 def run(capsys: pytest.CaptureFixture[str], *arguments: Any) -> tuple[int, str, str]:
-    code = rig.cli.run(["recover", *map(str, arguments)])
+    code = rig.cli.run(["recording", "recover", *map(str, arguments)])
     out, err = capsys.readouterr()
     return code, out, err
 

@@ -135,7 +135,7 @@ def test_a_new_host_takes_the_reference_from_the_device_until_it_is_lost(
     with powered_up(MARKED) as device:
         with pytest.raises(DeviceRefusedError, match="does not know where it is") as refused:
             position_zero(device, MARKED)
-        assert "rig reference" in refused.value.remedy
+        assert "rig device reference" in refused.value.remedy
         found = reference(device, MARKED, output=tmp_path, verified=True)
         assert position_zero(FramedDevice(device.link), MARKED) == found.reference_count
         device.link.device.inject_fault(Fault.ENCODER)  # type: ignore[attr-defined]
@@ -339,10 +339,19 @@ def test_the_command_tells_it_to_machines_and_names_what_is_missing(
         'preset = "koul-rigid"\n[rig.reference]\n'
         'index = true\nlimit_switch = "minimum"\nposition = -0.3\ntravel = 1.1\n'
     )
-    asked = ["reference", "--url", "sim://?incremental=1", "-o", str(tmp_path), "--set", "homing.speed=0.5"]
-    assert run([*asked[:1], str(path), *asked[1:], "--json"]) == 0
+    asked = [
+        "device",
+        "reference",
+        "--url",
+        "sim://?incremental=1",
+        "-o",
+        str(tmp_path),
+        "--set",
+        "homing.speed=0.5",
+    ]
+    assert run([*asked, str(path), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["reference_count"] == 0
     assert told["index_counts"] is None
-    assert run(["reference", "--rig", "koul-rigid"]) == 2
+    assert run(["device", "reference", "--rig", "koul-rigid"]) == 2
     assert "rig.reference.index" in capsys.readouterr().err

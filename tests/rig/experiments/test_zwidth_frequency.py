@@ -222,7 +222,7 @@ def test_the_same_bytes_from_one_worker_two_and_after_a_stop(tmp_path: Path) -> 
 
 def test_files_hold_units_and_every_wall_and_a_finished_map_is_read(tmp_path: Path) -> None:
     asked = plan(SHORT, [FILTERED], [5e3, 10e3], [60.0])
-    place = maps.directory_for(asked, tmp_path, "zwidth-frequency")
+    place = maps.directory_for(asked, tmp_path, "impedance-map")
     first = maps.map_into(asked, place)
     told = []
     again = maps.map_into(asked, place, watch=told.append)

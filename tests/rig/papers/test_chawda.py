@@ -179,7 +179,7 @@ def test_readings_are_the_same_whoever_excites() -> None:
 
 
 def test_a_measurement_of_a_grid_is_that_of_the_command() -> None:
-    """The first measurement of a wall, read as usual, against `rig impedance` with the same excitation."""
+    """The first measurement of a wall, read as usual, against `rig impedance measure` with the same excitation."""
     grid = _grid(measurements=1, stiffnesses=(2e4,), dampings=(60.0,))
     found = Readings.of(grid, run_parts({"map": grid.part()}).results["map"])
     results = measure_impedance(grid.experiment, walls=[(2e4, 60.0)], schemes=grid.schemes)

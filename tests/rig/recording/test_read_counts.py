@@ -181,7 +181,7 @@ def test_the_commands_take_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, c
     monkeypatch.chdir(tmp_path)
     log(tmp_path / "log.csv", TIME_S[KEPT], (TRUE % 4096)[KEPT])
     importing = (
-        "estimators",
+        "recording",
         "import",
         "log.csv",
         "--time-column",
@@ -207,7 +207,7 @@ def test_the_commands_take_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, c
     assert all(np.isfinite(one["rms"]) for one in compared["scores"])
     assert run("estimators", "tune", "fdm-butterworth", "log.parquet")[0] == 0
     for command in (
-        ("replay", "log.parquet"),
+        ("recording", "replay", "log.parquet"),
         ("show", "log.parquet", "--xy"),
         ("show", "log.parquet", "--expect", "stable"),
     ):

@@ -27,11 +27,11 @@ from rig.recording.shape import DEPTH, misfit, parsed
 pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="a hit takes long without the compiler")
 
 COMMANDS = (
-    ["show", "--marks"],
-    ["show", "--json"],
-    ["timing", "--no-plot"],
-    ["replay", "--json"],
-    ["recover"],
+    ["recording", "show", "--marks"],
+    ["recording", "show", "--json"],
+    ["recording", "timing", "--no-plot"],
+    ["recording", "replay", "--json"],
+    ["recording", "recover"],
 )
 
 
@@ -122,9 +122,9 @@ def test_a_crafted_recording_is_exit_code_9_or_is_read(
     path = tmp_path / ("made.rigcap" if write is capture else "made.parquet")
     write(path, good, changed(good, place, CRAFTED[place]))
     codes = set()
-    for command, *options in COMMANDS:
+    for group, command, *options in COMMANDS:
         if command != "recover" or write is capture:
-            codes.add(rig.cli.run([command, str(path), *options]))
+            codes.add(rig.cli.run([group, command, str(path), *options]))
             said = capsys.readouterr()
             assert "internal error" not in said.err
     assert codes <= {0, 9}
@@ -143,7 +143,7 @@ def test_a_capture_that_was_killed_in_its_header_is_named(
 ) -> None:
     path = tmp_path / "killed.rigcap"
     path.write_bytes(pack_header(good.header)[:size])
-    assert rig.cli.run(["recover", str(tmp_path)]) == 9
+    assert rig.cli.run(["recording", "recover", str(tmp_path)]) == 9
     assert "killed.rigcap" in capsys.readouterr().err
     with pytest.raises(RecordingError):
         open_recording(path)

@@ -93,7 +93,7 @@ def test_a_real_rig_is_pushed_before_each_block_and_not_armed_until_it_moves_as_
     assert pushed == [block.number for block in state.blocks]
     asked = [question.text for question in desk.questions]
     assert sum("hands off" in text for text in asked) == len(runner.pulses)
-    assert any("does not move as it is described" in text and "`rig check`" in text for text in asked)
+    assert any("does not move as it is described" in text and "`rig device check`" in text for text in asked)
 
 
 def test_a_rig_that_was_left_is_pushed_again_and_a_simulated_one_never(tmp_path: Path) -> None:

@@ -11,17 +11,16 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import click
 import matplotlib
 import numpy as np
 import pytest
 
 import rig.papers
 import rig.views.plots
-from rig.cli import rig as command_line
 from rig.core.drawn import Picture
 from rig.core.errors import RecordingError
 from rig.views.plots import style
+from tests.conformance.commands import commands
 
 BEGINS = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}
 
@@ -140,25 +139,30 @@ def test_no_other_name_is_written(name: str, tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def commands(group: click.Group) -> Any:
-    context = click.Context(group)
-    for name in group.list_commands(context):
-        command = group.get_command(context, name)
-        if isinstance(command, click.Group):
-            yield from ((f"{name} {inner}", one) for inner, one in commands(command))
-        else:
-            yield name, command
-
-
 def test_every_command_that_draws_offers_every_format() -> None:
     drawing = {}
-    for name, command in commands(command_line):
+    for words, command in commands():
+        name = " ".join(words)
         options = {option: one for one in command.params for option in one.opts}
         if "--plot" in options or name == "session analyse":
             drawing[name] = tuple(options["--format"].type.choices)
     assert set(drawing.values()) == {tuple(style.FORMATS)}
-    assert {"hit", "zwidth", "kmax", "impedance", "identify", "theory", "timing", "reproduce"} <= set(drawing)
-    assert {"show", "replay", "estimators compare", "plot levant-regions"} <= set(drawing)
+    assert {
+        "hit",
+        "zwidth",
+        "impedance measure",
+        "impedance map",
+        "identify",
+        "theory walls",
+        "reproduce",
+    } <= set(drawing)
+    assert {
+        "recording show",
+        "recording timing",
+        "recording replay",
+        "estimators compare",
+        "theory levant-regions",
+    } <= set(drawing)
 
 
 # ------------------------------------------------------------------------------------------------------------ axes

@@ -163,7 +163,7 @@ def test_the_command_serves_one_host_after_the_other(port: str, tmp_path: Path) 
     mine = tmp_path / "mine.toml"
     mine.write_text(describe.text(look(DeviceUrl("moteus", port, {}, port)), f"moteus://{port}"))
     bridge = subprocess.Popen(
-        [sys.executable, "-m", "rig", "bridge", "moteus", port, "--rig", str(mine)],
+        [sys.executable, "-m", "rig", "serve", "moteus", port, "--rig", str(mine)],
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
         text=True,

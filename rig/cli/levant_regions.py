@@ -1,4 +1,4 @@
-"""``rig plot``: pictures of theory, which need no recording."""
+"""``rig theory levant-regions``."""
 
 from __future__ import annotations
 
@@ -7,18 +7,13 @@ from pathlib import Path
 import click
 
 from rig.cli import options, output
-from rig.cli.command import Group
+from rig.cli.command import command
 from rig.control.estimators.levant_regions import crossing
 from rig.views.plots.levant import draw_levant_regions
 from rig.views.plots.levant import levant_regions as compute
 
 
-@click.group(cls=Group)
-def plot() -> None:
-    """Draw what the theory says; pictures of recordings come from `rig show` and `rig replay`."""
-
-
-@plot.command("levant-regions")
+@command("levant-regions")
 @options.picture_options("Draw it.", default=True, place="levant-regions.png")
 @options.json_option
 def levant_regions(picture: options.Picture, as_json: bool) -> None:

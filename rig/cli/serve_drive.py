@@ -1,4 +1,4 @@
-"""``rig bridge``."""
+"""``rig serve moteus`` and ``rig serve odrive``: drives that people already own, as devices."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import click
 
 from rig import config
 from rig.cli import options, output
-from rig.cli.command import Group
+from rig.cli.command import command
 from rig.config import presets
 from rig.core.this_system import refuse_real_time
 from rig.devices.device import DeviceUrl
@@ -39,11 +39,6 @@ if sys.platform == "linux":
         serve(url, config.rig_model(experiment), announce=announce)
 
 
-@click.group(cls=Group)
-def bridge() -> None:
-    """Drives that people already own, as devices."""
-
-
 def _bridge_options(numbers: click.IntRange, default: int, called: str) -> Callable[[options.F], options.F]:
     """What the commands of all kinds of drives have; `numbers` and `called`: of the drive's id."""
     return options.added(
@@ -70,7 +65,7 @@ def _run(url: DeviceUrl, preset: str, *, describe: bool, as_json: bool) -> None:
             _serve(url, preset, as_json=as_json)
 
 
-@bridge.command()
+@command()
 @click.argument("place", metavar="PORT")
 @_bridge_options(click.IntRange(1, 127), 1, "id")
 @click.option(
@@ -86,7 +81,7 @@ def moteus(place: str, preset: str, drive: int, baud: int | None, describe: bool
     _run(DeviceUrl.of("moteus", place, chosen), preset, describe=describe, as_json=as_json)
 
 
-@bridge.command()
+@command()
 @click.argument("place", metavar="INTERFACE")
 @_bridge_options(click.IntRange(0, 62), 0, "node")
 @click.option(

@@ -1,4 +1,4 @@
-"""``rig sim``."""
+"""``rig serve rig``."""
 
 from __future__ import annotations
 
@@ -8,18 +8,13 @@ import click
 
 from rig import config
 from rig.cli import options, output
-from rig.cli.command import Group, option
+from rig.cli.command import command, option
 from rig.config import presets
 from rig.devices.local import serve as serve_here
 from rig.realtime.scheduling import Realtime
 
 
-@click.group(cls=Group)
-def sim() -> None:
-    """Simulated rigs for other programs to talk to."""
-
-
-@sim.command()
+@command("rig")
 @options.rig_option(given=True)
 @option(
     "--rate",

@@ -1,4 +1,4 @@
-"""`rig zwidth --domain frequency` as a person meets it: tables, JSON, pictures, going on, and what cannot be."""
+"""`rig impedance map` as a person meets it: tables, JSON, pictures, going on, and what cannot be."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 SMALL = (
-    "zwidth", "--domain", "frequency", "-K", "5000,10000,400000", "-B", "60,120", "--realisations", "2",
+    "impedance", "map", "-K", "5000,10000,400000", "-B", "60,120", "--realisations", "2",
     "--periods", "2", "--set", "excitation.settle_periods=1",
 )  # fmt: skip
 FDM = ("--scheme", "uniform:1k,estimator=fdm-butterworth,cutoff_hz=499")
@@ -25,10 +25,10 @@ def test_the_papers_four_estimators_stand_beside_the_paper(run: Any, tmp_path: P
     ):  # fmt: skip
         assert text in out
     (place,) = (tmp_path / "maps").iterdir()
-    assert place.name.startswith("zwidth-frequency-chawda-linear-")
+    assert place.name.startswith("impedance-map-chawda-linear-")
     files = {file.name for file in place.iterdir()}
-    assert files == {"plan.json", "journal", "walls.parquet", "map.json", "zwidth.png"}
-    assert (place / "zwidth.png").stat().st_size > 30_000
+    assert files == {"plan.json", "journal", "walls.parquet", "map.json", "impedance-map.png"}
+    assert (place / "impedance-map.png").stat().st_size > 30_000
 
 
 def test_json_is_one_document_and_the_same_command_reads_it_again(run: Any) -> None:
@@ -71,7 +71,7 @@ def test_json_is_one_document_and_the_same_command_reads_it_again(run: Any) -> N
 
 def test_dual_rate_on_another_rig(run: Any) -> None:
     code, out, _ = run(
-        "zwidth", "--domain", "frequency", "--rig", "koul-rigid", "--scheme", "dual:20k/2k,estimator=kalman",
+        "impedance", "map", "--rig", "koul-rigid", "--scheme", "dual:20k/2k,estimator=kalman",
         "-K", "5,10", "-B", "0", "--realisations", "1", "--periods", "1", "--set", "excitation.settle_periods=1",
         "--band", "5:200", "--judge", "true", "--amplitude", "0.05", "--no-plot",
     )  # fmt: skip
@@ -85,12 +85,6 @@ def test_dual_rate_on_another_rig(run: Any) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message", "remedy"),
     [
-        (("--operator", "firm"), "--operator is for hits", "nobody holds"),
-        (("--effort", "3"), "--effort is for hits", "--amplitude"),
-        (("--ratio", "1.1"), "--ratio is for hits", "first:last:count"),
-        (("--search", "grid"), "--search is for hits", "exhaustive"),
-        (("--repeats", "2"), "--repeats is for hits", "--realisations"),
-        (("--url", "sim://"), "--url is for hits", "rig impedance"),
         (("--band", "250:1"), "--band 250:1 is not a frequency band", "1:250"),
         (("--judged-band", "many"), "--judged-band many is not a frequency band", "1:250"),
         (("--judged-band", "300:400"), "no line lies between 300 and 400 Hz", "1 to 250"),
@@ -108,17 +102,9 @@ def test_dual_rate_on_another_rig(run: Any) -> None:
 def test_what_cannot_be_is_one_line_with_a_remedy(
     run: Any, arguments: tuple[str, ...], message: str, remedy: str
 ) -> None:
-    code, out, err = run("zwidth", "--domain", "frequency", "--no-plot", *arguments)
+    code, out, err = run("impedance", "map", "--no-plot", *arguments)
     assert code not in (0, 70)
     assert out == ""
     assert message in err
     assert remedy in err
     assert err.strip().splitlines()[-1].startswith("rig: ")
-
-
-def test_options_of_frequency_are_refused_for_hits(run: Any) -> None:
-    for option in (("--band", "1:100"), ("--realisations", "3"), ("--amplitude", "1")):
-        code, _, err = run("zwidth", *option)
-        assert code != 0
-        assert f"{option[0]} is for impedances" in err
-        assert "--domain frequency" in err

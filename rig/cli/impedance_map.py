@@ -1,4 +1,4 @@
-"""``rig zwidth --domain frequency``: its options, and what it does."""
+"""``rig impedance map``."""
 
 from __future__ import annotations
 
@@ -7,16 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import click
-from click.core import ParameterSource
 
 from rig import config
-from rig.cli import options, output
-from rig.cli.command import option
-from rig.cli.map_options import judging as judging_of
+from rig.cli import map_options, options, output
+from rig.cli.command import command
 from rig.cli.progress import SweepBar
 from rig.config import Experiment
 from rig.config.schemes import Scheme
-from rig.core.errors import ConfigError
 from rig.core.present import Table
 from rig.core.sample import unit_of
 from rig.experiments import maps
@@ -26,67 +23,27 @@ from rig.experiments.table_one import FrequencyWidth, SchemeRow, Spread, TableOn
 from rig.experiments.zwidth_frequency import FrequencyMap, FrequencyPlan
 from rig.views.plots.zwidth_frequency import draw_frequency_map
 
-DOMAINS = ("time", "frequency")
 DEFAULT_PRESET = "chawda-linear"
-# Options of the time domain only: parameter → what to say instead.
-TIME_ONLY = {
-    "operator": "nobody holds a rig that is excited: drop --operator",
-    "effort": "nothing pushes: --amplitude is the size of the excitation",
-    "way": "the grid is exhaustive, and the paper's search is shown beside it: drop --search",
-    "ratio": "give the stiffnesses as first:last:count",
-    "offsets": "drop --offsets; --set rig.encoder.offset=0.5 moves the one place of zero",
-    "repeats": "say --realisations",
-    "url": "rig impedance --url measures single walls on a device",
-    "realtime": "rig impedance --url sim:// --realtime measures single walls",
-    "verified": "that is for a device: drop it",
-    "confirm": "that is for a device: drop it",
-    "explained": "it explains hits: drop it",
-}
 
 
-frequency_options = options.added(
-    option(
-        "--domain", type=click.Choice(DOMAINS), default="time", show_default=True,
-        help="Hits, judged by what follows; or impedances, judged by passivity and fidelity.",
-    ),
-    options.excitation_options,
-    options.judging_options,
-)  # fmt: skip
-"""The domain, and what only the frequency domain has."""
-
-
-def of_frequency() -> list[str]:
-    """The parameters of the running command that are for the frequency domain only: one group of its options."""
-    params = click.get_current_context().command.params
-    return [one.name for one in params if one.name and getattr(one, "group", None) == options.FREQUENCY]
-
-
-def refuse_of_the_other(domain: str) -> None:
-    """Raise `ConfigError` for an option of the command line that the domain does not have."""
-    context = click.get_current_context()
-
-    def given(name: str) -> bool:
-        return context.get_parameter_source(name) == ParameterSource.COMMANDLINE
-
-    spelled = {parameter.name: parameter.opts[-1] for parameter in context.command.params}
-    if domain == "frequency":
-        for name, remedy in TIME_ONLY.items():
-            if given(name):
-                raise ConfigError(f"{spelled[name]} is for hits, not for --domain frequency", remedy=remedy)
-        return
-    for name in of_frequency():
-        if given(name):
-            raise ConfigError(f"{spelled[name]} is for impedances", remedy="say --domain frequency too")
-
-
-def map_frequency(
-    *,
-    file: Path | None,
-    preset: str | None,
-    schemes: tuple[str, ...],
-    cutoff: str | None,
+@command("map")
+@options.file_argument
+@options.rig_option(DEFAULT_PRESET)
+@options.set_option
+@options.walls_options(
+    "Stiffnesses of the grid. [60, to a share of what linear theory calls stable]",
+    "Dampings of the grid. [16, likewise]",
+)
+@options.scheme_option("the paper's four estimators")
+@options.seed_option("Of the phases.")
+@options.judge_option
+@options.excitation_options
+@options.judging_options
+@map_options.sweep_options
+def map_(
     stiffness: str | None,
     damping: str | None,
+    schemes: tuple[str, ...],
     judged: str | None,
     judged_band: str | None,
     z_score: float | None,
@@ -97,22 +54,27 @@ def map_frequency(
     as_json: bool,
     workers: int | None,
     scheduler: str | None,
-    **excitation: Any,
+    **rig: Any,
 ) -> None:
-    """Map a simulated rig and print what came of it."""
-    experiment = _chosen(file, preset, cutoff=cutoff, **excitation)
+    """Map where the impedance of a simulated rig's walls (K, B) is passive; its fidelity is the colour.
+
+    Every wall of a grid is excited. Without arguments: Figs. 5 to 8 and Table I of Chawda et al. on the simulated rig
+    chawda-linear. The same command resumes a map that was stopped.
+    """
     signal = None if judged is None else "truth" if judged == "true" else "count"
-    judging = judging_of(
+    judging = map_options.judging(
         judged_band, z_score=z_score, residual_threshold=residual_threshold, effective_hz=effective_hz
     )
-    plan = _plan(experiment, schemes, stiffness, damping, signal=signal, judging=judging)
-    place = maps.directory_for(plan, directory, "zwidth-frequency")
+    plan = _plan(_chosen(**rig), schemes, stiffness, damping, signal=signal, judging=judging)
+    place = maps.directory_for(plan, directory, "impedance-map")
     with SweepBar("columns", unit="runs", plain=as_json) as bar:
         found = maps.map_into(plan, place, scheduler=scheduler, workers=workers, watch=bar.watch)
     picture = None
     if plot:
         curves = linear_curves(plan)
-        picture = output.drawn(lambda: draw_frequency_map(found, place / f"zwidth.{plot}", theory=curves))
+        picture = output.drawn(
+            lambda: draw_frequency_map(found, place / f"impedance-map.{plot}", theory=curves)
+        )
     if as_json:
         output.print_json({**maps.summary(found), "directory": str(place), "picture": picture})
         return

@@ -1,0 +1,43 @@
+"""``rig theory disagreement``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from rig.cli import map_options, output
+from rig.cli.command import command
+from rig.cli.progress import SweepBar
+from rig.experiments import maps
+from rig.experiments.disagreement import DisagreementPlan
+from rig.views.plots.disagreement import draw_disagreement
+from rig.views.report.disagreement import paragraph
+
+
+@command()
+@map_options.walls_hit_options
+@map_options.sweep_options
+def disagreement(
+    workers: int | None, scheduler: str | None, directory: Path, plot: str, as_json: bool, **hits: Any
+) -> None:
+    """Hit every wall of a range, and say where linear theory and hits differ, and why.
+
+    Where they differ, the wall is hit again without friction, quantum, saturation and loss of contact, one at a time:
+    which of them does it take? A picture, and a paragraph to cite.
+    """
+    plan = DisagreementPlan(map=map_options.plan_hits(**hits))
+    place = maps.directory_for(plan, directory, "disagreement")
+    with SweepBar("columns", unit="ticks", plain=as_json) as bar:
+        found = maps.compare_into(plan, place, scheduler=scheduler, workers=workers, watch=bar.watch)
+    picture = output.drawn(lambda: draw_disagreement(found, place / f"disagreement.{plot}")) if plot else None
+    text = paragraph(found)
+    if as_json:
+        facts = {"paragraph": text, "directory": str(place), "picture": picture}
+        output.print_json({**found.as_mapping(), **facts})
+        return
+    output.show(found.detailed())
+    click.echo(text)
+    pairs = [("walls", str(place / found.table_name)), ("summary", str(place / maps.SUMMARY))]
+    output.print_pairs([*pairs, ("picture", picture)] if picture else pairs)

@@ -1,0 +1,40 @@
+"""The commands of ``rig`` as click has them: all of them, or the one that some words mean."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import click
+
+import rig.cli
+
+Words = tuple[str, ...]
+
+
+def commands(group: click.Command = rig.cli.rig, above: Words = ()) -> Iterator[tuple[Words, click.Command]]:
+    """Each command with the words that call it."""
+    if not isinstance(group, click.Group):
+        yield above, group
+        return
+    context = click.Context(group)
+    for name in group.list_commands(context):
+        one = group.get_command(context, name)
+        assert one is not None
+        yield from commands(one, (*above, name))
+
+
+def resolve(words: Sequence[str]) -> tuple[click.Context, Words]:
+    """Return the context of the command that a line without ``rig`` calls, and the words after its name."""
+    context = click.Context(rig.cli.rig, info_name="rig")
+    while isinstance(context.command, click.Group):
+        name, *words = words
+        found = context.command.get_command(context, name)
+        assert found is not None, f"no command {name!r} in {context.command_path}"
+        context = click.Context(found, info_name=name, parent=context)
+    return context, tuple(words)
+
+
+def parse_line(words: Sequence[str]) -> None:
+    """Raise for a command or an option that does not exist; values are not converted."""
+    context, rest = resolve(words)
+    context.command.make_parser(context).parse_args(list(rest))
