@@ -1,5 +1,4 @@
-/* The image for tests: golden vectors where there is a file of them, the port tried out where a file says so, else lock-step with
- * a plant. */
+/* The image for tests: the port tried out where a file requests it, else lock-step with a plant. */
 #include "tests.h"
 
 #include "mps2.h"
@@ -9,9 +8,6 @@
 
 int main(void)
 {
-    const int32_t vectors = semihosting_open_to_read("vectors");
-    if (vectors >= 0)
-        semihosting_exit(law_vectors(vectors));
     const bool simulates = semihosting_open_to_read("simulate") >= 0;
     const int32_t requests = semihosting_open_to_read("requests");
     const int32_t replies = semihosting_open_to_write("replies");

@@ -4,9 +4,6 @@
 
 #include <stdint.h>
 
-/* Run the law over a file of golden vectors; returns the exit code. */
-uint32_t law_vectors(int32_t file);
-
 /* Be the device of a plant outside, until there are no more requests; returns the exit code. */
 uint32_t lockstep(int32_t requests, int32_t replies);
 
