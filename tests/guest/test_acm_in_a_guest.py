@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import serial
 from click.testing import CliRunner
 from serial.tools import list_ports
 
@@ -76,19 +75,6 @@ def test_rig_devices_names_it(plugged: Any) -> None:
     done = CliRunner().invoke(device.list_, ["--json"])
     assert done.exit_code == 0, done.output
     assert URL in {port["url"] for port in json.loads(done.stdout)["ports"]}
-
-
-def test_pyserial_says_several_things_of_a_pulled_plug(plugged: Any) -> None:
-    """What `rig.devices.serial` must make one error of."""
-    port = serial.Serial(PORT, timeout=20.0)
-    plugged.pull()
-    with pytest.raises(serial.SerialException):
-        port.read(1)
-    with pytest.raises(serial.SerialException):
-        port.write(b"x")
-    with pytest.raises(OSError, match="Input/output"):
-        _ = port.in_waiting
-    port.close()
 
 
 def test_a_pulled_plug_is_one_error_whatever_is_called(plugged: Any) -> None:

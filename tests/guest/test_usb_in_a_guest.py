@@ -35,7 +35,6 @@ from tests.guest.plugged import plugged, plugged_rig
 pytestmark = pytest.mark.skipif(not vhci.is_here(), reason="no vhci_hcd here: run .ci/guest")
 
 LONG_MS = 20_000
-SHORT_MS = 100
 READ = 4096
 STRIKE_AFTER_S = 0.3
 
@@ -68,12 +67,6 @@ def opened(bare: Any) -> Iterator[Any]:
     usb.util.dispose_resources(device)
 
 
-def number_of(call: Any) -> Any:
-    with pytest.raises(usb.core.USBError) as caught:
-        call()
-    return caught.value.errno
-
-
 # ---------------------------------------------------------------------- what pyusb is given
 
 
@@ -96,67 +89,6 @@ def test_bytes_pass_both_ways_as_packets(opened: Any, bare: Any) -> None:
     assert b"".join(packets) == sent
     bare.device.send(b"short")
     assert bytes(opened.read(ENDPOINT_IN, READ, LONG_MS)) == b"short"
-
-
-def test_silence_is_a_time_out_and_nothing_is_lost_by_it(opened: Any, bare: Any) -> None:
-    with pytest.raises(usb.core.USBTimeoutError) as caught:
-        opened.read(ENDPOINT_IN, READ, SHORT_MS)
-    assert caught.value.errno == errno.ETIMEDOUT
-    bare.device.send(b"late")
-    assert bytes(opened.read(ENDPOINT_IN, READ, LONG_MS)) == b"late"
-
-
-def test_a_device_that_does_not_read_is_a_time_out(opened: Any, bare: Any) -> None:
-    bare.bus.silence(ENDPOINT_OUT)
-    assert number_of(lambda: opened.write(ENDPOINT_OUT, b"x", SHORT_MS)) == errno.ETIMEDOUT
-
-
-def test_a_stall_is_a_broken_pipe_until_it_is_cleared(opened: Any, bare: Any) -> None:
-    bare.bus.halt(ENDPOINT_IN)
-    for _ in range(2):
-        assert number_of(lambda: opened.read(ENDPOINT_IN, READ, LONG_MS)) == errno.EPIPE
-    opened.clear_halt(ENDPOINT_IN)
-    bare.device.send(b"again")
-    assert bytes(opened.read(ENDPOINT_IN, READ, LONG_MS)) == b"again"
-
-
-def test_more_bytes_than_asked_for_are_an_overflow(opened: Any, bare: Any) -> None:
-    bare.device.send(bytes(60))
-    assert number_of(lambda: opened.read(ENDPOINT_IN, 16, LONG_MS)) == errno.EOVERFLOW
-
-
-def test_a_packet_without_bytes_is_an_empty_read(opened: Any, bare: Any) -> None:
-    bare.bus.fail_next(ENDPOINT_IN, 0)
-    assert len(opened.read(ENDPOINT_IN, READ, LONG_MS)) == 0
-
-
-def test_a_short_write_says_how_much_was_taken(opened: Any, bare: Any) -> None:
-    bare.bus.fail_next(ENDPOINT_OUT, 0, 5)
-    assert opened.write(ENDPOINT_OUT, bytes(20), LONG_MS) == 5
-
-
-@pytest.mark.parametrize("status", [errno.EPROTO, errno.EILSEQ])
-def test_noise_on_the_cable_is_an_error_of_input(opened: Any, bare: Any, status: Any) -> None:
-    bare.bus.fail_next(ENDPOINT_IN, -status)
-    assert number_of(lambda: opened.read(ENDPOINT_IN, READ, LONG_MS)) == errno.EIO
-
-
-def test_unplugged_in_a_blocked_read_and_after_it_and_found_again() -> None:
-    with plugged("moving") as made:
-        device = find("moving")
-        usb.util.claim_interface(device, 0)
-        threading.Timer(STRIKE_AFTER_S, made.bus.unplug).start()
-        assert number_of(lambda: device.read(ENDPOINT_IN, READ, LONG_MS)) == errno.ENODEV
-        assert number_of(lambda: device.read(ENDPOINT_IN, READ, LONG_MS)) == errno.ENODEV
-        assert number_of(lambda: device.write(ENDPOINT_OUT, b"x", LONG_MS)) == errno.ENODEV
-        usb.util.dispose_resources(device)
-        made.unplug()
-        assert find("moving") is None
-    with plugged("moving") as made:
-        device = find("moving")
-        made.device.send(b"back")
-        assert bytes(device.read(ENDPOINT_IN, READ, LONG_MS)) == b"back"
-        usb.util.dispose_resources(device)
 
 
 # ---------------------------------------------------------------------- what rig makes of it
