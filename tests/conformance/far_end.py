@@ -3,8 +3,6 @@
 The witness is a small file that the device writes at every tick and everybody can read: what current flows, whether
 the device has latched a fault, what it lost. It says what the device did when no frame can tell any more.
 
-A far end differs from another by its port alone (`PORTS`): everything else here serves any of them.
-
 What runs on it does not depend on how busy this machine is: the device's time stands still while its process or its
 host gets no processor (`PatientClock`, `FaultyPort`), and the host waits longer for samples and answers
 (`patient_host`).
@@ -21,7 +19,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -39,7 +37,8 @@ from rig.devices.fault_script import Direction, FrameFault
 from rig.devices.framed import FramedDevice
 from rig.devices.port import LoopPort
 from rig.experiments import trial
-from rig.realtime.plugs import NOW_SIGNATURE, TRANSFER_SIGNATURE, WAIT_SIGNATURE, NativeFunction
+from rig.realtime.callbacks import callback_plugs
+from rig.realtime.plugs import NOW_SIGNATURE, WAIT_SIGNATURE, NativeFunction
 from sim_backend import line, pty, real_time
 from sim_backend.board_time import BoardTime
 from sim_backend.channel import Line
@@ -293,25 +292,16 @@ class PluggedPort:
 
     def loop_port(self) -> LoopPort:
         """Return them."""
-        return self._clock.loop_port(
-            read=native(self._read, TRANSFER_SIGNATURE, 3),
-            write=native(self._write, TRANSFER_SIGNATURE, 3),
-            wait=native(self._wait, WAIT_SIGNATURE, 2),
-            handle=0,
-        )
+        plugs = callback_plugs(read=self._read, write=self._port.write, wait=self._wait)
+        return self._clock.loop_port(**plugs._asdict())
 
-    def _wait(self, handle: int, deadline_ns: int) -> int:
+    def _wait(self, deadline_ns: int) -> bool:
         self._heard = self._heard or self._port.read(deadline_ns)
-        return int(bool(self._heard))
+        return bool(self._heard)
 
-    def _read(self, handle: int, address: int, size: int) -> int:
+    def _read(self, size: int) -> bytes:
         data, self._heard = self._heard[:size], self._heard[size:]
-        ctypes.memmove(address, data, len(data))
-        return len(data)
-
-    def _write(self, handle: int, address: int, size: int) -> int:
-        self._port.write(ctypes.string_at(address, size))
-        return size
+        return data
 
 
 class _FromPython(NativeFunction):
@@ -345,14 +335,7 @@ def _pty_port() -> Iterator[tuple[str, Port, Callable[[], None]]]:
         yield f"serial://{port.place}", port, hang_up
 
 
-# name → context manager that opens the port in the device's process: (URL for the host, port, how to unplug it)
-PORTS: dict[str, Callable[[], AbstractContextManager[tuple[str, Port, Callable[[], None]]]]] = {
-    "pty": _pty_port
-}
-
-
 def _serve(
-    port_name: str,
     model: RigModel,
     script: Script,
     witness_path: Path,
@@ -368,7 +351,7 @@ def _serve(
     options: dict[str, Any] = {"position_rate_default": rate, "keep_truth": False}
     clock = PatientClock()
     real_time.time = line.time = clock  # type: ignore[assignment]
-    with PORTS[port_name]() as (url, port, unplug):
+    with _pty_port() as (url, port, unplug):
         running: BoardTime | RealTime
         if firmware:
             made = WatchedFirmware(
@@ -411,7 +394,6 @@ class FarEnd:
 
     def __init__(
         self,
-        port: str,
         directory: Path,
         model: RigModel,
         script: Script,
@@ -426,7 +408,7 @@ class FarEnd:
         receiver, sender = context.Pipe(duplex=False)
         self.process = context.Process(
             target=_serve,
-            args=(port, model, script, path, rate, firmware, sender),
+            args=(model, script, path, rate, firmware, sender),
             name="far-end",
             daemon=True,
         )

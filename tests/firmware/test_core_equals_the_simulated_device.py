@@ -37,7 +37,6 @@ from sim_backend.hardware import Hardware
 from sim_backend.lockstep import INDEX_EDGES
 from tests.conformance.host import RUN_PARAMETERS
 from tests.conformance.rigs import linear_rig, rotary_rig, unmeasured
-from tests.conformance.wire_strategies import messages_of, parameter_sets
 
 WALKS = int(os.environ.get("HAPTIC_RIG_WALKS", "20"))
 WALK_STEPS = 120
@@ -220,9 +219,6 @@ class Step:
     def _send(self, pair: Pair, message: Message, session: int, sequence: int, major: int) -> None:
         pair.send(message, session, sequence, major)
 
-    def _twice(self, pair: Pair, message: Message) -> None:
-        pair.write(pair.send(message))
-
     def _frame(self, pair: Pair, header: tuple[int, ...], payload: bytes) -> None:
         pair.write(encode_frame(bytes(header) + payload))
 
@@ -270,8 +266,6 @@ def steps(name: str, *values: st.SearchStrategy[Any]) -> st.SearchStrategy[Step]
     return st.tuples(*values).map(lambda drawn: Step(name, drawn))
 
 
-u8, u16 = st.integers(0, 255), st.integers(0, 0xFFFF)
-host_messages = st.sampled_from(HOST_MESSAGES).flatmap(messages_of)
 currents = st.sampled_from([sign * size for size in (0, 1, 60, 300, 501, 5_000, 32_767) for sign in (1, -1)])
 sync_flags = st.sampled_from([0, 2, 4, 6, 0xFF])
 ages = st.sampled_from(AGES)
@@ -294,30 +288,6 @@ run_values = st.fixed_dictionaries(
     {"position_rate": st.sampled_from(RATES)},
     optional={name: st.sampled_from(choices) for name, choices in CHOICES.items()},
 )
-any_step = st.one_of(
-    steps("tick", st.integers(1, 40)),
-    steps(
-        "drive", st.integers(1, 40), currents, st.sampled_from(LIFETIMES_US),
-        st.sampled_from([0, 0, 0, 0, 1, 2, 9]), st.sampled_from([0, 0, 0, 1, 0x7FFE, 0x8000, 0xFFFF]), sync_flags, ages,
-    ),
-    steps("run", u8, run_values),
-    steps("configure", parameter_sets()),
-    steps("arm", u8, st.sampled_from([0, 0, 1])),
-    steps("disarm", st.sampled_from([0, int(DisarmFlag.CLEAR_FAULT), 0xFF])),
-    steps("send", host_messages, st.integers(0, 3), u16, st.sampled_from([m.MAJOR, m.MAJOR, 0, 2])),
-    steps("twice", host_messages),
-    steps("frame", st.tuples(st.sampled_from([0, 1, 2]), u8, u8, st.integers(0, 2), u8, u8), st.binary(max_size=240)),
-    steps("damaged", host_messages, st.integers(0, 511), st.sampled_from([0, 0, 0, 1, 7])),
-    steps("noise", st.binary(max_size=300)),
-    steps("emergency", st.booleans()),
-    steps("hold", st.booleans()),
-    steps("sync", st.booleans()),
-    steps("fault", st.sampled_from([fault for fault in Fault if fault is not Fault.NONE])),
-    steps("push", st.sampled_from([0.0, 0.02, -0.5, 3.0])),
-    steps("reset"),
-    steps("shake", st.sampled_from([jump for jump, _ in SHAKES]), st.sampled_from([spike for _, spike in SHAKES])),
-    steps("again", st.integers(0, 7)),
-)  # fmt: skip
 run_step = st.one_of(
     steps("tick", st.integers(1, 400)),
     steps("drive", st.integers(1, 400), currents, st.sampled_from(LIFETIMES_US), st.sampled_from([0, 0, 0, 1, 2]),
@@ -380,18 +350,6 @@ def rig_of(sign: int = 1, drive: str = "current") -> RigModel:
 
 
 # ---------------------------------------------------------------------- the laws
-
-
-@settings(max_examples=120, deadline=None)
-@given(st.lists(any_step, max_size=30), st.booleans())
-def test_whatever_happens_both_say_the_same(library: ctypes.CDLL, script: list[Step], run: bool) -> None:
-    pair = Pair(library, rig_of())
-    if run:
-        pair.begin()
-    for step in script:
-        step.act(pair)
-    pair.write(b"\0")
-    pair.ask_everything()
 
 
 @pytest.mark.parametrize("seed", range(WALKS))

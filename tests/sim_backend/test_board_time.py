@@ -5,7 +5,6 @@ Time is a number here and the port a script: nothing waits.
 
 from __future__ import annotations
 
-import ctypes
 import errno
 import itertools
 import subprocess
@@ -22,13 +21,12 @@ from firmware_protocol.faults import Fault
 from firmware_protocol.framing import FrameSplitter
 from firmware_protocol.packing import unpack
 from rig.devices.port import PORT_TYPE, LoopPort
+from rig.realtime.callbacks import callback_plugs
 from rig.realtime.clock import VirtualClock
-from rig.realtime.plugs import TRANSFER_SIGNATURE, WAIT_SIGNATURE
 from sim_backend.board_time import LONGEST_PAUSE_NS, PENDING_BYTES, BoardTime, keep_time
 from sim_backend.device import SimulatedDevice
 from sim_backend.firmware import FirmwareDevice
 from sim_backend.link import MemoryLink
-from tests.conformance.far_end import native
 from tests.conformance.firmware import need_compiler
 from tests.conformance.host import Host
 from tests.conformance.link import COMPILED
@@ -63,36 +61,29 @@ class ScriptedPort:
         self._late = late
 
     def loop_port(self) -> LoopPort:
-        return LoopPort.on(
-            self.clock,
-            read=native(self._read, TRANSFER_SIGNATURE, 3),
-            write=native(self._write, TRANSFER_SIGNATURE, 3),
-            wait=native(self._wait, WAIT_SIGNATURE, 2),
-            handle=0,
-        )
+        plugs = callback_plugs(read=self._read, write=self._write, wait=self._wait)
+        return LoopPort.on(self.clock, **plugs._asdict())
 
-    def _wait(self, handle: int, deadline_ns: int) -> int:
+    def _wait(self, deadline_ns: int) -> bool:
         now_ns = self.clock.now_ns()
         if now_ns in self.gone:
-            return -errno.EIO
+            raise OSError(errno.EIO, "nobody is there")
         if self._script and self._script[0][0] <= max(now_ns, deadline_ns):
             self.clock.sleep_until(self._script[0][0])
-            return 1
+            return True
         if deadline_ns > now_ns:
             self.clock.sleep_until(deadline_ns + self._late(deadline_ns))
-        return 0
+        return False
 
-    def _read(self, handle: int, address: int, size: int) -> int:
-        data = self._script.pop(0)[1]
-        ctypes.memmove(address, data, len(data))
-        return len(data)
+    def _read(self, size: int) -> bytes:
+        return self._script.pop(0)[1]
 
-    def _write(self, handle: int, address: int, size: int) -> int:
+    def _write(self, data: bytes) -> int:
         now_ns = self.clock.now_ns()
         if now_ns in self.full:
             return 0
-        self.said.append((now_ns, ctypes.string_at(address, size)))
-        return size
+        self.said.append((now_ns, data))
+        return len(data)
 
     def states(self) -> list[m.State]:
         """All STATE frames that left, each whole."""

@@ -82,9 +82,7 @@ class Bench:
     def start(self, **script: Any) -> FarEnd:
         model, rate = config.rig_model(self.experiment), int(self.experiment.controller.position_rate)
         self.started.append(
-            FarEnd(
-                "pty", self.directory, model, Script(after=self.early, **script), rate, firmware=self.firmware
-            )
+            FarEnd(self.directory, model, Script(after=self.early, **script), rate, firmware=self.firmware)
         )
         return self.started[-1]
 

@@ -44,25 +44,13 @@ from tests.conformance.far_end import FarEnd, Script, patient_host
 from tests.conformance.started import started
 from tests.conformance.trials import trial_on
 from tests.system.test_faults import gives_nan, raises
+from tests.system.test_faults_realtime import COMMON, ON_HOST
 
 WAIT_S = 50.0  # on a loaded machine
 RATE = 500
 NO_SUCH_CPU = 4_095
 
-REAL = config.override(
-    config.with_realtime(presets.load("koul-compliant")),
-    {
-        "controller.position_rate": RATE,
-        "controller.velocity_rate": RATE,
-        "controller.parameters": {"cutoff_hz": 100.0},
-        "controller.command_lifetime_s": 0.02,
-        "trial.duration_s": 0.15,
-        "trial.release_s": 0.02,
-        "homing.settle_s": 0.02,
-        "verdict.tail_s": 0.05,
-        "verdict.lowpass_hz": 200.0,
-    },
-)
+REAL = config.override(config.with_realtime(presets.load("koul-compliant")), {**COMMON, **ON_HOST})
 MODEL = config.rig_model(REAL)
 
 
@@ -209,7 +197,7 @@ def far_end(tmp_path: Path) -> Iterator[Any]:
     started = []
 
     def start(script: Any = None) -> Any:
-        started.append(FarEnd("pty", tmp_path, MODEL, script or Script(), RATE))
+        started.append(FarEnd(tmp_path, MODEL, script or Script(), RATE))
         return started[-1]
 
     yield start

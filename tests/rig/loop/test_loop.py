@@ -567,27 +567,11 @@ def test_leaving_the_window_or_an_unreachable_start_end_with_zero() -> None:
 
 
 @kernel(LAW_SIGNATURE, cache=False)
-def gives_nan(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any) -> Any:
-    state[1] += 1.0
-    return np.nan if state[1] > 3.0 else 0.0
-
-
-@kernel(LAW_SIGNATURE, cache=False)
 def raises(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any) -> Any:
     state[1] += 1.0
     if state[1] > 3.0:
         raise ValueError("too deep for me")
     return 0.0
-
-
-def test_a_law_that_is_not_finite_ends_with_zero() -> None:
-    link = Script(*ticks(1, 100))
-    thread, end = ran(link, at_rest(Law("nan", "for this test", gives_nan, 2, lambda wall: [])))
-    assert end.reason == EndReason.NONFINITE
-    row = thread.ring.rows[end.counters["ticks"] - 1]
-    assert (row["current_sent"], row["effort_sent"]) == (0, 0.0)
-    assert np.isnan(row["effort_wanted"])
-    assert_ends_with_stops(link)
 
 
 def test_an_exception_in_a_law_is_told_and_the_streams_can_be_taken_over() -> None:

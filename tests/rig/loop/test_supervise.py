@@ -352,25 +352,6 @@ def test_the_stop_word_stops_and_what_was_on_the_way_is_kept() -> None:
     assert_ends_with_stops(device)
 
 
-def test_a_stop_before_the_start_supervises_nothing() -> None:
-    memory = Ring.allocate(64)
-    memory.put(ring.STOP, 1)
-    device = BatchDevice([0] * 10)
-    _, end = ran(device, memory=memory)
-    assert (end.reason, end.counters["ticks"], device.played) == (EndReason.STOPPED, 0, 0)
-    assert_ends_with_stops(device)
-
-
-def test_a_supervisor_that_falls_silent_ends_the_run() -> None:
-    memory = Ring.allocate(8192)
-    memory.put(ring.HEARTBEAT, 20 * PERIOD_NS)
-    device = BatchDevice([0] * 300)
-    _, end = ran(device, memory=memory)
-    assert end.reason == EndReason.HEARTBEAT_MISSED
-    assert 20 <= device.played <= 27
-    assert_ends_with_stops(device)
-
-
 def test_a_device_that_never_says_anything_is_silent() -> None:
     device = BatchDevice([0] * 10)
     device.silent = True
