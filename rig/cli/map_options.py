@@ -14,8 +14,7 @@ from rig.config import Experiment
 from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError
 from rig.experiments.impedance import Judging
-from rig.experiments.kmax import undamped_schemes
-from rig.experiments.ranges import hit_plan, search_for
+from rig.experiments.ranges import hit_plan, schemes_for, search_for
 from rig.experiments.searches import Way, bounds_of, numbers_of
 from rig.experiments.zwidth import MapPlan
 
@@ -104,16 +103,15 @@ def plan_hits(
     if realtime:
         experiment = config.with_realtime(experiment)
     dampings = None if damping is None else numbers_of(damping, "--damping")
-    schemes_ = tuple(Scheme.parse(text) for text in schemes)
-    if not schemes_ and dampings == (0.0,) and not device:
-        schemes_ = undamped_schemes()
+    parsed = [Scheme.parse(text) for text in schemes]
+    compared = schemes_for(experiment, parsed, dampings, on_device=device)
     low, high = (None, None) if stiffness is None else bounds_of(stiffness, "--stiffness")
     return hit_plan(
         experiment,
-        schemes_,
+        compared,
         dampings=dampings,
         search=search_for(
-            experiment, way, ratio=ratio, lowest=low, highest=high, schemes=schemes_, on_device=device
+            experiment, way, ratio=ratio, lowest=low, highest=high, schemes=compared, on_device=device
         ),
         offsets=None if offsets is None else numbers_of(offsets, "--offsets"),
         repeats=repeats,

@@ -12,7 +12,7 @@ from rig.config.schemes import Scheme
 from rig.console.hits import experiment_of
 from rig.console.talk import Talk
 from rig.experiments import maps
-from rig.experiments.ranges import frequency_plan, hit_plan, search_for
+from rig.experiments.ranges import frequency_plan, hit_plan, schemes_for, search_for
 from rig.experiments.searches import bounds_of, numbers_of
 from rig.experiments.sweep import Progress
 from rig.experiments.zwidth import MapPlan
@@ -41,11 +41,12 @@ def zwidth(content: Mapping[str, Any], talk: Talk) -> Any:
 
 def _hits(experiment: Experiment, content: Mapping[str, Any]) -> MapPlan:
     low, high = bounds_of(content["stiffness"], "stiffness") if content["stiffness"] else (None, None)
-    schemes = _schemes(content)
+    dampings = _numbers(content, "damping")
+    schemes = schemes_for(experiment, _schemes(content), dampings)
     return hit_plan(
         experiment,
         schemes,
-        dampings=_numbers(content, "damping"),
+        dampings=dampings,
         search=search_for(
             experiment, content["way"], ratio=content["ratio"], lowest=low, highest=high, schemes=schemes
         ),

@@ -31,7 +31,7 @@ from rig.experiments import replay as replaying
 from rig.experiments.compare import OFFSETS, SchemeComparison, entries_of, refuse_unused
 from rig.experiments.hit import HitRequest, HitResult, Watch
 from rig.experiments.planned import Plan
-from rig.experiments.ranges import SPAN, hit_plan, search_for
+from rig.experiments.ranges import hit_plan, schemes_for, search_for
 from rig.experiments.replay import ReplayResult
 from rig.experiments.searches import Way
 from rig.experiments.settings import HitSettings, Settings, WallSettings, changes_of, takes
@@ -306,14 +306,13 @@ def zwidth(
         _refuse_what_is_not_installed(*own)
     with _lent(*own):
         loaded = _held(experiment, changes)
-        chosen = [Scheme.parse(scheme) if isinstance(scheme, str) else scheme for scheme in schemes]
+        parsed = [Scheme.parse(scheme) if isinstance(scheme, str) else scheme for scheme in schemes]
+        chosen = schemes_for(loaded, parsed, dampings)
         planned = hit_plan(
             loaded,
             chosen,
             dampings=dampings,
-            search=search_for(
-                loaded, search, ratio=ratio, lowest=lowest, highest=highest, span=SPAN, schemes=chosen
-            ),
+            search=search_for(loaded, search, ratio=ratio, lowest=lowest, highest=highest, schemes=chosen),
             offsets=offsets,
             repeats=repeats,
             judged=judged,

@@ -24,7 +24,7 @@ from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError, PlanError
 from rig.experiments.excitation_run import Signal
 from rig.experiments.impedance import Judging
-from rig.experiments.kmax import KMax
+from rig.experiments.kmax import KMax, undamped_schemes
 from rig.experiments.on_the_drive import is_on_the_drive
 from rig.experiments.plan import make_plan, predict_impact
 from rig.experiments.searches import Search, Way
@@ -175,6 +175,24 @@ def _softest(experiment: Experiment, lowest: float, highest: float) -> float:
     return math.exp(bisect(refused, low, high, _COARSE_BISECTIONS)[1])
 
 
+def schemes_for(
+    experiment: Experiment,
+    schemes: Sequence[Scheme] = (),
+    dampings: Sequence[float] | None = None,
+    *,
+    on_device: bool = False,
+) -> tuple[Scheme, ...]:
+    """Return the schemes of a map of hits: those given, else the experiment's and the uniform ones of its rates.
+
+    In simulation, with B = 0 alone: uniform ones from 100 Hz to 50 kHz, since without damping there is no second rate.
+    """
+    if schemes:
+        return tuple(schemes)
+    if not on_device and dampings is not None and tuple(dampings) == (0.0,):
+        return undamped_schemes()
+    return tuple(theory.default_schemes(experiment))
+
+
 def dampings_for(
     experiment: Experiment, schemes: Sequence[Scheme], columns: int = COLUMNS
 ) -> tuple[float, ...]:
@@ -212,7 +230,7 @@ def hit_plan(
     experiment
         Rig, trial and thresholds.
     schemes
-        The experiment's own and the uniform ones of its rates if empty.
+        `schemes_for` if empty.
     dampings, search
         `dampings_for` and `search_for` if None.
     offsets
@@ -229,7 +247,7 @@ def hit_plan(
     ConfigError, PlanError
         A scheme or a range that cannot be.
     """
-    chosen = tuple(schemes) or theory.default_schemes(experiment)
+    chosen = schemes_for(experiment, schemes, dampings, on_device=on_device)
     if offsets is None:
         offsets = (experiment.rig.encoder.offset,) if on_device else OFFSETS
     return MapPlan(

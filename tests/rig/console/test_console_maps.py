@@ -12,7 +12,7 @@ from click.testing import CliRunner
 if numba.config.DISABLE_JIT:
     pytest.skip("plug points are function types of compiled code", allow_module_level=True)
 
-from rig.cli.zwidth import zwidth
+import rig.cli
 from rig.console import map_errands, map_jobs
 from rig.console.maps import Maps, Watched
 from rig.console.requests import request_of
@@ -196,15 +196,16 @@ def test_a_damaged_plan_is_listed_with_its_reason(root: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "fields"),
     [
-        (["-B", "0,0.3", "--scheme", "uniform:20k"], {"damping": "0,0.3", "schemes": ["uniform:20k"]}),
+        (["zwidth", "-B", "0"], {"damping": "0"}),
+        (["zwidth", "-B", "0,0.3", "--scheme", "uniform:20k"], {"damping": "0,0.3", "schemes": ["uniform:20k"]}),
         (
-            ["-B", "0:1:3", "--scheme", "dual:20k/2k", "-K", "20:200", "--search", "grid", "--ratio", "1.5",
+            ["zwidth", "-B", "0:1:3", "--scheme", "dual:20k/2k", "-K", "20:200", "--search", "grid", "--ratio", "1.5",
              "--offsets", "0.2", "--repeats", "2", "--judge", "recorded", "--set", "trial.seed=3"],
             {"damping": "0:1:3", "schemes": ["dual:20k/2k"], "stiffness": "20:200", "way": "grid", "ratio": 1.5,
              "offsets": "0.2", "repeats": 2, "judged": "recorded", "changes": {"trial.seed": 3}},
         ),
         (
-            ["--domain", "frequency", "-K", "500:5000:4", "-B", "0:4:3", "--realisations", "1"],
+            ["impedance", "map", "-K", "500:5000:4", "-B", "0:4:3", "--realisations", "1"],
             {"domain": "frequency", "rig": "chawda-linear", "stiffness": "500:5000:4", "damping": "0:4:3",
              "changes": {"excitation.realisations": 1}},
         ),
@@ -220,7 +221,7 @@ def test_the_page_starts_the_map_that_the_command_starts(
         raise ConfigError("not in this test")
 
     monkeypatch.setattr(maps, "map_into", map_into)
-    CliRunner().invoke(zwidth, [*options, "-o", str(tmp_path)])
+    CliRunner().invoke(rig.cli.rig, [*options, "-o", str(tmp_path)])
     held = (
         {} if fields.get("domain") else {"trial.kind": "human", "operator.grip": "normal"}
     )  # the page's choice
