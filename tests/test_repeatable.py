@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.conformance import drawn
+from tests.conformance.tiers import first_by_default
 
 ROOT = Path(__file__).parents[1]
 DRAW = """
@@ -31,7 +32,7 @@ def inputs_beside(*modules: str) -> list[str]:
     return subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True).stdout.splitlines()
 
 
-@pytest.mark.parametrize("module", ["firmware_protocol.framing", "rig.control.excitation"])
+@pytest.mark.parametrize("module", first_by_default(["rig.control.excitation", "firmware_protocol.framing"]))
 def test_inputs_do_not_depend_on_loaded_modules(module: str) -> None:
     alone = inputs_beside()
     assert len(alone) >= 300

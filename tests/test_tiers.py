@@ -28,7 +28,7 @@ def test_a_relative_exists_and_is_run_by_default(file: str, relative: str) -> No
     assert not re.search(r"^pytestmark = .*exhaustive", text, re.MULTILINE), "all of it is exhaustive"
     before, found, _ = text.partition(f"\ndef {name}(")
     assert found, f"{file} names {relative}, which is not there"
-    assert "mark.exhaustive" not in before.rpartition("\n\n\n")[2]
+    assert "mark.exhaustive" not in f"{before}\n".rpartition("\n\n\n")[2]
 
 
 def test_no_test_is_tolerated() -> None:

@@ -18,7 +18,10 @@ def first_by_default(values: Iterable[Any], number: int = 1) -> list[Any]:
     """Return parameters, or tuples of them, of which the first run by default; they are relatives of the others."""
     rest = pytest.mark.exhaustive("the same test, by its first parameters")
     found = list(values)
-    return found[:number] + [
-        pytest.param(*(value if isinstance(value, tuple) else (value,)), marks=rest)
-        for value in found[number:]
-    ]
+    return found[:number] + [_marked(value, rest) for value in found[number:]]
+
+
+def _marked(value: Any, mark: Any) -> Any:
+    if isinstance(value, type(pytest.param())):
+        return pytest.param(*value.values, marks=[*value.marks, mark], id=value.id)
+    return pytest.param(*(value if isinstance(value, tuple) else (value,)), marks=mark)

@@ -22,6 +22,7 @@ import pytest
 
 from rig.experiments.pulse import PUSHES
 from tests.conformance.started import started
+from tests.conformance.tiers import first_by_default
 from tests.platforms import emulated
 from tests.platforms.everyday import LINUX_ALONE
 
@@ -96,7 +97,7 @@ sys.exit(cli.run(["serve", "rig"]))
 """
 
 
-@pytest.mark.parametrize("platform", ["darwin", "win32"])
+@pytest.mark.parametrize("platform", first_by_default(["win32", "darwin"]))
 def test_the_commands_load_where_nothing_of_linux_is(platform: str, tmp_path: Path) -> None:
     environment = ENVIRONMENT | {"LOCALAPPDATA": str(tmp_path)}
     command = [sys.executable, "-c", A_GLANCE, platform]

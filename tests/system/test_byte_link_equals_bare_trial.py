@@ -21,6 +21,7 @@ from sim_backend.operator import Script
 from sim_backend.plant import DiscretePlant
 from tests.conformance.firmware import hide_compiler, need_compiler
 from tests.conformance.rigs import rotary_rig
+from tests.conformance.tiers import first_by_default
 from tests.conformance.trials import CURRENTS, trial_on
 
 SHORT = {"trial.duration_s": 0.15, "trial.release_s": 0.02, "verdict.tail_s": 0.05, "homing.settle_s": 0.02}
@@ -105,7 +106,7 @@ def test_the_same_seed_gives_the_same_recording_bit_for_bit(tmp_path: Path) -> N
     )
 
 
-@pytest.mark.parametrize("changes", [{}, HELD, COGS], ids=["pushed", "held", "cogging"])
+@pytest.mark.parametrize("changes", first_by_default([{}, HELD, COGS]), ids=["pushed", "held", "cogging"])
 def test_without_a_c_compiler_the_recording_is_the_same_bit_for_bit(
     changes: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

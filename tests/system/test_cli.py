@@ -632,7 +632,7 @@ for words, full in json.loads(sys.argv.pop()):
 """
 
 
-@pytest.mark.parametrize("unbuffered", ["", "1"])
+@pytest.mark.parametrize("unbuffered", first_by_default(["", "1"]))
 def test_an_output_without_room_has_an_exit_code_of_its_own(
     unbuffered: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

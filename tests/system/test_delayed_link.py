@@ -27,6 +27,7 @@ from sim_backend.device import SimulatedDevice
 from sim_backend.firmware import FirmwareDevice
 from sim_backend.link import MemoryLink
 from tests.attack.protocol import raw_frames
+from tests.conformance.tiers import first_by_default
 from tests.conformance.trials import trial_on
 
 LIFETIME, RAMP = 5, 10  # ticks
@@ -162,7 +163,9 @@ def test_up_to_a_lifetime_the_device_takes_what_comes(
 
 
 # Once the effort has faded nothing is left for a delay to change.
-@pytest.mark.parametrize("delay", [*range(LIFETIME + 1, LIFETIME + RAMP + 3), 25, LONGEST])
+@pytest.mark.parametrize(
+    "delay", first_by_default([LIFETIME + 1, LONGEST, *range(LIFETIME + 2, LIFETIME + RAMP + 3), 25], 2)
+)
 def test_beyond_it_nothing_late_drives_the_motor_and_the_effort_ramps_to_zero(
     delay: int, tmp_path: Path
 ) -> None:

@@ -25,6 +25,7 @@ from rig.recording.seal import seal
 from sim_backend.firmware import FirmwareDevice
 from tests.conformance.firmware import need_compiler
 from tests.conformance.struck import InMemory, StruckTrial
+from tests.conformance.tiers import first_by_default
 
 RATE = 5000
 START = -0.015
@@ -117,7 +118,7 @@ def test_timing_says_where_the_law_ran(
     assert "unanswered" not in said
 
 
-@pytest.mark.parametrize("kind", Kind)
+@pytest.mark.parametrize("kind", first_by_default(Kind, 2))
 def test_a_frame_to_the_host_that_suffers_is_a_counted_gap_and_never_a_wrong_row(
     kind: Kind, clean: Clean, tmp_path: Path
 ) -> None:

@@ -29,6 +29,7 @@ from rig.realtime.ring import Ring
 from sim_backend.firmware import FirmwareDevice
 from sim_backend.firmware_library import FIRMWARE
 from sim_backend.link import MemoryLink
+from tests.conformance.tiers import first_by_default
 
 RATE = 10_000
 WAIT_S = 20.0
@@ -158,7 +159,9 @@ def test_a_device_that_took_a_wall_is_no_stranger_afterwards() -> None:
     )
 
 
-@pytest.mark.parametrize("kind", [Kind.DROP, Kind.CORRUPT, Kind.DUPLICATE, Kind.REORDER, Kind.DELAY])
+@pytest.mark.parametrize(
+    "kind", first_by_default([Kind.DROP, Kind.CORRUPT, Kind.DUPLICATE, Kind.REORDER, Kind.DELAY])
+)
 @pytest.mark.parametrize("way", Direction)
 def test_a_conversation_that_suffers_ends_with_the_same_wall_on_both_sides(
     kind: Kind, way: Direction

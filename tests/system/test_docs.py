@@ -29,6 +29,7 @@ from rig.views import site
 from tests.conformance.commands import parse_line
 from tests.conformance.firmware import need_compiler
 from tests.conformance.guides import ROOT, Block, blocks
+from tests.conformance.tiers import first_by_default
 
 GUIDES = [
     ROOT / "README.md",
@@ -55,11 +56,23 @@ def runs(page: Path) -> list[Block]:
     return [one for one in blocks(page) if not one.reason]
 
 
+LONG = {  # half a second and more
+    "first-walls.md",
+    "how-to/drive.md",
+    "tutorials/ci.md",
+    "tutorials/first-hit.md",
+    "tutorials/own-estimator.md",
+    "tutorials/own-law.md",
+}
+RUNNING = sorted(
+    (name for name, page in PAGES.items() if any(b.language != "toml" for b in runs(page))),
+    key=LONG.__contains__,
+)
+
+
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="the loop is compiled")
 @pytest.mark.usefixtures("undrawn")
-@pytest.mark.parametrize(
-    "name", [name for name, page in PAGES.items() if any(b.language != "toml" for b in runs(page))]
-)
+@pytest.mark.parametrize("name", first_by_default(RUNNING, len(RUNNING) - len(LONG)))
 def test_what_a_page_shows_runs(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if name == "how-to/device-loop.md":
         need_compiler()

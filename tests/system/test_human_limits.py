@@ -24,6 +24,7 @@ from rig.recording.reader import open_recording
 from sim_backend.link import MemoryLink
 from sim_backend.make_device import make_device
 from tests.conformance.claimed import claim_to_be_real
+from tests.conformance.tiers import first_by_default
 from tests.conformance.trials import trial_on
 
 pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="the loop is compiled")
@@ -152,7 +153,7 @@ def swapped(
     return rows["effort_sent"][rows["sample_index"] >= tick], error
 
 
-@pytest.mark.parametrize("preset", ["koul-rigid", "koul-compliant", "hapkit"])
+@pytest.mark.parametrize("preset", first_by_default(["hapkit", "koul-rigid", "koul-compliant"]))
 def test_swapped_leads_in_a_persons_trial_give_no_more_than_the_nominal_effort(
     preset: str, tmp_path: Path
 ) -> None:

@@ -19,6 +19,7 @@ from rig.experiments.judgement import Judgement, judge
 from rig.recording.reader import open_recording
 from sim_backend.link import MemoryLink
 from sim_backend.make_device import make_device
+from tests.conformance.tiers import first_by_default
 from tests.conformance.trials import trial_on
 
 pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="the loop is compiled")
@@ -66,7 +67,7 @@ def contact_of(rows: Any) -> int:
     return int(rows["sample_index"][(rows["phase"] == Phase.TRIAL) & (rows["penetration"] > 0.0)][0])
 
 
-@pytest.mark.parametrize("preset", presets.names())
+@pytest.mark.parametrize("preset", first_by_default(presets.names(), 2))
 def test_sound_encoders_are_never_accused_and_changed_scales_are_found(preset: str, tmp_path: Path) -> None:
     """The table of 200 sound and 288 changed trials is in DESIGN.md; these are a few of them."""
     path = tmp_path / "trial.rigcap"
@@ -99,6 +100,7 @@ def test_sound_encoders_are_never_accused_and_changed_scales_are_found(preset: s
         assert found.early is not None, "a map on a rig repeats such a hit"
 
 
+@pytest.mark.exhaustive("::test_sound_encoders_are_never_accused_and_changed_scales_are_found")
 def test_what_happens_to_a_handle_at_rest_is_not_seen_and_its_size_is_stated(tmp_path: Path) -> None:
     """A scale of ½ or 2, and a drift of 100 counts/s, once the handle rests: stable walls, as FMEA.md says."""
     x, path = walled("koul-compliant", {}), tmp_path / "trial.rigcap"

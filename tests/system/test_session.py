@@ -66,6 +66,7 @@ def test_its_recordings_are_hashed_readable_and_say_nothing_in_their_names(calm:
         assert 0.0 < trial.heat < 1.0
 
 
+@pytest.mark.exhaustive("::test_what_was_known_of_the_person_is_found_by_the_analysis")
 def test_the_first_session_of_a_newcomer_ends_in_ten_minutes_with_intervals_that_show_the_effect(
     tmp_path: Path,
 ) -> None:

@@ -74,6 +74,9 @@ def test_a_recording_is_on_disk_under_its_name_before_the_log_tells_of_it(
     assert calls[first - 5 : first - 2] == ["create t0001.rigcap"] + ["write t0001.rigcap"] * 2
 
 
+@pytest.mark.exhaustive(
+    "tests/rig/session/test_session_crashes.py::test_death_at_every_write_flush_and_rename"
+)
 def test_death_at_every_call_of_recorder_and_sealer(
     protocol: Path, calm: tuple[Path, list[str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

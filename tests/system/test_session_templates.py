@@ -11,12 +11,13 @@ import pytest
 from rig.cli import run as rig
 from rig.session.load import load_protocol
 from rig.session.template_files import template_names
+from tests.conformance.tiers import first_by_default
 
 TRIALS = 3
 
 
 @pytest.mark.usefixtures("undrawn")
-@pytest.mark.parametrize("name", template_names())
+@pytest.mark.parametrize("name", first_by_default(sorted(template_names(), reverse=True)))
 def test_a_template_is_rehearsed_and_reported(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -21,6 +21,7 @@ from rig.core.errors import StoppedError
 from rig.experiments.hit import HitRequest, hit
 from rig.recording.reader import open_recording
 from tests.conformance.started import started
+from tests.conformance.tiers import first_by_default
 
 PROGRAM = """
 import asyncio, os, signal, sys, threading, time
@@ -77,14 +78,17 @@ run()
 @pytest.mark.signals
 @pytest.mark.parametrize(
     ("ending", "number", "codes"),
-    [
-        pytest.param(TO_THREAD, signal.SIGINT, INTERRUPTED, id="to_thread"),
-        pytest.param(JOINED, signal.SIGINT, INTERRUPTED, id="joined"),
-        pytest.param(JOINED, signal.SIGTERM, {-signal.SIGTERM}, id="default action"),
-        pytest.param(DAEMON, 0, {0}, id="the program ends"),
-        pytest.param(HANDLED, signal.SIGINT, {0}, id="a handler of its own"),
-        pytest.param(EXITS, signal.SIGTERM, {7}, id="a handler that exits"),
-    ],
+    first_by_default(
+        [
+            pytest.param(TO_THREAD, signal.SIGINT, INTERRUPTED, id="to_thread"),
+            pytest.param(JOINED, signal.SIGTERM, {-signal.SIGTERM}, id="default action"),
+            pytest.param(JOINED, signal.SIGINT, INTERRUPTED, id="joined"),
+            pytest.param(DAEMON, 0, {0}, id="the program ends"),
+            pytest.param(HANDLED, signal.SIGINT, {0}, id="a handler of its own"),
+            pytest.param(EXITS, signal.SIGTERM, {7}, id="a handler that exits"),
+        ],
+        2,
+    ),
 )
 def test_a_run_stops_whichever_thread_it_is_in(
     ending: str, number: int, codes: set[int], tmp_path: Path

@@ -29,6 +29,7 @@ from sim_backend.pty import FIRMWARE_RATE_MAXIMUM, POSITION_RATE_MAXIMUM
 from tests.conformance.claimed import claim_to_be_real
 from tests.conformance.firmware import need_compiler
 from tests.conformance.made_links import link as made_link
+from tests.conformance.tiers import first_by_default
 
 RATES = (500, 1000, 4000, 5000, 10_000, 20_000)
 LOOPS = ("host", "device")
@@ -110,7 +111,7 @@ def by_hit(x: config.Experiment, changes: dict[str, Any], device: FramedDevice, 
 
 
 @pytest.mark.parametrize("claims", ["simulated", "real"])
-@pytest.mark.parametrize("board", SERVED)
+@pytest.mark.parametrize("board", first_by_default(SERVED))
 def test_doctor_gate_and_hit_agree(
     board: str, claims: str, made_up: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -31,6 +31,7 @@ from rig.experiments.estimators import (
 )
 from rig.experiments.tuning import OBJECTIVES, WITHIN, Range, shown_range, tune
 from rig.recording.data import Recording
+from tests.conformance.tiers import first_by_default
 
 FINE, COARSE = 1e-6, 2e-5
 
@@ -213,7 +214,7 @@ def test_a_rate_that_does_not_divide_the_recordings_is_refused_with_one_that_doe
 # --- tuning -----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("objective", OBJECTIVES)
+@pytest.mark.parametrize("objective", first_by_default(OBJECTIVES))
 def test_the_optimum_is_what_a_fine_scan_finds(objective: Any) -> None:
     case = hit(5000, COARSE)
     found = tune("fdm-butterworth", case, objective=objective, free=["cutoff_hz"])

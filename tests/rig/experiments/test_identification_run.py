@@ -43,6 +43,7 @@ from sim_backend.link import MemoryLink
 from sim_backend.make_device import make_device
 from sim_backend.plant import DiscretePlant
 from sim_backend.trial import run_trial
+from tests.conformance.tiers import first_by_default
 from tests.rig.analysis.test_identification_cogging import fitted
 
 CHAWDA, RIGID, COMPLIANT = (presets.load(name) for name in ("chawda-linear", "koul-rigid", "koul-compliant"))
@@ -93,7 +94,7 @@ def test_koul_compliant_shows_its_mode_and_how_its_inertia_splits(compliant: Any
     assert compliant.dynamics.delay_s.value == pytest.approx(1e-4, rel=0.05)
 
 
-@pytest.mark.parametrize(("experiment", "inertia"), [(COMPLIANT, 1.77e-3), (RIGID, 3.2e-4)])
+@pytest.mark.parametrize(("experiment", "inertia"), first_by_default([(COMPLIANT, 1.77e-3), (RIGID, 3.2e-4)]))
 def test_under_voltage_drive_back_emf_is_told_from_friction_inertia_and_lag(
     experiment: Any, inertia: float, tmp_path: Path
 ) -> None:
@@ -151,16 +152,19 @@ ELASTIC = {
 
 @pytest.mark.parametrize(
     ("preset", "changes", "ends"),
-    [
-        ("koul-rigid", PADDLE, False),
-        ("koul-rigid", {**PADDLE, **coarse(100)}, True),
-        ("koul-rigid", {**PADDLE, **ELASTIC, **coarse(100)}, True),
-        ("koul-rigid", {"rig.mechanics.link_inertia": 0.01}, True),
-        ("koul-compliant", coarse(180), True),
-        ("koul-compliant", {"rig.mechanics.link_inertia": 0.01}, False),
-        ("hapkit", {}, False),
-        ("chawda-linear", {"rig.mechanics.link_inertia": 3.0}, False),
-    ],
+    first_by_default(
+        [
+            ("hapkit", {}, False),
+            ("koul-rigid", {**PADDLE, **ELASTIC, **coarse(100)}, True),
+            ("koul-rigid", PADDLE, False),
+            ("koul-rigid", {**PADDLE, **coarse(100)}, True),
+            ("koul-rigid", {"rig.mechanics.link_inertia": 0.01}, True),
+            ("koul-compliant", coarse(180), True),
+            ("koul-compliant", {"rig.mechanics.link_inertia": 0.01}, False),
+            ("chawda-linear", {"rig.mechanics.link_inertia": 3.0}, False),
+        ],
+        2,
+    ),
 )
 def test_the_band_ends_where_the_motion_does_and_the_parameters_are_right(
     preset: str, changes: Any, ends: bool, tmp_path: Path
@@ -236,6 +240,9 @@ COGS = {
 }
 
 
+@pytest.mark.exhaustive(
+    "tests/rig/analysis/test_identification_cogging.py::test_whatever_harmonics_there_are_come_out_within_the_interval_and_no_others"
+)
 def test_cogging_beyond_the_friction_is_mapped_and_spoils_no_other_parameter(tmp_path: Path) -> None:
     changes = {**INDEXED, **COGS, "controller.position_rate": 6000}
     found = identified(COMPLIANT, tmp_path, period_s=0.25, realisations=2, changes=changes, cogging=8)
@@ -264,6 +271,9 @@ RIPPLES = {
 }
 
 
+@pytest.mark.exhaustive(
+    "tests/rig/analysis/test_identification_cogging.py::test_whatever_harmonics_there_are_come_out_within_the_interval_and_no_others"
+)
 def test_ripple_of_the_effort_is_told_by_sweeps_with_a_mass_and_kept_in_the_file(tmp_path: Path) -> None:
     changes = {**INDEXED, **RIPPLES, "controller.position_rate": 6000}
     found = identified(
@@ -568,7 +578,7 @@ def test_lost_samples_are_filled_in_up_to_a_bound(chawda: Any) -> None:
         assert re.search(r"`rate` \d+", str(caught.value.remedy))
 
 
-@pytest.mark.parametrize("preset", ["koul-rigid", "koul-compliant", "chawda-linear"])
+@pytest.mark.parametrize("preset", first_by_default(["koul-rigid", "koul-compliant", "chawda-linear"]))
 def test_a_bounded_share_of_lost_samples_spoils_no_parameter(
     preset: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -223,7 +223,7 @@ SHEETS = st.one_of(
 )  # fmt: skip
 
 
-@settings(max_examples=6)
+@settings(max_examples=3)
 @example({**LEVER, "encoder_lines": 90, "transmission": 1.0})  # 360 counts
 @example(LINEAR_MOTOR)
 @example(COARSE_AND_LIGHT)

@@ -4,6 +4,7 @@ The cases are those of `tests/benchmarks/pulses.py`, which tries them over the p
 """
 
 import dataclasses
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +36,7 @@ from sim_backend.lockstep import Lockstep
 from tests.benchmarks.pulses import FAULTS, pulsed
 from tests.conformance.claimed import claim_to_be_real
 from tests.conformance.firmware import need_compiler
+from tests.conformance.tiers import first_by_default
 
 RIGID = config.override(presets.load("koul-rigid"), {"rig.amplifier.current_monitor": False})
 PERSON = config.override(
@@ -81,8 +83,12 @@ def test_a_pulse_is_small_and_recorded(sound: Pulse) -> None:
     assert rows["effort_sent"][-1] == 0.0
 
 
-@pytest.mark.parametrize("loop", BY)
-@pytest.mark.parametrize("name", [name for name, fault in FAULTS.items() if fault.named and "½" not in name])
+NAMED = [name for name, fault in FAULTS.items() if fault.named and "½" not in name]
+
+
+@pytest.mark.parametrize(
+    ("loop", "name"), first_by_default(product(("device", "host"), NAMED), len(NAMED) + 1)
+)
 def test_a_fault_is_refused_by_the_check_that_is_about_it(name: str, loop: str, tmp_path: Path) -> None:
     if loop == "device":
         need_compiler()

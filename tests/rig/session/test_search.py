@@ -23,6 +23,7 @@ from rig.session.search.interleaved import Interleaved
 from rig.session.search.observer import Observer, performance, run
 from rig.session.search.rule import verdicts_of
 from rig.session.search.staircase import Staircase
+from tests.conformance.tiers import first_by_default
 
 LEVELS = tuple(float(level) for level in range(25, 1000, 25))
 MAKE = {
@@ -372,7 +373,9 @@ def test_values_of_k50_are_spaced_like_the_levels() -> None:
         assert grid.edges[-1] > levels[-1] * 5
 
 
-@pytest.mark.parametrize(("threshold", "share"), [(80.0, 0.04), (120.0, 0.04), (80.0, 0.01), (2000.0, 0.01)])
+@pytest.mark.parametrize(
+    ("threshold", "share"), first_by_default([(80.0, 0.04), (120.0, 0.04), (80.0, 0.01), (2000.0, 0.01)])
+)
 def test_limits_on_levels_a_ratio_apart_are_found_with_honest_intervals(
     threshold: float, share: float
 ) -> None:

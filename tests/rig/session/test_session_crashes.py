@@ -14,6 +14,7 @@ from rig.session.log import read
 from rig.session.protocol import Protocol
 from rig.session.rehearsal import Day, Person
 from rig.session.state import State
+from tests.conformance.tiers import first_by_default
 from tests.rig.session.session_fakes import FakeRunner, decisions, protocol_of, rehearsed, started
 from tests.rig.session.session_fuse import DeadError, Full, Fuse, fused
 
@@ -78,7 +79,7 @@ def calm(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return directory
 
 
-@pytest.mark.parametrize("after", [False, True])
+@pytest.mark.parametrize("after", first_by_default([False, True]))
 def test_death_at_every_write_flush_and_rename(
     tmp_path: Path, calm: Path, monkeypatch: pytest.MonkeyPatch, after: bool
 ) -> None:
