@@ -9,43 +9,35 @@ from typing import Any
 
 import click
 
-from rig import config
 from rig.analysis.impedance.verdict import EFFECTIVE_LINES, Fidelity
 from rig.cli import options, output
 from rig.cli.command import command, option
-from rig.cli.map_options import judging as judging_of
+from rig.cli.keyword_options import gathered_options, keyword_options
 from rig.config import Experiment
 from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError, GuardError
 from rig.core.sample import unit_of
 from rig.experiments import impedance as measuring
-from rig.experiments.impedance import ImpedanceResult, Wall
+from rig.experiments.impedance import ImpedanceResult, Judging, Wall
 from rig.experiments.on_device import OnDevice
 from rig.experiments.plan import STANDS_FOR_DEVICE
 from rig.experiments.searches import numbers_of
+from rig.experiments.settings import ExcitationSettings
 from rig.views.plots.impedance import draw_impedance
 
-DEFAULT_PRESET = "chawda-linear"
 CONFIRM = ("each", "no")
 
 
 @command()
 @options.file_argument
-@options.rig_option(DEFAULT_PRESET)
+@options.rig_option(options.EXCITED_PRESET)
 @options.walls_options(
     "Stiffness of the walls. [the experiment's, and the bare rig]",
     "Damping of the walls: as many, or one for all.",
 )
 @options.scheme_option("the experiment's")
 @options.set_option
-@options.seed_option("Of the phases.")
 @option("--bare", is_flag=True, help="Measure the rig without a wall (too).")
-@option(
-    "--channel",
-    type=click.Choice(["external", "motor"]),
-    help="Actuator that excites the rig. [external; with --url motor]",
-)
-@option("--kind", type=click.Choice(["schroeder", "random"]), help="Phases of the multisine. [random]")
 @option(
     "--method",
     type=click.Choice(["periodic", "welch"]),
@@ -54,8 +46,8 @@ CONFIRM = ("each", "no")
     help="Of the spectra.",
 )
 @options.judge_option
-@options.excitation_options
-@options.judging_options
+@keyword_options(ExcitationSettings)
+@gathered_options(Judging, "judging")
 @options.url_option("simulates, with an actuator beside the motor")
 @options.realtime_option("A simulated device (sim://) as a process, in real time.")
 @options.verified_option
@@ -66,18 +58,12 @@ CONFIRM = ("each", "no")
 @options.expect_option(("passive", "not-passive"))
 @options.json_option
 def measure(
-    file: Path | None,
-    preset: str | None,
+    judging: Judging,
     stiffness: str | None,
     damping: str | None,
     bare: bool,
     schemes: tuple[str, ...],
-    cutoff: str | None,
     judged: str | None,
-    judged_band: str | None,
-    z_score: float | None,
-    residual_threshold: float | None,
-    effective_hz: float | None,
     method: Any,
     url: str | None,
     realtime: bool,
@@ -88,20 +74,15 @@ def measure(
     plot: str,
     expected: tuple[str, ...],
     as_json: bool,
-    **excitation: Any,
+    **rig: Any,
 ) -> None:
     """Measure the impedance that a rig renders: excite it about a wall, and judge passivity and fidelity line by line.
 
     Without arguments: the bare rig chawda-linear and its wall, simulated, as in Fig. 4 and Fig. 6 of Chawda et al.
     With --url the rig's own motor excites it, and every run is recorded.
     """
-    preset = preset or options.preset_of(url, file) or (None if file else DEFAULT_PRESET)
-    experiment = options.chosen_experiment(file, preset)
-    experiment = config.override(experiment, _changes(url, cutoff, **excitation))
+    experiment = options.excited_experiment(url=url, **rig)
     walls = _walls(experiment, stiffness, damping, bare)
-    judging = judging_of(
-        judged_band, z_score=z_score, residual_threshold=residual_threshold, effective_hz=effective_hz
-    )
     signal: Any = "truth" if judged == "true" else "count"
     parsed = tuple(Scheme.parse(text) for text in schemes)
     place = directory / f"{experiment.rig.name}-{datetime.now():%Y%m%d-%H%M%S}"
@@ -148,21 +129,6 @@ def measure(
     if unexpected is not None:
         unexpected.reported = as_json
         raise unexpected
-
-
-def _changes(url: str | None, cutoff: str | None, **excitation: Any) -> dict[str, Any]:
-    """What the options say, by dotted key."""
-    sets, band, kind = excitation.pop("sets"), excitation.pop("band"), excitation["kind"]
-    changed = options.changes(None, sets, cutoff=cutoff)
-    if excitation["channel"] is None and url is not None:
-        excitation["channel"] = "motor"
-    if kind == "schroeder" and excitation["realisations"] is None:
-        excitation["realisations"] = 1
-    excitation["rms"] = excitation.pop("amplitude")
-    changed |= {f"excitation.{key}": value for key, value in excitation.items() if value is not None}
-    if band is not None:
-        changed["excitation.low_hz"], changed["excitation.high_hz"] = options.band(band, "--band")
-    return changed
 
 
 def _walls(experiment: Experiment, stiffness: str | None, damping: str | None, bare: bool) -> list[Wall]:

@@ -8,47 +8,43 @@ from typing import Any
 
 import click
 
-from rig import config
 from rig.cli import map_options, options, output
 from rig.cli.command import command
+from rig.cli.keyword_options import gathered_options, keyword_options
 from rig.cli.progress import SweepBar
 from rig.config import Experiment
 from rig.config.schemes import Scheme
 from rig.core.present import Table
 from rig.core.sample import unit_of
 from rig.experiments import maps
+from rig.experiments.impedance import Judging
 from rig.experiments.ranges import frequency_plan, linear_curves
 from rig.experiments.searches import GridSearch, numbers_of
+from rig.experiments.settings import ExcitationSettings
 from rig.experiments.table_one import FrequencyWidth, SchemeRow, Spread, TableOne, table_one
 from rig.experiments.zwidth_frequency import FrequencyMap, FrequencyPlan
 from rig.views.plots.zwidth_frequency import draw_frequency_map
 
-DEFAULT_PRESET = "chawda-linear"
-
 
 @command("map")
 @options.file_argument
-@options.rig_option(DEFAULT_PRESET)
+@options.rig_option(options.EXCITED_PRESET)
 @options.set_option
 @options.walls_options(
     "Stiffnesses of the grid. [60, to a share of what linear theory calls stable]",
     "Dampings of the grid. [16, likewise]",
 )
 @options.scheme_option("the paper's four estimators")
-@options.seed_option("Of the phases.")
 @options.judge_option
-@options.excitation_options
-@options.judging_options
+@keyword_options(ExcitationSettings, "band", "realisations", "periods", "amplitude", "seed")
+@gathered_options(Judging, "judging")
 @map_options.sweep_options
 def map_(
     stiffness: str | None,
     damping: str | None,
     schemes: tuple[str, ...],
     judged: str | None,
-    judged_band: str | None,
-    z_score: float | None,
-    residual_threshold: float | None,
-    effective_hz: float | None,
+    judging: Judging,
     directory: Path,
     plot: str,
     as_json: bool,
@@ -62,10 +58,8 @@ def map_(
     chawda-linear. The same command resumes a map that was stopped.
     """
     signal = None if judged is None else "truth" if judged == "true" else "count"
-    judging = map_options.judging(
-        judged_band, z_score=z_score, residual_threshold=residual_threshold, effective_hz=effective_hz
-    )
-    plan = _plan(_chosen(**rig), schemes, stiffness, damping, signal=signal, judging=judging)
+    experiment = options.excited_experiment(**rig)
+    plan = _plan(experiment, schemes, stiffness, damping, signal=signal, judging=judging)
     place = maps.directory_for(plan, directory, "impedance-map")
     with SweepBar("columns", unit="runs", plain=as_json) as bar:
         found = maps.map_into(plan, place, scheduler=scheduler, workers=workers, watch=bar.watch)
@@ -81,19 +75,6 @@ def map_(
     _print(found, table_one(found))
     pairs = [("walls", str(place / found.table_name)), ("summary", str(place / maps.SUMMARY))]
     output.print_pairs([*pairs, ("picture", picture)] if picture else pairs)
-
-
-def _chosen(
-    file: Path | None, preset: str | None, *, sets: tuple[str, ...], cutoff: str | None, band: str | None,
-    seed: int | None, realisations: int | None, periods: int | None, amplitude: float | None,
-) -> Experiment:  # fmt: skip
-    experiment = options.chosen_experiment(file, preset or (None if file else DEFAULT_PRESET))
-    given = {"seed": seed, "realisations": realisations, "periods": periods, "rms": amplitude}
-    changes = options.changes(None, sets, cutoff=cutoff)
-    changes |= {f"excitation.{key}": value for key, value in given.items() if value is not None}
-    if band is not None:
-        changes["excitation.low_hz"], changes["excitation.high_hz"] = options.band(band, "--band")
-    return config.override(experiment, changes)
 
 
 def _plan(

@@ -48,7 +48,7 @@ def _option(one: Keyword) -> Callable[[F], F]:
     if one.type is bool:
         more["is_flag"] = True
     else:
-        more["multiple"] = get_origin(one.type) is tuple
+        more["multiple"] = get_args(one.type)[1:] == (...,)
         more["type"] = _type(one, get_args(one.type)[0] if more["multiple"] else one.type)
     return option(*names, one.name, group=one.group, help=one.help, metavar=one.metavar, **more)
 

@@ -13,7 +13,6 @@ from rig.cli.command import option
 from rig.config import Experiment
 from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError
-from rig.experiments.impedance import Judging
 from rig.experiments.ranges import hit_plan, schemes_for, search_for
 from rig.experiments.searches import Way, bounds_of, numbers_of
 from rig.experiments.zwidth import MapPlan
@@ -118,10 +117,3 @@ def plan_hits(
         judged=judged,
         on_device=device,
     )
-
-
-def judging(judged_band: str | None, **thresholds: float | None) -> Judging:
-    """What `options.judging_options` mean."""
-    given: dict[str, Any] = {name: value for name, value in thresholds.items() if value is not None}
-    found = None if judged_band is None else options.band(judged_band, "--judged-band")
-    return Judging(band_hz=found, **given)

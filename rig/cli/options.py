@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -22,12 +21,13 @@ from rig.config.sections import SchemeCutoff
 from rig.core.errors import ConfigError, RecordingError, RigError
 from rig.core.keyword import Keyword, keywords
 from rig.devices.device import DeviceUrl
-from rig.experiments.settings import HitSettings, changes_of
+from rig.experiments.settings import ExcitationSettings, HitSettings, changes_of
 from rig.views.plots.style import FORMATS
 
 F = TypeVar("F", bound=Callable[..., Any])
 
 DEFAULT_PRESET = "koul-compliant"
+EXCITED_PRESET = "chawda-linear"  # of what excites a rig
 
 json_option = command.json_option
 
@@ -151,54 +151,11 @@ def signal_option(*names: str, help: str, **more: Any) -> Callable[[F], F]:
     return option("--signal", *names, type=values.SIGNAL, help=help, **more)
 
 
-# ------------------------------------------------------------------ excitation, and what is judged
-
-FREQUENCY = "Excitation and judgement"
-excitation_options = added(
-    option("--band", group=FREQUENCY, metavar="LOW:HIGH", help="Lines of the excitation (Hz). [1:250]"),
-    option("--realisations", group=FREQUENCY, type=int, help="Runs with other phases. [4; with --kind schroeder 1]"),
-    option("--periods", group=FREQUENCY, type=int, help="Analysed periods of a realisation. [4]"),
-    option(
-        "--amplitude", group=FREQUENCY, type=float,
-        help="Rms effort of the excitation (N·m or N). [10 × Coulomb friction]",
-    ),
-)  # fmt: skip
-judging_options = added(
-    option(
-        "--judged-band", group=FREQUENCY, metavar="LOW:HIGH",
-        help="Lines that count for verdict and fidelity (Hz). [all]",
-    ),
-    option(
-        "--z-score", group=FREQUENCY, type=click.FloatRange(0.0, 10.0),
-        help="Deviations by which a line's Re Z must be below zero to fail. [2]",
-    ),
-    option(
-        "--residual-threshold", group=FREQUENCY, type=click.FloatRange(0.0, 1.0),
-        help="Share of the motion's power off the lines from which a wall fails. [0.1]",
-    ),
-    option(
-        "--effective-hz", group=FREQUENCY, type=click.FloatRange(0.0, min_open=True),
-        help="Average effective stiffness and damping up to this line (Hz). [20]",
-    ),
-)  # fmt: skip
 judge_option = option(
     "--judge", "judged", type=click.Choice(["true", "recorded"]),
     help="Whose signals decide: what a rig records, as for a single hit, or the simulation's truth. "
     "[recorded; a map of impedances of a rig with two masses: true]",
 )  # fmt: skip
-
-
-def band(text: str, option: str) -> tuple[float, float]:
-    """Frequencies (Hz) of ``LOW:HIGH``."""
-    try:
-        low, high = (float(part) for part in text.split(":"))
-    except ValueError:
-        low = high = math.nan
-    if not 0.0 < low <= high < math.inf:
-        raise ConfigError(
-            f"{option} {text} is not a frequency band", remedy="write it as LOW:HIGH in Hz, like 1:250"
-        )
-    return low, high
 
 
 # ------------------------------------------------------------------ the device
@@ -390,6 +347,29 @@ def request_options(request: type, which: Callable[[F], F]) -> Callable[[F], F]:
         return added(which, keyword_options(request))(called)  # type: ignore[arg-type]
 
     return add
+
+
+def excited_experiment(
+    *,
+    file: Path | None,
+    preset: str | None,
+    url: str | None = None,
+    sets: tuple[str, ...],
+    cutoff: str | None,
+    **named: Any,
+) -> Experiment:
+    """Load a rig that is excited; `named` are `ExcitationSettings`, None where they are not given."""
+    given = {name: value for name, value in named.items() if value is not None}
+    if url is not None:
+        given.setdefault("channel", "motor")
+    if given.get("kind") == "schroeder":
+        given.setdefault("realisations", 1)
+    band = given.pop("band", None)
+    changed = changes(None, sets, cutoff=cutoff) | changes_of(given, ExcitationSettings)
+    if band is not None:
+        changed["excitation.low_hz"], changed["excitation.high_hz"] = band
+    preset = preset or preset_of(url, file) or (None if file else EXCITED_PRESET)
+    return config.override(chosen_experiment(file, preset), changed)
 
 
 def chosen_experiment(file: Path | None, preset: str | None) -> Experiment:

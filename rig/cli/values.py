@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from click.shell_completion import CompletionItem
 
 from rig.cli.listing import listing
 from rig.core import plugins
+from rig.core.errors import ConfigError
 
 _PRESETS = Path(__file__).parents[1] / "config" / "presets"
 _PORTS = ("ttyACM*", "ttyUSB*", "cu.usbmodem*")
@@ -45,6 +47,25 @@ class Files(click.Path):
     ) -> list[CompletionItem]:
         """Return the paths that begin like that."""
         return [CompletionItem(each) for each in paths(incomplete, self._endings)]
+
+
+class Band(click.ParamType):  # type: ignore[type-arg]  # as above
+    """Frequencies (Hz), written as LOW:HIGH."""
+
+    name = "band"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> tuple[float, float]:
+        """Return both."""
+        try:
+            low, high = (float(part) for part in value.split(":"))
+        except ValueError:
+            low = high = math.nan
+        if not 0.0 < low <= high < math.inf:
+            raise ConfigError(
+                f"{param.opts[-1]} {value} is not a frequency band",
+                remedy="write it as LOW:HIGH in Hz, like 1:250",
+            )
+        return low, high
 
 
 def paths(incomplete: str, endings: tuple[str, ...]) -> Iterator[str]:
@@ -112,6 +133,8 @@ SIGNAL = Named("signal", _signals)
 EXPERIMENT_FILE = Files("toml", ".toml")
 RECORDING = Files("recording", *_RECORDING)
 PATH = click.Path(path_type=Path)
+BAND = Band()
 KINDS: dict[str, click.ParamType[Any]] = {
-    kind.name: kind for kind in (RIG, ESTIMATOR, SCHEME, GRIP, URL, SIGNAL, EXPERIMENT_FILE, RECORDING, PATH)
+    kind.name: kind
+    for kind in (RIG, ESTIMATOR, SCHEME, GRIP, URL, SIGNAL, EXPERIMENT_FILE, RECORDING, PATH, BAND)
 }

@@ -34,7 +34,7 @@ class Keyword:
     help: str = ""
     key: str = ""
     names: tuple[str, ...] = ()
-    group: Literal["Experiment", "Options", "Device", "Result"] = "Options"
+    group: Literal["Experiment", "Options", "Excitation and judgement", "Device", "Result"] = "Options"
     values: str = ""
     metavar: str | None = None
     name: str = ""

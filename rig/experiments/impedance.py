@@ -13,9 +13,10 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
+from annotated_types import Ge, Gt, Le
 
 from rig import config
 from rig.analysis.impedance.estimate import Impedance, periodic
@@ -36,6 +37,7 @@ from rig.config import Excitation, Experiment
 from rig.config.schemes import Scheme
 from rig.core.check import refuse
 from rig.core.errors import ConfigError, PlanError, RecordingError, UnexpectedVerdictError
+from rig.core.keyword import Keyword
 from rig.core.present import plain, reported
 from rig.core.sample import Motion, Phase, unit_of
 from rig.experiments.excitation_plan import excitation_checks
@@ -53,25 +55,37 @@ SEEN: dict[Signal, Literal["sensed", "handle"]] = {"count": "sensed", "truth": "
 ATTEMPTS = 3  # at a realisation whose samples were lost
 TABLE, SUMMARY = "impedance.parquet", "impedance.json"
 
+_JUDGEMENT: Final = "Excitation and judgement"  # group of options
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Judging:
-    """What a verdict needs beside the measurement.
+    """What a verdict needs beside the measurement (`rig.analysis.impedance.verdict.judge`)."""
 
-    Attributes
-    ----------
-    band_hz
-        Lines that count for verdict and fidelity; all if None.
-    z_score, residual_threshold
-        As in `rig.analysis.impedance.verdict.judge`.
-    effective_hz
-        Up to which line effective stiffness and damping are averaged (Hz).
-    """
-
-    band_hz: tuple[float, float] | None = None
-    z_score: float = Z_SCORE
-    residual_threshold: float = RESIDUAL
-    effective_hz: float = EFFECTIVE_HZ
+    band_hz: Annotated[
+        tuple[float, float] | None,
+        Keyword(
+            "Lines that count for verdict and fidelity (Hz). [all]",
+            "", ("--judged-band",), _JUDGEMENT, "band", "LOW:HIGH",
+        ),
+    ] = None  # fmt: skip
+    z_score: Annotated[
+        float,
+        Ge(0.0),
+        Le(10.0),
+        Keyword("Deviations by which a line's Re Z must be below zero to fail.", group=_JUDGEMENT),
+    ] = Z_SCORE
+    residual_threshold: Annotated[
+        float,
+        Ge(0.0),
+        Le(1.0),
+        Keyword("Share of the motion's power off the lines from which a wall fails.", group=_JUDGEMENT),
+    ] = RESIDUAL
+    effective_hz: Annotated[
+        float,
+        Gt(0.0),
+        Keyword("Average effective stiffness and damping up to this line (Hz).", group=_JUDGEMENT),
+    ] = EFFECTIVE_HZ
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

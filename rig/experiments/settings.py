@@ -73,6 +73,34 @@ class HitSettings(WallSettings, total=False):
     repeats: Annotated[int, Ge(1), Le(10_000), _key("trial.repeats", "How many hits.")]
 
 
+def _excitation(key: str, help: str) -> Keyword:
+    return Keyword(help, f"excitation.{key}", group="Excitation and judgement")
+
+
+class ExcitationSettings(TypedDict, total=False):
+    """How a rig is excited; `band` is its lowest and its highest line."""
+
+    channel: Annotated[
+        Literal["external", "motor"],
+        _excitation("channel", "Actuator that excites the rig. [external; on a device motor]"),
+    ]
+    kind: Annotated[Literal["schroeder", "random"], _excitation("kind", "Phases of the multisine. [random]")]
+    band: Annotated[
+        tuple[float, float],
+        Keyword(
+            "Lines of the excitation (Hz). [1:250]", "", (), "Excitation and judgement", "band", "LOW:HIGH"
+        ),
+    ]
+    realisations: Annotated[
+        int, _excitation("realisations", "Runs with other phases. [4; of kind schroeder 1]")
+    ]
+    periods: Annotated[int, _excitation("periods", "Analysed periods of a realisation. [4]")]
+    amplitude: Annotated[
+        float, _excitation("rms", "Rms effort of the excitation (N·m or N). [10 × Coulomb friction]")
+    ]
+    seed: Annotated[int, Ge(0), Keyword("Of the phases.", "excitation.seed", group="Experiment")]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RigRequest:
     """Which rig, with which changes, on which device.
