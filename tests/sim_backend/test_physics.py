@@ -16,33 +16,14 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from rig.core.model import Amplifier, Encoder, Mechanics, RigModel, Simulation, state_space
+from rig.core.model import RigModel, Simulation, state_space
 from rig.core.operators import GRIPS
 from sim_backend.plant import DiscretePlant, advance, energy
+from tests.sim_backend.test_plant import FRICTIONLESS, LINEAR, ROTARY, run, with_mechanics
 
 Rows = NDArray[np.float64]
 
-SLIDE = RigModel(
-    name="slide",
-    motion="linear",
-    mechanics=Mechanics(structure="rigid", motor_inertia=0.5, link_inertia=0.02),
-    amplifier=Amplifier(effort_per_ampere=10.0, effort_limit=100.0),
-    encoder=Encoder(quantum=1e-6),
-)
-CAPSTAN = RigModel(
-    name="capstan",
-    motion="rotary",
-    mechanics=Mechanics(
-        structure="two-mass",
-        motor_inertia=1.9e-4,
-        link_inertia=1.58e-3,
-        transmission_stiffness=2310.0,
-        transmission_damping_ratio=0.035,
-        handle_radius=0.1,
-    ),
-    amplifier=Amplifier(effort_per_ampere=0.234, effort_limit=1.3, lag_s=1e-4),
-    encoder=Encoder(counts_per_revolution=1000, ratio=10.0),
-)
+CAPSTAN = with_mechanics(ROTARY, motor_damping=0.0, link_damping=0.0, **FRICTIONLESS)
 RELAXED, NORMAL = GRIPS["relaxed"], GRIPS["normal"]
 
 
@@ -54,18 +35,10 @@ def changed(rig: RigModel, inner_step_s: float = 5e-5, **mechanics: Any) -> RigM
     )
 
 
-def run(plant: DiscretePlant, state: Rows, ticks: int, command: float = 0.0, external: float = 0.0) -> Rows:
-    rows = np.empty((ticks, state.size))
-    for row in rows:
-        advance(plant.arguments(state), command, external)
-        row[:] = state
-    return rows
-
-
 # Energy
 
 
-@pytest.mark.parametrize("rig", [SLIDE, CAPSTAN], ids=["rigid", "two-mass"])
+@pytest.mark.parametrize("rig", [LINEAR, CAPSTAN], ids=["rigid", "two-mass"])
 @given(start=st.lists(st.floats(-1.0, 1.0), min_size=6, max_size=6), coulomb=st.sampled_from([0.0, 0.3]))
 @settings(max_examples=25, deadline=None)
 def test_a_rig_in_a_relaxed_hand_that_wants_nothing_creates_no_energy(
@@ -103,7 +76,7 @@ def test_a_rig_in_a_relaxed_hand_that_wants_nothing_creates_no_energy(
         left = now
 
 
-@pytest.mark.parametrize("rig", [SLIDE, CAPSTAN], ids=["rigid", "two-mass"])
+@pytest.mark.parametrize("rig", [LINEAR, CAPSTAN], ids=["rigid", "two-mass"])
 def test_without_any_damping_the_energy_of_a_held_rig_stays(rig: RigModel) -> None:
     """So the energy counts every mass and spring, and the exact step neither adds nor takes any."""
     elastic = replace(NORMAL, pads_damping=0.0, hand_damping=0.0)
@@ -114,7 +87,7 @@ def test_without_any_damping_the_energy_of_a_held_rig_stays(rig: RigModel) -> No
     state[plant.hand_position] = 0.02
     state[plant.sensed_position + 1] = 0.3
     first = energy(state, rig)
-    energies = [energy(row, rig) for row in run(plant, state, 3000)]
+    energies = [energy(row, rig) for row in run(plant, 3000, state=state)]
     assert energies == pytest.approx([first] * 3000, rel=1e-10)
 
 
@@ -134,14 +107,14 @@ def test_a_mass_on_a_moving_spring_sticks_and_slips_as_the_closed_form_says() ->
         NORMAL, pads_mass=0.0, pads_stiffness=stiffness, pads_damping=0.0,
         hand_mass=1e12, hand_stiffness=0.0, hand_damping=0.0,
     )  # fmt: skip
-    plant = DiscretePlant.build(changed(SLIDE, motor_coulomb=coulomb).held_by(moving_end, None), tick_s)
+    plant = DiscretePlant.build(changed(LINEAR, motor_coulomb=coulomb).held_by(moving_end, None), tick_s)
     assert plant.hand_position is not None
     state = plant.at_rest(0.0)
     x, hand = plant.sensed_position, plant.hand_position
 
     state[hand + 1] = speed
     loading = coulomb / (stiffness * speed) / tick_s  # ticks
-    rows = run(plant, state, math.floor(loading) + 2000)
+    rows = run(plant, math.floor(loading) + 2000, state=state)
     stuck = rows[: math.floor(loading) - 1, x]
     assert not stuck.any(), "stuck means stuck, to the last bit"
 
@@ -156,7 +129,7 @@ def test_a_mass_on_a_moving_spring_sticks_and_slips_as_the_closed_form_says() ->
 
     rest = state[x]
     state[hand + 1] = -speed
-    rows = run(plant, state, math.floor(2 * loading) + 2000)
+    rows = run(plant, math.floor(2 * loading) + 2000, state=state)
     stuck = rows[20 : math.floor(2 * loading) - 20, x]
     assert len(stuck) > 500
     assert (stuck == stuck[0]).all()
@@ -165,7 +138,7 @@ def test_a_mass_on_a_moving_spring_sticks_and_slips_as_the_closed_form_says() ->
     assert rows[sliding, x] - rest == pytest.approx(-slid(times[sliding]), abs=1e-3 * scale)
 
 
-@pytest.mark.parametrize("rig", [SLIDE, CAPSTAN], ids=["rigid", "two-mass"])
+@pytest.mark.parametrize("rig", [LINEAR, CAPSTAN], ids=["rigid", "two-mass"])
 def test_a_press_below_the_friction_level_moves_the_hand_and_not_the_handle(rig: RigModel) -> None:
     radius = rig.mechanics.handle_radius
     rig = changed(rig, motor_coulomb=0.5 * radius, link_coulomb=1.2 * radius).held_by(NORMAL, None)
@@ -173,7 +146,7 @@ def test_a_press_below_the_friction_level_moves_the_hand_and_not_the_handle(rig:
     assert plant.hand_position is not None
     start = plant.at_rest(0.1234)
     start[plant.intentions][2] = 1.1 * radius  # N: below what the link's side alone can carry
-    rows = run(plant, start.copy(), 5000)
+    rows = run(plant, 5000, state=start.copy())
     still = [
         plant.sensed_position,
         plant.sensed_position + 1,
@@ -189,7 +162,7 @@ def test_a_press_below_the_friction_level_moves_the_hand_and_not_the_handle(rig:
 
 
 @pytest.mark.parametrize("operator", [None, RELAXED, NORMAL], ids=["free", "relaxed", "normal"])
-@pytest.mark.parametrize("rig", [SLIDE, CAPSTAN], ids=["rigid", "two-mass"])
+@pytest.mark.parametrize("rig", [LINEAR, CAPSTAN], ids=["rigid", "two-mass"])
 def test_the_free_response_is_that_of_one_matrix_exponential(rig: RigModel, operator: Any) -> None:
     """Over 50 ms in one go, from the continuous matrices; the plant gets there in a thousand steps."""
     rig = changed(rig, motor_damping=0.002, link_damping=0.001).held_by(operator, None)
@@ -205,47 +178,8 @@ def test_the_free_response_is_that_of_one_matrix_exponential(rig: RigModel, oper
     inputs = np.zeros(continuous.b.shape[1])
     inputs[continuous.operator_inputs] = wanted
     both = np.block([[continuous.a, (continuous.b @ inputs)[:, None]], [np.zeros((1, order + 1))]])
-    end = run(plant, state, 1000)[-1, :order]
+    end = run(plant, 1000, state=state)[-1, :order]
     assert end == pytest.approx((expm(both * 0.05) @ [*start, 1.0])[:order], rel=1e-9, abs=1e-12)
-
-
-@pytest.mark.parametrize("operator", [None, NORMAL], ids=["free", "held"])
-@pytest.mark.parametrize("rig", [SLIDE, CAPSTAN], ids=["rigid", "two-mass"])
-def test_without_friction_the_inner_step_changes_nothing(rig: RigModel, operator: Any) -> None:
-    """Steps h, h/2 and h/10 agree at common times to rounding, whatever is held over the tick."""
-
-    def motion(inner_step_s: float) -> Rows:
-        held = changed(rig, inner_step_s, motor_damping=0.002).held_by(operator, None)
-        plant = DiscretePlant.build(held, 2e-4)
-        state = plant.at_rest(0.0)
-        rows = []
-        for k in range(300):
-            state[plant.intentions] = [0.01 * math.sin(0.01 * k), 0.5 * math.cos(0.01 * k), 0.2][
-                : len(state[plant.intentions])
-            ]
-            rows.append(
-                run(plant, state, 1, command=0.1 * math.sin(0.05 * k), external=0.05)[0, : plant.edge_age]
-            )
-        return np.array(rows)
-
-    whole, half, tenth = (motion(h) for h in (2e-4, 1e-4, 2e-5))
-    size = np.abs(whole).max(axis=0)
-    for other in (half, tenth):
-        assert np.abs(other - whole).max(axis=0) == pytest.approx(0.0 * size, abs=1e-10 * float(size.max()))
-
-
-@pytest.mark.parametrize("inner_step_s", [1e-3, 5e-4, 1e-4])
-def test_with_friction_the_inner_step_changes_a_stop_by_deceleration_times_step_squared_over_eight(
-    inner_step_s: float,
-) -> None:
-    speed, coulomb, mass = 0.0371, 0.19, 0.52
-    plant = DiscretePlant.build(changed(SLIDE, inner_step_s, motor_coulomb=coulomb), 1e-3)
-    state = plant.at_rest(0.0)
-    state[1] = speed
-    end = run(plant, state, 200)[-1]
-    deceleration = coulomb / mass
-    assert end[1] == 0.0
-    assert abs(end[0] - speed**2 / (2 * deceleration)) <= deceleration * inner_step_s**2 / 8 + 1e-15
 
 
 # Modes
@@ -261,27 +195,13 @@ def peak_between(low_hz: float, high_hz: float, signal: Rows, tick_s: float) -> 
     return float((best + 0.5 * (left - right) / (left - 2 * middle + right)) * line_hz)
 
 
-@pytest.mark.parametrize("end_mass", [0.0, 0.07])
-def test_the_mode_of_two_masses_stands_in_the_spectrum_where_the_closed_form_says(end_mass: float) -> None:
-    rig = changed(CAPSTAN, transmission_damping_ratio=0.002, end_mass=end_mass)
-    plant = DiscretePlant.build(rig, 1e-4)
-    state = plant.at_rest(0.0)
-    state[plant.handle_position] = 1e-3
-    rows = run(plant, state, 4000)
-    link = 1.58e-3 + end_mass * 0.1**2
-    mode_hz = math.sqrt(2310.0 * (1 / 1.9e-4 + 1 / link)) / (2 * math.pi)
-    stretch = rows[:, plant.handle_position] - rows[:, plant.sensed_position]
-    found = peak_between(100.0, 2000.0, stretch, 1e-4)
-    assert found == pytest.approx(mode_hz, rel=1e-4)
-
-
 def test_the_two_modes_of_a_rig_in_a_hand_stand_where_the_closed_form_says() -> None:
     """Two masses, a spring between them and one to where the hand is meant to be: ω⁴ − ω² (…) + k₁ k₂ / m₁ m₂ = 0."""
     hand = replace(NORMAL, pads_mass=0.0, pads_damping=0.01, hand_damping=0.01)
-    plant = DiscretePlant.build(changed(SLIDE).held_by(hand, None), 1e-3)
+    plant = DiscretePlant.build(changed(LINEAR).held_by(hand, None), 1e-3)
     state = plant.at_rest(0.0)
     state[plant.sensed_position] = 0.01
-    rows = run(plant, state, 16_000)
+    rows = run(plant, 16_000, state=state)
     m1, m2, k1, k2 = 0.52, hand.hand_mass, hand.pads_stiffness, hand.hand_stiffness
     omega_squared = np.sort(np.roots([1.0, -(k1 / m1 + (k1 + k2) / m2), k1 * k2 / (m1 * m2)]).real)
     low, high = (np.sqrt(omega_squared) / (2 * math.pi)).tolist()
@@ -298,7 +218,7 @@ def test_a_hand_that_presses_with_20_newton_rests_20_millimetres_inside_a_wall_o
 ) -> None:
     """And the pads between hand and handle give way by 20 N over their stiffness."""
     free_hand = replace(NORMAL, hand_stiffness=0.0)
-    plant = DiscretePlant.build(changed(SLIDE, motor_damping=13.2).held_by(free_hand, None), 1e-3)
+    plant = DiscretePlant.build(changed(LINEAR, motor_damping=13.2).held_by(free_hand, None), 1e-3)
     assert plant.hand_position is not None
     state = plant.at_rest(0.0)
     state[plant.intentions] = 0.0, 0.0, press

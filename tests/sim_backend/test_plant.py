@@ -269,18 +269,6 @@ def test_zeroing_the_commands_on_their_way_cuts_the_effort_of_a_delayed_plant() 
 # Steady states ---------------------------------------------------------------------------------------------------
 
 
-def test_a_20_newton_push_rests_20_millimetres_inside_a_wall_of_1_kilonewton_a_metre() -> None:
-    rig = with_mechanics(LINEAR, motor_damping=13.2)
-    plant = DiscretePlant.build(rig, 1e-3)
-    state = plant.at_rest(-0.005)
-    resolution = rig.encoder.resolution
-    for _ in range(3000):
-        penetration = plant.count(state) * resolution
-        wall = -1000.0 * penetration if penetration > 0.0 else 0.0
-        advance(plant.arguments(state), wall, 20.0)
-    assert state[0] == pytest.approx(0.020, abs=2 * resolution)
-
-
 def test_under_viscous_damping_a_push_ends_at_its_terminal_velocity() -> None:
     plant = DiscretePlant.build(with_mechanics(LINEAR, motor_damping=10.0, link_damping=3.2), 1e-3)
     rows = run(plant, 1000, state=plant.at_rest(0.0), command=4.0, external=2.6)
@@ -435,29 +423,6 @@ def test_the_passive_plant_creates_no_energy(start: tuple[float, ...], size: flo
             if before[position + 1] * state[position + 1] <= 0.0:
                 allowed += level * abs(state[position] - before[position])
         assert energy(state, rig) <= energy_before + allowed * (1 + 1e-6) + 1e-12 * first
-
-
-@given(speed=st.floats(-1.0, 1.0), damping=st.sampled_from([0.0, 13.2]))
-@settings(max_examples=20, deadline=None)
-def test_a_passive_rigid_mass_never_gains_energy_and_ends_at_rest(speed: float, damping: float) -> None:
-    rig = with_mechanics(LINEAR, motor_damping=damping, motor_coulomb=0.19)
-    plant = DiscretePlant.build(rig, 1e-3)
-    state = plant.at_rest(0.0)
-    state[1] = speed
-    energies = [0.26 * speed**2, *(0.26 * run(plant, 3000, state=state)[:, 1] ** 2)]
-    assert (np.diff(energies) <= 0.0).all()
-    assert energies[-1] == 0.0
-
-
-def test_a_ringing_capstan_with_friction_loses_energy_in_every_millisecond() -> None:
-    rig = with_mechanics(ROTARY, motor_damping=0.0, link_damping=0.0, transmission_damping_ratio=0.0)
-    plant = DiscretePlant.build(rig, 1e-3)
-    state = plant.at_rest(0.0)
-    state[LINK] = 3e-4
-    energies = [energy(state, rig), *(energy(row, rig) for row in run(plant, 20, state=state))]
-    ringing = np.array(energies) > 0.01 * energies[0]
-    assert ringing.sum() > 4
-    assert (np.diff(energies)[ringing[:-1]] < 0.0).all()
 
 
 def test_energy_is_kinetic_and_elastic() -> None:
