@@ -1,0 +1,32 @@
+"""A pseudo-terminal in place of a serial line."""
+
+from __future__ import annotations
+
+import os
+import pty
+import tty
+from collections.abc import Iterator
+
+import pytest
+
+
+class Line:
+    """A pseudo-terminal: the device's end as a descriptor, the host's end by name."""
+
+    def __init__(self) -> None:
+        self.device, slave = pty.openpty()
+        tty.setraw(slave)
+        self.path = os.ttyname(slave)
+        os.close(slave)
+
+    def unplug(self) -> None:
+        device, self.device = self.device, -1
+        if device >= 0:
+            os.close(device)
+
+
+@pytest.fixture
+def line() -> Iterator[Line]:
+    made = Line()
+    yield made
+    made.unplug()
