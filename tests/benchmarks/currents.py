@@ -27,7 +27,6 @@ import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -134,10 +133,9 @@ def trial(experiment: Any, share: float, seed: int, broken: dict[str, float] | N
     said = ""
     with TemporaryDirectory() as directory:
         path = Path(directory) / "trial.rigcap"
-        run = partial(trial_on, experiment=experiment, recording=path, verified=True, seed=seed, sealed=False)
         try:
             with FramedDevice(link) as framed:
-                run(framed)
+                trial_on(framed, experiment, path, seed=seed, sealed=False)
         except RigError as error:
             said = error.message
         rows = open_recording(path).rows

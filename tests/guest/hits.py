@@ -9,7 +9,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -93,16 +92,7 @@ def struck_trial(url: str, output: Path, strike: Callable[[], None], at_tick: in
         experiment = config.override(EXPERIMENT, {**CHANGES, **rates})
         recording = output / f"struck-{len(list(output.iterdir()))}.rigcap"
         with open_device(url) as device:
-            request = partial(
-                trial_on,
-                experiment=experiment,
-                recording=recording,
-                verified=True,
-                seed=0,
-                progress=progress,
-                sealed=False,
-            )
-            return request(device).recording
+            return trial_on(device, experiment, recording, progress=progress, sealed=False).recording
 
     return _ended(run)
 

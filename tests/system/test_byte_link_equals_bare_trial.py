@@ -1,6 +1,5 @@
 """The way over the wire changes nothing: frames, splitter, codec, ring and recorder are transparent to the law."""
 
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -43,10 +42,7 @@ COGS = {
 def over_the_wire(experiment: Any, path: Any, url: str = "sim://") -> Any:
     link = open_link(DeviceUrl.parse(url), config.rig_model(experiment))
     with FramedDevice(link) as device:
-        request = partial(
-            trial_on, experiment=experiment, recording=path, verified=True, seed=experiment.trial.seed
-        )
-        return open_recording(request(device).recording)
+        return open_recording(trial_on(device, experiment, path, seed=experiment.trial.seed).recording)
 
 
 @pytest.mark.parametrize("name", presets.names())
@@ -130,14 +126,7 @@ def test_a_second_trial_in_the_same_hand_begins_where_the_first_one_left_the_han
     counts = []
     with FramedDevice(link) as device:
         for repeat in (1, 2):
-            request = partial(
-                trial_on,
-                experiment=experiment,
-                recording=tmp_path / f"{repeat}.rigcap",
-                verified=True,
-                seed=0,
-            )
-            rows = open_recording(request(device).recording).rows
+            rows = open_recording(trial_on(device, experiment, tmp_path / f"{repeat}.rigcap").recording).rows
             pushed = rows["count"][rows["phase"] == Phase.TRIAL]
             assert pushed[0] < 0 < pushed.max()
             counts.append(pushed)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -110,15 +109,7 @@ def hit(
     for _ in range(ticks_before):
         simulated.tick()
     with FramedDevice(MemoryLink(simulated, clock_ppm=ppm)) as device:
-        request = partial(
-            trial_on,
-            experiment=experiment,
-            recording=directory / "hit.rigcap",
-            verified=True,
-            seed=0,
-            sealed=sealed,
-        )
-        return request(device).recording
+        return trial_on(device, experiment, directory / "hit.rigcap", sealed=sealed).recording
 
 
 @pytest.mark.parametrize("ppm", [0.0, 120.0, -120.0])

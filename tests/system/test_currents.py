@@ -5,7 +5,6 @@ host does.
 """
 
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +27,7 @@ from rig.recording.reader import open_recording
 from sim_backend.device import SimulatedDevice
 from sim_backend.firmware import FirmwareDevice
 from sim_backend.link import MemoryLink
+from tests.conformance.struck import InMemory, StruckTrial
 from tests.conformance.tiers import first_by_default
 from tests.conformance.trials import trial_on
 
@@ -65,17 +65,10 @@ def trial(
     directory.mkdir(exist_ok=True)
     experiment = config.override(BASE, {"controller.loop": loop, **changes})
     device = make(config.rig_model(experiment), initial_position=START)
-    link = MemoryLink(device, Faults(device=tuple(Happening(*one) for one in happenings)))
-    path = directory / "trial.rigcap"
-    request = partial(trial_on, experiment=experiment, recording=path, verified=True, seed=0, sealed=False)
-    error = None
-    try:
-        with FramedDevice(link) as framed:
-            request(framed)
-    except RigError as raised:
-        error = raised
-    link.elapse(0.1)
-    return device, open_recording(path), error
+    end = InMemory(device, Faults(device=tuple(Happening(*one) for one in happenings)), rest_s=0.1)
+    ran = StruckTrial(end, directory, experiment)
+    end.link.elapse(0.1)
+    return device, ran.recording, ran.error
 
 
 SIDES = pytest.mark.parametrize(
@@ -241,14 +234,7 @@ def test_the_zero_of_the_sensor_is_taken_off_while_the_amplifier_is_off(
     device.hardware.leak = 60
     link.elapse(1.0)
     with FramedDevice(link) as framed:
-        trial_on(
-            framed,
-            experiment=experiment,
-            recording=tmp_path / "trial.rigcap",
-            verified=True,
-            seed=0,
-            sealed=False,
-        )
+        trial_on(framed, experiment, tmp_path / "trial.rigcap", sealed=False)
     rows = open_recording(tmp_path / "trial.rigcap").rows
     quantum = experiment.rig.amplifier.current_quantum_a
     still = rows["current_applied"] == 0

@@ -11,7 +11,6 @@ with the law on the host and on the device. What devices do with faults is in te
 import os
 import signal
 from collections.abc import Callable
-from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -441,17 +440,8 @@ def test_a_port_that_vanishes_in_mid_run_is_a_lost_link_with_a_whole_recording(t
             if ticks > 200:
                 os.kill(process, signal.SIGKILL)
 
-        request = partial(
-            trial_on,
-            experiment=long,
-            recording=path,
-            verified=True,
-            seed=0,
-            progress=pull_the_plug,
-            sealed=False,
-        )
         with pytest.raises(LinkLostError) as caught:
-            request(device)
+            trial_on(device, long, path, progress=pull_the_plug, sealed=False)
     assert caught.value.remedy
     assert caught.value.statistics["ticks"] > 200
     assert len(caught.value.rows) == 100

@@ -1,6 +1,5 @@
 """A hit without bytes is the hit over the byte link, to the last bit of every number that a map is made of."""
 
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -50,14 +49,9 @@ def test_every_number_of_a_hit_without_bytes_is_that_of_the_recording(
 
     placed = config.override(experiment, {"rig.simulation.initial_position": simulator.start})
     with FramedDevice(open_link(DeviceUrl.parse("sim://"), config.rig_model(placed))) as device:
-        request = partial(
-            trial_on,
-            experiment=placed,
-            recording=tmp_path / "hit.rigcap",
-            verified=True,
-            seed=placed.trial.seed,
-        )
-        rows = open_recording(request(device).recording).rows
+        rows = open_recording(
+            trial_on(device, placed, tmp_path / "hit.rigcap", seed=placed.trial.seed).recording
+        ).rows
 
     tick_s, resolution = 1.0 / placed.controller.position_rate, placed.rig.encoder.resolution
     measuring = meter(simulator.limits, tick_s, resolution)

@@ -2,30 +2,25 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numba
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from rig import config
 from rig.config import controller, presets
 from rig.core.check import Check, Outcome
-from rig.core.errors import ConfigError, PlanError, RigError
+from rig.core.errors import ConfigError, PlanError
 from rig.core.oscillation import OSCILLATIONS
 from rig.devices.fault_script import Faults, Happening
-from rig.devices.framed import FramedDevice
 from rig.experiments.hit import HitRequest, hit
 from rig.experiments.plan import make_plan
-from rig.recording.reader import open_recording
-from sim_backend.link import MemoryLink
 from sim_backend.make_device import make_device
 from tests.conformance.claimed import claim_to_be_real
+from tests.conformance.struck import InMemory, StruckTrial
 from tests.conformance.tiers import first_by_default
-from tests.conformance.trials import trial_on
 
 pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="the loop is compiled")
 
@@ -132,35 +127,20 @@ def test_an_override_for_stall_is_allowed_and_seen(tmp_path: Path) -> None:
 # ---------------------------------------------------------------------- what breaks in it
 
 
-def swapped(
-    experiment: config.Experiment, tick: int, path: Path
-) -> tuple[NDArray[np.float64], RigError | None]:
-    """Efforts from the tick on where the motor leads are swapped (N·m), and what ended the trial."""
-    device, _ = make_device(config.rig_model(experiment), None, initial_position=experiment.trial.start)
-
-    def swap(of: Any) -> None:
-        of.hardware.drive = of.hardware.gain = -1.0
-
-    link = MemoryLink(device, Faults(device=(Happening(tick, swap),)))
-    request = partial(trial_on, experiment=experiment, recording=path, verified=True, seed=0, sealed=False)
-    error = None
-    try:
-        with FramedDevice(link) as framed:
-            request(framed)
-    except RigError as raised:
-        error = raised
-    rows = open_recording(path).rows
-    return rows["effort_sent"][rows["sample_index"] >= tick], error
-
-
 @pytest.mark.parametrize("preset", first_by_default(["hapkit", "koul-rigid", "koul-compliant"]))
 def test_swapped_leads_in_a_persons_trial_give_no_more_than_the_nominal_effort(
     preset: str, tmp_path: Path
 ) -> None:
     """It was 1.3 N·m on koul-rigid, 4.5 times the nominal effort: the limits for automated trials held for people."""
     experiment = held(preset, **{"operator.press": 1.0, "wall.damping": 0.05})
-    effort, _ = swapped(
-        experiment, round(0.5 * experiment.controller.position_rate), tmp_path / "swapped.rigcap"
-    )
+    tick = round(0.5 * experiment.controller.position_rate)
+
+    def swap(device: Any) -> None:
+        device.hardware.drive = device.hardware.gain = -1.0
+
+    device, _ = make_device(config.rig_model(experiment), None, initial_position=experiment.trial.start)
+    end = InMemory(device, Faults(device=(Happening(tick, swap),)), rest_s=0.1)
+    rows = StruckTrial(end, tmp_path, experiment).rows
+    effort = rows["effort_sent"][rows["sample_index"] >= tick]
     assert np.abs(effort).max() <= experiment.rig.limits.nominal_effort * (1.0 + 1e-9)
     assert effort[-1] == 0.0

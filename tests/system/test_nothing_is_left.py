@@ -12,7 +12,6 @@ import sys
 import time
 import uuid
 from collections.abc import Iterator
-from functools import partial
 from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any
@@ -124,16 +123,13 @@ def test_the_census_sees_what_is_left(tmp_path: Path) -> None:
 
 def run(device: Any, directory: Any, changes: Any, more: Any, allowed: Any) -> Any:
     """One trial to its end, of whatever kind; the error that ended it, if any."""
-    request = partial(
-        trial_on,
-        experiment=config.override(REAL, changes),
-        recording=directory / f"{uuid.uuid4().hex}.rigcap",
-        verified=True,
-        seed=0,
-        **{name: make() for name, make in more.items()},
-    )
     try:
-        request(device)
+        trial_on(
+            device,
+            config.override(REAL, changes),
+            directory / f"{uuid.uuid4().hex}.rigcap",
+            **{name: make() for name, make in more.items()},
+        )
     except allowed as error:
         return type(error)
     return None

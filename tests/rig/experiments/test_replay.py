@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -58,13 +57,10 @@ def recorded(
     """Run one trial in virtual time and return what it recorded."""
     link = link or new_link(experiment, faults)
     path = directory / "trial.rigcap"
-    request = partial(
-        trial_on, experiment=experiment, recording=path, verified=True, seed=0, law=law, sealed=False
-    )
     caught = None
     with FramedDevice(link) as device:
         try:
-            request(device)
+            trial_on(device, experiment, path, law=law, sealed=False)
         except RigError as raised:
             caught = raised
     assert (caught is None) if error is None else isinstance(caught, error), caught
@@ -82,14 +78,6 @@ def armed(tmp_path_factory: pytest.TempPathFactory) -> Any:
     recorded(tmp_path_factory.mktemp("first"))  # reads the dictionary: all others know it
     counted, link = [], new_link(faults=Faults())
     with FramedDevice(link) as device:
-        request = partial(
-            trial_on,
-            experiment=SHORT,
-            recording=tmp_path_factory.mktemp("counted") / "trial.rigcap",
-            verified=True,
-            seed=0,
-            sealed=False,
-        )
 
         def arm(original: Any = device.arm) -> Any:
             session = original()
@@ -97,7 +85,7 @@ def armed(tmp_path_factory: pytest.TempPathFactory) -> Any:
             return session
 
         device.arm = arm
-        request(device)
+        trial_on(device, SHORT, tmp_path_factory.mktemp("counted") / "trial.rigcap", sealed=False)
     return counted[0]
 
 

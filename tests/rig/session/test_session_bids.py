@@ -10,7 +10,6 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -65,10 +64,7 @@ def recorded(directory: Any, preset: Any, **changes: Any) -> Any:
     """A hit of that rig at a low rate, sealed."""
     experiment = config.override(presets.load(preset), {**QUICK, **changes})
     with FramedDevice(MemoryLink(SimulatedDevice(config.rig_model(experiment)))) as device:
-        request = partial(
-            trial_on, experiment=experiment, recording=directory / f"{preset}.rigcap", verified=True, seed=0
-        )
-        return request(device).recording
+        return trial_on(device, experiment, directory / f"{preset}.rigcap").recording
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,6 @@ import struct
 import subprocess
 import sys
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -42,10 +41,7 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Any:
     )
     directory = tmp_path_factory.mktemp("plots")
     with FramedDevice(MemoryLink(make_device(config.rig_model(experiment), None)[0])) as device:
-        request = partial(
-            trial_on, experiment=experiment, recording=directory / "hit.rigcap", verified=True, seed=0
-        )
-        return request(device).recording
+        return trial_on(device, experiment, directory / "hit.rigcap").recording
 
 
 @pytest.fixture(scope="module")

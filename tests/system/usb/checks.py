@@ -10,7 +10,6 @@ import os
 import threading
 import time
 from collections.abc import Callable
-from functools import partial
 from io import StringIO
 from pathlib import Path
 from typing import Any, TextIO
@@ -430,12 +429,9 @@ def unplugged_in_a_trial(cable: Cable, directory: str) -> dict[str, Any]:
             happened.append(cable.order("unplug"))
 
     path = Path(directory) / "unplugged.rigcap"
-    request = partial(
-        trial_on, experiment=experiment, recording=path, verified=True, seed=0, progress=pull, sealed=False
-    )
     with open_device(cable.url) as device:
         try:
-            request(device)
+            trial_on(device, experiment, path, progress=pull, sealed=False)
         except LinkLostError as error:
             ended_ns = time.monotonic_ns()
             recording = open_recording(path)
