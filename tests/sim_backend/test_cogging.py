@@ -15,7 +15,8 @@ from scipy.special import ellipk
 from rig.core.model import Cogging, Operator, RigModel
 from rig.core.operators import GRIPS
 from sim_backend.plant import DiscretePlant, advance, energy
-from tests.sim_backend.test_physics import CAPSTAN, SLIDE
+from tests.sim_backend.test_physics import CAPSTAN
+from tests.sim_backend.test_plant import LINEAR, run
 
 TICK_S = 1e-4
 LOSSLESS = replace(CAPSTAN, mechanics=replace(CAPSTAN.mechanics, transmission_damping_ratio=0.0))
@@ -37,27 +38,19 @@ def cogging(rig: RigModel, *harmonics: tuple[int, float, float]) -> RigModel:
     return replace(rig, cogging=given)
 
 
-def run(plant: DiscretePlant, state: Any, ticks: int, command: float = 0.0) -> Any:
-    rows = np.empty((ticks, state.size))
-    for row in rows:
-        advance(plant.arguments(state), command, 0.0)
-        row[:] = state
-    return rows
-
-
 def test_a_free_motor_that_cogs_swings_like_a_pendulum() -> None:
     """Of one harmonic, m·x″ = −A·sin(k·x): its period is 4·K(sin²(k·x₀/2))/√(A·k/m), far from linear here."""
     k, amplitude, start = 2.0 * math.pi / PERIODS["linear"], 1.0, 2.5
-    plant = DiscretePlant.build(cogging(SLIDE, (1, 0.0, -amplitude)), 1e-3)  # of twenty inner steps
+    plant = DiscretePlant.build(cogging(LINEAR, (1, 0.0, -amplitude)), 1e-3)  # of twenty inner steps
     period_s = 4.0 * ellipk(math.sin(0.5 * start) ** 2) / math.sqrt(amplitude * k / 0.52)
     state = plant.at_rest(start / k)
-    position = run(plant, state, round(2.2 * period_s / 1e-3))[:, 0]
+    position = run(plant, round(2.2 * period_s / 1e-3), state=state)[:, 0]
     falls = np.flatnonzero((position[:-1] > 0.0) & (position[1:] <= 0.0))
     passed = falls + position[falls] / (position[falls] - position[falls + 1])
     assert (passed[1] - passed[0]) * 1e-3 == pytest.approx(period_s, rel=1e-6)
 
 
-@pytest.mark.parametrize("rig", [SLIDE, LOSSLESS], ids=["rigid", "two-mass"])
+@pytest.mark.parametrize("rig", [LINEAR, LOSSLESS], ids=["rigid", "two-mass"])
 @pytest.mark.parametrize("hand", [None, ELASTIC], ids=["free", "held"])
 @settings(max_examples=4, deadline=None)
 @example(harmonics=[(1, 0.0, 0.0)], speed=9.3e-23)
@@ -91,7 +84,7 @@ def test_cogging_neither_makes_energy_nor_takes_any(
     assert abs(np.mean(at[-10:]) - np.mean(at[:10])) <= 1e-3 * scale
 
 
-@pytest.mark.parametrize("rig", [SLIDE, LOSSLESS], ids=["rigid", "two-mass"])
+@pytest.mark.parametrize("rig", [LINEAR, LOSSLESS], ids=["rigid", "two-mass"])
 @pytest.mark.parametrize("hand", [None, GRIPS["normal"]], ids=["free", "held"])
 @pytest.mark.parametrize("lag_s", [0.0, 2e-4])
 def test_a_motor_that_hardly_cogs_moves_like_one_that_does_not(
@@ -123,7 +116,7 @@ def test_a_motor_that_hardly_cogs_moves_like_one_that_does_not(
     assert abs(a[free.sensed_position + 1]) > 0.0
 
 
-@pytest.mark.parametrize("rig", [SLIDE, LOSSLESS], ids=["rigid", "two-mass"])
+@pytest.mark.parametrize("rig", [LINEAR, LOSSLESS], ids=["rigid", "two-mass"])
 def test_friction_holds_a_motor_that_cogs_to_the_last_bit_until_both_are_overcome(rig: RigModel) -> None:
     """At a crest of cogging along the position a push breaks away at Coulomb − cogging, against it at the sum."""
     scale, share = EFFORTS[rig.motion], 0.3
@@ -140,7 +133,7 @@ def test_friction_holds_a_motor_that_cogs_to_the_last_bit_until_both_are_overcom
         (-(1.0 + share) * 1.001, False),
     ):
         state = plant.at_rest(0.0)
-        moved = run(plant, state, 50, command * scale)[:, plant.sensed_position]
+        moved = run(plant, 50, state=state, command=command * scale)[:, plant.sensed_position]
         assert bool(np.all(moved == 0.0)) is holds
         if not holds:
             assert np.sign(moved[-1]) == np.sign(command)
@@ -153,9 +146,9 @@ def rippling(
     orders, zeros = tuple(shares), (0.0,) * len(shares)
     cosine, sine = zip(*shares.values(), strict=True)
     return replace(
-        SLIDE,
-        mechanics=replace(SLIDE.mechanics, motor_damping=0.0, motor_coulomb=0.0),
-        amplifier=replace(SLIDE.amplifier, lag_s=lag_s),
+        LINEAR,
+        mechanics=replace(LINEAR.mechanics, motor_damping=0.0, motor_coulomb=0.0),
+        amplifier=replace(LINEAR.amplifier, lag_s=lag_s),
         cogging=Cogging(
             period=period, orders=orders, cosine=zeros, sine=zeros, ripple_cosine=cosine, ripple_sine=sine
         ),
@@ -166,7 +159,7 @@ def test_an_effort_that_ripples_does_the_work_of_its_integral_over_the_way() -> 
     """Of a constant u from rest, ∫ u·(1 + r(x)) dx in closed form is the kinetic energy; a sensor of current sees u."""
     command, shares = 2.0, {1: (0.05, -0.1), 5: (0.08, 0.02)}
     plant = DiscretePlant.build(rippling(shares, 0.0), 1e-3)
-    rows = run(plant, plant.at_rest(0.0), 150, command)
+    rows = run(plant, 150, state=plant.at_rest(0.0), command=command)
     x, v = rows[:, 0], rows[:, 1]
     angle = np.multiply.outer(x, 2.0 * math.pi / PERIODS["linear"] * np.array(list(shares)))
     cosine, sine = np.array(list(shares.values())).T
@@ -184,7 +177,7 @@ def test_a_ripple_that_is_the_same_everywhere_is_a_larger_torque_constant(lag_s:
     even, larger = (
         DiscretePlant.build(rippling({1: (share, 0.0)}, lag_s, period=1e9), 1e-4) for share in (0.0, 0.07)
     )
-    a, b = (run(plant, plant.at_rest(0.0), 20, 1.5)[:, 1] for plant in (even, larger))
+    a, b = (run(plant, 20, state=plant.at_rest(0.0), command=1.5)[:, 1] for plant in (even, larger))
     assert b == pytest.approx(1.07 * a, rel=1e-9)
     assert a[-1] > 0.0
 
