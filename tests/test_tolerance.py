@@ -9,6 +9,7 @@ import pytest
 
 from rig.core.sample import Phase
 from rig.recording.data import Recording
+from tests.conformance.tiers import first_by_default
 from tests.conformance.tolerance import reason_of, taken
 
 pytest_plugins = ["pytester"]
@@ -31,7 +32,7 @@ def test_that_shows_all():
 """
 
 
-@pytest.mark.parametrize("workers", ["0", "2"])
+@pytest.mark.parametrize("workers", first_by_default(["0", "2"]))
 def test_what_is_tolerated_is_counted_and_printed(
     pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch, workers: str
 ) -> None:

@@ -37,6 +37,7 @@ from sim_backend.hardware import Hardware
 from sim_backend.lockstep import INDEX_EDGES
 from tests.conformance.host import RUN_PARAMETERS
 from tests.conformance.rigs import linear_rig, rotary_rig, unmeasured
+from tests.conformance.tiers import first_by_default
 
 WALKS = int(os.environ.get("HAPTIC_RIG_WALKS", "20"))
 WALK_STEPS = 120
@@ -352,7 +353,7 @@ def rig_of(sign: int = 1, drive: str = "current") -> RigModel:
 # ---------------------------------------------------------------------- the laws
 
 
-@pytest.mark.parametrize("seed", range(WALKS))
+@pytest.mark.parametrize("seed", first_by_default(range(WALKS), 5))
 def test_a_long_walk_is_the_same_for_both(library: ctypes.CDLL, seed: int) -> None:
     """Hypothesis shrinks what it finds and rarely goes far; a walk goes far."""
     rng = random.Random(seed)
@@ -554,7 +555,7 @@ def test_every_type_in_every_length_is_answered_alike(library: ctypes.CDLL, stat
             pair.tick()
 
 
-@pytest.mark.parametrize("rate", [50, 99, 700, 1_000, 7_777, 50_000])
+@pytest.mark.parametrize("rate", first_by_default([50, 7_777, 99, 700, 1_000, 50_000], 2))
 def test_a_long_run_ends_alike(library: ctypes.CDLL, rate: int) -> None:
     """Heat, windows and fractional periods over thousands of ticks, with a pause into LINK_LOST at the end."""
     pair = Pair(library, rig_of(), seed=rate)

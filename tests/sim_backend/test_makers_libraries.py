@@ -53,6 +53,7 @@ def asked(path: str, line: bytes, enough: bytes) -> bytes:
         os.close(port)
 
 
+@pytest.mark.exhaustive("::test_its_codec_reads_each_of_our_replies_as_we_meant_it")
 def test_a_moteus_is_driven_by_one_host_after_the_other_and_by_its_makers_library() -> None:
     with simulated_drive("moteus", drive_rig()) as drive:
         for _ in range(2):
@@ -230,6 +231,7 @@ def heard(host: socket.socket, identifier: int) -> bytes:
     raise AssertionError(f"no frame {identifier:x}")
 
 
+@pytest.mark.exhaustive("::test_the_messages_are_those_of_the_makers_description")
 def test_an_odrive_is_on_a_bus_of_several_hosts_and_driven_by_a_library(tmp_path: Path) -> None:
     place = str(tmp_path / "bus")
     free = [word for path, value in FREE.items() for word in ("--set", f"{path}={value}")]

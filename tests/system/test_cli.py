@@ -667,7 +667,7 @@ def test_a_pipe_that_breaks_elsewhere_is_no_reader_that_has_gone(
     assert "may be incomplete" in capfd.readouterr().err
 
 
-@pytest.mark.parametrize("option", [[], ["--json"]])
+@pytest.mark.parametrize("option", first_by_default([["--json"], []]))
 def test_a_name_that_is_no_text_is_shown_in_any_locale(option: list[str]) -> None:
     environment = {**os.environ, "PYTHONUTF8": "1", "PYTHONIOENCODING": "utf-8:strict"}
     command = [sys.executable, "-m", "rig", "experiment", "preset", *option, b"\xff.toml"]

@@ -61,6 +61,7 @@ def test_json_has_every_number_of_every_scheme_and_offset(run: Any, tmp_path: Pa
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.exhaustive("::test_it_prints_a_table_and_draws_a_picture_and_records_nothing")
 def test_the_conditions_of_the_paper_give_figures_7_and_8(run: Any, tmp_path: Path) -> None:
     code, out, _ = run("--as-in-the-paper", "-o", "figures")
     assert code == 0

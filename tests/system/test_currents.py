@@ -148,12 +148,15 @@ def test_a_set_point_that_is_late_is_expected_late_at_every_rate(
 # Of the firmware drive and loop each once: the device compares, whoever commands.
 @pytest.mark.parametrize(
     ("make", "loop", "drive"),
-    [
-        (SimulatedDevice, "host", "current"),
-        (SimulatedDevice, "host", "voltage"),
-        (FirmwareDevice, "host", "voltage"),
-        (FirmwareDevice, "device", "current"),
-    ],
+    first_by_default(
+        [
+            (FirmwareDevice, "host", "voltage"),
+            (FirmwareDevice, "device", "current"),
+            (SimulatedDevice, "host", "current"),
+            (SimulatedDevice, "host", "voltage"),
+        ],
+        2,
+    ),
 )
 @pytest.mark.parametrize("name", BROKEN)
 def test_a_current_that_is_not_the_one_that_was_set_ends_the_trial(

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.conformance.firmware import need_compiler
+from tests.conformance.tiers import first_by_default
 
 PROGRAM = """
 from rig.core import program; program.begin()
@@ -46,7 +47,7 @@ print(late, "scipy.linalg" in sys.modules)
 """
 
 
-@pytest.mark.parametrize("loop", ["host", "device"])
+@pytest.mark.parametrize("loop", first_by_default(["host", "device"]))
 def test_nothing_compiles_between_arming_and_the_end_of_the_loop(loop: str, tmp_path: Path) -> None:
     """In a process of its own, where no other test has compiled anything before; nor is linear algebra loaded."""
     if loop == "device":

@@ -13,6 +13,7 @@ from rig.config import presets
 from rig.core.errors import GuardError
 from rig.core.operators import GRIPS
 from rig.testing import Hits
+from tests.conformance.tiers import first_by_default
 
 PERSON = config.override(
     presets.load("koul-compliant"),
@@ -37,7 +38,7 @@ def limit() -> float:
     return float(theory.k_max(PERSON, operator=PERSON.operator.grip).stiffness)
 
 
-@pytest.mark.parametrize("share", [0.3, 1.0])
+@pytest.mark.parametrize("share", first_by_default([0.3, 1.0]))
 def test_a_press_however_still_is_no_fault_and_keeps_its_wall(
     share: float, limit: float, rig_hit: Hits
 ) -> None:

@@ -97,6 +97,7 @@ def test_a_run_stops_whichever_thread_it_is_in(
 
 
 @pytest.mark.signals
+@pytest.mark.exhaustive("::test_a_run_stops_whichever_thread_it_is_in")
 def test_a_run_in_real_time_stops_too(tmp_path: Path) -> None:
     assert_stopped(TO_THREAD, signal.SIGINT, INTERRUPTED, tmp_path, realtime=True)
 

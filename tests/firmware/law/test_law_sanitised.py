@@ -39,6 +39,7 @@ def run_program(program: Any, data: Any) -> Any:
 
 
 @pytest.mark.parametrize("multiplier", [(), ("-DLAW_SHORT_MULTIPLIER",)], ids=["long", "short"])
+@pytest.mark.exhaustive("tests/firmware/law/test_law_fixed.py::test_a_whole_run_is_exact")
 def test_no_undefined_behaviour_and_the_answers_of_the_library(law: Any, multiplier: Any) -> None:
     options = ["-O1", "-g1", "-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all"]
     program = kept_law("sanitised", *options, *multiplier)
@@ -57,6 +58,7 @@ def test_no_undefined_behaviour_and_the_answers_of_the_library(law: Any, multipl
     assert 100 < refused < 500, "the noise must be refused often, and often not"
 
 
+@pytest.mark.exhaustive("tests/firmware/law/test_law_fixed.py::test_a_whole_run_is_exact")
 def test_the_cases_reach_nearly_every_branch(tmp_path: Path, law: Any) -> None:
     program = compile_law(tmp_path / "covered", "-O0", "--coverage")
     run_program(program, cases()[1])

@@ -50,6 +50,7 @@ def test_every_estimator_keeps_the_promises_of_the_family(name: Any) -> None:
 
 
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="plain Python is what the test above has tried")
+@pytest.mark.exhaustive("tests/rig/control/test_step.py::test_compiled_and_plain_python_give_the_same_bits")
 def test_every_estimator_keeps_them_as_plain_python_too() -> None:
     """Without the compiler the same text must run: coverage and debugging depend on it."""
     script = (

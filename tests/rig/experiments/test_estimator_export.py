@@ -17,6 +17,7 @@ from rig.core.signals import SIGNALS
 from rig.experiments.cases import signal_case
 from rig.experiments.estimator_export import EstimatorExport, Tolerance, export_estimator
 from rig.experiments.estimators import Variant
+from tests.conformance.tiers import first_by_default
 from tests.firmware.build import compile_c
 
 VARIANTS = [
@@ -60,7 +61,7 @@ def tried(export: EstimatorExport) -> subprocess.CompletedProcess[str]:
     return subprocess.run([program], capture_output=True, text=True, timeout=20, check=False)
 
 
-@pytest.mark.parametrize("variant", VARIANTS, ids=lambda variant: variant.label)
+@pytest.mark.parametrize("variant", first_by_default(VARIANTS, 6), ids=lambda variant: variant.label)
 def test_the_compiled_estimator_gives_the_velocities_of_the_host(variant: Variant, tmp_path: Path) -> None:
     done = tried(written(variant, tmp_path))
     assert done.returncode == 0, done.stdout

@@ -25,6 +25,7 @@ from sim_backend.hardware import Hardware
 from sim_backend.plant import COULOMB
 from tests.conformance.claimed import claim_to_be_real
 from tests.conformance.firmware import need_compiler
+from tests.conformance.tiers import first_by_default
 
 FAST = {"controller.position_rate": 2000, "controller.velocity_rate": 2000, "homing.speed": 0.5}
 MARKED = config.override(
@@ -65,12 +66,15 @@ def last_effort(recording: Path) -> float:
 
 @pytest.mark.parametrize(
     ("end", "position", "sign", "at", "loop"),
-    [
-        ("minimum", -0.3, 1, 0.1, "host"),
-        ("maximum", 0.35, 1, -0.2, "host"),
-        ("minimum", -0.3, -1, 0.3, "host"),
-        ("maximum", 0.35, -1, -0.2, "device"),
-    ],
+    first_by_default(
+        [
+            ("minimum", -0.3, 1, 0.1, "host"),
+            ("maximum", 0.35, -1, -0.2, "device"),
+            ("maximum", 0.35, 1, -0.2, "host"),
+            ("minimum", -0.3, -1, 0.3, "host"),
+        ],
+        2,
+    ),
 )
 def test_zero_is_at_the_same_place_wherever_the_handle_was_at_power_up(
     end: str, position: float, sign: int, at: float, loop: str, tmp_path: Path

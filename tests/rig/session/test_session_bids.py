@@ -140,6 +140,7 @@ def test_the_root_says_what_it_is(dataset: Any) -> None:
     assert set(people[0]) - {"participant_id"} == set(sidecar)
 
 
+@pytest.mark.exhaustive("::test_the_root_says_what_it_is")
 def test_the_official_validator_finds_no_error(dataset: Any, tmp_path: Path) -> None:
     pytest.importorskip("bids_validator_deno", reason="bids-validator-deno is not installed")
     command = "from bids_validator_deno import cli; cli()"
