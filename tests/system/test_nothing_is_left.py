@@ -41,6 +41,7 @@ from sim_backend.link import MemoryLink
 from tests.conformance.census import MARK, Census, marked, nothing_left, still_there
 from tests.conformance.far_end import FarEnd, Script, patient_host
 from tests.conformance.started import started
+from tests.conformance.tiers import first_by_default
 from tests.conformance.trials import trial_on
 from tests.system.test_faults import gives_nan, raises
 from tests.system.test_faults_realtime import COMMON, ON_HOST
@@ -210,7 +211,7 @@ def test_nothing_is_left_in_real_time(exit_kind: Any, warm: Any, far_end: Any, t
     assert issubclass(error, allowed) if allowed else error is None
 
 
-@pytest.mark.parametrize("kind", [Kind.UNPLUG, Kind.SILENCE])
+@pytest.mark.parametrize("kind", first_by_default([Kind.UNPLUG, Kind.SILENCE]))  # the other waits 5 s
 def test_nothing_is_left_of_a_lost_link_in_real_time(
     kind: Any, warm: Any, far_end: Any, tmp_path: Path
 ) -> None:
