@@ -17,14 +17,12 @@ from rig.core.errors import ConfigError
 from rig.core.present import Row, Table, plain
 from rig.core.sample import unit_of
 from rig.core.signals import SIGNALS
-from rig.experiments import estimators as experiment
 from rig.experiments.cases import Case, recording_case, signal_case
 from rig.experiments.estimator_export import export_estimator
-from rig.experiments.estimators import Score, Variant, score
+from rig.experiments.estimators import Score, Variant, compare_estimators, score
 from rig.experiments.judgement import experiment_of
 from rig.experiments.lipschitz import lipschitz_of
-from rig.experiments.tuning import Tuning, shown_range
-from rig.experiments.tuning import tune as run
+from rig.experiments.tuning import Tuning, shown_range, tune_estimator
 from rig.recording.reader import open_recording
 from rig.views.plots.estimators import draw_comparison
 
@@ -109,13 +107,12 @@ def compare(
     ]
     for path in recordings:
         cases += [_recording_case(path, rate) for rate in (_rates(rates) if rates else (None,))]
-    variants = [_variant(text) for text in chosen] or list(experiment.default_variants())
-    comparison = experiment.compare(cases, variants, timed=timed)
+    comparison = compare_estimators(cases, chosen, timed=timed)
     picture.draw(Path("estimators"), lambda path: draw_comparison(comparison, path))
     if as_json:
         output.print_json({**plain(comparison), **picture.facts()})
         return
-    names = [variant.label for variant in variants]
+    names = [variant.label for variant in comparison.variants]
     for i, case in enumerate(cases):
         click.echo(_headline(case))
         _print_table(case, comparison.scores[i * len(names) : (i + 1) * len(names)], names)
@@ -156,7 +153,7 @@ def tune(
     ESTIMATOR is a name, or name:setting=value,… to fix choices and start elsewhere. The file is a fragment of an
     experiment: put `preset = "…"` above it and run `rig hit` with it.
     """
-    variant = _variant(estimator)
+    variant = Variant.parse(estimator)
     path = target or Path(f"{variant.estimator}-tuned.toml")
     if path.exists() and not overwrite:
         raise ConfigError(f"{path} exists", remedy="choose another with -o, or say --overwrite")
@@ -164,7 +161,9 @@ def tune(
         case = _signal_case(signal, _rate(rate or DEFAULT_RATE), resolution)
     else:
         case = _recording_case(recording, None if rate is None else _rate(rate))
-    tuning = run(variant.estimator, case, objective=objective, settings=variant.settings, free=free or None)
+    tuning = tune_estimator(
+        variant.estimator, case, objective=objective, settings=variant.settings, free=free or None
+    )
     path.write_text(tuning.toml(), encoding="utf-8")
     if as_json:
         output.print_json({**plain(tuning), "toml": str(path)})
@@ -216,7 +215,7 @@ def export(
         case = _recording_case(recording, experiment.controller.velocity_rate)
     with output.Status(quiet=as_json) as status:
         made = export_estimator(
-            _variant(estimator), experiment, target, case=case, signal=signal, costs=costs, overwrite=overwrite,
+            Variant.parse(estimator), experiment, target, case=case, signal=signal, costs=costs, overwrite=overwrite,
             on_progress=status.on_progress,
         )  # fmt: skip
     if as_json:
@@ -302,22 +301,6 @@ def _signal_case(name: str, rate_hz: int, resolution: float) -> Case:
 
 def _recording_case(path: Path, rate_hz: int | None) -> Case:
     return recording_case(open_recording(path), rate_hz, name=path.stem)
-
-
-def _variant(text: str) -> Variant:
-    name, _, rest = text.partition(":")
-    settings: dict[str, float | str] = {}
-    for part in filter(None, rest.split(",")):
-        key, equals, value = part.partition("=")
-        if not equals:
-            raise ConfigError(
-                f"{text}: {part!r} has no value", remedy="write NAME:setting=value,setting=value"
-            )
-        try:
-            settings[key.strip()] = float(value)
-        except ValueError:
-            settings[key.strip()] = value.strip()
-    return Variant(name, settings)
 
 
 @command()

@@ -18,7 +18,7 @@ from rig.core.present import plain
 from rig.core.sample import unit_of
 from rig.devices import load_backend
 from rig.experiments import identify as identifying
-from rig.experiments.identified_file import file_text
+from rig.experiments.identified_file import format_identification
 from rig.experiments.identify import Identification, IdentifyRequest
 from rig.experiments.planned import Plan
 from rig.experiments.weigh import WeighRequest, weigh
@@ -145,7 +145,7 @@ def _draw(found: Identification, ending: str) -> str | None:
 def _write(found: Identification, path: Path) -> Path:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(file_text(found), encoding="utf-8")
+        path.write_text(format_identification(found), encoding="utf-8")
     except OSError as error:
         raise RecordingError(
             f"cannot write {path}: {error.strerror or error}", remedy="choose another --output"

@@ -13,7 +13,7 @@ from rig.cli import options, output
 from rig.cli.command import OWN, command
 from rig.cli.session_report import write_report
 from rig.core.present import Item, Table
-from rig.session.analysis import Analysis, Options, write_tables
+from rig.session.analysis import Options, StudyAnalysis, write_study_tables
 from rig.session.analysis import analyse as found_in
 from rig.views.report import session_tables as tables
 from rig.views.report.writing import counted
@@ -74,7 +74,7 @@ def analyse(
     with Steps(quiet=as_json) as steps:
         found = found_in(places, chosen, watch=steps.watch)
         directory = beside(places, found) if out is None else out
-        written = write_tables(found, directory)
+        written = write_study_tables(found, directory)
         drawn, page = write_report(found, directory, ending, steps.watch) if report else ({}, None)
     if as_json:
         output.print_json(
@@ -92,7 +92,7 @@ def analyse(
         output.print_pairs([("report", str(page))])
 
 
-def beside(places: tuple[Path, ...], found: Analysis) -> Path:
+def beside(places: tuple[Path, ...], found: StudyAnalysis) -> Path:
     """The directory ``analysis`` in the only place that was named, or where all sessions lie."""
     if len(places) == 1:
         return (places[0] if places[0].is_dir() else places[0].parent) / "analysis"
@@ -122,7 +122,7 @@ class Steps:
             click.echo(f"\r\033[K{what}: {done} of {total}", nl=False, err=True)
 
 
-def show(found: Analysis) -> None:
+def show(found: StudyAnalysis) -> None:
     """Print what matters most: the first tables of the report."""
     study, measure, counts = found.study, found.options.measure, found.counts()
     people = "simulated participant" if study.rehearsed else "participant"
@@ -149,7 +149,7 @@ def show(found: Analysis) -> None:
     )
 
 
-def _differences(found: Analysis) -> Iterator[Item]:
+def _differences(found: StudyAnalysis) -> Iterator[Item]:
     """Why there is no model, the differences, and what must be known of them."""
     model, first = tables.first_contrasts(found)
     if model is not None and model.problem:

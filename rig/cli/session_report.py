@@ -7,7 +7,7 @@ from pathlib import Path
 
 from rig.cli import output
 from rig.recording.files import plain_errors
-from rig.session.analysis import Analysis
+from rig.session.analysis import StudyAnalysis
 from rig.views.plots.session import draw_session
 from rig.views.report.session import write_session_report
 
@@ -15,7 +15,7 @@ PICTURES = "pictures"
 
 
 def write_report(
-    found: Analysis, directory: Path, ending: str, watch: Callable[[str, int, int], None]
+    found: StudyAnalysis, directory: Path, ending: str, watch: Callable[[str, int, int], None]
 ) -> tuple[dict[str, Path], Path]:
     """Draw all pictures and write the page; returns the paths of the pictures by name, and that of the page.
 

@@ -11,11 +11,12 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from rig.config.controller import resolution as signed
-from rig.control.estimators.arrays import inputs, quantise
+from rig.control.estimators.arrays import inputs, own_inputs, quantise
 from rig.control.estimators.estimator import Floats, Ints
+from rig.control.estimators.own_counts import real_numbers
 from rig.core.deferred import signal
 from rig.core.errors import ConfigError
 from rig.core.present import reported
@@ -133,6 +134,81 @@ def signal_case(signal: Signal, rate_hz: float, resolution: float, *, offset: fl
         judged=time_s >= signal.start_s,
         truth=lambda t: signal(t).velocity,
         reference="closed form",
+    )
+
+
+def counts_case(
+    counts: ArrayLike,
+    dt: float,
+    *,
+    resolution: float,
+    velocity: ArrayLike,
+    edge_time: ArrayLike | None = None,
+    elapsed: ArrayLike | None = None,
+    width: int | None = None,
+    settle_s: float = 0.0,
+    motion: Motion = "rotary",
+    name: str = "counts",
+) -> Case:
+    """Return counts of your own with the velocity behind them, to compare and tune estimators on.
+
+    Parameters
+    ----------
+    counts, dt, resolution, edge_time, elapsed, width
+        As `estimate` takes them: encoder counts of shape (n,), one for each velocity period of `dt` (s), and the travel
+        for one count (rad or m).
+    velocity
+        True velocity at each sample (rad/s or m/s), shape (n,): of a simulation, or of a better sensor. Between samples
+        it is taken to be a line.
+    settle_s
+        From the first sample on, so long is not judged: estimators settle (s).
+    motion
+        ``"rotary"`` (rad) or ``"linear"`` (m): units in tables.
+    name
+        For tables.
+
+    Raises
+    ------
+    ConfigError
+        As `estimate`; velocities of another length, or not finite; nothing left to judge.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> time_s = np.arange(2000) / 1000
+    >>> counts = np.floor(np.sin(time_s) / 1e-3)
+    >>> case = counts_case(counts, 1e-3, resolution=1e-3, velocity=np.cos(time_s))
+    >>> round(case.speed_rms, 2)
+    0.64
+    """
+    held, age_s, steps = own_inputs(
+        counts, dt, resolution=resolution, edge_time=edge_time, elapsed=elapsed, width=width
+    )
+    time_s = dt * (np.cumsum(steps) - steps[:1].sum())
+    true = real_numbers(velocity, "velocity", "rad/s or m/s")
+    if true.shape != held.shape or not np.isfinite(true).all():
+        raise ConfigError(
+            f"{len(held)} counts, but velocities of shape {true.shape}, {int(np.isfinite(true).sum())} of them finite",
+            remedy="give one finite number each",
+        )
+    judged = time_s >= settle_s
+    if not judged.any():
+        raise ConfigError(
+            f"{len(held)} samples last {len(held) * dt:g} s, and {settle_s:g} s are left to settle",
+            remedy="give more samples, or a shorter settle_s",
+        )
+    return Case(
+        name=name,
+        motion=motion,
+        dt=dt,
+        resolution=resolution,
+        time_s=time_s,
+        counts=held,
+        edge_time=time_s - age_s,
+        elapsed=steps,
+        judged=judged,
+        truth=lambda t: np.interp(t, time_s, true),
+        reference="given velocity",
     )
 
 

@@ -38,6 +38,23 @@ class Variant:
     estimator: str
     settings: Mapping[str, float | str] = field(default_factory=dict)
 
+    @classmethod
+    def parse(cls, text: str) -> Variant:
+        """Read ``kalman`` or ``kalman:gain=steady,q=2e4``; raises `ConfigError`."""
+        name, _, rest = text.partition(":")
+        settings: dict[str, float | str] = {}
+        for part in filter(None, rest.split(",")):
+            key, equals, value = part.partition("=")
+            if not equals:
+                raise ConfigError(
+                    f"{text}: {part!r} has no value", remedy="write NAME:setting=value,setting=value"
+                )
+            try:
+                settings[key.strip()] = float(value)
+            except ValueError:
+                settings[key.strip()] = value.strip()
+        return cls(name, settings)
+
     @property
     def label(self) -> str:
         """Name and settings, for tables and legends."""
@@ -82,8 +99,8 @@ class Score:
 
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
-    """Every variant on every case, case by case."""
+class EstimatorComparison:
+    """Every variant on every case: `scores` case by case, in the order of the variants."""
 
     cases: tuple[Case, ...]
     variants: tuple[Variant, ...]
@@ -97,16 +114,38 @@ def default_variants(names: Iterable[str] | None = None) -> tuple[Variant, ...]:
     return tuple(Variant(name) for name in names)
 
 
-def compare(cases: Sequence[Case], variants: Sequence[Variant], *, timed: bool = False) -> Comparison:
-    """Score every variant on every case; `timed` also measures the cost of a sample.
+def compare_estimators(
+    cases: Case | Sequence[Case], variants: Sequence[str | Variant] = (), *, timed: bool = False
+) -> EstimatorComparison:
+    """Score velocity estimators on motions whose velocity is known (`rig estimators compare`).
 
-    Raises `ConfigError` for an unknown estimator; settings that cannot be realised at the rate of a case are reported
-    in its `Score.refused`.
+    Parameters
+    ----------
+    cases
+        Counts with the velocity behind them: `counts_case` of arrays, `recording_case` of a recording.
+    variants
+        Estimators with their settings, as ``"kalman:gain=steady"``; all with their defaults if empty.
+    timed
+        Also measure what one update costs on this machine (ns).
+
+    Returns
+    -------
+    EstimatorComparison
+        A `Score` for each variant on each case: raw rms error, delay, error without that delay, and noise at rest
+        (rad/s or m/s, s).
+
+    Raises
+    ------
+    ConfigError
+        An unknown estimator. Settings that cannot be realised at the rate of a case are in its `Score.refused`.
     """
-    for variant in variants:
+    cases = (cases,) if isinstance(cases, Case) else tuple(cases)
+    chosen = tuple(Variant.parse(one) if isinstance(one, str) else one for one in variants)
+    chosen = chosen or default_variants()
+    for variant in chosen:
         estimators.get(variant.estimator)
-    scores = tuple(score(case, variant, timed=timed) for case in cases for variant in variants)
-    return Comparison(tuple(cases), tuple(variants), scores)
+    scores = tuple(score(case, variant, timed=timed) for case in cases for variant in chosen)
+    return EstimatorComparison(cases, chosen, scores)
 
 
 def score(case: Case, variant: Variant, *, timed: bool = False) -> Score:

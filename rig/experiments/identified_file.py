@@ -10,7 +10,7 @@ from rig.config.table import parameters
 from rig.experiments.identify import Identification
 
 
-def file_text(found: Identification) -> str:
+def format_identification(found: Identification) -> str:
     """Return the text of a TOML file that `rig.config.load_experiment` reads as `found.experiment`."""
     x = found.experiment
     where = "its simulation" if found.simulated else "the rig itself"

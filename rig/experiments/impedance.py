@@ -42,10 +42,11 @@ from rig.core.present import plain, reported
 from rig.core.sample import Motion, Phase, unit_of
 from rig.experiments.excitation_plan import excitation_checks
 from rig.experiments.excitation_run import ExcitedRig, Run, Signal, bound_share, excited_law, record_of
-from rig.experiments.judgement import THREW_OUT, thrown_out
+from rig.experiments.judgement import THREW_OUT, experiment_of, thrown_out
 from rig.experiments.on_device import Ended, OnDevice, Trials, kept_open
 from rig.experiments.plan import STANDS_FOR_DEVICE
 from rig.experiments.results import make_directory, write_document, write_table
+from rig.recording.data import Recording
 
 Method = Literal["periodic", "welch"]
 Wall = tuple[float, float]  # stiffness, damping
@@ -406,6 +407,34 @@ def concluded(
         saturated=saturated,
         recordings=recordings,
     )
+
+
+def recorded_impedance(
+    recordings: Sequence[Recording], *, method: Method = "periodic", judging: Judging | None = None
+) -> ImpedanceResult:
+    """Estimate and judge one wall from the recordings of its realisations; of several attempts at one the last counts.
+
+    Raises
+    ------
+    RecordingError
+        Not an excited trial, or not a whole one.
+    ConfigError
+        No recording, or recordings of several walls or schemes.
+    """
+    attempts = {str(one.header["initial_state"]["law"]["parameters"]): one for one in recordings}
+    experiments = [experiment_of(one) for one in attempts.values()]
+    walls = {(Scheme.of(one).text, one.wall.stiffness, one.wall.damping) for one in experiments}
+    if len(walls) != 1:
+        raise ConfigError(
+            f"recordings of {len(walls)} walls, where those of one are needed",
+            remedy="give the recordings of one result of `impedance`",
+        )
+    runs = [
+        Run(record_of(one, experiment), saturated=bound_share(one))
+        for one, experiment in zip(attempts.values(), experiments, strict=True)
+    ]
+    paths = tuple(one.path for one in recordings if one.path is not None)
+    return concluded(experiments[0], runs, method=method, signal="count", judging=judging, recordings=paths)
 
 
 def known_device(experiment: Experiment) -> Device:

@@ -110,7 +110,7 @@ class Tuning:
         return "\n".join(lines) + "\n"
 
 
-def tune(
+def tune_estimator(
     estimator: str,
     case: Case,
     *,
@@ -118,16 +118,17 @@ def tune(
     settings: Settings | None = None,
     free: Sequence[str] | None = None,
 ) -> Tuning:
-    """Find the settings of an estimator that make an objective least on a case.
+    """Find the settings of an estimator that make an objective least on a case (`rig estimators tune`).
 
     Parameters
     ----------
     estimator
         Its name.
     case
-        What to tune on.
+        Counts with the velocity behind them: `counts_case` of arrays, `recording_case` of a recording.
     objective
-        One of `OBJECTIVES`.
+        ``"rms"``: raw error. ``"delay-corrected-rms"``: what is left when delay is forgiven. ``"rms+delay"``: the
+        latter as a share of the speed, and 10 ms of delay weigh as much as the speed.
     settings
         Where the search starts; what is left out starts at its default. Choices keep what is given here.
     free

@@ -23,7 +23,7 @@ from rig.core.errors import ConfigError
 from rig.core.signals import SIGNALS
 from rig.experiments.cases import Case, signal_case
 from rig.experiments.estimators import Score, Variant, cost_ns, score
-from rig.experiments.tuning import tune
+from rig.experiments.tuning import tune_estimator
 from tests.conformance import guides
 from tests.conformance.guides import ROOT
 
@@ -81,7 +81,7 @@ def measure(name: str) -> list[Row]:
         if key[0] != HIT:
             continue
         try:
-            tuning = tune(name, case, objective=OBJECTIVE)
+            tuning = tune_estimator(name, case, objective=OBJECTIVE)
         except ConfigError:  # nothing to tune, or not realisable: the row above says it
             continue
         rows.append(row_of(tuning.after, OBJECTIVE))

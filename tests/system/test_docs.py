@@ -28,7 +28,7 @@ from rig.core.sample import COLUMNS
 from rig.views import site
 from tests.conformance.commands import parse_line
 from tests.conformance.firmware import need_compiler
-from tests.conformance.guides import ROOT, Block, blocks
+from tests.conformance.guides import ROOT, Block, blocks, examples
 from tests.conformance.tiers import first_by_default
 
 GUIDES = [
@@ -48,6 +48,7 @@ SAYS = {
     "first-walls.md": r"(?s)stable.*K_max.*area",
     "reference/python.md": r"stable 0\.0 N·m|stable -",
     "tutorials/first-hit.md": r"True\nFalse",
+    "how-to/estimators-in-a-wall.md": r"(?s)FDM: K-width.*Levant \[\(0.0, .*AKF: .* off the ideal wall.*cutoff_hz = ",
     "tutorials/ci.md": r"",
 }
 
@@ -59,6 +60,7 @@ def runs(page: Path) -> list[Block]:
 LONG = {  # half a second and more
     "first-walls.md",
     "how-to/drive.md",
+    "how-to/estimators-in-a-wall.md",
     "tutorials/ci.md",
     "tutorials/first-hit.md",
     "tutorials/own-estimator.md",
@@ -185,6 +187,12 @@ def test_the_page_of_public_names_has_them_all() -> None:
     text = (site.SOURCES / "reference" / "python.md").read_text(encoding="utf-8")
     rows = [line.split("|")[1] for line in text.splitlines() if line.startswith("| `")]
     assert sorted([*re.findall(r"`(\w+)`", "".join(rows)), "__version__"]) == rig.__all__
+
+
+def test_what_the_second_paper_measures_needs_the_public_names_alone() -> None:
+    code = "".join(examples(site.SOURCES / "how-to" / "estimators-in-a-wall.md"))
+    assert re.findall(r"^ *(?:import|from) (\S+)", code, re.MULTILINE) == ["rig"]
+    assert set(re.findall(r"\brig\.(\w+)", code)) <= set(rig.__all__)
 
 
 def test_links_between_pages_are_those_of_the_site(made: Path) -> None:

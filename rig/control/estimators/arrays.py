@@ -147,14 +147,30 @@ def estimate_with_window(
     **parameters: float | str,
 ) -> tuple[Floats, Ints]:
     """Return the velocities of `estimate`, and how many velocity periods each of them spans (int64, shape (n,))."""
+    arrays = own_inputs(counts, dt, resolution=resolution, edge_time=edge_time, elapsed=elapsed, width=width)
+    return run(family.get(name).prepare(parameters, resolution, dt), *arrays)
+
+
+def own_inputs(
+    counts: ArrayLike,
+    dt: float,
+    *,
+    resolution: float,
+    edge_time: ArrayLike | None = None,
+    elapsed: ArrayLike | None = None,
+    width: Any = None,
+) -> tuple[Ints, Floats, Ints]:
+    """Check all that `estimate` takes of a motion; returns unwrapped counts, age of the last edge (s), elapsed periods.
+
+    Raises `ConfigError` as `estimate` does.
+    """
     if not (math.isfinite(dt) and dt > 0.0):
         raise ConfigError(
             f"dt = {dt!r} s is not a sampling period", remedy="give the time between two samples in s"
         )
     _check_resolution(resolution)
-    prepared = family.get(name).prepare(parameters, resolution, dt)
     held, steps = _counts_and_steps(counts, elapsed, edge_time)
-    return run(prepared, *inputs(unwrapped(held, width, steps), dt, edge_time, steps))
+    return inputs(unwrapped(held, width, steps), dt, edge_time, steps)
 
 
 def inputs(

@@ -2,27 +2,28 @@
 
     found = analyse([Path("sessions/study")])
     found.over_participants         # K_max by condition and damping
-    write_tables(found, Path("out"))
+    write_study_tables(found, Path("out"))
 
 Nothing but the logs is needed; recordings are compared with their hashes.
 """
 
-from rig.session.analysis.analyse import Analysis, Options, analyse
+from rig.session.analysis.analyse import Options, StudyAnalysis, analyse, analyse_study
 from rig.session.analysis.rows import MEASURES, Limit, Measure, RunRow, TrialRow
 from rig.session.analysis.study import Session, Study, read_study
-from rig.session.analysis.tables import write_tables
+from rig.session.analysis.tables import write_study_tables
 
 __all__ = [
     "MEASURES",
-    "Analysis",
     "Limit",
     "Measure",
     "Options",
     "RunRow",
     "Session",
     "Study",
+    "StudyAnalysis",
     "TrialRow",
     "analyse",
+    "analyse_study",
     "read_study",
-    "write_tables",
+    "write_study_tables",
 ]

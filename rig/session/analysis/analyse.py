@@ -79,7 +79,7 @@ class Options:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Analysis:
+class StudyAnalysis:
     """The results of a study.
 
     Attributes
@@ -243,7 +243,9 @@ class Analysis:
         }
 
 
-def analyse(paths: Iterable[Path], options: Options | None = None, *, watch: Watch | None = None) -> Analysis:
+def analyse(
+    paths: Iterable[Path], options: Options | None = None, *, watch: Watch | None = None
+) -> StudyAnalysis:
     """Analyse the sessions of a study.
 
     Parameters
@@ -287,7 +289,7 @@ def analyse(paths: Iterable[Path], options: Options | None = None, *, watch: Wat
     report("intervals", 2, 4)
     functions = psychometrics(study, complete_runs(counted), include_marked=options.include_marked)
     report("intervals", 3, 4)
-    found = Analysis(
+    found = StudyAnalysis(
         study=study,
         options=options,
         schemes=schemes_of(study),
@@ -306,6 +308,56 @@ def analyse(paths: Iterable[Path], options: Options | None = None, *, watch: Wat
     )
     report("intervals", 4, 4)
     return found
+
+
+def analyse_study(
+    places: str | Path | Iterable[str | Path],
+    *,
+    measure: Measure = "rule",
+    hashes: bool = True,
+    across: Sequence[str] = (),
+    seed: int = 0,
+    include_marked: bool = False,
+    watch: Watch | None = None,
+) -> StudyAnalysis:
+    """Analyse the sessions of a study: limits with intervals, differences, agreement, order and fatigue.
+
+    Parameters
+    ----------
+    places
+        Directories of participants or of studies.
+    measure
+        How limits are defined in what is shown first: by the search's ``"rule"``, or where half of the verdicts are
+        stable, ``"K50 person"`` or ``"K50 automatic"``. All are computed.
+    hashes
+        Compare recordings with their hashes in the logs.
+    across
+        Keys of the protocol in which sessions may differ although they can decide a result.
+    seed
+        Of the bootstraps.
+    include_marked
+        Count limits that their verdicts do not show.
+    watch
+        Called with a step, how much of it is done, and of how much.
+
+    Returns
+    -------
+    StudyAnalysis
+        Rows of trials and runs, K_max by participant and over participants (N·m/rad or N/m), paired differences, mixed
+        models, agreement of person and program, slopes; `write_study_tables` writes them.
+
+    Raises
+    ------
+    RecordingError
+        No session there, or a damaged log.
+    ConfigError
+        Sessions that are not of one study, or that this version cannot read.
+    """
+    paths = [places] if isinstance(places, str | Path) else places
+    options = Options(
+        measure=measure, hashes=hashes, across=tuple(across), seed=seed, include_marked=include_marked
+    )
+    return analyse([Path(path) for path in paths], options, watch=watch)
 
 
 def _pooled(study: Study, runs: Sequence[RunRow]) -> dict[tuple[Measure, str, Cell], Limit]:

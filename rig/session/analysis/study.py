@@ -119,7 +119,11 @@ class Study:
 
 
 def read_study(
-    paths: Iterable[Path], *, hashes: bool = True, across: Sequence[str] = (), watch: Watch | None = None
+    paths: Iterable[str | Path],
+    *,
+    hashes: bool = True,
+    across: Sequence[str] = (),
+    watch: Watch | None = None,
 ) -> Study:
     """Read sessions.
 
@@ -141,7 +145,7 @@ def read_study(
     ConfigError
         Sessions that are not of one study.
     """
-    found = find_sessions(paths)
+    found = find_sessions([Path(path) for path in paths])
     sessions = []
     for number, directory in enumerate(found):
         if watch is not None:

@@ -22,7 +22,7 @@ from rig.core.deferred import parquet, pyarrow
 from rig.core.quantity import quantities
 from rig.experiments.results import make_directory, write_document
 from rig.recording.files import whole_file
-from rig.session.analysis.analyse import Analysis
+from rig.session.analysis.analyse import StudyAnalysis
 from rig.session.analysis.kmax import Paired
 from rig.session.analysis.rows import (
     MEASURES,
@@ -61,7 +61,7 @@ class DataTable:
     rows: Sequence[Any]
 
 
-def write_tables(found: Analysis, directory: Path) -> dict[str, Path]:
+def write_study_tables(found: StudyAnalysis, directory: str | Path) -> dict[str, Path]:
     """Write all tables into a directory, made when it is not there; tables of an earlier analysis are replaced.
 
     Returns
@@ -74,14 +74,15 @@ def write_tables(found: Analysis, directory: Path) -> dict[str, Path]:
     RecordingError
         The disk refuses.
     """
-    make_directory(directory)
+    place = Path(directory)
+    make_directory(place)
     written: dict[str, Path] = {}
     described = {}
     for table in tables(found):
         names = [column_name(column, found) for column in table.columns]
         rows = [[_plain(column.of(row)) for column in table.columns] for row in table.rows]
         for suffix, write in ((".csv", _write_csv), (".parquet", _write_parquet)):
-            path = directory / f"{table.name}{suffix}"
+            path = place / f"{table.name}{suffix}"
             write(path, table, names, rows, found)
             written[path.name] = path
         described[table.name] = {
@@ -92,20 +93,20 @@ def write_tables(found: Analysis, directory: Path) -> dict[str, Path]:
                 for name, column in zip(names, table.columns, strict=True)
             },
         }
-    path = directory / DICTIONARY
+    path = place / DICTIONARY
     write_document(path, {"study": found.study.protocol.study.title, "tables": described})
     written[path.name] = path
     return written
 
 
-def column_name(column: DataColumn, found: Analysis) -> str:
+def column_name(column: DataColumn, found: StudyAnalysis) -> str:
     """Name of a column with its unit; one without a unit, or that says it already, is left as it is."""
     unit = _unit(column, found)
     slug = unit.lower().replace("·", "_").replace("/", "_per_").replace("²", "2")
     return column.name if unit in ("", "1") or column.name.endswith(f"_{slug}") else f"{column.name}_{slug}"
 
 
-def _unit(column: DataColumn, found: Analysis) -> str:
+def _unit(column: DataColumn, found: StudyAnalysis) -> str:
     return found.study.unit(column.quantity) if column.quantity else ""
 
 
@@ -117,7 +118,7 @@ def _plain(value: Any) -> Any:
 
 
 def _write_csv(
-    path: Path, table: DataTable, names: Sequence[str], rows: Sequence[Sequence[Any]], found: Analysis
+    path: Path, table: DataTable, names: Sequence[str], rows: Sequence[Sequence[Any]], found: StudyAnalysis
 ) -> None:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -134,7 +135,7 @@ def _write_csv(
 
 
 def _write_parquet(
-    path: Path, table: DataTable, names: Sequence[str], rows: Sequence[Sequence[Any]], found: Analysis
+    path: Path, table: DataTable, names: Sequence[str], rows: Sequence[Sequence[Any]], found: StudyAnalysis
 ) -> None:
 
     types = {str: pyarrow.string(), int: pyarrow.int64(), float: pyarrow.float64(), bool: pyarrow.bool_()}
@@ -160,7 +161,7 @@ def _write_parquet(
 # ------------------------------------------------------------------------------------------------ the tables
 
 
-def tables(found: Analysis) -> tuple[DataTable, ...]:
+def tables(found: StudyAnalysis) -> tuple[DataTable, ...]:
     """All tables of an analysis."""
     return (
         DataTable("participants", "a participant", (*_PARTICIPANTS, *_items(found)), found.participants),
@@ -514,7 +515,7 @@ _BLOCKS = (
 )
 
 
-def _items(found: Analysis) -> tuple[DataColumn, ...]:
+def _items(found: StudyAnalysis) -> tuple[DataColumn, ...]:
     """A column for each question that was asked once: whole numbers of a scale, or text."""
     return tuple(
         DataColumn(
@@ -529,7 +530,7 @@ def _answer(item: str) -> Callable[[ParticipantRow], Any]:
     return lambda row: row.answers.get(item)
 
 
-def _differences(found: Analysis) -> list[Mapping[str, Any]]:
+def _differences(found: StudyAnalysis) -> list[Mapping[str, Any]]:
     """Differences by all methods, as one list."""
     rows: list[Mapping[str, Any]] = [
         _difference(one, one.measure, "paired", one.participants) for one in found.paired
@@ -552,7 +553,7 @@ def _difference(one: Any, measure: Measure, method: str, participants: int) -> M
 _OF_TABLE = ("kappa", "low", "high", "problem", "share", "positive", "negative", "people", "left_out")
 
 
-def _confusions(found: Analysis) -> list[Mapping[str, Any]]:
+def _confusions(found: StudyAnalysis) -> list[Mapping[str, Any]]:
     """A row for each cell of each table of confusions."""
     return [
         {

@@ -10,7 +10,7 @@ import numpy as np
 from rig.core.errors import ConfigError
 from rig.core.sample import unit_of
 from rig.experiments.cases import Case
-from rig.experiments.estimators import Comparison, Score, Variant, estimates
+from rig.experiments.estimators import EstimatorComparison, Score, Variant, estimates
 from rig.views.plots import style
 
 # One colour and mark a variant, in order (Okabe and Ito, then marks tell the second round apart).
@@ -20,7 +20,7 @@ PANELS = 4  # more would be too small to read
 
 
 @style.own_style()
-def draw_comparison(comparison: Comparison, picture: str | Path) -> Path:
+def draw_comparison(comparison: EstimatorComparison, picture: str | Path) -> Path:
     """Draw into a file and return its path; raises `ConfigError` when there is nothing to draw.
 
     A panel for each signal and resolution, the first `PANELS` of them. On the left the error that is left without
@@ -44,7 +44,7 @@ def draw_comparison(comparison: Comparison, picture: str | Path) -> Path:
     return style.save(figure, Path(picture))
 
 
-def _against_rate(axes: Any, cases: list[Case], comparison: Comparison) -> None:
+def _against_rate(axes: Any, cases: list[Case], comparison: EstimatorComparison) -> None:
     left, right = axes
     shown = {(case.name, case.rate_hz, abs(case.resolution)) for case in cases}
     for i, variant in enumerate(comparison.variants):

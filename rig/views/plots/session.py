@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from rig.session.analysis.agreement import Agreement
-from rig.session.analysis.analyse import Analysis
+from rig.session.analysis.analyse import StudyAnalysis
 from rig.session.analysis.effects import less_means
 from rig.session.analysis.kmax import OfParticipant, OverParticipants
 from rig.session.analysis.psychometric import Psychometric
@@ -60,10 +60,10 @@ _RING = {"s": 46, "facecolors": "none", "edgecolors": "#333333", "linewidths": 0
 _LEAST_SPAN = 0.1  # of an axis of limits, over the largest: what is closer together is alike
 _QUIET = "#bbbbbb"
 
-Draw = Callable[[Analysis], Any]
+Draw = Callable[[StudyAnalysis], Any]
 
 
-def pictures(found: Analysis) -> dict[str, Draw]:
+def pictures(found: StudyAnalysis) -> dict[str, Draw]:
     """What there is to draw, by name; each is a function of the analysis that returns a matplotlib figure."""
     chosen: dict[str, Draw] = {}
     if found.over_participants:
@@ -81,7 +81,7 @@ def pictures(found: Analysis) -> dict[str, Draw]:
 
 
 def draw_session(
-    found: Analysis,
+    found: StudyAnalysis,
     directory: Path,
     endings: Iterable[str] = ("png", "svg"),
     *,
@@ -139,7 +139,7 @@ def tracks_name(code: str) -> str:
 
 
 @style.own_style()
-def zwidth_figure(found: Analysis, measure: Measure) -> Any:
+def zwidth_figure(found: StudyAnalysis, measure: Measure) -> Any:
     """K_max against B by condition: a thin line for each participant, a thick one with intervals for their mean.
 
     With a single damping the conditions stand beside each other, and a line joins what belongs to one participant.
@@ -166,7 +166,7 @@ def zwidth_figure(found: Analysis, measure: Measure) -> Any:
 
 def _over_damping(
     axes: Any,
-    found: Analysis,
+    found: StudyAnalysis,
     each: Sequence[OfParticipant],
     over: Sequence[OverParticipants],
     dampings: Sequence[float],
@@ -203,7 +203,7 @@ def _over_damping(
 
 
 def _side_by_side(
-    axes: Any, found: Analysis, each: Sequence[OfParticipant], over: Sequence[OverParticipants]
+    axes: Any, found: StudyAnalysis, each: Sequence[OfParticipant], over: Sequence[OverParticipants]
 ) -> None:
     names = _conditions(found)
     for code in dict.fromkeys(one.participant for one in each):
@@ -276,7 +276,7 @@ def _censored(
 
 
 @style.own_style()
-def psychometric_figure(found: Analysis) -> Any:
+def psychometric_figure(found: StudyAnalysis) -> Any:
     """Share of stable verdicts over stiffness: a row of panels for each condition, a column for each damping.
 
     Functions are drawn where K50 lies among the levels; `CURVES` says what is what.
@@ -372,7 +372,7 @@ def _together(of: Sequence[Psychometric]) -> Psychometric | None:
 
 
 @style.own_style()
-def tracks_figure(found: Analysis, code: str) -> Any:
+def tracks_figure(found: StudyAnalysis, code: str) -> Any:
     """Which walls each run of a participant asked for, trial by trial, and what was said of them."""
     runs = [run for run in found.runs if run.participant == code]
     trials = [trial for trial in found.trials if trial.participant == code and not trial.practice]
@@ -398,7 +398,7 @@ def tracks_figure(found: Analysis, code: str) -> Any:
     return figure
 
 
-def _track(axes: Any, run: RunRow, trials: Sequence[TrialRow], found: Analysis) -> None:
+def _track(axes: Any, run: RunRow, trials: Sequence[TrialRow], found: StudyAnalysis) -> None:
     limit = run.limits.get(found.options.measure)
     if limit is not None:
         low, high = (end if math.isfinite(end) else limit.value for end in (limit.low, limit.high))
@@ -460,7 +460,7 @@ def _key(axes: Any, trials: Sequence[TrialRow]) -> None:
 
 
 @style.own_style()
-def agreement_figure(found: Analysis) -> Any:
+def agreement_figure(found: StudyAnalysis) -> Any:
     """Tables of confusions of the person's verdicts and the automatic ones, all conditions together."""
     tables = _unlike([one for one in found.agreements if one.condition == "" and one.trials])
     figure = style.new_figure(1.0 + 3.3 * len(tables), 3.7)
@@ -506,7 +506,7 @@ def _confusions(axes: Any, table: Agreement) -> None:
 
 
 @style.own_style()
-def effects_figure(found: Analysis) -> Any:
+def effects_figure(found: StudyAnalysis) -> Any:
     """Limits against the place in the block, the block and the trial, less the mean of each participant and condition.
 
     Below: the time to a verdict along the session, and the share of trials of each block that were invalid,
@@ -551,7 +551,7 @@ def effects_figure(found: Analysis) -> Any:
     return figure
 
 
-def _slope(axes: Any, found: Analysis, of: str, along: str, measure: str, at: Sequence[float]) -> None:
+def _slope(axes: Any, found: StudyAnalysis, of: str, along: str, measure: str, at: Sequence[float]) -> None:
     for slope in found.slopes:
         if (slope.of, slope.along, slope.measure) != (of, along, measure):
             continue
@@ -565,7 +565,7 @@ def _slope(axes: Any, found: Analysis, of: str, along: str, measure: str, at: Se
         axes.plot(ends, slope.slope * (ends - middle), color="#222222", linewidth=1.2)
 
 
-def _response(axes: Any, found: Analysis) -> None:
+def _response(axes: Any, found: StudyAnalysis) -> None:
     """A line of medians for each participant: trial by trial they would hide each other."""
     for number, session in enumerate(found.study.sessions):
         timed = [
@@ -595,7 +595,7 @@ def _response(axes: Any, found: Analysis) -> None:
     style.lighten(axes)
 
 
-def _useless(axes: Any, found: Analysis) -> None:
+def _useless(axes: Any, found: StudyAnalysis) -> None:
     numbers = sorted({block.block for block in found.blocks})
     bottom = np.zeros(len(numbers))
     for name, colour in (("invalid", "#999999"), ("redone", style.TRUE), ("aborted", style.BAD)):
@@ -619,7 +619,7 @@ def _useless(axes: Any, found: Analysis) -> None:
     style.lighten(axes)
 
 
-def _limits_over_session(axes: Any, found: Analysis, runs: Sequence[RunRow], measure: Measure) -> None:
+def _limits_over_session(axes: Any, found: StudyAnalysis, runs: Sequence[RunRow], measure: Measure) -> None:
     for number, name in enumerate(_conditions(found)):
         of = [run for run in runs if run.condition == name]
         axes.plot(
@@ -653,7 +653,7 @@ def style_of(number: int) -> str:
     return style.SERIES[number % len(style.SERIES)]
 
 
-def _conditions(found: Analysis) -> list[str]:
+def _conditions(found: StudyAnalysis) -> list[str]:
     return [condition.name for condition in found.study.protocol.condition]
 
 
@@ -663,7 +663,7 @@ def _plain(text: str) -> str:
     return f" {text}" if text.startswith("_") else text
 
 
-def _people(found: Analysis, count: int) -> str:
+def _people(found: StudyAnalysis, count: int) -> str:
     kind = "simulated participant" if found.study.rehearsed else "participant"
     return f"{count} {kind}{'' if count == 1 else 's'}"
 

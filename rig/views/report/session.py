@@ -17,7 +17,7 @@ from rig import config
 from rig.config import Experiment
 from rig.core.present import plain
 from rig.recording.files import whole_file
-from rig.session.analysis.analyse import Analysis
+from rig.session.analysis.analyse import StudyAnalysis
 from rig.session.analysis.study import LOG
 from rig.views.plots.session import tracks_name
 from rig.views.report import session_tables as tables
@@ -30,7 +30,7 @@ PAGE, NUMBERS = "report.html", "report.json"
 _FIRST = 6  # differences in the summary
 
 
-def render(found: Analysis, pictures: Mapping[str, bytes]) -> str:
+def render(found: StudyAnalysis, pictures: Mapping[str, bytes]) -> str:
     """Return the page.
 
     Parameters
@@ -64,7 +64,7 @@ def render(found: Analysis, pictures: Mapping[str, bytes]) -> str:
 
 
 def write_session_report(
-    found: Analysis, pictures: Mapping[str, bytes], directory: Path
+    found: StudyAnalysis, pictures: Mapping[str, bytes], directory: Path
 ) -> tuple[Path, Path]:
     """Write the page and its numbers into a directory, which is there; returns both paths.
 
@@ -79,7 +79,7 @@ def write_session_report(
     return paths
 
 
-def numbers(found: Analysis) -> dict[str, Any]:
+def numbers(found: StudyAnalysis) -> dict[str, Any]:
     """Everything that the page reports, as plain values; what is not finite is None."""
     told: dict[str, Any] = plain(
         {
@@ -94,7 +94,7 @@ def numbers(found: Analysis) -> dict[str, Any]:
     return told
 
 
-def provenance(found: Analysis) -> dict[str, Any]:
+def provenance(found: StudyAnalysis) -> dict[str, Any]:
     """Where the numbers come from: logs with their hashes, devices, versions, seeds."""
     sessions = found.study.sessions
     return {

@@ -23,7 +23,7 @@ from rig.core.errors import RigError
 from rig.core.oscillation import OSCILLATIONS
 from rig.recording.header import checkout
 from rig.session.analysis.agreement import LEAST_PEOPLE
-from rig.session.analysis.analyse import Analysis
+from rig.session.analysis.analyse import StudyAnalysis
 from rig.session.analysis.kmax import ENOUGH_REPEATS, LEAST_VALUES, RESAMPLES
 from rig.session.analysis.rows import Measure
 from rig.session.bands import asked
@@ -104,14 +104,14 @@ class _Prior:
     grid: Psychometric
 
 
-def methods(found: Analysis) -> tuple[Paragraph, ...]:
+def methods(found: StudyAnalysis) -> tuple[Paragraph, ...]:
     """All paragraphs, in the order of a paper."""
     text = fill_text(TEMPLATE, **_facts(found))
     parts = re.findall(r"^## (.+)\n((?:(?!## ).*\n?)*)", text, flags=re.MULTILINE)
     return tuple(Paragraph(heading.strip(), " ".join(body.split())) for heading, body in parts)
 
 
-def effective(found: Analysis) -> dict[str, Experiment | RigError]:
+def effective(found: StudyAnalysis) -> dict[str, Experiment | RigError]:
     """The experiment of each condition at its first damping and softest wall, or why it cannot be had here."""
     state = found.study.sessions[0].state
     walls = walls_in(state)
@@ -124,7 +124,7 @@ def effective(found: Analysis) -> dict[str, Experiment | RigError]:
     return experiments
 
 
-def first_experiment(found: Analysis) -> Experiment:
+def first_experiment(found: StudyAnalysis) -> Experiment:
     """That of the first condition, or what it changes where its estimator is not installed here."""
     protocol = found.study.protocol
     first = effective(found)[protocol.condition[0].name]
@@ -142,7 +142,7 @@ def analysed_with() -> dict[str, str]:
     return {**found, **checkout(), "Python": platform.python_version()}
 
 
-def _facts(found: Analysis) -> dict[str, Any]:
+def _facts(found: StudyAnalysis) -> dict[str, Any]:
     """Everything that the template reads."""
     study, protocol, measure = found.study, found.study.protocol, found.options.measure
     experiments = effective(found)
@@ -205,7 +205,9 @@ def _facts(found: Analysis) -> dict[str, Any]:
     }
 
 
-def _conditions(found: Analysis, experiments: Mapping[str, Experiment | RigError]) -> Iterator[_Condition]:
+def _conditions(
+    found: StudyAnalysis, experiments: Mapping[str, Experiment | RigError]
+) -> Iterator[_Condition]:
     for condition in found.study.protocol.condition:
         x = experiments[condition.name]
         yield _Condition(
@@ -219,7 +221,7 @@ def _conditions(found: Analysis, experiments: Mapping[str, Experiment | RigError
 
 
 def _settings(
-    found: Analysis, changes: Mapping[str, Any], elsewhere: tuple[str, ...]
+    found: StudyAnalysis, changes: Mapping[str, Any], elsewhere: tuple[str, ...]
 ) -> tuple[_Setting, ...]:
     """Changed numbers of the experiment, without the keys that other sentences have."""
     known, motion = parameters(), found.study.motion
@@ -234,7 +236,7 @@ def _settings(
     return tuple(settings)
 
 
-def _searches(found: Analysis) -> Iterator[_Search]:
+def _searches(found: StudyAnalysis) -> Iterator[_Search]:
     """The study's search, unless every condition has its own, and those."""
     protocol = found.study.protocol
     own = [(one.name, one.search) for one in protocol.condition if one.search is not None]
@@ -251,13 +253,13 @@ def _searches(found: Analysis) -> Iterator[_Search]:
         )
 
 
-def _priors(found: Analysis) -> list[_Prior]:
+def _priors(found: StudyAnalysis) -> list[_Prior]:
     protocol = found.study.protocol
     every = dict.fromkeys(tuple(levels_of(protocol.search_of(one))) for one in protocol.condition)
     return [_Prior(levels, of_levels(levels)) for levels in every]
 
 
-def _opened(found: Analysis, *names: str) -> list[tuple[Any, ...]]:
+def _opened(found: StudyAnalysis, *names: str) -> list[tuple[Any, ...]]:
     """Values of these entries each time that a device was opened, each combination once."""
     every = [
         tuple(event.content.get(name, "unknown") for name in names)
@@ -267,7 +269,7 @@ def _opened(found: Analysis, *names: str) -> list[tuple[Any, ...]]:
     return list(dict.fromkeys(every))
 
 
-def _versions(found: Analysis) -> Iterator[str]:
+def _versions(found: StudyAnalysis) -> Iterator[str]:
     """Versions that sessions ran with, each set once."""
     sets = dict.fromkeys(tuple((s.began.get("versions") or {}).items()) for s in found.study.sessions)
     for versions in filter(None, sets):

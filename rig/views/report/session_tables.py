@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 
 from rig.core.present import Table
 from rig.session.analysis.agreement import Agreement
-from rig.session.analysis.analyse import Analysis
+from rig.session.analysis.analyse import StudyAnalysis
 from rig.session.analysis.effects import Slope
 from rig.session.analysis.kmax import Beyond, Bound, Paired
 from rig.session.analysis.mixed import Contrast, Mixed
@@ -32,7 +32,7 @@ MARK = " *"  # after a value whose verdicts do not show it
 _SAME = 0.005  # of a lapse rate: no further from the mean of its prior
 
 
-def over_participants(found: Analysis, measure: Measure) -> Table:
+def over_participants(found: StudyAnalysis, measure: Measure) -> Table:
     """K_max of each condition and damping, over participants."""
     rows = [
         (
@@ -52,7 +52,7 @@ def over_participants(found: Analysis, measure: Measure) -> Table:
     return Table(head, rows, f"K_max over participants: {MEASURES[measure]}")
 
 
-def of_participants(found: Analysis, measure: Measure) -> Table:
+def of_participants(found: StudyAnalysis, measure: Measure) -> Table:
     """K_max of each participant."""
     rows = [
         (
@@ -84,7 +84,7 @@ def of_participants(found: Analysis, measure: Measure) -> Table:
     return Table(head, rows, f"K_max of each participant: {MEASURES[measure]}", words=2)
 
 
-def contrasts(found: Analysis, some: Iterable[Contrast | Paired], caption: str) -> Table:
+def contrasts(found: StudyAnalysis, some: Iterable[Contrast | Paired], caption: str) -> Table:
     """Differences between conditions."""
     rows = [
         (
@@ -109,7 +109,7 @@ def likelihood_ratios(model: Mixed) -> Table:
     return Table(("factor", "χ²", "degrees of freedom", "p"), rows, "Likelihood ratios")
 
 
-def terms(found: Analysis, model: Mixed) -> Table:
+def terms(found: StudyAnalysis, model: Mixed) -> Table:
     """The terms of the mixed model."""
     named = [
         *[(f"{condition}, B = {damping:g}", term) for (condition, damping), term in model.means],
@@ -121,7 +121,7 @@ def terms(found: Analysis, model: Mixed) -> Table:
     return Table(("term", "value", "95 %"), rows, f"Terms of the model ({found.study.unit('stiffness')})")
 
 
-def psychometric(found: Analysis, some: Iterable[Psychometric], caption: str) -> Table:
+def psychometric(found: StudyAnalysis, some: Iterable[Psychometric], caption: str) -> Table:
     """Parameters of psychometric functions."""
     unit = found.study.unit("stiffness")
     rows = [
@@ -193,7 +193,7 @@ def agreement(some: Iterable[Agreement]) -> Table:
     )
 
 
-def slopes(found: Analysis, some: Iterable[Slope]) -> Table:
+def slopes(found: StudyAnalysis, some: Iterable[Slope]) -> Table:
     """How limits, response times and invalid trials change along a session."""
     units = {"limit": found.study.unit("stiffness"), "response time": "ln s"}
     rows = [
@@ -216,7 +216,7 @@ def slopes(found: Analysis, some: Iterable[Slope]) -> Table:
     )
 
 
-def blocks(found: Analysis) -> Table:
+def blocks(found: StudyAnalysis) -> Table:
     """Trials of each block, practice aside."""
     rows = [
         (
@@ -229,7 +229,7 @@ def blocks(found: Analysis) -> Table:
     return Table(head, rows, "Blocks, practice aside")
 
 
-def searches(found: Analysis) -> Table:
+def searches(found: StudyAnalysis) -> Table:
     """What was planned of each condition and damping, and what became of it."""
     protocol, sessions = found.study.protocol, found.study.sessions
     planned = protocol.order.repeats * len(sessions)
@@ -262,7 +262,7 @@ def searches(found: Analysis) -> Table:
     return Table((*head, "skipped", "not begun", "hits a run", "invalid", "void"), rows, "Searches", words=2)
 
 
-def orders(found: Analysis) -> Table:
+def orders(found: StudyAnalysis) -> Table:
     """In which order each participant had the searches."""
     rows = [
         (
@@ -279,7 +279,7 @@ def orders(found: Analysis) -> Table:
     return Table(("participant", "row", "block", "order"), rows, "Order of the searches", words=4)
 
 
-def participants(found: Analysis) -> Table:
+def participants(found: StudyAnalysis) -> Table:
     """The sessions."""
     head = (
         "participant",
@@ -300,7 +300,7 @@ def participants(found: Analysis) -> Table:
     )
 
 
-def _participant(found: Analysis, session: Session) -> tuple[object, ...]:
+def _participant(found: StudyAnalysis, session: Session) -> tuple[object, ...]:
     state = session.state
     trials = [trial for trial in found.trials if trial.participant == session.code]
     planned = [block for block in state.blocks if not block.practice]
@@ -321,7 +321,7 @@ def _participant(found: Analysis, session: Session) -> tuple[object, ...]:
     )
 
 
-def tracks(found: Analysis) -> Table:
+def tracks(found: StudyAnalysis) -> Table:
     """Every search with its limit."""
     rows = []
     for run in found.runs:
@@ -343,7 +343,7 @@ def tracks(found: Analysis) -> Table:
     return Table((*head, f"limit ({unit})", "95 %", "hits", "lapses"), rows, "Searches", words=4)
 
 
-def answers(found: Analysis) -> Table:
+def answers(found: StudyAnalysis) -> Table:
     """Answers to the questionnaire."""
     items = {item.name: item.text for item in found.study.protocol.question}
     rows = [
@@ -377,7 +377,7 @@ def filled(table: Table) -> Table:
 # What the terminal and the page begin with.
 
 
-def first_contrasts(found: Analysis) -> tuple[Mixed | None, list[tuple[Contrast | Paired, str]]]:
+def first_contrasts(found: StudyAnalysis) -> tuple[Mixed | None, list[tuple[Contrast | Paired, str]]]:
     """The model, and the differences to begin with, each with its method: the model's, else the paired ones.
 
     Paired differences that are no more than bounds stand beside the model's.
@@ -396,7 +396,7 @@ def tested(one: Contrast | Paired) -> bool:
     return not (isinstance(one, Paired) and one.withheld)
 
 
-def summarised(found: Analysis) -> Iterator[tuple[Contrast | Paired, str]]:
+def summarised(found: StudyAnalysis) -> Iterator[tuple[Contrast | Paired, str]]:
     """Differences of a summary: over all dampings, or at each where the mean over them is no more than a bound."""
     _, first = first_contrasts(found)
     overall = {(one.condition, one.against) for one, _ in first if one.damping is None and tested(one)}
@@ -429,11 +429,11 @@ def _censored(above: int, below: int, limits: int) -> str:
     return f"{', '.join(sides)} of {limits}" if sides else "none"
 
 
-def _units(found: Analysis) -> Sequence[str]:
+def _units(found: StudyAnalysis) -> Sequence[str]:
     return (f"B ({found.study.unit('damping')})", f"K_max ({found.study.unit('stiffness')})")
 
 
-def whole(found: Analysis) -> tuple[list[Psychometric], list[Psychometric]]:
+def whole(found: StudyAnalysis) -> tuple[list[Psychometric], list[Psychometric]]:
     """Psychometric functions of all participants (or the only one), and those of each."""
     alone = len(found.study.sessions) == 1
     every = list(found.psychometrics)
@@ -441,7 +441,7 @@ def whole(found: Analysis) -> tuple[list[Psychometric], list[Psychometric]]:
     return together, [one for one in every if one not in together]
 
 
-def no_slope(found: Analysis) -> dict[str, list[str]]:
+def no_slope(found: StudyAnalysis) -> dict[str, list[str]]:
     """Why there are slopes without a value: what of and along, by problem."""
     problems: dict[str, list[str]] = {}
     for one in found.slopes:
@@ -451,7 +451,7 @@ def no_slope(found: Analysis) -> dict[str, list[str]]:
     return problems
 
 
-def no_interval(found: Analysis) -> dict[str, list[str]]:
+def no_interval(found: StudyAnalysis) -> dict[str, list[str]]:
     """Why tables of confusions have no interval: tables by problem."""
     problems: dict[str, list[str]] = {}
     for one in found.agreements:
@@ -461,7 +461,7 @@ def no_interval(found: Analysis) -> dict[str, list[str]]:
     return problems
 
 
-def no_mean_interval(found: Analysis, measure: Measure) -> dict[str, list[str]]:
+def no_mean_interval(found: StudyAnalysis, measure: Measure) -> dict[str, list[str]]:
     """Why means over participants have no interval: conditions and dampings by problem."""
     problems: dict[str, list[str]] = {}
     for one in found.over_participants:
@@ -470,7 +470,7 @@ def no_mean_interval(found: Analysis, measure: Measure) -> dict[str, list[str]]:
     return problems
 
 
-def untested(found: Analysis, some: Iterable[Paired]) -> dict[str, list[str]]:
+def untested(found: StudyAnalysis, some: Iterable[Paired]) -> dict[str, list[str]]:
     """Differences without an interval, in words, by problem."""
     unit, problems = found.study.unit("stiffness"), dict[str, list[str]]()
     for one in some:

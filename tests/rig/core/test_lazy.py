@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import doctest
+import inspect
 import subprocess
 import sys
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import pytest
 
@@ -37,6 +39,31 @@ def _starred(package: str) -> dict[str, object]:
     names: dict[str, object] = {}
     exec(f"from {package} import *", names)
     return names
+
+
+EXAMPLES = [name for name in rig.__all__ if ">>>" in (getattr(rig, name).__doc__ or "")]
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_the_example_of_a_docstring_says_what_comes(name: str) -> None:
+    finder, runner = doctest.DocTestFinder(recurse=False), doctest.DocTestRunner()
+    (example,) = finder.find(getattr(rig, name), name, globs={name: getattr(rig, name)})
+    assert runner.run(example).failed == 0
+
+
+def test_every_public_function_documents_its_parameters_results_and_errors() -> None:
+    """But for decorators and those that take nothing; a result is a type that has a docstring itself."""
+    found = {name: inspect.getdoc(value) or "" for name, value in vars(_loaded()).items()}
+    assert [name for name, text in found.items() if not text] == []
+    measures = ("impedance", "read_impedance", "impedance_map", "identify", "counts_case", "recording_case",
+                "compare_estimators", "tune_estimator", "read_study", "analyse_study")  # fmt: skip
+    for name in measures:
+        assert "Parameters\n---" in found[name], name
+        assert "Raises\n---" in found[name], name
+
+
+def _loaded() -> SimpleNamespace:
+    return SimpleNamespace(**{name: getattr(rig, name) for name in rig.__all__ if name != "__version__"})
 
 
 def test_a_name_that_is_not_public_is_no_attribute() -> None:

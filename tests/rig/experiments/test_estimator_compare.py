@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import rig
 from rig import config
 from rig.config import controller, presets
 from rig.control import estimators
@@ -22,14 +23,14 @@ from rig.core.signals import SIGNALS, edge_times, sine
 from rig.experiments.cases import recording_case, signal_case
 from rig.experiments.estimators import (
     Variant,
-    compare,
+    compare_estimators,
     default_variants,
     errors,
     estimates,
     rest_noise,
     score,
 )
-from rig.experiments.tuning import OBJECTIVES, WITHIN, Range, shown_range, tune
+from rig.experiments.tuning import OBJECTIVES, WITHIN, Range, shown_range, tune_estimator
 from rig.recording.data import Recording
 from tests.conformance.tiers import first_by_default
 
@@ -38,6 +39,56 @@ FINE, COARSE = 1e-6, 2e-5
 
 def hit(rate_hz: float = 2000, resolution: float = FINE) -> Any:
     return signal_case(SIGNALS["wall-bounce"], rate_hz, resolution)
+
+
+# --- arrays of one's own ----------------------------------------------------------------------------------
+
+
+def test_counts_of_ones_own_are_scored_and_tuned_as_the_signal_that_they_come_from() -> None:
+    """At the judged samples a line between true velocities is the velocity itself; without edges, but for the cost."""
+    signal = replace(hit(), judged=np.ones(len(hit().counts), np.bool_))
+    mine = rig.counts_case(
+        signal.counts, 1 / 2000, resolution=FINE, velocity=signal.truth(signal.time_s),
+        edge_time=signal.edge_time, motion="linear", name="wall-bounce",
+    )  # fmt: skip
+    of_both = rig.compare_estimators([signal, mine], ["fdm-butterworth:cutoff_hz=200", "foaw-end"]).scores
+    for one, other in zip(of_both[:2], of_both[2:], strict=True):
+        assert one.rms == other.rms
+        assert one.delay_s == pytest.approx(other.delay_s, abs=1e-5)
+    tuned = rig.tune_estimator("fdm-butterworth", mine, free=["cutoff_hz"])
+    assert tuned.objective_best < tuned.objective_start
+    assert tuned.settings == rig.tune_estimator("fdm-butterworth", signal, free=["cutoff_hz"]).settings
+
+
+def test_a_narrow_counter_and_lost_samples_are_taken_as_estimate_takes_them() -> None:
+    time_s = np.arange(3000) / 1000
+    counts, velocity = np.round(400 * np.sin(2 * time_s)).astype(int), 800e-6 * np.cos(2 * time_s)
+    kept = np.flatnonzero(np.random.default_rng(1).random(3000) > 0.1)
+    case = rig.counts_case(
+        (counts % 256)[kept], 1e-3, resolution=1e-6, velocity=velocity[kept], width=8,
+        elapsed=np.diff(kept, prepend=-1), settle_s=1.0,
+    )  # fmt: skip
+    assert case.time_s == pytest.approx(time_s[kept] - time_s[kept[0]])
+    (score,) = rig.compare_estimators(case, ["foaw-end"]).scores
+    assert score.rms < 0.1 * case.speed_rms
+    assert case.judged_time_s[0] == pytest.approx(1.0, abs=2e-2)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"velocity": [0.0, 1.0]}, r"3 counts, but velocities of shape \(2,\), 2 of them finite"),
+        ({"velocity": [0.0, 1.0, np.nan]}, r"3 counts, but velocities of shape \(3,\), 2 of them finite"),
+        ({"settle_s": 1.0}, "3 samples last 0.003 s, and 1 s are left to settle"),
+        ({"counts": [0, 1.5, 2]}, "is not a whole number"),
+        ({"resolution": 0.0}, "is not the travel of a count"),
+        ({"dt": -1.0}, "is not a sampling period"),
+    ],
+)
+def test_arrays_that_cannot_be_judged_are_refused(changes: Any, message: str) -> None:
+    given = {"counts": [0, 1, 2], "dt": 1e-3, "resolution": 1e-3, "velocity": [1.0, 1.0, 1.0], **changes}
+    with pytest.raises(ConfigError, match=message):
+        rig.counts_case(given.pop("counts"), given.pop("dt"), **given)
 
 
 # --- scores -----------------------------------------------------------------------------------------------
@@ -111,7 +162,7 @@ def test_an_estimator_that_knows_edge_times_gets_the_true_ones() -> None:
 
 def test_every_estimator_is_scored_on_every_case_in_order() -> None:
     cases = [signal_case(s, 2000, COARSE) for s in SIGNALS.values()]
-    found = compare(cases, default_variants(), timed=False)
+    found = compare_estimators(cases, default_variants(), timed=False)
     expected = [(case.name, name) for case in cases for name in estimators.names()]
     assert [(s.case, s.estimator) for s in found.scores] == expected
     for each in found.scores:
@@ -125,15 +176,15 @@ def test_every_estimator_is_scored_on_every_case_in_order() -> None:
 
 
 def test_settings_that_a_rate_does_not_allow_are_reported_not_raised() -> None:
-    (found,) = compare([hit(1000)], [Variant("fdm-butterworth", {"cutoff_hz": 700.0})]).scores
+    (found,) = compare_estimators([hit(1000)], [Variant("fdm-butterworth", {"cutoff_hz": 700.0})]).scores
     assert "Nyquist" in found.refused
     assert math.isnan(found.rms)
     with pytest.raises(ConfigError, match="no estimator 'fmd'"):
-        compare([hit(1000)], [Variant("fmd")])
+        compare_estimators([hit(1000)], [Variant("fmd")])
 
 
 def test_a_timed_comparison_says_what_a_sample_costs() -> None:
-    (found,) = compare([hit()], [Variant("fdm")], timed=True).scores
+    (found,) = compare_estimators([hit()], [Variant("fdm")], timed=True).scores
     assert 0.0 < found.ns_per_sample < 1e5
 
 
@@ -217,7 +268,7 @@ def test_a_rate_that_does_not_divide_the_recordings_is_refused_with_one_that_doe
 @pytest.mark.parametrize("objective", first_by_default(OBJECTIVES))
 def test_the_optimum_is_what_a_fine_scan_finds(objective: Any) -> None:
     case = hit(5000, COARSE)
-    found = tune("fdm-butterworth", case, objective=objective, free=["cutoff_hz"])
+    found = tune_estimator("fdm-butterworth", case, objective=objective, free=["cutoff_hz"])
     scan = np.geomspace(20.0, 2400.0, 150)
     values = [
         OBJECTIVES[objective](case, estimates(case, Variant("fdm-butterworth", {"cutoff_hz": f})))
@@ -236,37 +287,37 @@ def test_the_optimum_is_what_a_fine_scan_finds(objective: Any) -> None:
 def test_tuning_reaches_the_best_filters_of_the_reference_study() -> None:
     """PHYSICS 2i (C), "BW best": rms errors in m/s."""
     for resolution, rate, best in ((1e-6, 2000, 0.0014), (1e-6, 20_000, 0.0012), (2e-5, 20_000, 0.0053)):
-        found = tune("fdm-butterworth", hit(rate, resolution))
+        found = tune_estimator("fdm-butterworth", hit(rate, resolution))
         assert found.after.rms == pytest.approx(best, rel=0.06)
         assert found.after.rms <= found.before.rms
 
 
 def test_tuning_is_repeatable_to_the_bit() -> None:
-    one, two = (tune("fdm-butterworth", hit()) for _ in range(2))
+    one, two = (tune_estimator("fdm-butterworth", hit()) for _ in range(2))
     assert one.settings == two.settings
     assert one.objective_best == two.objective_best
 
 
 def test_whole_numbers_are_tuned_as_whole_numbers() -> None:
-    found = tune("fdm-butterworth", hit(resolution=COARSE), free=["order"])
+    found = tune_estimator("fdm-butterworth", hit(resolution=COARSE), free=["order"])
     assert found.settings["order"] == round(found.settings["order"]) != 2.0
 
 
 def test_a_setting_that_makes_no_difference_stays_where_it_was() -> None:
     """A long chord bends before it leaves a band of one count: then the window limit alone decides."""
-    found = tune("foaw-end", hit(20_000, COARSE))
+    found = tune_estimator("foaw-end", hit(20_000, COARSE))
     assert list(found.settings) == ["window_limit"]
     assert {r.setting: (r.value, r.open_above) for r in found.ranges}["band"] == (1.0, True)
 
 
 def test_given_settings_are_kept_and_only_free_ones_move() -> None:
-    found = tune("fdm-butterworth", hit(), settings={"order": 1.0}, free=["cutoff_hz"])
+    found = tune_estimator("fdm-butterworth", hit(), settings={"order": 1.0}, free=["cutoff_hz"])
     assert found.settings["order"] == 1.0
     assert [r.setting for r in found.ranges] == ["cutoff_hz"]
 
 
 def test_the_fragment_is_an_experiment_that_runs_with_these_settings(tmp_path: Path) -> None:
-    found = tune("fdm-butterworth", hit(), objective="delay-corrected-rms")
+    found = tune_estimator("fdm-butterworth", hit(), objective="delay-corrected-rms")
     assert tomllib.loads(found.toml())["controller"]["estimator"] == "fdm-butterworth"
     file = tmp_path / "tuned.toml"
     file.write_text('preset = "koul-compliant"\n\n' + found.toml(), encoding="utf-8")
@@ -287,7 +338,7 @@ def test_the_fragment_is_an_experiment_that_runs_with_these_settings(tmp_path: P
 )
 def test_what_cannot_be_tuned_is_refused(name: str, changes: Any, text: str) -> None:
     with pytest.raises(ConfigError, match=text):
-        tune(name, hit(), **changes)
+        tune_estimator(name, hit(), **changes)
 
 
 def test_ranges_say_when_the_search_ended_before_they_did() -> None:

@@ -15,6 +15,7 @@ if numba.config.DISABLE_JIT:
 
 from dataclasses import replace
 
+import rig
 from rig import config
 from rig.analysis.identification.interval import Interval
 from rig.analysis.identification.quality import IdentificationError
@@ -30,9 +31,9 @@ from rig.devices.framed import FramedDevice
 from rig.experiments import identify as identifying
 from rig.experiments import identify_motions as motions
 from rig.experiments import motion_run
-from rig.experiments.identified_file import file_text
+from rig.experiments.identified_file import format_identification
 from rig.experiments.identified_values import identified_values
-from rig.experiments.identify import IdentifyRequest, identify
+from rig.experiments.identify import IdentifyRequest
 from rig.experiments.motion_run import LONGEST_FILLED, MOST_LOST_SHARE, TimingError, trial_rows, whole
 from rig.recording.reader import open_recording
 from rig.views.plots.identify import draw_identification
@@ -51,7 +52,7 @@ CHAWDA, RIGID, COMPLIANT = (presets.load(name) for name in ("chawda-linear", "ko
 
 def identified(experiment: Any, directory: Any, **options: Any) -> Any:
     given = {"realisations": 3, "seed": 1, **options}
-    return identify(IdentifyRequest(experiment=experiment, output=directory, **given))
+    return rig.identify(experiment, output=directory, **given)
 
 
 @pytest.fixture(scope="module")
@@ -258,7 +259,7 @@ def test_cogging_beyond_the_friction_is_mapped_and_spoils_no_other_parameter(tmp
     picture = draw_identification(found, tmp_path / "map.png")
     assert picture.read_bytes().startswith(b"\x89PNG")
     path = tmp_path / "rig.toml"
-    path.write_text(file_text(found))
+    path.write_text(format_identification(found))
     assert config.load_experiment(path) == found.experiment
     assert "orders = [1, 7]" in path.read_text()
 
@@ -301,7 +302,7 @@ def test_ripple_of_the_effort_is_told_by_sweeps_with_a_mass_and_kept_in_the_file
         "friction that varies with place; a mass tells it" in _ripple_pairs(replace(found, ripple=None))[0][1]
     )
     path = tmp_path / "rig.toml"
-    path.write_text(file_text(found))
+    path.write_text(format_identification(found))
     kept = config.load_experiment(path).rig.cogging
     assert kept == found.experiment.rig.cogging
     at = np.linspace(-0.5, 0.5, 64, endpoint=False) * true.period
@@ -388,7 +389,7 @@ def test_the_file_is_the_identified_experiment_with_its_sources(
 ) -> None:
     found = request.getfixturevalue(name)
     path = tmp_path / "rig.toml"
-    path.write_text(file_text(found))
+    path.write_text(format_identification(found))
     assert config.as_mapping(config.load_experiment(path)) == config.as_mapping(found.experiment)
     lines = path.read_text().splitlines()
     marked = [line for line in lines if "[identified]" in line and " = " in line]

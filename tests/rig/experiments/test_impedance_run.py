@@ -11,6 +11,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+import rig
 from rig import config, devices
 from rig.analysis.impedance.estimate import periodic
 from rig.analysis.impedance.ideal import bare, rendered
@@ -261,7 +262,8 @@ def test_results_have_verdict_fidelity_and_fit_and_are_json(tmp_path: Path) -> N
 
 
 def test_the_same_measurement_gives_the_same_bits_and_another_seed_others() -> None:
-    one, again = (measure_impedance(CHAWDA, walls=[(5e3, 20.0)])[0].impedance.z for _ in range(2))
+    one = measure_impedance(CHAWDA, walls=[(5e3, 20.0)])[0].impedance.z
+    again = rig.impedance("chawda-linear", [(5e3, 20.0)])[0].impedance.z
     seeded = replace(CHAWDA.excitation, seed=1)
     other = measure_impedance(CHAWDA, walls=[(5e3, 20.0)], excitation=seeded)[0].impedance.z
     assert one.tobytes() == again.tobytes() != other.tobytes()
@@ -300,8 +302,7 @@ def on_device(tmp_path_factory: pytest.TempPathFactory) -> Any:
     """One wall measured over the byte link in virtual time, with an estimator that forgets its rest."""
     x = config.override(CHAWDA, {"excitation.channel": "motor", **FAST})
     x = Scheme.parse("uniform:1k,estimator=fdm-butterworth,cutoff_hz=200").applied(x)
-    device = OnDevice(url="sim://", recordings=tmp_path_factory.mktemp("recordings"))
-    (result,) = measure_on_device(x, device, walls=[(10e3, 10.0)])
+    (result,) = rig.impedance(x, [(10e3, 10.0)], url="sim://", output=tmp_path_factory.mktemp("recordings"))
     return x, result
 
 
@@ -343,10 +344,28 @@ def test_a_recording_of_it_is_replayed_and_measured_again(on_device: Any) -> Non
     record = record_of(recording, experiment_of(recording))
     assert record.periods == 2
     assert record.effort_hold_s == 1e-3
+    again = rig.read_impedance(map(str, result.recordings))
+    assert (again.impedance.z == result.impedance.z).all()
+    assert (again.fidelity, again.judgement, again.label) == (result.fidelity, result.judgement, result.label)
+    banded = rig.read_impedance([recording], judging=rig.Judging(band_hz=(10.0, 50.0)))
+    assert banded.judgement.passivity.band_hz == (10.0, 50.0)
     assert not np.any(replay(recording).rows["effort_sent"] != recording.rows["effort_sent"])
     broken = replace(recording, rows=recording.rows[:-500])
     with pytest.raises(RecordingError, match="not whole"):
         record_of(broken, experiment_of(broken))
+
+
+def test_recordings_of_no_wall_or_of_two_are_no_measurement(on_device: Any, tmp_path: Path) -> None:
+    x, result = on_device
+    with pytest.raises(ConfigError, match="recordings of 0 walls, where those of one are needed"):
+        rig.read_impedance([])
+    (other,) = rig.impedance(
+        x, [(5e3, 10.0)], url="sim://", output=tmp_path, excitation={"realisations": 1, "seed": 5}
+    )
+    with pytest.raises(ConfigError, match="recordings of 2 walls, where those of one are needed"):
+        rig.read_impedance([*result.recordings, *other.recordings])
+    with pytest.raises(ConfigError, match="signal = 'truth': a device records counts"):
+        rig.impedance(x, url="sim://", signal="truth")
 
 
 def test_a_trial_where_nothing_excites_has_no_record(on_device: Any) -> None:
@@ -390,6 +409,7 @@ def test_a_realisation_with_lost_samples_is_measured_again_and_both_recordings_s
     (result,) = measure_on_device(x, OnDevice(url="sim://", recordings=tmp_path), walls=[(10e3, 10.0)])
     assert result.impedance is not None
     assert len(result.recordings) == len(set(result.recordings)) == 2
+    assert (rig.read_impedance(result.recordings).impedance.z == result.impedance.z).all(), "of the whole one"
 
     def always(recording: Any, experiment: Any) -> None:
         raise RecordingError("not whole", remedy="again")

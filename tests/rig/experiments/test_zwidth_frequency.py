@@ -14,6 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import rig
 from rig import config
 from rig.config import presets
 from rig.config.schemes import Scheme
@@ -214,7 +215,10 @@ def test_the_same_bytes_from_one_worker_two_and_after_a_stop(tmp_path: Path) -> 
     with pytest.raises(sweep.SweepStoppedError):
         sweep.run(asked.tasks, journal=journal, workers=1, unit="runs", watch=stop)
     went_on = zwidth(asked, journal=journal)
-    texts = {json.dumps(list(found.columns)) for found in (one, two, went_on)}
+    public = rig.impedance_map(
+        SHORT, [FILTERED, "uniform:1k,estimator=foaw-best"], stiffnesses=[5e3, 50e3], dampings=[0.0, 60.0]
+    )
+    texts = {json.dumps(list(found.columns)) for found in (one, two, went_on, public)}
     assert len(texts) == 1
     assert len(one.columns) == 4
     assert sum(row["runs"] for rows in one.columns for row in rows) == 16

@@ -14,7 +14,7 @@ import rig.cli
 from rig.core.errors import ConfigError, RecordingError
 from rig.experiments.cases import recording_case
 from rig.experiments.estimators import Variant, estimates, score
-from rig.experiments.tuning import tune
+from rig.experiments.tuning import tune_estimator
 from rig.recording.counts import WORST_DEVIATION, counts_facts, read_counts
 
 RATE, DELTA, N = 1000, 1e-4, 3000
@@ -97,7 +97,9 @@ def test_estimators_run_over_it_as_over_the_arrays(width: int, tmp_path: Path) -
     speed = estimates(case, Variant("fdm"))
     assert np.sqrt(np.mean((speed[1:] - true[KEPT][1:]) ** 2)) < DELTA * RATE
     assert score(case, Variant("fdm")).delay_s == pytest.approx(0.5 / RATE, abs=1e-4)
-    assert tune("fdm-butterworth", case).objective_best <= score(case, Variant("fdm-butterworth")).rms
+    assert (
+        tune_estimator("fdm-butterworth", case).objective_best <= score(case, Variant("fdm-butterworth")).rms
+    )
     assert recording_case(saved, RATE / 2).elapsed.sum() == N // 2
 
 

@@ -22,7 +22,14 @@ from rig.cli.session_analyse import show
 from rig.config import as_mapping, presets
 from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError, RecordingError
-from rig.session.analysis import Analysis, Options, analyse, read_study, write_tables
+from rig.session.analysis import (
+    Options,
+    StudyAnalysis,
+    analyse,
+    analyse_study,
+    read_study,
+    write_study_tables,
+)
 from rig.session.analysis import trials as trials_module
 from rig.session.analysis.tables import column_name, tables
 from rig.session.analysis.trials import answers, half_way, levels
@@ -55,7 +62,7 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Any:
 
 @pytest.fixture(scope="module")
 def found(study: Path) -> Any:
-    return analyse([study])
+    return analyse_study(str(study))
 
 
 @pytest.fixture
@@ -128,9 +135,9 @@ def test_there_is_one_k50_of_a_participant(found: Any) -> None:
 
 
 def test_the_example_script_goes_from_the_tables_to_the_same_numbers(
-    found: Analysis, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    found: StudyAnalysis, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    write_tables(found, tmp_path)
+    write_study_tables(found, str(tmp_path))
     from_tables = SimpleNamespace(**runpy.run_path(str(EXAMPLE)))
     kmax = from_tables.limits(tmp_path)
     over = from_tables.over_participants(kmax).set_index("condition")
@@ -256,7 +263,7 @@ def test_kinds_of_slips_are_told_apart_and_a_wall_that_truly_holds_is_none(tmp_p
     assert all(run.caught.stiff == run.lapses == 0 for run in found.runs)
     assert sum(run.caught.soft for run in found.runs) > 0
     found = one_session(tmp_path / "b", protocol(search=interleaved), person(lapse_rate=0.3))
-    write_tables(found, tmp_path)
+    write_study_tables(found, tmp_path)
     (row,) = pq.read_table(tmp_path / "participants.parquet").to_pylist()
     for name, field in (("soft_catches", "soft"), ("stiff_catches", "stiff")):
         assert row[name] == sum(getattr(run.caught, field) for run in found.runs) > 0
@@ -311,7 +318,7 @@ def test_a_search_that_ended_by_most_is_marked_and_left_out_unless_asked_for(
     assert {one.marked for one in taken.of_participants if one.measure == "rule"} <= {0, 1}
     assert any(one.marked for one in taken.over_participants)
     assert any("6 runs were ended by most, taken in" in message for message in taken.messages)
-    write_tables(taken, tmp_path / "out")
+    write_study_tables(taken, tmp_path / "out")
     runs = pq.read_table(tmp_path / "out" / "runs.parquet").to_pylist()
     assert {row["state"] for row in runs} == {"ended by most"}
     assert all(row["limit_rule_mark"] for row in runs if row["limit_rule_n_m_per_rad"] is not None)
@@ -415,7 +422,7 @@ def test_answers_are_columns_of_the_table_of_participants(tmp_path: Path) -> Non
         ("hard", "block", 2),
         ("remarks", "end", 0),
     ]
-    write_tables(found, tmp_path / "out")
+    write_study_tables(found, tmp_path / "out")
     (row,) = pq.read_table(tmp_path / "out" / "participants.parquet").to_pylist()
     assert (row["answer_tired"], row["answer_remarks"], row["ended"]) == (1, "1", "complete")
     assert "answer_hard" not in row
@@ -446,7 +453,7 @@ def test_walls_that_all_hold_are_limits_beyond_the_levels(
     }
     (k50,) = {one.limits["K50 person"].high for one in found.runs}
     assert math.isinf(k50)
-    write_tables(found, tmp_path / "out")
+    write_study_tables(found, tmp_path / "out")
     (row, *_) = pq.read_table(tmp_path / "out" / "runs.parquet").to_pylist()
     assert row["limit_k50_person_high_n_m_per_rad"] is None
     assert row["limit_k50_person_low_n_m_per_rad"] <= row["limit_k50_person_n_m_per_rad"] == 300.0
@@ -470,7 +477,7 @@ def test_before_the_first_verdict_there_is_nothing_but_a_table_of_trials(
     assert found.counts() == {"recorded": 2, "invalid": 2}
     assert found.of_participants == found.agreements == found.psychometrics == found.mixed == ()
     assert [run.limits for run in found.runs] == [{}]
-    write_tables(found, tmp_path / "out")
+    write_study_tables(found, tmp_path / "out")
     assert pq.read_table(tmp_path / "out" / "kmax.parquet").num_rows == 0
     show(found)
     text = capsys.readouterr().out
@@ -564,7 +571,7 @@ def test_a_damaged_log_and_an_empty_place_are_refused(tmp_path: Path, study: Pat
 
 
 def test_tables_say_their_units_and_are_alike_in_both_forms(found: Any, tmp_path: Path) -> None:
-    written = write_tables(found, tmp_path)
+    written = write_study_tables(found, tmp_path)
     dictionary = json.loads((tmp_path / "tables.json").read_text())["tables"]
     assert set(written) == {f"{name}.{kind}" for name in dictionary for kind in ("csv", "parquet")} | {
         "tables.json"
@@ -597,7 +604,7 @@ def test_tables_say_their_units_and_are_alike_in_both_forms(found: Any, tmp_path
 def test_a_table_of_confusions_says_what_its_interval_is_over_and_who_is_in_it(
     found: Any, tmp_path: Path
 ) -> None:
-    write_tables(found, tmp_path)
+    write_study_tables(found, tmp_path)
     row = next(r for r in pq.read_table(tmp_path / "agreement.parquet").to_pylist() if r["condition"] == "")
     two = found.agreements[0]
     assert (row["people"], row["left_out"], row["same"]) == (4, two.left_out, two.share)

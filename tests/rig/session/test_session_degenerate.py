@@ -15,7 +15,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from rig.cli import rig
-from rig.session.analysis import analyse, write_tables
+from rig.session.analysis import analyse, write_study_tables
 from rig.views.report.session import NUMBERS, PAGE, render
 from tests.conformance.studies import Person, protocol, write_study
 from tests.conformance.tiers import first_by_default
@@ -126,7 +126,7 @@ def test_any_small_study_has_its_tables_and_its_page(
     )
     write_study(place, mapping, of)
     found = analyse([place])
-    write_tables(found, place / "out")
+    write_study_tables(found, place / "out")
     assert render(found, {})
     for one in (*found.paired, *found.over_participants, *found.slopes):
         assert math.isfinite(one.low) == math.isfinite(one.high) == (one.problem == "")
