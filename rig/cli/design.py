@@ -166,14 +166,7 @@ def design_(
         refuse_without_device(verified, confirm)
     sets = (*sets, *_limits(asked))
     experiment = map_options.chosen(
-        file,
-        preset or options.preset_of(url, file),
-        operator,
-        effort,
-        seed,
-        sets,
-        cutoff,
-        device=url is not None,
+        file, preset, operator, effort, seed, sets, cutoff, url=url, device=url is not None
     )
     request = Request(
         experiment=experiment,

@@ -9,25 +9,36 @@ import click
 
 from rig.cli import map_options, output
 from rig.cli.command import command
+from rig.cli.keyword_options import gathered_options
 from rig.cli.progress import SweepBar
 from rig.experiments import maps
 from rig.experiments.disagreement import DisagreementPlan
+from rig.experiments.map_request import MapRequest
 from rig.views.plots.disagreement import draw_disagreement
 from rig.views.report.disagreement import paragraph
 
 
 @command()
-@map_options.walls_hit_options
+@map_options.hit_experiment_options
+@gathered_options(
+    MapRequest, "walls", "stiffness", "damping", "schemes", "ratio", "offsets", "repeats", "judged"
+)
 @map_options.sweep_options
 def disagreement(
-    workers: int | None, scheduler: str | None, directory: Path, plot: str, as_json: bool, **hits: Any
+    walls: MapRequest,
+    workers: int | None,
+    scheduler: str | None,
+    directory: Path,
+    plot: str,
+    as_json: bool,
+    **rig: Any,
 ) -> None:
     """Hit every wall of a range, and say where linear theory and hits differ, and why.
 
     Where they differ, the wall is hit again without friction, quantum, saturation and loss of contact, one at a time:
     which of them does it take? A picture, and a paragraph to cite.
     """
-    plan = DisagreementPlan(map=map_options.plan_hits(**hits))
+    plan = DisagreementPlan(map=walls.plan(map_options.chosen(**rig)))
     place = maps.directory_for(plan, directory, "disagreement")
     with SweepBar("columns", unit="ticks", plain=as_json) as bar:
         found = maps.compare_into(plan, place, scheduler=scheduler, workers=workers, watch=bar.watch)

@@ -18,28 +18,32 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 def keyword_options(request: type, *names: str) -> Callable[[F], F]:
     """Add an option for each of these keywords of a request; for each that has a help text if none is named."""
-    chosen = [one for name, one in keywords(request).items() if (name in names if names else one.help)]
 
     def add(function: F) -> F:
-        for one in reversed(chosen):
+        for one in reversed(_chosen(request, names)):
             function = _option(one)(function)
         return function
 
     return add
 
 
-def gathered_options(request: type, name: str) -> Callable[[F], F]:
-    """Add an option for each keyword of a dataclass; the command receives them as one argument of this name."""
+def gathered_options(request: type, name: str, *fields: str) -> Callable[[F], F]:
+    """Add such options of a dataclass; the command receives them as one argument of this name."""
+    chosen = [one.name for one in _chosen(request, fields)]
 
     def add(function: F) -> F:
         @wraps(function)
         def called(**given: Any) -> Any:
-            own = {field: given.pop(field) for field, one in keywords(request).items() if one.help}
+            own = {field: given.pop(field) for field in chosen}
             return function(**given, **{name: request(**own)})
 
-        return keyword_options(request)(called)  # type: ignore[return-value]
+        return keyword_options(request, *chosen)(called)  # type: ignore[return-value]
 
     return add
+
+
+def _chosen(request: type, names: tuple[str, ...]) -> list[Keyword]:
+    return [one for name, one in keywords(request).items() if (name in names if names else one.help)]
 
 
 def _option(one: Keyword) -> Callable[[F], F]:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, get_args, get_type_hints
+from typing import Annotated, Any, TypeVar, get_type_hints
 
 import click
 
@@ -61,7 +61,15 @@ class CommandSettings(HitSettings, total=False):
     """What commands change by options of their own, beside rates and operator."""
 
     estimator: Annotated[str, Keyword(key="controller.estimator")]
-    cutoff: Annotated[str, Keyword(key="controller.scheme_cutoff")]
+    cutoff: Annotated[
+        SchemeCutoff,
+        Keyword(
+            "Cut-off of schemes that state none: the same share of each velocity rate, or the same in Hz. "
+            "[as-in-the-paper]",
+            "controller.scheme_cutoff",
+            group="Experiment",
+        ),
+    ]
 
 
 _OF_CHANGES = {"rate", "sets", *get_type_hints(CommandSettings)}
@@ -109,6 +117,9 @@ def estimator_option(help: str = "Velocity estimator.", **more: Any) -> Callable
     )
 
 
+cutoff_option = keyword_options(CommandSettings, "cutoff")
+
+
 def scheme_option(default: str, group: str = EXPERIMENT) -> Callable[[F], F]:
     """Sampling schemes to compare, by `default` if none is given, and the cut-off of those that state none."""
     return added(
@@ -116,11 +127,7 @@ def scheme_option(default: str, group: str = EXPERIMENT) -> Callable[[F], F]:
             "--scheme", "schemes", group=group, multiple=True, metavar="SCHEME", type=values.SCHEME,
             help=f"dual:20k/2k; uniform:20k,cutoff_hz=1000; dual:20k/2k,estimator=kalman …; repeat it. [{default}]",
         ),
-        option(
-            "--cutoff", group=group, type=click.Choice(get_args(SchemeCutoff)),
-            help="Cut-off of schemes that state none: the same share of each velocity rate, or the same in Hz. "
-            "[as-in-the-paper]",
-        ),
+        cutoff_option,
     )  # fmt: skip
 
 

@@ -7,8 +7,10 @@ from typing import Any
 
 import click
 
+from rig import config
 from rig.cli import hit_output, map_options, options, output
 from rig.cli.command import command
+from rig.cli.keyword_options import gathered_options
 from rig.cli.next_step import name_next
 from rig.cli.progress import SweepBar
 from rig.cli.zwidth_rig import CONFIRM, CRITERIA, Dialogue, load_device, refuse_without_device
@@ -17,6 +19,7 @@ from rig.core.present import Table
 from rig.core.sample import unit_of
 from rig.experiments import maps
 from rig.experiments.kmax import KMax
+from rig.experiments.map_request import MapRequest
 from rig.experiments.plan import stands_for_device
 from rig.experiments.ranges import kmax_theory, theory_curves
 from rig.experiments.rendering import RENDERED
@@ -25,16 +28,15 @@ from rig.views.plots.zwidth import draw_kmax, draw_zwidth
 
 
 @command()
-@map_options.walls_hit_options
-@map_options.search_option
+@map_options.hit_experiment_options
+@gathered_options(MapRequest, "walls")
 @options.url_option("simulates without a link")
 @options.realtime_option("A simulated device (sim://) as a process, in real time.")
 @options.verified_option
 @options.confirm_option(CONFIRM, "each hit; no with a simulated device")
 @map_options.sweep_options
 def zwidth(
-    file: Path | None,
-    preset: str | None,
+    walls: MapRequest,
     url: str | None,
     realtime: bool,
     verified: bool,
@@ -44,7 +46,7 @@ def zwidth(
     directory: Path,
     plot: str,
     as_json: bool,
-    **hits: Any,
+    **rig: Any,
 ) -> None:
     """Map the walls (K, B) that a rig renders stably, scheme by scheme, by hitting them.
 
@@ -66,13 +68,10 @@ def zwidth(
         load_device(url)
     else:
         refuse_without_device(verified, confirm)
-    plan = map_options.plan_hits(
-        file=file,
-        preset=preset or options.preset_of(url, file),
-        device=device,
-        realtime=realtime or (url is not None and not url.startswith("sim:")),
-        **hits,
-    )
+    experiment = map_options.chosen(**rig, url=url, device=device)
+    if realtime or (url is not None and not url.startswith("sim:")):
+        experiment = config.with_realtime(experiment)
+    plan = walls.plan(experiment, on_device=device)
     if url is None:
         place = maps.directory_for(plan, directory, "zwidth")
         with SweepBar("series", unit="ticks", plain=as_json) as bar:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +13,10 @@ from rig.config.schemes import Scheme
 from rig.console.hits import experiment_of
 from rig.console.talk import Talk
 from rig.experiments import maps
-from rig.experiments.ranges import frequency_plan, hit_plan, schemes_for, search_for
-from rig.experiments.searches import bounds_of, numbers_of
+from rig.experiments.map_request import MapRequest
+from rig.experiments.ranges import frequency_plan
+from rig.experiments.searches import numbers_of
 from rig.experiments.sweep import Progress
-from rig.experiments.zwidth import MapPlan
 from rig.experiments.zwidth_frequency import FrequencyPlan
 
 
@@ -23,7 +24,7 @@ def zwidth(content: Mapping[str, Any], talk: Talk) -> Any:
     """Map hits or impedances (`rig.console.maps.RunMap`); returns the map's name."""
     experiment = config.override(experiment_of(content), content["changes"], "the page")
     frequency = content["domain"] == "frequency"
-    plan = _impedances(experiment, content) if frequency else _hits(experiment, content)
+    plan = _impedances(experiment, content) if frequency else MapRequest(**_fields(content)).plan(experiment)
     name = "impedance-map" if frequency else "zwidth"
     place = maps.directory_for(plan, Path(content["output"]), name)
     said = False
@@ -39,21 +40,8 @@ def zwidth(content: Mapping[str, Any], talk: Talk) -> Any:
     return {"map": place.name}
 
 
-def _hits(experiment: Experiment, content: Mapping[str, Any]) -> MapPlan:
-    low, high = bounds_of(content["stiffness"], "stiffness") if content["stiffness"] else (None, None)
-    dampings = _numbers(content, "damping")
-    schemes = schemes_for(experiment, _schemes(content), dampings)
-    return hit_plan(
-        experiment,
-        schemes,
-        dampings=dampings,
-        search=search_for(
-            experiment, content["way"], ratio=content["ratio"], lowest=low, highest=high, schemes=schemes
-        ),
-        offsets=_numbers(content, "offsets"),
-        repeats=content["repeats"],
-        judged=content["judged"],
-    )
+def _fields(content: Mapping[str, Any]) -> dict[str, Any]:
+    return {one.name: content[one.name] for one in fields(MapRequest)}
 
 
 def _impedances(experiment: Experiment, content: Mapping[str, Any]) -> FrequencyPlan:

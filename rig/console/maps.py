@@ -14,13 +14,14 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from annotated_types import Ge, Le, MaxLen
+from annotated_types import Ge, Le
 
 from rig.console.client import Client, defect, trouble
 from rig.console.place import directory_in
 from rig.console.requests import Changes, Name, Request, refuse_reserved
 from rig.console.service import Handler, Service, Shared
 from rig.core.errors import ConfigError, RigError
+from rig.experiments.map_request import MapRequest
 
 MAPS = "maps"  # beside the directory of the recordings, as the command has it
 POLL_S = 0.5
@@ -33,20 +34,13 @@ class AskMaps(Request):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class RunMap(Request):
-    """Map a simulated rig; fields as the options of ``rig zwidth``, empty ones as its defaults."""
+class RunMap(Request, MapRequest):
+    """Map a simulated rig."""
 
     domain: Literal["time", "frequency"] = "time"
     rig: Name = "koul-compliant"
     changes: Changes = field(default_factory=dict)
-    schemes: Annotated[tuple[Name, ...], MaxLen(32)] = ()
-    stiffness: Name = ""
-    damping: Name = ""
-    offsets: Name = ""
-    way: Literal["ladder", "bisection", "grid"] = "ladder"
     ratio: Annotated[float, Ge(1.0001), Le(1e6)] = 1.06
-    repeats: Annotated[int, Ge(1), Le(10_000)] = 1
-    judged: Literal["true", "recorded"] | None = None
     goes_on: bool = False
 
 

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from functools import cache
 from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +51,7 @@ def keywords(request: type) -> Mapping[str, Keyword]:
     for name, hint in get_type_hints(request, include_extras=True).items():
         kind, *marks = get_args(hint) if get_origin(hint) is Annotated else (hint,)
         default = defaults.get(name, MISSING)
-        if get_origin(kind) is UnionType:
+        if get_origin(kind) in (UnionType, Union):  # the latter of Literal[…] | None
             kind = next(arm for arm in get_args(kind) if arm is not NoneType)
         for mark in marks:
             if isinstance(mark, Keyword):

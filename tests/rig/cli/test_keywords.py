@@ -30,6 +30,7 @@ class Asked:
     count: Annotated[int, Ge(1), Le(9), Keyword("How many.")] = 3
     share: Annotated[float | None, Gt(0), Le(1), Keyword("Of all.")] = None
     way: Annotated[Literal["up", "down"], Keyword("Which way.", names=("-w", "--which-way"))] = "up"
+    side: Annotated[Literal["left", "right"] | None, Keyword("Which side.")] = None
     names: Annotated[tuple[str, ...], Keyword("Repeat it.")] = ()
     output: Annotated[str | Path, Keyword("Where.", group="Result", values="path")] = "here"
     by_hand: Annotated[bool, Keyword("No motor.")] = False
@@ -50,22 +51,8 @@ def answered(*words: str) -> Any:
 
 def test_a_field_makes_an_option_with_its_type_range_and_default() -> None:
     assert answered() == Asked(output=Path("here"))
-    words = [
-        "--count",
-        "2",
-        "--share",
-        "0.5",
-        "-w",
-        "down",
-        "--names",
-        "a",
-        "--names",
-        "b",
-        "--output",
-        "x",
-        "--by-hand",
-    ]
-    assert answered(*words) == Asked(2, 0.5, "down", ("a", "b"), Path("x"), True)
+    words = "--count 2 --share 0.5 -w down --side left --names a --names b --output x --by-hand"
+    assert answered(*words.split()) == Asked(2, 0.5, "down", "left", ("a", "b"), Path("x"), True)
 
 
 @pytest.mark.parametrize(
@@ -74,6 +61,7 @@ def test_a_field_makes_an_option_with_its_type_range_and_default() -> None:
         ("--count 0", "0 is not in the range 1<=x<=9"),
         ("--share 0", "0.0 is not in the range 0<x<=1"),
         ("--which-way left", "'left' is not one of 'up', 'down'"),
+        ("--side up", "'up' is not one of 'left', 'right'"),
         ("--silent 1", "No such option"),
         ("--unasked 1", "No such option"),
     ],
