@@ -25,7 +25,7 @@ def main() -> None:
     cli.main(asked)
 
 
-def asked_to_stop(arguments: list[str]) -> list[memories.Memory] | None:
+def asked_to_stop(arguments: list[str]) -> list[memories.LoopMemory] | None:
     """Do what ``rig stop`` must do at once, and return what it goes on with; of any other command line, None."""
     if arguments[:1] != ["stop"]:
         return None

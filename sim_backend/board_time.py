@@ -47,7 +47,7 @@ from sim_backend.lockstep import (
     cut,
     run_ticks,
 )
-from sim_backend.operator import Script
+from sim_backend.operator import OperatorScript
 from sim_backend.plant import PLANT_TYPE, PlantArguments
 
 SLICE_NS = 10_000_000  # in which a signal or a wish to stop is heard
@@ -124,14 +124,14 @@ def _hear(
 
 @kernel(
     types.int64(
-        *(type_of(Lockstep), PLANT_TYPE, type_of(Script), type_of(Wires), type_of(Supplies)),
+        *(type_of(Lockstep), PLANT_TYPE, type_of(OperatorScript), type_of(Wires), type_of(Supplies)),
         *(types.int64, _INTS, _BYTES, _BYTES, types.int64),
     )
 )
 def keep_time(
     software: Lockstep,
     plant: PlantArguments,
-    script: Script,
+    script: OperatorScript,
     wires: Wires,
     supplies: Supplies,
     line: int,
@@ -186,7 +186,7 @@ def keep_time(
             return AGAIN
 
 
-class Device(Protocol):
+class TickedDevice(Protocol):
     """A device that compiled ticks can run (`sim_backend.lockstep`)."""
 
     hardware: Hardware
@@ -234,7 +234,7 @@ class BoardTime:
 
     def __init__(
         self,
-        device: Device,
+        device: TickedDevice,
         port: LoopPort,
         stop: threading.Event,
         *,

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections import Counter, deque
 from collections.abc import Callable, Iterable
 
-from rig.devices.fault_script import Direction, FrameFault, Kind
+from rig.devices.fault_script import Direction, FaultKind, FrameFault
 
 
-class Line:
+class ScriptedLine:
     """Both directions of a link, frame by frame, under a script.
 
     Attributes
@@ -24,7 +24,7 @@ class Line:
     def __init__(self, faults: Iterable[FrameFault] = ()) -> None:
         self.unplugged = False
         self.frames = dict.fromkeys(Direction, 0)
-        self.acted: Counter[Kind] = Counter()
+        self.acted: Counter[FaultKind] = Counter()
         self._faults: dict[tuple[Direction, int], list[FrameFault]] = {}
         self._waiting: dict[Direction, list[FrameFault]] = {direction: [] for direction in Direction}
         self.add(faults)
@@ -86,13 +86,13 @@ class Line:
 
     def _strike(self, fault: FrameFault, pieces: list[bytes], tick: int) -> tuple[list[bytes], int]:
         """Return what is left of a frame, and when it comes."""
-        if fault.kind is Kind.REORDER:
+        if fault.kind is FaultKind.REORDER:
             self._held[fault.direction] = pieces
-        elif fault.kind is Kind.SILENCE:
+        elif fault.kind is FaultKind.SILENCE:
             self._silent |= set(Direction) if fault.both else {fault.direction}
-        elif fault.kind is Kind.UNPLUG:
+        elif fault.kind is FaultKind.UNPLUG:
             self.unplugged = True
-        elif fault.kind is Kind.DELAY:
+        elif fault.kind is FaultKind.DELAY:
             tick += fault.ticks
         leave = _LEFT.get(fault.kind)
         return [left for piece in pieces for left in leave(piece, fault)] if leave else [], tick
@@ -105,9 +105,9 @@ def _flip(frame: bytes, fault: FrameFault) -> bytes:
 
 
 # What is left of a frame; of the other kinds, nothing.
-_LEFT: dict[Kind, Callable[[bytes, FrameFault], list[bytes]]] = {
-    Kind.CORRUPT: lambda frame, fault: [_flip(frame, fault)],
-    Kind.DUPLICATE: lambda frame, _: [frame, frame],
-    Kind.TRUNCATE: lambda frame, fault: [frame[: fault.byte % len(frame)]],
-    Kind.DELAY: lambda frame, _: [frame],
+_LEFT: dict[FaultKind, Callable[[bytes, FrameFault], list[bytes]]] = {
+    FaultKind.CORRUPT: lambda frame, fault: [_flip(frame, fault)],
+    FaultKind.DUPLICATE: lambda frame, _: [frame, frame],
+    FaultKind.TRUNCATE: lambda frame, fault: [frame[: fault.byte % len(frame)]],
+    FaultKind.DELAY: lambda frame, _: [frame],
 }

@@ -63,7 +63,7 @@ from sim_backend.safety import (
     in_window,
     overheated,
 )
-from sim_backend.ticks import BOARD_WORDS, OWN, Board, drive, is_too_old, obey, report, sample, time_of
+from sim_backend.ticks import BOARD_WORDS, OWN, DeviceMemory, drive, is_too_old, obey, report, sample, time_of
 
 _U32 = 0xFFFFFFFF
 _NS_NUMERATOR, _NS_DENOMINATOR = 125, 2  # a unit of device time is 62.5 ns
@@ -71,7 +71,7 @@ _EMERGENCY, _HELD, _SYNC = int(Input.EMERGENCY_STOP), int(Input.HOLD_TO_RUN), in
 MODES = frozenset(int(mode) for mode in Mode)
 
 
-class Word:
+class DeviceWord:
     """An attribute that lies in the device's words, where its ticks find it."""
 
     def __init__(self, place: int) -> None:
@@ -129,8 +129,13 @@ class SimulatedDevice:
         The default rate is above the maximum, or the model cannot be stepped at it.
     """
 
-    sample_index, time, inputs, sync = Word(SAMPLE_INDEX), Word(TIME), Word(INPUTS), Word(OWN.sync)
-    worst_execution_time, missed_ticks = Word(OWN.worst_execution_time), Word(OWN.missed_ticks)
+    sample_index, time, inputs, sync = (
+        DeviceWord(SAMPLE_INDEX),
+        DeviceWord(TIME),
+        DeviceWord(INPUTS),
+        DeviceWord(OWN.sync),
+    )
+    worst_execution_time, missed_ticks = DeviceWord(OWN.worst_execution_time), DeviceWord(OWN.missed_ticks)
 
     def __init__(
         self,
@@ -155,7 +160,7 @@ class SimulatedDevice:
         self._replies = Replies()
         self._safety = Safety(model)
         self._faults = FaultMemory(self._safety.rules)
-        self.board = Board(
+        self.board = DeviceMemory(
             words=flat(np.int64, BOARD_WORDS),
             rules=self._safety.rules,
             heat=self._safety.heat,

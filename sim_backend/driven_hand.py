@@ -23,7 +23,7 @@ from rig.core.errors import ConfigError
 from rig.core.model import RigModel
 from rig.realtime.hand import Wish
 from sim_backend.coupled_hand import INTENTIONS
-from sim_backend.operator import PRESS_HZ, REPEAT_S, Rows, Script, tremor
+from sim_backend.operator import PRESS_HZ, REPEAT_S, OperatorScript, Rows, tremor
 
 FOLLOW_HZ = 3.0  # chosen: a step of 10 mm then goes at 7 cm/s at most, about as fast as the scripted reach
 BLOCK_S = 0.002  # a wish acts after this time at most
@@ -88,11 +88,11 @@ class DrivenHand:
         self._from = position
         self._leads = False
 
-    def next(self, hand: float) -> Script:
+    def next(self, hand: float) -> OperatorScript:
         """The next ticks; to be asked for when the last ones are over. `hand` is where the hand is (rad or m)."""
         if not self._leads:
             self._leads = True
-            return Script(rows=self._along())
+            return OperatorScript(rows=self._along())
         times = self._times
         places = (self._tick + np.arange(len(times))) % self._tremor.shape[1]
         self._tick += len(times)
@@ -112,7 +112,7 @@ class DrivenHand:
         rows[:, 0] = at + share * self._tremor[0, places]
         rows[:, 1] = rate + share * self._tremor[1, places]
         rows[:, 2] = self._side * self._radius * pressed * swell
-        return Script(rows=rows)
+        return OperatorScript(rows=rows)
 
     def _along(self) -> Rows:
         """Along with homing, then still until the trial has surely begun."""

@@ -21,7 +21,7 @@ from numba import types
 
 from firmware_protocol.messages import OLDEST_EDGE
 from rig.control.bilateral import ramp
-from rig.control.step import CONTROLLER_TYPE, TRIAL, Controller, ControllerArguments, step
+from rig.control.step import CONTROLLER_TYPE, TRIAL, ControllerArguments, ControllerState, step
 from rig.core.errors import LawError
 from rig.core.model import RigModel
 from rig.core.sample import Phase, RowFlag
@@ -40,7 +40,7 @@ _NONFINITE = int(RowFlag.NONFINITE)
 
 
 @group
-class Kept(NamedTuple):
+class ExcitedTrace(NamedTuple):
     """What is kept of a run: ticks with a clipped effort; counts, positions, velocities; what the guard withheld."""
 
     bound: Ints
@@ -52,14 +52,14 @@ class Kept(NamedTuple):
 
 @kernel(
     types.int64(
-        *(CONTROLLER_TYPE, PLANT_TYPE, type_of(Kept), types.int64, types.int64, types.int64),
+        *(CONTROLLER_TYPE, PLANT_TYPE, type_of(ExcitedTrace), types.int64, types.int64, types.int64),
         *(types.float64[::1], types.int64),
     )
 )
 def excite(
     controller: ControllerArguments,
     plant: PlantArguments,
-    kept: Kept,
+    kept: ExcitedTrace,
     count: int,
     ratio: int,
     every: int,
@@ -128,7 +128,7 @@ class ExcitedPlant:
         return next(n for n in range(most, 0, -1) if self._ratio % n == 0)
 
     def excite(
-        self, controller: Controller, position: float, excitation: Vector, ramp_s: float, ticks: int
+        self, controller: ControllerState, position: float, excitation: Vector, ramp_s: float, ticks: int
     ) -> ExcitedMotion:
         """Run the law for so many ticks, from rest at a position (rad or m)."""
         plant = self._plant
@@ -136,7 +136,7 @@ class ExcitedPlant:
         memory = controller.memory
         memory["phase"], memory["phase_ticks"] = int(Phase.TRIAL), -1
         bound = np.zeros(1, np.int64)
-        kept = Kept(
+        kept = ExcitedTrace(
             bound=bound,
             counts=self._counts,
             positions=self._positions,

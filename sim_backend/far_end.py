@@ -41,7 +41,7 @@ from sim_backend.lockstep import (
     cut,
     run_ticks,
 )
-from sim_backend.operator import Script
+from sim_backend.operator import OperatorScript
 from sim_backend.plant import PlantArguments
 
 # What changes: whether Python had the device last; nothing moves any more; bytes that wait for the host, and those
@@ -84,7 +84,7 @@ class FarEnd(NamedTuple):
 
     software: Annotated[Lockstep, type_of(Lockstep)]
     plant: Annotated[PlantArguments, type_of(PlantArguments)]
-    script: Annotated[Script, type_of(Script)]
+    script: Annotated[OperatorScript, type_of(OperatorScript)]
     wires: Annotated[Wires, type_of(Wires)]
     supplies: Annotated[Supplies, type_of(Supplies)]
     progress: Ints

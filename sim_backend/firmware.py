@@ -27,7 +27,7 @@ from rig.realtime.c_board import BoardSetup
 from rig.realtime.kernel import prepare
 from sim_backend import firmware_library
 from sim_backend.configuration import describe
-from sim_backend.firmware_library import Status
+from sim_backend.firmware_library import HostStatus
 from sim_backend.hardware import Hardware, World
 from sim_backend.lockstep import (
     DUE,
@@ -90,9 +90,9 @@ class Core:
         self.library.host_start(self.address)
 
     @property
-    def status(self) -> Status:
+    def status(self) -> HostStatus:
         """Where it is, and what it did to its hardware."""
-        status = Status()
+        status = HostStatus()
         self.library.host_status(self.address, ctypes.byref(status))
         return status
 
@@ -232,7 +232,7 @@ class FirmwareDevice:
         return Fault(self._seen.fault)
 
     @property
-    def status(self) -> Status:
+    def status(self) -> HostStatus:
         """What the software reports beside the protocol: counters, frames that it dropped."""
         return self._seen
 

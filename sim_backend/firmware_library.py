@@ -36,7 +36,7 @@ class Counters(ctypes.Structure):
     ]  # fmt: skip
 
 
-class Status(ctypes.Structure):
+class HostStatus(ctypes.Structure):
     """Struct host_status of host.h."""
 
     _fields_ = [
@@ -88,7 +88,7 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "host_poll": (_N, [_P, ctypes.c_char_p, _N]),
     "host_take": (_N, [_P, _P, _N]),
     "host_law": (ctypes.c_bool, [_P, _P]),
-    "host_status": (None, [_P, ctypes.POINTER(Status)]),
+    "host_status": (None, [_P, ctypes.POINTER(HostStatus)]),
     "lockstep_drive": (ctypes.c_int, [_P, _P]),
     "lockstep_sample": (ctypes.c_int, [_P, _P]),
     "lockstep_receive": (ctypes.c_int, [_P, _P]),

@@ -33,7 +33,7 @@ from sim_backend.lockstep import (
     run_ticks,
     sense,
 )
-from sim_backend.operator import Script
+from sim_backend.operator import OperatorScript
 from sim_backend.plant import PLANT_TYPE, DiscretePlant, PlantArguments, advance
 from sim_backend.sensors import CURRENT_QUANTA_LIMIT, current_quanta, encoder_count
 from sim_backend.truth import TruthLog
@@ -41,7 +41,7 @@ from sim_backend.truth import TruthLog
 _NOISE_BLOCK = 4096
 _PEAK = int(CURRENT_QUANTA_LIMIT)
 NO_END = 1 << 62  # ticks
-World = tuple[PlantArguments, Script, Wires, Supplies]
+World = tuple[PlantArguments, OperatorScript, Wires, Supplies]
 _NO_INDICES, _NO_STATES = np.zeros(0, np.int64), np.zeros((0, 0))
 
 
@@ -107,7 +107,7 @@ class Hardware:
         self._quantum_a = model.amplifier.current_quantum_a
         self._noise = Noise(model.amplifier.current_noise_a, seed)
         self.marks = marks_of(model)
-        self._script, self._row = Script.silent(), 0
+        self._script, self._row = OperatorScript.silent(), 0
         self._sessions = 0
         self._hand: DrivenHand | None = None  # and whether its blocks are being played
         self._hand_driven = False
@@ -127,7 +127,7 @@ class Hardware:
             [self._state[: self._plant.commands.start], np.zeros(self._plant.delay_ticks)]
         )
         self._let_move()
-        self._script = Script.silent()  # of other ticks; the person at the handle stays
+        self._script = OperatorScript.silent()  # of other ticks; the person at the handle stays
         self._hand_driven = False
 
     def _let_move(self) -> None:
@@ -150,7 +150,7 @@ class Hardware:
         """Let the person who holds the handle, if there is one, begin: along to the start, and into the wall."""
         position = self._state.item(self._plant.handle_position)
         if self._hand is None:
-            self._script = Script.of(self._model, self._plant.tick_s, position, self._sessions)
+            self._script = OperatorScript.of(self._model, self._plant.tick_s, position, self._sessions)
         else:
             self._hand.begin(position, self._plant.tick_s, self._sessions)
             self._hand_driven = True

@@ -15,14 +15,14 @@ from numba import types
 from firmware_protocol.messages import OLDEST_EDGE
 from rig.control import judging
 from rig.control.measure import METER_TYPE, NUMBERS, NUMBERS_TYPE, MeterArguments, measure
-from rig.control.step import DONE, THROWN_OUT, TRIAL, Controller, ControllerArguments
+from rig.control.step import DONE, THROWN_OUT, TRIAL, ControllerArguments, ControllerState
 from rig.control.verdict import Measured, Thresholds
 from rig.core.errors import LawError
 from rig.core.model import RigModel
 from rig.core.sample import Phase, RowFlag
 from rig.devices.simulated import SimulatedHit
 from rig.realtime.kernel import kernel
-from sim_backend.operator import Script
+from sim_backend.operator import OperatorScript
 from sim_backend.plant import DiscretePlant, PlantArguments
 from sim_backend.trial import RUN_TYPES, Trace, run_arguments, run_ticks
 
@@ -37,7 +37,7 @@ SIGNALS = 4
 def hit(
     controller: ControllerArguments,
     plant: PlantArguments,
-    script: Script,
+    script: OperatorScript,
     ages: Any,
     external_effort: float,
     start_units: int,
@@ -96,7 +96,7 @@ def hit(
     return ticks
 
 
-class SimulatedRig:
+class RigOfHits:
     """A rig to hit again and again; see `rig.devices.simulated`."""
 
     def __init__(self, model: RigModel, tick_s: float, thresholds: Thresholds, most_ticks: int) -> None:
@@ -107,11 +107,11 @@ class SimulatedRig:
         self._trace = Trace.empty(most_ticks, self._plant)
         self._signals = np.zeros((SIGNALS, most_ticks))
 
-    def hit(self, controller: Controller, start: float) -> SimulatedHit:
+    def hit(self, controller: ControllerState, start: float) -> SimulatedHit:
         """Run one trial from rest at a position and measure it."""
         plant, meter, trace = self._plant, self._meter, self._trace
         recorded, true = np.zeros(1, NUMBERS), np.zeros(1, NUMBERS)
-        state, script = plant.at_rest(start), Script.of(self._model, plant.tick_s, start)
+        state, script = plant.at_rest(start), OperatorScript.of(self._model, plant.tick_s, start)
         arguments = run_arguments(controller, plant, state, 0.0, OLDEST_EDGE, script)
         ticks = hit(*arguments, trace, self._signals, meter.arguments(), recorded, true)
         ended = int(trace.flags[ticks - 1])

@@ -106,7 +106,7 @@ class Line:
             self.write(frame)
 
 
-class Terminal(Line):
+class PseudoTerminal(Line):
     """The master side of a pseudo-terminal in raw mode."""
 
     def __init__(self) -> None:

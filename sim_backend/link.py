@@ -27,7 +27,7 @@ from rig.devices.fault_script import DeviceFault, Direction, Faults
 from rig.devices.port import LoopPort
 from rig.realtime.callbacks import callback_plugs
 from rig.realtime.clock import VirtualClock
-from sim_backend.channel import Line
+from sim_backend.channel import ScriptedLine
 from sim_backend.far_end import ARRIVED, CLOSED, DISCARDED, OUTPUT_BYTES, PROGRESS, TICKS, CompiledPort
 from sim_backend.firmware import FirmwareDevice
 from sim_backend.make_device import make_device
@@ -59,7 +59,7 @@ _URL = DeviceUrl("sim", "", {}, "sim://")
 _LONG = 1 << 62  # ticks: without an end
 
 
-class Device(Protocol):
+class LinkedDevice(Protocol):
     """A simulated device: `device.SimulatedDevice`, or the firmware with a rig."""
 
     @property
@@ -227,7 +227,7 @@ class MemoryLink:
 
     def __init__(
         self,
-        device: Device,
+        device: LinkedDevice,
         faults: Faults | None = None,
         *,
         url: DeviceUrl = _URL,
@@ -239,7 +239,7 @@ class MemoryLink:
         self.messages = messages
         self.clock = VirtualClock()
         self._device = device
-        self.line = None if faults is None else Line(faults.frames)
+        self.line = None if faults is None else ScriptedLine(faults.frames)
         self._happenings = sorted(faults.device if faults else (), key=lambda fault: fault.tick)
         self._start_ns = device.elapsed_ns
         self._levels = _pulses(sync_s, self._start_ns)
@@ -251,7 +251,7 @@ class MemoryLink:
         self._port: LoopPort | None = None
         self._compiled = self._compile(device)
 
-    def _compile(self, device: Device) -> CompiledPort | None:
+    def _compile(self, device: LinkedDevice) -> CompiledPort | None:
         """Return what runs the loop's far end without Python, unless frames, the device or its clock go wrong here."""
         scripted = self.line is not None or self._happenings or self._levels or self._pace != _BILLION
         if scripted or not isinstance(device, FirmwareDevice):

@@ -19,7 +19,7 @@ from rig.realtime.groups import Float, FloatRows, Floats, Int, Ints, group, type
 from rig.realtime.kernel import kernel, rule
 from rig.realtime.native import native_call
 from sim_backend.coupled_hand import want
-from sim_backend.operator import Script
+from sim_backend.operator import OperatorScript
 from sim_backend.plant import PLANT_TYPE, PlantArguments, advance
 from sim_backend.safety import UNITS_PER_SECOND
 from sim_backend.sensors import CURRENT_QUANTA_LIMIT, current_quanta
@@ -136,14 +136,14 @@ def cut(plant: PlantArguments) -> None:
 
 @kernel(
     types.int64(
-        *(type_of(Lockstep), PLANT_TYPE, type_of(Script), type_of(Wires), type_of(Supplies)),
+        *(type_of(Lockstep), PLANT_TYPE, type_of(OperatorScript), type_of(Wires), type_of(Supplies)),
         *(types.int64, types.int64, types.int64),
     )
 )
 def run_ticks(
     software: Lockstep,
     plant: PlantArguments,
-    script: Script,
+    script: OperatorScript,
     wires: Wires,
     supplies: Supplies,
     until: int,

@@ -31,7 +31,7 @@ REPEAT_S = 2.0  # all of these frequencies have a whole number of periods in it
 
 
 @group
-class Script(NamedTuple):
+class OperatorScript(NamedTuple):
     """For each tick intended position, intended velocity and press on the hand, at the link.
 
     After the last row it continues at row `again`. No rows mean no intention: the hand, if there is one,
@@ -42,12 +42,12 @@ class Script(NamedTuple):
     again: Int = 0
 
     @classmethod
-    def silent(cls) -> Script:
+    def silent(cls) -> OperatorScript:
         """Without any row."""
         return cls(rows=np.zeros((0, INTENTIONS)))
 
     @classmethod
-    def of(cls, model: RigModel, tick_s: float, position: float, session: int = 0) -> Script:
+    def of(cls, model: RigModel, tick_s: float, position: float, session: int = 0) -> OperatorScript:
         """Write the script of one session.
 
         Parameters
@@ -69,7 +69,7 @@ class Script(NamedTuple):
 @lru_cache(maxsize=8)  # the rigs of a map differ in what no hand wants; 2 MB each, and nobody writes into it
 def _written(
     operator: Operator, reach: Reach, radius: float, tick_s: float, position: float, session: int
-) -> Script:
+) -> OperatorScript:
     along_s = abs(reach.start - position) / reach.pace
     begin_s = along_s + reach.wait_s
     lead = math.ceil((begin_s + operator.reach_s) / tick_s)
@@ -88,7 +88,7 @@ def _written(
     rows[:, 0] = reach.start + homing + travel * part + tremble * part
     rows[:, 1] = homing_rate + travel * part_rate + tremble_rate * part + tremble * part_rate
     rows[:, 2] = math.copysign(operator.press * radius, travel) * swell * part
-    return Script(rows=rows, again=lead)
+    return OperatorScript(rows=rows, again=lead)
 
 
 def _raised_cosine(x: Rows) -> tuple[Rows, Rows]:

@@ -28,7 +28,7 @@ from sim_backend.real_time import RealTime
 from sim_backend.stopping import stopped_by_signals
 
 if sys.platform == "linux":
-    from sim_backend.line import Socket, Terminal
+    from sim_backend.line import PseudoTerminal, Socket
 
 assert sys.platform == "linux"
 
@@ -109,7 +109,7 @@ def serve(
     )
     for message in messages:
         print(message, file=sys.stderr)
-    with Terminal() if socket is None else Socket(Path(socket)) as port:
+    with PseudoTerminal() if socket is None else Socket(Path(socket)) as port:
         body = (
             BoardTime(device, port.loop_port(), stop, hung_up=port.next_host)
             if isinstance(device, FirmwareDevice)

@@ -28,7 +28,7 @@ READ_BYTES = 4096
 _UNIT_NS = 1e9 / UNITS_PER_SECOND
 
 
-class Port(Protocol):
+class DevicePort(Protocol):
     """The device's end of a link. No call blocks beyond its deadline (CLOCK_MONOTONIC, ns)."""
 
     def read(self, deadline_ns: int) -> bytes:
@@ -47,7 +47,7 @@ class Port(Protocol):
 class RealTime:
     """Runs a `device` behind a port, tick by tick, until `stop` is set."""
 
-    def __init__(self, device: SimulatedDevice, port: Port, stop: threading.Event) -> None:
+    def __init__(self, device: SimulatedDevice, port: DevicePort, stop: threading.Event) -> None:
         self.device = device
         self._port = port
         self._stop = stop

@@ -73,7 +73,7 @@ _SHOWN = tuple(  # `Sync` bits → `Input` bits
 )
 
 
-class Board(NamedTuple):
+class DeviceMemory(NamedTuple):
     """The memory of a device.
 
     Attributes
@@ -97,7 +97,7 @@ class Board(NamedTuple):
     state: Ints
 
 
-def drive(board: Board) -> int:
+def drive(board: DeviceMemory) -> int:
     """Begin a tick: the current that flows in it (quanta)."""
     words, rules = board.words, board.rules
     words[OWN.found] = words[CUTS] = words[OWN.sync] = words[OWN.driven] = 0
@@ -123,7 +123,7 @@ def drive(board: Board) -> int:
     return int(words[OWN.driven])
 
 
-def sample(board: Board) -> None:
+def sample(board: DeviceMemory) -> None:
     """End a tick: its sample is in the words; the monitors look at it."""
     words, rules = board.words, board.rules
     count, current = words[COUNT], words[OWN.driven]
@@ -147,7 +147,7 @@ def time_of(words: Ints, index: int) -> int:
     return int(words[OWN.grid_time] + (index - words[OWN.grid_index]) * UNITS_PER_SECOND // words[OWN.rate])
 
 
-def report(board: Board) -> bool:
+def report(board: DeviceMemory) -> bool:
     """Fill the fields of a STATE, if one is due."""
     words, state = board.words, board.state
     index, time = words[SAMPLE_INDEX], words[TIME]
@@ -182,7 +182,7 @@ def lifetime_of(words: Ints, mode: int, lifetime_us: int) -> int:
     return int(min(lifetime_us * UNITS_PER_US, cap))
 
 
-def is_too_old(board: Board, mode: int, lifetime_us: int, to_come: int, answered: int) -> bool:
+def is_too_old(board: DeviceMemory, mode: int, lifetime_us: int, to_come: int, answered: int) -> bool:
     """Whether a COMMAND was under way for longer than its lifetime, by the STATEs since the one that it answers.
 
     `to_come` is the sequence of the next STATE. Before the first one a host answers that. STOP is never too old.
@@ -195,7 +195,7 @@ def is_too_old(board: Board, mode: int, lifetime_us: int, to_come: int, answered
     )
 
 
-def obey(board: Board, sequence: int, mode: int, flags: int, current: int, lifetime_us: int) -> None:
+def obey(board: DeviceMemory, sequence: int, mode: int, flags: int, current: int, lifetime_us: int) -> None:
     """Take a COMMAND."""
     words = board.words
     words[OWN.command_sequence], words[OWN.command_index] = sequence, words[SAMPLE_INDEX]

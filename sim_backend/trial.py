@@ -19,13 +19,13 @@ from numba import types
 from numpy.typing import NDArray
 
 from firmware_protocol.messages import OLDEST_EDGE, TIME_UNIT_NS
-from rig.control.step import CONTROLLER_TYPE, DONE, Controller, ControllerArguments, step
+from rig.control.step import CONTROLLER_TYPE, DONE, ControllerArguments, ControllerState, step
 from rig.core.sample import RowFlag
 from rig.realtime.groups import FloatRows, Ints, group, type_of
 from rig.realtime.kernel import kernel
 from sim_backend.coupled_hand import want
 from sim_backend.inner import Vector
-from sim_backend.operator import Script
+from sim_backend.operator import OperatorScript
 from sim_backend.plant import PLANT_TYPE, DiscretePlant, PlantArguments, advance
 from sim_backend.safety import UNITS_PER_SECOND
 
@@ -60,7 +60,7 @@ class Trace(NamedTuple):
 
 
 RUN_TYPES = (
-    *(CONTROLLER_TYPE, PLANT_TYPE, type_of(Script), types.int64[::1]),
+    *(CONTROLLER_TYPE, PLANT_TYPE, type_of(OperatorScript), types.int64[::1]),
     *(types.float64, types.int64, types.int64, type_of(Trace)),
 )
 
@@ -69,7 +69,7 @@ RUN_TYPES = (
 def run_ticks(
     controller: ControllerArguments,
     plant: PlantArguments,
-    script: Script,
+    script: OperatorScript,
     ages: Ints,
     external_effort: float,
     start_units: int,
@@ -115,7 +115,7 @@ def run_ticks(
 
 
 def run_trial(
-    controller: Controller,
+    controller: ControllerState,
     plant: DiscretePlant,
     initial_position: float,
     *,
@@ -123,7 +123,7 @@ def run_trial(
     start_units: int = OLDEST_EDGE,
     initial_velocity: float = 0.0,
     external_effort: float = 0.0,
-    script: Script | None = None,
+    script: OperatorScript | None = None,
     ages: NDArray[np.int64] = IN_TIME,
 ) -> Trace:
     """Run one trial, from rest unless a velocity is given.
@@ -149,7 +149,7 @@ def run_trial(
     ages
         See `run_ticks`.
     """
-    script = script or Script.silent()
+    script = script or OperatorScript.silent()
     if len(script.rows) and plant.hand_position is None:
         raise ValueError("a script needs a plant that is held by a hand")
     trace = Trace.empty(most_ticks, plant)
@@ -163,14 +163,14 @@ def run_trial(
 
 
 def run_arguments(
-    controller: Controller,
+    controller: ControllerState,
     plant: DiscretePlant,
     state: Vector,
     external_effort: float,
     start_units: int,
-    script: Script,
+    script: OperatorScript,
     ages: NDArray[np.int64] = IN_TIME,
-) -> tuple[ControllerArguments, PlantArguments, Script, NDArray[np.int64], float, int, int]:
+) -> tuple[ControllerArguments, PlantArguments, OperatorScript, NDArray[np.int64], float, int, int]:
     """Arguments of `run_ticks` before the trace, in its order."""
     tick_units = round(plant.tick_s * UNITS_PER_SECOND)
     return (

@@ -23,8 +23,8 @@ from rig.core.errors import ConfigError
 from rig.experiments.design import (
     GOALS,
     Design,
-    Place,
-    Request,
+    DesignRequest,
+    LawPlace,
     Wishes,
     design,
     directory_for,
@@ -168,7 +168,7 @@ def design_(
     experiment = map_options.chosen(
         file, preset, operator, effort, seed, sets, cutoff, url=url, device=url is not None
     )
-    request = Request(
+    request = DesignRequest(
         experiment=experiment,
         wishes=Wishes(
             goal=asked["goal"],
@@ -211,7 +211,7 @@ def design_(
     name_next()
 
 
-def _ticks(request: Request, board: str) -> list[str]:
+def _ticks(request: DesignRequest, board: str) -> list[str]:
     """What a tick of the law costs on the device, in integers and in float32, and whether the experiment's own fits."""
     if not any(one.loop == "device" for one in request.places):
         return []
@@ -249,7 +249,7 @@ def _wall(
     return walled.stiffness, walled.damping
 
 
-def _places(experiment: Experiment, url: str | None, asked: dict[str, Any]) -> tuple[Place, ...]:
+def _places(experiment: Experiment, url: str | None, asked: dict[str, Any]) -> tuple[LawPlace, ...]:
     """Where the law may run: as the options say, or the device."""
     loop, names = asked["loop"], ("most_rate", "round_trip", "link")
     if url is None:

@@ -13,7 +13,7 @@ from rig.cli import options, output
 from rig.cli.command import command
 from rig.core.errors import PlanError
 from rig.core.present import plain
-from rig.experiments.examine import Question, examine
+from rig.experiments.examine import ExaminationRequest, examine
 
 
 @command()
@@ -53,8 +53,10 @@ def doctor(
     experiment = options.chosen_experiment(file, preset or options.preset_of(url, file))
     changes = options.changes(**changed)
     config.check_plugins(config.override(experiment, changes), str(file or preset or options.DEFAULT_PRESET))
-    question = Question(experiment=experiment, changes=changes, url=url, realtime=realtime, seconds=seconds)
-    with output.Status(quiet=as_json) as status:
+    question = ExaminationRequest(
+        experiment=experiment, changes=changes, url=url, realtime=realtime, seconds=seconds
+    )
+    with output.StatusLine(quiet=as_json) as status:
         found = examine(question, status.on_progress)
     if as_json:
         error = None if found.error is None else output.error_facts(found.error)

@@ -213,7 +213,7 @@ def export(
     case = None
     if recording is not None:
         case = _recording_case(recording, experiment.controller.velocity_rate)
-    with output.Status(quiet=as_json) as status:
+    with output.StatusLine(quiet=as_json) as status:
         made = export_estimator(
             Variant.parse(estimator), experiment, target, case=case, signal=signal, costs=costs, overwrite=overwrite,
             on_progress=status.on_progress,

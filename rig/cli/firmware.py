@@ -102,7 +102,7 @@ def build(
         application=PORT_CHECK if for_check else DEVICE,
         controller=experiment.controller,
     )
-    with output.Status(quiet=as_json) as status:
+    with output.StatusLine(quiet=as_json) as status:
         built = build_image(request, status.on_progress)
     for warning in built.warnings:
         click.echo(f"rig: {warning}", err=True)
@@ -181,7 +181,7 @@ def flash(image: Path, drive: Path | None, url: str | None, as_json: bool) -> No
 
     Hold BOOTSEL while you plug the board in, or name the device with --url: its drive appears. Motor power must be off.
     """
-    with output.Status(quiet=as_json) as status:
+    with output.StatusLine(quiet=as_json) as status:
         done = copy_image(image, drive, status.on_progress, url=url)
     if as_json:
         output.print_json(done)
@@ -224,7 +224,7 @@ def selftest(
     if move and not as_json:
         click.echo("move the handle by hand until the test has ended", err=True)
     request = SelfTestRequest(experiment=experiment, rate=rate, seconds=seconds, move=move, stream=stream)
-    with open_device(url, request.model) as device, output.Status(quiet=as_json) as status:
+    with open_device(url, request.model) as device, output.StatusLine(quiet=as_json) as status:
         found = run(device, request, status.on_progress)
     if as_json:
         output.print_json(found)
@@ -266,7 +266,7 @@ def check_port(url: str, wired: bool, current: int, seconds: float, bootloader: 
     broken.
     """
     request = PortCheckRequest(wired=wired, current=current, seconds=seconds, bootloader=bootloader)
-    with output.Status(quiet=as_json) as status:
+    with output.StatusLine(quiet=as_json) as status:
         found = try_port(lambda: open_link(url), request, status.on_progress)
     if as_json:
         output.print_json(found)

@@ -13,7 +13,7 @@ import click
 from rig.cli import options, output
 from rig.cli.command import command, option
 from rig.cli.next_step import name_next
-from rig.config.data_sheets import Question, questions, questions_for
+from rig.config.data_sheets import DataSheetQuestion, questions, questions_for
 from rig.core.errors import ConfigError
 from rig.core.present import Row
 from rig.experiments.new_rig import NewRig, new_rig
@@ -28,7 +28,7 @@ def _answer_options(function: options.F) -> options.F:
     )
 
 
-def _option(name: str, question: Question) -> Callable[[options.F], options.F]:
+def _option(name: str, question: DataSheetQuestion) -> Callable[[options.F], options.F]:
     more = f" [{question.assumed}]" if question.assumed else ""
     allowed = f", {'|'.join(question.choices)}" if question.choices else ""
     return option(_flag(name), help=f"{question.text}{allowed}.{more}")
@@ -87,7 +87,7 @@ def _ask(answers: dict[str, Any]) -> None:
             answers[name] = _prompt(name, question)
 
 
-def _prompt(name: str, question: Question) -> Any:
+def _prompt(name: str, question: DataSheetQuestion) -> Any:
     """Return an answer; None for an empty one to a question that need not be answered."""
 
     def read(text: str) -> Any:

@@ -151,7 +151,7 @@ def error_facts(error: RigError) -> dict[str, Any]:
     return {**error.as_mapping(), "error": _with_options(error.message)}
 
 
-class Status:
+class StatusLine:
     """What is being done, on one line of standard error; a line for each step where that is no terminal."""
 
     def __init__(self, quiet: bool) -> None:

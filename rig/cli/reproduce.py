@@ -14,15 +14,15 @@ from rig.papers import reproduction
 from rig.papers.chawda.reproduction import CHAWDA
 from rig.papers.koul.reproduction import KOUL
 from rig.papers.reproduction import Reproduction, draw_into, write_report
-from rig.papers.rules import Status
+from rig.papers.rules import ClaimStatus
 from rig.recording.files import plain_errors
 
 WIDEST = 110  # characters of a verdict
-COLOURS = {Status.REPRODUCED: "green", Status.ONLY_WITH: "yellow", Status.NOT: "red"}
+COLOURS = {ClaimStatus.REPRODUCED: "green", ClaimStatus.ONLY_WITH: "yellow", ClaimStatus.NOT: "red"}
 COUNTS = {
-    Status.REPRODUCED: "reproduced",
-    Status.ONLY_WITH: "reproduced under a condition",
-    Status.NOT: "not reproduced",
+    ClaimStatus.REPRODUCED: "reproduced",
+    ClaimStatus.ONLY_WITH: "reproduced under a condition",
+    ClaimStatus.NOT: "not reproduced",
 }
 
 PAPERS = {paper.name: paper for paper in (KOUL, CHAWDA)}

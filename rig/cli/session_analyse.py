@@ -13,7 +13,7 @@ from rig.cli import options, output
 from rig.cli.command import OWN, command
 from rig.cli.session_report import write_report
 from rig.core.present import Item, Table
-from rig.session.analysis import Options, StudyAnalysis, write_study_tables
+from rig.session.analysis import AnalysisOptions, StudyAnalysis, write_study_tables
 from rig.session.analysis import analyse as found_in
 from rig.views.report import session_tables as tables
 from rig.views.report.writing import counted
@@ -64,7 +64,7 @@ def analyse(
     logs alone, corrections included; tables are written as CSV and Parquet, with a dictionary of their columns, and
     one HTML file reports everything, with pictures and the methods as a paper prints them.
     """
-    chosen = Options(
+    chosen = AnalysisOptions(
         measure=MEASURES[measure],  # type: ignore[arg-type]
         hashes=hashes,
         across=across,

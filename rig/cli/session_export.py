@@ -12,7 +12,7 @@ from rig.cli.command import command
 from rig.cli.progress import CountBar
 from rig.core.errors import ConfigError
 from rig.session.analysis.study import read_study
-from rig.session.bids import Options, export_bids
+from rig.session.bids import BidsOptions, export_bids
 from rig.session.export import export_trials
 
 
@@ -69,7 +69,7 @@ def export(
         study = read_study(paths, across=across, watch=bar.watch)
     written: dict[str, Any] = {}
     if bids is not None:
-        chosen = Options(every=every, shift_dates=shift_dates, authors=authors, licence=licence)
+        chosen = BidsOptions(every=every, shift_dates=shift_dates, authors=authors, licence=licence)
         with CountBar("writing BIDS", plain=as_json) as bar:
             written["bids"] = export_bids(study, bids, chosen, bar.watch)
     for kind, place in (("csv", csv), ("mat", mat)):

@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import click
 
-from rig.session.desk import View
+from rig.session.desk import DeskView
 from rig.session.log import Event
 from rig.session.telling import line_of_event
 
@@ -46,7 +46,7 @@ class Rehearsed:
         if not self._line and not self._quiet:
             click.echo(f"  {line_of_event(event)}", err=True)
 
-    def looks(self, view: View) -> None:
+    def looks(self, view: DeskView) -> None:
         """There is something to see."""
         if self._quiet or view.state != "ready":
             return
@@ -61,7 +61,7 @@ class Rehearsed:
             self._said = True
             click.echo(f"  {words}", err=True)
 
-    def _left_s(self, view: View) -> float | None:
+    def _left_s(self, view: DeskView) -> float | None:
         now = self._clock()
         if self._seen == 0:
             self._seen = view.trial

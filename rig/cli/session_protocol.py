@@ -22,7 +22,7 @@ from rig.session import check as checking
 from rig.session import template_files as templates
 from rig.session.directory import study_directory
 from rig.session.disk import in_words
-from rig.session.expected import Range
+from rig.session.expected import ExpectedRange
 from rig.session.load import json_schema, load_protocol
 from rig.session.plan import CellPlan, StudyPlan
 
@@ -238,13 +238,13 @@ def _taken(plan: StudyPlan) -> Iterator[tuple[str, str]]:
         )
 
 
-def _number(expected: Range) -> str:
+def _number(expected: ExpectedRange) -> str:
     if round(expected.least) == round(expected.most):
         return f"{expected.likely:.0f}"
     return f"{expected.likely:.0f} ({expected.least:.0f} … {expected.most:.0f})"
 
 
-def _minutes(seconds: Range) -> str:
+def _minutes(seconds: ExpectedRange) -> str:
     low, likely, high = (value / 60.0 for value in seconds.values)
     if high - low < 0.05 * high:
         return _two_digits(likely)

@@ -27,7 +27,7 @@ from rig.session.protocol_changes import ChangedProtocolError
 from rig.session.rehearsal import Person
 from rig.session.run import DeskFor, SessionResult, rehearsal_desk, session_state, summary
 from rig.session.runner import TrialRunner
-from rig.session.state import State
+from rig.session.state import SessionState
 from rig.session.telling import line_of_event, lost_samples, whole_line
 
 if sys.platform != "win32":
@@ -237,7 +237,7 @@ def show(directory: Path, with_log: bool, unblind: bool, as_json: bool) -> None:
         if not error.events:
             raise
         damage, events = error, list(error.events)
-        state = State.of(events)
+        state = SessionState.of(events)
     result = summary(directory, state, events, tuple(lost_samples(last_opened(events))))
     if as_json:
         listed = [

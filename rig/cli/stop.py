@@ -11,7 +11,7 @@ from rig.cli import options, output
 from rig.cli.command import command
 from rig.core.errors import RigError
 from rig.realtime import running
-from rig.realtime.memories import Memory
+from rig.realtime.memories import LoopMemory
 
 
 @command()
@@ -19,7 +19,7 @@ from rig.realtime.memories import Memory
 @click.option("--list", "only_list", is_flag=True, help="List the loops that run; stop none.")
 @options.json_option
 @click.pass_obj
-def stop(asked: list[Memory] | None, pid: int | None, only_list: bool, as_json: bool) -> None:
+def stop(asked: list[LoopMemory] | None, pid: int | None, only_list: bool, as_json: bool) -> None:
     """Stop the loops that run in real time, all of this user or that of process PID: zero effort within a tick.
 
     Their programs then come to rest, close their recordings and end by themselves.

@@ -16,7 +16,7 @@ from rig.devices import load_backend
 from rig.experiments import maps
 from rig.experiments.on_device import OnDevice
 from rig.experiments.zwidth import MapPlan, ZWidth
-from rig.experiments.zwidth_rig import Next, Session, work_of
+from rig.experiments.zwidth_rig import DeviceMap, Next, work_of
 
 CONFIRM = ("each", "series", "no")
 CRITERIA = ("felt", "heard", "any")  # rig.control.verdict.CRITERIA, without its imports
@@ -47,7 +47,7 @@ class Dialogue:
     def map(self, directory: Path, *, verified: bool) -> tuple[Path, ZWidth]:
         """Map the device into a directory of its own below this one; returns that and the map."""
         place = maps.directory_for(self._plan, directory, "zwidth", work_of(self._url, self._realtime))
-        session = Session(
+        session = DeviceMap(
             where=OnDevice(
                 url=self._url,
                 realtime=self._realtime,

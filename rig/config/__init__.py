@@ -46,16 +46,16 @@ from rig.config.sections import (
     VerdictLimits,
     Wall,
 )
-from rig.config.table import Described, describe, json_schema
+from rig.config.table import ListedKey, describe, json_schema
 
 __all__ = [
     "LOOP",
     "Controller",
-    "Described",
     "Excitation",
     "Experiment",
     "Homing",
     "Limits",
+    "ListedKey",
     "Rig",
     "Trial",
     "VerdictLimits",

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar, get_type_hints
 
 from rig.config.files import LEAVES, Table, nest
 from rig.config.problems import Problem, did_you_mean
-from rig.config.table import Parameter, parameters_of, sections_of, shown
+from rig.config.table import ConfigKey, parameters_of, sections_of, shown
 from rig.core.deferred import pydantic
 from rig.core.quantity import STRICT
 from rig.core.sample import Motion
@@ -38,7 +38,7 @@ _WRITE = {
 
 
 @dataclass(frozen=True)
-class Kind(Generic[T]):
+class FileKind(Generic[T]):
     """A kind of file.
 
     Attributes
@@ -58,7 +58,7 @@ class Kind(Generic[T]):
     also: tuple[str, ...] = ()
     otherwise: str = ""
 
-    def parameters(self) -> Mapping[str, Parameter]:
+    def parameters(self) -> Mapping[str, ConfigKey]:
         """Every key of such a file, by its dotted name."""
         root: Any = self.root  # mypy finds type[T] not hashable
         return parameters_of(root)
@@ -78,7 +78,7 @@ class Kind(Generic[T]):
         return did_you_mean(leaf, siblings, otherwise)
 
 
-def parse_table(kind: Kind[T], table: Table, motion: Motion | None) -> tuple[T | None, list[Problem]]:
+def parse_table(kind: FileKind[T], table: Table, motion: Motion | None) -> tuple[T | None, list[Problem]]:
     """Check every key and value by itself.
 
     Parameters
@@ -102,7 +102,7 @@ def parse_table(kind: Kind[T], table: Table, motion: Motion | None) -> tuple[T |
 
 
 def apply_changes(
-    kind: Kind[T], described: T, changes: Table, motion: Motion | None
+    kind: FileKind[T], described: T, changes: Table, motion: Motion | None
 ) -> tuple[T, list[Problem]]:
     """Set some keys of what is checked already; only their new values are checked, each by itself.
 
@@ -231,7 +231,7 @@ def _jsonable(value: Any) -> Any:
     return value if type(value) in LEAVES or isinstance(value, int | float | str) else []
 
 
-def _problem_of(error: ErrorDetails, kind: Kind[Any], table: Table, motion: Motion | None) -> Problem:
+def _problem_of(error: ErrorDetails, kind: FileKind[Any], table: Table, motion: Motion | None) -> Problem:
     """Turn an error of pydantic into a `Problem`."""
     path, pattern = _within_leaf([str(part) for part in error["loc"]], kind)
     key, section, leaf = ".".join(pattern), ".".join(pattern[:-1]), path[-1] if path else ""
@@ -252,7 +252,7 @@ def _problem_of(error: ErrorDetails, kind: Kind[Any], table: Table, motion: Moti
     return Problem(where, shown(value), f"must be {must}", better(value, parameter))
 
 
-def _within_leaf(path: list[str], kind: Kind[Any]) -> tuple[list[str], list[str]]:
+def _within_leaf(path: list[str], kind: FileKind[Any]) -> tuple[list[str], list[str]]:
     """Cut off what follows a key (elements of a list, arms of a union); the path, and its name in the table."""
     pattern: list[str] = []
     for length, part in enumerate(path, start=1):
@@ -268,7 +268,7 @@ def _within_leaf(path: list[str], kind: Kind[Any]) -> tuple[list[str], list[str]
 
 
 def _wrong_section(
-    error: ErrorDetails, kind: Kind[Any], key: str, path: Sequence[str], value: Any
+    error: ErrorDetails, kind: FileKind[Any], key: str, path: Sequence[str], value: Any
 ) -> Problem:
     name = f"[{place(path)}]" if key else kind.whole
     contents = ", ".join(kind.sections().get(key, ())) or "numbers by name"
@@ -295,7 +295,7 @@ def _wrong_section(
     )
 
 
-def better(value: Any, parameter: Parameter) -> str:
+def better(value: Any, parameter: ConfigKey) -> str:
     """Remedy for a wrong value."""
     kind = parameter.kind
     if kind == "choice" and isinstance(value, str):
@@ -312,7 +312,7 @@ def better(value: Any, parameter: Parameter) -> str:
     return _WRITE[kind]
 
 
-def _mistaken_choices(kind: Kind[Any], table: Table) -> Iterator[Problem]:
+def _mistaken_choices(kind: FileKind[Any], table: Table) -> Iterator[Problem]:
     """Find true or 1.0 where a choice is the whole number 1: equal in Python, but not in a file."""
     root: Any = kind.root
     for key, parameter in _numbered(root):
@@ -323,7 +323,7 @@ def _mistaken_choices(kind: Kind[Any], table: Table) -> Iterator[Problem]:
 
 
 @cache
-def _numbered(root: Any) -> tuple[tuple[str, Parameter], ...]:
+def _numbered(root: Any) -> tuple[tuple[str, ConfigKey], ...]:
     """Keys below a dataclass that choose among numbers."""
     found = parameters_of(root).items()
     return tuple(

@@ -21,7 +21,7 @@ from rig.config.homing import home_tolerance
 from rig.config.sections import Experiment
 from rig.control import cogging, estimators, friction, laws
 from rig.control.law import Law
-from rig.control.step import CONTROL, Controller, new_memory
+from rig.control.step import CONTROL, ControllerState, new_memory
 from rig.control.watch import TRAVEL, TRAVEL_COUNTS, UNMOVED_SPEED
 from rig.core.board import moved_mechanics
 from rig.core.errors import PlanError
@@ -72,7 +72,7 @@ def energy_limit(experiment: Experiment) -> float:
 
 def for_experiment(
     experiment: Experiment, *, current_quantum_a: float, reference_count: int = 0, law: Law | None = None
-) -> Controller:
+) -> ControllerState:
     """Build the controller of one trial.
 
     Parameters
@@ -145,7 +145,7 @@ def for_experiment(
     for name, value in values.items():
         control[name] = value
     estimator = estimators.get(rates.estimator)
-    return Controller(
+    return ControllerState(
         control=control,
         memory=new_memory(),
         estimator=estimator.prepare(rates.parameters, delta, tick_s * divider),
@@ -214,7 +214,7 @@ def supervise_lifetime_s(experiment: Experiment) -> float:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Run:
+class PreparedRun:
     """A run, prepared for one device.
 
     Attributes
@@ -235,7 +235,7 @@ class Run:
     experiment: Experiment
     current_quantum_a: float
     reference_count: int
-    controller: Controller
+    controller: ControllerState
     parameters: Mapping[str, Value]
     own_law: bool
 
@@ -248,7 +248,7 @@ def prepared(
     referenced: bool = False,
     verified: bool = False,
     law: Law | None = None,
-) -> Run:
+) -> PreparedRun:
     """Prepare a run.
 
     Parameters
@@ -279,7 +279,7 @@ def prepared(
     controller = for_experiment(
         experiment, current_quantum_a=quantum, reference_count=reference_count, law=law
     )
-    return Run(
+    return PreparedRun(
         experiment=experiment,
         current_quantum_a=quantum,
         reference_count=reference_count,
@@ -293,7 +293,7 @@ def prepared(
 
 
 def device_parameters(
-    experiment: Experiment, controller: Controller, *, current_quantum_a: float, verified: bool
+    experiment: Experiment, controller: ControllerState, *, current_quantum_a: float, verified: bool
 ) -> dict[str, Value]:
     """Values of `firmware_protocol.parameters` for this experiment, in ticks, counts and quanta.
 

@@ -32,7 +32,7 @@ _SPELT = str.maketrans({"·": "", "*": "", " ": "", "⋅": "", "^": "", "²": "2
 
 
 @dataclass(frozen=True, slots=True)
-class Question:
+class DataSheetQuestion:
     """One answer that describes a rig.
 
     Attributes
@@ -117,7 +117,7 @@ class DataSheets(TypedDict, total=False):
 
     mechanism: Annotated[
         Mechanism,
-        Question(
+        DataSheetQuestion(
             "What the hand holds: a lever that a rotary motor turns, a carriage that a rotary motor pulls by belt or "
             "cable, or a carriage on a linear-motor",
             choices=ANY,
@@ -125,7 +125,7 @@ class DataSheets(TypedDict, total=False):
     ]
     torque_constant: Annotated[
         float,
-        Question(
+        DataSheetQuestion(
             "Motor: torque constant (N·m/A)",
             {"N·m/A": 1.0, "mN·m/A": 1e-3},
             1e-4,
@@ -134,11 +134,11 @@ class DataSheets(TypedDict, total=False):
         ),
     ]
     force_constant: Annotated[
-        float, Question("Motor: force constant (N/A)", {"N/A": 1.0}, 0.01, 1e4, of=LINEAR_MOTOR)
+        float, DataSheetQuestion("Motor: force constant (N/A)", {"N/A": 1.0}, 0.01, 1e4, of=LINEAR_MOTOR)
     ]
     rotor_inertia: Annotated[
         float,
-        Question(
+        DataSheetQuestion(
             "Motor: rotor inertia (kg·m²)",
             {"kg·m²": 1.0, "kg·cm²": 1e-4, "g·cm²": 1e-7},
             1e-10,
@@ -147,11 +147,11 @@ class DataSheets(TypedDict, total=False):
         ),
     ]
     nominal_current: Annotated[
-        float, Question("Motor: nominal (maximum continuous) current (A)", AMPERE, 1e-3, 1e3)
+        float, DataSheetQuestion("Motor: nominal (maximum continuous) current (A)", AMPERE, 1e-3, 1e3)
     ]
     winding_resistance: Annotated[
         float,
-        Question(
+        DataSheetQuestion(
             "Motor: terminal resistance (ohm)",
             {"ohm": 1.0, "mohm": 1e-3},
             1e-4,
@@ -161,7 +161,7 @@ class DataSheets(TypedDict, total=False):
     ]
     winding_inductance: Annotated[
         float,
-        Question(
+        DataSheetQuestion(
             "Motor: terminal inductance (H)",
             {"H": 1.0, "mH": 1e-3, "µH": 1e-6},
             1e-8,
@@ -171,11 +171,13 @@ class DataSheets(TypedDict, total=False):
     ]
     thermal_time_constant: Annotated[
         float,
-        Question("Motor: thermal time constant of the winding (s)", {"s": 1.0}, 0.1, 1e4, assumed="10 s"),
+        DataSheetQuestion(
+            "Motor: thermal time constant of the winding (s)", {"s": 1.0}, 0.1, 1e4, assumed="10 s"
+        ),
     ]
     encoder_lines: Annotated[
         int,
-        Question(
+        DataSheetQuestion(
             "Encoder: lines (pulses of one channel) per turn, a fourth of its counts",
             None,
             4,
@@ -185,11 +187,11 @@ class DataSheets(TypedDict, total=False):
         ),
     ]
     encoder_resolution: Annotated[
-        float, Question("Encoder: travel for one count (m)", METRE, 1e-10, 1e-2, of=LINEAR_MOTOR)
+        float, DataSheetQuestion("Encoder: travel for one count (m)", METRE, 1e-10, 1e-2, of=LINEAR_MOTOR)
     ]
     encoder_at: Annotated[
         str,
-        Question(
+        DataSheetQuestion(
             "Encoder: on the shaft of the motor or of the lever",
             choices=("motor", "lever"),
             of=LEVER,
@@ -198,7 +200,7 @@ class DataSheets(TypedDict, total=False):
     ]
     transmission: Annotated[
         float,
-        Question(
+        DataSheetQuestion(
             "Transmission: turns of the motor for one of the lever; 1: direct drive",
             None,
             1e-2,
@@ -208,7 +210,7 @@ class DataSheets(TypedDict, total=False):
     ]
     pulley_radius: Annotated[
         float,
-        Question(
+        DataSheetQuestion(
             "Transmission: radius of the pulley, travel of the carriage for one radian of the motor (m)",
             METRE,
             1e-4,
@@ -217,17 +219,19 @@ class DataSheets(TypedDict, total=False):
         ),
     ]
     handle_length: Annotated[
-        float, Question("Lever: from its axis to the hand (m)", METRE, 5e-3, 2.0, of=LEVER)
+        float, DataSheetQuestion("Lever: from its axis to the hand (m)", METRE, 5e-3, 2.0, of=LEVER)
     ]
     handle_mass: Annotated[
-        float, Question("Lever: mass, taken as being at the hand (kg)", KILOGRAM, 0.0, 50.0, of=LEVER)
+        float,
+        DataSheetQuestion("Lever: mass, taken as being at the hand (kg)", KILOGRAM, 0.0, 50.0, of=LEVER),
     ]
     carriage_mass: Annotated[
-        float, Question("Carriage: mass of all that slides (kg)", KILOGRAM, 1e-3, 500.0, of=CARRIAGES)
+        float,
+        DataSheetQuestion("Carriage: mass of all that slides (kg)", KILOGRAM, 1e-3, 500.0, of=CARRIAGES),
     ]
     friction: Annotated[
         float,
-        Question(
+        DataSheetQuestion(
             "Mechanism: force at the hand at which it just begins to move, motor off (N)",
             {"N": 1.0, "mN": 1e-3},
             0.0,
@@ -237,7 +241,7 @@ class DataSheets(TypedDict, total=False):
     ]
     travel: Annotated[
         float,
-        Question(
+        DataSheetQuestion(
             "Mechanism: travel of the hand from stop to stop (m)",
             METRE,
             2e-3,
@@ -246,11 +250,11 @@ class DataSheets(TypedDict, total=False):
         ),
     ]
     amplifier: Annotated[
-        str, Question("Amplifier: its profile", choices=amplifiers.names(), assumed="generic")
+        str, DataSheetQuestion("Amplifier: its profile", choices=amplifiers.names(), assumed="generic")
     ]
     peak_current: Annotated[
         float,
-        Question(
+        DataSheetQuestion(
             "Amplifier: current limit that is set in it (A)",
             AMPERE,
             1e-3,
@@ -260,13 +264,13 @@ class DataSheets(TypedDict, total=False):
     ]
     supply_voltage: Annotated[
         float,
-        Question(
+        DataSheetQuestion(
             "Amplifier: supply voltage (V)", {"V": 1.0}, 1.0, 1e3, assumed="not what limits the current"
         ),
     ]
     board: Annotated[
         str,
-        Question(
+        DataSheetQuestion(
             "Board: rp2040 (Raspberry Pi Pico), which runs the law itself, or none: the computer runs it",
             choices=("rp2040", "none"),
             assumed="rp2040",
@@ -275,13 +279,13 @@ class DataSheets(TypedDict, total=False):
 
 
 @cache
-def questions() -> Mapping[str, Question]:
+def questions() -> Mapping[str, DataSheetQuestion]:
     """Return every question by the name of its answer, in the order in which it is asked."""
     hints = get_type_hints(DataSheets, include_extras=True)
     return {name: get_args(hint)[1] for name, hint in hints.items()}
 
 
-def questions_for(mechanism: str) -> Mapping[str, Question]:
+def questions_for(mechanism: str) -> Mapping[str, DataSheetQuestion]:
     """Return the questions that a mechanism has, the one for itself left out."""
     return {
         name: question

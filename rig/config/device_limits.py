@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from firmware_protocol.dictionary import Dictionary
-from rig.config.controller import Run, effort_quantum, resolution
+from rig.config.controller import PreparedRun, effort_quantum, resolution
 from rig.core.check import Check, Outcome
 from rig.core.sample import unit_of
 
@@ -19,14 +19,14 @@ class _Limit(NamedTuple):
 
     key: str
     quantity: str
-    quantum: Callable[[Run], float]
+    quantum: Callable[[PreparedRun], float]
 
 
-def _of_count(run: Run) -> float:
+def _of_count(run: PreparedRun) -> float:
     return abs(resolution(run.experiment))
 
 
-def _of_current(run: Run) -> float:
+def _of_current(run: PreparedRun) -> float:
     return effort_quantum(run.experiment, run.current_quantum_a)
 
 
@@ -39,7 +39,7 @@ _LIMITS = {
 }
 
 
-def check_limits(run: Run, dictionary: Dictionary) -> Check:
+def check_limits(run: PreparedRun, dictionary: Dictionary) -> Check:
     """Compare the limits of a run with the ranges that its device declares.
 
     Returns

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from rig.config import homing
-from rig.config.checked import Kind, apply_changes, parse_table, plain, value_at
+from rig.config.checked import FileKind, apply_changes, parse_table, plain, value_at
 from rig.config.files import Table, flatten, nest, overlay, preset_names, preset_table, read_toml, tidy
 from rig.config.people import with_human_limits
 from rig.config.problems import Problem, config_error, did_you_mean
@@ -25,7 +25,7 @@ DEFAULT_GRIP = "normal"
 LOOP = "controller.loop"
 FREE = "controller.parameters"  # the one table whose keys belong to somebody else: the estimator
 
-EXPERIMENT = Kind(
+EXPERIMENT = FileKind(
     Experiment,
     "the experiment",
     also=("preset",),

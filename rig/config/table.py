@@ -26,7 +26,7 @@ _BOUNDS: tuple[tuple[type, str], ...] = ((Gt, ">"), (Ge, "≥"), (Lt, "<"), (Le,
 
 
 @dataclass(frozen=True, slots=True)
-class Parameter:
+class ConfigKey:
     """One key of an experiment file."""
 
     key: str
@@ -64,7 +64,7 @@ class Parameter:
         return f"{text}, at least one" if len(bounds) < len(self.bounds) else text
 
 
-class Described(NamedTuple):
+class ListedKey(NamedTuple):
     """One line of a listing."""
 
     key: str
@@ -74,13 +74,13 @@ class Described(NamedTuple):
 
 
 @cache
-def parameters() -> Mapping[str, Parameter]:
+def parameters() -> Mapping[str, ConfigKey]:
     """Return every parameter of an experiment by its dotted key, in the order of the sections, without `realtime`."""
     return {key: parameter for key, parameter in parameters_of(Experiment).items() if key != "realtime"}
 
 
 @cache
-def parameters_of(root: type) -> Mapping[str, Parameter]:
+def parameters_of(root: type) -> Mapping[str, ConfigKey]:
     """Return every parameter of a description by its dotted key; ``condition[].name`` is one in a list of tables."""
     return {parameter.key: parameter for parameter in _walk(root, "")}
 
@@ -103,7 +103,7 @@ def sections_of(root: type, also: tuple[str, ...] = ()) -> Mapping[str, tuple[st
     return found
 
 
-def _walk(section: type, prefix: str) -> Iterator[Parameter]:
+def _walk(section: type, prefix: str) -> Iterator[ConfigKey]:
     hints = get_type_hints(section, include_extras=True)
     for item in fields(section):
         hint, key = hints[item.name], prefix + item.name
@@ -125,7 +125,7 @@ def _sole(hint: Any) -> Any:
     return hint
 
 
-def _parameter(section: type, key: str, hint: Any) -> Parameter:
+def _parameter(section: type, key: str, hint: Any) -> ConfigKey:
     if get_origin(hint) is not Annotated:
         raise TypeError(f"{section.__name__}: field {key} has no Quantity")
     _, *metadata = get_args(hint)
@@ -145,7 +145,7 @@ def _parameter(section: type, key: str, hint: Any) -> Parameter:
     elif name == "table":
         values = _in_words(get_args(kind)[1])
     choices = get_args(kind) if is_choice else ()
-    return Parameter(key, section, name, choices, tuple(bounds), quantity.unit, quantity.meaning, values)
+    return ConfigKey(key, section, name, choices, tuple(bounds), quantity.unit, quantity.meaning, values)
 
 
 def _in_words(values: Any) -> str:
@@ -160,7 +160,7 @@ def _in_words(values: Any) -> str:
     return ", ".join([*words[:-2], last])
 
 
-def describe(experiment: Experiment, under: str = "") -> tuple[Described, ...]:
+def describe(experiment: Experiment, under: str = "") -> tuple[ListedKey, ...]:
     """List an experiment for printing: key, value, unit (resolved by the rig's motion) and meaning.
 
     Parameters
@@ -171,17 +171,17 @@ def describe(experiment: Experiment, under: str = "") -> tuple[Described, ...]:
         Only this section, like ``wall`` or ``rig.limits``; everything when empty.
     """
     motion = experiment.rig.motion
-    lines: list[Described] = []
+    lines: list[ListedKey] = []
     for key, parameter in parameters().items():
         value = attrgetter(key)(experiment)
         if parameter.kind == "table":
             owner = experiment.controller.estimator if key == "controller.parameters" else "the board"
             lines += [
-                Described(f"{key}.{name}", v, _suffix_unit(name), f"setting of {owner}")
+                ListedKey(f"{key}.{name}", v, _suffix_unit(name), f"setting of {owner}")
                 for name, v in value.items()
             ]
         else:
-            lines.append(Described(key, value, parameter.unit_for(motion), parameter.meaning))
+            lines.append(ListedKey(key, value, parameter.unit_for(motion), parameter.meaning))
     return tuple(line for line in lines if not under or f"{line.key}.".startswith(f"{under}."))
 
 

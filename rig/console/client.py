@@ -14,7 +14,7 @@ from typing import Any
 from rig.console.bounds import Allowance
 from rig.console.follow import Followed
 from rig.console.sockets import ServerConnection
-from rig.console.view import Shown, View
+from rig.console.view import View, ViewRequest
 from rig.core.errors import RigError
 from rig.core.present import plain
 
@@ -38,7 +38,7 @@ class Client:
 
     def __init__(self, socket: ServerConnection, name: str, *, participant: bool = False) -> None:
         self.name, self.participant = name, participant
-        self.shown, self.paused = Shown(), False
+        self.shown, self.paused = ViewRequest(), False
         self._socket = socket
         self._view: View | None = None
         self._replies: list[str | bytes] = []
@@ -70,7 +70,7 @@ class Client:
         self.put_newest({"say": "compiling", "busy": busy})
 
     def show(
-        self, followed: Followed | None, shown: Shown | None = None, *, paused: bool | None = None
+        self, followed: Followed | None, shown: ViewRequest | None = None, *, paused: bool | None = None
     ) -> None:
         """Show something else, or the same of another loop."""
         self.shown = shown or self.shown

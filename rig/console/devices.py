@@ -14,10 +14,10 @@ from rig.bench.doctor.here import here
 from rig.console.client import Client
 from rig.console.hits import experiment_of
 from rig.console.requests import Name, Request
-from rig.console.service import Handler, Service, Shared
+from rig.console.service import Handler, Service, ServiceContext
 from rig.console.talk import Talk
 from rig.core.present import told
-from rig.experiments.examine import Question, examine
+from rig.experiments.examine import ExaminationRequest, examine
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -37,7 +37,7 @@ class Examine(Request):
 class Devices(Service):
     """See the module."""
 
-    def __init__(self, shared: Shared) -> None:
+    def __init__(self, shared: ServiceContext) -> None:
         self._shared = shared
 
     def handlers(self) -> Mapping[str, tuple[type[Request], Handler]]:
@@ -59,7 +59,7 @@ class Devices(Service):
 def doctor(content: Mapping[str, Any], talk: Talk) -> Any:
     """The job: examine, and say what was found."""
     url = str(content["url"])
-    question = Question(
+    question = ExaminationRequest(
         experiment=experiment_of(content),
         url=url or None,
         realtime=url.startswith("sim:"),

@@ -25,7 +25,7 @@ _PLACES = {name: place for place, name in enumerate(NAMES)}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Cut:
+class HistoryExcerpt:
     """Some columns over a stretch of rows.
 
     Attributes
@@ -124,7 +124,7 @@ class History:
     def _newest_s(self) -> float:
         return self.seconds_at(self.rows - 1)
 
-    def cut(self, columns: Sequence[str], first: int, last: int, step: int) -> Cut:
+    def cut(self, columns: Sequence[str], first: int, last: int, step: int) -> HistoryExcerpt:
         """Columns from row `first` up to before `last`, each point over `step` rows.
 
         Whole points only. Where rows are no longer there as they were, `step` becomes a whole number of buckets; what
@@ -137,18 +137,18 @@ class History:
         first = max(first, (self._buckets - len(self._times)) * BUCKET, 0)
         return self._of_buckets(columns, first, last, step)
 
-    def _of_rows(self, columns: Sequence[str], first: int, last: int, step: int) -> Cut:
+    def _of_rows(self, columns: Sequence[str], first: int, last: int, step: int) -> HistoryExcerpt:
         points = max(0, (last - first) // step)
         places = np.arange(first, first + points * step) % len(self._raw)
         # Column by column: whole rows of all that is kept would be 40 MB, and STOP waits meanwhile.
         values = np.array([self._raw[name][places] for name in columns], np.float64)
         times = (self._raw["device_time"][places[::step]] - self.start_ns) * 1e-9
         if step == 1:
-            return Cut(first, 1, times, values, values)
+            return HistoryExcerpt(first, 1, times, values, values)
         values = values.reshape(len(columns), points, step)
-        return Cut(first, step, times, values.min(axis=2), values.max(axis=2))
+        return HistoryExcerpt(first, step, times, values.min(axis=2), values.max(axis=2))
 
-    def _of_buckets(self, columns: Sequence[str], first: int, last: int, step: int) -> Cut:
+    def _of_buckets(self, columns: Sequence[str], first: int, last: int, step: int) -> HistoryExcerpt:
         each = step // BUCKET
         begin = -(-first // BUCKET)
         points = max(0, (min(last // BUCKET, self._buckets) - begin) // each)
@@ -156,7 +156,7 @@ class History:
         which = np.array([_PLACES[name] for name in columns])
         low = self._low[np.ix_(which, places)].reshape(len(which), points, each).min(axis=2)
         high = self._high[np.ix_(which, places)].reshape(len(which), points, each).max(axis=2)
-        return Cut(begin * BUCKET, step, self._times[places[::each]], low, high)
+        return HistoryExcerpt(begin * BUCKET, step, self._times[places[::each]], low, high)
 
     def _rows_of(self, first: int, last: int) -> NDArray[np.void]:
         return self._raw[np.arange(first, last) % len(self._raw)]

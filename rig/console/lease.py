@@ -19,7 +19,7 @@ LOOK_S = 0.05
 
 
 @dataclass(frozen=True, slots=True)
-class Held:
+class LeaseState:
     """How the lease stands: who has it (None: nobody), and whether a beat is overdue."""
 
     by: str | None
@@ -58,9 +58,9 @@ class Lease:
         if client == self._by:
             self._by = None
 
-    def held(self) -> Held:
+    def held(self) -> LeaseState:
         """How it stands now."""
-        return Held(self._by, self._by is not None and self._now() - self._heard > BEAT_S)
+        return LeaseState(self._by, self._by is not None and self._now() - self._heard > BEAT_S)
 
     def expire(self) -> str | None:
         """Take it from a page that was not heard of for too long: that page, once; else None.

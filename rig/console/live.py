@@ -14,9 +14,9 @@ from rig.console import requests as asked
 from rig.console.client import Client, defect
 from rig.console.follow import Followed, attached, newest
 from rig.console.history import History
-from rig.console.service import Handler, Service, Shared
+from rig.console.service import Handler, Service, ServiceContext
 from rig.console.terminal import Terminal
-from rig.console.view import POINTS, Shown, packed
+from rig.console.view import POINTS, ViewRequest, packed
 from rig.core.errors import ConfigError
 from rig.core.present import plain
 from rig.realtime.hand import SharedHand
@@ -36,10 +36,10 @@ class Live(Service):
     Parameters
     ----------
     own
-        As `rig.console.server.Settings`.
+        As `rig.console.server.ConsoleSettings`.
     """
 
-    def __init__(self, shared: Shared, hand: SharedHand, terminal: Terminal, *, own: bool) -> None:
+    def __init__(self, shared: ServiceContext, hand: SharedHand, terminal: Terminal, *, own: bool) -> None:
         self._shared, self._hand, self._terminal, self._own = shared, hand, terminal, own
         self._history = History()
         self._followed: Followed | None = None
@@ -78,11 +78,11 @@ class Live(Service):
             memory.close()
 
     async def _show(self, client: Client, request: asked.Show) -> None:
-        shown = Shown(columns=request.columns, window_s=request.window_s, trigger=request.trigger)
+        shown = ViewRequest(columns=request.columns, window_s=request.window_s, trigger=request.trigger)
         client.show(self._followed, shown, paused=request.paused)
 
     async def _zoom(self, client: Client, request: asked.Zoom) -> None:
-        shown = Shown(columns=request.columns)
+        shown = ViewRequest(columns=request.columns)
         history = self._history
         first, last = history.row_at(request.first_s), history.row_at(request.last_s)
         step = max(1, (last - first) // POINTS)

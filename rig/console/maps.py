@@ -19,7 +19,7 @@ from annotated_types import Ge, Le
 from rig.console.client import Client, defect, trouble
 from rig.console.place import directory_in
 from rig.console.requests import Changes, Name, Request, refuse_reserved
-from rig.console.service import Handler, Service, Shared
+from rig.console.service import Handler, Service, ServiceContext
 from rig.core.errors import ConfigError, RigError
 from rig.experiments.map_request import MapRequest
 
@@ -134,10 +134,10 @@ class Watched:
         return (now_s - self.begun_s) * float(left) / came
 
 
-class Maps(Service):
+class MapService(Service):
     """See the module."""
 
-    def __init__(self, shared: Shared) -> None:
+    def __init__(self, shared: ServiceContext) -> None:
         self._shared = shared
         self._directory = shared.output.parent / MAPS
         self._watched: dict[str, Watched] = {}

@@ -11,7 +11,7 @@ from collections.abc import Callable, Coroutine, Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from rig.console.server import Settings, run
+from rig.console.server import ConsoleSettings, run
 from rig.console.terminal import Terminal
 from rig.core.errors import ConfigError
 
@@ -31,7 +31,7 @@ def open_console(
     output: str | Path = "recordings",
     announce: Callable[[str], None] = print,
 ) -> None:
-    """Serve the page on loopback until Ctrl-C; arguments as `rig.console.server.Settings`.
+    """Serve the page on loopback until Ctrl-C; arguments as `rig.console.server.ConsoleSettings`.
 
     Raises
     ------
@@ -44,7 +44,7 @@ def open_console(
             raise ConfigError(
                 f"{host!r} is no NAME:PORT", remedy="write it as the browser's address bar has it"
             )
-    settings = Settings(
+    settings = ConsoleSettings(
         port=port, hosts=hosts, verified=verified, own=own, output=Path(output).resolve(), announce=announce
     )
     end_on_signal(lambda ended: run(settings, Terminal(), ended))

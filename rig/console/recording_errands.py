@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.console.history import Cut
+from rig.console.history import HistoryExcerpt
 from rig.console.view import packed
 from rig.core.errors import ConfigError, RigError
 from rig.core.sample import unit_of
@@ -199,7 +199,7 @@ def _replayed(path: str, changed_ns: int, changes: tuple[tuple[str, Any], ...]) 
 
 def _cut(
     times: NDArray[np.float64], rows: NDArray[np.void], columns: Sequence[str], first_s: float, last_s: float
-) -> Cut:
+) -> HistoryExcerpt:
     """Each point the least and the greatest value of its rows, so that no spike is lost; the last one of fewer rows."""
     first = int(np.searchsorted(times, first_s, "left"))
     last = int(np.searchsorted(times, last_s, "right"))
@@ -207,9 +207,9 @@ def _cut(
     values = np.array([rows[name][first:last] for name in columns], np.float64).reshape(len(columns), -1)
     starts = np.arange(0, last - first, step)
     if step == 1 or not len(starts):
-        return Cut(first, 1, times[first:last], values, values)
+        return HistoryExcerpt(first, 1, times[first:last], values, values)
     low, high = (extreme.reduceat(values, starts, axis=1) for extreme in (np.fmin, np.fmax))
-    return Cut(first, step, times[first:last][starts], low, high)
+    return HistoryExcerpt(first, step, times[first:last][starts], low, high)
 
 
 def picture(path: str, draw: bool) -> tuple[str, bytes]:

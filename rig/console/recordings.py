@@ -20,7 +20,7 @@ from rig.console.maps import MAPS
 from rig.console.place import directory_in, file_in
 from rig.console.recording_errands import SUFFIXES
 from rig.console.requests import Name, Request
-from rig.console.service import Download, Handler, Service, Shared
+from rig.console.service import Download, Handler, Service, ServiceContext
 from rig.console.trash import restore, throw_away
 from rig.control import estimators
 from rig.core.errors import ConfigError
@@ -74,7 +74,7 @@ class Restore(Request):
 class Recordings(Service):
     """See the module."""
 
-    def __init__(self, shared: Shared) -> None:
+    def __init__(self, shared: ServiceContext) -> None:
         self._shared = shared
 
     def handlers(self) -> Mapping[str, tuple[type[Request], Handler]]:

@@ -16,7 +16,7 @@ from rig.console.client import Client
 from rig.console.jobs import Job
 from rig.console.lease import LOOK_S
 from rig.console.live import Live
-from rig.console.service import Handler, Service, Shared
+from rig.console.service import Handler, Service, ServiceContext
 from rig.console.terminal import Terminal
 from rig.core.errors import ConfigError
 from rig.experiments import live
@@ -33,11 +33,11 @@ class Runs(Service):
     live
         What is looked at.
     verified
-        As `rig.console.server.Settings`.
+        As `rig.console.server.ConsoleSettings`.
     """
 
     def __init__(
-        self, shared: Shared, live: Live, hand: SharedHand, terminal: Terminal, *, verified: bool
+        self, shared: ServiceContext, live: Live, hand: SharedHand, terminal: Terminal, *, verified: bool
     ) -> None:
         self._shared, self._live, self._hand, self._terminal = shared, live, hand, terminal
         self._verified = verified

@@ -28,10 +28,10 @@ from rig.console.devices import Devices
 from rig.console.jobs import Job, Jobs
 from rig.console.lease import Lease
 from rig.console.live import Live
-from rig.console.maps import Maps
+from rig.console.maps import MapService
 from rig.console.recordings import Recordings
 from rig.console.runs import Runs
-from rig.console.service import LATER, Download, Service, Shared
+from rig.console.service import LATER, Download, Service, ServiceContext
 from rig.console.sessions import PARTICIPANTS, Sessions
 from rig.console.sockets import (
     LOGGER,
@@ -62,7 +62,7 @@ UTF8 = "; charset=utf-8"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Settings:
+class ConsoleSettings:
     """How a console is served.
 
     Attributes
@@ -92,8 +92,8 @@ class Settings:
 class Console:
     """What all pages share."""
 
-    def __init__(self, settings: Settings, hand: SharedHand, terminal: Terminal) -> None:
-        self._shared = Shared(set(), Lease(), Jobs(self._job_says), settings.output)
+    def __init__(self, settings: ConsoleSettings, hand: SharedHand, terminal: Terminal) -> None:
+        self._shared = ServiceContext(set(), Lease(), Jobs(self._job_says), settings.output)
         self.live = Live(self._shared, hand, terminal, own=settings.own)
         self.runs = Runs(self._shared, self.live, hand, terminal, verified=settings.verified)
         self._sessions = Sessions(self._shared, hand, terminal, verified=settings.verified)
@@ -101,7 +101,7 @@ class Console:
             self.live,
             self.runs,
             self._sessions,
-            Maps(self._shared),
+            MapService(self._shared),
             Recordings(self._shared),
             Devices(self._shared),
         )
@@ -240,7 +240,7 @@ def _setting(setting: Setting | Choice) -> dict[str, Any]:
     return {**asdict(setting), "whole": whole}
 
 
-async def run(settings: Settings, terminal: Terminal, ended: asyncio.Event) -> None:
+async def run(settings: ConsoleSettings, terminal: Terminal, ended: asyncio.Event) -> None:
     """Serve until `ended` is set.
 
     Raises

@@ -29,7 +29,7 @@ class Download:
 
 
 @dataclass(slots=True)
-class Shared:
+class ServiceContext:
     """What all services have in common.
 
     Attributes

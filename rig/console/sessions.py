@@ -20,7 +20,7 @@ from rig.console import consent
 from rig.console.client import Client, defect
 from rig.console.jobs import Job
 from rig.console.requests import Request
-from rig.console.service import Handler, Service, Shared
+from rig.console.service import Handler, Service, ServiceContext
 from rig.console.session_requests import BeginSession, ListSessions, PressKey, Reach, TypeLine
 from rig.console.terminal import Terminal
 from rig.core.errors import ConfigError, RigError
@@ -41,7 +41,9 @@ ROUND_S = 0.08  # between two looks at a loop that runs
 class Sessions(Service):
     """See the module."""
 
-    def __init__(self, shared: Shared, hand: SharedHand, terminal: Terminal, *, verified: bool) -> None:
+    def __init__(
+        self, shared: ServiceContext, hand: SharedHand, terminal: Terminal, *, verified: bool
+    ) -> None:
         self._shared, self._hand, self._terminal = shared, hand, terminal
         self._verified = verified
         self._job: Job | None = None

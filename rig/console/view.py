@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from rig.console.history import NAMES, Cut, History
+from rig.console.history import NAMES, History, HistoryExcerpt
 from rig.console.trigger import CONTACT, Trigger
 from rig.core.errors import ConfigError
 
@@ -21,7 +21,7 @@ DEFAULT = ("position", "velocity", "effort_wanted", "effort_sent", "effort_appli
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Shown:
+class ViewRequest:
     """What a page asks to be shown; `trigger` None: as it comes."""
 
     columns: tuple[str, ...] = DEFAULT
@@ -54,7 +54,7 @@ class View:
         Rows a second (Hz).
     """
 
-    def __init__(self, history: History, rate: float, shown: Shown) -> None:
+    def __init__(self, history: History, rate: float, shown: ViewRequest) -> None:
         self._history = history
         self._window = max(2, round(shown.window_s * rate))
         self._step = max(1, self._window // POINTS)
@@ -99,7 +99,7 @@ class View:
         return packed(cut, self._shown.columns, kind="sweep", fresh=True, at=self._hit_s)
 
 
-def packed(cut: Cut, columns: tuple[str, ...], **header: Any) -> bytes:
+def packed(cut: HistoryExcerpt, columns: tuple[str, ...], **header: Any) -> bytes:
     """A cut as one message: length of the header, the header as JSON, then float64: times, low, and high if it differs.
 
     The numbers begin at a multiple of 8 bytes.

@@ -25,7 +25,7 @@ _OVERRULES = int(~(LimitFlag.SPEED | LimitFlag.POSITION))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Signals:
+class TrialSignals:
     """One trial, uniformly sampled: arrays of equal length, positions and efforts in the units of the rig.
 
     `velocity` is None when it has to be derived from `position`; `resolution` is the count behind
@@ -48,7 +48,7 @@ class Signals:
 
 def recorded_signals(
     rows: NDArray[np.void], tick_s: float, resolution: float, *, effort: str = "effort_sent"
-) -> Signals:
+) -> TrialSignals:
     """What a rig records of the trial phase of its rows (`rig.core.sample.ROW`), its effort by a column.
 
     That is what the law gave, but for a wall that a drive rendered itself: what the drive told, ``effort_applied``.
@@ -63,7 +63,7 @@ def recorded_signals(
     def flagged(flag: RowFlag) -> Bools:
         return np.asarray((flags & int(flag)) != 0)
 
-    return Signals(
+    return TrialSignals(
         tick_s=tick_s,
         resolution=abs(resolution),
         position=rows["position"][trial],
@@ -80,8 +80,8 @@ def recorded_signals(
 
 
 def true_signals(
-    rows: NDArray[np.void], recorded: Signals, wall_position: float, wall_side: float
-) -> Signals:
+    rows: NDArray[np.void], recorded: TrialSignals, wall_position: float, wall_side: float
+) -> TrialSignals:
     """What really happened in a simulated trial: rows that carry `rig.core.sample.TRUTH_COLUMNS` too.
 
     A hand feels the handle, so velocity and position are those of the handle; the law lives where the encoder is, so
@@ -99,7 +99,7 @@ def true_signals(
     )
 
 
-def judge(signals: Signals, thresholds: Thresholds) -> Verdict:
+def judge(signals: TrialSignals, thresholds: Thresholds) -> Verdict:
     """Judge one trial (see the module's text).
 
     A trial shorter than its tail is judged on what there is; one without samples is invalid.
@@ -107,7 +107,7 @@ def judge(signals: Signals, thresholds: Thresholds) -> Verdict:
     return measured(signals, thresholds).verdict
 
 
-def measured(signals: Signals, thresholds: Thresholds, *, thrown_out: bool = False) -> Measured:
+def measured(signals: TrialSignals, thresholds: Thresholds, *, thrown_out: bool = False) -> Measured:
     """Measure one trial: a verdict without its texts."""
     numbers = meter(thresholds, signals.tick_s, signals.resolution).recorded(
         signals.position, signals.effort, signals.penetration, _flags(signals), signals.velocity
@@ -131,7 +131,7 @@ def meter(thresholds: Thresholds, tick_s: float, resolution: float) -> Meter:
     )
 
 
-def _flags(signals: Signals) -> NDArray[np.int64]:
+def _flags(signals: TrialSignals) -> NDArray[np.int64]:
     """Pack what is marked in a trial into bits, as the compiled measuring wants it."""
     flags = signals.lost.astype(np.int64) << LOST_BITS | signals.currents
     for bit, marked in (

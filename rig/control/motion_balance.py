@@ -30,7 +30,7 @@ FRICTION_SPEED_COUNTS = 2.0  # in a window: a slower handle's friction has no kn
 
 
 @dataclass(frozen=True, slots=True)
-class Scale:
+class MotionScale:
     """Measured over predicted motion in some windows: an estimate, and what half a count a sample can make of it."""
 
     value: float
@@ -49,8 +49,8 @@ class MotionBalance:
         Their ratio over `FRICTIONS`; None where one of the scales does not decide.
     """
 
-    before: Scale | None
-    after: Scale | None
+    before: MotionScale | None
+    after: MotionScale | None
     least: float | None
     most: float | None
 
@@ -67,7 +67,7 @@ class MotionBalance:
         return self.least > FACTOR or self.most < 1.0 / FACTOR
 
 
-def _ratio(before: Scale | None, after: Scale | None) -> float | None:
+def _ratio(before: MotionScale | None, after: MotionScale | None) -> float | None:
     if before is None or after is None or max(before.doubt, after.doubt) > MOST_DOUBT or before.value <= 0.0:
         return None
     return after.value / before.value
@@ -98,7 +98,7 @@ def motion_balance(
         Of motor and link together, as they are described.
     """
     length = max(8, round(WINDOW_S / tick_s))
-    found: list[tuple[Scale | None, Scale | None]] = []
+    found: list[tuple[MotionScale | None, MotionScale | None]] = []
     for share in FRICTIONS:
         bend, path = _windows(position, effort, length, tick_s, resolution, inertia, share * coulomb, damping)
         last = np.arange(len(bend)) * (length // 2) + length
@@ -113,11 +113,13 @@ def motion_balance(
     return MotionBalance(before, after, min(ratios), max(ratios))
 
 
-def _scale(bend: Floats, path: Floats, resolution: float) -> Scale | None:
+def _scale(bend: Floats, path: Floats, resolution: float) -> MotionScale | None:
     power = float(np.sum(np.square(bend)))
     if power == 0.0:
         return None
-    return Scale(float(np.sum(bend * path)) / power, 0.5 * resolution * float(np.sum(np.abs(bend))) / power)
+    return MotionScale(
+        float(np.sum(bend * path)) / power, 0.5 * resolution * float(np.sum(np.abs(bend))) / power
+    )
 
 
 def _windows(

@@ -178,7 +178,7 @@ def new_memory() -> Record:
 
 
 @dataclass(frozen=True, slots=True)
-class Controller:
+class ControllerState:
     """Everything that `step` needs besides the sample: what is wanted, what is remembered, and the two plugs."""
 
     control: Record
@@ -201,17 +201,17 @@ class Controller:
             law_parameters=w.parameters,
         )
 
-    def copy(self) -> Controller:
+    def copy(self) -> ControllerState:
         """Return one that a run may change without changing this one."""
         e, w = self.estimator, self.law
-        return Controller(
+        return ControllerState(
             control=self.control.copy(),
             memory=self.memory.copy(),
             estimator=Prepared(e.estimator, e.parameters.copy(), e.state_f.copy(), e.state_i.copy()),
             law=PreparedLaw(w.law, w.parameters.copy(), w.state.copy()),
         )
 
-    def fresh(self, wall: Mapping[str, Any]) -> Controller:
+    def fresh(self, wall: Mapping[str, Any]) -> ControllerState:
         """Return a copy that has seen nothing more than this one, for another wall (settings by name)."""
         settings = {**wall, "tick_s": float(self.control[0]["tick_s"])}
         return replace(self.copy(), law=self.law.law.prepare(settings))
@@ -235,7 +235,7 @@ class Controller:
         }
 
     @classmethod
-    def from_mapping(cls, mapping: Mapping[str, Any], *, law: Law | None = None) -> Controller:
+    def from_mapping(cls, mapping: Mapping[str, Any], *, law: Law | None = None) -> ControllerState:
         """Inverse of `as_mapping`; `law` stands in for one that no table knows.
 
         Raises `rig.core.errors.ConfigError` when estimator or law are not to be found here, and `RecordingError` when

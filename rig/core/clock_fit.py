@@ -231,7 +231,7 @@ class _Points:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Line:
+class _ClockLine:
     """Offset (ns) at the origin, drift (ns/s) and share, with their covariance, after `scale` by the residuals.
 
     The drift is `least_drift_ppm` at least, whatever its prior says.
@@ -300,7 +300,7 @@ def _near_line(points: _Points, keep: _Mask, height: float, slope: float) -> _Ma
     return near if near.any() else keep
 
 
-def _fit(points: _Points, keep: _Mask, drift_prior_ppm: float) -> _Line:
+def _fit(points: _Points, keep: _Mask, drift_prior_ppm: float) -> _ClockLine:
     """Weighted regression with priors; uncertainties grow with the residuals when those exceed what was allowed."""
     time, offset = points.time[keep], points.offset[keep]
     weight = _sigma(points, keep)[keep] ** -2
@@ -321,7 +321,7 @@ def _fit(points: _Points, keep: _Mask, drift_prior_ppm: float) -> _Line:
     rms = float(np.sqrt(chi2 / np.sum(weight)))
     least_drift = max(0.0, abs(float(unbound[1])) - OFF_LINE * scale * float(np.sqrt(spread[1, 1])))
     least_trip = int(points.trip[keep].min())
-    return _Line(back @ values, back @ covariance @ back.T, scale, rms, least_trip, least_drift * 1e-3)
+    return _ClockLine(back @ values, back @ covariance @ back.T, scale, rms, least_trip, least_drift * 1e-3)
 
 
 def _solved(normal: _Floats, prior: _Floats, scale: float, right: _Floats) -> tuple[_Floats, _Floats]:
@@ -332,7 +332,7 @@ def _solved(normal: _Floats, prior: _Floats, scale: float, right: _Floats) -> tu
     return covariance @ right / scale**2, covariance
 
 
-def _result(points: _Points, keep: _Mask, line: _Line, total: int) -> ClockFit:
+def _result(points: _Points, keep: _Mask, line: _ClockLine, total: int) -> ClockFit:
     offset, drift, share = line.values
     var, cross, var_drift = line.covariance[0, 0], line.covariance[0, 1], line.covariance[1, 1]
     reference_s = -cross / var_drift  # there offset and drift are independent

@@ -38,7 +38,7 @@ if sys.platform == "linux":
 MADE_FOR_A_RIG = ("sim", "moteus", "odrive")  # schemes whose far end is made of the experiment's rig
 FIRMWARE = "firmware"  # option of sim://: 1 is the compiled firmware in place of its mirror in Python
 # What the simulation offers beside its link (`rig.devices.simulated`), and its server (`rig.devices.local`).
-HITS, EXCITED = "sim_backend.hits:SimulatedRig", "sim_backend.excited:ExcitedPlant"
+HITS, EXCITED = "sim_backend.hits:RigOfHits", "sim_backend.excited:ExcitedPlant"
 PLANT, TRIAL = "sim_backend.plant:DiscretePlant", "sim_backend.trial:run_trial"
 SERVER = "sim_backend.pty:serve"
 DISTRIBUTION = "haptic-rig"

@@ -26,7 +26,7 @@ class Direction(Enum):
     __hash__ = object.__hash__  # that of Enum is written in Python, and a line looks up six for each frame
 
 
-class Kind(Enum):
+class FaultKind(Enum):
     """What can happen to a frame."""
 
     DROP = "drop"
@@ -48,7 +48,7 @@ class FrameFault:
     Ticks are those of the device since the link was opened; `byte` is taken modulo the frame's length.
     """
 
-    kind: Kind
+    kind: FaultKind
     direction: Direction
     frame: int | None = None
     tick: int | None = None

@@ -22,7 +22,7 @@ from rig.devices import simulated_model
 from rig.devices.device import DeviceUrl, Link
 from rig.devices.framed import FramedDevice
 from rig.realtime.hand import SharedHand
-from rig.realtime.scheduling import Board, Realtime, obtained
+from rig.realtime.scheduling import BoardScheduling, Realtime, obtained
 
 IN_VIRTUAL_TIME = "simulate it in virtual time: leave `realtime` out, rehearse a session"
 
@@ -45,7 +45,7 @@ def serve(
     """
     refuse_real_time("a simulated rig", IN_VIRTUAL_TIME)
     server = devices.loaded(devices.SERVER)
-    with obtained(Board(realtime, cpu=cpu)) as granted:
+    with obtained(BoardScheduling(realtime, cpu=cpu)) as granted:
 
         def ready(place: str) -> None:
             granted.enter_thread()

@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.control.step import Controller
+from rig.control.step import ControllerState
 from rig.control.verdict import Measured, Thresholds
 from rig.core.model import RigModel
 from rig.devices.device import DeviceUrl, Link
@@ -31,7 +31,7 @@ class SimulatedHit:
 class SimulatedRig(Protocol):
     """A rig at rest, hit after hit. One for each thread."""
 
-    def hit(self, controller: Controller, start: float) -> SimulatedHit:
+    def hit(self, controller: ControllerState, start: float) -> SimulatedHit:
         """Run one trial from rest at a position (rad or m); the controller is fresh, and used up.
 
         Raises `rig.core.errors.LawError` when estimator or law give something that is not finite.
@@ -82,7 +82,7 @@ class ExcitedSimulation(Protocol):
 
     def excite(
         self,
-        controller: Controller,
+        controller: ControllerState,
         position: float,
         excitation: NDArray[np.float64],
         ramp_s: float,

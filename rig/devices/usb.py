@@ -31,7 +31,7 @@ from rig.core.model import RigModel
 from rig.devices.device import DeviceUrl, RealLink
 from rig.devices.failures import error_number, link_error
 from rig.devices.port import LoopPort
-from rig.devices.usb_handle import Bus, handle_of, unsuitable
+from rig.devices.usb_handle import UsbBus, handle_of, unsuitable
 from rig.devices.usb_plain import PlainTransfers
 from rig.devices.usb_queue import QueuedTransfers
 from rig.realtime.clock import Clock, MonotonicClock
@@ -79,7 +79,7 @@ def available_devices() -> list[UsbDevice]:
     No device of another program is opened: descriptors are read from sysfs.
     """
     try:
-        bus = Bus()
+        bus = UsbBus()
     except DeviceNotFoundError:
         return []
     try:
@@ -97,7 +97,7 @@ def open_link(url: DeviceUrl, model: RigModel | None = None) -> UsbLink:
     url.allow(OPTIONS)
     wanted = url.choice("transfers", TRANSFERS, "")
     vendor, product, serial = _place(url)
-    bus = Bus()
+    bus = UsbBus()
     try:
         device = _chosen(bus, url, vendor, product, serial)
         pipes = _pipes(device)
@@ -134,7 +134,7 @@ def _place(url: DeviceUrl) -> tuple[int, int, str]:
     return numbers[0], numbers[1], serial
 
 
-def _chosen(bus: Bus, url: DeviceUrl, vendor: int, product: int, serial: str) -> Any:
+def _chosen(bus: UsbBus, url: DeviceUrl, vendor: int, product: int, serial: str) -> Any:
     found = [device for device in bus.devices if (device.idVendor, device.idProduct) == (vendor, product)]
     if not found:
         raise DeviceNotFoundError(
@@ -157,7 +157,7 @@ def _chosen(bus: Bus, url: DeviceUrl, vendor: int, product: int, serial: str) ->
     return found[0]
 
 
-def _rigs(bus: Bus) -> str:
+def _rigs(bus: UsbBus) -> str:
     described = [_description(device) for device in bus.devices if device.bDeviceClass != _HUB_CLASS]
     found = [f"{device.url} ({device.product or 'no name'})" for device in described if device.is_rig]
     return f"Rigs here: {', '.join(found)}" if found else "No USB device here looks like a rig"
@@ -295,7 +295,7 @@ class UsbLink(RealLink):
     def __init__(
         self,
         url: DeviceUrl,
-        bus: Bus,
+        bus: UsbBus,
         transfers: Transfers,
         release: Callable[[], None],
         serial_number: str | None = None,
@@ -304,7 +304,7 @@ class UsbLink(RealLink):
         self.serial_number = serial_number
         self.clock: Clock = MonotonicClock()
         self.bytes_per_second: float | None = None  # packets are the limit, not bytes
-        self._bus: Bus | None = bus
+        self._bus: UsbBus | None = bus
         self._transfers = transfers
         self._release = release
 

@@ -86,7 +86,7 @@ class Handle:
         _function(self._library, "libusb_free_transfer", None, ctypes.c_void_p)(address)
 
 
-class Bus:
+class UsbBus:
     """The USB devices that are there now, in a libusb context of their own. Close it when the device is closed.
 
     Raises

@@ -28,7 +28,7 @@ from rig.cli.command import RESULT, Option
 from rig.cli.listing import listing
 from rig.cli.table import COMMANDS
 from rig.config import presets
-from rig.config.table import Parameter, parameters, parameters_of, shown
+from rig.config.table import ConfigKey, parameters, parameters_of, shown
 from rig.control import estimators
 from rig.core import errors
 from rig.core.lazy import public_names
@@ -182,7 +182,7 @@ def command_list() -> str:
 # ------------------------------------------------------------------ experiments and protocols
 
 
-def _keys(root: Mapping[str, Parameter]) -> str:
+def _keys(root: Mapping[str, ConfigKey]) -> str:
     """Tables of keys, a heading for each table of the file."""
     tables: dict[str, list[tuple[str, ...]]] = {}
     for key, parameter in root.items():
@@ -201,7 +201,7 @@ def _keys(root: Mapping[str, Parameter]) -> str:
     )
 
 
-def _default(parameter: Parameter, name: str) -> str:
+def _default(parameter: ConfigKey, name: str) -> str:
     known = {field.name: field for field in dataclasses.fields(parameter.section)}
     field = known.get(name.removesuffix("[]"))
     if field is None or field.default_factory is not dataclasses.MISSING:

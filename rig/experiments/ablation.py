@@ -34,7 +34,7 @@ from rig.analysis.theory.loop import linear_loop
 from rig.config import Experiment, controller
 from rig.control.bilateral import clinging_law
 from rig.experiments.hit_simulator import HitSimulator
-from rig.experiments.searches import Search
+from rig.experiments.searches import StiffnessSearch
 
 FRICTION, QUANTUM, SATURATION, CONTACT = FOUR = ("friction", "quantum", "saturation", "contact")
 EACH, OTHERS, NONE = "each of several", "any of several", "none of the four"
@@ -121,7 +121,7 @@ def hit_column(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
     """One task of the sweep, JSON in and out: all walls of a scheme at a damping, the softest first."""
     experiments = [config.restore_experiment(one) for one in payload["experiments"]]
     column, first = _Column(experiments, payload["judged"]), experiments[0]
-    rungs = Search(**payload["search"]).rungs
+    rungs = StiffnessSearch(**payload["search"]).rungs
     radii = Lifted.of(linear_loop(first)).radius(rungs, first.wall.damping)
     rows: list[dict[str, Any]] = []
     for stiffness, radius in zip(rungs, radii.tolist(), strict=True):

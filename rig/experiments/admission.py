@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from rig import config
-from rig.config.controller import Run
+from rig.config.controller import PreparedRun
 from rig.core.check import Check, refused
 from rig.core.same_rig import check_rig
 from rig.devices.framed import FramedDevice
 from rig.experiments.plan import device_checks, human_limit_checks, link_checks, plan_of
 
 
-def admission_checks(run: Run, device: FramedDevice) -> list[Check]:
+def admission_checks(run: PreparedRun, device: FramedDevice) -> list[Check]:
     """Return what decides whether a run may start on an open device, before its link is measured.
 
     The wall behind the measured link is judged by `rig.bench.doctor.gate.gate`, which `rig doctor` and `rig hit` both

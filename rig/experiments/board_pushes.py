@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from rig.analysis.identification.quality import IdentificationError
 from rig.config import Experiment
-from rig.config.controller import Run
+from rig.config.controller import PreparedRun
 from rig.control.motions import ALIKE, NOTHING
 from rig.core.check import refuse
 from rig.core.errors import DeviceFaultError, GuardError
@@ -132,7 +132,7 @@ def _restless() -> IdentificationError:
 
 def _prepared(
     device: FramedDevice, x: Experiment, at: float, way: Literal[-1, 1], *, verified: bool, zero: int
-) -> Run:
+) -> PreparedRun:
     given: dict[str, Any] = {
         "verified": verified or device.dictionary.simulated,
         "reference_count": zero,

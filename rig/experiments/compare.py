@@ -22,7 +22,7 @@ from firmware_protocol.messages import OLDEST_EDGE, TIME_UNIT_NS
 from rig import config, devices
 from rig.config import Experiment, Wall, controller
 from rig.config.schemes import Scheme, describe_cutoffs
-from rig.control.step import ENDS_RUN, TRIAL, Controller
+from rig.control.step import ENDS_RUN, TRIAL, ControllerState
 from rig.core.drawn import Drawn
 from rig.core.errors import ConfigError
 from rig.core.present import Item, Row, Table, reported
@@ -325,7 +325,7 @@ def hit(experiment: Experiment, start: Start, offset: float) -> Impact:
     )
 
 
-def simulate(experiment: Experiment, start: Start, offset: float) -> tuple[Controller, Any, Any]:
+def simulate(experiment: Experiment, start: Start, offset: float) -> tuple[ControllerState, Any, Any]:
     """Run one trial without bytes, the law in its trial from the first tick on.
 
     Returns
@@ -352,7 +352,7 @@ def simulate(experiment: Experiment, start: Start, offset: float) -> tuple[Contr
     return _controller(placed, start), plant, trace
 
 
-def _controller(experiment: Experiment, start: Start) -> Controller:
+def _controller(experiment: Experiment, start: Start) -> ControllerState:
     """Return a controller that is past its homing."""
     made = controller.for_experiment(experiment, current_quantum_a=experiment.rig.amplifier.current_quantum_a)
     made.control["constant_effort"] = start.motor_effort
@@ -378,7 +378,7 @@ def _one_tick_before(experiment: Experiment, start: Start, tick_s: float) -> tup
     )
 
 
-def _rows(law: Controller, plant: Any, trace: Any) -> NDArray[np.void]:
+def _rows(law: ControllerState, plant: Any, trace: Any) -> NDArray[np.void]:
     """Rows of `rig.core.sample.ROW` as the law filled them: `step` again over the counts, which gives the same bits."""
     rows = np.zeros(len(trace.counts), ROW)
     rows["elapsed_ticks"] = 1

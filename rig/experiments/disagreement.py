@@ -105,7 +105,7 @@ class DisagreementPlan:
         return Disagreement(
             plan,
             tuple(
-                Wall.of(row, scheme, damping, across[damping] * height)
+                ComparedWall.of(row, scheme, damping, across[damping] * height)
                 for (scheme, damping), rows in zip(columns, results, strict=True)
                 for row, height in zip(rows, along, strict=True)
             ),
@@ -123,7 +123,7 @@ def edges_of(values: Sequence[float], *, by_ratio: bool = False) -> Floats:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Wall:
+class ComparedWall:
     """One wall: what theory says, what hits say, and why they differ if they do.
 
     Attributes
@@ -155,7 +155,7 @@ class Wall:
     cause: str
 
     @classmethod
-    def of(cls, row: Mapping[str, Any], scheme: int, damping: float, area: float) -> Wall:
+    def of(cls, row: Mapping[str, Any], scheme: int, damping: float, area: float) -> ComparedWall:
         """The wall of a row of `rig.experiments.ablation.hit_column`."""
         found = None if row["cures"] is None else tuple(tuple(cure) for cure in row["cures"])
         return cls(
@@ -177,14 +177,14 @@ class Wall:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Part:
+class CauseShare:
     """What differs of some area: its share of that, and the share of each cause in it, the largest first; 0 to 1."""
 
     share: float
     causes: dict[str, float]
 
     @classmethod
-    def of(cls, whole: Sequence[Wall]) -> Part:
+    def of(cls, whole: Sequence[ComparedWall]) -> CauseShare:
         """The part of these walls that differs."""
         differing = [wall for wall in whole if wall.cause]
         return cls(share=_share(differing, whole), causes=_by(differing, lambda wall: wall.cause))
@@ -212,9 +212,9 @@ class Shares:
 
     scheme: str
     label: str
-    differ: Part
-    fails: Part
-    beyond: Part
+    differ: CauseShare
+    fails: CauseShare
+    beyond: CauseShare
     sets: dict[str, float]
     differ_without: float
     stable: float
@@ -238,10 +238,10 @@ class Disagreement(Shown, Drawn):
     table_name: ClassVar[str] = "walls.parquet"
 
     plan: MapPlan
-    walls: tuple[Wall, ...]
+    walls: tuple[ComparedWall, ...]
     hits: int
 
-    def of_scheme(self, number: int) -> list[Wall]:
+    def of_scheme(self, number: int) -> list[ComparedWall]:
         """Walls of one scheme."""
         return [wall for wall in self.walls if wall.scheme == number]
 
@@ -254,9 +254,9 @@ class Disagreement(Shown, Drawn):
         return Shares(
             scheme=scheme.text,
             label=scheme.label(self.plan.experiment),
-            differ=Part.of(known),
-            fails=Part.of(stable),
-            beyond=Part.of(holding),
+            differ=CauseShare.of(known),
+            fails=CauseShare.of(stable),
+            beyond=CauseShare.of(holding),
             sets=_by([w for w in differing if len(w.cures) > 1], _sets, of=differing),
             differ_without=_share([w for w in known if w.holds_without is (not w.linear)], known),
             stable=_share(stable, known),
@@ -332,13 +332,15 @@ class Disagreement(Shown, Drawn):
         }
 
 
-def _share(part: Iterable[Wall], whole: Iterable[Wall]) -> float:
+def _share(part: Iterable[ComparedWall], whole: Iterable[ComparedWall]) -> float:
     area = sum(wall.area for wall in whole)
     return sum(wall.area for wall in part) / area if area else 0.0
 
 
 def _by(
-    walls: Sequence[Wall], name: Callable[[Wall], str], of: Sequence[Wall] | None = None
+    walls: Sequence[ComparedWall],
+    name: Callable[[ComparedWall], str],
+    of: Sequence[ComparedWall] | None = None,
 ) -> dict[str, float]:
     """Shares of what walls are called, the largest first."""
     areas: dict[str, float] = {}
@@ -348,7 +350,7 @@ def _by(
     return {what: areas[what] / whole for what in sorted(areas, key=lambda what: -areas[what])}
 
 
-def _sets(wall: Wall) -> str:
+def _sets(wall: ComparedWall) -> str:
     return "; ".join("+".join(cure) for cure in wall.cures)
 
 
@@ -356,7 +358,7 @@ def _percent(share: float) -> str:
     return f"{100.0 * share:.1f} %"
 
 
-def _cells(part: Part) -> list[str]:
+def _cells(part: CauseShare) -> list[str]:
     return [_percent(part.causes[cause]) if cause in part.causes else "" for cause in CAUSES]
 
 

@@ -106,7 +106,7 @@ class Examination:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Question:
+class ExaminationRequest:
     """What to examine.
 
     Attributes
@@ -130,7 +130,7 @@ class Question:
     seconds: float = SECONDS
 
 
-def examine(question: Question, on_progress: Progress = lambda what, share: None) -> Examination:
+def examine(question: ExaminationRequest, on_progress: Progress = lambda what, share: None) -> Examination:
     """Examine the machine and its ports, and, with a device, measure its link and compute the walls that it supports.
 
     Parameters
@@ -159,7 +159,7 @@ def examine(question: Question, on_progress: Progress = lambda what, share: None
 
 
 @contextmanager
-def _opened(question: Question) -> Iterator[FramedDevice]:
+def _opened(question: ExaminationRequest) -> Iterator[FramedDevice]:
     """Open the device; a simulated one in real time becomes a process of its own."""
     loop = question.changes.get("controller.loop", question.experiment.controller.loop)
     url = devices.url_for(question.url or "sim://", loop)
@@ -174,7 +174,7 @@ def _opened(question: Question) -> Iterator[FramedDevice]:
 
 
 def _with_device(
-    asked: Question, device: FramedDevice, seen: Examination, on_progress: Progress
+    asked: ExaminationRequest, device: FramedDevice, seen: Examination, on_progress: Progress
 ) -> Examination:
     on_progress("identifying the device", 0.0)
     facts, link_url = DeviceFacts.of(device), device.link.url

@@ -48,7 +48,7 @@ Signal = Literal["count", "truth"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Run:
+class RealisationRun:
     """One realisation: its record, or why there is none.
 
     Attributes
@@ -198,7 +198,7 @@ class ExcitedRig:
         )
         self._excitations: dict[int, _Excitation] = {}
 
-    def excite(self, stiffness: float, damping: float, realisation: int = 0) -> Run:
+    def excite(self, stiffness: float, damping: float, realisation: int = 0) -> RealisationRun:
         """Excite one wall with one realisation of the excitation.
 
         Raises
@@ -217,7 +217,7 @@ class ExcitedRig:
         if motion.ticks < self._ticks:
             memory = fresh.memory[0]
             reason = _tripped(x, float(memory["position"]), float(memory["velocity"]))
-            return Run(None, reason, motion.ticks * tick_s, saturated)
+            return RealisationRun(None, reason, motion.ticks * tick_s, saturated)
         each = round(tick_s / motion.acquisition_s)  # positions in a tick
         first = round(config.excitation_s(x)[1] / tick_s)
         position: Floats = motion.position
@@ -240,7 +240,7 @@ class ExcitedRig:
             effort_delay_s=-delay_s,
             effort_hold_s=hold_s,
         )
-        return Run(record, saturated=saturated)
+        return RealisationRun(record, saturated=saturated)
 
     def _excitation(self, realisation: int) -> _Excitation:
         if realisation not in self._excitations:

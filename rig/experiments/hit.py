@@ -14,7 +14,7 @@ from rig import config, devices
 from rig.bench.doctor.gate import Gate, check_armable
 from rig.bench.doctor.in_effect import in_effect
 from rig.config import Experiment, device_law
-from rig.config.controller import Run
+from rig.config.controller import PreparedRun
 from rig.control.law import Law
 from rig.control.verdict import Verdict
 from rig.core.check import Outcome, refuse
@@ -251,7 +251,7 @@ def _recorded(end: TrialEnd) -> Recorded:
     return Recorded(end.experiment, recording, judge(recording, end.experiment))
 
 
-def vetted(request: HitRequest, device: FramedDevice, experiment: Experiment) -> Run:
+def vetted(request: HitRequest, device: FramedDevice, experiment: Experiment) -> PreparedRun:
     """The run of an experiment in effect on an open device. The link is not measured, and nothing moves.
 
     Raises
@@ -347,7 +347,7 @@ def _reference_count(request: HitRequest, device: FramedDevice, experiment: Expe
     return request.reference_count
 
 
-def _check_it_moves(request: HitRequest, device: FramedDevice, run: Run) -> None:
+def _check_it_moves(request: HitRequest, device: FramedDevice, run: PreparedRun) -> None:
     """A real rig is not armed for a person before it has moved as it is described, with nobody holding it."""
     experiment = run.experiment
     if experiment.trial.kind != "human" or device.dictionary.simulated or device.moved_as_described:

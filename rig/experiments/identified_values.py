@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from rig.analysis.identification.cogging import CoggingMap
-from rig.analysis.identification.dynamics import Dynamics, Mode
+from rig.analysis.identification.dynamics import Dynamics, StructuralMode
 from rig.analysis.identification.interval import Interval
 from rig.analysis.identification.ripple import Ripple
 from rig.analysis.identification.sliding import Sliding
@@ -134,7 +134,7 @@ def _each(values: Sequence[Interval], unit: str) -> str:
 
 
 def _put_mode(
-    found: Identified, m: Mechanics, mode: Mode, sliding: Sliding, inertia: str, stiffness: str
+    found: Identified, m: Mechanics, mode: StructuralMode, sliding: Sliding, inertia: str, stiffness: str
 ) -> None:
     link, motor, hertz = mode.link_inertia, mode.motor_inertia, mode.resonance_hz
     hung = m.end_mass * m.handle_radius**2

@@ -49,7 +49,7 @@ from rig.experiments.identified_values import identified_values
 from rig.experiments.identify_motions import (
     PERIODS,
     PUSHES,
-    Motion,
+    IdentificationMotion,
     cogging_motion,
     cogging_period,
     cogging_sweeps,
@@ -448,20 +448,22 @@ class _Session:
         sweeps = cogging_sweeps(x, most_order, loaded=loaded)[1]
         return np.arange(len(rows)) / rate, rows["effort_sent"], rows["position"], sweeps
 
-    def _evened(self, motion: Motion) -> Motion:
+    def _evened(self, motion: IdentificationMotion) -> IdentificationMotion:
         """The motion with the cogging compensated that is known: else a handle may fall from detent to detent."""
         x = motion.experiment
         if not self._cogging.orders:
             return motion
         taken = replace(x.controller, cogging_compensation=True, cogging_limit=1.0)
         evened = replace(x, rig=replace(x.rig, cogging=self._cogging), controller=taken)
-        return Motion(config.override(evened, {}, "identification"), motion.law)
+        return IdentificationMotion(config.override(evened, {}, "identification"), motion.law)
 
     def _effort(self, rows: NDArray[np.void]) -> NDArray[np.float64]:
         """Effort of the motor, cogging included as far as it is known."""
         return np.asarray(rows["effort_sent"] + self._cogging.effort(rows["position"]))
 
-    def _run(self, motion: Motion, name: str, number: int = 0) -> tuple[NDArray[np.void], float]:
+    def _run(
+        self, motion: IdentificationMotion, name: str, number: int = 0
+    ) -> tuple[NDArray[np.void], float]:
         """Run one trial; return its rows and their rate (Hz)."""
         x, request = motion.experiment, self._request
 

@@ -92,7 +92,7 @@ HARD = 5.0  # rms effort of the excitation over Coulomb friction from which fric
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class IdentificationMotion:
     """One kind of trial: the experiment that it runs, the law that moves (None: its own), and in which phases."""
 
     experiment: Experiment
@@ -244,7 +244,7 @@ def cogging_period(x: Experiment) -> float:
     return 2.0 * math.pi / x.rig.encoder.ratio
 
 
-def pushes_motion(x: Experiment, at: float, pushes: int = PUSHES) -> Motion:
+def pushes_motion(x: Experiment, at: float, pushes: int = PUSHES) -> IdentificationMotion:
     """Small pushes about where the handle is; window, speed and energy shrink to what they need."""
     limits, way, rate = x.rig.limits, push_way(x), slow_rate(x)
     speed = min(limits.speed, PUSH_SPEED * way)
@@ -268,7 +268,7 @@ def pushes_motion(x: Experiment, at: float, pushes: int = PUSHES) -> Motion:
         pulses=pushes,
         rate_hz=rate,
     )
-    return Motion(_moved(x, at, pushes_s(pushes), rate, changes), law)
+    return IdentificationMotion(_moved(x, at, pushes_s(pushes), rate, changes), law)
 
 
 def single_push(x: Experiment, at: float, way: Literal[-1, 1]) -> Experiment:
@@ -295,17 +295,17 @@ def single_push(x: Experiment, at: float, way: Literal[-1, 1]) -> Experiment:
     return config.override(around, changes, "a push")
 
 
-def strokes_motion(x: Experiment) -> Motion:
+def strokes_motion(x: Experiment) -> IdentificationMotion:
     """Strokes at constant speeds by the homing servo, with as much effort as the motor gives for hours."""
     path, _ = strokes_of(x)
     limit = min(x.rig.limits.effort, x.rig.limits.nominal_effort)
     rate = slow_rate(x)
     stiffness, damping = servo_of(x, rate)
     law = tracing(path, stiffness=stiffness, damping=damping, limit=limit, rate_hz=rate)
-    return Motion(_moved(x, path[0][1], path[-1][0], rate, _homing(x, rate)), law)
+    return IdentificationMotion(_moved(x, path[0][1], path[-1][0], rate, _homing(x, rate)), law)
 
 
-def way_motion(x: Experiment, at: float, to: float, margin: float) -> Motion:
+def way_motion(x: Experiment, at: float, to: float, margin: float) -> IdentificationMotion:
     """A slow way between two positions by the homing servo, at homing's speed and with no more effort than homing has.
 
     The window is that way with a margin at both ends, whatever the description says. Where the board runs the law, the
@@ -334,18 +334,18 @@ def way_motion(x: Experiment, at: float, to: float, margin: float) -> Motion:
             "homing.timeout_s": min(600.0, 2.0 * way_s + WAY_PATIENCE_S),
         }
         moved = _moved(x, to, WAY_END_S, rate, changes)
-        return Motion(moved, None, (Phase.HOMING, Phase.SETTLE, Phase.TRIAL))
+        return IdentificationMotion(moved, None, (Phase.HOMING, Phase.SETTLE, Phase.TRIAL))
     law = tracing([(0.0, at), (way_s, to)], stiffness=stiffness, damping=damping, limit=effort, rate_hz=rate)
-    return Motion(_moved(x, at, way_s + WAY_REST_S, rate, changes), law)
+    return IdentificationMotion(_moved(x, at, way_s + WAY_REST_S, rate, changes), law)
 
 
-def weighing_motion(x: Experiment) -> Motion:
+def weighing_motion(x: Experiment) -> IdentificationMotion:
     """Slow strokes under a steady load, which the servo carries with as much effort as the motor gives for hours."""
     rate, limit = slow_rate(x), min(x.rig.limits.effort, x.rig.limits.nominal_effort)
     stiffness, damping = servo_of(x, rate)
     path, _ = weighing_strokes(x)
     law = tracing(path, stiffness=stiffness, damping=damping, limit=limit, rate_hz=rate)
-    return Motion(_moved(x, path[0][1], path[-1][0], rate, _bearing(x, rate, limit)), law)
+    return IdentificationMotion(_moved(x, path[0][1], path[-1][0], rate, _bearing(x, rate, limit)), law)
 
 
 def _bearing(x: Experiment, rate: int, limit: float) -> dict[str, Any]:
@@ -371,14 +371,14 @@ def weighing_strokes(x: Experiment) -> tuple[list[tuple[float, float]], list[Str
     return path, strokes
 
 
-def cogging_motion(x: Experiment, most_order: int, *, loaded: bool = False) -> Motion:
+def cogging_motion(x: Experiment, most_order: int, *, loaded: bool = False) -> IdentificationMotion:
     """Slow sweeps both ways by the homing servo, with as much effort as the motor gives for hours; also with a mass."""
     path, _ = cogging_sweeps(x, most_order, loaded=loaded)
     rate, limit = slow_rate(x), min(x.rig.limits.effort, x.rig.limits.nominal_effort)
     stiffness, damping = servo_of(x, rate)
     law = tracing(path, stiffness=stiffness, damping=damping, limit=limit, rate_hz=rate)
     changes = _bearing(x, rate, limit) if loaded else _homing(x, rate)
-    return Motion(_moved(x, path[0][1], path[-1][0], rate, changes), law)
+    return IdentificationMotion(_moved(x, path[0][1], path[-1][0], rate, changes), law)
 
 
 def cogging_sweeps(
@@ -405,13 +405,13 @@ def cogging_sweeps(
     return path, sweeps
 
 
-def excitation_motion(x: Experiment, multisine: Multisine, inertia: float) -> Motion:
+def excitation_motion(x: Experiment, multisine: Multisine, inertia: float) -> IdentificationMotion:
     """One realisation of a multisine about the middle of the window, kept there by a soft spring."""
     rate = x.controller.position_rate
     periods = settle_periods(multisine.period_s) + PERIODS
     law = bilateral.excited_law(multisine.period(rate), round(multisine.period_s * rate))
     changes = {"wall.stiffness": centring(inertia), **_homing(x, rate)}
-    return Motion(_moved(x, _middle(x), periods * multisine.period_s, rate, changes), law)
+    return IdentificationMotion(_moved(x, _middle(x), periods * multisine.period_s, rate, changes), law)
 
 
 def servo_of(x: Experiment, rate: int) -> tuple[float, float]:

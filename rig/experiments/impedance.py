@@ -20,7 +20,7 @@ from annotated_types import Ge, Gt, Le
 
 from rig import config
 from rig.analysis.impedance.estimate import Impedance, periodic
-from rig.analysis.impedance.fitting import Device, Fit, fit
+from rig.analysis.impedance.fitting import Fit, RigidRig, fit
 from rig.analysis.impedance.ideal import rendered
 from rig.analysis.impedance.signals import Complexes, Floats
 from rig.analysis.impedance.verdict import (
@@ -28,7 +28,7 @@ from rig.analysis.impedance.verdict import (
     RESIDUAL,
     Z_SCORE,
     Fidelity,
-    Judgement,
+    PassivityJudgement,
     fidelity,
     judge,
 )
@@ -41,7 +41,14 @@ from rig.core.keyword import Keyword
 from rig.core.present import plain, reported
 from rig.core.sample import Motion, Phase, unit_of
 from rig.experiments.excitation_plan import excitation_checks
-from rig.experiments.excitation_run import ExcitedRig, Run, Signal, bound_share, excited_law, record_of
+from rig.experiments.excitation_run import (
+    ExcitedRig,
+    RealisationRun,
+    Signal,
+    bound_share,
+    excited_law,
+    record_of,
+)
 from rig.experiments.judgement import THREW_OUT, experiment_of, thrown_out
 from rig.experiments.on_device import Ended, OnDevice, Trials, kept_open
 from rig.experiments.plan import STANDS_FOR_DEVICE
@@ -114,7 +121,7 @@ class ImpedanceResult:
 
     experiment: Experiment = field(repr=False)
     impedance: Impedance | None
-    judgement: Judgement | None
+    judgement: PassivityJudgement | None
     fidelity: Fidelity | None
     fitted: Fit | None
     method: Method
@@ -241,7 +248,7 @@ def measure_impedance(
     for group in asked:
         bench = ExcitedRig(group[0], signal=signal)
         for one in group:
-            runs: list[Run] = []
+            runs: list[RealisationRun] = []
             for realisation in range(one.excitation.realisations):
                 runs.append(bench.excite(one.wall.stiffness, one.wall.damping, realisation))
                 done += 1
@@ -308,7 +315,7 @@ def measure_on_device(
         for one in asked:
             if agrees is not None and not agrees(one):
                 return
-            runs: list[Run] = []
+            runs: list[RealisationRun] = []
             recordings: list[Path] = []
             for realisation in range(one.excitation.realisations):
                 run, paths = _recorded_whole(trials, one, realisation)
@@ -359,7 +366,7 @@ def refuse_excitations(asked: Sequence[Experiment]) -> None:
 
 def concluded(
     experiment: Experiment,
-    runs: Sequence[Run],
+    runs: Sequence[RealisationRun],
     *,
     method: Method = "periodic",
     signal: Signal = "count",
@@ -430,17 +437,17 @@ def recorded_impedance(
             remedy="give the recordings of one result of `impedance`",
         )
     runs = [
-        Run(record_of(one, experiment), saturated=bound_share(one))
+        RealisationRun(record_of(one, experiment), saturated=bound_share(one))
         for one, experiment in zip(attempts.values(), experiments, strict=True)
     ]
     paths = tuple(one.path for one in recordings if one.path is not None)
     return concluded(experiments[0], runs, method=method, signal="count", judging=judging, recordings=paths)
 
 
-def known_device(experiment: Experiment) -> Device:
+def known_device(experiment: Experiment) -> RigidRig:
     """Mass, damping and back-EMF of the rig, as its file says."""
     mechanics, amplifier = experiment.rig.mechanics, experiment.rig.amplifier
-    return Device(
+    return RigidRig(
         inertia=mechanics.motor_inertia + mechanics.loaded_link_inertia,
         damping=mechanics.motor_damping + mechanics.link_damping,
         back_emf=amplifier.back_emf,
@@ -457,7 +464,9 @@ def expected(experiment: Experiment, lines_hz: Floats, signal: Signal = "count")
         return None
 
 
-def _recorded_whole(trials: Trials, experiment: Experiment, realisation: int) -> tuple[Run, list[Path]]:
+def _recorded_whole(
+    trials: Trials, experiment: Experiment, realisation: int
+) -> tuple[RealisationRun, list[Path]]:
     """One realisation, again if samples of it were lost: a period with a hole is none."""
     paths: list[Path] = []
     while True:
@@ -470,7 +479,7 @@ def _recorded_whole(trials: Trials, experiment: Experiment, realisation: int) ->
             paths.append(error.recording)
 
 
-def _recorded(trials: Trials, experiment: Experiment, realisation: int) -> tuple[Run, Path]:
+def _recorded(trials: Trials, experiment: Experiment, realisation: int) -> tuple[RealisationRun, Path]:
     """One realisation as a recorded trial."""
     trial = config.as_mapping(experiment)["trial"]
     done = trials.run(
@@ -484,13 +493,13 @@ def _recorded(trials: Trials, experiment: Experiment, realisation: int) -> tuple
         if not (len(rows) and thrown_out(recording) == THREW_OUT["out_of_window"]):
             raise done.error
         ended_s = len(rows) / experiment.controller.position_rate
-        return Run(None, done.error.message, ended_s, bound_share(recording)), done.recorded.path
+        return RealisationRun(None, done.error.message, ended_s, bound_share(recording)), done.recorded.path
     try:
         record = record_of(done.recording, done.experiment)
     except RecordingError as error:
         error.recording = done.path
         raise
-    return Run(record, saturated=bound_share(done.recording)), done.path
+    return RealisationRun(record, saturated=bound_share(done.recording)), done.path
 
 
 def write_results(results: Sequence[ImpedanceResult], directory: Path) -> tuple[Path, Path]:

@@ -12,7 +12,7 @@ from typing import Any
 from rig.config import Experiment
 from rig.config.schemes import Scheme
 from rig.control.verdict import CRITERIA
-from rig.experiments.searches import Search
+from rig.experiments.searches import StiffnessSearch
 from rig.experiments.zwidth import Boundary, MapPlan, ZWidth
 
 RATES = (100, 200, 500, 1000, 2000, 5000, 10_000, 20_000, 50_000)  # Hz, the paper's range
@@ -68,7 +68,7 @@ def undamped_schemes(rates: Sequence[int] = RATES) -> tuple[Scheme, ...]:
 
 def kmax_plan(
     experiment: Experiment,
-    search: Search,
+    search: StiffnessSearch,
     *,
     rates: Sequence[int] = RATES,
     offsets: Sequence[float] = (0.1, 0.6),

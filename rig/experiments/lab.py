@@ -374,7 +374,7 @@ def design(
         Ctrl-C; what is done stays in the directory.
     """
     held = _held(experiment, changes_of(settings, Settings))
-    request = designing.Request(
+    request = designing.DesignRequest(
         experiment=held,
         wishes=designing.Wishes(
             goal=goal, wall=must_be_stable, fidelity_hz=fidelity_to, noise=most_noise, cost=most_cost

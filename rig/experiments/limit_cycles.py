@@ -67,7 +67,7 @@ class Cycle:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Held:
+class HeldWall:
     """One wall held at rest: predicted and simulated."""
 
     scheme: str
@@ -101,7 +101,7 @@ class Errors:
     frequency: tuple[float, float]
 
     @classmethod
-    def of(cls, walls: Sequence[Held]) -> Errors:
+    def of(cls, walls: Sequence[HeldWall]) -> Errors:
         """Errors of walls that have both cycles."""
 
         def spread(errors: list[float]) -> tuple[float, float]:
@@ -147,7 +147,7 @@ class LimitCycles(Shown):
     """Every wall, without friction and with it."""
 
     rig: str
-    walls: tuple[Held, ...]
+    walls: tuple[HeldWall, ...]
 
     @reported
     def tallies(self) -> tuple[Tally, ...]:
@@ -236,7 +236,7 @@ def limit_cycles(
             )
     bare = replace(experiment, trial=replace(experiment.trial, kind="constant-effort"))
     chosen = tuple(schemes) or theory.default_schemes(bare)
-    held: list[Held] = []
+    held: list[HeldWall] = []
     for scheme in chosen:
         loop = theory.linear_loop(bare, scheme)
         held += [
@@ -262,8 +262,8 @@ def _held(
     stiffness: float,
     damping: float,
     friction: bool,
-) -> Held:
-    return Held(
+) -> HeldWall:
+    return HeldWall(
         scheme=label,
         damping=damping,
         stiffness=stiffness,

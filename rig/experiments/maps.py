@@ -27,7 +27,7 @@ from rig.experiments.results import make_directory, write_document, write_table
 from rig.experiments.table_one import table_one
 from rig.experiments.zwidth import MapPlan, Series, ZWidth
 from rig.experiments.zwidth_frequency import FrequencyMap, FrequencyPlan, run_column
-from rig.experiments.zwidth_rig import Session, zwidth_on_rig
+from rig.experiments.zwidth_rig import DeviceMap, zwidth_on_rig
 from rig.recording.files import plain_errors
 from rig.recording.seal import SEALED_SUFFIX
 
@@ -160,7 +160,7 @@ def compare_into(
     return found
 
 
-def map_on_rig(plan: MapPlan, directory: Path, session: Session) -> ZWidth:
+def map_on_rig(plan: MapPlan, directory: Path, session: DeviceMap) -> ZWidth:
     """Map a device and keep everything in a directory; errors as `rig.experiments.zwidth_rig.zwidth_on_rig`."""
     _write_plan(plan, directory, session.where.url)
     found = zwidth_on_rig(plan, session, journal=directory / JOURNAL)

@@ -22,7 +22,7 @@ from rig.core.errors import ConfigError, DeviceFaultError, PlanError, RigError
 from rig.core.keyword import Keyword
 from rig.core.sample import Phase, RowFlag, unit_of
 from rig.devices.framed import FramedDevice
-from rig.experiments.identify_motions import RATE_STEP, REST_S, Motion, coulomb_of, inertia_of
+from rig.experiments.identify_motions import RATE_STEP, REST_S, IdentificationMotion, coulomb_of, inertia_of
 from rig.experiments.settings import RigRequest
 from rig.experiments.trial import TrialRequest, end_of, prepared_on, run_trial
 from rig.loop.layout import EndReason
@@ -80,7 +80,7 @@ def position_now(device: FramedDevice, x: Experiment, reference_count: int) -> f
 
 def run_motion(
     device: FramedDevice,
-    motion: Motion,
+    motion: IdentificationMotion,
     recording: Path,
     *,
     verified: bool,

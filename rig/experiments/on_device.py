@@ -21,7 +21,7 @@ from rig.devices.local import opened
 from rig.experiments.hit import HitRequest, Recorded, hit, left_by
 from rig.experiments.zero import position_zero
 from rig.realtime import stop_requests
-from rig.realtime.stop_requests import Series
+from rig.realtime.stop_requests import RunSeries
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,7 +68,7 @@ class Trials:
     where: OnDevice
     device: FramedDevice | None
     reference_count: int | None
-    series: Series = field(default_factory=Series)
+    series: RunSeries = field(default_factory=RunSeries)
 
     def run(
         self,

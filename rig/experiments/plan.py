@@ -82,7 +82,11 @@ def is_linked(url: str | None, *, realtime: bool, round_trip_s: float | None) ->
 
 
 def plan_of(
-    run: controller.Run, *, linked: bool = False, round_trip_s: float | None = None, board: str = BOARD
+    run: controller.PreparedRun,
+    *,
+    linked: bool = False,
+    round_trip_s: float | None = None,
+    board: str = BOARD,
 ) -> Plan:
     """List and check a prepared run; one that is `linked` also as `delay_checks` do, which say what they raise.
 
@@ -236,7 +240,7 @@ def _batch_check(x: Experiment, usable: float) -> Check:
     )
 
 
-def device_checks(run: controller.Run, dictionary: Dictionary) -> list[Check]:
+def device_checks(run: controller.PreparedRun, dictionary: Dictionary) -> list[Check]:
     """Whether a device takes the limits of a run, and has the law, where it is to run one.
 
     Parameters
@@ -284,7 +288,7 @@ def device_checks(run: controller.Run, dictionary: Dictionary) -> list[Check]:
 
 
 @dataclass(frozen=True, slots=True)
-class Impact:
+class PredictedImpact:
     """Hit of a rigid, undamped mass: velocity at the wall, deepest penetration, effort of the spring there."""
 
     velocity: float
@@ -292,7 +296,7 @@ class Impact:
     peak_effort: float
 
 
-def predict_impact(experiment: Experiment) -> Impact:
+def predict_impact(experiment: Experiment) -> PredictedImpact:
     """Energy balance: the push works along the approach, against Coulomb friction; the spring takes it all.
 
     A person's hand is taken to follow what it wants without lag, and to be too soft to bring its own mass to bear.
@@ -307,10 +311,10 @@ def predict_impact(experiment: Experiment) -> Impact:
         net = max(0.0, push - mechanics.motor_coulomb - mechanics.link_coulomb)
         velocity = math.sqrt(2.0 * net * distance / inertia)
     if wall.stiffness == 0.0:
-        return Impact(velocity, math.inf, 0.0)
+        return PredictedImpact(velocity, math.inf, 0.0)
     rest = push / wall.stiffness
     peak = rest + math.sqrt(rest**2 + inertia * velocity**2 / wall.stiffness)
-    return Impact(velocity, peak, wall.stiffness * peak)
+    return PredictedImpact(velocity, peak, wall.stiffness * peak)
 
 
 def _way_of_the_hand(x: Experiment, distance: float) -> float:
@@ -513,7 +517,7 @@ def _slower_changes(x: Experiment, velocity: float) -> dict[str, float]:
     return {"trial.effort": x.wall.side * float(f"{push:.3g}"), **softer}
 
 
-def _stiffer_changes(x: Experiment, hit: Impact) -> dict[str, float]:
+def _stiffer_changes(x: Experiment, hit: PredictedImpact) -> dict[str, float]:
     """The stiffness that stops the handle within the window."""
     limits = x.rig.limits
     end = limits.position_maximum if x.wall.side > 0 else limits.position_minimum

@@ -39,7 +39,7 @@ class Plan(Shown):
     repeats: int
     steps: tuple[Step, ...]
     checks: tuple[Check, ...]
-    run: controller.Run | None = field(default=None, repr=False)
+    run: controller.PreparedRun | None = field(default=None, repr=False)
 
     @reported
     def duration_s(self) -> float:

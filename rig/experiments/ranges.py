@@ -27,7 +27,7 @@ from rig.experiments.impedance import Judging
 from rig.experiments.kmax import KMax, undamped_schemes
 from rig.experiments.on_the_drive import is_on_the_drive
 from rig.experiments.plan import make_plan, predict_impact
-from rig.experiments.searches import Search, Way
+from rig.experiments.searches import StiffnessSearch, Way
 from rig.experiments.zwidth import OFFSETS, Judged, MapPlan
 from rig.experiments.zwidth_frequency import FrequencyPlan
 
@@ -102,7 +102,7 @@ def search_for(
     span: float = SPAN,
     schemes: Sequence[Scheme] = (),
     on_device: bool = False,
-) -> Search:
+) -> StiffnessSearch:
     """Return rungs up to what the push can show and down to well below the linear limits, unless bounds are given.
 
     The lowest stiffness is the highest over `span`, or less: a fourth of the lowest linear limit at B = 0 among the
@@ -136,7 +136,7 @@ def search_for(
             while ratio > 1.0 and 0.0 < lowest * ratio <= top and not _stays_in_window(experiment, lowest):
                 lowest *= ratio
     try:
-        return Search(way=way, lowest=lowest, highest=top, ratio=ratio)
+        return StiffnessSearch(way=way, lowest=lowest, highest=top, ratio=ratio)
     except ValueError as error:
         raise PlanError(
             f"{error} (`stiffness`, `ratio`)", remedy="choose bounds and a ratio that make some rungs"
@@ -217,7 +217,7 @@ def hit_plan(
     schemes: Sequence[Scheme] = (),
     *,
     dampings: Sequence[float] | None = None,
-    search: Search | None = None,
+    search: StiffnessSearch | None = None,
     offsets: Sequence[float] | None = None,
     repeats: int = 1,
     judged: Judged | None = None,

@@ -170,7 +170,7 @@ def reference(
     _refuse_without_index(experiment)
     refuse([check_rig(config.rig_model(still(experiment)), device.dictionary)])
     x = config.override(experiment, at_own_rate(experiment, device), "reference")
-    search = _Search(device, x, output, tell or (lambda text: None), verified=verified)
+    search = _IndexSearch(device, x, output, tell or (lambda text: None), verified=verified)
     if by_hand:
         index_count, switch_count, passed = search.by_hand()
     else:
@@ -209,7 +209,7 @@ def _refuse_without_index(x: Experiment) -> None:
 _Found = tuple[int, int | None, int | None]  # counts: of the index, of the switch, to the next index
 
 
-class _Search:
+class _IndexSearch:
     """One search on an open device, in counts; positions are from a zero that nobody knows yet."""
 
     def __init__(

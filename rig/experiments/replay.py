@@ -18,7 +18,7 @@ from firmware_protocol.connection import State
 from rig import config
 from rig.config import controller
 from rig.control.law import Law
-from rig.control.step import DONE, Controller
+from rig.control.step import DONE, ControllerState
 from rig.core.drawn import Drawn
 from rig.core.errors import LawError, RecordingError
 from rig.core.present import Item, Row, reported
@@ -121,7 +121,7 @@ def replay(
 
 
 def state_before(recording: Recording, row: int) -> dict[str, Any]:
-    """The controller as it stood before a row, found by replaying the ones before; `Controller.as_mapping`.
+    """The controller as it stood before a row, found by replaying the ones before; `ControllerState.as_mapping`.
 
     Raises `RecordingError` for a recording that has no replay up to there, `ConfigError` and `LawError` as `replay`.
     """
@@ -131,7 +131,7 @@ def state_before(recording: Recording, row: int) -> dict[str, Any]:
 
 
 def _run(
-    bundle: Controller, recorded: NDArray[np.void], replayed: NDArray[np.void], sets: NDArray[np.float64]
+    bundle: ControllerState, recorded: NDArray[np.void], replayed: NDArray[np.void], sets: NDArray[np.float64]
 ) -> None:
     try:
         replay_rows(bundle.arguments(), recorded, replayed, sets)
@@ -167,7 +167,7 @@ def _sets(recording: Recording, changes: Mapping[str, Any] | None, law: Law | No
     return np.array(rows, dtype=np.float64) if rows else NO_SETS
 
 
-def _controller(recording: Recording, changes: Mapping[str, Any] | None, law: Law | None) -> Controller:
+def _controller(recording: Recording, changes: Mapping[str, Any] | None, law: Law | None) -> ControllerState:
     refuse_counts(recording)
     initial, facts = recording.header["initial_state"], cut_facts(recording)
     if facts is not None and (not initial or (facts["first_tick"] and (changes or law))):
@@ -178,7 +178,7 @@ def _controller(recording: Recording, changes: Mapping[str, Any] | None, law: La
             remedy=f"replay the recording that it was cut from: {facts['recording']}",
         )
     if not changes:
-        return Controller.from_mapping(initial, law=law)
+        return ControllerState.from_mapping(initial, law=law)
     experiment = config.override(experiment_of(recording), changes, "replay")
     quantum = recording.header["identity"].get("current_quantum_a")
     reference = initial.get("control", {}).get("reference_count")

@@ -94,7 +94,7 @@ def drive(search: Generator[Wall, Answer, Found], test: Callable[[Wall], Answer]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Search:
+class StiffnessSearch:
     """Rungs of equal ratio from the lowest stiffness to the highest, and the way through them."""
 
     way: Way = "ladder"

@@ -37,7 +37,7 @@ POINTS = 4  # common walls that are shown
 
 
 @dataclass(frozen=True, slots=True)
-class Island:
+class PassiveIsland:
     """Passive walls beyond one that is not: a damping, and the lowest and the highest stiffness."""
 
     damping: float
@@ -75,7 +75,7 @@ class FrequencyWidth:
     worst_stiffness: float
     worst_damping: float
     cells: int
-    islands: tuple[Island, ...]
+    islands: tuple[PassiveIsland, ...]
     gaps: tuple[float, ...]
     stiffness_capped: bool
     damping_capped: bool
@@ -105,7 +105,7 @@ class FrequencyWidth:
             worst_damping=float(b[row]) if some else math.nan,
             cells=int(region.sum()),
             islands=tuple(
-                Island(float(damping), low, high)
+                PassiveIsland(float(damping), low, high)
                 for damping, column in zip(dampings, passive.tolist(), strict=True)
                 for low, high in limit_of(dict(zip(map(float, stiffnesses), column, strict=True))).islands
             ),

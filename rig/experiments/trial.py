@@ -23,9 +23,9 @@ from firmware_protocol.messages import MAJOR, MINOR
 from firmware_protocol.parameter import Value
 from rig.config import Experiment, as_mapping, device_law, rig_model
 from rig.config import controller as controllers
-from rig.config.controller import Run
+from rig.config.controller import PreparedRun
 from rig.control.law import Law
-from rig.control.step import Controller
+from rig.control.step import ControllerState
 from rig.core.board import current_sensor
 from rig.core.clock_fit import ClockFit, as_exchanges, fit_if_possible
 from rig.core.errors import RigError, StoppedError
@@ -72,7 +72,7 @@ Progress = Callable[[int, int], None]
 class TrialRequest:
     """What a trial needs to know besides the device: the run, where its recording goes, and who may interfere."""
 
-    run: Run
+    run: PreparedRun
     recording: Path
     seed: int
     progress: Progress | None = None
@@ -127,7 +127,7 @@ def prepared_on(
     verified: bool = False,
     reference_count: int = 0,
     law: Law | None = None,
-) -> Run:
+) -> PreparedRun:
     """Prepare a run for an open device; see `rig.config.controller.prepared`.
 
     A reference count that is the device's own (`rig.experiments.reference`) is said to be one. Raises `PlanError` for a
@@ -256,7 +256,7 @@ def _arm(
     device: FramedDevice,
     request: TrialRequest,
     thread: Callable[..., LoopThread],
-    controller: Controller,
+    controller: ControllerState,
     ring: Ring,
     realtime: Realtime,
     signals: Signals,
@@ -309,7 +309,7 @@ def _switch_rule(experiment: Experiment, *, leaves: bool) -> int:
     return 1 + math.ceil(BOUNCE_S * experiment.controller.position_rate) if leaves else 1
 
 
-def _loop_of(run: Run, link: Link) -> Callable[..., LoopThread]:
+def _loop_of(run: PreparedRun, link: Link) -> Callable[..., LoopThread]:
     """The thread of the loop, for a law here or on the device, with all that it runs compiled."""
     rates = run.experiment.controller
     if rates.loop == "host":
@@ -416,7 +416,7 @@ def _too_old_since(rows: NDArray[np.void]) -> bool:
 def _header(
     device: FramedDevice,
     request: TrialRequest,
-    controller: Controller,
+    controller: ControllerState,
     echo: Echo,
     realtime: Realtime,
     clock: ClockFit | None,
@@ -450,7 +450,7 @@ def _header(
     )
 
 
-def _where_the_law_runs(experiment: Experiment, controller: Controller, echo: Echo) -> dict[str, Any]:
+def _where_the_law_runs(experiment: Experiment, controller: ControllerState, echo: Echo) -> dict[str, Any]:
     """What the header says of it, with the wall that a device makes of ours; its parameters stand in its identity."""
     rates = experiment.controller
     if rates.loop == "host":

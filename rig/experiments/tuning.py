@@ -57,7 +57,7 @@ OBJECTIVES: dict[str, Callable[[Case, Floats], float]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Range:
+class SettingRange:
     """Where a tuned setting may lie, the others held, before the objective is a tenth worse.
 
     `open_below` and `open_above` say that the search ended there, not the range.
@@ -88,7 +88,7 @@ class Tuning:
     settings: Settings
     objective_start: float
     objective_best: float
-    ranges: tuple[Range, ...]
+    ranges: tuple[SettingRange, ...]
     before: Score
     after: Score
     evaluations: int
@@ -150,7 +150,7 @@ def tune_estimator(
         raise ConfigError(
             f"there is no objective {objective!r}", remedy=f"choose one of: {', '.join(OBJECTIVES)}"
         )
-    search = _Search(estimators.get(estimator), case, OBJECTIVES[objective], dict(settings or {}))
+    search = _TuningWalk(estimators.get(estimator), case, OBJECTIVES[objective], dict(settings or {}))
     search.open(free)
     best = search.plain(search.descend())
     return Tuning(
@@ -201,7 +201,7 @@ class _Axis:
         return (value - self.low) / (self.high - self.low)
 
 
-class _Search:
+class _TuningWalk:
     """The objective as a function of settings, the axes that are free, and the walk along them."""
 
     def __init__(
@@ -323,7 +323,7 @@ class _Search:
                 best[i] = start
         return best
 
-    def range_of(self, i: int, best: Floats) -> Range:
+    def range_of(self, i: int, best: Floats) -> SettingRange:
         """Walk from the optimum both ways along one axis until the objective is a tenth worse."""
         axis, limit = self.axes[i], (1.0 + WITHIN) * self.value(self.settings_at(best))
         ends, opened = [], []
@@ -345,7 +345,7 @@ class _Search:
                     inside = middle
             ends.append(axis.value(inside))
             opened.append(outside is None)
-        return Range(
+        return SettingRange(
             axis.setting.name,
             axis.setting.unit,
             axis.value(float(best[i])),
@@ -361,7 +361,7 @@ class _Search:
         return self.value(self.settings_at(point))
 
 
-def shown_range(found: Range) -> str:
+def shown_range(found: SettingRange) -> str:
     """Say a range in words."""
     low, high, unit = f"{found.low:.4g}", f"{found.high:.4g}", "" if found.unit == "1" else f" {found.unit}"
     if found.open_below and found.open_above:

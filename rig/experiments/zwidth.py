@@ -36,7 +36,15 @@ from rig.experiments import sweep
 from rig.experiments.hit_simulator import HitSimulator
 from rig.experiments.plan import stands_for_device
 from rig.experiments.rendering import RENDERED, rendered_share
-from rig.experiments.searches import Extent, Outcomes, Search, StiffnessLimit, check_values, drive, limit_of
+from rig.experiments.searches import (
+    Extent,
+    Outcomes,
+    StiffnessLimit,
+    StiffnessSearch,
+    check_values,
+    drive,
+    limit_of,
+)
 
 Judged = Literal["true", "recorded"]
 OFFSETS = (0.1, 0.6)  # places of zero that a map takes unless told otherwise
@@ -86,7 +94,7 @@ class MapPlan:
     experiment: Experiment
     schemes: tuple[Scheme, ...]
     dampings: tuple[float, ...]
-    search: Search
+    search: StiffnessSearch
     offsets: tuple[float, ...] = OFFSETS
     repeats: int = 1
     judged: Judged = "recorded"
@@ -156,7 +164,7 @@ class MapPlan:
             experiment=config.experiment_from_mapping(mapping["experiment"], where),
             schemes=tuple(Scheme.parse(text) for text in mapping["schemes"]),
             dampings=tuple(mapping["dampings"]),
-            search=Search(**mapping["search"]),
+            search=StiffnessSearch(**mapping["search"]),
             offsets=tuple(mapping["offsets"]),
             repeats=mapping["repeats"],
             judged=mapping["judged"],
@@ -179,7 +187,7 @@ def run_series(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
         rows.append({"stiffness": stiffness} | row_of(done.recorded, "") | row_of(done.true, TRUE))
         return outcomes_of(rows[-1], payload["judged"])
 
-    drive(Search(**payload["search"]).walk(payload["criteria"]), hit)
+    drive(StiffnessSearch(**payload["search"]).walk(payload["criteria"]), hit)
     return rows
 
 

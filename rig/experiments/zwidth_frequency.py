@@ -34,7 +34,7 @@ from rig.core.present import Item, Row, plain
 from rig.core.sample import unit_of
 from rig.core.shown import Shown
 from rig.experiments import sweep
-from rig.experiments.excitation_run import ExcitedRig, Run, Signal
+from rig.experiments.excitation_run import ExcitedRig, RealisationRun, Signal
 from rig.experiments.impedance import ImpedanceResult, Judging, concluded, refuse_excitations
 from rig.experiments.searches import check_values
 
@@ -164,7 +164,7 @@ def wall_rows(
 ) -> Iterator[dict[str, Any]]:
     """Excite one wall: a row for each realisation, and one for all of them together."""
     wall = walled.wall
-    runs: list[Run] = []
+    runs: list[RealisationRun] = []
     for realisation in range(walled.excitation.realisations):
         runs.append(bench.excite(wall.stiffness, wall.damping, realisation))
         yield _row(concluded(walled, runs[-1:], signal=signal, judging=judging), realisation, 1)

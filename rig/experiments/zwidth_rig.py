@@ -27,7 +27,7 @@ from rig.experiments.admission import admission_checks
 from rig.experiments.hit import Recorded
 from rig.experiments.judgement import out_of_time, thrown_out
 from rig.experiments.on_device import Ended, OnDevice, Trials, examined
-from rig.experiments.searches import Outcomes, Search, drive
+from rig.experiments.searches import Outcomes, StiffnessSearch, drive
 from rig.experiments.trial import prepared_on
 from rig.experiments.zwidth import TRUE, MapPlan, ZWidth, outcomes_of, row_of
 from rig.recording.data import Recording
@@ -52,7 +52,7 @@ class Next:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Session:
+class DeviceMap:
     """What a map on a device needs beside its plan.
 
     Attributes
@@ -73,7 +73,7 @@ class Session:
     pause: Callable[[float], None] = field(default=time.sleep)
 
 
-def zwidth_on_rig(plan: MapPlan, session: Session, *, journal: Path | None = None) -> ZWidth:
+def zwidth_on_rig(plan: MapPlan, session: DeviceMap, *, journal: Path | None = None) -> ZWidth:
     """Map a device.
 
     Raises
@@ -106,7 +106,7 @@ def zwidth_on_rig(plan: MapPlan, session: Session, *, journal: Path | None = Non
                 total=len(tasks),
             )
             try:
-                return hits.series(plan.experiment_of(one), Search(**task.payload["search"]), first)
+                return hits.series(plan.experiment_of(one), StiffnessSearch(**task.payload["search"]), first)
             except (KeyboardInterrupt, StoppedError) as stop:
                 raise _stopped(stop, first, journal) from stop
 
@@ -165,11 +165,11 @@ def _check_hits(plan: MapPlan, device: FramedDevice) -> None:
 class _Hits:
     """Hits on an open device, and whether its handle is where the last one should have left it."""
 
-    session: Session
+    session: DeviceMap
     trials: Trials
     thrown_out: bool = False
 
-    def series(self, experiment: Experiment, search: Search, first: Next) -> list[dict[str, Any]]:
+    def series(self, experiment: Experiment, search: StiffnessSearch, first: Next) -> list[dict[str, Any]]:
         rows: list[dict[str, Any]] = []
 
         def one(stiffness: float) -> Outcomes:

@@ -43,7 +43,7 @@ from rig.loop.layout import (
     SHARED_TYPE,
     WORD,
     Buffers,
-    Shared,
+    SharedRing,
 )
 from rig.loop.link_delay import is_delayed
 from rig.loop.parameters import renew_parameters
@@ -147,7 +147,7 @@ def _receive(port: LoopPort, settings: Any, buffers: Buffers, words: int) -> int
     types.int64(PORT_TYPE, CONTROLLER_TYPE, SHARED_TYPE, SETTINGS_TYPE, BUFFERS_TYPE),
 )
 def run(
-    port: LoopPort, controller: ControllerArguments, shared: Shared, settings: Any, buffers: Buffers
+    port: LoopPort, controller: ControllerArguments, shared: SharedRing, settings: Any, buffers: Buffers
 ) -> int:
     """Run until an end reason; then send zero effort several times, and return the reason.
 

@@ -122,7 +122,7 @@ ROWS_TYPE = types.Array(numba.from_dtype(ROW), 1, "C")
 
 
 @group
-class Shared(NamedTuple):
+class SharedRing(NamedTuple):
     """The ring (`rig.realtime.ring`): control words and mailbox (0: none) by address, and the rows."""
 
     words: Address
@@ -197,4 +197,4 @@ class Buffers(NamedTuple):
         )
 
 
-SHARED_TYPE, BUFFERS_TYPE = type_of(Shared), type_of(Buffers)
+SHARED_TYPE, BUFFERS_TYPE = type_of(SharedRing), type_of(Buffers)

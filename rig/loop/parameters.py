@@ -13,7 +13,7 @@ from numba import types
 
 from rig.control.estimators.fdm import count_difference
 from rig.control.step import CONTROL_TYPE, CONTROLLER_TYPE, ControllerArguments
-from rig.loop.layout import BUFFERS_TYPE, FLOATS, SHARED_TYPE, WORD, Buffers, Shared
+from rig.loop.layout import BUFFERS_TYPE, FLOATS, SHARED_TYPE, WORD, Buffers, SharedRing
 from rig.realtime import ring
 from rig.realtime.atomics import store_word
 from rig.realtime.codec import STATE
@@ -54,7 +54,9 @@ def begin_set(controller: ControllerArguments, buffers: Buffers, tick: int, word
 
 
 @kernel(types.void(CONTROLLER_TYPE, SHARED_TYPE, BUFFERS_TYPE, types.int64))
-def renew_parameters(controller: ControllerArguments, shared: Shared, buffers: Buffers, tick: int) -> None:
+def renew_parameters(
+    controller: ControllerArguments, shared: SharedRing, buffers: Buffers, tick: int
+) -> None:
     """Check the mailbox, and activate the waiting set from this tick on if the handle is in free space."""
     if shared.mailbox == 0:
         return

@@ -19,7 +19,7 @@ from rig.loop.layout import (
     SHARED_TYPE,
     WORD,
     Buffers,
-    Shared,
+    SharedRing,
 )
 from rig.loop.receive import add
 from rig.realtime import ring
@@ -115,7 +115,7 @@ def show_law(rows: Any, slot: int, memory: Any) -> None:
 )
 def leave_row(
     controller: ControllerArguments,
-    shared: Shared,
+    shared: SharedRing,
     settings: Any,
     buffers: Buffers,
     tick: int,

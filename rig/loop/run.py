@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 
 from firmware_protocol.faults import Fault, Input
 from rig.control import current
-from rig.control.step import Controller
+from rig.control.step import ControllerState
 from rig.core.board import CurrentSensor
 from rig.devices.device import Link
 from rig.loop import host
 from rig.loop.contradictions import Contradiction
-from rig.loop.layout import EXCHANGES_KEPT, SETTINGS, Buffers, EndReason, Shared
+from rig.loop.layout import EXCHANGES_KEPT, SETTINGS, Buffers, EndReason, SharedRing
 from rig.realtime import ring as words
 from rig.realtime import stop_requests
 from rig.realtime.atomics import read_word
@@ -138,14 +138,14 @@ class LoopThread:
     compiled: ClassVar[tuple[Any, ...]] = (host.run,)  # what thread and supervisor call
 
     @classmethod
-    def prepare(cls, link: Link, controller: Controller) -> None:
+    def prepare(cls, link: Link, controller: ControllerState) -> None:
         """Compile or load all that a run reaches, before the device is armed: inside a loop nothing compiles."""
         prepare(*cls.compiled, *link.port(), *controller.arguments())
 
     def __init__(
         self,
         link: Link,
-        controller: Controller,
+        controller: ControllerState,
         settings: LoopSettings,
         ring: Ring,
         *,
@@ -324,8 +324,8 @@ class LoopThread:
             self._buffers,
         )
 
-    def _shared(self) -> Shared:
-        return Shared(words=self.ring.words.ctypes.data, mailbox=self._mailbox(), rows=self.ring.rows)
+    def _shared(self) -> SharedRing:
+        return SharedRing(words=self.ring.words.ctypes.data, mailbox=self._mailbox(), rows=self.ring.rows)
 
     def _mailbox(self) -> int:
         """Address of the ring's mailbox; 0 for a law with more parameters than a set holds (a recorded excitation)."""

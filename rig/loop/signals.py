@@ -14,7 +14,7 @@ from typing import Any
 
 from rig.realtime import stop_requests
 from rig.realtime.handlers import handled
-from rig.realtime.stop_requests import STOPPING, Series
+from rig.realtime.stop_requests import STOPPING, RunSeries
 
 
 @dataclass(slots=True)
@@ -31,7 +31,7 @@ class Signals:
         What a handler of the caller's own raised, other than KeyboardInterrupt.
     """
 
-    series: Series
+    series: RunSeries
     is_stopped: bool = False
     number: int | None = None
     raised: BaseException | None = None

@@ -58,7 +58,7 @@ from rig.loop.layout import (
     SHARED_TYPE,
     WORD,
     Buffers,
-    Shared,
+    SharedRing,
 )
 from rig.loop.parameter_update import COMMITTED, GRANTED, IDLE, say_update
 from rig.loop.parameters import begin_set
@@ -98,7 +98,7 @@ _ABANDONED = -1
 def _say(
     port: LoopPort,
     control: Any,
-    shared: Shared,
+    shared: SharedRing,
     settings: Any,
     buffers: Buffers,
     supervised: SupervisionBuffers,
@@ -195,7 +195,7 @@ def _show_sample(
 )
 def _run_law(
     controller: ControllerArguments,
-    shared: Shared,
+    shared: SharedRing,
     settings: Any,
     buffers: Buffers,
     supervised: SupervisionBuffers,
@@ -306,7 +306,7 @@ def _shows_stop(newest: Any, supervision: Any) -> int:
 def run(
     port: LoopPort,
     controller: ControllerArguments,
-    shared: Shared,
+    shared: SharedRing,
     settings: Any,
     buffers: Buffers,
     supervised: SupervisionBuffers,

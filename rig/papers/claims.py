@@ -26,7 +26,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from rig.core.present import reported
-from rig.papers.rules import Ruling, Status
+from rig.papers.rules import ClaimStatus, Ruling
 from rig.views.report.template import fill_text
 
 HEAD = re.compile(r"\[([\w-]+)\]")
@@ -41,7 +41,7 @@ class Claim:
     claim: str
     paper: str
     ours: str
-    status: Status
+    status: ClaimStatus
     condition: str
     needs: str
     rule: str
@@ -83,7 +83,7 @@ def _sections(text: str) -> dict[str, dict[str, str]]:
 
 
 def _claim(key: str, ruling: Ruling, texts: Mapping[str, str]) -> Claim:
-    condition = texts.get("only with", ruling.condition) if ruling.status is Status.ONLY_WITH else ""
+    condition = texts.get("only with", ruling.condition) if ruling.status is ClaimStatus.ONLY_WITH else ""
     return Claim(
         key=key,
         status=ruling.status,

@@ -13,16 +13,20 @@ from rig.core.scratch import scratch
 from rig.experiments.sweep import Progress
 from rig.papers.claims import Claim, read_claims
 from rig.papers.parts import Part, Parts, run_parts
-from rig.papers.rules import Ruling, Status
+from rig.papers.rules import ClaimStatus, Ruling
 from rig.recording.files import whole_file
 from rig.views.report.template import data_uris, fill, provenance_lines
 
 OnFailure = Callable[[Exception, str], None]
 CLAIMS, PAGE = "claims.j2", "page.html.j2"  # templates of a paper
-MARKS = {Status.REPRODUCED: "yes", Status.ONLY_WITH: "only", Status.NOT: "no"}  # classes of the style sheet
+MARKS = {
+    ClaimStatus.REPRODUCED: "yes",
+    ClaimStatus.ONLY_WITH: "only",
+    ClaimStatus.NOT: "no",
+}  # classes of the style sheet
 
 
-class Plan(Protocol):
+class ReproductionPlan(Protocol):
     """All parts of the work, by name, and the way back from their results."""
 
     def parts(self) -> dict[str, Part]:
@@ -57,7 +61,7 @@ class Paper:
     name: str
     quick: Any
     full: Any
-    plan: Callable[[Any], Plan]
+    plan: Callable[[Any], ReproductionPlan]
     rulings: Callable[[Any], dict[str, Ruling]]
     words: Callable[[Any], dict[str, Any]]
     numbers: Callable[[Any], dict[str, Any]]
@@ -110,7 +114,7 @@ class Reproduction:
         }
         return dict(plain(mapping))
 
-    def count(self, status: Status) -> int:
+    def count(self, status: ClaimStatus) -> int:
         """How many claims have this status."""
         return sum(claim.status is status for claim in self.claims)
 
@@ -160,7 +164,7 @@ def render(found: Reproduction, pictures: Mapping[str, bytes]) -> str:
         found.paper.template(PAGE),
         reproduction=found,
         marks=MARKS,
-        Status=Status,
+        ClaimStatus=ClaimStatus,
         pictures=data_uris(pictures),
         provenance=provenance_lines(found.provenance),
         data=found.as_mapping(),

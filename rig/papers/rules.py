@@ -23,7 +23,7 @@ Words = TypeVar("Words", bound=tuple[str, ...])
 MOST = 0.9  # of many plants or readings: so many have to agree
 
 
-class Status(StrEnum):
+class ClaimStatus(StrEnum):
     """The verdict on a claim, without its condition."""
 
     REPRODUCED = "reproduced"
@@ -47,7 +47,7 @@ class Ruling:
         What the sentence beside the verdict is made of; in a template ``ruling.name``.
     """
 
-    status: Status
+    status: ClaimStatus
     cases: Mapping[str, bool]
     numbers: Mapping[str, Any]
     conditions: Mapping[str, Sequence[str]] = field(default_factory=dict)
@@ -68,7 +68,7 @@ class Ruling:
     @property
     def condition(self) -> str:
         """The conditions under which a claim held that did not hold in all cases."""
-        return "; ".join(self.sufficient) if self.status is Status.ONLY_WITH else ""
+        return "; ".join(self.sufficient) if self.status is ClaimStatus.ONLY_WITH else ""
 
     @property
     def sufficient(self) -> list[str]:
@@ -86,7 +86,7 @@ class Ruling:
 
     def only(self, **numbers: Any) -> Ruling:
         """The same claim, reproduced only under a condition that is no case of its own."""
-        return replace(self.having(**numbers), status=Status.ONLY_WITH)
+        return replace(self.having(**numbers), status=ClaimStatus.ONLY_WITH)
 
 
 def judge(
@@ -101,10 +101,10 @@ def judge(
     Cases named `decisive`, if any are, stand for all of them. What was not tried is not reproduced.
     """
     needed = list(decisive) or list(cases)
-    found = Ruling(status=Status.NOT, cases=cases, numbers=numbers, conditions=conditions or {})
+    found = Ruling(status=ClaimStatus.NOT, cases=cases, numbers=numbers, conditions=conditions or {})
     if cases and all(cases[name] for name in needed):
-        return replace(found, status=Status.REPRODUCED)
-    return replace(found, status=Status.ONLY_WITH) if found.sufficient else found
+        return replace(found, status=ClaimStatus.REPRODUCED)
+    return replace(found, status=ClaimStatus.ONLY_WITH) if found.sufficient else found
 
 
 def each(cases: Iterable[str]) -> dict[str, list[str]]:

@@ -19,7 +19,7 @@ from rig.realtime import compiling
 from rig.realtime.cache import open_cache
 from rig.realtime.groups import kind_of
 from rig.realtime.handlers import interrupts_later
-from rig.realtime.parts import Compiler, KernelCache
+from rig.realtime.parts import KernelCache, PartCompiler
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -68,7 +68,7 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
     def __init__(self, py_func: Any, locals: Any = None, targetoptions: Any = None) -> None:
         super().__init__(py_func, locals or {}, targetoptions or {})
         pipeline = self._compiler.pipeline_class
-        self._compiler = Compiler(py_func, self.targetdescr, self.targetoptions, self.locals, pipeline)
+        self._compiler = PartCompiler(py_func, self.targetdescr, self.targetoptions, self.locals, pipeline)
         self._parts: dict[Any, tuple[Any, Any]] = {}
         self._plugged: dict[int, tuple[Any, Any]] = {}
 

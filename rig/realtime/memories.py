@@ -29,7 +29,7 @@ VERSION, STOP, LOOP_DONE = 0, 3, 7
 CREATOR = 63
 
 
-class Memory:
+class LoopMemory:
     """The control words of a loop, open until `close`; for a use in ``with``.
 
     Attributes
@@ -81,14 +81,14 @@ class Memory:
             self.words.release()
             self._file.close()
 
-    def __enter__(self) -> Memory:
+    def __enter__(self) -> LoopMemory:
         return self
 
     def __exit__(self, *error: object) -> None:
         self.close()
 
 
-def memories(pid: int | None = None) -> Iterator[Memory]:
+def memories(pid: int | None = None) -> Iterator[LoopMemory]:
     """Each memory once, under the process that made it, or those of one process; the caller closes them.
 
     What vanishes meanwhile is left out.
@@ -97,7 +97,7 @@ def memories(pid: int | None = None) -> Iterator[Memory]:
     for process, path in place.paths(pid):
         try:
             there = os.stat(path)
-            memory = Memory(process, path)
+            memory = LoopMemory(process, path)
         except OSError:
             continue
         if (there.st_dev, there.st_ino) not in known and _made_by(memory):
@@ -107,14 +107,14 @@ def memories(pid: int | None = None) -> Iterator[Memory]:
             memory.close()
 
 
-def _made_by(memory: Memory) -> bool:
+def _made_by(memory: LoopMemory) -> bool:
     try:
         return memory.made_by(memory.pid)
     except OSError:
         return False
 
 
-def ask_to_stop(pid: int | None = None) -> list[Memory]:
+def ask_to_stop(pid: int | None = None) -> list[LoopMemory]:
     """Set the stop words of a process's loops, or of all of this user, and return at once; the caller closes them."""
     asked = []
     for memory in memories(pid):

@@ -49,11 +49,11 @@ class _Linked:
                 continue
             seen.add(id(library))
             yield library
-            if isinstance(library, Part):
+            if isinstance(library, LinkedPart):
                 waiting += reversed(library._linking_libraries)
 
 
-class Part(_Linked, codegen.JITCodeLibrary):  # type: ignore[misc]
+class LinkedPart(_Linked, codegen.JITCodeLibrary):  # type: ignore[misc]
     """Code that waits to be linked into a `Whole`."""
 
     environment: Any = None  # numba knows it by its name alone
@@ -129,13 +129,13 @@ def load_implementations() -> None:
         linalg.ensure_blas = ask  # type: ignore[attr-defined]
 
 
-class Compiler(dispatcher._FunctionCompiler):  # type: ignore[misc,name-defined]
-    """Compiles a function as a `Whole`, which is numba's own way but for the linking, or as a `Part`."""
+class PartCompiler(dispatcher._FunctionCompiler):  # type: ignore[misc,name-defined]
+    """Compiles a function as a `Whole`, which is numba's own way but for the linking, or as a `LinkedPart`."""
 
     def part(self, signature: Any) -> tuple[Any, Any]:
         """Return the signature with its types, and the key by which a caller's code finds the part."""
         args, return_type = sigutils.normalize_signature(signature)
-        result = self._compiled(args, return_type, Part)
+        result = self._compiled(args, return_type, LinkedPart)
         result.library.environment = result.environment
         key = (result.fndesc.unique_name, result.signature)
         self.targetdescr.target_context.insert_user_function(key, result.fndesc, [result.library])
@@ -147,12 +147,12 @@ class Compiler(dispatcher._FunctionCompiler):  # type: ignore[misc,name-defined]
             result.library.codegen.set_env(environment.env_name, environment)
         return result
 
-    def _compiled(self, args: Any, return_type: Any, kind: type[Part | Whole]) -> Any:
+    def _compiled(self, args: Any, return_type: Any, kind: type[LinkedPart | Whole]) -> Any:
         load_implementations()
         target = self.targetdescr
         flags = _Flags()
         target.options.parse_as_flags(flags, self.targetoptions)
-        if kind is Part:
+        if kind is LinkedPart:
             flags.no_compile = flags.no_cpython_wrapper = flags.no_cfunc_wrapper = True
         library = kind(target.target_context.codegen(), self.py_func.__qualname__)
         library.enable_object_caching()

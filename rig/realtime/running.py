@@ -95,7 +95,7 @@ def running(*, done: bool = False) -> list[RunningLoop]:
 
 
 def stop(
-    pid: int | None = None, *, asked: list[memories.Memory] | None = None, patience_s: float = PATIENCE_S
+    pid: int | None = None, *, asked: list[memories.LoopMemory] | None = None, patience_s: float = PATIENCE_S
 ) -> list[StoppedLoop]:
     """Stop the loop of a process, or all loops of this user: zero effort within one tick of each.
 
@@ -222,7 +222,7 @@ def opened(loop: RunningLoop) -> Iterator[Ring]:
         yield ring
 
 
-def _look(memory: memories.Memory, ring: Ring) -> RunningLoop:
+def _look(memory: memories.LoopMemory, ring: Ring) -> RunningLoop:
     version = ring.peek(VERSION)
     ours = version == LAYOUT_VERSION
     phase = ring.peek(PHASE) if ours else -1

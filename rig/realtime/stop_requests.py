@@ -209,7 +209,7 @@ def request(number: int = 0) -> int:
     return int(_add_request(_process().table, number))
 
 
-class Series:
+class RunSeries:
     """Runs that belong together: a request ends them all, also one that comes between two of them.
 
     As a context manager it holds for the runs that this thread makes inside; the outermost one counts.
@@ -221,11 +221,11 @@ class Series:
     """
 
     def __init__(self) -> None:
-        outer: Series | None = getattr(_outer, "series", None)
+        outer: RunSeries | None = getattr(_outer, "series", None)
         self.since: int = count() if outer is None else outer.since
         self._before = outer
 
-    def __enter__(self) -> Series:
+    def __enter__(self) -> RunSeries:
         self._before = getattr(_outer, "series", None)
         _outer.series = self._before or self
         return self
@@ -245,16 +245,16 @@ class Series:
 
 
 @contextmanager
-def listening() -> Iterator[Series]:
+def listening() -> Iterator[RunSeries]:
     """Count signals while this lasts, between runs too; yields the series of these runs.
 
     In the main thread Python's own handlers act between runs.
     """
     if threading.current_thread() is threading.main_thread():
-        yield Series()
+        yield RunSeries()
     else:
         with _hooked(_process()):
-            yield Series()
+            yield RunSeries()
 
 
 @contextmanager
@@ -289,14 +289,14 @@ def renew() -> None:
 
 
 @contextmanager
-def run() -> Iterator[Series]:
+def run() -> Iterator[RunSeries]:
     """Count signals during one run, from before it arms a device until its recording is sealed; yields its series.
 
     The end of the program waits for it, and so does a signal whose default action would end the process.
     """
     process = _process()
     with _hooked(process):
-        series = Series()
+        series = RunSeries()
         with process.lock:
             _count_runs(process, +1)
         try:

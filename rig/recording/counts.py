@@ -106,7 +106,7 @@ def read_counts(
         )
     if seconds is None:
         assert period_s is not None
-        grid = Grid(rows - rows[0], period_s, 0.0, 0.0)
+        grid = SampleGrid(rows - rows[0], period_s, 0.0, 0.0)
         device_s = np.asarray(grid.index * period_s, dtype=np.float64)
     else:
         device_s = seconds[rows] - seconds[rows[0]]
@@ -175,7 +175,7 @@ def count_rows(facts: Mapping[str, Any], motion: Motion) -> list[Row]:
 
 
 @dataclass(frozen=True)
-class Grid:
+class SampleGrid:
     """Place of each sample on a regular grid, its period, and how far intervals deviate from it (in periods)."""
 
     index: Ints
@@ -297,7 +297,7 @@ def _seconds(path: Path, name: str | int, column: Any, unit_s: float) -> tuple[F
     return values * unit_s, known & np.isfinite(values)
 
 
-def _grid(path: Path, time_s: Floats, rows: Ints) -> Grid:
+def _grid(path: Path, time_s: Floats, rows: Ints) -> SampleGrid:
     """Find the grid of times (s, from 0); rows of the file name samples in errors."""
     intervals = np.diff(time_s)
     back = np.flatnonzero(intervals <= 0.0)
@@ -324,14 +324,14 @@ def _grid(path: Path, time_s: Floats, rows: Ints) -> Grid:
             remedy="sample by a steady clock; if only the stamps are irregular, leave time out and give period_s",
         )
     index = np.concatenate(([0], np.cumsum(periods))).astype(np.int64)
-    return Grid(index, period_s, float(deviation.max()), float(np.sqrt(np.mean(np.square(deviation)))))
+    return SampleGrid(index, period_s, float(deviation.max()), float(np.sqrt(np.mean(np.square(deviation)))))
 
 
 def _recording(
     path: Path,
     motion: Motion,
     facts: dict[str, Any],
-    grid: Grid,
+    grid: SampleGrid,
     device_s: Floats,
     counts: Ints,
     elapsed: Ints,

@@ -17,7 +17,7 @@ from rig.core.sample import Motion, unit_of
 from rig.devices.framed import FramedDevice
 from rig.session.conditions import Walls, own_rates
 from rig.session.protocol import BLINDED
-from rig.session.runner import RefusedWalls, TrialRunner, Wall
+from rig.session.runner import RefusedWalls, SessionWall, TrialRunner
 from rig.session.schedule import levels_of
 
 CONSENT = (
@@ -26,7 +26,7 @@ CONSENT = (
 )
 
 
-def walls_of(walls: Walls) -> Iterator[Wall]:
+def walls_of(walls: Walls) -> Iterator[SessionWall]:
     """Every wall that a session may ask for, practice too; of a condition and damping all one after the other."""
     protocol = walls.protocol
     practised = protocol.practice.condition or protocol.condition[0].name
@@ -38,7 +38,7 @@ def walls_of(walls: Walls) -> Iterator[Wall]:
             x = walls.at(condition, damping, max(stiffness))
             for level in sorted(stiffness):
                 under = replace(x, wall=replace(x.wall, stiffness=level))
-                yield Wall(condition=condition.name, experiment=under, changes=own_rates(condition, x))
+                yield SessionWall(condition=condition.name, experiment=under, changes=own_rates(condition, x))
 
 
 def refusals(

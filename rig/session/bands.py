@@ -20,7 +20,7 @@ from rig.core.sample import Motion, Phase, unit_of
 from rig.recording.data import Recording
 from rig.session.protocol import Band, Trial
 from rig.session.reasons import outside
-from rig.session.trial import Hit
+from rig.session.trial import HitOutcome
 
 # Key of the protocol: the quantity that it is of, its number in a hit's, and what it is called.
 BANDS: Mapping[str, tuple[str, str, str]] = {
@@ -46,7 +46,7 @@ def press_of(recording: Recording, experiment: Experiment) -> float | None:
     return -experiment.wall.side * float(tail.mean()) if len(tail) else None
 
 
-def judged(hit: Hit, trial: Trial, motion: Motion) -> Hit:
+def judged(hit: HitOutcome, trial: Trial, motion: Motion) -> HitOutcome:
     """The hit with what of it lies outside the bands, and invalid because of that where the protocol says so."""
     found = () if hit.automatic == Kind.INVALID else tuple(_outside(hit, trial, motion))
     if not found or trial.outside == "keep":
@@ -60,7 +60,7 @@ def judged(hit: Hit, trial: Trial, motion: Motion) -> Hit:
     )
 
 
-def _outside(hit: Hit, trial: Trial, motion: Motion) -> Iterator[str]:
+def _outside(hit: HitOutcome, trial: Trial, motion: Motion) -> Iterator[str]:
     for name, (quantity, number, _) in BANDS.items():
         band, value = getattr(trial, name), hit.numbers.get(number)
         if not band or value is None or (name == "press" and hit.automatic == Kind.UNSTABLE):

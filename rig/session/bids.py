@@ -25,7 +25,7 @@ from rig.recording.header import checkout
 from rig.recording.reader import open_recording
 from rig.session import bids_motion
 from rig.session.analysis.rows import TrialRow
-from rig.session.analysis.study import Session, Study
+from rig.session.analysis.study import Study, StudySession
 from rig.session.analysis.trials import trials_of
 from rig.session.bids_motion import EVENTS, MISSING, TASK, TRACKSYS, Channel
 from rig.session.names import distinct_names
@@ -58,7 +58,7 @@ _EVENT_COLUMNS: Mapping[str, Mapping[str, Any]] = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Options:
+class BidsOptions:
     """How a dataset is written.
 
     Attributes
@@ -88,7 +88,7 @@ class Dataset:
 
 
 def export_bids(
-    study: Study, directory: Path, options: Options | None = None, watch: Watch | None = None
+    study: Study, directory: Path, options: BidsOptions | None = None, watch: Watch | None = None
 ) -> Dataset:
     """Write a dataset; the directory appears when all of it is there.
 
@@ -99,7 +99,7 @@ def export_bids(
     directory
         Made; must not exist.
     options
-        See `Options`.
+        See `BidsOptions`.
     watch
         Called with how many recordings are done, and of how many.
 
@@ -111,7 +111,7 @@ def export_bids(
         The directory exists, a recording cannot be read, or the disk refuses. What is missing or was changed is
         left out and named.
     """
-    options = options or Options()
+    options = options or BidsOptions()
     if options.every < 1:
         raise ConfigError(f"every {options.every}-th row", remedy="keep every 1st (all), 2nd, 3rd … row")
     labels = _labels(study)
@@ -143,7 +143,7 @@ def label_of(code: str) -> str:
 class _Writer:
     """Where a dataset stands while it is written."""
 
-    def __init__(self, root: Path, options: Options, watch: Watch | None, total: int) -> None:
+    def __init__(self, root: Path, options: BidsOptions, watch: Watch | None, total: int) -> None:
         self._root = root
         self._options = options
         self._watch = watch
@@ -152,7 +152,7 @@ class _Writer:
         self.written = 0
         self.left_out: list[str] = []
 
-    def participant(self, session: Session, trials: Iterable[TrialRow], label: str) -> None:
+    def participant(self, session: StudySession, trials: Iterable[TrialRow], label: str) -> None:
         """Write the directory of one participant."""
         name = f"sub-{label}"
         place = self._root / name / "motion"
@@ -183,7 +183,7 @@ class _Writer:
         _write_json(self._root / name / f"{name}_scans.json", _scans_sidecar(motion))
 
     def _run(
-        self, place: Path, stem: str, session: Session, trial: TrialRow, recording: Recording, known: Row
+        self, place: Path, stem: str, session: StudySession, trial: TrialRow, recording: Recording, known: Row
     ) -> None:
         every, protocol = self._options.every, session.state.protocol
         motion: Motion = recording.header["motion"]
@@ -300,7 +300,7 @@ def _participants(study: Study, labels: Mapping[str, str]) -> tuple[tuple[str, .
     return ("participant_id", *own, *answers), rows, {**own, **answers}
 
 
-def _readme(study: Study, options: Options) -> str:
+def _readme(study: Study, options: BidsOptions) -> str:
     lines = [
         f"# {' '.join(study.protocol.study.title.split())}",
         "",

@@ -29,7 +29,14 @@ from rig.session.comparisons import (
 )
 from rig.session.conditions import Walls, base_of
 from rig.session.disk import bytes_of_trial
-from rig.session.expected import NO_TRIALS, NOTHING, Range, Trials, expected_limits, expected_trials
+from rig.session.expected import (
+    NO_TRIALS,
+    NOTHING,
+    ExpectedRange,
+    ExpectedTrials,
+    expected_limits,
+    expected_trials,
+)
 from rig.session.plan import CellPlan, StudyPlan
 from rig.session.protocol import Condition, Protocol
 from rig.session.protocol_changes import protocol_check
@@ -78,7 +85,7 @@ def check(
     cells = tuple(_cells(protocol, under))
     searches = sum((cell.trials for cell in cells), NO_TRIALS) * protocol.order.repeats
     practice = len(protocol.practice.stiffness)
-    trials = searches.count + Range(practice, practice, practice)
+    trials = searches.count + ExpectedRange(practice, practice, practice)
     stiffest = max((one for of in under for one in of), key=lambda one: one.wall.stiffness)
     asks, people = protocol.study.judge == "person", protocol.trial
     times = trial_times(under[0][0], ready_s=people.ready_s, verdict_s=people.verdict_s if asks else 0.0)
@@ -163,7 +170,7 @@ def _practice(study: Walls) -> Iterator[tuple[str, Experiment]]:
 
 
 def _cells(protocol: Protocol, under: Sequence[Sequence[Experiment]]) -> Iterator[CellPlan]:
-    known: dict[Any, Trials] = {}
+    known: dict[Any, ExpectedTrials] = {}
     for condition, experiments in zip(protocol.condition, under, strict=True):
         wanted = protocol.search_of(condition)
         levels = levels_of(wanted)
@@ -191,11 +198,11 @@ def _cells(protocol: Protocol, under: Sequence[Sequence[Experiment]]) -> Iterato
 def _durations(
     protocol: Protocol,
     blocks: Sequence[Block],
-    trials: Range,
+    trials: ExpectedRange,
     times: TrialTimes,
     stiffest: Experiment,
     question_s: float,
-) -> Iterator[tuple[str, Range]]:
+) -> Iterator[tuple[str, ExpectedRange]]:
     """Durations of the parts of a session (s)."""
     yield "homing and free space", trials * (times.homing + times.baseline)
     yield "hits", trials * (times.hit + times.release)
@@ -203,7 +210,7 @@ def _durations(
     rest = protocol.rest
     if rest.every:
         taken = [math.floor(max(0.0, number - 1) / rest.every) for number in trials.values]
-        yield "rests", Range(*map(float, taken)) * rest.seconds
+        yield "rests", ExpectedRange(*map(float, taken)) * rest.seconds
     counted = sum(not block.practice for block in blocks)
     yield (
         "between runs and blocks",
@@ -217,10 +224,12 @@ def _durations(
         yield "questions", _same(question_s * questions)
     cooling = [heat_of(stiffest, times, math.ceil(number), rest.heat).cooling_s for number in trials.values]
     if cooling[-1] > 0.0:
-        yield "cooling of the motor", Range(*cooling)
+        yield "cooling of the motor", ExpectedRange(*cooling)
 
 
-def _disk(protocol: Protocol, cells: Sequence[CellPlan], under: Sequence[Sequence[Experiment]]) -> Range:
+def _disk(
+    protocol: Protocol, cells: Sequence[CellPlan], under: Sequence[Sequence[Experiment]]
+) -> ExpectedRange:
     """Room for the recordings of a participant."""
     of_a_trial = {
         one.name: bytes_of_trial(of[0], protocol) for one, of in zip(protocol.condition, under, strict=True)
@@ -231,7 +240,7 @@ def _disk(protocol: Protocol, cells: Sequence[CellPlan], under: Sequence[Sequenc
 
 def _rehearsal(
     protocol: Protocol, cells: Sequence[CellPlan], under: Sequence[Sequence[Experiment]], times: TrialTimes
-) -> Range:
+) -> ExpectedRange:
     """What a rehearsal in virtual time costs this computer, roughly (s)."""
     rates = {
         one.name: of[0].controller.position_rate for one, of in zip(protocol.condition, under, strict=True)
@@ -241,8 +250,8 @@ def _rehearsal(
     return sum(searches, NOTHING) * protocol.order.repeats
 
 
-def _same(value: float) -> Range:
-    return Range(value, value, value)
+def _same(value: float) -> ExpectedRange:
+    return ExpectedRange(value, value, value)
 
 
 def _names(protocol: Protocol, blocks: Sequence[Block]) -> tuple[tuple[str, ...], ...]:

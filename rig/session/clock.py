@@ -6,7 +6,7 @@ import time
 from typing import Protocol
 
 
-class Clock(Protocol):
+class SessionClock(Protocol):
     """A clock that may have to be moved on (`rig.session.rehearsal.Day`)."""
 
     def __call__(self) -> float:

@@ -12,7 +12,7 @@ from rig.core.errors import RigError
 from rig.core.sample import Motion, unit_of
 from rig.experiments.plan import CUTOFFS, make_plan
 from rig.session.bands import BANDS
-from rig.session.expected import Range
+from rig.session.expected import ExpectedRange
 from rig.session.plan import CellPlan
 from rig.session.protocol import Protocol, Trial
 from rig.session.schedule import schedule
@@ -221,7 +221,9 @@ def order_checks(protocol: Protocol, rows: int) -> Iterator[Check]:
         )
 
 
-def stop_checks(protocol: Protocol, trials: Range, failures: Range, session_s: Range) -> Iterator[Check]:
+def stop_checks(
+    protocol: Protocol, trials: ExpectedRange, failures: ExpectedRange, session_s: ExpectedRange
+) -> Iterator[Check]:
     """Whether a stop rule leaves a session its end."""
     stop = protocol.stop
     for name, limit, expected, unit in (
@@ -237,7 +239,7 @@ def stop_checks(protocol: Protocol, trials: Range, failures: Range, session_s: R
         yield Check(f"stop.{name}", outcome, text, f"raise stop.{name}, or search less")
 
 
-def rest_checks(protocol: Protocol, trials: Range, times: TrialTimes) -> Iterator[Check]:
+def rest_checks(protocol: Protocol, trials: ExpectedRange, times: TrialTimes) -> Iterator[Check]:
     """Whether a hand has time to rest."""
     rest = protocol.rest
     if protocol.trial.kind != "human":
@@ -255,7 +257,7 @@ def rest_checks(protocol: Protocol, trials: Range, times: TrialTimes) -> Iterato
     )
 
 
-def _range(expected: Range) -> str:
+def _range(expected: ExpectedRange) -> str:
     if round(expected.least) == round(expected.most):
         return f"{expected.likely:.0f}"
     return f"{expected.least:.0f} to {expected.most:.0f}, likely {expected.likely:.0f}"

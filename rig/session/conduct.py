@@ -34,7 +34,7 @@ from rig.experiments.pulse import NO_HANDS
 from rig.session.bands import asked as asked_of_hand
 from rig.session.bands import judged
 from rig.session.conditions import ReachFor, Walls, own_rates
-from rig.session.desk import Action, Desk, Question, Reply, View
+from rig.session.desk import Action, Desk, DeskView, Question, Reply
 from rig.session.directory import TRIALS, Session
 from rig.session.expected import likely_trials
 from rig.session.items import asked, parse_answer
@@ -44,7 +44,7 @@ from rig.session.place import resume_command
 from rig.session.protocol import BLINDED
 from rig.session.reasons import told
 from rig.session.runner import Done, TrialRunner
-from rig.session.schedule import Block, Run
+from rig.session.schedule import Block, SearchRun
 from rig.session.state import (
     DoAsk,
     DoBlock,
@@ -54,10 +54,10 @@ from rig.session.state import (
     DoPause,
     DoRest,
     DoTrial,
-    State,
+    SessionState,
 )
 from rig.session.telling import line_of_event, outcome
-from rig.session.trial import Presented, Trial, event_of
+from rig.session.trial import Presented, RecordedTrial, event_of
 
 LINES_SHOWN = 8
 _PHASES: Mapping[int, str] = {
@@ -122,7 +122,7 @@ def conduct(
     walls: Walls | None = None,
     on_event: Callable[[Event], None] | None = None,
     marks: Marks | None = None,
-) -> State:
+) -> SessionState:
     """Run a session to its end, or until somebody leaves it.
 
     Parameters
@@ -173,7 +173,7 @@ def conduct(
     return session.state
 
 
-def _for_the_blinded(state: State, error: Exception) -> RigError | None:
+def _for_the_blinded(state: SessionState, error: Exception) -> RigError | None:
     """What a blinded operator reads in place of an error, whose text may name a wall; None where it may be read."""
     if state.protocol.study.blind not in BLINDED or isinstance(error, _PLAIN):
         return None
@@ -196,7 +196,7 @@ def _mend(reason: str) -> str:
     return SEE_TO_IT if reason.startswith(NOT_AS_DESCRIBED) else MEND
 
 
-def walls_in(state: State, reach_for: ReachFor | None = None) -> Walls:
+def walls_in(state: SessionState, reach_for: ReachFor | None = None) -> Walls:
     """The walls of a session: of the protocol and the experiment in its log; `reach_for` as `Walls` has it."""
     base = config.experiment_from_mapping(state.experiment, "the experiment in the session's log")
     return Walls(state.protocol, base, reach_for)
@@ -231,7 +231,7 @@ class _Engine:
         desk.attend(session)
 
     @property
-    def _state(self) -> State:
+    def _state(self) -> SessionState:
         return self._session.state
 
     @property
@@ -394,7 +394,7 @@ class _Engine:
         if reply.action == "redo":
             self._redo()
 
-    def _judge(self, trial: Trial) -> None:
+    def _judge(self, trial: RecordedTrial) -> None:
         study = self._state.protocol.study
         if study.judge == "automatic":
             passes = trial.passes[study.criterion]
@@ -415,7 +415,7 @@ class _Engine:
         elif reply.value in VERDICTS:
             self._record_verdict(trial, reply.value, self._desk.who, reply.took_s)
 
-    def _record_verdict(self, trial: Trial, verdict: str, judged_by: str, seconds: float) -> None:
+    def _record_verdict(self, trial: RecordedTrial, verdict: str, judged_by: str, seconds: float) -> None:
         self.record(
             "judged", trial=trial.trial, verdict=verdict, judged_by=judged_by, response_time_s=seconds
         )
@@ -442,7 +442,7 @@ class _Engine:
         elif (answer := parse_answer(shown, reply.value)) is not None:
             self.record("answered", item=item.name, answer=answer, block=step.block)
 
-    def _decide(self, run: Run, last: Trial) -> None:
+    def _decide(self, run: SearchRun, last: RecordedTrial) -> None:
         why = told(last.reasons, blind=self._blind)
         text = f"{self._state.protocol.trial.attempts} trials in a row were invalid: {why}"
         self._show("trouble", last)
@@ -480,7 +480,7 @@ class _Engine:
         self._ask(Question(kind="paused", text=text, actions=("go", *_ALWAYS)))
         self.record("continued")
 
-    def _redoable(self) -> Trial | None:
+    def _redoable(self) -> RecordedTrial | None:
         """The trial that `redo` is about: the newest that counts, in the current block."""
         counted = [trial for trial in self._state.trials if not trial.void and not trial.invalid]
         begun = self._state.begun[-1] if self._state.begun else None
@@ -539,7 +539,7 @@ class _Engine:
         blind = state.protocol.study.blind in BLINDED
         seen = wall if wall is not None and not blind else None
         self._desk.show(
-            View(
+            DeskView(
                 state=words,
                 say=say,
                 code=state.code,

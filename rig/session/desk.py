@@ -32,7 +32,7 @@ Action = Literal[
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class View:
+class DeskView:
     """What there is to see now.
 
     Attributes
@@ -126,7 +126,7 @@ class Desk(ABC):
         """Called once, before anything else, with the session. It changes by itself: change nothing of it here."""
 
     @abstractmethod
-    def show(self, view: View) -> None:
+    def show(self, view: DeskView) -> None:
         """Show how things stand; returns at once."""
 
     @abstractmethod

@@ -20,7 +20,7 @@ from rig import config
 from rig.config import Experiment
 from rig.core.errors import ConfigError, RecordingError
 from rig.recording.files import make_directories, plain_errors, sha256_of, sync_directory, whole_file
-from rig.session.clock import Clock, WallClock
+from rig.session.clock import SessionClock, WallClock
 from rig.session.items import asked, parse_answer, wanted
 from rig.session.keymap import VERDICTS
 from rig.session.load import as_mapping, check_code
@@ -28,7 +28,7 @@ from rig.session.log import Event, SessionLog, read, set_aside
 from rig.session.names import directory_name
 from rig.session.place import resume_command
 from rig.session.protocol import Protocol
-from rig.session.state import AMENDABLE, State
+from rig.session.state import AMENDABLE, SessionState
 
 OF_TRIAL = {"void": True, "counts": False}  # what an amendment may change of a trial itself
 WALL = WallClock()
@@ -52,8 +52,8 @@ class Session:
 
     directory: Path
     log: SessionLog
-    state: State
-    clock: Clock = field(default_factory=WallClock)
+    state: SessionState
+    clock: SessionClock = field(default_factory=WallClock)
 
     def record(self, kind: str, **content: Any) -> Event:
         """Write down an event; only then does the state know of it."""
@@ -91,7 +91,7 @@ def begin(
     versions: Mapping[str, Any],
     rehearsal: Mapping[str, Any] | None = None,
     differs: Sequence[str] = (),
-    clock: Clock = WALL,
+    clock: SessionClock = WALL,
 ) -> Session:
     """Begin a participant's session in a directory of its own.
 
@@ -137,7 +137,7 @@ def begin(
             rehearsal=None if rehearsal is None else dict(rehearsal),
             differs=list(differs),
         )
-        return Session(directory=directory, log=log, state=State.of(log.events), clock=clock)
+        return Session(directory=directory, log=log, state=SessionState.of(log.events), clock=clock)
     except BaseException:
         log.close()
         raise
@@ -167,7 +167,7 @@ def _begun(directory: Path, events: Sequence[Event]) -> ConfigError:
     )
 
 
-def resume(directory: Path, *, at: str = "trial", clock: Clock = WALL) -> Session:
+def resume(directory: Path, *, at: str = "trial", clock: SessionClock = WALL) -> Session:
     """Resume a session, whatever ended it.
 
     Recordings of trials that nobody logged are moved aside, hashed, and named in the log.
@@ -197,7 +197,7 @@ def resume(directory: Path, *, at: str = "trial", clock: Clock = WALL) -> Sessio
                 remedy="start it again: rig session run",
             )
         clock.goes_on_from(log.events[-1].at)
-        session = Session(directory=directory, log=log, state=State.of(log.events), clock=clock)
+        session = Session(directory=directory, log=log, state=SessionState.of(log.events), clock=clock)
         if session.state.ended is not None:
             raise ConfigError(
                 f"the session in {directory} is over: {session.state.ended}",
@@ -284,13 +284,13 @@ def amend(
             )
         kept: str | int | bool = OF_TRIAL.get(value, value) if name == "void" else value
         if kind == "answered":
-            kept = _corrected_answer(State.of(log.events), log.events[number].content["item"], value)
+            kept = _corrected_answer(SessionState.of(log.events), log.events[number].content["item"], value)
         trial = log.events[number].content.get("trial")
         about = {} if not trial else {"trial": trial}
         return log.append("amended", number=number, field=name, value=kept, why=why, **about)
 
 
-def _corrected_answer(state: State, name: str, value: str) -> str | int:
+def _corrected_answer(state: SessionState, name: str, value: str) -> str | int:
     """An answer as the protocol wants it; raises `ConfigError` for one that is none."""
     item = next((one for one in state.protocol.question if one.name == name), None)
     if item is None:

@@ -35,18 +35,18 @@ MOST_TRIALS = 500  # of one simulated search: nobody sits through more
 
 
 @dataclass(frozen=True, slots=True)
-class Range:
+class ExpectedRange:
     """From the least to the most that is expected, and what is likely."""
 
     least: float
     likely: float
     most: float
 
-    def __add__(self, other: Range) -> Range:
-        return Range(self.least + other.least, self.likely + other.likely, self.most + other.most)
+    def __add__(self, other: ExpectedRange) -> ExpectedRange:
+        return ExpectedRange(self.least + other.least, self.likely + other.likely, self.most + other.most)
 
-    def __mul__(self, factor: float) -> Range:
-        return Range(self.least * factor, self.likely * factor, self.most * factor)
+    def __mul__(self, factor: float) -> ExpectedRange:
+        return ExpectedRange(self.least * factor, self.likely * factor, self.most * factor)
 
     @property
     def values(self) -> tuple[float, float, float]:
@@ -54,7 +54,7 @@ class Range:
         return self.least, self.likely, self.most
 
 
-NOTHING = Range(0.0, 0.0, 0.0)
+NOTHING = ExpectedRange(0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,7 +72,7 @@ class Expected:
     """
 
     by_hand: Mapping[str, float]
-    limit: Range
+    limit: ExpectedRange
     note: str = ""
 
     @property
@@ -102,7 +102,7 @@ def expected_limits(
         Whose levels stand in where theory gives no limit.
     """
     levels = levels_of(wanted)
-    unknown = Range(levels[0], math.sqrt(levels[0] * levels[-1]), levels[-1])
+    unknown = ExpectedRange(levels[0], math.sqrt(levels[0] * levels[-1]), levels[-1])
     try:
         loops = LateLoops.of(experiment, experiment.rig.simulation.computation_delay_ticks)
         curves = {
@@ -117,7 +117,7 @@ def expected_limits(
         meant = by_hand if experiment.trial.kind != "human" else _held(by_hand)
         own = meant.get(NO_OPERATOR, meant.get(experiment.operator.grip, max(meant.values())))
         damped = damping > 0.0
-        limit = Range(
+        limit = ExpectedRange(
             min(meant.values()) * (ENCODER_LEAVES if damped else 1.0),
             own * (1.0 if damped else USUALLY_RAISES),
             max(meant.values()) * FRICTION_RAISES,
@@ -131,28 +131,28 @@ def _held(by_hand: Mapping[str, float]) -> dict[str, float]:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Trials:
+class ExpectedTrials:
     """What one search takes: trials, and how many of them are of unstable walls.
 
     `ended_by_most` counts the simulated searches, of `simulated`, that ended by `most` before they had their turns.
     """
 
-    count: Range
-    failures: Range
+    count: ExpectedRange
+    failures: ExpectedRange
     ended_by_most: int = 0
     simulated: int = 0
 
-    def __add__(self, other: Trials) -> Trials:
-        return Trials(count=self.count + other.count, failures=self.failures + other.failures)
+    def __add__(self, other: ExpectedTrials) -> ExpectedTrials:
+        return ExpectedTrials(count=self.count + other.count, failures=self.failures + other.failures)
 
-    def __mul__(self, factor: float) -> Trials:
-        return Trials(count=self.count * factor, failures=self.failures * factor)
-
-
-NO_TRIALS = Trials(count=NOTHING, failures=NOTHING)
+    def __mul__(self, factor: float) -> ExpectedTrials:
+        return ExpectedTrials(count=self.count * factor, failures=self.failures * factor)
 
 
-def expected_trials(wanted: Search, limit: Range) -> Trials:
+NO_TRIALS = ExpectedTrials(count=NOTHING, failures=NOTHING)
+
+
+def expected_trials(wanted: Search, limit: ExpectedRange) -> ExpectedTrials:
     """What one search takes, by observers whose K50 lie where the limit is expected.
 
     Invalid and repeated trials come on top.
@@ -160,20 +160,22 @@ def expected_trials(wanted: Search, limit: Range) -> Trials:
     levels, settings = levels_of(wanted), wanted.settings
     if wanted.rule == "psi" and not settings.get("enough"):  # the same whoever answers, half of it above K50
         hits = float(settings.get("hits", 25))
-        return Trials(count=Range(hits, hits, hits), failures=Range(hits / 4, hits / 2, 3 * hits / 4))
+        return ExpectedTrials(
+            count=ExpectedRange(hits, hits, hits), failures=ExpectedRange(hits / 4, hits / 2, 3 * hits / 4)
+        )
     if wanted.rule == "grid":
         repeats = float(settings.get("repeats", 5))
         above = sorted(repeats * sum(level > k50 for level in levels) for k50 in limit.values)
         hits = repeats * len(levels)
-        return Trials(count=Range(hits, hits, hits), failures=Range(*above))
+        return ExpectedTrials(count=ExpectedRange(hits, hits, hits), failures=ExpectedRange(*above))
     if wanted.rule == "ascending" and settings.get("repeats", 5) != 1:  # series are all alike
         series = replace(wanted, settings={**settings, "repeats": 1})
         return expected_trials(series, limit) * float(settings.get("repeats", 5))
     taken = {k50: _taken(wanted, max(k50, 1e-3 * levels[0])) for k50 in set(limit.values)}
     count, failures, ended_by_most = zip(*(taken[k50] for k50 in limit.values), strict=True)
-    return Trials(
-        count=Range(min(count), count[1], max(count)),
-        failures=Range(min(failures), failures[1], max(failures)),
+    return ExpectedTrials(
+        count=ExpectedRange(min(count), count[1], max(count)),
+        failures=ExpectedRange(min(failures), failures[1], max(failures)),
         ended_by_most=sum(ended_by_most),
         simulated=OBSERVERS * len(limit.values),
     )
@@ -193,7 +195,7 @@ def likely_trials(protocol: Protocol, blocks: Iterable[Block]) -> dict[str, floa
         if key not in likely:
             levels = levels_of(wanted)
             middle = math.sqrt(levels[0] * levels[-1])
-            likely[key] = expected_trials(wanted, Range(middle, middle, middle)).count.likely
+            likely[key] = expected_trials(wanted, ExpectedRange(middle, middle, middle)).count.likely
         found[one.condition] += likely[key]
     return found
 

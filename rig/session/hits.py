@@ -39,8 +39,8 @@ from rig.session.arming import refusals
 from rig.session.bands import press_of
 from rig.session.pace import sentence
 from rig.session.place import software
-from rig.session.runner import Done, RefusedWalls, Wall, Watch
-from rig.session.trial import Hit
+from rig.session.runner import Done, RefusedWalls, SessionWall, Watch
+from rig.session.trial import HitOutcome
 
 NUMBERS = (
     "felt",
@@ -139,7 +139,7 @@ class DeviceRunner:
             "exchanges": [list(stamps) for stamps in clock.tolist()],
         }
 
-    def refusals(self, walls: Sequence[Wall]) -> tuple[RefusedWalls, ...]:
+    def refusals(self, walls: Sequence[SessionWall]) -> tuple[RefusedWalls, ...]:
         """Which of these walls a real rig does not arm without consent. Its link is measured; nothing moves.
 
         Raises
@@ -336,7 +336,7 @@ def heat_after(before: float, load: np.ndarray, tick_s: float, time_constant_s: 
     return before * decay ** len(load) + added
 
 
-def _hit_of(left: Recorded, path: Path, heat: float) -> Hit:
+def _hit_of(left: Recorded, path: Path, heat: float) -> HitOutcome:
     experiment, recording = left.experiment, left.recording
     verdict, measured = left.judgement.verdict, left.judgement.measured
     trailer, free = recording.trailer or {}, baseline(recording, experiment)
@@ -345,7 +345,7 @@ def _hit_of(left: Recorded, path: Path, heat: float) -> Hit:
     limits, tick_s = experiment.rig.limits, 1.0 / experiment.controller.position_rate
     load = recording.rows["effort_sent"] / limits.nominal_effort
     invalid = verdict.kind is Kind.INVALID
-    return Hit(
+    return HitOutcome(
         recording=str(path),
         sha256=sha256_of(left.path),
         rows_sha256=hashlib.sha256(recording.rows.tobytes()).hexdigest(),

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from rig.config.checked import Kind, parse_table, plain
+from rig.config.checked import FileKind, parse_table, plain
 from rig.config.files import flatten, preset_names, read_toml, tidy
 from rig.config.problems import Problem, config_error
 from rig.config.table import schema_of
@@ -18,7 +18,7 @@ from rig.session.names import normalise
 from rig.session.protocol import Protocol
 from rig.session.rules import broken_rules, looks_like_a_name, settings_schema, spells_a_name
 
-PROTOCOL = Kind(
+PROTOCOL = FileKind(
     Protocol, "the protocol", otherwise="start from a template: rig session new --template compare-schemes"
 )
 DIALECT = "https://json-schema.org/draft/2020-12/schema"

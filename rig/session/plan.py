@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from rig.core.check import Check, Outcome
 from rig.core.present import reported
 from rig.core.sample import Motion
-from rig.session.expected import NOTHING, Expected, Range, Trials
+from rig.session.expected import NOTHING, Expected, ExpectedRange, ExpectedTrials
 from rig.session.times import Heat, Taken, TrialTimes
 
 
@@ -38,7 +38,7 @@ class CellPlan:
     rule: str
     levels: tuple[float, ...]
     expected: Expected
-    trials: Trials
+    trials: ExpectedTrials
     unstable_free: tuple[float, ...] | None
     unstable_in_hand: tuple[float, ...] | None
     fit: str = ""
@@ -90,13 +90,13 @@ class StudyPlan:
     runs: int
     practice: int
     cells: tuple[CellPlan, ...]
-    trials: Range
+    trials: ExpectedRange
     trial: TrialTimes
     taken: Taken | None
-    duration_s: dict[str, Range]
+    duration_s: dict[str, ExpectedRange]
     trial_bytes: float
-    disk_bytes: Range
-    rehearsal_s: Range
+    disk_bytes: ExpectedRange
+    rehearsal_s: ExpectedRange
     heat: Heat
     orders: tuple[tuple[tuple[str, ...], ...], ...]
     hidden: tuple[str, ...]
@@ -104,7 +104,7 @@ class StudyPlan:
     checks: tuple[Check, ...]
 
     @reported
-    def session_s(self) -> Range:
+    def session_s(self) -> ExpectedRange:
         """Length of a session (s)."""
         return sum(self.duration_s.values(), NOTHING)
 

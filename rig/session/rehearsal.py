@@ -19,14 +19,14 @@ from rig.config.problems import did_you_mean
 from rig.control.verdict import Kind
 from rig.core.errors import ConfigError
 from rig.session.clock import WallClock
-from rig.session.desk import Desk, Question, Reply, View
+from rig.session.desk import Desk, DeskView, Question, Reply
 from rig.session.directory import Session
 from rig.session.names import normalise
 from rig.session.protocol import Protocol
 from rig.session.search.observer import Observer
-from rig.session.state import State
+from rig.session.state import SessionState
 from rig.session.times import QUESTION_S
-from rig.session.trial import Trial
+from rig.session.trial import RecordedTrial
 
 _MAIN_VERDICT = {Kind.STABLE: "stable", Kind.LIMIT_CYCLE: "buzz", Kind.UNSTABLE: "unstable"}
 LATENCY_S = (0.6, 1.6)  # how long a simulated person thinks, at least and at most
@@ -61,7 +61,7 @@ class Person:
         drawn = random.Random(f"person {seed} {code}").gauss(0.0, self.people_sd)
         return replace(self, thresholds={name: k * math.exp(drawn) for name, k in self.thresholds.items()})
 
-    def judge(self, trial: Trial, drawn: np.random.Generator) -> str:
+    def judge(self, trial: RecordedTrial, drawn: np.random.Generator) -> str:
         """Their verdict of a trial."""
         if drawn.random() < self.unsure:
             return "unsure"
@@ -154,12 +154,12 @@ class RehearsalDesk(Desk):
     who = "simulated"
 
     def __init__(
-        self, person: Person, day: Day | RealDay, looks: Callable[[View], None] | None = None
+        self, person: Person, day: Day | RealDay, looks: Callable[[DeskView], None] | None = None
     ) -> None:
         self.person = person
         self.day = day
         self.looks = looks
-        self.state: State | None = None  # of the session, as it is now
+        self.state: SessionState | None = None  # of the session, as it is now
 
     def attend(self, session: Session) -> None:
         """Judge what stands in its log, and live by its clock."""
@@ -168,7 +168,7 @@ class RehearsalDesk(Desk):
         if isinstance(session.clock, Day | RealDay):
             self.day = session.clock
 
-    def show(self, view: View) -> None:
+    def show(self, view: DeskView) -> None:
         """Nobody looks, but for whoever waits for the end."""
         if self.looks is not None:
             self.looks(view)

@@ -18,10 +18,10 @@ from rig.core.regular_file import read_regular
 from rig.recording.files import plain_errors
 from rig.session.arming import refuse_unarmable
 from rig.session.check import refuse_walls
-from rig.session.clock import Clock, WallClock
+from rig.session.clock import SessionClock, WallClock
 from rig.session.conditions import ReachFor, Walls
 from rig.session.conduct import conduct, first_wall, walls_in
-from rig.session.desk import Desk, View
+from rig.session.desk import Desk, DeskView
 from rig.session.directory import (
     LOG,
     Session,
@@ -53,7 +53,7 @@ from rig.session.rehearsal import Day, Person, RealDay, RehearsalDesk, refuse_no
 from rig.session.runner import TrialRunner
 from rig.session.schedule import rows_of, schedule
 from rig.session.simulated_hand import reach_for
-from rig.session.state import State
+from rig.session.state import SessionState
 from rig.session.telling import lost, outcome
 
 OnEvent = Callable[[Event], None]
@@ -254,7 +254,9 @@ def resume_session(
         return _resumed(directory, desk, state, person, runner, walls, at, on_event, lsl=lsl)
 
 
-def _refuse_another_device(state: State, events: list[Event], runner: TrialRunner, walls: Walls) -> None:
+def _refuse_another_device(
+    state: SessionState, events: list[Event], runner: TrialRunner, walls: Walls
+) -> None:
     before = last_opened(events)
     if not before:
         return
@@ -271,7 +273,7 @@ def _refuse_another_device(state: State, events: list[Event], runner: TrialRunne
 def _resumed(
     directory: Path,
     desk: DeskFor,
-    state: State,
+    state: SessionState,
     person: Person | None,
     runner: TrialRunner,
     walls: Walls,
@@ -300,7 +302,7 @@ def took_place(directory: Path) -> Place:
     return last_place(read(directory / LOG))
 
 
-def rehearsal_desk(person: Person, looks: Callable[[View], None] | None = None) -> DeskFor:
+def rehearsal_desk(person: Person, looks: Callable[[DeskView], None] | None = None) -> DeskFor:
     """A desk for `run_session` at which this simulated person sits; `looks` is shown what a console would show."""
 
     def desk(_: Protocol, __: Mapping[str, Any], runner: TrialRunner) -> Desk:
@@ -309,14 +311,14 @@ def rehearsal_desk(person: Person, looks: Callable[[View], None] | None = None) 
     return desk
 
 
-def session_state(directory: Path) -> tuple[State, list[Event]]:
+def session_state(directory: Path) -> tuple[SessionState, list[Event]]:
     """Where a session stands, and its events; also while it runs."""
     events = read(directory / LOG)
-    return State.of(events), events
+    return SessionState.of(events), events
 
 
 def summary(
-    directory: Path, state: State, events: Sequence[Event] = (), messages: tuple[str, ...] = ()
+    directory: Path, state: SessionState, events: Sequence[Event] = (), messages: tuple[str, ...] = ()
 ) -> SessionResult:
     """How a session stands, without anything that identifies a wall."""
     counted = [trial for trial in state.trials if not (trial.void or trial.practice) and trial.verdict]
@@ -386,7 +388,7 @@ def _refuse_a_real_rig(person: Person | None, runner: TrialRunner) -> None:
         )
 
 
-def _clock(person: Person | None, runner: TrialRunner) -> Clock:
+def _clock(person: Person | None, runner: TrialRunner) -> SessionClock:
     if person is None:
         return WallClock()
     return Day() if runner.virtual else RealDay()

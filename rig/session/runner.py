@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from rig.config import Experiment
 from rig.core.check import Check
-from rig.session.trial import Hit
+from rig.session.trial import HitOutcome
 
 if TYPE_CHECKING:
     from rig.bench.doctor.pace import Pace
@@ -19,7 +19,7 @@ Watch = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Wall:
+class SessionWall:
     """A wall that a session may ask for, and what of it a device must not change."""
 
     condition: str
@@ -42,7 +42,7 @@ class RefusedWalls:
 class Done:
     """A trial that was run: its hit, what ended it early, if anything did, and how long it took (s)."""
 
-    hit: Hit
+    hit: HitOutcome
     error: Exception | None
     duration_s: float
 
@@ -78,7 +78,7 @@ class TrialRunner(Protocol):
         """What the log should know of the device, its clock and this computer."""
         ...
 
-    def refusals(self, walls: Sequence[Wall]) -> Sequence[RefusedWalls]:
+    def refusals(self, walls: Sequence[SessionWall]) -> Sequence[RefusedWalls]:
         """Which of these walls the rig does not arm without consent; see `DeviceRunner.refusals`."""
         ...
 

@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 
 from rig.session import search
 from rig.session.protocol import Protocol, Search
-from rig.session.search import Answer, Estimate, Probe
+from rig.session.search import Estimate, JudgedProbe, Probe
 
 PRACTICE = 0  # number of the block, and of the run, of the practice trials
 LARGEST_SEED = 2**53  # whole numbers below it survive JSON in any language
@@ -26,7 +26,7 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Run:
+class SearchRun:
     """One search: its number over the session (from 1; 0 is practice), what it is about, and which repeat it is.
 
     `seed` is that of the run's rule; runs of other participants and other runs have others.
@@ -45,7 +45,7 @@ class Block:
     """Runs between two checkpoints; number 0 is practice."""
 
     number: int
-    runs: tuple[Run, ...]
+    runs: tuple[SearchRun, ...]
     practice: bool = False
     interleave: bool = False
 
@@ -70,7 +70,7 @@ def schedule(protocol: Protocol, row: int) -> tuple[Block, ...]:
         for (condition, damping), repeat in cells:
             number += 1
             runs.append(
-                Run(
+                SearchRun(
                     number=number,
                     condition=condition,
                     damping=damping,
@@ -99,7 +99,7 @@ def cells_of(protocol: Protocol) -> tuple[tuple[str, float], ...]:
     return tuple((one.name, damping) for one in protocol.condition for damping in one.damping)
 
 
-def rule_of(protocol: Protocol, run: Run) -> search.Rule:
+def rule_of(protocol: Protocol, run: SearchRun) -> search.Rule:
     """The rule of a run, without catch trials: its condition's, with the run's seed. Practice goes through its walls.
 
     Raises `rig.core.errors.ConfigError` for settings that are none; `rig.session.load` has refused them before.
@@ -109,7 +109,7 @@ def rule_of(protocol: Protocol, run: Run) -> search.Rule:
     return rule(protocol.search_of(protocol.condition_named(run.condition)), run.seed)
 
 
-def asking_of(protocol: Protocol, run: Run) -> search.Rule:
+def asking_of(protocol: Protocol, run: SearchRun) -> search.Rule:
     """The rule of a run with its catch trials, see `rule_of`."""
     if run.practice:
         return rule_of(protocol, run)
@@ -159,11 +159,11 @@ class InOrder:
 
     levels: Sequence[float]
 
-    def next(self, answers: Sequence[Answer]) -> Probe | None:
+    def next(self, answers: Sequence[JudgedProbe]) -> Probe | None:
         """The next wall."""
         return Probe(self.levels[len(answers)]) if len(answers) < len(self.levels) else None
 
-    def estimate(self, answers: Sequence[Answer]) -> Estimate:
+    def estimate(self, answers: Sequence[JudgedProbe]) -> Estimate:
         """Nothing."""
         return Estimate(
             value=math.nan, low=0.0, high=math.inf, share=math.nan, censored="", hits=len(answers)
@@ -257,7 +257,7 @@ def _practice(protocol: Protocol, row: int) -> list[Block]:
     if not practice.stiffness:
         return []
     condition = protocol.condition_named(practice.condition or protocol.condition[0].name)
-    run = Run(
+    run = SearchRun(
         number=PRACTICE,
         condition=condition.name,
         damping=condition.damping[0],

@@ -9,7 +9,7 @@ reads what the session itself went by. The kinds of events, and what each holds:
 ``opened``     the device and where it is, its clock, this computer and versions, each time that it was opened
 ``resumed``    where (trial, block), abandoned: recordings of trials that nobody logged
 ``block``      block: it begins
-``trial``      one recorded hit: `rig.session.trial.Presented` and `rig.session.trial.Hit`
+``trial``      one recorded hit: `rig.session.trial.Presented` and `rig.session.trial.HitOutcome`
 ``judged``     trial, verdict, judged_by, response_time_s
 ``redone``     trial: it does not count, and comes again
 ``retried``    run: its trials were invalid so often that somebody was asked, and continued
@@ -42,10 +42,10 @@ from rig.session.log import Event
 from rig.session.names import normalise
 from rig.session.protocol import Item, Protocol, Search
 from rig.session.reasons import told
-from rig.session.schedule import Block, Run, asking_of, rule_of, schedule
-from rig.session.search import Answer, Probe, Rule
+from rig.session.schedule import Block, SearchRun, asking_of, rule_of, schedule
+from rig.session.search import JudgedProbe, Probe, Rule
 from rig.session.times import cooling_s
-from rig.session.trial import REDONE, RESTARTED, Presented, Trial, trial_of
+from rig.session.trial import REDONE, RESTARTED, Presented, RecordedTrial, trial_of
 
 # What a session without interruptions has once or not at all.
 BOOKKEEPING = ("opened", "resumed", "stopped", "streamed", "amended", "pulse")
@@ -68,7 +68,7 @@ class DoTrial:
 class DoJudge:
     """Somebody must judge this trial."""
 
-    trial: Trial
+    trial: RecordedTrial
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,8 +105,8 @@ class DoPause:
 class DoDecide:
     """Trials of this run were invalid again and again: somebody must decide."""
 
-    run: Run
-    last: Trial
+    run: SearchRun
+    last: RecordedTrial
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,8 +126,8 @@ AS_IT_IS = "the rig as it is"
 
 
 @dataclass
-class State:
-    """A session after some of its events; `State.of` replays a log, `apply` adds an event.
+class SessionState:
+    """A session after some of its events; `SessionState.of` replays a log, `apply` adds an event.
 
     Attributes
     ----------
@@ -158,7 +158,7 @@ class State:
     seed: int
     rehearsal: Mapping[str, Any] | None
     blocks: tuple[Block, ...]
-    trials: list[Trial] = field(default_factory=list)
+    trials: list[RecordedTrial] = field(default_factory=list)
     begun: list[int] = field(default_factory=list)
     skipped: set[int] = field(default_factory=set)
     corrected: set[int] = field(default_factory=set)
@@ -175,10 +175,10 @@ class State:
     _continued: int = 0  # newest trial when somebody continued after a pause
     _retried: dict[int, int] = field(default_factory=dict)  # newest trial when a run was tried again
     _owed: dict[int, int] = field(default_factory=dict)  # redone trials that have not come again, by run
-    _asked: dict[int, tuple[tuple[Answer, ...], Probe | None]] = field(default_factory=dict)
+    _asked: dict[int, tuple[tuple[JudgedProbe, ...], Probe | None]] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, events: Sequence[Event]) -> State:
+    def of(cls, events: Sequence[Event]) -> SessionState:
         """Replay a log.
 
         Raises
@@ -305,7 +305,7 @@ class State:
     def _skip(self, content: Any) -> None:
         self.skipped.add(content["run"])
 
-    _changes: ClassVar[Mapping[str, Callable[[State, Any], None]]] = {
+    _changes: ClassVar[Mapping[str, Callable[[SessionState, Any], None]]] = {
         "block": _began_block,
         "trial": _tried,
         "judged": _judged,
@@ -333,7 +333,7 @@ class State:
         """Of the motor's winding."""
         return float(self.experiment["rig"]["limits"]["thermal_time_constant_s"])
 
-    def trial_numbered(self, number: int) -> Trial:
+    def trial_numbered(self, number: int) -> RecordedTrial:
         """The trial of this number; raises `RecordingError` when the log has none."""
         if not 1 <= number <= len(self.trials) or self.trials[number - 1].trial != number:
             raise RecordingError(
@@ -341,15 +341,15 @@ class State:
             )
         return self.trials[number - 1]
 
-    def trials_of(self, run: Run) -> list[Trial]:
+    def trials_of(self, run: SearchRun) -> list[RecordedTrial]:
         """Trials of a run that count, invalid ones too."""
         return [trial for trial in self.trials if trial.run == run.number and not trial.void]
 
-    def rule(self, run: Run) -> Rule:
+    def rule(self, run: SearchRun) -> Rule:
         """The search rule of a run, without its catch trials."""
         return rule_of(self.protocol, run)
 
-    def answers(self, run: Run) -> list[Answer]:
+    def answers(self, run: SearchRun) -> list[JudgedProbe]:
         """What the rule of a run hears: all answers, unless one was corrected.
 
         A rule that walks from wall to wall knows where it stands by what it asked: after a correction it hears what it
@@ -360,19 +360,19 @@ class State:
         if run.number not in self.corrected or run.practice or self._search(run).rule not in WALKING:
             return heard
         rule = self.rule(run)
-        led: list[Answer] = []
+        led: list[JudgedProbe] = []
         for answer in heard:
             if answer.probe.catch or rule.next(led) == answer.probe:
                 led.append(answer)
         return led
 
-    def heard(self, run: Run) -> list[Answer]:
+    def heard(self, run: SearchRun) -> list[JudgedProbe]:
         """All answers about the walls of a run: each judged trial that counts.
 
         An unsure verdict is an empty answer, until there are `trial.unsure` of them in a row about one wall: then it
         counts as not stable.
         """
-        heard: list[Answer] = []
+        heard: list[JudgedProbe] = []
         unsure, about = 0, None
         for trial in self.trials_of(run):
             if not trial.judged:
@@ -383,13 +383,13 @@ class State:
             if unsure:
                 stable = None if unsure < self.protocol.trial.unsure else False
                 unsure = 0 if stable is False else unsure
-            heard.append(Answer(trial.probe, stable))
+            heard.append(JudgedProbe(trial.probe, stable))
         return heard
 
-    def _search(self, run: Run) -> Search:
+    def _search(self, run: SearchRun) -> Search:
         return self.protocol.search_of(self.protocol.condition_named(run.condition))
 
-    def asks(self, run: Run) -> Probe | None:
+    def asks(self, run: SearchRun) -> Probe | None:
         """Which wall a run wants next; None when it has enough or was left."""
         if run.number in self.skipped:
             return None
@@ -426,7 +426,7 @@ class State:
                 return item
         return None
 
-    def _in_block(self, block: Block, waiting: list[Run]) -> Step:
+    def _in_block(self, block: Block, waiting: list[SearchRun]) -> Step:
         first = self._before(block)
         if first is not None:
             return first
@@ -473,7 +473,7 @@ class State:
     def _fit_of(self, block: Block) -> str:
         return self.protocol.condition_named(block.runs[0].condition).fit
 
-    def _presented(self, block: Block, run: Run, probe: Probe, attempt: int) -> Presented:
+    def _presented(self, block: Block, run: SearchRun, probe: Probe, attempt: int) -> Presented:
         number = self.newest + 1
         return Presented(
             block=block.number,
@@ -501,7 +501,7 @@ class State:
         """Seed of the simulation in a trial, and of whoever is simulated there."""
         return int(np.random.SeedSequence([self.seed, self.row, 2, trial]).generate_state(1)[0])
 
-    def _invalid_in_a_row(self, run: Run) -> int:
+    def _invalid_in_a_row(self, run: SearchRun) -> int:
         """Invalid trials of a run in a row, since somebody last decided to continue; the machine's aside."""
         since = self._retried.get(run.number, 0)
         count = 0

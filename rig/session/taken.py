@@ -16,7 +16,7 @@ from rig.core.errors import RigError
 from rig.session.directory import LOG
 from rig.session.log import Event, read
 from rig.session.protocol import Protocol, Trial
-from rig.session.state import State
+from rig.session.state import SessionState
 from rig.session.times import QUESTION_S, Taken
 
 
@@ -46,7 +46,7 @@ def _finished(protocol: Protocol, path: Path) -> Sequence[Event]:
     """The events of a participant's session that is over and had the same trials; none of another."""
     try:
         events = read(path)
-        state = State.of(events)
+        state = SessionState.of(events)
     except (RigError, KeyError, TypeError, ValueError):
         return ()
     same = _lived(state.protocol) == _lived(protocol)

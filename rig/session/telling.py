@@ -11,7 +11,7 @@ from rig.experiments.judgement import FINISHED
 from rig.session.log import Event
 from rig.session.place import device_words
 from rig.session.reasons import told
-from rig.session.trial import Trial, trial_of
+from rig.session.trial import RecordedTrial, trial_of
 
 _LINES: dict[str, str] = {
     "judged": "trial {trial}: {verdict}",
@@ -79,7 +79,7 @@ def whole_line(event: Event, motion: Motion) -> str:
     return "; ".join(said)
 
 
-def _whole(trial: Trial, motion: Motion) -> str:
+def _whole(trial: RecordedTrial, motion: Motion) -> str:
     wall = ", ".join(
         f"{symbol} = {value:g} {unit_of(quantity, motion)}"
         for symbol, value, quantity in (("K", trial.stiffness, "stiffness"), ("B", trial.damping, "damping"))
@@ -118,7 +118,7 @@ def lost(event: Event) -> list[str]:
     return losses
 
 
-def outcome(trial: Trial, *, blind: bool) -> str:
+def outcome(trial: RecordedTrial, *, blind: bool) -> str:
     """The result of a trial, without its wall, and without anything that could influence a verdict."""
     if trial.invalid:
         return _invalid(trial.trial, trial.reasons, blind=blind)
@@ -130,7 +130,7 @@ def outcome(trial: Trial, *, blind: bool) -> str:
     )
 
 
-def _too_fast(trial: Trial) -> list[str]:
+def _too_fast(trial: RecordedTrial) -> list[str]:
     """A verdict that no person gives so soon, in one phrase or none."""
     if not trial.too_fast or trial.response_time_s is None:
         return []

@@ -55,7 +55,7 @@ class Presented:
 
 
 @dataclass(kw_only=True)
-class Hit:
+class HitOutcome:
     """What a recorded hit came to."""
 
     recording: Annotated[str, Quantity("", "file, relative to the participant's directory")]
@@ -89,7 +89,7 @@ class Hit:
 
 
 @dataclass(kw_only=True)
-class Trial(Presented, Hit):
+class RecordedTrial(Presented, HitOutcome):
     """A recorded trial as it stands in the log, and its verdict."""
 
     verdict: Annotated[
@@ -127,15 +127,15 @@ class Trial(Presented, Hit):
             self.void = why
 
 
-def event_of(presented: Presented, hit: Hit) -> dict[str, Any]:
+def event_of(presented: Presented, hit: HitOutcome) -> dict[str, Any]:
     """Content of a trial's event in the log."""
     content: dict[str, Any] = plain({**vars(presented), **vars(hit)})
     return content
 
 
-def trial_of(content: Mapping[str, Any]) -> Trial:
+def trial_of(content: Mapping[str, Any]) -> RecordedTrial:
     """The trial of an event; `void` is true in one that was left out afterwards."""
-    given = {one.name: content[one.name] for one in (*fields(Presented), *fields(Hit))}
+    given = {one.name: content[one.name] for one in (*fields(Presented), *fields(HitOutcome))}
     given["condition"] = normalise(given["condition"])  # of a log before protocols were
     given["reasons"], given["outside"] = tuple(given["reasons"]), tuple(given["outside"])
-    return Trial(**given, void=LEFT_OUT if content.get("void") else "")
+    return RecordedTrial(**given, void=LEFT_OUT if content.get("void") else "")

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from rig.devices.fault_script import Direction, FrameFault, Kind
+from rig.devices.fault_script import Direction, FaultKind, FrameFault
 from rig.testing.fault_words import DIRECTIONS, KINDS, direction_of, kind_of
 from rig.testing.hits import Hits
 
@@ -77,7 +77,7 @@ def _struck(hits: Hits) -> bool:
     return hits.last is None or hits.last.struck > 0
 
 
-def _faults(kind: Kind, direction: Direction, hits: Hits) -> Iterator[FrameFault]:
+def _faults(kind: FaultKind, direction: Direction, hits: Hits) -> Iterator[FrameFault]:
     """A fault at each frame, as long as the run before had one there."""
     for frame in range(MOST_FRAMES):
         yield FrameFault(kind=kind, direction=direction, frame=frame, byte=frame, bit=frame % 8)

@@ -8,10 +8,10 @@ from typing import Any, Literal
 
 from firmware_protocol.faults import Fault
 from rig.core.errors import ConfigError
-from rig.devices.fault_script import DeviceFault, Direction, Faults, FrameFault, Happening, Kind
+from rig.devices.fault_script import DeviceFault, Direction, FaultKind, Faults, FrameFault, Happening
 
 Way = Literal["host", "device"]
-KINDS = tuple(kind.value for kind in Kind)
+KINDS = tuple(kind.value for kind in FaultKind)
 DIRECTIONS: dict[str, Direction] = {"device": Direction.TO_DEVICE, "host": Direction.TO_HOST}
 
 
@@ -93,11 +93,11 @@ class FaultWords:
         self.script = replace(before, frames=before.frames + frames, device=before.device + device)
 
 
-def kind_of(word: str) -> Kind:
+def kind_of(word: str) -> FaultKind:
     """What happens, by its word; `ConfigError` for another."""
     if word not in KINDS:
         raise ConfigError(f"{word!r} does not happen to frames", remedy=f"one of {', '.join(KINDS)}")
-    return Kind(word)
+    return FaultKind(word)
 
 
 def direction_of(to: str) -> Direction:

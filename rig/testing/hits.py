@@ -35,7 +35,7 @@ LOOK_S = 0.01  # an unarmed device sends a hundred STATE a second
 
 
 @dataclass(frozen=True, slots=True)
-class Rest:
+class DeviceAfterwards:
     """What the device was seen to do after the host had ended.
 
     Attributes
@@ -74,7 +74,7 @@ class Hit:
     recorded: Recorded | None = field(repr=False)
     counters: Mapping[str, int]
     error: RigError | None
-    rest: Rest | None
+    rest: DeviceAfterwards | None
     struck: int = 0
 
     @property
@@ -294,7 +294,7 @@ def _ended(request: HitRequest, device: FramedDevice, *, may_end: bool) -> Hit:
     )
 
 
-def _watched(link: WatchedLink) -> Rest:
+def _watched(link: WatchedLink) -> DeviceAfterwards:
     """Let time pass until the current is zero, and until a device that was armed has given up on its host."""
     steps = 0
     while link.current != 0 and steps * STEP_S < WATCH_S:
@@ -302,13 +302,13 @@ def _watched(link: WatchedLink) -> Rest:
         steps += 1
     if link.armed:
         link.elapse(WATCH_S)
-    return Rest(None if link.current else steps * STEP_S, link.armed)
+    return DeviceAfterwards(None if link.current else steps * STEP_S, link.armed)
 
 
-def _asked(device: FramedDevice) -> Rest | None:
+def _asked(device: FramedDevice) -> DeviceAfterwards | None:
     """Listen to the STATE that an unarmed device sends on its own; None from one that says nothing any more."""
     began_ns = device.link.clock.now_ns()
-    rest: Rest | None = None
+    rest: DeviceAfterwards | None = None
     while (waited_s := (device.link.clock.now_ns() - began_ns) * 1e-9) < WATCH_S:
         try:
             states = device.states(LOOK_S)
@@ -316,7 +316,9 @@ def _asked(device: FramedDevice) -> Rest | None:
             return None
         if states:
             zero = states[-1].current_commanded == 0
-            rest = Rest(waited_s if zero else None, states[-1].state in (State.ARMED, State.RUNNING))
+            rest = DeviceAfterwards(
+                waited_s if zero else None, states[-1].state in (State.ARMED, State.RUNNING)
+            )
             if zero:
                 break
     return rest

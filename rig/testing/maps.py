@@ -12,7 +12,7 @@ from rig.core.errors import StoppedError
 from rig.experiments import maps, ranges
 from rig.experiments.on_device import OnDevice
 from rig.experiments.zwidth import MapPlan, ZWidth
-from rig.experiments.zwidth_rig import Next, Session, zwidth_on_rig
+from rig.experiments.zwidth_rig import DeviceMap, Next, zwidth_on_rig
 from rig.testing.experiments import Experiments, Source
 from rig.testing.hits import Rigs, end_all
 
@@ -70,7 +70,7 @@ class Maps:
                 reference_count=self._rigs.zero(plan.experiment) or 0,
             )
             try:
-                return zwidth_on_rig(plan, Session(where=where, agrees=self._agrees))
+                return zwidth_on_rig(plan, DeviceMap(where=where, agrees=self._agrees))
             except StoppedError as stopped:
                 end_all(stopped)
 

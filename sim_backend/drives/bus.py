@@ -19,7 +19,7 @@ class Frame(NamedTuple):
     error: bool = False
 
 
-class Drive(Protocol):
+class DriveModel(Protocol):
     """A drive with its rig, in its own time: it moves only in `run`.
 
     Attributes
@@ -66,7 +66,7 @@ class Splitter(Protocol):
         ...
 
 
-class Adapter(Protocol):
+class SimulatedAdapter(Protocol):
     """Units of a line to and from frames."""
 
     def splitter(self) -> Splitter:

@@ -13,7 +13,7 @@ from enum import IntEnum
 NODE_BITS = 5
 
 
-class Command(IntEnum):
+class CanSimpleCommand(IntEnum):
     """Of the lower five bits of an identifier."""
 
     GET_VERSION = 0x00
@@ -76,17 +76,17 @@ class Result(IntEnum):
 
 
 FORMS = {
-    Command.SET_AXIS_STATE: struct.Struct("<I"),
-    Command.SET_CONTROLLER_MODE: struct.Struct("<II"),
-    Command.SET_INPUT_POS: struct.Struct("<fhh"),
-    Command.SET_INPUT_VEL: struct.Struct("<ff"),
-    Command.SET_INPUT_TORQUE: struct.Struct("<f"),
-    Command.SET_LIMITS: struct.Struct("<ff"),
-    Command.SET_TRAJ_INERTIA: struct.Struct("<f"),
-    Command.REBOOT: struct.Struct("<B"),
-    Command.SET_ABSOLUTE_POSITION: struct.Struct("<f"),
-    Command.SET_POS_GAIN: struct.Struct("<f"),
-    Command.SET_VEL_GAINS: struct.Struct("<ff"),
+    CanSimpleCommand.SET_AXIS_STATE: struct.Struct("<I"),
+    CanSimpleCommand.SET_CONTROLLER_MODE: struct.Struct("<II"),
+    CanSimpleCommand.SET_INPUT_POS: struct.Struct("<fhh"),
+    CanSimpleCommand.SET_INPUT_VEL: struct.Struct("<ff"),
+    CanSimpleCommand.SET_INPUT_TORQUE: struct.Struct("<f"),
+    CanSimpleCommand.SET_LIMITS: struct.Struct("<ff"),
+    CanSimpleCommand.SET_TRAJ_INERTIA: struct.Struct("<f"),
+    CanSimpleCommand.REBOOT: struct.Struct("<B"),
+    CanSimpleCommand.SET_ABSOLUTE_POSITION: struct.Struct("<f"),
+    CanSimpleCommand.SET_POS_GAIN: struct.Struct("<f"),
+    CanSimpleCommand.SET_VEL_GAINS: struct.Struct("<ff"),
 }
 FEED_FORWARD_STEP = 0.001  # of Vel_FF (rev/s) and Torque_FF (N·m)
 ERRORS, FLOATS = struct.Struct("<II"), struct.Struct("<ff")

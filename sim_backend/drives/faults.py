@@ -1,7 +1,7 @@
 """What goes wrong, in words: ``drop to=host frame=12``, ``fault value=33 tick=300``.
 
-The first word is a kind of `rig.devices.fault_script.Kind`, which strikes a unit of the line (a line of text, a CAN
-frame); or an event of the drive (`SimulatedMoteus.happen`, `SimulatedOdrive.happen`); or ``stale``: the drive answers
+The first word is a kind of `rig.devices.fault_script.FaultKind`, which strikes a unit of the line (a line of text, a
+CAN frame); or an event of a drive (`SimulatedMoteus.happen`, `SimulatedOdrive.happen`); or ``stale``: it answers
 with what it answered before; or ``host-bus-off``: the host's own CAN controller says that it has left the bus, and
 nothing comes or goes any more. `frame` counts units of a direction from 0, for an event those that the host sent;
 `tick` counts milliseconds since the host's first one.
@@ -13,7 +13,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 from rig.core.errors import ConfigError
-from rig.devices.fault_script import Direction, FrameFault, Kind
+from rig.devices.fault_script import Direction, FaultKind, FrameFault
 
 STALE, HOST_BUS_OFF = "stale", "host-bus-off"
 EVENTS = (
@@ -26,7 +26,7 @@ _EXAMPLE = 'like "drop to=host frame=12" or "fault value=33 tick=300"'
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Event:
+class DriveEvent:
     """What happens to a drive, just before it takes unit `frame` of the host, or at `tick` milliseconds."""
 
     name: str
@@ -36,16 +36,18 @@ class Event:
 
 
 @dataclass(frozen=True, slots=True)
-class Script:
+class DriveScript:
     """What goes wrong in a run."""
 
     frames: tuple[FrameFault, ...] = ()
-    events: tuple[Event, ...] = ()
+    events: tuple[DriveEvent, ...] = ()
 
-    def on_a_can_bus(self) -> Script:
+    def on_a_can_bus(self) -> DriveScript:
         """The same where a frame that is damaged on its way fails its CRC, and no controller passes it on."""
-        damaged = (Kind.CORRUPT, Kind.TRUNCATE)
-        frames = (replace(fault, kind=Kind.DROP) if fault.kind in damaged else fault for fault in self.frames)
+        damaged = (FaultKind.CORRUPT, FaultKind.TRUNCATE)
+        frames = (
+            replace(fault, kind=FaultKind.DROP) if fault.kind in damaged else fault for fault in self.frames
+        )
         return replace(self, frames=tuple(frames))
 
     def check(self, known: Iterable[str]) -> None:
@@ -57,29 +59,29 @@ class Script:
                 )
 
     @classmethod
-    def of(cls, texts: Iterable[str]) -> Script:
+    def of(cls, texts: Iterable[str]) -> DriveScript:
         """Read a script; `ConfigError` for what is none."""
         found = [_read(text) for text in texts]
         return cls(
             frames=tuple(one for one in found if isinstance(one, FrameFault)),
-            events=tuple(one for one in found if isinstance(one, Event)),
+            events=tuple(one for one in found if isinstance(one, DriveEvent)),
         )
 
 
-def _read(text: str) -> FrameFault | Event:
+def _read(text: str) -> FrameFault | DriveEvent:
     word, *rest = text.split()
     given = dict(part.partition("=")[::2] for part in rest)
     to = given.pop("to", "host")
     if ("frame" in given) == ("tick" in given) or to not in _DIRECTIONS:
         raise ConfigError(f"{text!r} does not say when, or to whom", remedy=_EXAMPLE)
     try:
-        if word in {kind.value for kind in Kind}:
+        if word in {kind.value for kind in FaultKind}:
             numbers = {name: int(value) for name, value in given.items()}
-            return FrameFault(kind=Kind(word), direction=_DIRECTIONS[to], **numbers)  # type: ignore[arg-type]
+            return FrameFault(kind=FaultKind(word), direction=_DIRECTIONS[to], **numbers)  # type: ignore[arg-type]
         if word in EVENTS:
             value = float(given.pop("value", "0"))
-            return Event(name=word, value=value, **{name: int(when) for name, when in given.items()})
+            return DriveEvent(name=word, value=value, **{name: int(when) for name, when in given.items()})
     except (ValueError, TypeError) as error:
         raise ConfigError(f"{text!r} is no fault: {error}", remedy=_EXAMPLE) from error
-    known = ", ".join((*(kind.value for kind in Kind), *EVENTS))
+    known = ", ".join((*(kind.value for kind in FaultKind), *EVENTS))
     raise ConfigError(f"{word!r} is no fault", remedy=f"one of {known}; {_EXAMPLE}")

@@ -47,7 +47,7 @@ class _RefusedError(Exception):
     """A line is answered with ERR and this text."""
 
 
-class Lines:
+class LineSplitter:
     """Cuts bytes into lines."""
 
     def __init__(self) -> None:
@@ -74,12 +74,12 @@ class Uart:
         self._prefix = prefix
         self._checked = False
 
-    def splitter(self) -> Lines:
+    def splitter(self) -> LineSplitter:
         """Make what cuts bytes into lines."""
-        return Lines()
+        return LineSplitter()
 
     def open(self, unit: bytes) -> tuple[Frame | None, list[bytes]]:
-        """Take a line; see `sim_backend.drives.bus.Adapter`."""
+        """Take a line; see `sim_backend.drives.bus.SimulatedAdapter`."""
         try:
             frame = self._frame(unit.rstrip())
         except _RefusedError as refused:
@@ -127,12 +127,12 @@ class Uart:
 class Fdcanusb:
     """The USB adapter, on the bus (``can on``)."""
 
-    def splitter(self) -> Lines:
+    def splitter(self) -> LineSplitter:
         """Make what cuts bytes into lines."""
-        return Lines()
+        return LineSplitter()
 
     def open(self, unit: bytes) -> tuple[Frame | None, list[bytes]]:
-        """Take a line; see `sim_backend.drives.bus.Adapter`."""
+        """Take a line; see `sim_backend.drives.bus.SimulatedAdapter`."""
         line = unit.rstrip()
         try:
             frame = None if line in {b"can on", b"can off"} else self._frame(line)

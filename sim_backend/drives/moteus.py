@@ -40,7 +40,13 @@ from sim_backend.drives.moteus_registers import (
     WHOLE,
     Steps,
 )
-from sim_backend.drives.moteus_settings import SPI, TORQUE_TIMES_KV, Console, Settings, defaults
+from sim_backend.drives.moteus_settings import (
+    SPI,
+    TORQUE_TIMES_KV,
+    DiagnosticChannel,
+    MoteusSettings,
+    defaults,
+)
 from sim_backend.drives.motor import Motor
 from sim_backend.drives.multiplex import (
     FLOAT,
@@ -95,7 +101,7 @@ class MoteusOptions:
 
 
 class SimulatedMoteus:
-    """A moteus with its rig; see `sim_backend.drives.bus.Drive`.
+    """A moteus with its rig; see `sim_backend.drives.bus.DriveModel`.
 
     Parameters
     ----------
@@ -118,7 +124,7 @@ class SimulatedMoteus:
         self.motor = Motor(model, RATE_HZ, law, self._words)
         self._kt = model.amplifier.effort_per_ampere / abs(self.motor.effort_per_torque)
         self._options = options
-        self.settings = Settings(defaults(self.motor.counts_per_turn, self._kt))
+        self.settings = MoteusSettings(defaults(self.motor.counts_per_turn, self._kt))
         self._kind = self.settings.values["motor_position.sources.0.type"]  # of the encoder that there is
         for name, text in options.settings.items():
             if not self.settings.set(name, text):
@@ -127,7 +133,7 @@ class SimulatedMoteus:
                     remedy=f"one of {', '.join(self.settings.values)}",
                 )
         self.settings.store()
-        self._console = Console(self.settings, self._order)
+        self._console = DiagnosticChannel(self.settings, self._order)
         self._packet = 0
         self._sent = b""
         self.ticks = 0

@@ -38,7 +38,7 @@ LEAST_VOLTAGE = 4.0  # V, fw/bldc_servo_control.h
 _NO_FAULT = 0
 
 
-class _Words(NamedTuple):
+class _MoteusWords(NamedTuple):
     # configuration (docs/reference/configuration.md; revolutions, N·m, seconds)
     counts_per_turn: int
     sign: int
@@ -113,7 +113,7 @@ class _Words(NamedTuple):
     struck: int
 
 
-W: Any = _Words(*range(len(_Words.__annotations__)))
+W: Any = _MoteusWords(*range(len(_MoteusWords.__annotations__)))
 WORDS = len(W)
 
 _DT = 1.0 / RATE_HZ

@@ -87,7 +87,7 @@ def defaults(counts_per_turn: int, torque_constant: float) -> dict[str, Value]:
     }
 
 
-class Settings:
+class MoteusSettings:
     """Active configuration, and the one in persistent storage.
 
     Parameters
@@ -137,7 +137,7 @@ def shown(value: Value) -> str:
     return str(value) if isinstance(value, int) else f"{value:f}"
 
 
-class Console:
+class DiagnosticChannel:
     """Lines in, answers out: diagnostic channel 1.
 
     Parameters
@@ -148,7 +148,7 @@ class Console:
         Takes the words of a command behind ``d``; whether it was understood.
     """
 
-    def __init__(self, settings: Settings, order: Callable[[list[str]], bool]) -> None:
+    def __init__(self, settings: MoteusSettings, order: Callable[[list[str]], bool]) -> None:
         self._settings = settings
         self._order = order
         self._line = b""

@@ -25,7 +25,7 @@ from rig.core.model import RigModel
 from rig.realtime.groups import Float, Floats, Int, Ints, group, group_at, group_bytes, type_of
 from rig.realtime.kernel import kernel, prepare
 from sim_backend.coupled_hand import want
-from sim_backend.operator import Script
+from sim_backend.operator import OperatorScript
 from sim_backend.plant import DiscretePlant, PlantArguments, advance
 
 Words = NDArray[np.float64]
@@ -70,7 +70,7 @@ class Moving(NamedTuple):
     """A rig that is turned."""
 
     plant: Annotated[PlantArguments, type_of(PlantArguments)]
-    script: Annotated[Script, type_of(Script)]
+    script: Annotated[OperatorScript, type_of(OperatorScript)]
     shaft: Annotated[Shaft, type_of(Shaft)]
 
 
@@ -152,9 +152,9 @@ class Motor:
         self._handle = int(self._memory.ctypes.data)
         arguments = self._plant.arguments(self._state)
         prepare(arguments.other, law, put, run)
-        self._play(Script.silent())
+        self._play(OperatorScript.silent())
 
-    def _play(self, script: Script) -> None:
+    def _play(self, script: OperatorScript) -> None:
         shaft = Shaft(
             law=self._law,
             words=self._words,
@@ -170,7 +170,7 @@ class Motor:
     def begin_session(self) -> None:
         """Let the person who holds the handle, if there is one, begin: along to the start, and into the wall."""
         position = self._state.item(self._plant.handle_position)
-        self._play(Script.of(self._model, 1.0 / SCRIPT_HZ, position, self._sessions))
+        self._play(OperatorScript.of(self._model, 1.0 / SCRIPT_HZ, position, self._sessions))
         self._sessions += 1
 
     def run(self, ticks: int) -> None:

@@ -35,7 +35,7 @@ from sim_backend.drives.can_simple import (
     SDO,
     WRITE,
     AxisState,
-    Command,
+    CanSimpleCommand,
     Error,
     Result,
 )
@@ -95,13 +95,13 @@ _ENCODER, _COUNTS = "axis0.config.load_encoder", "inc_encoder0.config.cpr"
 _INCREMENTAL, _ONBOARD = 1, 13  # odrive.enums.EncoderId
 
 _CYCLIC = {
-    Command.HEARTBEAT: "axis0.config.can.heartbeat_msg_rate_ms",
-    Command.GET_ENCODER_ESTIMATES: "axis0.config.can.encoder_msg_rate_ms",
-    Command.GET_ERROR: "axis0.config.can.error_msg_rate_ms",
-    Command.GET_IQ: "axis0.config.can.iq_msg_rate_ms",
-    Command.GET_TEMPERATURE: "axis0.config.can.temperature_msg_rate_ms",
-    Command.GET_BUS_VOLTAGE_CURRENT: "axis0.config.can.bus_voltage_msg_rate_ms",
-    Command.GET_TORQUES: "axis0.config.can.torques_msg_rate_ms",
+    CanSimpleCommand.HEARTBEAT: "axis0.config.can.heartbeat_msg_rate_ms",
+    CanSimpleCommand.GET_ENCODER_ESTIMATES: "axis0.config.can.encoder_msg_rate_ms",
+    CanSimpleCommand.GET_ERROR: "axis0.config.can.error_msg_rate_ms",
+    CanSimpleCommand.GET_IQ: "axis0.config.can.iq_msg_rate_ms",
+    CanSimpleCommand.GET_TEMPERATURE: "axis0.config.can.temperature_msg_rate_ms",
+    CanSimpleCommand.GET_BUS_VOLTAGE_CURRENT: "axis0.config.can.bus_voltage_msg_rate_ms",
+    CanSimpleCommand.GET_TORQUES: "axis0.config.can.torques_msg_rate_ms",
 }
 
 
@@ -129,7 +129,7 @@ class OdriveOptions:
 
 
 class SimulatedOdrive:
-    """An ODrive with its rig, calibrated; see `sim_backend.drives.bus.Drive`.
+    """An ODrive with its rig, calibrated; see `sim_backend.drives.bus.DriveModel`.
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ class SimulatedOdrive:
             self._set_text(path, text)
         self._saved = dict(self.values)
         self.ticks = 0
-        self._due: dict[Command, int] = {}
+        self._due: dict[CanSimpleCommand, int] = {}
         self._off_until = 0
         self.power_up()
 
@@ -235,8 +235,8 @@ class SimulatedOdrive:
         }
 
     def _second_master(self, torque: float) -> list[Frame]:
-        data = FORMS[Command.SET_INPUT_TORQUE].pack(torque)
-        frame = Frame(self._identifier(Command.SET_INPUT_TORQUE), data)
+        data = FORMS[CanSimpleCommand.SET_INPUT_TORQUE].pack(torque)
+        frame = Frame(self._identifier(CanSimpleCommand.SET_INPUT_TORQUE), data)
         self.receive(frame)
         return [frame]
 
@@ -249,7 +249,7 @@ class SimulatedOdrive:
     def _node(self) -> int:
         return int(self.values["axis0.config.can.node_id"])
 
-    def _identifier(self, command: Command) -> int:
+    def _identifier(self, command: CanSimpleCommand) -> int:
         return self._node << NODE_BITS | command
 
     def receive(self, frame: Frame) -> list[Frame]:
@@ -257,12 +257,12 @@ class SimulatedOdrive:
         if self._is_off or frame.extended or frame.identifier >> NODE_BITS != self._node:
             return []
         try:
-            command = Command(frame.identifier & (1 << NODE_BITS) - 1)
+            command = CanSimpleCommand(frame.identifier & (1 << NODE_BITS) - 1)
         except ValueError:
             return []
         if command in _ANSWERED:
             return [self._reply(command)] if frame.remote or not frame.data else []
-        if command is Command.RX_SDO:
+        if command is CanSimpleCommand.RX_SDO:
             return self._access(frame.data)
         form = FORMS.get(command)
         if form is not None and len(frame.data) < form.size:
@@ -270,31 +270,34 @@ class SimulatedOdrive:
         self._obey(command, form.unpack_from(frame.data) if form is not None else ())
         return []
 
-    def _reply(self, command: Command) -> Frame:
+    def _reply(self, command: CanSimpleCommand) -> Frame:
         return Frame(self._identifier(command), self._told(command))
 
-    def _told(self, command: Command) -> bytes:
+    def _told(self, command: CanSimpleCommand) -> bytes:
         w, kt = self._words, self._words[W.torque_constant]
-        if command is Command.GET_VERSION:
+        if command is CanSimpleCommand.GET_VERSION:
             return bytes((PROTOCOL, *HARDWARE, *self._options.firmware, 0))
-        if command is Command.HEARTBEAT:
+        if command is CanSimpleCommand.HEARTBEAT:
             done = int(w[W.control_mode] >= POSITION_CONTROL)
             errors = int(w[W.active_errors]) | int(
                 w[W.disarm_reason]
             )  # assumed: the page was not read on this
             return HEARTBEAT.pack(errors, int(w[W.state]), self._outcome(), done)
-        if command is Command.GET_ERROR:
+        if command is CanSimpleCommand.GET_ERROR:
             return ERRORS.pack(int(w[W.active_errors]), int(w[W.disarm_reason]))
-        if command is Command.ADDRESS:
+        if command is CanSimpleCommand.ADDRESS:
             return ADDRESS.pack(self._node, self._options.serial.to_bytes(6, "little"), 0)
         power = w[W.torque] * w[W.vel_estimate] * 2.0 * math.pi
         pairs = {
-            Command.GET_ENCODER_ESTIMATES: (w[W.pos_estimate], w[W.vel_estimate]),
-            Command.GET_IQ: (w[W.torque_target] / kt, w[W.torque] / kt),
-            Command.GET_TEMPERATURE: (w[W.temperature], math.nan),  # no thermistor at the motor
-            Command.GET_BUS_VOLTAGE_CURRENT: (w[W.voltage], power / w[W.voltage] if w[W.voltage] else 0.0),
-            Command.GET_TORQUES: (w[W.torque_target], w[W.torque]),
-            Command.GET_POWERS: (power, power),
+            CanSimpleCommand.GET_ENCODER_ESTIMATES: (w[W.pos_estimate], w[W.vel_estimate]),
+            CanSimpleCommand.GET_IQ: (w[W.torque_target] / kt, w[W.torque] / kt),
+            CanSimpleCommand.GET_TEMPERATURE: (w[W.temperature], math.nan),  # no thermistor at the motor
+            CanSimpleCommand.GET_BUS_VOLTAGE_CURRENT: (
+                w[W.voltage],
+                power / w[W.voltage] if w[W.voltage] else 0.0,
+            ),
+            CanSimpleCommand.GET_TORQUES: (w[W.torque_target], w[W.torque]),
+            CanSimpleCommand.GET_POWERS: (power, power),
         }
         return FLOATS.pack(*pairs[command])
 
@@ -304,25 +307,25 @@ class SimulatedOdrive:
             return Result.DISARMED
         return self._result
 
-    def _obey(self, command: Command, values: tuple[Any, ...]) -> None:
+    def _obey(self, command: CanSimpleCommand, values: tuple[Any, ...]) -> None:
         w = self._words
-        if command is Command.SET_AXIS_STATE:
+        if command is CanSimpleCommand.SET_AXIS_STATE:
             self._request(*values)
-        elif command is Command.SET_INPUT_TORQUE:
+        elif command is CanSimpleCommand.SET_INPUT_TORQUE:
             (w[W.input_torque],) = values
-        elif command is Command.SET_INPUT_VEL:
+        elif command is CanSimpleCommand.SET_INPUT_VEL:
             w[W.input_vel], w[W.input_torque] = values
-        elif command is Command.SET_INPUT_POS:
+        elif command is CanSimpleCommand.SET_INPUT_POS:
             w[W.input_pos] = values[0]
             w[[W.input_vel, W.input_torque]] = np.multiply(values[1:], FEED_FORWARD_STEP)
-        elif command is Command.ESTOP:
+        elif command is CanSimpleCommand.ESTOP:
             self._fail(Error.ESTOP_REQUESTED)
-        elif command is Command.CLEAR_ERRORS:
+        elif command is CanSimpleCommand.CLEAR_ERRORS:
             w[[W.active_errors, W.disarm_reason]] = 0.0
             self._feed()
-        elif command is Command.REBOOT:
+        elif command is CanSimpleCommand.REBOOT:
             self._restart(*values)
-        elif command is Command.SET_ABSOLUTE_POSITION:
+        elif command is CanSimpleCommand.SET_ABSOLUTE_POSITION:
             w[W.shift] += values[0] - w[W.pos_estimate]
         elif command in _SETS:
             for path, value in zip(_SETS[command], values, strict=True):
@@ -391,7 +394,7 @@ class SimulatedOdrive:
                 told = form.pack(self.values[path])
         if opcode == WRITE and self._options.firmware < FIRMWARE:
             return []  # confirmed from 0.6.11 on
-        return [Frame(self._identifier(Command.TX_SDO), SDO.pack(0, number, 0) + told)]
+        return [Frame(self._identifier(CanSimpleCommand.TX_SDO), SDO.pack(0, number, 0) + told)]
 
     def _set_text(self, path: str, text: str) -> None:
         known = _PARAMETERS.get(path)
@@ -422,13 +425,18 @@ class SimulatedOdrive:
         w[W.encoder_valid] = self.values[_ENCODER] == self._encoder
 
 
-_ANSWERED = {*_CYCLIC, Command.GET_VERSION, Command.ADDRESS, Command.GET_POWERS}
-_FEEDS = {Command.SET_AXIS_STATE, Command.SET_INPUT_POS, Command.SET_INPUT_VEL, Command.SET_INPUT_TORQUE}
+_ANSWERED = {*_CYCLIC, CanSimpleCommand.GET_VERSION, CanSimpleCommand.ADDRESS, CanSimpleCommand.GET_POWERS}
+_FEEDS = {
+    CanSimpleCommand.SET_AXIS_STATE,
+    CanSimpleCommand.SET_INPUT_POS,
+    CanSimpleCommand.SET_INPUT_VEL,
+    CanSimpleCommand.SET_INPUT_TORQUE,
+}
 _CONTROLLER = "axis0.controller.config"
 _SETS = {
-    Command.SET_CONTROLLER_MODE: (f"{_CONTROLLER}.control_mode", f"{_CONTROLLER}.input_mode"),
-    Command.SET_LIMITS: (f"{_CONTROLLER}.vel_limit", "axis0.config.motor.current_soft_max"),
-    Command.SET_TRAJ_INERTIA: (f"{_CONTROLLER}.inertia",),
-    Command.SET_POS_GAIN: (f"{_CONTROLLER}.pos_gain",),
-    Command.SET_VEL_GAINS: (f"{_CONTROLLER}.vel_gain", f"{_CONTROLLER}.vel_integrator_gain"),
+    CanSimpleCommand.SET_CONTROLLER_MODE: (f"{_CONTROLLER}.control_mode", f"{_CONTROLLER}.input_mode"),
+    CanSimpleCommand.SET_LIMITS: (f"{_CONTROLLER}.vel_limit", "axis0.config.motor.current_soft_max"),
+    CanSimpleCommand.SET_TRAJ_INERTIA: (f"{_CONTROLLER}.inertia",),
+    CanSimpleCommand.SET_POS_GAIN: (f"{_CONTROLLER}.pos_gain",),
+    CanSimpleCommand.SET_VEL_GAINS: (f"{_CONTROLLER}.vel_gain", f"{_CONTROLLER}.vel_integrator_gain"),
 }

@@ -30,7 +30,7 @@ INACTIVE, PASSTHROUGH, VEL_RAMP, POS_FILTER = range(4)
 TORQUE_RAMP = 6
 
 
-class _Words(NamedTuple):
+class _OdriveWords(NamedTuple):
     # configuration (turns, N·m, seconds)
     counts_per_turn: int
     bandwidth: int
@@ -85,7 +85,7 @@ class _Words(NamedTuple):
     struck: int
 
 
-W: Any = _Words(*range(len(_Words.__annotations__)))
+W: Any = _OdriveWords(*range(len(_OdriveWords.__annotations__)))
 WORDS = len(W)
 
 _DT = 1.0 / RATE_HZ

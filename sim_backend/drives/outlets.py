@@ -24,14 +24,14 @@ from sim_backend.drives.socket_can import FD_BYTES, Frames, from_wire, to_wire
 from sim_backend.real_time import sleep_until
 
 if sys.platform == "linux":
-    from sim_backend.line import Terminal as RawTerminal
+    from sim_backend.line import PseudoTerminal as RawTerminal
 
 assert sys.platform == "linux"
 
 HOSTS = 8
 
 
-class Terminal(RawTerminal):
+class UnpluggableTerminal(RawTerminal):
     """A pseudo-terminal whose cable can be pulled."""
 
     _pulled = False
@@ -58,7 +58,7 @@ class Terminal(RawTerminal):
             super().__exit__(*error)
 
 
-class CanBus:
+class DriveSockets:
     """The drive's sockets on a bus.
 
     Attributes

@@ -12,9 +12,9 @@ from typing import Any, Literal
 from rig.core.errors import ConfigError
 from rig.core.model import RigModel
 from rig.core.process import announced
-from rig.realtime.scheduling import Board, obtained
-from sim_backend.drives.bus import Adapter, Drive
-from sim_backend.drives.faults import Script
+from rig.realtime.scheduling import BoardScheduling, obtained
+from sim_backend.drives.bus import DriveModel, SimulatedAdapter
+from sim_backend.drives.faults import DriveScript
 from sim_backend.drives.fdcanusb import Fdcanusb, Uart
 from sim_backend.drives.moteus import MoteusOptions, SimulatedMoteus
 from sim_backend.drives.multiplex import NOP
@@ -24,7 +24,7 @@ from sim_backend.drives.socket_can import SocketCan
 from sim_backend.stopping import stopped_by_signals
 
 if sys.platform == "linux":
-    from sim_backend.drives.outlets import CanBus, Terminal
+    from sim_backend.drives.outlets import DriveSockets, UnpluggableTerminal
 
 assert sys.platform == "linux"
 
@@ -32,7 +32,7 @@ Kind = Literal["moteus", "odrive"]
 
 
 @dataclass(frozen=True, slots=True)
-class Served:
+class ServedDrive:
     """A drive that is being served, and what a host opens."""
 
     path: str
@@ -85,9 +85,9 @@ def serve(
     ConfigError
         A rig that cannot hang on a drive, or a setting or a fault that there is not.
     """
-    script, stop = Script.of(faults), stop or threading.Event()
-    drive: Drive
-    spoken: Adapter
+    script, stop = DriveScript.of(faults), stop or threading.Event()
+    drive: DriveModel
+    spoken: SimulatedAdapter
     if kind == "odrive":
         drive, spoken = _odrive(model, settings, firmware), SocketCan()
         if place is None:
@@ -100,9 +100,9 @@ def serve(
     script.check(drive.events)
     script = script if place is None else script.on_a_can_bus()
     with (
-        Terminal() if place is None else CanBus(place) as port,
+        UnpluggableTerminal() if place is None else DriveSockets(place) as port,
         stopped_by_signals(stop),
-        obtained(Board(realtime)) as granted,
+        obtained(BoardScheduling(realtime)) as granted,
     ):
         granted.enter_thread()
         try:
@@ -124,7 +124,7 @@ def _odrive(model: RigModel, settings: Mapping[str, str] | None, firmware: int |
     return SimulatedOdrive(model, options)
 
 
-def _adapter(name: str, drive: SimulatedMoteus) -> Adapter:
+def _adapter(name: str, drive: SimulatedMoteus) -> SimulatedAdapter:
     if name == "uart":
         return Uart(prefix=int(drive.settings.values["can.prefix"]))
     if name == "fdcanusb":
@@ -133,14 +133,14 @@ def _adapter(name: str, drive: SimulatedMoteus) -> Adapter:
 
 
 @contextmanager
-def simulated_drive(kind: Kind, model: RigModel, **options: Any) -> Iterator[Served]:
+def simulated_drive(kind: Kind, model: RigModel, **options: Any) -> Iterator[ServedDrive]:
     """Start a process that serves a drive (see `serve`); it ends with the context, and with this process.
 
     Raises `DeviceNotFoundError` when it does not come up.
     """
     by_hand = f"python -m sim_backend.drives {kind}"
     with announced(_child, kind, model, options, name=f"simulated {kind}", by_hand=by_hand) as path:
-        yield Served(path)
+        yield ServedDrive(path)
 
 
 def _child(announce: Callable[[str], None], kind: Kind, model: RigModel, options: Mapping[str, Any]) -> None:

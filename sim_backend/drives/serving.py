@@ -14,9 +14,9 @@ from collections.abc import Callable
 from typing import Protocol
 
 from rig.devices.fault_script import Direction
-from sim_backend.channel import Line as FailingLine
-from sim_backend.drives.bus import Adapter, Drive, Frame
-from sim_backend.drives.faults import HOST_BUS_OFF, STALE, Event, Script
+from sim_backend.channel import ScriptedLine as FailingLine
+from sim_backend.drives.bus import DriveModel, Frame, SimulatedAdapter
+from sim_backend.drives.faults import HOST_BUS_OFF, STALE, DriveEvent, DriveScript
 from sim_backend.drives.socket_can import BUS_OFF
 
 IDLE_NS = 5_000_000  # without a unit
@@ -24,7 +24,7 @@ LONGEST_STEP_NS = 15_000_000  # beyond it, this process was held up
 _MS, _SECOND = 1_000_000, 1_000_000_000
 
 
-class Port(Protocol):
+class DriveLine(Protocol):
     """The drive's end of a line."""
 
     def read(self, deadline_ns: int) -> bytes:
@@ -62,10 +62,10 @@ class Serving:
 
     def __init__(
         self,
-        drive: Drive,
-        adapter: Adapter,
-        port: Port,
-        script: Script,
+        drive: DriveModel,
+        adapter: SimulatedAdapter,
+        port: DriveLine,
+        script: DriveScript,
         stop: threading.Event,
         *,
         clock: Callable[[], int] = time.monotonic_ns,
@@ -168,7 +168,7 @@ class Serving:
                 else:
                     self._say(self._drive.happen(event.name, event.value))
 
-    def _is_due(self, event: Event) -> bool:
+    def _is_due(self, event: DriveEvent) -> bool:
         if event.tick is not None:
             return self._first_ns is not None and event.tick <= self._tick
         return event.frame == self._units

@@ -50,7 +50,7 @@ class Frames:
 
 
 class SocketCan:
-    """Frames of a socket; see `sim_backend.drives.bus.Adapter`.
+    """Frames of a socket; see `sim_backend.drives.bus.SimulatedAdapter`.
 
     Parameters
     ----------

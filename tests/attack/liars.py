@@ -28,7 +28,7 @@ from rig.config import presets
 from rig.control.verdict import Kind as Verdict
 from rig.core.errors import RigError
 from rig.devices import framed
-from rig.devices.fault_script import Direction, Faults, FrameFault, Kind
+from rig.devices.fault_script import Direction, FaultKind, Faults, FrameFault
 from rig.devices.framed import FramedDevice
 from rig.experiments.hit import HitRequest, hit
 from sim_backend.device import SimulatedDevice
@@ -299,7 +299,7 @@ class Liars:
         ticks, looks = chance.randrange(LIFETIME + 1, LONGEST + 1), chance.random() < 0.5
         direction, first = chance.choice(tuple(Direction)), chance.randrange(TICKS // 3, TICKS // 2)
         late = tuple(
-            FrameFault(kind=Kind.DELAY, direction=direction, frame=frame, ticks=ticks)
+            FrameFault(kind=FaultKind.DELAY, direction=direction, frame=frame, ticks=ticks)
             for frame in range(first, 2 * TICKS)
         )
         name = (

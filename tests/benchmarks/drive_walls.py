@@ -17,8 +17,8 @@ from rig.config.schemes import Scheme
 from rig.devices.framed import FramedDevice
 from rig.experiments.on_device import OnDevice
 from rig.experiments.ranges import hit_plan
-from rig.experiments.searches import Search
-from rig.experiments.zwidth_rig import Session, zwidth_on_rig
+from rig.experiments.searches import StiffnessSearch
+from rig.experiments.zwidth_rig import DeviceMap, zwidth_on_rig
 from tests.conformance.bridged import Bridged
 
 DAMPINGS = (0.005, 0.01, 0.02, 0.04)  # N·m·s/rad
@@ -36,12 +36,12 @@ def largest(changes: dict[str, Any], settings: dict[str, str], ratio: float) -> 
     """Largest K (N·m/rad) by damping whose hits and those below pass; "≥" where the search ended first."""
     keys = {"wall.pull": "allow", "trial.duration_s": 0.6, **changes}
     x = config.override(presets.load_named("moteus-knob"), keys, "the benchmark")
-    search = Search(lowest=0.5, highest=30.0, ratio=ratio)
+    search = StiffnessSearch(lowest=0.5, highest=30.0, ratio=ratio)
     plan = hit_plan(x, [Scheme.parse("uniform:1k")], dampings=DAMPINGS, search=search, on_device=True)
     world = Bridged(rig_model(x), settings)
     with tempfile.TemporaryDirectory() as place:
         where = OnDevice(url="moteus://memory", device=FramedDevice(world), verified=True, recordings=place)
-        session = Session(where=where, agrees=lambda asked: True, pause=lambda seconds: None)
+        session = DeviceMap(where=where, agrees=lambda asked: True, pause=lambda seconds: None)
         found = zwidth_on_rig(plan, session)
     curve = found.curve(0, "any")
     return {one.damping: f"{'≥ ' if one.capped else ''}{one.stiffness:.3g}" for one in curve}

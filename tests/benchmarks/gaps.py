@@ -65,8 +65,8 @@ from rig.control.measure import LOST_BITS
 from rig.control.step import DONE, THROWN_OUT, TRIAL
 from rig.control.verdict import Measured
 from rig.core.sample import Phase
-from rig.experiments.searches import Search, drive, limit_of
-from sim_backend.operator import Script
+from rig.experiments.searches import StiffnessSearch, drive, limit_of
+from sim_backend.operator import OperatorScript
 from sim_backend.plant import DiscretePlant
 from sim_backend.trial import Trace, run_arguments, run_ticks
 from tests.conformance.late_samples import LOST, ages
@@ -236,7 +236,7 @@ class SeriesRig:
         self.meter = judging.meter(self.limits, self.tick_s, experiment.rig.encoder.resolution)
         spread = homing.tolerance_counts * experiment.rig.encoder.resolution / 2.0
         self.start = trial.start + spread * float(np.random.default_rng(trial.seed).uniform(-1.0, 1.0))
-        self.script = Script.of(model, self.tick_s, self.start)
+        self.script = OperatorScript.of(model, self.tick_s, self.start)
         longest_s = homing.settle_s + 0.5 + trial.baseline_s + trial.duration_s
         self.trace = Trace.empty(round(longest_s / self.tick_s) + 2, self.plant)
 
@@ -341,7 +341,7 @@ def _ladder(rig: SeriesRig, rungs: Sequence[float], delays: Ints) -> tuple[int, 
 def middle(case: Case) -> float:
     """K_max of a case: the median over a few series of what a wide search finds."""
     lowest, highest = LADDERS[case.preset.split("-")[0]]
-    search = Search(way="bisection", lowest=lowest, highest=highest, ratio=RUNG)
+    search = StiffnessSearch(way="bisection", lowest=lowest, highest=highest, ratio=RUNG)
     limits = []
     for number in range(5):
         rig = SeriesRig(case, (number % OFFSETS + 0.5) / OFFSETS, number)

@@ -17,7 +17,7 @@ from rig.analysis import theory
 from rig.config import presets
 from rig.experiments import hit_simulator, ranges
 from rig.experiments.maps import zwidth
-from rig.experiments.searches import Search
+from rig.experiments.searches import StiffnessSearch
 from rig.experiments.zwidth import MapPlan, run_series
 from sim_backend import hits
 
@@ -98,7 +98,7 @@ def test_memory_of_a_map_does_not_grow_with_the_number_of_series(tmp_path: Path)
             experiment=short,
             schemes=theory.default_schemes(short)[:1],
             dampings=(0.5,),
-            search=Search(lowest=100.0, highest=900.0, ratio=2.5),
+            search=StiffnessSearch(lowest=100.0, highest=900.0, ratio=2.5),
             repeats=repeats,
         )
         tracemalloc.start()

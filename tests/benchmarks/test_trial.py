@@ -27,7 +27,7 @@ from rig.control import step, wall
 from rig.control.estimators import estimator, fdm_butterworth
 from rig.realtime.kernel import kernel
 from sim_backend import plant as plants
-from sim_backend.operator import Script
+from sim_backend.operator import OperatorScript
 from sim_backend.plant import PLANT_TYPE, DiscretePlant, advance
 from sim_backend.trial import Trace, run_arguments, run_ticks
 
@@ -91,7 +91,7 @@ def build_c(directory: Any, *options: Any) -> Any:
 
 def in_numba(law: Any, plant: Any, trace: Any) -> Any:
     """One trial without bytes from rest; returns its number of ticks."""
-    arguments = run_arguments(law, plant, plant.at_rest(0.0), 0.0, OLDEST_EDGE, Script.silent())
+    arguments = run_arguments(law, plant, plant.at_rest(0.0), 0.0, OLDEST_EDGE, OperatorScript.silent())
     return run_ticks(*arguments, trace)
 
 

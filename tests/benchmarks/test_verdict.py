@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from scipy.signal import butter, sosfilt, sosfilt_zi, sosfiltfilt
 
-from rig.control.judging import Signals, judge, meter
+from rig.control.judging import TrialSignals, judge, meter
 from rig.control.verdict import KINDS, Kind, Measured, Thresholds, kinds
 
 RATE = 20_000
@@ -76,7 +76,7 @@ def test_a_verdict_costs_a_fraction_of_what_scipy_needs_for_its_filters_alone() 
     expected = with_scipy(counts, effort)
     assert numbers["felt"] == pytest.approx(expected[0], rel=1e-6)
     assert numbers["heard"] == pytest.approx(expected[1], rel=1e-6)
-    signals = Signals(
+    signals = TrialSignals(
         tick_s=1.0 / RATE, resolution=DELTA, position=counts, velocity=None, effort=effort, penetration=counts,
         saturated=nothing, late=nothing, lost=np.zeros(RATE, np.int64),
         currents=np.zeros(RATE, np.int64), slew_bound=nothing, overruled=nothing,

@@ -18,15 +18,15 @@ from typing import Any, Literal
 from rig.bench.bridge import moteus, odrive
 from rig.bench.bridge.bus import CanFrame
 from rig.bench.bridge.faults import TEXTS
-from rig.bench.bridge.library import Bridge, Drive
+from rig.bench.bridge.library import Bridge, FittedDrive
 from rig.core.model import Encoder, RigModel
 from rig.devices.device import DeviceUrl
 from rig.devices.port import LoopPort
 from rig.realtime.callbacks import callback_plugs
 from rig.realtime.clock import VirtualClock
-from sim_backend.drives.bus import Adapter, Frame
-from sim_backend.drives.bus import Drive as Simulated
-from sim_backend.drives.can_simple import Command
+from sim_backend.drives.bus import DriveModel as Simulated
+from sim_backend.drives.bus import Frame, SimulatedAdapter
+from sim_backend.drives.can_simple import CanSimpleCommand
 from sim_backend.drives.fdcanusb import Uart
 from sim_backend.drives.moteus import MoteusOptions, SimulatedMoteus
 from sim_backend.drives.multiplex import NOP
@@ -88,9 +88,9 @@ class MemoryBus:
         pass
 
 
-def found(drive: SimulatedMoteus, model: RigModel, number: int = 1) -> Drive:
+def found(drive: SimulatedMoteus, model: RigModel, number: int = 1) -> FittedDrive:
     """What a bridge finds of a moteus before it runs."""
-    return moteus.fit(moteus.find(moteus.Conversation(MemoryBus(drive), number), number), model)
+    return moteus.fit(moteus.find(moteus.MoteusConversation(MemoryBus(drive), number), number), model)
 
 
 def endpoints(firmware: tuple[int, int, int] = (0, 6, 11)) -> odrive.Endpoints:
@@ -106,9 +106,9 @@ def write_endpoints(place: Path) -> Path:
 
 def found_odrive(
     drive: SimulatedOdrive, model: RigModel, node: int = 0, numbers: odrive.Endpoints | None = None
-) -> Drive:
+) -> FittedDrive:
     """What a bridge finds of an ODrive before it runs."""
-    talk = odrive.Conversation(MemoryBus(drive), node, numbers or endpoints())
+    talk = odrive.OdriveConversation(MemoryBus(drive), node, numbers or endpoints())
     return odrive.fit(odrive.find(talk), model)
 
 
@@ -123,7 +123,7 @@ class Moteus:
         self.drive = SimulatedMoteus(model, MoteusOptions(settings={**SAFE, **settings}))
         self.found = replace(found(self.drive, model), switches=moteus.switches_of(switches))
 
-    def adapter(self, socket: bool) -> Adapter:
+    def adapter(self, socket: bool) -> SimulatedAdapter:
         """Of its line."""
         return SocketCan(fd=True, padding=NOP) if socket else Uart()
 
@@ -160,11 +160,11 @@ class Odrive:
         self.drive = SimulatedOdrive(model, OdriveOptions(settings={**WATCHED, **settings}))
         self.found = found_odrive(self.drive, model)
 
-    def adapter(self, socket: bool) -> Adapter:
+    def adapter(self, socket: bool) -> SimulatedAdapter:
         """Of its line: a CAN bus."""
         return SocketCan()
 
-    def ask(self, command: Command, form: str) -> tuple[Any, ...]:
+    def ask(self, command: CanSimpleCommand, form: str) -> tuple[Any, ...]:
         """Fields of a message."""
         (answer,) = self.drive.receive(Frame(command, b"", remote=True))
         return struct.unpack("<" + form, answer.data)
@@ -172,17 +172,17 @@ class Odrive:
     @property
     def mode(self) -> int:
         """Of the axis."""
-        return int(self.ask(Command.HEARTBEAT, "IBBBx")[1])
+        return int(self.ask(CanSimpleCommand.HEARTBEAT, "IBBBx")[1])
 
     @property
     def torque(self) -> float:
         """That it wants to give now (N·m)."""
-        return float(self.ask(Command.GET_TORQUES, "ff")[0])
+        return float(self.ask(CanSimpleCommand.GET_TORQUES, "ff")[0])
 
     @property
     def measured(self) -> float:
         """That it measures (N·m)."""
-        return float(self.ask(Command.GET_TORQUES, "ff")[1])
+        return float(self.ask(CanSimpleCommand.GET_TORQUES, "ff")[1])
 
 
 KINDS: dict[str, type[Moteus | Odrive]] = {"moteus": Moteus, "odrive": Odrive}
@@ -379,9 +379,9 @@ class Bridged:
         return self.far.torque
 
 
-def plain_drive() -> Drive:
+def plain_drive() -> FittedDrive:
     """A drive that nobody was asked about."""
-    return Drive(
+    return FittedDrive(
         kind="moteus",
         firmware="moteus",
         id=1,

@@ -15,9 +15,9 @@ import pytest
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed
 
-from rig.console.server import Settings, run
+from rig.console.server import ConsoleSettings, run
 from rig.console.terminal import Terminal
-from rig.realtime.memories import Memory, ask_to_stop
+from rig.realtime.memories import LoopMemory, ask_to_stop
 from rig.realtime.running import RunningLoop, running
 
 PATIENCE_S = 60.0  # machine code may have to be made first, beside other work
@@ -144,7 +144,7 @@ def processes_of_this_test() -> list[int]:
     return found
 
 
-def stop_of_this_test() -> list[Memory]:
+def stop_of_this_test() -> list[LoopMemory]:
     """Set the stop words of this test's loops: other tests, and people, run some beside it."""
     return [memory for pid in processes_of_this_test() for memory in ask_to_stop(pid)]
 
@@ -159,7 +159,7 @@ def loops_of_this_test() -> list[RunningLoop]:
 async def served(place: Path, terminal: Terminal | None = None, **settings: Any) -> AsyncIterator[Served]:
     """Serve a console; it has ended, and what it started, when the block is left. STOP is that of this test."""
     ended, urls = asyncio.Event(), asyncio.Queue[str]()
-    made = Settings(output=place, announce=urls.put_nowait, **settings)
+    made = ConsoleSettings(output=place, announce=urls.put_nowait, **settings)
     task = asyncio.create_task(run(made, terminal or Terminal(), ended))
     first = asyncio.create_task(urls.get())
     patch = pytest.MonkeyPatch()

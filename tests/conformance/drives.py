@@ -10,9 +10,9 @@ from dataclasses import replace
 from typing import Any
 
 from rig.core.model import Encoder, RigModel
-from sim_backend.drives.bus import Adapter, Drive, Frame
-from sim_backend.drives.can_simple import Command
-from sim_backend.drives.faults import Script
+from sim_backend.drives.bus import DriveModel, Frame, SimulatedAdapter
+from sim_backend.drives.can_simple import CanSimpleCommand
+from sim_backend.drives.faults import DriveScript
 from sim_backend.drives.moteus import MoteusOptions, SimulatedMoteus
 from sim_backend.drives.odrive import OdriveOptions, SimulatedOdrive
 from sim_backend.drives.serving import Serving
@@ -105,30 +105,30 @@ class Odrive:
         """Let time pass; what it sent meanwhile."""
         return self.drive.run(self.drive.ticks + round(seconds * self.drive.rate_hz))
 
-    def send(self, command: Command, form: str = "", *values: float) -> list[Frame]:
+    def send(self, command: CanSimpleCommand, form: str = "", *values: float) -> list[Frame]:
         """Send a message; the answers."""
         return self.drive.receive(Frame(command, struct.pack("<" + form, *values)))
 
-    def ask(self, command: Command, form: str) -> tuple[Any, ...]:
+    def ask(self, command: CanSimpleCommand, form: str) -> tuple[Any, ...]:
         """Ask for a message by a remote frame; its fields."""
         (answer,) = self.drive.receive(Frame(command, b"", remote=True))
         return struct.unpack("<" + form, answer.data)
 
     def start(self) -> None:
         """Torque control, closed loop."""
-        self.send(Command.SET_CONTROLLER_MODE, "II", 1, 1)
-        self.send(Command.SET_AXIS_STATE, "I", 8)
+        self.send(CanSimpleCommand.SET_CONTROLLER_MODE, "II", 1, 1)
+        self.send(CanSimpleCommand.SET_AXIS_STATE, "I", 8)
         self.wait(0.001)
 
     @property
     def state(self) -> int:
         """Of the axis."""
-        return int(self.ask(Command.HEARTBEAT, "IBBBx")[1])
+        return int(self.ask(CanSimpleCommand.HEARTBEAT, "IBBBx")[1])
 
     @property
     def errors(self) -> tuple[int, int]:
         """Active ones, and the reason for the last disarming."""
-        active, reason = self.ask(Command.GET_ERROR, "II")
+        active, reason = self.ask(CanSimpleCommand.GET_ERROR, "II")
         return active, reason
 
 
@@ -173,7 +173,11 @@ class Wire:
 
 
 def served(
-    drive: Drive, adapter: Adapter, units: Iterable[tuple[int, bytes]], script: Script, duration_s: float
+    drive: DriveModel,
+    adapter: SimulatedAdapter,
+    units: Iterable[tuple[int, bytes]],
+    script: DriveScript,
+    duration_s: float,
 ) -> Wire:
     """Serve a drive on a line in memory for a while; the line."""
     wire = Wire(units)

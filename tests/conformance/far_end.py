@@ -41,12 +41,12 @@ from rig.realtime.callbacks import callback_plugs
 from rig.realtime.plugs import NOW_SIGNATURE, WAIT_SIGNATURE, NativeFunction
 from sim_backend import line, pty, real_time
 from sim_backend.board_time import BoardTime
-from sim_backend.channel import Line
+from sim_backend.channel import ScriptedLine
 from sim_backend.device import SimulatedDevice
 from sim_backend.firmware import FirmwareDevice
 from sim_backend.hardware import World
-from sim_backend.line import Terminal
-from sim_backend.real_time import Port, RealTime, sleep_until
+from sim_backend.line import PseudoTerminal
+from sim_backend.real_time import DevicePort, RealTime, sleep_until
 from sim_backend.safety import AT
 from tests.conformance.started import die_with_parent
 from tests.conformance.trials import trial_on
@@ -206,7 +206,7 @@ class FaultyPort:
 
     def __init__(
         self,
-        port: Port,
+        port: DevicePort,
         device: WatchedDevice | WatchedFirmware,
         script: Script,
         unplug: Callable[[], None],
@@ -220,12 +220,12 @@ class FaultyPort:
         self._device = device
         self._script = script
         self._unplug = unplug
-        self._line = Line()
+        self._line = ScriptedLine()
         self._begun = self._gone = False
         self._noise = np.random.default_rng(0)
 
     def read(self, deadline_ns: int) -> bytes:
-        """As `Port.read`, behind the line."""
+        """As `DevicePort.read`, behind the line."""
         if self._gone:
             sleep_until(deadline_ns)
             return b""
@@ -248,12 +248,12 @@ class FaultyPort:
         return data
 
     def write(self, frames: bytes) -> None:
-        """As `Port.write`, before the line."""
+        """As `DevicePort.write`, before the line."""
         if not self._gone:
             self._port.write(self._passed(frames))
 
     def write_if_free(self, frame: bytes) -> None:
-        """As `Port.write_if_free`, before the line."""
+        """As `DevicePort.write_if_free`, before the line."""
         if self._gone:
             return
         self._port.write_if_free(self._passed(frame))
@@ -283,9 +283,9 @@ class FaultyPort:
 
 
 class PluggedPort:
-    """Plug functions for compiled code that come back into a `Port`."""
+    """Plug functions for compiled code that come back into a `DevicePort`."""
 
-    def __init__(self, port: Port, clock: PatientClock) -> None:
+    def __init__(self, port: DevicePort, clock: PatientClock) -> None:
         self._port = port
         self._clock = clock
         self._heard = b""
@@ -324,8 +324,8 @@ def native(function: Callable[..., int], signature: Any, words: int) -> NativeFu
 
 
 @contextmanager
-def _pty_port() -> Iterator[tuple[str, Port, Callable[[], None]]]:
-    with Terminal() as port:
+def _pty_port() -> Iterator[tuple[str, DevicePort, Callable[[], None]]]:
+    with PseudoTerminal() as port:
 
         def hang_up() -> None:
             null = os.open(os.devnull, os.O_RDWR)

@@ -6,10 +6,10 @@ Each of them would load the same machine code again: a third of a second, where 
 import threading
 
 from sim_backend.device import SimulatedDevice
-from sim_backend.line import Terminal
+from sim_backend.line import PseudoTerminal
 from sim_backend.real_time import RealTime
 from tests.conformance import far_end  # noqa: F401
 from tests.conformance.rigs import rotary_rig
 
-with Terminal() as port:
+with PseudoTerminal() as port:
     RealTime(SimulatedDevice(rotary_rig()), port, threading.Event()).run(0.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from rig import config
 from rig.config import presets
 from rig.config.schemes import Scheme
-from rig.experiments.searches import Search
+from rig.experiments.searches import StiffnessSearch
 from rig.experiments.zwidth import MapPlan
 
 SHORT = {"trial.duration_s": 0.3, "verdict.tail_s": 0.1, "homing.settle_s": 0.02}
@@ -17,6 +17,6 @@ def short_map(*offsets: float) -> MapPlan:
         experiment=config.override(presets.load("koul-compliant"), SHORT),
         schemes=(Scheme.parse("uniform:20k"),),
         dampings=(0.0, 0.3),
-        search=Search(lowest=10.0, highest=100.0, ratio=3.0),
+        search=StiffnessSearch(lowest=10.0, highest=100.0, ratio=3.0),
         offsets=offsets,
     )

@@ -18,8 +18,8 @@ from rig.session.load import as_mapping as protocol_as_mapping
 from rig.session.load import protocol_from_mapping
 from rig.session.log import SessionLog
 from rig.session.search.observer import Observer
-from rig.session.state import DoAsk, DoBlock, DoEnd, DoJudge, DoRest, DoTrial, State
-from rig.session.trial import Hit, Presented, event_of
+from rig.session.state import DoAsk, DoBlock, DoEnd, DoJudge, DoRest, DoTrial, SessionState
+from rig.session.trial import HitOutcome, Presented, event_of
 
 PRESET = "koul-compliant"
 VERSIONS = {
@@ -75,7 +75,7 @@ class Sitting:
 
     directory: Path
     log: SessionLog
-    state: State
+    state: SessionState
     person: Person
     now: list[float]
     drawn: np.random.Generator
@@ -153,7 +153,7 @@ class Sitting:
             data = self.recorded.read_bytes() if isinstance(self.recorded, Path) else made_up
             (self.directory / recording).write_bytes(data)
             digest = sha256(data).hexdigest()
-        hit = Hit(
+        hit = HitOutcome(
             recording=recording,
             sha256=digest,
             rows_sha256=digest,
@@ -213,7 +213,7 @@ def sitting(
         yield Sitting(
             directory=directory,
             log=log,
-            state=State.of(log.events),
+            state=SessionState.of(log.events),
             person=person,
             now=now,
             drawn=np.random.default_rng(seed),

@@ -9,17 +9,17 @@ from pathlib import Path
 import pytest
 
 from rig.bench.firmware import cortex
-from rig.bench.firmware.cortex import RAM, Core, Image
+from rig.bench.firmware.cortex import RAM, CortexCore, Image
 from rig.bench.firmware.toolchain import find_compiler
 from tests.firmware import cross
 from tests.firmware.build import FIRMWARE
 from tests.firmware.kept import content, kept
 
-__all__ = ["CORES", "RAM", "Core", "Image", "Simulator", "build"]
+__all__ = ["CORES", "RAM", "CortexCore", "Image", "Simulator", "build"]
 CORES = {name: core for name, core in cortex.CORES.items() if core.cycles_known}
 
 
-def build(core: Core, sources: Sequence[Path], entries: Sequence[str], *more: str) -> Image:
+def build(core: CortexCore, sources: Sequence[Path], entries: Sequence[str], *more: str) -> Image:
     """Compile and link sources of the firmware for a core."""
     cross.need_compiler()
     options = [*(f"-I{FIRMWARE / part}" for part in ("core", "law")), *more]

@@ -11,7 +11,7 @@ import struct
 from collections import Counter
 from typing import Any
 
-from sim_backend.firmware_library import Status
+from sim_backend.firmware_library import HostStatus
 from tests.firmware import cortex
 from tests.firmware.build import FIRMWARE, SOURCES
 from tests.firmware.cortex import RAM, Image, Simulator
@@ -24,7 +24,7 @@ HOST, SETUP, STATUS, BYTES, DICTIONARY = (RAM + at for at in (0x0, 0x6_0000, 0x6
 MOST_BYTES, MOST_DICTIONARY = 0x3C00, 0x7000
 
 
-def build(core: cortex.Core, *options: str) -> Image:
+def build(core: cortex.CortexCore, *options: str) -> Image:
     """The core, the law and the host port for a processor."""
     image = cortex.build(core, SOURCES, ENTRIES, f"-I{FIRMWARE / 'host'}", *options)
     held = [name for name in image.sizes if image.symbols[name] >= RAM]
@@ -105,7 +105,7 @@ class CortexLibrary:
 
     def host_status(self, address: int, status: Any) -> None:
         self.simulator.call("host_status", HOST, STATUS)
-        size = ctypes.sizeof(Status)
+        size = ctypes.sizeof(HostStatus)
         ctypes.memmove(status, bytes(self.simulator.uc.mem_read(STATUS, size)), size)
 
     def _write(self, address: int, data: bytes) -> None:

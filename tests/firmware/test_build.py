@@ -265,9 +265,9 @@ def with_settings(*settings: Any) -> Any:
     return replace(boards.load("mps2"), settings={setting.name: setting for setting in settings})
 
 
-SETTING = boards.Setting(name="pin", default=3, meaning="where", minimum=0, maximum=29)
-SCALE = boards.Setting(name="scale", default=0.5, meaning="how much", unit="A", minimum=0.0)
-LINK = boards.Setting(name="link", default="usb", meaning="which", choices=("usb", "uart"))
+SETTING = boards.BoardSetting(name="pin", default=3, meaning="where", minimum=0, maximum=29)
+SCALE = boards.BoardSetting(name="scale", default=0.5, meaning="how much", unit="A", minimum=0.0)
+LINK = boards.BoardSetting(name="link", default="usb", meaning="which", choices=("usb", "uart"))
 
 
 @pytest.mark.parametrize(
@@ -290,8 +290,8 @@ def test_a_setting_takes_what_it_may_be(setting: Any, good: Any, bad: Any) -> No
 
 
 def test_no_pin_is_used_twice() -> None:
-    encoder = boards.Setting(name="encoder", default=2, meaning="A, then B", pins=2)
-    enable = boards.Setting(name="enable", default=4, meaning="on", pins=1)
+    encoder = boards.BoardSetting(name="encoder", default=2, meaning="A, then B", pins=2)
+    enable = boards.BoardSetting(name="enable", default=4, meaning="on", pins=1)
     board = with_settings(encoder, enable)
     assert boards.settings_of(board, {"encoder": 5}) == {"encoder": 5, "enable": 4}
     with pytest.raises(ConfigError, match=r"encoder and enable .* both use pin 4"):

@@ -85,7 +85,7 @@ def test_a_runner_says_what_is_wrong(runner: ct.CDLL, vectors: list[golden.Vecto
 @pytest.mark.filterwarnings("ignore::UserWarning")
 @pytest.mark.parametrize("core", cortex.CORES.values(), ids=lambda core: core.name)
 @pytest.mark.exhaustive("::test_this_computer_meets_them")
-def test_a_processor_meets_them(core: cortex.Core, vectors: list[golden.Vector]) -> None:
+def test_a_processor_meets_them(core: cortex.CortexCore, vectors: list[golden.Vector]) -> None:
     pytest.importorskip("unicorn", reason="unicorn is not installed (pip install unicorn==2.1.4)")
     simulator = cortex.Simulator(build(core), counts=False)
     for v in vectors:

@@ -18,7 +18,7 @@ from typing import Any
 from firmware_protocol.connection import State
 from rig.core.model import RigModel
 from sim_backend.device import SimulatedDevice
-from sim_backend.real_time import Port, RealTime
+from sim_backend.real_time import DevicePort, RealTime
 
 RATE = 500  # Hz; an emulated machine keeps little more, and homing needs as much
 RATE_MAXIMUM = 4_000
@@ -66,7 +66,7 @@ class _Watched(SimulatedDevice):
 
 @contextlib.contextmanager
 def far_end(
-    model: RigModel, make_port: Callable[[], Port], *, rate: int = RATE, seed: int = 0
+    model: RigModel, make_port: Callable[[], DevicePort], *, rate: int = RATE, seed: int = 0
 ) -> Iterator[FarEnd]:
     """Run a simulated rig in a process of its own behind the port that `make_port` makes there.
 
@@ -93,7 +93,7 @@ def far_end(
         here.close()
 
 
-def _run(device: _Watched, make_port: Callable[[], Port], pipe: Any) -> None:
+def _run(device: _Watched, make_port: Callable[[], DevicePort], pipe: Any) -> None:
     signal.signal(signal.SIGTERM, lambda *_: os._exit(0))
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     pipe.send(None)

@@ -79,7 +79,7 @@ def acm_gadget(serial: str, name: str = "simulated rig") -> Iterator[AcmGadget]:
 
 
 class GadgetPort:
-    """The device's end of the gadget's line, as a `sim_backend.real_time.Port`; opened again when it was pulled out."""
+    """The device's end of the gadget's line, as a `sim_backend.real_time.DevicePort`; opened anew after an unplug."""
 
     def __init__(self) -> None:
         self._descriptor = -1

@@ -17,10 +17,10 @@ import pytest
 from rig.bench.bridge import moteus, odrive
 from rig.bench.bridge.bus import CanBus, open_bus
 from rig.bench.bridge.faults import DriveFault
-from rig.bench.bridge.library import Bridge, Drive
+from rig.bench.bridge.library import Bridge, FittedDrive
 from rig.core.model import RigModel
 from rig.devices.device import DeviceUrl
-from sim_backend.drives.can_simple import Command
+from sim_backend.drives.can_simple import CanSimpleCommand
 from sim_backend.drives.process import serve
 from tests.conformance.bridged import SAFE, WATCHED, bridged_rig, endpoints
 from tests.conformance.drives import drive_rig
@@ -73,13 +73,13 @@ def on_the_bus(
     assert not drive.is_alive()
 
 
-def send(host: socket.socket, command: Command, form: str, *values: float) -> None:
+def send(host: socket.socket, command: CanSimpleCommand, form: str, *values: float) -> None:
     """Send a message to node 0."""
     data = struct.pack("<" + form, *values)
     host.send(struct.pack("=IB3x8s", command, len(data), data))
 
 
-def heard(host: socket.socket, command: Command, form: str) -> tuple[float, ...]:
+def heard(host: socket.socket, command: CanSimpleCommand, form: str) -> tuple[float, ...]:
     """The next message of a kind."""
     while True:
         identifier, _, data = struct.unpack("=IB3x8s", host.recv(16))
@@ -89,19 +89,19 @@ def heard(host: socket.socket, command: Command, form: str) -> tuple[float, ...]
 
 def test_an_odrive_is_driven_over_the_kernels_own_can() -> None:
     with on_the_bus("odrive", "vcan0", settings=FREE) as host:
-        assert heard(host, Command.HEARTBEAT, "IBBBx")[:2] == (0, 1)
-        host.send(struct.pack("=IB3x8s", socket.CAN_RTR_FLAG | Command.GET_VERSION, 0, b""))
-        assert heard(host, Command.GET_VERSION, "8B")[4:7] == (0, 6, 11)
-        send(host, Command.SET_CONTROLLER_MODE, "II", 1, 1)
-        send(host, Command.SET_AXIS_STATE, "I", 8)
-        send(host, Command.SET_INPUT_TORQUE, "f", 0.02)
+        assert heard(host, CanSimpleCommand.HEARTBEAT, "IBBBx")[:2] == (0, 1)
+        host.send(struct.pack("=IB3x8s", socket.CAN_RTR_FLAG | CanSimpleCommand.GET_VERSION, 0, b""))
+        assert heard(host, CanSimpleCommand.GET_VERSION, "8B")[4:7] == (0, 6, 11)
+        send(host, CanSimpleCommand.SET_CONTROLLER_MODE, "II", 1, 1)
+        send(host, CanSimpleCommand.SET_AXIS_STATE, "I", 8)
+        send(host, CanSimpleCommand.SET_INPUT_TORQUE, "f", 0.02)
         until = time.monotonic() + WAIT_S
         velocity = 0.0
         while velocity <= 0.1 and time.monotonic() < until:
-            _, velocity = heard(host, Command.GET_ENCODER_ESTIMATES, "ff")
+            _, velocity = heard(host, CanSimpleCommand.GET_ENCODER_ESTIMATES, "ff")
         assert velocity > 0.1
-        send(host, Command.ESTOP, "")
-        while (beat := heard(host, Command.HEARTBEAT, "IBBBx"))[1] != 1:
+        send(host, CanSimpleCommand.ESTOP, "")
+        while (beat := heard(host, CanSimpleCommand.HEARTBEAT, "IBBBx"))[1] != 1:
             assert time.monotonic() < until
         assert beat[0] == 0x02000000
 
@@ -117,11 +117,11 @@ def test_a_moteus_answers_in_frames_of_can_fd() -> None:
         assert data[25:32] == b"\x50" * 7
 
 
-def found(kind: str, bus: CanBus, model: RigModel) -> Drive:
+def found(kind: str, bus: CanBus, model: RigModel) -> FittedDrive:
     """What a bridge finds of a drive; how quickly it answers says here how slow an emulated processor is."""
     if kind == "moteus":
-        return moteus.fit(moteus.find(moteus.Conversation(bus, 1), 1), model)
-    told = odrive.find(odrive.Conversation(bus, 0, endpoints()))
+        return moteus.fit(moteus.find(moteus.MoteusConversation(bus, 1), 1), model)
+    told = odrive.find(odrive.OdriveConversation(bus, 0, endpoints()))
     return odrive.fit(replace(told, quickest_s=0.0), model)
 
 
@@ -129,7 +129,7 @@ def found(kind: str, bus: CanBus, model: RigModel) -> Drive:
     ("kind", "settings", "end"),
     [
         ("moteus", SAFE, (0x01, bytes.fromhex("010000"))),  # to drive 1: mode 0
-        ("odrive", WATCHED | SLOWLY, (Command.SET_AXIS_STATE, bytes((1, 0, 0, 0)))),  # idle
+        ("odrive", WATCHED | SLOWLY, (CanSimpleCommand.SET_AXIS_STATE, bytes((1, 0, 0, 0)))),  # idle
     ],
 )
 def test_a_bridge_on_the_kernels_own_can(kind: str, settings: dict[str, str], end: tuple[int, bytes]) -> None:

@@ -9,12 +9,12 @@ import struct
 import pytest
 
 from rig.core.errors import ConfigError, DeviceNotFoundError
-from rig.devices.fault_script import Direction, FrameFault, Kind
+from rig.devices.fault_script import Direction, FaultKind, FrameFault
 from sim_backend.drives.bus import Frame
-from sim_backend.drives.can_simple import Command, Error
-from sim_backend.drives.faults import Event, Script
-from sim_backend.drives.fdcanusb import Fdcanusb, Lines, Uart, checksum, sealed
-from sim_backend.drives.outlets import CanBus, Terminal
+from sim_backend.drives.can_simple import CanSimpleCommand, Error
+from sim_backend.drives.faults import DriveEvent, DriveScript
+from sim_backend.drives.fdcanusb import Fdcanusb, LineSplitter, Uart, checksum, sealed
+from sim_backend.drives.outlets import DriveSockets, UnpluggableTerminal
 from sim_backend.drives.process import serve
 from sim_backend.drives.socket_can import SocketCan, from_wire, to_wire
 from tests.conformance.drives import MS, Moteus, Odrive, Wire, drive_rig, served
@@ -76,7 +76,7 @@ def test_the_usb_adapter_knows_flags_and_no_checksums_and_fills_up() -> None:
 
 
 def test_lines_end_in_any_way_and_too_long_ones_are_thrown_away() -> None:
-    lines = Lines()
+    lines = LineSplitter()
     assert lines.split(b"a\r\nb\n\rc") == [b"a\n", b"b\n"]
     assert lines.split(b"d\n") == [b"cd\n"]
     assert lines.split(b"x" * 300) == []
@@ -115,7 +115,7 @@ def test_frames_of_can_fd_are_longer_filled_up_and_not_for_those_who_speak_class
 def test_a_moteus_answers_on_can_fd_and_a_host_off_the_bus_hears_of_it() -> None:
     can = SocketCan(fd=True, padding=0x50)
     ask = [(at * MS, can.close(Frame(0x8001, b"\x11\0", extended=True))[0]) for at in range(1, 6)]
-    wire = served(Moteus().drive, can, ask, Script.of(["host-bus-off frame=3"]), 0.01)
+    wire = served(Moteus().drive, can, ask, DriveScript.of(["host-bus-off frame=3"]), 0.01)
     *answers, last = [struct.unpack_from("=IB", said) for _, said in wire.said]
     assert answers == [(0x0100, 3)] * 3
     assert last == (0x20000040, 8)
@@ -133,16 +133,18 @@ def told(frames: int, every_ms: int = 1) -> list[tuple[int, bytes]]:
 def run(fault: str, frames: int = 60, duration_s: float = 0.3) -> tuple[Wire, Moteus]:
     """Serve a moteus, let go after `frames` ms, and watch it beyond its watchdog."""
     drive = Moteus(settings=STILL)
-    return served(drive.drive, Uart(), told(frames), Script.of([fault]), duration_s), drive
+    return served(drive.drive, Uart(), told(frames), DriveScript.of([fault]), duration_s), drive
 
 
 def test_a_script_is_read_from_words() -> None:
-    script = Script.of(["drop to=device frame=3", "corrupt tick=7 byte=2 bit=1", "fault value=33 tick=20"])
-    assert script.frames == (
-        FrameFault(kind=Kind.DROP, direction=Direction.TO_DEVICE, frame=3),
-        FrameFault(kind=Kind.CORRUPT, direction=Direction.TO_HOST, tick=7, byte=2, bit=1),
+    script = DriveScript.of(
+        ["drop to=device frame=3", "corrupt tick=7 byte=2 bit=1", "fault value=33 tick=20"]
     )
-    assert script.events == (Event(name="fault", value=33.0, tick=20),)
+    assert script.frames == (
+        FrameFault(kind=FaultKind.DROP, direction=Direction.TO_DEVICE, frame=3),
+        FrameFault(kind=FaultKind.CORRUPT, direction=Direction.TO_HOST, tick=7, byte=2, bit=1),
+    )
+    assert script.events == (DriveEvent(name="fault", value=33.0, tick=20),)
 
 
 @pytest.mark.parametrize(
@@ -150,15 +152,15 @@ def test_a_script_is_read_from_words() -> None:
 )
 def test_what_is_no_fault_is_refused(words: str) -> None:
     with pytest.raises(ConfigError):
-        Script.of([words])
+        DriveScript.of([words])
 
 
 def test_without_faults_each_line_is_answered_and_the_torque_ends_by_the_watchdog() -> None:
     drive = Moteus(settings=STILL)
-    wire = served(drive.drive, Uart(), told(60), Script(), 0.12)
+    wire = served(drive.drive, Uart(), told(60), DriveScript(), 0.12)
     assert len(wire.said) == 60
     assert drive.command == pytest.approx(0.05)
-    wire = served(drive.drive, Uart(), [], Script(), 0.3)
+    wire = served(drive.drive, Uart(), [], DriveScript(), 0.3)
     assert (drive.command, drive.read(0)) == (0.0, 11)
 
 
@@ -205,7 +207,7 @@ def test_a_stale_reply_is_the_one_before() -> None:
     ask = [(at * MS, b"can send 8001 1d01\n") for at in range(10, 50, 10)]
     drive.start(timeout=float("nan"))
     drive.torque(0.05, timeout=float("nan"))
-    wire = served(drive.drive, Uart(), ask, Script.of(["stale frame=2"]), 0.06)
+    wire = served(drive.drive, Uart(), ask, DriveScript.of(["stale frame=2"]), 0.06)
     replies = [said.split(b"rcv ")[1] for _, said in wire.said]
     assert replies[2] == replies[1]
     assert len(set(replies)) == 3
@@ -220,23 +222,31 @@ def test_a_delayed_reply_holds_up_those_behind_it() -> None:
 
 def test_the_simulated_world_stands_still_while_its_process_is_kept_from_running() -> None:
     drive = Moteus(settings=STILL)
-    wire = served(drive.drive, Uart(), told(60), Script(), 0.07)
+    wire = served(drive.drive, Uart(), told(60), DriveScript(), 0.07)
     assert drive.read(0) == 10
     wire.now += 500 * MS
-    late = served(drive.drive, Uart(), [(0, told(1)[0][1])], Script(), 0.001)
+    late = served(drive.drive, Uart(), [(0, told(1)[0][1])], DriveScript(), 0.001)
     assert late.said
     assert drive.read(0) == 10
 
 
 def test_on_a_can_bus_a_damaged_frame_is_a_lost_one() -> None:
-    script = Script.of(["corrupt frame=1", "truncate frame=2 to=device", "delay frame=3"])
-    assert [fault.kind for fault in script.on_a_can_bus().frames] == [Kind.DROP, Kind.DROP, Kind.DELAY]
+    script = DriveScript.of(["corrupt frame=1", "truncate frame=2 to=device", "delay frame=3"])
+    assert [fault.kind for fault in script.on_a_can_bus().frames] == [
+        FaultKind.DROP,
+        FaultKind.DROP,
+        FaultKind.DELAY,
+    ]
     drive = Odrive()
     can = SocketCan()
-    ask = [(at * MS, can.close(Frame(Command.GET_VERSION, b"", remote=True))[0]) for at in range(1, 6)]
+    ask = [
+        (at * MS, can.close(Frame(CanSimpleCommand.GET_VERSION, b"", remote=True))[0]) for at in range(1, 6)
+    ]
     wire = served(drive.drive, can, ask, script.on_a_can_bus(), 0.008)
     frames = can.splitter().split(b"".join(said for _, said in wire.said))
-    versions = [frame for frame in frames if struct.unpack_from("=I", frame) == (Command.GET_VERSION,)]
+    versions = [
+        frame for frame in frames if struct.unpack_from("=I", frame) == (CanSimpleCommand.GET_VERSION,)
+    ]
     assert len(versions) == 4
 
 
@@ -251,19 +261,19 @@ ARMED = {
 @pytest.mark.parametrize("to", ["device", "host"])
 def test_whatever_strikes_whichever_frame_an_odrive_ends_without_torque(kind: str, to: str) -> None:
     can = SocketCan()
-    torque = can.close(Frame(Command.SET_INPUT_TORQUE, struct.pack("<f", 0.05)))[0]
-    arm = can.close(Frame(Command.SET_AXIS_STATE, struct.pack("<I", 8)))[0]
+    torque = can.close(Frame(CanSimpleCommand.SET_INPUT_TORQUE, struct.pack("<f", 0.05)))[0]
+    arm = can.close(Frame(CanSimpleCommand.SET_AXIS_STATE, struct.pack("<I", 8)))[0]
     told = [(MS, torque), (2 * MS, arm), *((at * MS, torque) for at in range(3, 20))]
     for frame in range(20):
         drive = Odrive(settings=ARMED)
-        script = Script.of([f"{kind} to={to} frame={frame}"]).on_a_can_bus()
+        script = DriveScript.of([f"{kind} to={to} frame={frame}"]).on_a_can_bus()
         served(drive.drive, can, told, script, 0.1)
         assert (drive.drive.motor.torque, drive.state) == (0.0, 1)
         assert drive.errors[1] in {Error.WATCHDOG_TIMER_EXPIRED, 0}  # 0: it was never armed
 
 
 def test_a_pulled_terminal_ends_the_hosts_file_and_takes_nothing_any_more() -> None:
-    with Terminal() as terminal:
+    with UnpluggableTerminal() as terminal:
         host = os.open(terminal.place, os.O_RDWR | os.O_NOCTTY)
         terminal.unplug()
         assert os.read(host, 10) == b""
@@ -284,6 +294,6 @@ def test_what_cannot_be_served_is_said() -> None:
     with pytest.raises(ConfigError, match="bus-off"):
         serve("moteus", drive_rig(), faults=["bus-off frame=1"])
     with pytest.raises(DeviceNotFoundError, match="nocan0"):
-        CanBus("nocan0")
+        DriveSockets("nocan0")
     with pytest.raises(ConfigError, match="cannot be made"):
-        CanBus("/no/such/place")
+        DriveSockets("/no/such/place")

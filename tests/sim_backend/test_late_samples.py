@@ -15,7 +15,7 @@ if numba.config.DISABLE_JIT:
 from rig import config
 from rig.config import controller, presets
 from rig.core.sample import Phase, RowFlag
-from rig.devices.fault_script import Direction, Faults, FrameFault, Kind
+from rig.devices.fault_script import Direction, FaultKind, Faults, FrameFault
 from rig.devices.framed import FramedDevice
 from rig.loop import exchange
 from rig.recording.reader import open_recording
@@ -42,7 +42,7 @@ def over_bytes(experiment: Any, path: Path, delays: Any, first_frame: int) -> An
     """Rows of a run over the byte link whose STATE frames from `first_frame` on are lost or late."""
     faults = tuple(
         FrameFault(
-            kind=Kind.DROP if delay == LOST else Kind.DELAY,
+            kind=FaultKind.DROP if delay == LOST else FaultKind.DELAY,
             direction=Direction.TO_HOST,
             frame=first_frame + sample,
             ticks=max(0, int(delay)),

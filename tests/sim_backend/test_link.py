@@ -15,8 +15,8 @@ from firmware_protocol import messages as m
 from firmware_protocol.connection import Connection, State
 from rig.core.errors import ConfigError
 from rig.devices.device import DeviceUrl
-from rig.devices.fault_script import Direction, Faults, FrameFault, Kind
-from sim_backend.channel import Line
+from rig.devices.fault_script import Direction, FaultKind, Faults, FrameFault
+from sim_backend.channel import ScriptedLine
 from sim_backend.device import SimulatedDevice
 from sim_backend.link import BUFFER_BYTES, MemoryLink, open_link
 from tests.conformance.host import Host
@@ -56,7 +56,7 @@ def test_the_link_conforms() -> None:
 
 
 def test_a_silenced_link_conforms_as_the_silent_one() -> None:
-    dead = FrameFault(kind=Kind.SILENCE, direction=TO_DEVICE, frame=0, both=True)
+    dead = FrameFault(kind=FaultKind.SILENCE, direction=TO_DEVICE, frame=0, both=True)
     check_link(fresh, lambda: fresh(Faults((dead,))))
 
 
@@ -207,7 +207,7 @@ def test_the_loop_reads_no_more_than_it_has_room_for() -> None:
 
 @needs_compiler
 def test_an_unplugged_line_is_eio_for_the_loop_and_no_failure_of_the_simulation() -> None:
-    link = fresh(Faults((FrameFault(kind=Kind.UNPLUG, direction=TO_DEVICE, frame=0),)))
+    link = fresh(Faults((FrameFault(kind=FaultKind.UNPLUG, direction=TO_DEVICE, frame=0),)))
     port = link.port()
     frame = Connection(m.Role.HOST).send(m.Identify(1, 0))
     write = ctypes.CFUNCTYPE(ctypes.c_int64, *[ctypes.c_int64] * 3)(port.write.__wrapper_address__())
@@ -219,11 +219,11 @@ def test_an_unplugged_line_is_eio_for_the_loop_and_no_failure_of_the_simulation(
 # ---------------------------------------------------------------------- faults on the line
 
 
-def line_of(kind: Kind, frame: int, **others: Any) -> Line:
-    return Line([FrameFault(kind=kind, direction=TO_HOST, frame=frame, **others)])
+def line_of(kind: FaultKind, frame: int, **others: Any) -> ScriptedLine:
+    return ScriptedLine([FrameFault(kind=kind, direction=TO_HOST, frame=frame, **others)])
 
 
-def through(line: Line, frames: list[bytes]) -> list[bytes]:
+def through(line: ScriptedLine, frames: list[bytes]) -> list[bytes]:
     """What comes out in each tick when frame k is sent in tick k."""
     out = []
     for tick, frame in enumerate(frames):
@@ -239,44 +239,45 @@ A, B, C, D, E = FRAMES
 @pytest.mark.parametrize(
     ("line", "out"),
     [
-        (Line(), [A, B, C, D, E]),
-        (line_of(Kind.DROP, 1), [A, b"", C, D, E]),
-        (line_of(Kind.CORRUPT, 1, byte=7, bit=6), [A, b"\2\2\x42\2\0", C, D, E]),
-        (line_of(Kind.CORRUPT, 1, byte=4), [A, b"\2\2\2\2\1", C, D, E]),
-        (line_of(Kind.DUPLICATE, 1), [A, B + B, C, D, E]),
-        (line_of(Kind.REORDER, 1), [A, b"", C + B, D, E]),
-        (line_of(Kind.TRUNCATE, 1, byte=2), [A, b"\2\2", C, D, E]),
-        (line_of(Kind.DELAY, 1, ticks=2), [A, b"", b"", B + C + D, E]),
-        (line_of(Kind.SILENCE, 1), [A, b"", b"", b"", b""]),
-        (line_of(Kind.UNPLUG, 1), [A, b"", b"", b"", b""]),
-        (Line([FrameFault(kind=Kind.DROP, direction=TO_DEVICE, frame=1)]), [A, B, C, D, E]),
-        (Line([FrameFault(kind=Kind.DROP, direction=TO_HOST, tick=3)]), [A, B, C, b"", E]),
+        (ScriptedLine(), [A, B, C, D, E]),
+        (line_of(FaultKind.DROP, 1), [A, b"", C, D, E]),
+        (line_of(FaultKind.CORRUPT, 1, byte=7, bit=6), [A, b"\2\2\x42\2\0", C, D, E]),
+        (line_of(FaultKind.CORRUPT, 1, byte=4), [A, b"\2\2\2\2\1", C, D, E]),
+        (line_of(FaultKind.DUPLICATE, 1), [A, B + B, C, D, E]),
+        (line_of(FaultKind.REORDER, 1), [A, b"", C + B, D, E]),
+        (line_of(FaultKind.TRUNCATE, 1, byte=2), [A, b"\2\2", C, D, E]),
+        (line_of(FaultKind.DELAY, 1, ticks=2), [A, b"", b"", B + C + D, E]),
+        (line_of(FaultKind.SILENCE, 1), [A, b"", b"", b"", b""]),
+        (line_of(FaultKind.UNPLUG, 1), [A, b"", b"", b"", b""]),
+        (ScriptedLine([FrameFault(kind=FaultKind.DROP, direction=TO_DEVICE, frame=1)]), [A, B, C, D, E]),
+        (ScriptedLine([FrameFault(kind=FaultKind.DROP, direction=TO_HOST, tick=3)]), [A, B, C, b"", E]),
     ],
     ids=["none", "drop", "corrupt", "corrupt-end", "duplicate", "reorder", "truncate", "delay", "silence",
          "unplug", "other-direction", "from-a-tick-on"],
 )  # fmt: skip
-def test_a_fault_does_what_it_says_to_its_frame_and_no_other(line: Line, out: list[bytes]) -> None:
+def test_a_fault_does_what_it_says_to_its_frame_and_no_other(line: ScriptedLine, out: list[bytes]) -> None:
     assert through(line, FRAMES) == out
 
 
 def test_bytes_in_pieces_are_frames_all_the_same() -> None:
-    line = line_of(Kind.DROP, 1)
+    line = line_of(FaultKind.DROP, 1)
     whole = b"".join(FRAMES)
     out = through(line, [b"\0"] + [whole[k : k + 3] for k in range(0, len(whole), 3)])
     assert b"".join(out) == A + C + D + E
     assert line.frames[TO_HOST] == 5
-    assert line.acted == {Kind.DROP: 1}
+    assert line.acted == {FaultKind.DROP: 1}
 
 
 def test_faults_on_one_frame_act_one_after_the_other() -> None:
     faults = [
-        FrameFault(kind=kind, direction=TO_HOST, frame=0, ticks=3) for kind in (Kind.DUPLICATE, Kind.DELAY)
+        FrameFault(kind=kind, direction=TO_HOST, frame=0, ticks=3)
+        for kind in (FaultKind.DUPLICATE, FaultKind.DELAY)
     ]
-    assert through(Line(faults), FRAMES) == [b"", b"", b"", A + A + B + C + D, E]
+    assert through(ScriptedLine(faults), FRAMES) == [b"", b"", b"", A + A + B + C + D, E]
 
 
 def test_a_delayed_frame_comes_out_at_its_tick_though_nobody_says_anything_meanwhile() -> None:
-    link = fresh(Faults((FrameFault(kind=Kind.DELAY, direction=TO_DEVICE, frame=0, ticks=500),)))
+    link = fresh(Faults((FrameFault(kind=FaultKind.DELAY, direction=TO_DEVICE, frame=0, ticks=500),)))
     tick_s = link.device.next_tick_ns * 1e-9
     link.write(Connection(m.Role.HOST).send(m.Identify(1, 0)))
     link.elapse(499.5 * tick_s)

@@ -25,7 +25,7 @@ import pytest
 
 from sim_backend.drives import simulated_drive
 from sim_backend.drives.bus import Frame
-from sim_backend.drives.can_simple import Command, Error
+from sim_backend.drives.can_simple import CanSimpleCommand, Error
 from sim_backend.drives.socket_can import CLASSIC_BYTES
 from tests.conformance.drives import NAN, Moteus, Odrive, drive_rig
 from tests.conformance.started import started
@@ -244,11 +244,11 @@ def test_an_odrive_is_on_a_bus_of_several_hosts_and_driven_by_a_library(tmp_path
             for host in (one, two):
                 host.settimeout(WAIT_S)
                 host.connect(place)
-            heard(two, Command.HEARTBEAT)  # it is on the bus
-            question = struct.pack("=IB3x8s", 0x40000000 | Command.GET_VERSION, 0, b"")
+            heard(two, CanSimpleCommand.HEARTBEAT)  # it is on the bus
+            question = struct.pack("=IB3x8s", 0x40000000 | CanSimpleCommand.GET_VERSION, 0, b"")
             one.send(question)
-            assert heard(one, Command.GET_VERSION)[12:15] == bytes((0, 6, 11))
-            assert heard(two, 0x40000000 | Command.GET_VERSION) == question
+            assert heard(one, CanSimpleCommand.GET_VERSION)[12:15] == bytes((0, 6, 11))
+            assert heard(two, 0x40000000 | CanSimpleCommand.GET_VERSION) == question
         odrive_can = pytest.importorskip("odrive_can")
         bus = Bus(place)
         asyncio.run(asyncio.wait_for(odrive_session(odrive_can, bus), WAIT_S))

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from rig.core.model import Mechanics, Operator, Reach, RigModel
 from rig.core.operators import GRIPS
 from sim_backend.hardware import Hardware
-from sim_backend.operator import PRESS_HZ, REPEAT_S, TREMOR_HZ, Script
+from sim_backend.operator import PRESS_HZ, REPEAT_S, TREMOR_HZ, OperatorScript
 from sim_backend.plant import DiscretePlant, advance
 from tests.conformance.rigs import linear_rig, rotary_rig
 
@@ -41,8 +41,10 @@ def held(operator: Operator = STILL, reach: Reach | None = REACH, **mechanics: A
     return rig.held_by(operator, reach)
 
 
-def script(operator: Operator = STILL, position: float = 0.0, session: int = 0, **reach: Any) -> Script:
-    return Script.of(held(operator, replace(REACH, **reach)), TICK_S, position, session)
+def script(
+    operator: Operator = STILL, position: float = 0.0, session: int = 0, **reach: Any
+) -> OperatorScript:
+    return OperatorScript.of(held(operator, replace(REACH, **reach)), TICK_S, position, session)
 
 
 # The script
@@ -111,7 +113,7 @@ def test_a_script_that_is_over_goes_on_without_a_seam(
     rate: int, position: float, session: int, seed: int
 ) -> None:
     model = held(GRIPS["firm"], replace(REACH, seed=seed))
-    played = Script.of(model, 1.0 / rate, position, session)
+    played = OperatorScript.of(model, 1.0 / rate, position, session)
     assert np.isfinite(played.rows).all()
     assert len(played.rows) - played.again == round(REPEAT_S * rate)
     before, seam = np.diff(played.rows[played.again :], axis=0), played.rows[played.again] - played.rows[-1]
@@ -129,8 +131,8 @@ def test_the_same_seed_gives_the_same_bits_and_every_session_trembles_anew() -> 
 
 
 def test_without_somebody_who_reaches_there_is_no_script() -> None:
-    assert len(Script.of(rotary_rig(), TICK_S, 0.0).rows) == 0
-    assert len(Script.of(held(reach=None), TICK_S, 0.0).rows) == 0
+    assert len(OperatorScript.of(rotary_rig(), TICK_S, 0.0).rows) == 0
+    assert len(OperatorScript.of(held(reach=None), TICK_S, 0.0).rows) == 0
 
 
 # The held plant

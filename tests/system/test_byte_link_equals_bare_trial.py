@@ -16,7 +16,7 @@ from rig.recording.reader import open_recording
 from sim_backend import trial as bare
 from sim_backend.device import SimulatedDevice
 from sim_backend.link import open_link
-from sim_backend.operator import Script
+from sim_backend.operator import OperatorScript
 from sim_backend.plant import DiscretePlant
 from tests.conformance.firmware import hide_compiler, need_compiler
 from tests.conformance.rigs import rotary_rig
@@ -65,7 +65,7 @@ def test_the_trajectory_over_the_byte_link_is_that_of_a_trial_without_bytes(
     quantum = experiment.rig.amplifier.current_quantum_a
     law = controller.for_experiment(experiment, current_quantum_a=quantum)
     model, tick_s = config.rig_model(experiment), 1.0 / experiment.controller.position_rate
-    plant, script = DiscretePlant.build(model, tick_s), Script.of(model, tick_s, 0.0)
+    plant, script = DiscretePlant.build(model, tick_s), OperatorScript.of(model, tick_s, 0.0)
     start = int(rows["device_time"][0] * 16 // 1000)
     trace = bare.run_trial(law, plant, 0.0, most_ticks=len(rows) + 10, start_units=start, script=script)
 

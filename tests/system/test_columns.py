@@ -16,7 +16,7 @@ from rig import config
 from rig.config import presets
 from rig.core.errors import DeviceFaultError
 from rig.core.sample import COLUMNS
-from rig.devices.fault_script import Direction, Faults, FrameFault, Happening, Kind
+from rig.devices.fault_script import Direction, FaultKind, Faults, FrameFault, Happening
 from rig.devices.framed import FramedDevice
 from rig.recording.reader import open_recording
 from rig.recording.seal import seal
@@ -31,7 +31,7 @@ pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="the loop
 START = -0.015
 LINE = tuple(
     FrameFault(kind=kind, direction=Direction.TO_HOST, frame=frame, ticks=2)
-    for kind, frames in ((Kind.DROP, (200, 201, 202, 900, 901)), (Kind.DELAY, (1_000,)))
+    for kind, frames in ((FaultKind.DROP, (200, 201, 202, 900, 901)), (FaultKind.DELAY, (1_000,)))
     for frame in frames
 )
 Rows = np.ndarray[Any, np.dtype[np.void]]

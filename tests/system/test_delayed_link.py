@@ -18,7 +18,7 @@ from rig import config
 from rig.config import presets
 from rig.control.verdict import Kind as Verdict
 from rig.core.errors import DeviceFaultError, LinkLostError, RigError
-from rig.devices.fault_script import Direction, Faults, FrameFault, Kind
+from rig.devices.fault_script import Direction, FaultKind, Faults, FrameFault
 from rig.devices.framed import FramedDevice
 from rig.experiments.hit import HitRequest, hit, left_by
 from rig.recording.reader import open_recording
@@ -102,7 +102,7 @@ class Run:
         for direction, frame in product(self.directions, range(FRAMES)):
             ticks = self.delays(frame)
             yield FrameFault(
-                kind=Kind.DELAY, direction=direction, frame=begin[direction] + frame, ticks=ticks
+                kind=FaultKind.DELAY, direction=direction, frame=begin[direction] + frame, ticks=ticks
             )
 
     @property

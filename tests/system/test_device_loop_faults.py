@@ -20,7 +20,7 @@ from rig.cli import run
 from rig.config import presets
 from rig.core.errors import LinkLostError, StoppedError
 from rig.core.sample import Phase
-from rig.devices.fault_script import Direction, Faults, FrameFault, Kind
+from rig.devices.fault_script import Direction, FaultKind, Faults, FrameFault
 from rig.recording.seal import seal
 from sim_backend.firmware import FirmwareDevice
 from tests.conformance.firmware import need_compiler
@@ -118,13 +118,13 @@ def test_timing_says_where_the_law_ran(
     assert "unanswered" not in said
 
 
-@pytest.mark.parametrize("kind", first_by_default(Kind, 2))
+@pytest.mark.parametrize("kind", first_by_default(FaultKind, 2))
 def test_a_frame_to_the_host_that_suffers_is_a_counted_gap_and_never_a_wrong_row(
-    kind: Kind, clean: Clean, tmp_path: Path
+    kind: FaultKind, clean: Clean, tmp_path: Path
 ) -> None:
     """Frames from arming to the end, once each."""
     way, finished = Direction.TO_HOST, 0
-    struck = range(clean.first[way] + list(Kind).index(kind) % EVERY, clean.frames[way], EVERY)
+    struck = range(clean.first[way] + list(FaultKind).index(kind) % EVERY, clean.frames[way], EVERY)
     true = dict(zip(clean.rows["sample_index"].tolist(), clean.rows["count"].tolist(), strict=True))
     applied = dict(
         zip(clean.rows["sample_index"].tolist(), clean.rows["current_applied"].tolist(), strict=True)
@@ -143,13 +143,17 @@ def test_a_frame_to_the_host_that_suffers_is_a_counted_gap_and_never_a_wrong_row
         assert rows["elapsed_ticks"][1:].tolist() == np.diff(index).tolist()
         lost = trial.counters["lost"]
         assert lost == rows["elapsed_ticks"].sum() - len(rows)
-        assert lost == 0 or kind not in (Kind.DUPLICATE, Kind.DELAY)
-    if kind not in (Kind.SILENCE, Kind.UNPLUG):
+        assert lost == 0 or kind not in (FaultKind.DUPLICATE, FaultKind.DELAY)
+    if kind not in (FaultKind.SILENCE, FaultKind.UNPLUG):
         assert finished == len(struck), "one bad frame is a counted loss, never the end of a run"
 
 
-@pytest.mark.parametrize("kind", [kind for kind in Kind if kind not in (Kind.SILENCE, Kind.UNPLUG)])
-def test_a_word_of_the_host_that_suffers_changes_no_sample(kind: Kind, clean: Clean, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "kind", [kind for kind in FaultKind if kind not in (FaultKind.SILENCE, FaultKind.UNPLUG)]
+)
+def test_a_word_of_the_host_that_suffers_changes_no_sample(
+    kind: FaultKind, clean: Clean, tmp_path: Path
+) -> None:
     """The device goes on for the lifetime of the last word that it understood: four times as long as they are apart."""
     way = Direction.TO_DEVICE
     for frame in range(clean.first[way] + 1, clean.frames[way], EVERY):

@@ -16,7 +16,7 @@ from rig import config
 from rig.config import controller, device_law, presets
 from rig.core.errors import RigError
 from rig.core.sample import Phase
-from rig.devices.fault_script import Direction, Faults, FrameFault, Happening, Kind
+from rig.devices.fault_script import Direction, FaultKind, Faults, FrameFault, Happening
 from rig.devices.framed import FramedDevice
 from rig.experiments.replay import COMPUTED
 from rig.loop import exchange
@@ -160,11 +160,14 @@ def test_a_device_that_took_a_wall_is_no_stranger_afterwards() -> None:
 
 
 @pytest.mark.parametrize(
-    "kind", first_by_default([Kind.DROP, Kind.CORRUPT, Kind.DUPLICATE, Kind.REORDER, Kind.DELAY])
+    "kind",
+    first_by_default(
+        [FaultKind.DROP, FaultKind.CORRUPT, FaultKind.DUPLICATE, FaultKind.REORDER, FaultKind.DELAY]
+    ),
 )
 @pytest.mark.parametrize("way", Direction)
 def test_a_conversation_that_suffers_ends_with_the_same_wall_on_both_sides(
-    kind: Kind, way: Direction
+    kind: FaultKind, way: Direction
 ) -> None:
     """Each frame of it is struck once, words and answers; what is lost is said again."""
     Session("fdm-butterworth-fixed", {})  # reads the dictionary: all others know it

@@ -33,7 +33,7 @@ from rig.core.errors import (
 )
 from rig.core.sample import Phase, RowFlag
 from rig.devices import framed, open_device
-from rig.devices.fault_script import DeviceFault, Direction, Faults, FrameFault, Happening, Kind
+from rig.devices.fault_script import DeviceFault, Direction, FaultKind, Faults, FrameFault, Happening
 from rig.devices.framed import EXCHANGES, STOP_FRAMES
 from rig.devices.local import serve_locally
 from rig.realtime.kernel import kernel
@@ -143,19 +143,19 @@ def frames(pages: Any, tmp_path_factory: pytest.TempPathFactory) -> Any:
 
 # Each kind one way by default.
 STRUCK = sorted(
-    product(Kind, Direction),
-    key=lambda pair: [*Kind].index(pair[0]) % 2 != [*Direction].index(pair[1]),
+    product(FaultKind, Direction),
+    key=lambda pair: [*FaultKind].index(pair[0]) % 2 != [*Direction].index(pair[1]),
 )
 
 
-@pytest.mark.parametrize(("kind", "direction"), first_by_default(STRUCK, len(Kind)))
+@pytest.mark.parametrize(("kind", "direction"), first_by_default(STRUCK, len(FaultKind)))
 def test_a_fault_at_any_frame_ends_with_zero_effort_and_a_readable_recording(
     kind: Any, direction: Any, frames: Any, tmp_path: Path
 ) -> None:
-    turn, count = list(Kind).index(kind) % 3, frames[direction]
+    turn, count = list(FaultKind).index(kind) % 3, frames[direction]
     alike = {*PUSH, *CLOCKS, *range(count - EXCHANGES + 1, count - 1)}
     chosen = [frame for frame in range(count) if frame not in alike or frame % 3 == turn]
-    if kind in (Kind.SILENCE, Kind.UNPLUG):
+    if kind in (FaultKind.SILENCE, FaultKind.UNPLUG):
         finished = sum(struck(kind, direction, [frame], tmp_path) for frame in chosen)
         last_words = (
             2 * STOP_FRAMES + 5 + EXCHANGES
@@ -175,7 +175,7 @@ def test_a_fault_at_any_frame_ends_with_zero_effort_and_a_readable_recording(
 
 
 @pytest.mark.parametrize("direction", Direction)
-@pytest.mark.parametrize("kind", Kind)
+@pytest.mark.parametrize("kind", FaultKind)
 def test_a_fault_at_a_page_of_the_dictionary_is_asked_again_or_ends_before_anything_moves(
     kind: Any, direction: Any, pages: Any, frames: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -183,7 +183,7 @@ def test_a_fault_at_a_page_of_the_dictionary_is_asked_again_or_ends_before_anyth
     for page in (0, 1, last // 2, last - 1, last):
         monkeypatch.setattr(framed, "_dictionaries", {})
         finished = struck(kind, direction, [page], tmp_path)
-        assert finished == (kind not in (Kind.SILENCE, Kind.UNPLUG)), page
+        assert finished == (kind not in (FaultKind.SILENCE, FaultKind.UNPLUG)), page
 
 
 def struck(kind: Any, direction: Any, frames: list[int], directory: Any) -> bool:
@@ -209,11 +209,11 @@ def sample_frame(frames: Any) -> int:
 @pytest.mark.parametrize(
     ("kind", "counter"),
     [
-        (Kind.DROP, "lost"),
-        (Kind.CORRUPT, "bad_frames"),
-        (Kind.TRUNCATE, "bad_frames"),
-        (Kind.DUPLICATE, "duplicated"),
-        (Kind.REORDER, "reordered"),
+        (FaultKind.DROP, "lost"),
+        (FaultKind.CORRUPT, "bad_frames"),
+        (FaultKind.TRUNCATE, "bad_frames"),
+        (FaultKind.DUPLICATE, "duplicated"),
+        (FaultKind.REORDER, "reordered"),
     ],
 )
 def test_each_kind_of_loss_of_a_sample_is_counted_and_flagged(
@@ -224,7 +224,7 @@ def test_each_kind_of_loss_of_a_sample_is_counted_and_flagged(
     rows, counters = trial.rows, trial.counters
     assert counters[counter] == 1
     gaps = int(np.count_nonzero(rows["flags"] & int(RowFlag.GAP)))
-    assert gaps == (0 if kind is Kind.DUPLICATE else 1)
+    assert gaps == (0 if kind is FaultKind.DUPLICATE else 1)
     assert counters["lost"] == int((rows["elapsed_ticks"] - 1).sum())
     np.testing.assert_array_equal(np.diff(rows["sample_index"]), rows["elapsed_ticks"][1:])
 
@@ -303,7 +303,7 @@ def test_ctrl_c_stops_within_a_tick_and_leaves_a_whole_recording(tmp_path: Path)
 
 @each_far_end
 def test_silence_of_the_host_ramps_the_effort_down_and_latches(far_end: str, tmp_path: Path) -> None:
-    silence = FrameFault(kind=Kind.SILENCE, direction=Direction.TO_DEVICE, tick=STRIKE)
+    silence = FrameFault(kind=FaultKind.SILENCE, direction=Direction.TO_DEVICE, tick=STRIKE)
     bench = Bench(Faults(frames=(silence,)), LONG, far_end)
     trial = bench.run(tmp_path).check(DeviceFaultError, LinkLostError)
     assert "silent" in str(trial.error)

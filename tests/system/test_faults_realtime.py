@@ -31,7 +31,7 @@ from rig.core.errors import (
 )
 from rig.core.sample import Phase
 from rig.devices import open_device
-from rig.devices.fault_script import Direction, FrameFault, Kind
+from rig.devices.fault_script import Direction, FaultKind, FrameFault
 from rig.recording.reader import open_recording
 from tests.conformance.far_end import FarEnd, HostProcess, Script, patient_host
 from tests.conformance.firmware import need_compiler
@@ -109,7 +109,7 @@ on_both = pytest.mark.parametrize("bench", first_by_default(BENCHES), indirect=T
 on_the_firmware = pytest.mark.parametrize("bench", ["the law on the firmware"], indirect=True)
 
 
-def broken(kind: Kind, *directions: Direction, strikes: int = 1) -> tuple[FrameFault, ...]:
+def broken(kind: FaultKind, *directions: Direction, strikes: int = 1) -> tuple[FrameFault, ...]:
     return tuple(
         FrameFault(kind=kind, direction=direction, frame=5 * number + 2 * strike, byte=7, bit=3, ticks=3)
         for number, direction in enumerate(directions)
@@ -130,26 +130,26 @@ def test_without_a_fault_it_completes(bench: Bench) -> None:
 
 
 COUNTER = {
-    Kind.DROP: "lost",
-    Kind.CORRUPT: "bad_frames",
-    Kind.TRUNCATE: "bad_frames",
-    Kind.DUPLICATE: "duplicated",
-    Kind.REORDER: "reordered",
+    FaultKind.DROP: "lost",
+    FaultKind.CORRUPT: "bad_frames",
+    FaultKind.TRUNCATE: "bad_frames",
+    FaultKind.DUPLICATE: "duplicated",
+    FaultKind.REORDER: "reordered",
 }
 
 
-@pytest.mark.parametrize("kind", [*COUNTER, Kind.DELAY])
+@pytest.mark.parametrize("kind", [*COUNTER, FaultKind.DELAY])
 @pytest.mark.exhaustive(
     "tests/system/test_faults.py::test_a_fault_at_any_frame_ends_with_zero_effort_and_a_readable_recording"
 )
 def test_a_bad_frame_each_way_costs_itself_and_is_counted_where_it_should_have_come(
-    kind: Kind, bench: Bench
+    kind: FaultKind, bench: Bench
 ) -> None:
     # One of two strikes may hit a comparison of clocks: a lost one is not counted.
     device = bench.start(frames=broken(kind, *Direction, strikes=2))
     trial = bench.run(device, long=False).check(replays=False)
     assert device["acted"] == 2 * len(Direction)
-    if kind is not Kind.DELAY:
+    if kind is not FaultKind.DELAY:
         assert device[COUNTER[kind]] >= 1
         assert trial.counters[COUNTER[kind]] >= 1
 
@@ -157,12 +157,12 @@ def test_a_bad_frame_each_way_costs_itself_and_is_counted_where_it_should_have_c
 # What breaks → script, error, the first fault of the device.
 ENDINGS: dict[str, tuple[dict[str, Any], type[Exception], Fault]] = {
     "silence to the device": (
-        {"frames": broken(Kind.SILENCE, Direction.TO_DEVICE)}, LinkLostError, Fault.LINK_LOST,
+        {"frames": broken(FaultKind.SILENCE, Direction.TO_DEVICE)}, LinkLostError, Fault.LINK_LOST,
     ),
     "silence to the host": (
-        {"frames": broken(Kind.SILENCE, Direction.TO_HOST)}, LinkLostError, Fault.LINK_LOST,
+        {"frames": broken(FaultKind.SILENCE, Direction.TO_HOST)}, LinkLostError, Fault.LINK_LOST,
     ),
-    "a pulled plug": ({"frames": broken(Kind.UNPLUG, Direction.TO_HOST)}, LinkLostError, Fault.LINK_LOST),
+    "a pulled plug": ({"frames": broken(FaultKind.UNPLUG, Direction.TO_HOST)}, LinkLostError, Fault.LINK_LOST),
     **{
         fault.name: ({"fault": fault}, DeviceFaultError, fault)
         for fault in (Fault.ENCODER, Fault.EMERGENCY_STOP, Fault.OVER_CURRENT)

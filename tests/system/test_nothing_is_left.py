@@ -33,7 +33,7 @@ from rig.core.errors import (
     StoppedError,
 )
 from rig.devices import open_device
-from rig.devices.fault_script import DeviceFault, Direction, Faults, FrameFault, Kind
+from rig.devices.fault_script import DeviceFault, Direction, FaultKind, Faults, FrameFault
 from rig.devices.framed import FramedDevice
 from rig.recording.reader import open_recording
 from sim_backend.device import SimulatedDevice
@@ -165,9 +165,9 @@ def test_nothing_is_left_in_virtual_time(exit_kind: Any, warm: Any, tmp_path: Pa
 
 
 FAULTS = {
-    "unplugged": Faults(frames=(FrameFault(kind=Kind.UNPLUG, direction=Direction.TO_HOST, frame=120),)),
-    "silence": Faults(frames=(FrameFault(kind=Kind.SILENCE, direction=Direction.TO_HOST, frame=120),)),
-    "never there": Faults(frames=(FrameFault(kind=Kind.SILENCE, direction=Direction.TO_HOST, frame=0),)),
+    "unplugged": Faults(frames=(FrameFault(kind=FaultKind.UNPLUG, direction=Direction.TO_HOST, frame=120),)),
+    "silence": Faults(frames=(FrameFault(kind=FaultKind.SILENCE, direction=Direction.TO_HOST, frame=120),)),
+    "never there": Faults(frames=(FrameFault(kind=FaultKind.SILENCE, direction=Direction.TO_HOST, frame=0),)),
     "device fault": Faults(device=(DeviceFault(60, Fault.EMERGENCY_STOP),)),
 }
 
@@ -211,7 +211,9 @@ def test_nothing_is_left_in_real_time(exit_kind: Any, warm: Any, far_end: Any, t
     assert issubclass(error, allowed) if allowed else error is None
 
 
-@pytest.mark.parametrize("kind", first_by_default([Kind.UNPLUG, Kind.SILENCE]))  # the other waits 5 s
+@pytest.mark.parametrize(
+    "kind", first_by_default([FaultKind.UNPLUG, FaultKind.SILENCE])
+)  # the other waits 5 s
 def test_nothing_is_left_of_a_lost_link_in_real_time(
     kind: Any, warm: Any, far_end: Any, tmp_path: Path
 ) -> None:

@@ -15,14 +15,14 @@ import pytest
 
 from rig.recording.files import sha256_of
 from rig.recording.reader import open_recording
-from rig.session.analysis import Options, analyse
+from rig.session.analysis import AnalysisOptions, analyse
 from rig.session.analysis.tables import tables
 from rig.session.directory import LOG
 from rig.session.hits import DeviceRunner
 from rig.session.log import read
 from rig.session.rehearsal import Person
 from rig.session.run import rehearsal_desk, resume_session, run_session
-from rig.session.state import State
+from rig.session.state import SessionState
 from rig.session.template_files import DEFAULT, write_template
 from rig.views.report.session import render
 from tests.system.session_study import comparable, written
@@ -50,7 +50,7 @@ def test_a_session_is_the_same_to_the_last_bit_from_its_seed(calm: tuple[Path, P
 
 def test_its_recordings_are_hashed_readable_and_say_nothing_in_their_names(calm: tuple[Path, Path]) -> None:
     _, directory = calm
-    state = State.of(read(directory / LOG))
+    state = SessionState.of(read(directory / LOG))
     assert state.ended == "complete"
     assert len(state.trials) == 12
     for trial in state.trials:
@@ -90,7 +90,7 @@ def test_the_first_session_of_a_newcomer_ends_in_ten_minutes_with_intervals_that
 
 def test_what_was_known_of_the_person_is_found_by_the_analysis(calm: tuple[Path, Path]) -> None:
     """Twelve verdicts, one of them a lapse: K50 is told within a part of the range of 100 that was searched."""
-    found = analyse([calm[1]], Options(include_marked=True))  # `most` is small: a run ends by it
+    found = analyse([calm[1]], AnalysisOptions(include_marked=True))  # `most` is small: a run ends by it
     told = [one for one in found.of_participants if one.measure == "K50 person"]
     assert {one.condition for one in told} == {"hidden-dual", "hidden-uniform"}
     for one in told:
@@ -107,14 +107,14 @@ def check_files(directory: Path) -> None:
         if event.kind == "resumed"
         for one in event.content["abandoned"]
     }
-    named = {trial.recording: trial.sha256 for trial in State.of(events).trials}
+    named = {trial.recording: trial.sha256 for trial in SessionState.of(events).trials}
     there = (path for path in (directory / "trials").rglob("*") if path.is_file())
     assert {str(path.relative_to(directory)): sha256_of(path) for path in there} == named | aside
 
 
 def results(directory: Path) -> dict[str, list[list[str]]]:
     """All tables of an analysis. Time is virtual: what was killed and went on has the same times of day too."""
-    found = analyse([directory], Options(include_marked=True))
+    found = analyse([directory], AnalysisOptions(include_marked=True))
     return {
         table.name: [[str(column.of(row)) for column in table.columns] for row in table.rows]
         for table in tables(found)
@@ -146,7 +146,7 @@ def _child(protocol: Path, study: Path) -> None:
     try:
         log = study / "P01" / LOG
         events = read(log) if log.exists() else []
-        if events and State.of(events).ended:
+        if events and SessionState.of(events).ended:
             code = 0  # it was killed behind its last word
         elif events:
             resume_session(study / "P01", rehearsal_desk(PERSON), runner=DeviceRunner())

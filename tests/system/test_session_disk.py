@@ -15,7 +15,7 @@ from rig.session.hits import DeviceRunner
 from rig.session.log import read
 from rig.session.rehearsal import Person
 from rig.session.run import rehearsal_desk, resume_session, run_session
-from rig.session.state import State
+from rig.session.state import SessionState
 from tests.rig.session.session_fuse import DeadError, Fuse, fused
 from tests.system.session_study import PROTOCOL, comparable
 
@@ -91,13 +91,13 @@ def test_death_at_every_call_of_recorder_and_sealer(
         with fused(monkeypatch, fuse), suppress(DeadError):
             begin(protocol, study)
         assert fuse.dead, calls[place]
-        for trial in State.of(read(study / "P01" / LOG)).trials:  # what is told of is there, whole
+        for trial in SessionState.of(read(study / "P01" / LOG)).trials:  # what is told of is there, whole
             assert sha256_of(study / "P01" / trial.recording) == trial.sha256
         left = {sha256_of(path) for path in (study / "P01" / "trials").iterdir()}
         go_on(protocol, study)
         events = read(study / "P01" / LOG)
         assert comparable(events) == comparable(read(directory / LOG)), calls[place]
-        (trial,) = State.of(events).trials
+        (trial,) = SessionState.of(events).trials
         assert open_recording(study / "P01" / trial.recording).complete
         kept = {trial.recording: trial.sha256} | {
             one["file"]: one["sha256"]

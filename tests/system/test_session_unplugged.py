@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 
 from rig.config import Experiment
-from rig.devices.fault_script import Direction, FrameFault, Kind
+from rig.devices.fault_script import Direction, FaultKind, FrameFault
 from rig.experiments import hit as one_hit
 from rig.recording.reader import open_recording
-from rig.session.analysis import Options, analyse
+from rig.session.analysis import AnalysisOptions, analyse
 from rig.session.desk import Desk, Question, Reply
 from rig.session.directory import LOG
 from rig.session.hits import DeviceRunner
@@ -20,8 +20,8 @@ from rig.session.log import read
 from rig.session.rehearsal import Day, Person, RehearsalDesk
 from rig.session.run import rehearsal_desk, resume_session, run_session
 from rig.session.runner import Done
-from rig.session.state import State, Trial
-from sim_backend.channel import Line
+from rig.session.state import RecordedTrial, SessionState
+from sim_backend.channel import ScriptedLine
 from tests.system.session_study import written
 
 PERSON = Person(thresholds={"hidden-dual": 65.0, "hidden-uniform": 65.0}, spread=0.5)
@@ -43,8 +43,8 @@ class Loose(DeviceRunner):
 
                 def armed() -> int:
                     session: int = arm()
-                    fault = FrameFault(kind=Kind.UNPLUG, direction=Direction.TO_HOST, frame=FRAMES)
-                    device.link.line = Line((fault,))
+                    fault = FrameFault(kind=FaultKind.UNPLUG, direction=Direction.TO_HOST, frame=FRAMES)
+                    device.link.line = ScriptedLine((fault,))
                     return session
 
                 patch.setattr(device, "arm", armed)
@@ -82,17 +82,17 @@ def test_a_session_whose_rig_was_unplugged_goes_on_to_the_same_results(tmp_path:
     assert open_recording(directory / broken.content["recording"]).complete
     done = resume_session(directory, rehearsal_desk(PERSON), runner=DeviceRunner())
     assert done.ended == "complete"
-    calm, loose = (State.of(read(study / "P01" / LOG)) for study in studies)
+    calm, loose = (SessionState.of(read(study / "P01" / LOG)) for study in studies)
     assert [trial.trial for trial in loose.trials if trial.invalid] == [3]
     assert [about(trial) for trial in loose.trials if not trial.invalid] == [
         about(trial) for trial in calm.trials
     ]
-    marked = Options(include_marked=True)  # `most` is small: a run ends by it
+    marked = AnalysisOptions(include_marked=True)  # `most` is small: a run ends by it
     found = [analyse([study / "P01"], marked) for study in studies]
     limits = [[str(asdict(one)) for one in one.of_participants if one.measure == "rule"] for one in found]
     assert limits[0] == limits[1] != []
 
 
-def about(trial: Trial) -> tuple[Any, ...]:
+def about(trial: RecordedTrial) -> tuple[Any, ...]:
     """What a trial asked, and what was said."""
     return trial.condition, trial.repeat, trial.stiffness, trial.verdict

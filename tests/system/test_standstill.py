@@ -18,7 +18,7 @@ from rig.control.watch import UNMOVED_SPEED
 from rig.core.board import moved_mechanics
 from rig.core.model import RigModel
 from rig.core.sample import Phase, RowFlag
-from sim_backend.operator import Script
+from sim_backend.operator import OperatorScript
 from sim_backend.plant import DiscretePlant, advance
 from sim_backend.trial import Trace, run_arguments, run_ticks
 from tests.system.test_dead_encoder import DEAD
@@ -146,7 +146,7 @@ def test_an_encoder_that_lives_is_never_taken_for_dead(name: str) -> None:
         law = controller.for_experiment(described, current_quantum_a=x.rig.amplifier.current_quantum_a)
         trace = Trace.empty(round(20.0 / tick_s), plant)
         ticks = run_ticks(
-            *run_arguments(law, plant, plant.at_rest(at), 0.0, OLDEST_EDGE, Script.silent()), trace
+            *run_arguments(law, plant, plant.at_rest(at), 0.0, OLDEST_EDGE, OperatorScript.silent()), trace
         )
         assert Phase.RELEASE in trace.phases[:ticks]
 

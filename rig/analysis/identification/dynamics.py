@@ -65,7 +65,7 @@ RIGID, COMPLIANT, TWO_MASS = 3, 4, 7  # how many
 
 
 @dataclass(frozen=True, slots=True)
-class Mode:
+class StructuralMode:
     """First structural mode, as one sensor beside the motor sees it.
 
     Attributes
@@ -126,7 +126,7 @@ class Dynamics:
     delay_s: Interval
     delay_ticks: int
     lag_s: Interval
-    mode: Mode | None
+    mode: StructuralMode | None
     mode_above_hz: float | None
     band: Band
     lines_hz: Floats
@@ -439,7 +439,7 @@ def _dynamics(
 
     mode = None
     if len(best.parameters) == TWO_MASS:
-        mode = Mode(
+        mode = StructuralMode(
             antiresonance_hz=interval(lambda p: float(p[F_A])),
             resonance_hz=interval(lambda p: float(p[F_R])),
             antiresonance_ratio=interval(lambda p: float(p[ZETA_A])),

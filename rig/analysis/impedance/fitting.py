@@ -25,7 +25,7 @@ Term = Literal["inertia", "damping", "stiffness"]
 
 
 @dataclass(frozen=True, slots=True)
-class Device:
+class RigidRig:
     """Rigid rig: inertia (kg or kg·m²), viscous damping, and that of back-EMF behind a lag (N·s/m or N·m·s/rad; s)."""
 
     inertia: float
@@ -68,7 +68,7 @@ def fit(
     terms: Sequence[Term] = ("inertia", "damping"),
     *,
     band: tuple[float, float] | None = None,
-    subtract: Complexes | Device | None = None,
+    subtract: Complexes | RigidRig | None = None,
 ) -> Fit:
     """Weighted least squares of m·jω + b + K/(jω) on an impedance.
 
@@ -126,10 +126,10 @@ def fit(
     )
 
 
-def _at(part: Impedance, whole: Impedance, subtract: Complexes | Device | None) -> Complexes:
+def _at(part: Impedance, whole: Impedance, subtract: Complexes | RigidRig | None) -> Complexes:
     if subtract is None:
         return np.zeros(len(part.z), np.complex128)
-    if isinstance(subtract, Device):
+    if isinstance(subtract, RigidRig):
         return subtract.impedance(part.lines_hz)
     values = np.asarray(subtract, dtype=np.complex128)
     if values.shape != whole.z.shape:

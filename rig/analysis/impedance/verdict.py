@@ -28,7 +28,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rig.analysis.impedance.estimate import Impedance
-from rig.analysis.impedance.fitting import Device, Fit, fit
+from rig.analysis.impedance.fitting import Fit, RigidRig, fit
 from rig.analysis.impedance.signals import Complexes, Floats
 
 Z_SCORE = 2.0  # standard deviations by which a real part must be below zero to count
@@ -74,7 +74,7 @@ class Passivity:
 
 
 @dataclass(frozen=True, slots=True)
-class Judgement:
+class PassivityJudgement:
     """Everything that speaks for or against a wall's passivity; `reasons` is empty for a passive one."""
 
     passive: bool
@@ -184,7 +184,7 @@ def judge(
     z_score: float = Z_SCORE,
     residual_threshold: float = RESIDUAL,
     least_coherence: float = COHERENCE,
-) -> Judgement:
+) -> PassivityJudgement:
     """Judge passivity with everything that can speak against it: real part, residual power, coherence.
 
     A residual or coherence that the record cannot show (NaN) is not held against it.
@@ -207,7 +207,9 @@ def judge(
     if least < least_coherence:
         at = float(part.lines_hz[int(np.nanargmin(part.coherence_motion))])
         reasons.append(f"the motion's coherence is {least:.2f} at {at:g} Hz, below {least_coherence:g}")
-    return Judgement(not reasons, tuple(reasons), found, impedance.residual, residual_threshold, least)
+    return PassivityJudgement(
+        not reasons, tuple(reasons), found, impedance.residual, residual_threshold, least
+    )
 
 
 def fidelity(
@@ -216,7 +218,7 @@ def fidelity(
     damping: float,
     band: tuple[float, float] | None = None,
     *,
-    device: Device | Complexes | None = None,
+    device: RigidRig | Complexes | None = None,
     effective_hz: float = EFFECTIVE_HZ,
     weight: Callable[[Floats], Floats] | None = None,
 ) -> Fidelity:
@@ -231,7 +233,7 @@ def fidelity(
     band
         Lines that count (Hz); all if left out.
     device
-        The rig's own impedance, as a `Device` or at all lines of `impedance`: taken away before K and B are
+        The rig's own impedance, as a `RigidRig` or at all lines of `impedance`: taken away before K and B are
         fitted. It stays in `rms` and `distortion`, as in the papers.
     effective_hz
         Up to which line of the band effective stiffness and damping are averaged (Hz).

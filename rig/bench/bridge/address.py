@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Protocol, Self
 
 from rig.bench.bridge.fitting import Output
-from rig.bench.bridge.library import Drive, Switches
+from rig.bench.bridge.library import FittedDrive, Switches
 from rig.core.errors import ConfigError
 from rig.core.model import RigModel
 from rig.devices.device import DeviceUrl
@@ -22,7 +22,7 @@ SWITCHES = ("hold", "stop")
 _LARGEST_ID, _LARGEST_PREFIX, _LARGEST_NODE = 127, 0x1FFF, 62
 
 
-class Facts(Protocol):
+class DriveFacts(Protocol):
     """What a drive of any kind has told of itself."""
 
     @property
@@ -44,11 +44,11 @@ class Facts(Protocol):
 class Address(Protocol):
     """Where a drive is, and what is known of it before it is asked."""
 
-    def look(self, bus: Bus) -> Facts:
+    def look(self, bus: Bus) -> DriveFacts:
         """Ask the drive who it is, and let it be; raises `RigError` for one that would not do as it is told."""
         ...
 
-    def find(self, bus: Bus, model: RigModel) -> Drive:
+    def find(self, bus: Bus, model: RigModel) -> FittedDrive:
         """Ask it, and compare it with a rig; raises `RigError` as `look`, and for one that is another's."""
         ...
 
@@ -83,11 +83,11 @@ class MoteusAddress:
             moteus.switches_of({name: url.options[name] for name in SWITCHES if name in url.options}),
         )
 
-    def look(self, bus: Bus) -> moteus.Facts:
+    def look(self, bus: Bus) -> moteus.MoteusFacts:
         """See `Address`."""
-        return moteus.find(moteus.Conversation(bus, self.drive, self.prefix), self.drive)
+        return moteus.find(moteus.MoteusConversation(bus, self.drive, self.prefix), self.drive)
 
-    def find(self, bus: Bus, model: RigModel) -> Drive:
+    def find(self, bus: Bus, model: RigModel) -> FittedDrive:
         """See `Address`."""
         return moteus.fit(self.look(bus), model, prefix=self.prefix, switches=self.switches)
 
@@ -111,11 +111,11 @@ class OdriveAddress:
             )
         return cls(number(url, "id", 0, _LARGEST_NODE), odrive.Endpoints.load(place))
 
-    def look(self, bus: Bus) -> odrive.Facts:
+    def look(self, bus: Bus) -> odrive.OdriveFacts:
         """See `Address`."""
-        return odrive.find(odrive.Conversation(bus, self.node, self.endpoints))
+        return odrive.find(odrive.OdriveConversation(bus, self.node, self.endpoints))
 
-    def find(self, bus: Bus, model: RigModel) -> Drive:
+    def find(self, bus: Bus, model: RigModel) -> FittedDrive:
         """See `Address`."""
         return odrive.fit(self.look(bus), model)
 

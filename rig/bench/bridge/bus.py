@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, Self
 
-from rig.bench.bridge.library import Adapter, Frame, library
+from rig.bench.bridge.library import Adapter, CanFrameBytes, library
 from rig.core.errors import ConfigError, DeviceNotFoundError, LinkLostError
 from rig.devices.device import DeviceUrl
 
@@ -45,9 +45,11 @@ class CanFrame:
     classic: bool = False
     remote: bool = False
 
-    def as_struct(self) -> Frame:
+    def as_struct(self) -> CanFrameBytes:
         """Return it for the C code."""
-        return Frame(self.id, len(self.data), (ctypes.c_uint8 * 64)(*self.data), self.classic, self.remote)
+        return CanFrameBytes(
+            self.id, len(self.data), (ctypes.c_uint8 * 64)(*self.data), self.classic, self.remote
+        )
 
 
 class Bus(Protocol):
@@ -160,7 +162,7 @@ class AdapterBus:
     def receive(self, timeout_s: float) -> CanFrame | None:
         """See `Bus`."""
         deadline = time.monotonic() + timeout_s
-        frame = Frame()
+        frame = CanFrameBytes()
         while not self._waiting and (left := deadline - time.monotonic()) > 0:
             for byte in self._link.read(left):
                 if self._library.fdcanusb_take(ctypes.byref(self._adapter), byte, ctypes.byref(frame)):
@@ -219,7 +221,7 @@ class CanBus:
     def receive(self, timeout_s: float) -> CanFrame | None:
         """See `Bus`."""
         deadline = time.monotonic() + timeout_s
-        frame = Frame()
+        frame = CanFrameBytes()
         while (left := deadline - time.monotonic()) > 0:
             if not select.select([self._socket], [], [], left)[0]:
                 return None

@@ -10,7 +10,7 @@ import sys
 from string import Template
 
 if sys.platform == "linux":
-    from rig.bench.bridge.address import Facts
+    from rig.bench.bridge.address import DriveFacts
 
 assert sys.platform == "linux"
 
@@ -77,7 +77,7 @@ lowpass_hz = 400.0
 """)
 
 
-def text(found: Facts, url: str) -> str:
+def text(found: DriveFacts, url: str) -> str:
     """Return the file, for a drive that `url` names."""
     output = found.output
     decoding = DECODING if output.counts % DECODING == 0 else 1

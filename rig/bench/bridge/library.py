@@ -39,7 +39,7 @@ _OUTPUT_BYTES = 65536
 _INDEX = {parameter.name: index for index, parameter in enumerate(PARAMETERS)}
 
 
-class Frame(ctypes.Structure):
+class CanFrameBytes(ctypes.Structure):
     """Struct can_frame_bytes of can_frame.h."""
 
     _fields_ = [
@@ -93,7 +93,7 @@ class Ends(ctypes.Structure):
     ]
 
 
-class Facts(ctypes.Structure):
+class BridgeFacts(ctypes.Structure):
     """Struct bridge_facts of bridge.h: what happened on the bus. Times in µs, temperatures in °C."""
 
     _fields_ = [
@@ -128,12 +128,12 @@ class Facts(ctypes.Structure):
 
 
 _P, _N, _U64 = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_uint64
-_FRAME, _ADAPTER = ctypes.POINTER(Frame), ctypes.POINTER(Adapter)
+_FRAME, _ADAPTER = ctypes.POINTER(CanFrameBytes), ctypes.POINTER(Adapter)
 _HEARD = [_P, ctypes.c_char_p, _N, _U64]
 _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "bridge_bytes": (_N, []),
     "bridge_facts_bytes": (_N, []),
-    "bridge_setup": (None, [_P, ctypes.POINTER(Setup), ctypes.POINTER(Facts)]),
+    "bridge_setup": (None, [_P, ctypes.POINTER(Setup), ctypes.POINTER(BridgeFacts)]),
     "bridge_narrow": (None, [_P, ctypes.c_uint8, ctypes.c_uint32, ctypes.c_uint32]),
     "bridge_start": (None, [_P, _U64]),
     "bridge_tick": (None, [_P, _U64]),
@@ -181,7 +181,7 @@ class Switches:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Drive:
+class FittedDrive:
     """A drive that was found fit for a rig, in the terms of a bridge.
 
     Attributes
@@ -225,7 +225,7 @@ class Drive:
     gains: tuple[float, float] | None = None
 
 
-def dictionary_of(model: RigModel, drive: Drive) -> dictionaries.Dictionary:
+def dictionary_of(model: RigModel, drive: FittedDrive) -> dictionaries.Dictionary:
     """Return what the bridge tells a host about this rig on this drive."""
     plain = describe(
         model,
@@ -253,18 +253,18 @@ class Bridge:
     def __init__(
         self,
         model: RigModel,
-        drive: Drive,
+        drive: FittedDrive,
         *,
         checksum: bool = True,
         socket: bool = False,
-        facts: Facts | None = None,
+        facts: BridgeFacts | None = None,
         rate: int = RATE_INITIAL,
     ) -> None:
         self._library = library()
         self._memory = ctypes.create_string_buffer(self._library.bridge_bytes())
         self._address = ctypes.addressof(self._memory)
         self._taken = ctypes.create_string_buffer(_OUTPUT_BYTES)
-        self.facts = facts or Facts()
+        self.facts = facts or BridgeFacts()
         self.dictionary = dictionary_of(model, drive)
         amplifier = model.amplifier
         torque_per_quantum = amplifier.effort_quantum / drive.transmission

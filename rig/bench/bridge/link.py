@@ -13,7 +13,7 @@ import sys
 from contextlib import ExitStack
 from typing import Any
 
-from rig.bench.bridge.library import Facts, library
+from rig.bench.bridge.library import BridgeFacts, library
 from rig.config import presets, rig_model
 from rig.core.errors import ConfigError
 from rig.core.model import RigModel
@@ -64,7 +64,7 @@ class BridgeLink(DescriptorLink):
         ours, theirs = socket.socketpair()
         self._running = ExitStack()
         with theirs, open(os.memfd_create("bridge-facts"), "r+b", buffering=0) as shared:
-            shared.truncate(ctypes.sizeof(Facts))
+            shared.truncate(ctypes.sizeof(BridgeFacts))
             self.facts = _facts_in(shared.fileno())
             ends = theirs.fileno(), shared.fileno()
             try:
@@ -96,9 +96,9 @@ class BridgeLink(DescriptorLink):
             self._running.close()
 
 
-def _facts_in(descriptor: int) -> Facts:
+def _facts_in(descriptor: int) -> BridgeFacts:
     """The facts in a file that both processes have open."""
-    return Facts.from_buffer(mmap.mmap(descriptor, ctypes.sizeof(Facts)))
+    return BridgeFacts.from_buffer(mmap.mmap(descriptor, ctypes.sizeof(BridgeFacts)))
 
 
 def _serve(announce: Any, url: DeviceUrl, model: RigModel, host: int, shared: int, cpu: int) -> None:

@@ -18,7 +18,7 @@ from typing import Protocol
 
 from rig.bench.bridge.drive_law import DriveLaw
 from rig.bench.bridge.fitting import Difference, Output, refuse
-from rig.bench.bridge.library import Drive, Switches
+from rig.bench.bridge.library import FittedDrive, Switches
 from rig.core.errors import ConfigError, DeviceNotFoundError, DeviceRefusedError, IncompatibleDeviceError
 from rig.core.model import RigModel
 
@@ -68,7 +68,7 @@ class Asked(Protocol):
         ...
 
 
-class Conversation:
+class MoteusConversation:
     """Questions to a drive, before a bridge runs.
 
     Parameters
@@ -166,7 +166,7 @@ class Conversation:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Facts:
+class MoteusFacts:
     """What matters of a moteus.
 
     Attributes
@@ -252,7 +252,7 @@ REQUIRED: dict[str, tuple[Callable[[float], bool], str, str]] = {
 }
 
 
-def find(talk: Conversation, drive: int) -> Facts:
+def find(talk: MoteusConversation, drive: int) -> MoteusFacts:
     """Read what matters of a moteus, and refuse one that would not do as it is told.
 
     Raises
@@ -283,7 +283,7 @@ def find(talk: Conversation, drive: int) -> Facts:
     return _facts(talk, drive, firmware, mode)
 
 
-def _mode_at_rest(talk: Conversation) -> int:
+def _mode_at_rest(talk: MoteusConversation) -> int:
     """Mode of the drive, once a bridge that was killed has left it: its watchdog ends it, a stop ends that."""
     deadline = time.monotonic() + REST_S
     while (mode := talk.register(0x000)) not in (STOPPED, FAULTED) and time.monotonic() < deadline:
@@ -307,12 +307,12 @@ def _refuse_mode(drive: int, mode: int, fault: int) -> None:
         )
 
 
-def _facts(talk: Asked, drive: int, firmware: str, mode: int) -> Facts:
+def _facts(talk: Asked, drive: int, firmware: str, mode: int) -> MoteusFacts:
     source = int(talk.setting("motor_position.output.source"))
     place = f"motor_position.sources.{source}"
     kind = int(talk.setting(f"{place}.type"))
     kv = talk.setting("motor.Kv") if talk.setting("motor.poles") > 0 else 0.0
-    return Facts(
+    return MoteusFacts(
         id=drive,
         firmware=firmware,
         mode=mode,
@@ -349,7 +349,9 @@ def switches_of(texts: Mapping[str, str]) -> Switches:
     return Switches(ports.pop() if ports else 0, bits["hold"], bits["stop"])
 
 
-def fit(found: Facts, model: RigModel, *, prefix: int = 0, switches: Switches | None = None) -> Drive:
+def fit(
+    found: MoteusFacts, model: RigModel, *, prefix: int = 0, switches: Switches | None = None
+) -> FittedDrive:
     """Compare a moteus with the rig of an experiment, and return it as that rig's drive.
 
     Raises
@@ -359,7 +361,7 @@ def fit(found: Facts, model: RigModel, *, prefix: int = 0, switches: Switches | 
     """
     refuse(_differences(found, model))
     transmission = found.output.transmission(model)
-    return Drive(
+    return FittedDrive(
         kind="moteus",
         firmware=f"moteus {found.firmware}",
         id=found.id,
@@ -383,7 +385,7 @@ def fit(found: Facts, model: RigModel, *, prefix: int = 0, switches: Switches | 
     )
 
 
-def _differences(found: Facts, model: RigModel) -> Iterator[Difference]:
+def _differences(found: MoteusFacts, model: RigModel) -> Iterator[Difference]:
     """What the drive has otherwise than the rig."""
     if found.torque_constant == 0.0:
         yield "the motor is not calibrated (motor.poles or motor.Kv is 0)", "run moteus_tool --calibrate"

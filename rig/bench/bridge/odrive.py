@@ -23,7 +23,7 @@ from enum import IntEnum
 from typing import Any, Self
 
 from rig.bench.bridge.fitting import Difference, Output, refuse
-from rig.bench.bridge.library import Drive
+from rig.bench.bridge.library import FittedDrive
 from rig.core.errors import ConfigError, DeviceNotFoundError, DeviceRefusedError, IncompatibleDeviceError
 from rig.core.model import RigModel
 from rig.core.regular_file import TABLE_BYTES, read_regular
@@ -53,7 +53,7 @@ FORMS = {
 }  # fmt: skip
 
 
-class Command(IntEnum):
+class OdriveCommand(IntEnum):
     """Of the lower five bits of an identifier: those that are asked here, or heard."""
 
     GET_VERSION = 0x00
@@ -161,7 +161,7 @@ class Endpoints:
         return cls(place, str(content["fw_version"]), found)
 
 
-class Conversation:
+class OdriveConversation:
     """Questions to a drive, before a bridge runs.
 
     Parameters
@@ -204,7 +204,7 @@ class Conversation:
                 )
             self._others.add(node)
 
-    def told(self, command: Command) -> bytes:
+    def told(self, command: OdriveCommand) -> bytes:
         """Ask for a message; errors as `_asked`."""
         frame = CanFrame(self.node << NODE_BITS | command, b"", classic=True, remote=True)
         return self._asked(frame, command, lambda data: len(data) == 8)
@@ -219,15 +219,15 @@ class Conversation:
             )
         number, form = found
         question = struct.pack("<BHB", 0, number, 0)
-        frame = CanFrame(self.node << NODE_BITS | Command.RX_SDO, question, classic=True)
+        frame = CanFrame(self.node << NODE_BITS | OdriveCommand.RX_SDO, question, classic=True)
         answer = self._asked(
             frame,
-            Command.TX_SDO,
+            OdriveCommand.TX_SDO,
             lambda data: data[1:3] == question[1:3] and len(data) >= 4 + form.size,
         )
         return float(form.unpack_from(answer, 4)[0])
 
-    def _asked(self, question: CanFrame, command: Command, is_answer: Callable[[bytes], bool]) -> bytes:
+    def _asked(self, question: CanFrame, command: OdriveCommand, is_answer: Callable[[bytes], bool]) -> bytes:
         """Ask, again if need be; `DeviceNotFoundError` when nobody answers."""
         for _ in range(TRIES):
             self._bus.send(question)
@@ -249,7 +249,7 @@ class Conversation:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Facts:
+class OdriveFacts:
     """What matters of an ODrive.
 
     Attributes
@@ -292,7 +292,7 @@ class Facts:
         )
 
 
-def find(talk: Conversation) -> Facts:
+def find(talk: OdriveConversation) -> OdriveFacts:
     """Read what matters of an ODrive, and refuse one that would not do as it is told.
 
     Raises
@@ -303,7 +303,7 @@ def find(talk: Conversation) -> Facts:
         Somebody else drives it, it has an error, or settings that would leave or change a torque: all of them.
     """
     talk.refuse_others()
-    version = tuple(talk.told(Command.GET_VERSION)[4:7])
+    version = tuple(talk.told(OdriveCommand.GET_VERSION)[4:7])
     firmware = ".".join(map(str, version))
     if version[:2] != GENERATION:
         raise IncompatibleDeviceError(
@@ -328,14 +328,14 @@ def find(talk: Conversation) -> Facts:
             f"{talk.name} has stopped with the error 0x{error:08x}",
             remedy="see dump_errors(odrv0) in odrivetool, remove the cause, then odrv0.clear_errors()",
         )
-    return Facts(id=talk.node, firmware=firmware, values=values, quickest_s=talk.quickest_s)
+    return OdriveFacts(id=talk.node, firmware=firmware, values=values, quickest_s=talk.quickest_s)
 
 
-def _error_at_rest(talk: Conversation) -> int:
+def _error_at_rest(talk: OdriveConversation) -> int:
     """Error of a drive at rest. What a killed bridge has left its watchdog ends, and nothing here."""
     deadline = time.monotonic() + REST_S
     while True:
-        error, state, _ = struct.unpack_from("<IBB", talk.told(Command.HEARTBEAT))
+        error, state, _ = struct.unpack_from("<IBB", talk.told(OdriveCommand.HEARTBEAT))
         if state == IDLE:
             return int(error)
         if time.monotonic() > deadline:
@@ -348,7 +348,7 @@ def _error_at_rest(talk: Conversation) -> int:
     )
 
 
-def fit(found: Facts, model: RigModel) -> Drive:
+def fit(found: OdriveFacts, model: RigModel) -> FittedDrive:
     """Compare an ODrive with the rig of an experiment, and return it as that rig's drive.
 
     Raises
@@ -361,7 +361,7 @@ def fit(found: Facts, model: RigModel) -> Drive:
     cycle_ms, transmission = int(values[ENCODER_MS]), output.transmission(model)
     fastest = 1000 // cycle_ms
     slowest = math.ceil(WATCHED_PERIODS / values[WATCHDOG_S] * (1.0 - FLOAT))
-    return Drive(
+    return FittedDrive(
         kind="odrive",
         firmware=f"ODrive {found.firmware}",
         id=found.id,
@@ -386,7 +386,7 @@ def fit(found: Facts, model: RigModel) -> Drive:
     )
 
 
-def _differences(found: Facts, model: RigModel) -> Iterator[Difference]:
+def _differences(found: OdriveFacts, model: RigModel) -> Iterator[Difference]:
     """What the drive has otherwise than the rig."""
     values = found.values
     if not values[TORQUE_CONSTANT] > 0.0 or not found.output.counts > 0:

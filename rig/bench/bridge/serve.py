@@ -15,14 +15,14 @@ import tty
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-from rig.bench.bridge.library import Bridge, Drive
-from rig.bench.bridge.library import Facts as BusFacts
+from rig.bench.bridge.library import Bridge, FittedDrive
+from rig.bench.bridge.library import BridgeFacts as BusFacts
 from rig.core.model import RigModel
 from rig.devices.device import DeviceUrl
-from rig.realtime.scheduling import Board, obtained
+from rig.realtime.scheduling import BoardScheduling, obtained
 
 if sys.platform == "linux":
-    from rig.bench.bridge.address import Facts, address_of
+    from rig.bench.bridge.address import DriveFacts, address_of
     from rig.bench.bridge.bus import open_bus
 
 assert sys.platform == "linux"
@@ -32,12 +32,12 @@ assert sys.platform == "linux"
 class Found:
     """What is told when a bridge is ready: the drive, what could not be obtained, and its process."""
 
-    drive: Drive
+    drive: FittedDrive
     messages: tuple[str, ...]
     process: int
 
 
-def look(url: DeviceUrl) -> Facts:
+def look(url: DeviceUrl) -> DriveFacts:
     """Ask the drive who it is, and let it be; errors as `serve`."""
     address = address_of(url)
     with contextlib.closing(open_bus(url)) as bus:
@@ -79,7 +79,7 @@ def serve(
     """
     address = address_of(url)
     bus = open_bus(url)
-    with contextlib.closing(bus), obtained(Board(realtime, cpu=cpu)) as granted:
+    with contextlib.closing(bus), obtained(BoardScheduling(realtime, cpu=cpu)) as granted:
         found = address.find(bus, model)
         bridge = Bridge(model, found, checksum=bus.checksum, socket=bus.is_socket, facts=facts)
         with _end_of(host) as (descriptor, place), _wakes() as wake:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from rig.bench.answers import question, warning
 from rig.core.check import Check
 from rig.core.this_system import ON_THE_BOARD
-from rig.realtime.scheduling import Request
+from rig.realtime.scheduling import RealtimeRequest
 
 
-def machine_checks(host: Request | None = None) -> list[Check]:
+def machine_checks(host: RealtimeRequest | None = None) -> list[Check]:
     """As `rig.bench.doctor.machine.machine_checks`."""
     return [_real_time()]
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from rig.bench.doctor import access, kernel, limits, wake_up
 from rig.config.sections import Host
 from rig.core.check import Check
-from rig.realtime.scheduling import Request
+from rig.realtime.scheduling import RealtimeRequest
 
 if sys.platform == "linux":
     from rig.bench.doctor.subject import Machine
@@ -35,7 +35,7 @@ CHECKS: tuple[Callable[[Machine], Check], ...] = (
 
 
 def machine_checks(
-    host: Request | None = None, *, machine: Machine | None = None, seconds: float = 1.0
+    host: RealtimeRequest | None = None, *, machine: Machine | None = None, seconds: float = 1.0
 ) -> list[Check]:
     """Run all checks, and measure wake-ups.
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from rig.config.sections import Host
 from rig.core.check import Check, Outcome
-from rig.realtime.scheduling import Request, Rights
+from rig.realtime.scheduling import RealtimeRequest, Rights
 from rig.realtime.scheduling.facts import ROOT
 
 if sys.platform == "linux":
@@ -28,7 +28,7 @@ def openable(path: Path) -> bool:
 class Machine:
     """A machine as this process sees it, and what an experiment requests of it (``experiment.host``)."""
 
-    request: Request = field(default_factory=Host)
+    request: RealtimeRequest = field(default_factory=Host)
     root: Path = ROOT  # where /proc, /sys, /dev and /etc are
     rights: Rights = field(default_factory=Rights.here)
     openable: Callable[[Path], bool] = openable

@@ -14,7 +14,7 @@ from rig.bench.answers import ok, question, warning
 from rig.core.check import Check
 from rig.realtime.handlers import take_no_signals
 from rig.realtime.kernel import kernel
-from rig.realtime.scheduling import Request, obtained
+from rig.realtime.scheduling import RealtimeRequest, obtained
 from rig.realtime.system import monotonic_now, sleep_until
 
 if sys.platform == "linux":
@@ -64,7 +64,7 @@ class _Trying:
     realtime: str
 
 
-def measure(request: Request, seconds: float = 1.0, rate_hz: int = RATE_HZ) -> WakeUps:
+def measure(request: RealtimeRequest, seconds: float = 1.0, rate_hz: int = RATE_HZ) -> WakeUps:
     """Measure for some seconds, scheduled as the loop would be as far as that is granted."""
     asked = "try" if request.realtime == "enforce" else request.realtime
     late = np.zeros(max(round(seconds * rate_hz), 2), np.int64)

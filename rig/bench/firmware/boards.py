@@ -30,7 +30,7 @@ BOARD_FILE = "board.toml"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Setting:
+class BoardSetting:
     """A pin, a scale or a choice of a board, which the C sources see as ``BOARD_NAME``.
 
     A whole default asks for a whole number, a default with a point for any number, a text for one of `choices`. With
@@ -51,7 +51,7 @@ class Setting:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Memory:
+class MemoryRegion:
     """A stretch of memory that an image may fill."""
 
     origin: Annotated[int, Ge(0)]
@@ -91,7 +91,7 @@ class BoardFile:
     sealed_behind
         The image's last word is the CRC-32 of all that lies between so many bytes and it; left out: it has none.
     settings
-        By name; see `Setting`.
+        By name; see `BoardSetting`.
     reserved_pins
         Pin → what the port uses it for, whatever the settings are.
     """
@@ -102,15 +102,15 @@ class BoardFile:
     rate_maximum: Annotated[int, Gt(0)]
     law_maximum: Annotated[int, Ge(0)]
     excitation_ticks: Annotated[int, Ge(0)]
-    flash: Memory
-    ram: Memory
+    flash: MemoryRegion
+    ram: MemoryRegion
     compile: tuple[str, ...] = ("-O2",)
     link: tuple[str, ...] = ()
     applications: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: {"device": ()})
     uf2_family: int | None = None
     drive: str = ""
     sealed_behind: Annotated[int, Ge(0)] | None = None
-    settings: Mapping[str, Setting] = field(default_factory=dict)
+    settings: Mapping[str, BoardSetting] = field(default_factory=dict)
     reserved_pins: Mapping[int, str] = field(default_factory=dict)
 
     __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
@@ -236,7 +236,7 @@ def _check_pins(board: Board, values: Mapping[str, SettingValue]) -> None:
             used[pin] = name
 
 
-def _checked(board: Board, setting: Setting, value: Any) -> SettingValue:
+def _checked(board: Board, setting: BoardSetting, value: Any) -> SettingValue:
     wanted = type(setting.default)
     if wanted is float and isinstance(value, int) and not isinstance(value, bool):
         value = float(value)
@@ -254,7 +254,7 @@ def _checked(board: Board, setting: Setting, value: Any) -> SettingValue:
     return value  # type: ignore[no-any-return]
 
 
-def _allowed(setting: Setting) -> str:
+def _allowed(setting: BoardSetting) -> str:
     if setting.choices:
         return " or ".join(setting.choices)
     kind = "a whole number" if isinstance(setting.default, int) else "a number"

@@ -34,7 +34,7 @@ STRICT = (
 
 
 @dataclass(frozen=True)
-class Core:
+class CortexCore:
     """A processor: what gcc calls it, what unicorn calls it, the clock of the board that has it (Hz)."""
 
     name: str
@@ -51,16 +51,16 @@ class Core:
 CORES = {
     core.name: core
     for core in (
-        Core("M0+", ("-mcpu=cortex-m0plus", "-mfloat-abi=soft"), "UC_CPU_ARM_CORTEX_M0", 125e6),
-        Core(
+        CortexCore("M0+", ("-mcpu=cortex-m0plus", "-mfloat-abi=soft"), "UC_CPU_ARM_CORTEX_M0", 125e6),
+        CortexCore(
             "M4F", ("-mcpu=cortex-m4", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16"), "UC_CPU_ARM_CORTEX_M4", 168e6
         ),
-        Core(
+        CortexCore(
             "M33F",
             ("-mcpu=cortex-m33", "-mfloat-abi=hard", "-mfpu=fpv5-sp-d16"),
             "UC_CPU_ARM_CORTEX_M33",
         ),
-        Core(
+        CortexCore(
             "M7", ("-mcpu=cortex-m7", "-mfloat-abi=hard", "-mfpu=fpv5-sp-d16"), "UC_CPU_ARM_CORTEX_M7", 600e6
         ),
     )
@@ -71,13 +71,15 @@ CORES = {
 class Image:
     """Bytes for the flash, where its functions and its variables are."""
 
-    core: Core
+    core: CortexCore
     code: bytes
     symbols: dict[str, int]
     sizes: dict[str, int]  # bytes of each function
 
 
-def build(core: Core, directory: Path, sources: Sequence[Path], entries: Iterable[str], *more: str) -> Image:
+def build(
+    core: CortexCore, directory: Path, sources: Sequence[Path], entries: Iterable[str], *more: str
+) -> Image:
     """Compile and link sources for a core.
 
     Parameters
@@ -119,7 +121,7 @@ def build(core: Core, directory: Path, sources: Sequence[Path], entries: Iterabl
 
 
 @dataclass
-class Block:
+class BasicBlock:
     """A basic block: its end, instructions, cycles when not left by a jump, cycles more when a condition jumps."""
 
     end: int
@@ -154,8 +156,8 @@ class Simulator:
         uc.mem_map(RAM, SIZE)
         uc.mem_write(FLASH, self.image.code)
         uc.mem_write(STACK_LEAST, PAINT * (STACK_TOP - STACK_LEAST))
-        self._blocks: dict[tuple[int, int], Block] = {}
-        self._last = Block(0, 0, 0, 0)
+        self._blocks: dict[tuple[int, int], BasicBlock] = {}
+        self._last = BasicBlock(0, 0, 0, 0)
         if self.counts:
             uc.hook_add(unicorn.UC_HOOK_BLOCK, self._count)
 
@@ -181,7 +183,7 @@ class Simulator:
         uc.reg_write(arm.UC_ARM_REG_SP, top)
         uc.reg_write(arm.UC_ARM_REG_LR, RETURN | 1)
         self.instructions = self.cycles = 0
-        self._last = Block(self.image.symbols[name] & ~1, 0, 0, 0)
+        self._last = BasicBlock(self.image.symbols[name] & ~1, 0, 0, 0)
         uc.emu_start(self.image.symbols[name] | 1, RETURN)
         return int(uc.reg_read(arm.UC_ARM_REG_R0))
 
@@ -201,7 +203,7 @@ class Simulator:
         return sums.most_common()
 
 
-def _block(address: int, words: list[int], small: bool) -> Block:
+def _block(address: int, words: list[int], small: bool) -> BasicBlock:
     """Cost of the instructions in a block; `small` for the M0+."""
     taken = 1 if small else 2  # more for a branch that is taken
     instructions = cycles = at = jump = 0
@@ -218,7 +220,7 @@ def _block(address: int, words: list[int], small: bool) -> Block:
                 jump = taken
             at += 1
         instructions += 1
-    return Block(address + 2 * len(words), instructions, cycles, jump)
+    return BasicBlock(address + 2 * len(words), instructions, cycles, jump)
 
 
 def _extra(word: int, taken: int) -> int:

@@ -37,7 +37,7 @@ Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Drive:
+class BootDrive:
     """A boot ROM that shows itself as a drive."""
 
     path: Path
@@ -124,7 +124,7 @@ def read_image(path: Path) -> tuple[bytes, Record]:
     return content, find(plain, str(path))
 
 
-def find_drives() -> list[Drive]:
+def find_drives() -> list[BootDrive]:
     """Return every drive of a boot ROM that is mounted here."""
     found = []
     for path in _mounted():
@@ -134,7 +134,7 @@ def find_drives() -> list[Drive]:
     return found
 
 
-def drive_at(path: Path) -> Drive:
+def drive_at(path: Path) -> BootDrive:
     """Return the drive at a path; raises `DeviceNotFoundError` when no boot ROM shows itself there."""
     drive = _drive(path)
     if drive is None:
@@ -154,18 +154,18 @@ def _mounted() -> list[Path]:
         return sorted({path for parent in parents for path in root.glob(f"{parent.lstrip('/')}/*")})
 
 
-def _drive(path: Path) -> Drive | None:
+def _drive(path: Path) -> BootDrive | None:
     try:
         text = read_regular(path / INFO_FILE).decode(errors="replace")
     except OSError:
         return None
     fields = dict(line.split(":", 1) for line in text.splitlines() if ":" in line)
-    return Drive(
+    return BootDrive(
         path=path, board_id=fields.get("Board-ID", "").strip(), model=fields.get("Model", "").strip()
     )
 
 
-def _only(drives: list[Drive]) -> Drive:
+def _only(drives: list[BootDrive]) -> BootDrive:
     if len(drives) == 1:
         return drives[0]
     if drives:
@@ -195,7 +195,7 @@ def _check_kind(image: Path, content: bytes) -> None:
         )
 
 
-def _check_family(image: Path, content: bytes, drive: Drive) -> None:
+def _check_family(image: Path, content: bytes, drive: BootDrive) -> None:
     _check_kind(image, content)
     family = read_uf2(content, str(image)).family
     wanted = FAMILY_OF_DRIVE.get(drive.board_id)
@@ -212,7 +212,7 @@ def _check_family(image: Path, content: bytes, drive: Drive) -> None:
         )
 
 
-def _check_board(image: Path, record: Record, drive: Drive) -> None:
+def _check_board(image: Path, record: Record, drive: BootDrive) -> None:
     wanted = boards.load(record.facts.board).drive if record.facts.board in boards.names() else drive.board_id
     if wanted != drive.board_id:
         raise ConfigError(
@@ -221,7 +221,7 @@ def _check_board(image: Path, record: Record, drive: Drive) -> None:
         )
 
 
-def _copy(content: bytes, drive: Drive, name: str, on_progress: Progress) -> None:
+def _copy(content: bytes, drive: BootDrive, name: str, on_progress: Progress) -> None:
     """Write the file; the board may vanish once it has every byte, before the system is done: that is success."""
     at = 0
     try:
@@ -246,7 +246,7 @@ def _copy(content: bytes, drive: Drive, name: str, on_progress: Progress) -> Non
         ) from None
 
 
-def _is_there(drive: Drive) -> bool:
+def _is_there(drive: BootDrive) -> bool:
     """Whether the drive still shows its file; a stale mount, which gives an error, is one that is gone."""
     try:
         return (drive.path / INFO_FILE).exists()
@@ -262,7 +262,7 @@ def _wait_for_drive(drive: Path | None, on_progress: Progress) -> None:
         time.sleep(_LOOK_S)
 
 
-def _wait_until_gone(drive: Drive, on_progress: Progress) -> None:
+def _wait_until_gone(drive: BootDrive, on_progress: Progress) -> None:
     """Wait for the board to restart, the only sign that it has taken the image."""
     deadline = time.monotonic() + VANISH_S
     while _is_there(drive):

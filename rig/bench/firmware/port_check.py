@@ -56,7 +56,7 @@ Progress = Callable[[str, float], None]
 Verdict = Mapping[str, Any] | str | None  # broken: the numbers of its sentence; not seen: why; kept
 
 
-class Probe(IntEnum):
+class PortProbe(IntEnum):
     """What the program on the board can be asked: enum port_check_probe."""
 
     BOARD = 0
@@ -132,7 +132,7 @@ class NoAnswerError(Exception):
 
 
 @dataclass
-class Board:
+class BoardUnderTest:
     """The program on the board, at the far end of a link that may be opened anew."""
 
     open_link: Callable[[], Link]
@@ -147,7 +147,7 @@ class Board:
         self._splitter = FrameSplitter(self.statistics)
 
     def ask(
-        self, probe: Probe, *arguments: int, wait_s: float = ANSWER_S, quiet_s: float = ANSWER_S
+        self, probe: PortProbe, *arguments: int, wait_s: float = ANSWER_S, quiet_s: float = ANSWER_S
     ) -> tuple[int, ...]:
         """Return the numbers of a probe; raises `NoAnswerError` when none come in time, or no bytes for so long."""
         self._nonce = (self._nonce + 1) % 0x10000
@@ -183,13 +183,13 @@ class Board:
         """Return what it says of itself, as soon as it answers."""
         for _ in range(TRIES - 1):
             with suppress(NoAnswerError):
-                return self.ask(Probe.BOARD, wait_s=ANSWER_S / TRIES)
-        return self.ask(Probe.BOARD)
+                return self.ask(PortProbe.BOARD, wait_s=ANSWER_S / TRIES)
+        return self.ask(PortProbe.BOARD)
 
     def answers(self, wait_s: float) -> bool:
         """Whether it answers in time."""
         try:
-            self.ask(Probe.BOARD, wait_s=wait_s)
+            self.ask(PortProbe.BOARD, wait_s=wait_s)
         except (NoAnswerError, LinkLostError):
             return False
         return True
@@ -215,10 +215,10 @@ class Board:
 
 
 @dataclass
-class Trial:
+class PortTrial:
     """A board, what to try on it, and what was found so far."""
 
-    board: Board
+    board: BoardUnderTest
     request: PortCheckRequest
     rate_initial: int
     rate_maximum: int
@@ -233,7 +233,7 @@ class Trial:
     silent: bool = False
 
     @classmethod
-    def begin(cls, board: Board, request: PortCheckRequest) -> Trial:
+    def begin(cls, board: BoardUnderTest, request: PortCheckRequest) -> PortTrial:
         """Meet the board."""
         rate, maximum, law, senses, lag, noise, bootloader, _told, _place, limit = board.meet()
         if abs(request.current) > limit:
@@ -249,7 +249,7 @@ class Trial:
             wrong = [name for name in BY_TIME if isinstance(self.verdicts[name], Mapping)]
             self.verdicts |= dict.fromkeys(wrong, "time is wrong, by which it is judged")
 
-    def ask_signed(self, probe: Probe, *arguments: int) -> list[int]:
+    def ask_signed(self, probe: PortProbe, *arguments: int) -> list[int]:
         """Return the numbers of a probe, which may be negative."""
         return [(one + 2**31) % 2**32 - 2**31 for one in self.board.ask(probe, *arguments)]
 
@@ -279,10 +279,10 @@ def check_port(
     ConfigError
         A current that the rig's amplifier must not give.
     """
-    board = Board(open_link, 1.0 if request.real_time else EMULATED)
+    board = BoardUnderTest(open_link, 1.0 if request.real_time else EMULATED)
     try:
         try:
-            trial = Trial.begin(board, request)
+            trial = PortTrial.begin(board, request)
         except NoAnswerError:
             raise LinkLostError(
                 f"nobody answers at {board.link.url.text}",
@@ -299,7 +299,7 @@ def check_port(
         board.link.close()
 
 
-def _tried(step: Step, names: tuple[str, ...], trial: Trial) -> dict[str, Verdict]:
+def _tried(step: Step, names: tuple[str, ...], trial: PortTrial) -> dict[str, Verdict]:
     if trial.silent:
         return dict.fromkeys(names, "it answers no longer")
     try:
@@ -333,13 +333,13 @@ def _check(duty: Duty, verdict: Verdict) -> Check:
 # ------------------------------------------------------------------ time and ticks
 
 
-def _time(trial: Trial) -> Iterator[tuple[str, Verdict]]:
+def _time(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
     clock = trial.board.link.clock
     looks = []
     for pause_s in (0.0, trial.request.seconds):
         trial.board.pause(pause_s)
         before = clock.now_ns()
-        low, high = trial.board.ask(Probe.TIME)
+        low, high = trial.board.ask(PortProbe.TIME)
         looks.append((before, clock.now_ns(), high << 32 | low))
     (begun, heard, first), (asked, ended, second) = looks
     trial.times = [first, second]
@@ -354,7 +354,7 @@ def _time(trial: Trial) -> Iterator[tuple[str, Verdict]]:
         yield "time_unit", None
 
 
-def _ticks(trial: Trial) -> Iterator[tuple[str, Verdict]]:
+def _ticks(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
     rates = dict.fromkeys((trial.rate_initial, min(ODD_RATE, trial.rate_maximum), trial.rate_maximum))
     drift_ppm, wrong, grid = 0.0, None, None
     for rate in [*rates, trial.rate_initial]:
@@ -375,17 +375,17 @@ def _ticks(trial: Trial) -> Iterator[tuple[str, Verdict]]:
     yield "tick_grid", grid if wrong is None else "it does not tick at the rate that was set"
 
 
-def _ticked(trial: Trial, rate: int, expected: int) -> tuple[float, bool, float]:
+def _ticked(trial: PortTrial, rate: int, expected: int) -> tuple[float, bool, float]:
     """Ticks a second (by device time, made right), whether the rate was taken, distance from the grid (s)."""
     wanted = max(TICKS_LEAST, round(min(TICKS_S, TICKS_SHARE * trial.request.seconds) * expected))
-    accepted, count, passed, *off = trial.ask_signed(Probe.TICKS, rate, wanted)
+    accepted, count, passed, *off = trial.ask_signed(PortProbe.TICKS, rate, wanted)
     least, most, newest = off
     found = count * UNITS_A_SECOND / (passed % 2**32) * trial.time_ratio if count and passed else 0.0
     return found, bool(accepted), (most - least - abs(newest)) / UNITS_A_SECOND
 
 
-def _refusal(trial: Trial) -> Iterator[tuple[str, Verdict]]:
-    (accepted,) = trial.board.ask(Probe.RATE, UNDOABLE_RATE)
+def _refusal(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
+    (accepted,) = trial.board.ask(PortProbe.RATE, UNDOABLE_RATE)
     yield "rate_refused", {"wanted": UNDOABLE_RATE} if accepted else None
     rate = trial.rate_initial
     found = rate if accepted else _ticked(trial, 0, rate)[0]
@@ -394,26 +394,26 @@ def _refusal(trial: Trial) -> Iterator[tuple[str, Verdict]]:
         yield "rate_kept", "no rate was refused"
     else:
         yield "rate_kept", broken if abs(found / rate - 1.0) > RATE_SHARE else None
-    trial.board.ask(Probe.TICKS, rate, 1)
+    trial.board.ask(PortProbe.TICKS, rate, 1)
 
 
-def _nesting(trial: Trial) -> Iterator[tuple[str, Verdict]]:
+def _nesting(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
     names = ("ticks_in_poll", "polls_in_tick", "ticks_in_tick")
-    seen = dict(zip(names, trial.board.ask(Probe.HOLD), strict=True))
+    seen = dict(zip(names, trial.board.ask(PortProbe.HOLD), strict=True))
     yield "not_nested", seen if any(seen.values()) else None
 
 
 # ------------------------------------------------------------------ pins
 
 
-def _wires(trial: Trial) -> Iterator[tuple[str, Verdict]]:
+def _wires(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
     encoder = ("encoder_count", "edge_time", "encoder_failed")
     if not trial.request.wired:
         why = "wire the sync outputs tick and trial to A and B, inside to the sync input, and say `wired`"
         yield from dict.fromkeys(STEPS[_wires], why).items()
         return
     moved, wrong, missed, edge_off, alarmed, failed, again, rose, sync_off, fell = trial.ask_signed(
-        Probe.WIRES
+        PortProbe.WIRES
     )
     nothing = not moved and not rose
     yield "sync_bits", {} if nothing else None
@@ -437,9 +437,9 @@ def _wires(trial: Trial) -> Iterator[tuple[str, Verdict]]:
 # ------------------------------------------------------------------ link
 
 
-def _writing(trial: Trial) -> Iterator[tuple[str, Verdict]]:
+def _writing(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
     board, before = trial.board, _damaged(trial.board.statistics)
-    taken, room, refused, longest, total = board.ask(Probe.FILL, FILL_FRAMES, wait_s=FILL_S)
+    taken, room, refused, longest, total = board.ask(PortProbe.FILL, FILL_FRAMES, wait_s=FILL_S)
     came, torn = board.counted, _damaged(board.statistics) - before
     broken = {"taken": taken, "came": len(came), "torn": torn, "others": ""}
     if len(came) == taken and sum(came) % 2**32 != total:
@@ -462,8 +462,8 @@ def _damaged(statistics: LinkStatistics) -> int:
 # ------------------------------------------------------------------ what was seen on the way
 
 
-def _meanwhile(trial: Trial) -> Iterator[tuple[str, Verdict]]:
-    low, high, read_units, overruns, ever = trial.board.ask(Probe.SUMMARY)
+def _meanwhile(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
+    low, high, read_units, overruns, ever = trial.board.ask(PortProbe.SUMMARY)
     back = high << 32 | low
     begins_again = back > UNITS_A_SECOND
     yield "time_steps_back", {"us": back / UNITS_PER_US} if back and not begins_again else None
@@ -483,7 +483,7 @@ def _meanwhile(trial: Trial) -> Iterator[tuple[str, Verdict]]:
 # ------------------------------------------------------------------ resets
 
 
-def _bites(trial: Trial) -> Iterator[tuple[str, Verdict]]:
+def _bites(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
     slow_us, fast_us = BITES_US
     lived_ms, bitten = _starved(trial.board, slow_us)
     if not bitten:
@@ -502,10 +502,10 @@ def _bites(trial: Trial) -> Iterator[tuple[str, Verdict]]:
     yield "watchdog_time", {"ms": wrong[0][0], "bite": wrong[0][1]} if wrong else None
 
 
-def _starved(board: Board, bite_us: int) -> tuple[int, bool]:
+def _starved(board: BoardUnderTest, bite_us: int) -> tuple[int, bool]:
     """How long it lived unfed (ms), and whether it was bitten."""
     try:
-        (lived_ms,) = board.ask(Probe.BITE, bite_us, wait_s=8e-6 * bite_us + 0.2, quiet_s=QUIET_S)
+        (lived_ms,) = board.ask(PortProbe.BITE, bite_us, wait_s=8e-6 * bite_us + 0.2, quiet_s=QUIET_S)
     except (NoAnswerError, LinkLostError):
         return max(board.counted, default=0), True
     return lived_ms, False
@@ -514,15 +514,15 @@ def _starved(board: Board, bite_us: int) -> tuple[int, bool]:
 # ------------------------------------------------------------------ amplifier
 
 
-def _current(trial: Trial) -> Iterator[tuple[str, Verdict]]:
+def _current(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
     names, quanta = STEPS[_current], trial.request.current
     why = _why_no_current(trial)
     if why:
         yield from dict.fromkeys(names, why).items()
         return
-    off, last, started = trial.ask_signed(Probe.OFF, quanta)
-    first, mean, zero_units = trial.ask_signed(Probe.ON, quanta)
-    (off_units,) = trial.ask_signed(Probe.DISABLE, quanta)
+    off, last, started = trial.ask_signed(PortProbe.OFF, quanta)
+    first, mean, zero_units = trial.ask_signed(PortProbe.ON, quanta)
+    (off_units,) = trial.ask_signed(PortProbe.DISABLE, quanta)
     if first == last == quanta:
         said = {"quanta": quanta, "wanted": 0, "echo": ", with the amplifier off: it is the set-point"}
         yield "measured_flows", said
@@ -545,7 +545,7 @@ def _current(trial: Trial) -> Iterator[tuple[str, Verdict]]:
         yield name, {"ms": units / UNITS_PER_US * 1e-3} if units > limit else None
 
 
-def _why_no_current(trial: Trial) -> str:
+def _why_no_current(trial: PortTrial) -> str:
     if not trial.senses:
         return "it measures no current"
     if not trial.request.current:
@@ -558,18 +558,18 @@ def _why_no_current(trial: Trial) -> str:
 # ------------------------------------------------------------------ the way out
 
 
-def _leaving(trial: Trial) -> Iterator[tuple[str, Verdict]]:
+def _leaving(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
     if not trial.has_bootloader:
         yield "bootloader", "it has none"
     elif not trial.request.bootloader:
         yield "bootloader", "`bootloader` ends in it"
     else:
         with suppress(NoAnswerError, LinkLostError):
-            trial.board.ask(Probe.LEAVE, wait_s=GONE_BY_S)
+            trial.board.ask(PortProbe.LEAVE, wait_s=GONE_BY_S)
         yield "bootloader", {} if trial.board.answers(GONE_BY_S) else None
 
 
-Step = Callable[[Trial], Iterator[tuple[str, Verdict]]]
+Step = Callable[[PortTrial], Iterator[tuple[str, Verdict]]]
 # In the order in which they are tried: no current before time and watchdog are right, and the way out last.
 STEPS: dict[Step, tuple[str, ...]] = {
     _time: ("time_unit",),

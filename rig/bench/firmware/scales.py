@@ -12,7 +12,7 @@ from math import inf
 from firmware_protocol.dictionary import SettingValue
 from rig.bench.firmware.boards import Board
 from rig.config import amplifiers
-from rig.config.amplifiers import Profile
+from rig.config.amplifiers import AmplifierProfile
 from rig.core.board import OVER_CURRENT_MARGIN
 from rig.core.errors import ConfigError
 from rig.core.model import RigModel
@@ -114,7 +114,7 @@ def check_scales(board: Board, model: RigModel, settings: Mapping[str, SettingVa
     return step
 
 
-def _check_frequency(frequency: float, profile: Profile, delay_s: float, refuse: _Refusal) -> None:
+def _check_frequency(frequency: float, profile: AmplifierProfile, delay_s: float, refuse: _Refusal) -> None:
     """A pulse width must have a rate that the amplifier takes, and a period that theory counts."""
     least, most = profile.pwm_frequency or (0.0, inf)
     if not least <= frequency <= most:

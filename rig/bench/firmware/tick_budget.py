@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from firmware_protocol.dictionary import SettingValue
 from rig.bench.firmware.boards import Board, load, settings_of
-from rig.bench.firmware.cortex import CORES, Core
+from rig.bench.firmware.cortex import CORES, CortexCore
 from rig.core.errors import ConfigError
 
 BOARD = "rp2040"  # where no board is named: the one that this package has firmware for
@@ -59,7 +59,7 @@ class TickBudget:
     """
 
     board: str
-    core: Core
+    core: CortexCore
     clock_hz: float
 
     def call_cycles(self, estimator: str) -> int | None:

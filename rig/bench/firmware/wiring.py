@@ -30,7 +30,7 @@ class Pin:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Part:
+class WiringPart:
     """A part: its name, what it is, where its numbers are from, and its pins on both sides of its box."""
 
     name: str
@@ -45,7 +45,7 @@ class Part:
 class Wiring:
     """All parts of a rig, in the order of the file."""
 
-    parts: tuple[Part, ...]
+    parts: tuple[WiringPart, ...]
 
     def nets(self) -> dict[str, list[str]]:
         """What each net joins, as ``PART.pin``."""
@@ -77,7 +77,7 @@ def _applies(where: Mapping[str, SettingValue], settings: Mapping[str, SettingVa
     return all(settings[name] == value for name, value in where.items())
 
 
-def _part(row: Mapping[str, Any], board: Board, settings: Mapping[str, SettingValue]) -> Part:
+def _part(row: Mapping[str, Any], board: Board, settings: Mapping[str, SettingValue]) -> WiringPart:
     sides = {
         side: tuple(
             Pin(_pin(name, board, settings), net)
@@ -86,7 +86,7 @@ def _part(row: Mapping[str, Any], board: Board, settings: Mapping[str, SettingVa
         )
         for side in ("left", "right")
     }
-    return Part(name=row["name"], what=row["what"], source=row["source"], column=row["column"], **sides)
+    return WiringPart(name=row["name"], what=row["what"], source=row["source"], column=row["column"], **sides)
 
 
 def _pin(name: str, board: Board, settings: Mapping[str, SettingValue]) -> str:
@@ -124,11 +124,11 @@ def svg(found: Wiring) -> str:
     )
 
 
-def _height(part: Part) -> int:
+def _height(part: WiringPart) -> int:
     return _PITCH * (1 + max(len(part.left), len(part.right)))
 
 
-def _box(part: Part, x: int, y: int) -> Iterator[str]:
+def _box(part: WiringPart, x: int, y: int) -> Iterator[str]:
     words = [part.name, *_wrapped(part.what)]
     for line, text in enumerate(words):
         yield _text(x, y - 4 + 13 * line, text, 'font-weight="bold"' if line == 0 else 'fill="#555"')

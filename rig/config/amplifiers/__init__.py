@@ -20,7 +20,7 @@ REFUSED = dict.fromkeys(("in-in-bridge", "l298n", "drv8871", "tb6612", "bts7960"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Profile:
+class AmplifierProfile:
     """One amplifier.
 
     Attributes
@@ -83,10 +83,10 @@ def names() -> tuple[str, ...]:
 
 
 @cache
-def load(name: str) -> Profile:
+def load(name: str) -> AmplifierProfile:
     """Return the profile of one of `names`."""
     content = tomllib.loads((files(__name__) / f"{name}.toml").read_text(encoding="utf-8"))
     for key in ("set_up", "pwm_frequency"):
         if key in content:
             content[key] = tuple(content[key])
-    return Profile(name=name, **content)
+    return AmplifierProfile(name=name, **content)

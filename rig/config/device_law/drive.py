@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from rig.config.device_law.refusal import NotOnDeviceError
 from rig.config.device_law.walls import Control, options
-from rig.control.step import Controller
+from rig.control.step import ControllerState
 
 # The drive's own filter gives the wall its velocity. This one stands beside it, for homing and in the recording.
 BESIDE = "fdm-butterworth"
 
 
-def refuse_what_it_lacks(controller: Controller, c: Control) -> None:
+def refuse_what_it_lacks(controller: ControllerState, c: Control) -> None:
     """Raise `NotOnDeviceError`, a `PlanError`, for what a drive's own wall cannot be."""
     law = controller.law
     may_pull, entry_only = options(law.law.name, law.parameters)

@@ -16,7 +16,7 @@ from rig.config.device_law.estimators import estimator_parameters, velocity_form
 from rig.config.device_law.refusal import ELSE_HOST, refusal
 from rig.config.device_law.walls import Control, Values
 from rig.config.sections import Controller as Rates
-from rig.control.step import Controller
+from rig.control.step import ControllerState
 from rig.core.errors import PlanError
 
 Arithmetic = Literal["fixed", "float32", "drive"]
@@ -55,7 +55,7 @@ def arithmetic_of(rates: Rates) -> Arithmetic:
     return "fixed" if rates.estimator == FIXED_ESTIMATOR else "float32"
 
 
-def law_parameters(controller: Controller, arithmetic: Arithmetic) -> Values:
+def law_parameters(controller: ControllerState, arithmetic: Arithmetic) -> Values:
     """Values of the parameters that this law reads, but for those that say how its samples travel.
 
     Parameters
@@ -110,7 +110,7 @@ def law_parameters(controller: Controller, arithmetic: Arithmetic) -> Values:
     return values
 
 
-def live_parameters(controller: Controller, arithmetic: Arithmetic, numbers: Sequence[float]) -> Values:
+def live_parameters(controller: ControllerState, arithmetic: Arithmetic, numbers: Sequence[float]) -> Values:
     """Values of the parameters that make another wall while the law runs.
 
     Parameters
@@ -144,7 +144,7 @@ def live_parameters(controller: Controller, arithmetic: Arithmetic, numbers: Seq
     return values
 
 
-def rendered_wall(values: Mapping[str, Value], controller: Controller) -> walls.DeviceWall:
+def rendered_wall(values: Mapping[str, Value], controller: ControllerState) -> walls.DeviceWall:
     """The wall that a device renders, in SI.
 
     Parameters
@@ -176,7 +176,7 @@ def check_values(values: Mapping[str, Value]) -> None:
         )
 
 
-def _check_arithmetic(c: Control, controller: Controller, arithmetic: Arithmetic) -> None:
+def _check_arithmetic(c: Control, controller: ControllerState, arithmetic: Arithmetic) -> None:
     name = controller.estimator.estimator.name
     if arithmetic != "fixed":
         return
@@ -250,7 +250,7 @@ def _first(passes: Callable[[int], bool], near: float) -> int:
     return max(at, I32[0])
 
 
-def _excitation(controller: Controller) -> Values:
+def _excitation(controller: ControllerState) -> Values:
     law = controller.law.law
     if law.name == "excited" and not law.device:
         raise PlanError(
@@ -260,5 +260,5 @@ def _excitation(controller: Controller) -> Values:
     return dict(law.device)
 
 
-def _plain(controller: Controller) -> Control:
+def _plain(controller: ControllerState) -> Control:
     return dict(zip(controller.control.dtype.names or (), controller.control[0].item(), strict=True))

@@ -15,10 +15,10 @@ rigs that differ from the described one.
 * `search`: all of it in order
 """
 
-from rig.experiments.design.listing import Candidate, Place, listed, places_for
+from rig.experiments.design.listing import Candidate, LawPlace, listed, places_for
 from rig.experiments.design.result import Design, Standing
 from rig.experiments.design.rules import GOALS, Goal, Measures, UnmetError, Wishes
-from rig.experiments.design.search import Request, design, directory_for
+from rig.experiments.design.search import DesignRequest, design, directory_for
 from rig.experiments.design.whole import Against
 
 __all__ = [
@@ -26,10 +26,10 @@ __all__ = [
     "Against",
     "Candidate",
     "Design",
+    "DesignRequest",
     "Goal",
+    "LawPlace",
     "Measures",
-    "Place",
-    "Request",
     "Standing",
     "UnmetError",
     "Wishes",

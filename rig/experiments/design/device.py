@@ -9,10 +9,10 @@ from rig.bench.doctor.gate import measured_once
 from rig.bench.firmware.tick_budget import BOARD, named_budget
 from rig.config import Experiment, rig_model
 from rig.devices.local import opened
-from rig.experiments.design.listing import Place
+from rig.experiments.design.listing import LawPlace
 
 
-def places_of(url: str, experiment: Experiment, board: str = BOARD) -> tuple[Place, ...]:
+def places_of(url: str, experiment: Experiment, board: str = BOARD) -> tuple[LawPlace, ...]:
     """Where the law may run with a device: on this computer, at the link's measured delay, and on the device.
 
     Nothing moves. Raises what opening a device does, and `LinkLostError` for one that does not answer.
@@ -31,7 +31,7 @@ def places_of(url: str, experiment: Experiment, board: str = BOARD) -> tuple[Pla
         if not device.link.clock.virtual:
             measured = measured_once(device, experiment.host, experiment.controller.position_rate)
             round_trip_s = measured.late_s
-        own_board = Place(loop="device", rate_maximum=fastest, bytes_per_second=carried, board=board)
+        own_board = LawPlace(loop="device", rate_maximum=fastest, bytes_per_second=carried, board=board)
         host = replace(own_board, loop="host", round_trip_s=round_trip_s)
         own = device.dictionary.parameter("law")
         if own is None or own.maximum < 1:

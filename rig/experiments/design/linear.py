@@ -26,7 +26,7 @@ from rig.config import Experiment
 from rig.config.schemes import Scheme, usual_settings
 from rig.experiments.design import paths
 from rig.experiments.design.listing import Candidate
-from rig.experiments.design.rules import Boundary, Measures
+from rig.experiments.design.rules import BoundaryMeasures, Measures
 from rig.experiments.rendering import RENDERED, rendered_share
 from rig.experiments.sweep import Task
 
@@ -58,7 +58,7 @@ class Linear:
 
     def measures(self, dampings: Sequence[float], *, quiet: bool) -> Measures:
         """As if hits had found this boundary."""
-        found = Boundary.of(dampings, self.quiet if quiet else self.stable)
+        found = BoundaryMeasures.of(dampings, self.quiet if quiet else self.stable)
         return Measures(**asdict(found), noise=self.noise, fidelity_hz=self.fidelity_hz, cost=self.cost)
 
 

@@ -45,7 +45,7 @@ ACCELERATIONS = (0.1, 1.0)  # of the motor's largest
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Place:
+class LawPlace:
     """Where the law runs, and what that allows.
 
     Attributes
@@ -98,7 +98,7 @@ class Candidate:
     loop, delay_ticks
         Where its law runs, and how late it acts beside the amplifier.
     board
-        As `Place` has it.
+        As `LawPlace` has it.
     """
 
     scheme: Scheme
@@ -145,7 +145,7 @@ class Candidate:
         return (self.loop, self.delay_ticks, *rates, own.estimator, own.prediction, adaptive, *numbers)
 
     @classmethod
-    def own(cls, experiment: Experiment, places: Sequence[Place] = ()) -> Candidate:
+    def own(cls, experiment: Experiment, places: Sequence[LawPlace] = ()) -> Candidate:
         """The experiment's own scheme, where it runs, as late as that place makes it."""
         own = experiment.controller
         there = next((place for place in places if place.loop == own.loop), places_for(experiment)[0])
@@ -161,7 +161,7 @@ def places_for(
     bytes_per_second: float | None = None,
     round_trip_s: float | None = None,
     board: str = BOARD,
-) -> tuple[Place, ...]:
+) -> tuple[LawPlace, ...]:
     """Where the law may run, without a device to ask: where the experiment's own runs, at most at its rate.
 
     Raises `ConfigError` for a board whose cycles are not known.
@@ -172,7 +172,7 @@ def places_for(
         ("host", "device") if where == "both" else (where or experiment.controller.loop,)
     )
     return tuple(
-        Place(
+        LawPlace(
             loop=loop,
             rate_maximum=rate_maximum or experiment.controller.position_rate,
             bytes_per_second=bytes_per_second,
@@ -184,7 +184,7 @@ def places_for(
 
 
 def listed(
-    experiment: Experiment, places: Sequence[Place], schemes: Sequence[Scheme] = ()
+    experiment: Experiment, places: Sequence[LawPlace], schemes: Sequence[Scheme] = ()
 ) -> tuple[Candidate, ...]:
     """The listed set on an experiment; with `schemes` these are the set.
 

@@ -23,7 +23,7 @@ from rig.core.errors import ConfigError
 from rig.core.operators import GRIPS
 from rig.core.present import reported
 from rig.experiments.design.listing import Candidate
-from rig.experiments.design.rounds import Grid, Sweeper
+from rig.experiments.design.rounds import Sweeper, WallGrid
 from rig.experiments.ranges import search_for
 from rig.experiments.zwidth import ZWidth
 
@@ -189,11 +189,11 @@ def _hands(described: Experiment) -> dict[str, dict[str, str]]:
     return {hand: changes for hand, changes in others.items() if may_hold(changes)}
 
 
-def _grid(experiment: Experiment, candidate: Candidate, damping: float, limit: float) -> Grid:
+def _grid(experiment: Experiment, candidate: Candidate, damping: float, limit: float) -> WallGrid:
     search = search_for(experiment, "ladder", ratio=RATIO, schemes=[candidate.scheme])
     if 0.0 < BEYOND * limit < search.highest:
         search = replace(search, highest=BEYOND * limit, lowest=min(search.lowest, limit / RATIO))
-    return Grid(dampings=(damping,), search=search, offsets=OFFSETS)
+    return WallGrid(dampings=(damping,), search=search, offsets=OFFSETS)
 
 
 def _limit(found: ZWidth) -> tuple[float, bool]:

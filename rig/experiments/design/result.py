@@ -12,7 +12,7 @@ from rig.core.present import Item, Row, Table, plain, written
 from rig.core.sample import unit_of
 from rig.core.shown import Shown
 from rig.experiments.design import rules
-from rig.experiments.design.listing import Candidate, Place
+from rig.experiments.design.listing import Candidate, LawPlace
 from rig.experiments.design.margin import Margin
 from rig.experiments.design.rules import Comparison, Measures, Wishes
 from rig.experiments.design.whole import Against
@@ -78,7 +78,7 @@ class Design(Shown, Drawn):
 
     experiment: Experiment
     wishes: Wishes
-    places: tuple[Place, ...]
+    places: tuple[LawPlace, ...]
     listed: int
     kept: int
     standings: tuple[Standing, ...]

@@ -18,7 +18,7 @@ from rig.config.schemes import Scheme
 from rig.experiments import sweep
 from rig.experiments.maps import Map, Plan
 from rig.experiments.results import make_directory
-from rig.experiments.searches import Search
+from rig.experiments.searches import StiffnessSearch
 from rig.experiments.zwidth import MapPlan, ZWidth
 
 M = TypeVar("M", bound=Map)
@@ -26,11 +26,11 @@ Watch = Callable[[str, sweep.Progress], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Grid:
+class WallGrid:
     """Walls of a map, and where zero lies in its encoder cell: `rig.experiments.zwidth.MapPlan`."""
 
     dampings: tuple[float, ...]
-    search: Search
+    search: StiffnessSearch
     offsets: tuple[float, ...]
     repeats: int = 1
 
@@ -73,7 +73,7 @@ class Sweeper:
             watch=None if watch is None else lambda progress: watch(stage, progress),
         )
 
-    def map_each(self, stage: str, work: Sequence[tuple[Experiment, Scheme, Grid]]) -> list[ZWidth]:
+    def map_each(self, stage: str, work: Sequence[tuple[Experiment, Scheme, WallGrid]]) -> list[ZWidth]:
         """Map each scheme on its experiment over its grid."""
         plans = [
             MapPlan(

@@ -13,8 +13,8 @@ fulfils all wishes comes before what does not; of equals the one with less noise
 **The front** holds each scheme for which no other is at least as good in peak, range of B, noise, fidelity and cost,
 and better in one. All of it is of one round, so that all were measured by the same walls.
 
-**No worse** (`Comparison`): the goal's measure (the area for *quiet*) of the recommended scheme against that of the
-experiment's own, pair by pair, on encoder offsets and seeds that the search did not see. It is no worse when the 95 %
+**No worse** (`Comparison`): the goal's measure (the area for *quiet*) of the recommended scheme against that
+of the experiment's own, pair by pair, on offsets and seeds that the search did not see. It is no worse when the 95 %
 interval (Student's t) of the mean difference lies above −`NEGLIGIBLE` of the own scheme's mean, and better when it lies
 above zero. Where that is not shown, and the experiment's own scheme fulfils the wishes, too, that one is recommended.
 A scheme without a single stable wall is never recommended: where no scheme has one, that is an error.
@@ -90,7 +90,7 @@ class Measures:
 
 
 @dataclass(frozen=True, slots=True)
-class Boundary:
+class BoundaryMeasures:
     """The measures of a boundary in the K–B plane: of a map, of a single series of it, or of theory."""
 
     undamped: float
@@ -99,7 +99,7 @@ class Boundary:
     area: float
 
     @classmethod
-    def of(cls, dampings: Sequence[float], limits: Sequence[float]) -> Boundary:
+    def of(cls, dampings: Sequence[float], limits: Sequence[float]) -> BoundaryMeasures:
         """Measure the largest K at each damping, which rise from 0."""
         extent = Extent.of(dampings, limits)
         return cls(undamped=limits[0], stiffness=max(limits), damping=extent.damping, area=extent.area)

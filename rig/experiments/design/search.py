@@ -23,15 +23,15 @@ from rig.core.present import plain
 from rig.experiments import sweep
 from rig.experiments.design import linear, rules
 from rig.experiments.design.linear import Linear
-from rig.experiments.design.listing import Candidate, Place, listed, places_for
+from rig.experiments.design.listing import Candidate, LawPlace, listed, places_for
 from rig.experiments.design.margin import margin_of
 from rig.experiments.design.result import Design, Standing
-from rig.experiments.design.rounds import Grid, Sweeper, Watch, columns_to
-from rig.experiments.design.rules import Boundary, Comparison, Measures, Wishes
-from rig.experiments.design.whole import Against, Paper, against_paper
+from rig.experiments.design.rounds import Sweeper, WallGrid, Watch, columns_to
+from rig.experiments.design.rules import BoundaryMeasures, Comparison, Measures, Wishes
+from rig.experiments.design.whole import Against, PaperSchemes, against_paper
 from rig.experiments.ranges import dampings_for, search_for
 from rig.experiments.rendering import RENDERED
-from rig.experiments.searches import Search, Way
+from rig.experiments.searches import StiffnessSearch, Way
 from rig.experiments.zwidth import ZWidth
 
 OCTAVES = (
@@ -67,7 +67,7 @@ ROUNDS = (
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Request:
+class DesignRequest:
     """What to design.
 
     Attributes
@@ -89,7 +89,7 @@ class Request:
 
     experiment: Experiment
     wishes: Wishes = field(default_factory=Wishes)
-    places: tuple[Place, ...] = ()
+    places: tuple[LawPlace, ...] = ()
     schemes: tuple[Scheme, ...] = ()
     rounds: tuple[Round, ...] = field(default_factory=lambda: ROUNDS)
     paper: bool = False
@@ -105,7 +105,7 @@ class Request:
         }
 
 
-def directory_for(request: Request, where: Path) -> Path:
+def directory_for(request: DesignRequest, where: Path) -> Path:
     """Directory of a design; its name carries a digest of everything that decides the result."""
     described = json.dumps([sweep.code_version(), request.as_mapping()], sort_keys=True)
     digest = sha256(described.encode()).hexdigest()[:8]
@@ -113,7 +113,7 @@ def directory_for(request: Request, where: Path) -> Path:
 
 
 def design(
-    request: Request,
+    request: DesignRequest,
     directory: Path | None = None,
     *,
     scheduler: str | None = None,
@@ -148,13 +148,13 @@ def design(
 
 @dataclass(slots=True)
 class _Search:
-    request: Request
+    request: DesignRequest
     run: Sweeper
 
     def design(self) -> Design:
         x, wishes = self.request.experiment, self.request.wishes
         if self.request.paper:
-            Paper.of(x.rig.name)  # refused before the search, not after it
+            PaperSchemes.of(x.rig.name)  # refused before the search, not after it
         places = self.request.places or places_for(x)
         own = Candidate.own(x, places)
         others = listed(x, places, self.request.schemes)
@@ -217,7 +217,7 @@ class _Search:
             against=against,
         )
 
-    def _may_be_own(self, own: Standing, places: Sequence[Place]) -> bool:
+    def _may_be_own(self, own: Standing, places: Sequence[LawPlace]) -> bool:
         """Whether the experiment's own scheme fulfils the wishes and runs where the law may."""
         applied = own.candidate.applied(self.request.experiment)
         return rules.fulfilled(own.shares) and any(
@@ -266,7 +266,7 @@ class _Search:
         x, wishes = self.request.experiment, self.request.wishes
         b = sorted({*dampings, wishes.wall[1]} if wishes.wall else set(dampings))
         search = search_for(x, stage.way, ratio=stage.ratio, schemes=[one.scheme for one in entrants])
-        grid = Grid(dampings=tuple(b), search=search, offsets=stage.offsets)
+        grid = WallGrid(dampings=tuple(b), search=search, offsets=stage.offsets)
         maps = self.run.map_each(stage.name, [(one.condition(x), one.scheme, grid) for one in entrants])
         found = [
             self._standing(one, known[one.key], of_one, stage.ratio)
@@ -281,7 +281,7 @@ class _Search:
         wishes, x = self.request.wishes, self.request.experiment
         boundary = tuple(found.curve(0, "any"))
         measures = Measures(
-            **asdict(Boundary.of([b.damping for b in boundary], [b.counted for b in boundary])),
+            **asdict(BoundaryMeasures.of([b.damping for b in boundary], [b.counted for b in boundary])),
             noise=path.noise,
             fidelity_hz=path.fidelity_hz,
             cost=path.cost,
@@ -306,9 +306,9 @@ class _Search:
         if wall is None:
             return finalists
         x, (stiffness, damping) = self.request.experiment, wall
-        one_rung = Search(way="grid", lowest=stiffness, highest=1.5 * stiffness, ratio=2.0)
+        one_rung = StiffnessSearch(way="grid", lowest=stiffness, highest=1.5 * stiffness, ratio=2.0)
         offsets = (*self.request.rounds[-1].offsets, *HELD_OUT_OFFSETS)
-        grid = Grid(dampings=(damping,), search=one_rung, offsets=offsets)
+        grid = WallGrid(dampings=(damping,), search=one_rung, offsets=offsets)
         work = [(one.candidate.condition(x), one.candidate.scheme, grid) for one in finalists]
         found = []
         for one, of_one in zip(finalists, self.run.map_each("wished wall", work), strict=True):
@@ -323,7 +323,7 @@ class _Search:
         x = self.request.experiment
         x = config.override(x, {"trial.seed": x.trial.seed + HELD_OUT_SEED}, "the comparison")
         last = self.request.rounds[-1]
-        grid = Grid(
+        grid = WallGrid(
             dampings=tuple(dampings),
             search=search_for(
                 x, last.way, ratio=last.ratio, schemes=[best.candidate.scheme, own.candidate.scheme]
@@ -338,12 +338,12 @@ class _Search:
         return Comparison(*(tuple(getattr(one, name) for one in _pairs(found)) for found in maps))
 
 
-def _pairs(found: ZWidth) -> list[Boundary]:
+def _pairs(found: ZWidth) -> list[BoundaryMeasures]:
     """A boundary of each offset and repeat by itself."""
     curve = found.curve(0, "any")
     dampings = [b.damping for b in curve]
     return [
-        Boundary.of(dampings, [b.limits[pair].stiffness * (b.rendered >= RENDERED) for b in curve])
+        BoundaryMeasures.of(dampings, [b.limits[pair].stiffness * (b.rendered >= RENDERED) for b in curve])
         for pair in range(len(curve[0].limits))
     ]
 

@@ -33,8 +33,8 @@ from rig.core.present import Table, plain, written
 from rig.core.sample import unit_of
 from rig.experiments.design import rules
 from rig.experiments.design.listing import Candidate
-from rig.experiments.design.rounds import Grid, Sweeper, columns_to
-from rig.experiments.design.rules import OF_A_PAPER, OF_TABLE_ONE, Boundary
+from rig.experiments.design.rounds import Sweeper, WallGrid, columns_to
+from rig.experiments.design.rules import OF_A_PAPER, OF_TABLE_ONE, BoundaryMeasures
 from rig.experiments.ranges import (
     PAPERS_SCHEMES,
     SHARE,
@@ -44,7 +44,7 @@ from rig.experiments.ranges import (
     search_for,
 )
 from rig.experiments.rendering import RENDERED
-from rig.experiments.searches import Search
+from rig.experiments.searches import StiffnessSearch
 from rig.experiments.table_one import PAPERS_RIG, SchemeWidths, tuned_numbers
 from rig.experiments.zwidth import ZWidth
 
@@ -76,14 +76,14 @@ UNITS = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Paper:
+class PaperSchemes:
     """What a paper has on its rig: its schemes, and the measures that it judges them by."""
 
     schemes: tuple[Scheme, ...]
     measures: tuple[str, ...]
 
     @classmethod
-    def of(cls, rig: str) -> Paper:
+    def of(cls, rig: str) -> PaperSchemes:
         """The paper that a rig is of; `ConfigError` for one of no paper."""
         if rig in KOUL:
             return cls(schemes=(Scheme.of(presets.load(rig)),), measures=OF_A_PAPER)
@@ -97,7 +97,7 @@ class Paper:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Measured:
+class MappedScheme:
     """A scheme that was mapped whole, its value of each measure, and which of them are only lower bounds."""
 
     candidate: Candidate
@@ -109,7 +109,7 @@ class Measured:
         """A value in text."""
         return ("≥ " if name in self.capped else "") + written(self.values[name], 3)
 
-    def misses(self, other: Measured) -> list[str]:
+    def misses(self, other: MappedScheme) -> list[str]:
         """Measures in which it is not as good as another."""
         return [
             name
@@ -136,14 +136,14 @@ class Against:
         How many are neither ruled out nor measured, as one is found that is as good.
     """
 
-    paper: Measured
+    paper: MappedScheme
     listed: int
     ruled_out: Mapping[str, int]
-    measured: tuple[Measured, ...]
+    measured: tuple[MappedScheme, ...]
     open: int
 
     @property
-    def best(self) -> Measured | None:
+    def best(self) -> MappedScheme | None:
         """The scheme that misses fewest measures, of those the one with the largest range and peak."""
         return self.measured[0] if self.measured else None
 
@@ -178,7 +178,7 @@ class Against:
     def as_mapping(self) -> dict[str, Any]:
         """Plain values, for JSON."""
 
-        def told(one: Measured) -> dict[str, Any]:
+        def told(one: MappedScheme) -> dict[str, Any]:
             return {
                 "scheme": one.candidate.scheme.text,
                 "label": one.label,
@@ -201,11 +201,11 @@ def against_paper(
     experiment: Experiment, candidates: Sequence[Candidate], run: Sweeper
 ) -> tuple[Against, ...]:
     """Hold each scheme of a rig's paper against candidates, which are the listed set, the most promising first."""
-    return _Whole(experiment, Paper.of(experiment.rig.name), run).compare(candidates)
+    return _Whole(experiment, PaperSchemes.of(experiment.rig.name), run).compare(candidates)
 
 
 class _Whole:
-    def __init__(self, experiment: Experiment, paper: Paper, run: Sweeper) -> None:
+    def __init__(self, experiment: Experiment, paper: PaperSchemes, run: Sweeper) -> None:
         self._x, self._paper, self._run = experiment, paper, run
         self._search = search_for(experiment, "ladder", ratio=RATIO, schemes=paper.schemes)
         reach = dampings_for(experiment, paper.schemes, columns=2)[-1]
@@ -232,7 +232,7 @@ class _Whole:
         measured = self._measured("paper", own)
         return tuple(self._against(n, paper, candidates) for n, paper in enumerate(measured))
 
-    def _against(self, number: int, paper: Measured, candidates: Sequence[Candidate]) -> Against:
+    def _against(self, number: int, paper: MappedScheme, candidates: Sequence[Candidate]) -> Against:
         name = f"whole set {number + 1}"
         left = [one for one in candidates if not one.same_law(paper.candidate, self._x)]
         listed, ruled_out = len(left), dict[str, int]()
@@ -240,7 +240,7 @@ class _Whole:
             kept = keep(left)
             ruled_out[measure] = ruled_out.get(measure, 0) + len(left) - len(kept)
             left = kept
-        found: list[Measured] = []
+        found: list[MappedScheme] = []
         while len(found) < len(left) and all(one.misses(paper) for one in found):
             batch = left[len(found) : len(found) + BATCH]
             found += self._measured(f"{name} from {len(found)}", batch)
@@ -294,8 +294,8 @@ class _Whole:
         """Candidates one of whose walls, at any of the dampings, does not fail at some offset."""
         if not left:
             return []
-        one_rung = Search(way="grid", lowest=stiffness, highest=1.5 * stiffness, ratio=2.0)
-        grid = Grid(dampings=tuple(dampings), search=one_rung, offsets=OFFSETS)
+        one_rung = StiffnessSearch(way="grid", lowest=stiffness, highest=1.5 * stiffness, ratio=2.0)
+        grid = WallGrid(dampings=tuple(dampings), search=one_rung, offsets=OFFSETS)
         maps = self._run.map_each(stage, [(one.condition(self._x), one.scheme, grid) for one in left])
         return [
             one
@@ -306,10 +306,10 @@ class _Whole:
             )
         ]
 
-    def _measured(self, stage: str, some: Sequence[Candidate]) -> list[Measured]:
+    def _measured(self, stage: str, some: Sequence[Candidate]) -> list[MappedScheme]:
         """Map candidates whole, and excite their rigs where the paper does."""
         x = self._x
-        grid = Grid(dampings=self._dampings, search=self._search, offsets=OFFSETS)
+        grid = WallGrid(dampings=self._dampings, search=self._search, offsets=OFFSETS)
         maps = self._run.map_each(f"{stage} hits", [(one.condition(x), one.scheme, grid) for one in some])
         widths: Sequence[SchemeWidths | None] = [None] * len(some)
         if self._impedances:
@@ -321,7 +321,7 @@ class _Whole:
             ]
             widths = [SchemeWidths.of(found, 0) for found in self._run.each(f"{stage} impedances", plans)]
         return [
-            Measured(
+            MappedScheme(
                 candidate=one,
                 label=one.scheme.label(one.condition(x)),
                 values=self._values(one, found, width),
@@ -332,7 +332,7 @@ class _Whole:
 
     def _values(self, one: Candidate, found: ZWidth, width: SchemeWidths | None) -> dict[str, float]:
         curve = found.curve(0, "any")
-        values = asdict(Boundary.of([b.damping for b in curve], [b.counted for b in curve]))
+        values = asdict(BoundaryMeasures.of([b.damping for b in curve], [b.counted for b in curve]))
         if width is not None:
             together = width.together
             values |= {

@@ -21,7 +21,7 @@ from rig.experiments.sweep.executors import Done, Executor, Failure, Work, as_js
 from rig.experiments.sweep.journal import Journal, Memory
 from rig.realtime.handlers import handled
 from rig.realtime.source_files import code_version
-from rig.realtime.stop_requests import Series, listening
+from rig.realtime.stop_requests import RunSeries, listening
 
 POLL_S = 0.05
 
@@ -199,7 +199,7 @@ class Coordinator:
             self._progress, running=len(self._out), workers=workers, stopping=self._stopping
         )
 
-    def _interrupted(self, signals: list[int], series: Series) -> bool:
+    def _interrupted(self, signals: list[int], series: RunSeries) -> bool:
         """Show the progress and act on Ctrl-C; returns True for the second one, which waits for nothing."""
         before = self.interruption
         try:

@@ -23,7 +23,7 @@ from rig.experiments.compare import Start, simulate
 from rig.experiments.excitation_run import ExcitedRig
 from rig.experiments.lipschitz import AFTER_CONTACT_S, BEFORE_CONTACT_S
 from rig.experiments.ranges import passive_limit
-from rig.experiments.searches import Search
+from rig.experiments.searches import StiffnessSearch
 from rig.papers.chawda.readings import read
 from rig.papers.chawda.rigs import FIGURE_3_RATE, FILTERED_SCHEME, Reading, pushed_rig
 
@@ -120,7 +120,7 @@ def control(payload: Mapping[str, Any]) -> dict[str, float]:
         passes, errors = read(periodic([run.record]), stiffness, 0.0, reading)
         return bool(passes[0]), float(errors[0])
 
-    rungs = Search(**payload["search"]).rungs
+    rungs = StiffnessSearch(**payload["search"]).rungs
     low, high = -1, len(rungs)
     while high - low > 1:
         middle = (low + high) // 2
@@ -128,7 +128,9 @@ def control(payload: Mapping[str, Any]) -> dict[str, float]:
     return {"stiffness": rungs[low] if low >= 0 else 0.0, "fidelity": excited(0.0)[1]}
 
 
-def control_payload(experiment: Experiment, scheme: Scheme, search: Search, band: tuple[float, float]) -> Any:
+def control_payload(
+    experiment: Experiment, scheme: Scheme, search: StiffnessSearch, band: tuple[float, float]
+) -> Any:
     """Payload of `control`."""
     applied = scheme.applied(config.excited(experiment))
     return {

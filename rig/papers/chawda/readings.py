@@ -20,7 +20,7 @@ from rig.analysis.impedance.ideal import ideal_wall
 from rig.analysis.impedance.signals import Floats
 from rig.config import Experiment
 from rig.config.schemes import Scheme
-from rig.experiments.excitation_run import ExcitedRig, Run, Signal
+from rig.experiments.excitation_run import ExcitedRig, RealisationRun, Signal
 from rig.experiments.searches import connected
 from rig.experiments.sweep import Task
 from rig.experiments.table_one import FrequencyWidth, Spread
@@ -31,7 +31,7 @@ Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Grid:
+class ExcitationGrid:
     """Walls to excite under some schemes, and how to read what comes of it."""
 
     experiment: Experiment  # its excitation has the realisations of all measurements
@@ -103,9 +103,9 @@ def column(payload: Mapping[str, Any]) -> list[list[dict[str, Any]]]:
     return rows
 
 
-def _excited(bench: ExcitedRig, stiffness: float, damping: float, numbers: range) -> list[Run]:
+def _excited(bench: ExcitedRig, stiffness: float, damping: float, numbers: range) -> list[RealisationRun]:
     """Realisations of one wall, up to the first that the guard ends."""
-    runs: list[Run] = []
+    runs: list[RealisationRun] = []
     for number in numbers:
         runs.append(bench.excite(stiffness, damping, number))
         if runs[-1].record is None:
@@ -162,13 +162,13 @@ class Readings:
         ``[measurement, reading, scheme, damping, stiffness]``; the fidelity is NaN where a guard ended a measurement.
     """
 
-    grid: Grid
+    grid: ExcitationGrid
     passive: Flags
     fidelity: Floats
 
     @classmethod
-    def of(cls, grid: Grid, columns: Sequence[list[list[dict[str, Any]]]]) -> Readings:
-        """Arrange the results of `Grid.part`."""
+    def of(cls, grid: ExcitationGrid, columns: Sequence[list[list[dict[str, Any]]]]) -> Readings:
+        """Arrange the results of `ExcitationGrid.part`."""
         shape = (len(grid.schemes), len(grid.dampings), len(grid.stiffnesses), grid.measurements)
         cells = [cell for rows in columns for row in rows for cell in row]
         names = bands(grid.readings)

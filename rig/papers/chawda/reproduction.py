@@ -24,13 +24,13 @@ from rig.experiments import excitation_run
 from rig.experiments.impedance import measure_impedance
 from rig.experiments.lipschitz import AFTER_CONTACT_S, BEFORE_CONTACT_S
 from rig.experiments.ranges import search_for
-from rig.experiments.searches import Search
+from rig.experiments.searches import StiffnessSearch
 from rig.experiments.zwidth import MapPlan, ZWidth
 from rig.papers.chawda import derived, rigs, rules
 from rig.papers.chawda import parts as chawda_parts
 from rig.papers.chawda.claims import rulings
 from rig.papers.chawda.pictures import PICTURES
-from rig.papers.chawda.readings import Grid, Readings
+from rig.papers.chawda.readings import ExcitationGrid, Readings
 from rig.papers.chawda.results import Chawda, numbers, provenance, read_all
 from rig.papers.koul import parts as koul_parts
 from rig.papers.parts import Part, Parts, part
@@ -43,13 +43,13 @@ WALLS = (
     (100_000.0, 100.0),
 )  # at which C is identified, the nominal one first
 SHOWN_WALL = (20_000.0, 60.0)  # of figures 4 and 6: inside the main reading's region of three estimators
-CONTROL_SEARCH = Search(way="bisection", lowest=13_000.0, highest=53_000.0, ratio=1.005)
+CONTROL_SEARCH = StiffnessSearch(way="bisection", lowest=13_000.0, highest=53_000.0, ratio=1.005)
 
 
 class ChawdaPlan:
     """All parts of the work, by name, and the way back from their results."""
 
-    def __init__(self, scale: rigs.Scale) -> None:
+    def __init__(self, scale: rigs.ChawdaScale) -> None:
         self._scale = scale
         self._nominal = chawda_parts.identified(*WALLS[0])  # the schemes of the hits need its C
         self._named_hits = self._hit_schemes()
@@ -132,11 +132,11 @@ class ChawdaPlan:
             judged="true",
         )
 
-    def _all_grids(self) -> dict[str, Grid]:
+    def _all_grids(self) -> dict[str, ExcitationGrid]:
         scale, main = self._scale, (rigs.READINGS[rigs.MAIN],)
         soft = tuple(b for b in scale.dampings if b <= 200.0)
         grids = {
-            "map": Grid(
+            "map": ExcitationGrid(
                 experiment=rigs.excited_rig(scale),
                 schemes=tuple(rigs.SCHEMES.values()),
                 stiffnesses=scale.stiffnesses,
@@ -144,7 +144,7 @@ class ChawdaPlan:
                 readings=rigs.READINGS,
                 measurements=scale.measurements,
             ),
-            "frictionless": Grid(
+            "frictionless": ExcitationGrid(
                 experiment=rigs.excited_rig(replace(scale, measurements=2), rigs.FRICTIONLESS),
                 schemes=(rigs.SCHEMES[rigs.FDM], rigs.SCHEMES[rigs.FOAW]),
                 stiffnesses=scale.stiffnesses,
@@ -152,7 +152,7 @@ class ChawdaPlan:
                 readings=rigs.READINGS,
                 measurements=2,
             ),
-            "variants": Grid(
+            "variants": ExcitationGrid(
                 experiment=rigs.excited_rig(replace(scale, measurements=1)),
                 schemes=tuple(self._variants.values()),
                 stiffnesses=scale.stiffnesses[:: scale.coarse],
@@ -163,7 +163,7 @@ class ChawdaPlan:
         }
         for preset in rigs.KOUL:
             rig = rigs.dual_rig(preset, scale)
-            grids[f"dual/{preset}"] = Grid(
+            grids[f"dual/{preset}"] = ExcitationGrid(
                 experiment=rig,
                 schemes=rigs.dual_schemes(),
                 stiffnesses=scale.dual_stiffnesses,
@@ -188,7 +188,7 @@ def _adjusted(hits: ZWidth, names: tuple[str, ...]) -> str:
     return names[max(tried, key=lambda number: hits.width(number, "felt").area)]
 
 
-def _impedances(scale: rigs.Scale) -> tuple[Any, ...]:
+def _impedances(scale: rigs.ChawdaScale) -> tuple[Any, ...]:
     """The bare rig, and one wall under each estimator."""
     rig = rigs.excited_rig(replace(scale, measurements=1))
     (bare,) = measure_impedance(rig, walls=[(0.0, 0.0)], schemes=[rigs.SCHEMES[rigs.FDM]])

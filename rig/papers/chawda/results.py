@@ -22,7 +22,7 @@ from rig.realtime.source_files import code_version
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Search:
+class BoundarySearch:
     """The boundary search in the map of one estimator and measurement.
 
     Attributes
@@ -73,7 +73,7 @@ class Chawda:
         Koul's rigs by preset, the schemes of `dual_schemes`.
     """
 
-    scale: rigs.Scale
+    scale: rigs.ChawdaScale
     lipschitz: float
     constants: tuple[Mapping[str, float], ...]
     hits: ZWidth
@@ -107,11 +107,11 @@ class Chawda:
         """The schemes that the paper has in Fig. 3."""
         return list(dict.fromkeys((rigs.FILTERED, rigs.HBA_SC, rigs.LFBA, self.adjusted)))
 
-    def searches(self) -> list[Search]:
+    def searches(self) -> list[BoundarySearch]:
         """The boundary search in every map of the four estimators."""
         stiffnesses = self.map.grid.stiffnesses
         return [
-            Search(
+            BoundarySearch(
                 name=name,
                 measurement=m + 1,
                 search=(search := self.search(name, m)),

@@ -152,7 +152,7 @@ def dual_schemes() -> tuple[Scheme, ...]:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Scale:
+class ChawdaScale:
     """How fine everything is computed."""
 
     name: str
@@ -182,7 +182,7 @@ def _rungs(lowest: float, ratio: float, count: int) -> tuple[float, ...]:
     return tuple(float(f"{lowest * ratio**i:.3g}") for i in range(count))
 
 
-FULL = Scale(
+FULL = ChawdaScale(
     name="full",
     stiffnesses=_rungs(4000.0, 1.2, 25),
     dampings=(0.0, 10.0, 20.0, 40.0, 60.0, 80.0, 100.0, 140.0, 200.0, 300.0, 450.0, 700.0, 1100.0),
@@ -215,7 +215,7 @@ FULL = Scale(
     dual_realisations=3,
     theory_points=41,
 )
-QUICK = Scale(
+QUICK = ChawdaScale(
     name="quick",
     stiffnesses=_rungs(4000.0, 1.7, 8),
     dampings=(0.0, 20.0, 60.0, 200.0, 700.0),
@@ -235,7 +235,7 @@ QUICK = Scale(
 )
 
 
-def excited_rig(scale: Scale, changes: Mapping[str, Any] | None = None) -> Experiment:
+def excited_rig(scale: ChawdaScale, changes: Mapping[str, Any] | None = None) -> Experiment:
     """The paper's rig with an excitation over the bands of every reading."""
     excitation = {
         "excitation.low_hz": LOWEST_HZ[0],
@@ -254,7 +254,7 @@ def pushed_rig(rate: int) -> Experiment:
     return config.override(presets.load(RIG), changes, "the reproduction")
 
 
-def dual_rig(preset: str, scale: Scale) -> Experiment:
+def dual_rig(preset: str, scale: ChawdaScale) -> Experiment:
     """One of Koul's rigs, excited for a shorter time: it is light, so that it settles sooner."""
     changes = {
         "excitation.low_hz": 2.0,

@@ -110,7 +110,7 @@ def _halves(koul: Koul) -> dict[tuple[str, str, str], float]:
     return ratios
 
 
-def _curves(koul: Koul, held: rigs.Held, key: str) -> dict[str, rules.Curve]:
+def _curves(koul: Koul, held: rigs.HeldRig, key: str) -> dict[str, rules.Curve]:
     """Largest stiffness over damping, simulated by each criterion and by linear theory."""
     found = koul.maps[held.name]
     simulated = {

@@ -193,7 +193,7 @@ def _peak(experiment: Experiment, entry: Entry, offsets: Sequence[float]) -> flo
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Profile:
+class EstimatorProfile:
     """What one estimator makes of the motion, and how far it is from the true velocity shifted by its delay.
 
     Attributes
@@ -244,9 +244,9 @@ class Profiles:
     late_s: tuple[float, float]
     speed_early: float
     speed_late: float
-    profiles: tuple[Profile, ...]
+    profiles: tuple[EstimatorProfile, ...]
 
-    def __getitem__(self, key: tuple[int, str]) -> Profile:
+    def __getitem__(self, key: tuple[int, str]) -> EstimatorProfile:
         """Return the profile at a velocity rate (Hz) in an arithmetic; `KeyError` if there is none."""
         for profile in self.profiles:
             if (profile.velocity_rate, profile.arithmetic) == key:
@@ -276,7 +276,7 @@ def koul_figure_8(
     first = int(np.flatnonzero(counts > 0)[0])
     time_s = (np.arange(len(counts)) - first) / rate
     early, late = _parts(time_s[first:], true[first:])
-    profiles: list[Profile] = []
+    profiles: list[EstimatorProfile] = []
     for arithmetic in (FLOAT, FIXED):
         for velocity_rate in (VELOCITY_RATE, rate):
             cutoff_hz = CUTOFF_HZ if velocity_rate == VELOCITY_RATE else uniform_share * velocity_rate
@@ -330,7 +330,7 @@ def _profile(
     settings: dict[str, float | str],
     early: tuple[float, float],
     late: tuple[float, float],
-) -> Profile:
+) -> EstimatorProfile:
     velocity = estimates(case, Variant(ESTIMATORS[arithmetic], settings))
     found = delay(case, velocity)
     delay_s = None if np.isnan(found) else found
@@ -340,7 +340,7 @@ def _profile(
     noise = [_rms(error[part]) for part in parts]
     reading = [_rms(velocity[part]) / _rms(truth[part]) for part in parts]
     seen = case.time_s >= 0.0
-    return Profile(
+    return EstimatorProfile(
         velocity_rate=round(case.rate_hz),
         arithmetic=arithmetic,
         cutoff_hz=float(settings["cutoff_hz"]),

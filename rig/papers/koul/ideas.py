@@ -19,8 +19,8 @@ from rig.config.schemes import Scheme
 from rig.control import estimators
 from rig.control.verdict import CRITERIA
 from rig.experiments.zwidth import Width, ZWidth
-from rig.papers.koul.parts import Range
-from rig.papers.koul.rigs import COMPLIANT, RIGID, Held
+from rig.papers.koul.parts import DampingRange
+from rig.papers.koul.rigs import COMPLIANT, RIGID, HeldRig
 from rig.papers.rules import over
 
 DUAL_RATES = "dual:20k/2k"
@@ -51,7 +51,7 @@ class Idea:
 
     def experiment(self) -> Experiment:
         """The rig in the normal hand under the changes."""
-        return Held(preset=self.preset, grip="normal").experiment(self.changes)
+        return HeldRig(preset=self.preset, grip="normal").experiment(self.changes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +60,7 @@ class Tried:
 
     idea: Idea
     map: ZWidth
-    ranges: Mapping[str, Range]
+    ranges: Mapping[str, DampingRange]
     linear: Mapping[str, Any] | None
 
     def width(self, criterion: str) -> Width:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from rig.papers.koul.compare import Panel, Profile, Profiles
+from rig.papers.koul.compare import EstimatorProfile, Panel, Profiles
 from rig.views.plots import style
 from rig.views.plots.compare import draw_penetration
 
@@ -63,10 +63,10 @@ def draw_figure_8(profiles: Profiles, picture: str | Path) -> Path:
     return style.save(figure, Path(picture))
 
 
-def _look(profile: Profile) -> dict[str, Any]:
+def _look(profile: EstimatorProfile) -> dict[str, Any]:
     fast = profile.velocity_rate > 2000
     return {"color": style.SENT if fast else style.MEASURED, "linewidth": 0.8 if fast else 1.2}
 
 
-def _said(profile: Profile, noise: float) -> str:
+def _said(profile: EstimatorProfile, noise: float) -> str:
     return f"{profile.velocity_rate / 1e3:g} kHz: {noise:.2g} rad/s rms off"

@@ -25,7 +25,7 @@ from rig.core.operators import GRIPS
 from rig.core.present import plain
 from rig.experiments.compare import simulate
 from rig.experiments.hit_simulator import HitSimulator
-from rig.experiments.searches import Outcomes, Search, drive, limit_of
+from rig.experiments.searches import Outcomes, StiffnessSearch, drive, limit_of
 from rig.experiments.sweep import Task
 from rig.experiments.zwidth import TRUE, MapPlan, run_series
 from rig.papers.koul import compare as compare_koul
@@ -59,7 +59,7 @@ def range_tasks(
     offsets: Sequence[float],
     *,
     stiffness: float,
-    search: Search,
+    search: StiffnessSearch,
     weight: float,
 ) -> Part:
     """Plan the search for the largest damping of a wall of one stiffness, for each scheme and encoder offset."""
@@ -94,7 +94,7 @@ def damping_range(payload: Mapping[str, Any]) -> dict[str, Any]:
             tried[criterion][damping] = passes
         return outcomes
 
-    drive(Search(**payload["search"]).walk(CRITERIA), hit)
+    drive(StiffnessSearch(**payload["search"]).walk(CRITERIA), hit)
     limits = {criterion: limit_of(rungs) for criterion, rungs in tried.items()}
     return {
         criterion: {"damping": limit.stiffness, "capped": limit.capped} for criterion, limit in limits.items()
@@ -102,7 +102,7 @@ def damping_range(payload: Mapping[str, Any]) -> dict[str, Any]:
 
 
 @dataclass(frozen=True, slots=True)
-class Range:
+class DampingRange:
     """Largest damping of a soft wall under one criterion: mean over offsets, and whether any search hit its cap."""
 
     damping: float
@@ -111,7 +111,7 @@ class Range:
     capped: bool
 
 
-def ranges_of(results: Sequence[Mapping[str, Any]], offsets: int) -> list[dict[str, Range]]:
+def ranges_of(results: Sequence[Mapping[str, Any]], offsets: int) -> list[dict[str, DampingRange]]:
     """Summarise the results of `range_tasks`: one mapping by criterion for each scheme."""
     found = []
     for first in range(0, len(results), offsets):
@@ -120,9 +120,9 @@ def ranges_of(results: Sequence[Mapping[str, Any]], offsets: int) -> list[dict[s
     return found
 
 
-def _range(limits: Sequence[Mapping[str, Any]]) -> Range:
+def _range(limits: Sequence[Mapping[str, Any]]) -> DampingRange:
     b = [limit["damping"] for limit in limits]
-    return Range(float(np.mean(b)), min(b), max(b), any(limit["capped"] for limit in limits))
+    return DampingRange(float(np.mean(b)), min(b), max(b), any(limit["capped"] for limit in limits))
 
 
 # --- linear theory -------------------------------------------------------------------------------------------

@@ -20,7 +20,7 @@ from rig.config import Experiment, presets
 from rig.config.schemes import Scheme
 from rig.experiments.kmax import KMax, kmax_plan
 from rig.experiments.ranges import highest_stiffness, search_for
-from rig.experiments.searches import Search, Way
+from rig.experiments.searches import StiffnessSearch, Way
 from rig.experiments.zwidth import MapPlan, ZWidth
 from rig.papers.koul import compare as compare_koul
 from rig.papers.koul import ideas as koul_ideas
@@ -28,7 +28,7 @@ from rig.papers.koul import parts as koul_parts
 from rig.papers.koul import rigs, rules
 from rig.papers.koul.claims import by_cutoff, rulings
 from rig.papers.koul.ideas import Idea
-from rig.papers.koul.parts import Range
+from rig.papers.koul.parts import DampingRange
 from rig.papers.koul.pictures import PICTURES
 from rig.papers.koul.results import Effect, Koul, cutoff, numbers, provenance
 from rig.papers.koul.rules import DAMPING_RANGE, DAMPING_RANGE_FAST
@@ -39,7 +39,7 @@ from rig.papers.reproduction import Paper
 class KoulPlan:
     """All parts of the work, by name, and the way back from their results."""
 
-    def __init__(self, scale: rigs.Scale) -> None:
+    def __init__(self, scale: rigs.KoulScale) -> None:
         self._scale = scale
         self._dampings = {held.preset: _dampings(held.experiment(), scale.columns) for held in rigs.MAIN}
         self._kmax = {(p, lag): self._kmax_plan(p, lag) for p in rigs.PRESETS for lag in rigs.LAGS}
@@ -154,12 +154,12 @@ class KoulPlan:
         )
 
     def _kmax_plan(self, preset: str, lag: str) -> MapPlan:
-        experiment = rigs.Held(preset=preset, grip="normal").experiment(rigs.LAGS[lag])
+        experiment = rigs.HeldRig(preset=preset, grip="normal").experiment(rigs.LAGS[lag])
         search = search_for(experiment, "bisection", ratio=self._scale.kmax_ratio, lowest=1.0)
         plan = kmax_plan(experiment, search, rates=self._scale.rates, offsets=self._scale.offsets)
         return replace(plan, judged="true")
 
-    def _map_plan(self, held: rigs.Held) -> MapPlan:
+    def _map_plan(self, held: rigs.HeldRig) -> MapPlan:
         experiment, scale = held.experiment(), self._scale
         main = held in rigs.MAIN
         way: Way = "grid" if held == rigs.MAIN[0] else "ladder"
@@ -194,7 +194,7 @@ class KoulPlan:
         )
 
     def _ranges(self, experiment: Experiment, schemes: Sequence[Scheme] | None = None) -> Part:
-        search = Search(way="bisection", lowest=0.02, highest=10.0, ratio=self._scale.range_ratio)
+        search = StiffnessSearch(way="bisection", lowest=0.02, highest=10.0, ratio=self._scale.range_ratio)
         return koul_parts.range_tasks(
             experiment,
             schemes or tuple(rigs.SCHEMES.values()),
@@ -204,11 +204,11 @@ class KoulPlan:
             weight=15.0,
         )
 
-    def _ranges_of(self, results: Sequence[Any]) -> dict[str, dict[str, Range]]:
+    def _ranges_of(self, results: Sequence[Any]) -> dict[str, dict[str, DampingRange]]:
         found = koul_parts.ranges_of(results, len(self._scale.offsets))
         return dict(zip(rigs.SCHEMES, found, strict=True))
 
-    def _linear(self, held: rigs.Held, scheme: Scheme) -> Part:
+    def _linear(self, held: rigs.HeldRig, scheme: Scheme) -> Part:
         plan = self._maps[held.name]
         main = held in rigs.MAIN
         points = self._scale.theory_points if main else self._scale.theory_points // 4
@@ -222,7 +222,7 @@ class KoulPlan:
         return part(koul_parts.linear_limits, payload, 100.0 if main else 30.0)
 
 
-def _search(experiment: Experiment, way: Way, ratio: float) -> Search:
+def _search(experiment: Experiment, way: Way, ratio: float) -> StiffnessSearch:
     highest = min(rigs.HIGHEST_STIFFNESS, highest_stiffness(experiment))
     return search_for(experiment, way, ratio=ratio, lowest=rigs.LOWEST_STIFFNESS, highest=highest)
 

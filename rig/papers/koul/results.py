@@ -24,7 +24,7 @@ from rig.papers.koul.ideas import (
     encoder_key,
     ranked,
 )
-from rig.papers.koul.parts import Range
+from rig.papers.koul.parts import DampingRange
 from rig.papers.koul.ways import Way, ways_of
 from rig.papers.rules import over, within
 from rig.realtime.source_files import code_version
@@ -37,7 +37,7 @@ class Effect:
     """Limits of the walls of Fig. 6 under some of what the linear theory leaves out, by scheme."""
 
     undamped: Mapping[str, float]  # K at B = 0, stable in any sense
-    ranges: Mapping[str, dict[str, Range]]
+    ranges: Mapping[str, dict[str, DampingRange]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,11 +68,11 @@ class Koul:
     kmax, kmax_theory
         Fig. 5, by preset and `LAGS`.
     maps
-        Fig. 6 and its variants, by name of `Held`: schemes in the order of `SCHEMES`.
+        Fig. 6 and its variants, by name of `HeldRig`: schemes in the order of `SCHEMES`.
     ranges
-        Largest damping of the softest wall, by name of `Held` and scheme, then by criterion.
+        Largest damping of the softest wall, by name of `HeldRig` and scheme, then by criterion.
     linear
-        Exact linear theory, by name of `Held` and scheme.
+        Exact linear theory, by name of `HeldRig` and scheme.
     effects
         By name of `EFFECTS`, on the fitted preset in the normal hand.
     figure_7, words, figure_8
@@ -85,11 +85,11 @@ class Koul:
         Maps of the ideas, by name.
     """
 
-    scale: rigs.Scale
+    scale: rigs.KoulScale
     kmax: Mapping[tuple[str, str], KMax]
     kmax_theory: Mapping[tuple[str, str], list[float]]
     maps: Mapping[str, ZWidth]
-    ranges: Mapping[str, Mapping[str, dict[str, Range]]]
+    ranges: Mapping[str, Mapping[str, dict[str, DampingRange]]]
     linear: Mapping[str, Mapping[str, dict[str, Any]]]
     effects: Mapping[str, Effect]
     figure_7: tuple[Panel, ...]
@@ -100,7 +100,7 @@ class Koul:
     ideas: Mapping[str, Tried]
     hits: int
 
-    def width(self, held: rigs.Held, key: str, criterion: str = "any") -> Width:
+    def width(self, held: rigs.HeldRig, key: str, criterion: str = "any") -> Width:
         """Summary of a map of Fig. 6, by key of the scheme."""
         return self.maps[held.name].width(NUMBERS[key], criterion)
 
@@ -111,7 +111,7 @@ class Koul:
         simulated = [self.kmax[preset, lag].saturation("any") for lag in rigs.LAGS]
         return simulated, [stiffness[-1] / stiffness[fast] for stiffness in linear]
 
-    def by_preset(self) -> list[rigs.Held]:
+    def by_preset(self) -> list[rigs.HeldRig]:
         """Every rig in every hand, rig by rig."""
         return sorted(rigs.HELD, key=lambda held: rigs.PRESETS.index(held.preset))
 

@@ -41,7 +41,7 @@ SEED = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Scale:
+class KoulScale:
     """How fine everything is computed."""
 
     name: str
@@ -62,7 +62,7 @@ class Scale:
     impact_offsets: tuple[float, ...]
 
 
-FULL = Scale(
+FULL = KoulScale(
     name="full",
     rates=(100, 200, 500, 1000, 2000, 5000, 10_000, 20_000, 50_000),
     kmax_ratio=1.02,
@@ -80,7 +80,7 @@ FULL = Scale(
     theory_points=41,
     impact_offsets=OFFSETS,
 )
-QUICK = Scale(
+QUICK = KoulScale(
     name="quick",
     rates=(500, 2000, 10_000, 20_000, 50_000),
     kmax_ratio=1.15,
@@ -101,7 +101,7 @@ QUICK = Scale(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Held:
+class HeldRig:
     """A rig in somebody's hand, or pushed by its motor."""
 
     preset: str
@@ -130,8 +130,8 @@ class Held:
         )
 
 
-MAIN = tuple(Held(preset=preset, grip="normal") for preset in PRESETS)
-OTHERS = tuple(Held(preset=preset, grip=grip) for preset in PRESETS for grip in ("relaxed", "firm", None))
+MAIN = tuple(HeldRig(preset=preset, grip="normal") for preset in PRESETS)
+OTHERS = tuple(HeldRig(preset=preset, grip=grip) for preset in PRESETS for grip in ("relaxed", "firm", None))
 HELD = (*MAIN, *OTHERS)
 WITH_LAG, WITHOUT_LAG = "with lag", "without lag"
 LAGS: dict[str, dict[str, Any]] = {WITH_LAG: {}, WITHOUT_LAG: {"rig.amplifier.lag_s": 0.0}}

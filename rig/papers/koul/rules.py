@@ -11,8 +11,8 @@ from itertools import pairwise
 
 from rig.papers.rules import (
     MOST,
+    ClaimStatus,
     Ruling,
-    Status,
     each,
     judge,
     judge_settable,
@@ -76,7 +76,7 @@ def levels_off(
         lag=False,  # whether it is what K levels off with
     )
     free = any(r is None or r >= STILL_RISING for r in without_lag.values())
-    return found.only(lag=True) if found.status is Status.REPRODUCED and free else found
+    return found.only(lag=True) if found.status is ClaimStatus.REPRODUCED and free else found
 
 
 def near(values: Mapping[str, float], target: float, factor: float, *, unfitted: str = "") -> Ruling:

@@ -14,7 +14,7 @@ from rig.experiments.zwidth import TRUE, ZWidth
 
 
 @dataclass(frozen=True, slots=True)
-class Column:
+class GridColumn:
     """One damping at one encoder offset of a grid.
 
     Attributes
@@ -74,7 +74,7 @@ def ways_of(found: ZWidth, key: str, scheme: int, criterion: str) -> Way:
     )
 
 
-def columns(found: ZWidth, scheme: int, criterion: str, *, offset: float | None = None) -> list[Column]:
+def columns(found: ZWidth, scheme: int, criterion: str, *, offset: float | None = None) -> list[GridColumn]:
     """Columns of a grid of one scheme under one criterion, by damping, at the first encoder offset or at this one."""
     plan = found.plan
     wanted = plan.offsets[0] if offset is None else offset
@@ -86,7 +86,7 @@ def columns(found: ZWidth, scheme: int, criterion: str, *, offset: float | None 
         limit = limit_of(tried)
         walked = _bisected(found, tried, criterion)
         made.append(
-            Column(
+            GridColumn(
                 damping=one.damping,
                 offset=wanted,
                 tried=tried,

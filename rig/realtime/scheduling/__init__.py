@@ -16,7 +16,7 @@ Nothing here loads numba. Off Linux nothing is asked for (`elsewhere`).
 
 import sys
 
-from rig.realtime.scheduling.request import Board, Request
+from rig.realtime.scheduling.request import BoardScheduling, RealtimeRequest
 from rig.realtime.scheduling.rights import Rights
 
 if sys.platform == "linux":
@@ -24,4 +24,4 @@ if sys.platform == "linux":
 else:
     from rig.realtime.scheduling.elsewhere import Realtime, obtained
 
-__all__ = ["Board", "Realtime", "Request", "Rights", "obtained"]
+__all__ = ["BoardScheduling", "Realtime", "RealtimeRequest", "Rights", "obtained"]

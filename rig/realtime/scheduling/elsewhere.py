@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from rig.core.errors import RealtimeError
-from rig.realtime.scheduling.request import Request
+from rig.realtime.scheduling.request import RealtimeRequest
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 class Realtime:
     """What a run asked for: nothing is refused, because nothing is asked of the system."""
 
-    def __init__(self, host: Request, *, virtual: bool) -> None:
+    def __init__(self, host: RealtimeRequest, *, virtual: bool) -> None:
         self.messages: list[str] = []
         asked = {"realtime": host.realtime, "priority": host.priority, "cpu": host.cpu}
         self.report: dict[str, Any] = (
@@ -35,7 +35,7 @@ class Realtime:
 
 
 @contextmanager
-def obtained(host: Request, *, virtual: bool = False) -> Iterator[Realtime]:
+def obtained(host: RealtimeRequest, *, virtual: bool = False) -> Iterator[Realtime]:
     """As on Linux (`rig.realtime.scheduling.realtime.obtained`), with nothing obtained.
 
     Raises

@@ -20,7 +20,7 @@ _MAPPING = re.compile(r"^([0-9a-f]+)-([0-9a-f]+) ")
 
 
 @dataclass(frozen=True, slots=True)
-class Range:
+class LockedRange:
     """Pages locked by others."""
 
     start: int
@@ -32,7 +32,9 @@ class _Lock:
     def __init__(self) -> None:
         self._guard = threading.Lock()
         self._users = 0
-        self._before: list[Range] | None = []  # None: the program had locked all of it, so nothing is ours
+        self._before: (
+            list[LockedRange] | None
+        ) = []  # None: the program had locked all of it, so nothing is ours
 
     def take(self) -> Check | None:
         with self._guard:
@@ -72,7 +74,7 @@ def locked_bytes() -> int:
     return status_kilobytes("VmLck") * 1024
 
 
-def locked_before() -> list[Range] | None:
+def locked_before() -> list[LockedRange] | None:
     """Return the ranges that are locked now; None when the program has locked all pages, those to come included."""
     if locked_bytes() == 0:
         return []
@@ -84,7 +86,7 @@ def locked_before() -> list[Range] | None:
     return None if any(pages.start <= fresh < pages.end for pages in ranges) else ranges
 
 
-def locked_ranges(smaps: str) -> list[Range]:
+def locked_ranges(smaps: str) -> list[LockedRange]:
     """Read the locked mappings from the text of /proc/self/smaps."""
     found = []
     start = end = 0
@@ -93,5 +95,5 @@ def locked_ranges(smaps: str) -> list[Range]:
         if match:
             start, end = int(match[1], 16), int(match[2], 16)
         elif line.startswith("VmFlags:") and "lo" in (flags := line.split()):
-            found.append(Range(start, end, "lf" in flags))
+            found.append(LockedRange(start, end, "lf" in flags))
     return found

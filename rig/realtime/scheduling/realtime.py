@@ -13,7 +13,7 @@ from rig.core.check import Check
 from rig.core.errors import RealtimeError
 from rig.realtime.scheduling import calls, facts, idle, memory, thread
 from rig.realtime.scheduling.refusals import of_idle
-from rig.realtime.scheduling.request import Request
+from rig.realtime.scheduling.request import RealtimeRequest
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -36,7 +36,7 @@ class Realtime:
         The same with their parts.
     """
 
-    def __init__(self, host: Request, *, active: bool, virtual: bool = False) -> None:
+    def __init__(self, host: RealtimeRequest, *, active: bool, virtual: bool = False) -> None:
         self.refusals: list[Check] = []
         self._host = host
         self._active = active
@@ -135,7 +135,7 @@ class Realtime:
 
 
 @contextmanager
-def obtained(host: Request, *, virtual: bool = False) -> Iterator[Realtime]:
+def obtained(host: RealtimeRequest, *, virtual: bool = False) -> Iterator[Realtime]:
     """Real-time scheduling for as long as the context lasts; everything is as before when it ends.
 
     The process gets locked memory and processors that do not sleep deeply; what the loop's thread may have is tried

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 
-class Request(Protocol):
+class RealtimeRequest(Protocol):
     """What is requested; `rig.config.sections.Host` explains each."""
 
     @property
@@ -26,7 +26,7 @@ class Request(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Board:
+class BoardScheduling:
     """Scheduling of what is a device here: a board's timer never waits, so it has priority over any host's loop."""
 
     realtime: str = "try"

@@ -7,20 +7,20 @@
 Nothing but the logs is needed; recordings are compared with their hashes.
 """
 
-from rig.session.analysis.analyse import Options, StudyAnalysis, analyse, analyse_study
-from rig.session.analysis.rows import MEASURES, Limit, Measure, RunRow, TrialRow
-from rig.session.analysis.study import Session, Study, read_study
+from rig.session.analysis.analyse import AnalysisOptions, StudyAnalysis, analyse, analyse_study
+from rig.session.analysis.rows import MEASURES, LimitInterval, Measure, RunRow, TrialRow
+from rig.session.analysis.study import Study, StudySession, read_study
 from rig.session.analysis.tables import write_study_tables
 
 __all__ = [
     "MEASURES",
-    "Limit",
+    "AnalysisOptions",
+    "LimitInterval",
     "Measure",
-    "Options",
     "RunRow",
-    "Session",
     "Study",
     "StudyAnalysis",
+    "StudySession",
     "TrialRow",
     "analyse",
     "analyse_study",

@@ -23,12 +23,12 @@ from rig.session.analysis.kmax import (
 )
 from rig.session.analysis.mixed import Mixed, mixed
 from rig.session.analysis.people import answers_of, fates, participants_of
-from rig.session.analysis.psychometric import Psychometric, complete_runs, gathered, psychometrics
+from rig.session.analysis.psychometric import PsychometricFit, complete_runs, gathered, psychometrics
 from rig.session.analysis.rows import (
     ENDED_BY_MOST,
     MEASURES,
     AnswerRow,
-    Limit,
+    LimitInterval,
     Measure,
     ParticipantRow,
     RunRow,
@@ -53,7 +53,7 @@ _JUDGES: dict[Measure, str] = {"rule": "followed", "K50 person": "person", "K50 
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Options:
+class AnalysisOptions:
     """How to analyse.
 
     Attributes
@@ -101,7 +101,7 @@ class StudyAnalysis:
     """
 
     study: Study
-    options: Options
+    options: AnalysisOptions
     schemes: Mapping[str, str]
     trials: tuple[TrialRow, ...]
     runs: tuple[RunRow, ...]
@@ -112,7 +112,7 @@ class StudyAnalysis:
     paired: tuple[Paired, ...]
     mixed: tuple[Mixed, ...]
     agreements: tuple[Agreement, ...]
-    psychometrics: tuple[Psychometric, ...]
+    psychometrics: tuple[PsychometricFit, ...]
     slopes: tuple[Slope, ...]
     blocks: tuple[BlockRow, ...]
 
@@ -244,7 +244,7 @@ class StudyAnalysis:
 
 
 def analyse(
-    paths: Iterable[Path], options: Options | None = None, *, watch: Watch | None = None
+    paths: Iterable[Path], options: AnalysisOptions | None = None, *, watch: Watch | None = None
 ) -> StudyAnalysis:
     """Analyse the sessions of a study.
 
@@ -264,7 +264,7 @@ def analyse(
     ConfigError
         Sessions that are not of one study, or that this version cannot read.
     """
-    options = options or Options()
+    options = options or AnalysisOptions()
     report = watch or (lambda _what, _done, _total: None)
     study = read_study(
         paths,
@@ -354,13 +354,13 @@ def analyse_study(
         Sessions that are not of one study, or that this version cannot read.
     """
     paths = [places] if isinstance(places, str | Path) else places
-    options = Options(
+    options = AnalysisOptions(
         measure=measure, hashes=hashes, across=tuple(across), seed=seed, include_marked=include_marked
     )
     return analyse([Path(path) for path in paths], options, watch=watch)
 
 
-def _pooled(study: Study, runs: Sequence[RunRow]) -> dict[tuple[Measure, str, Cell], Limit]:
+def _pooled(study: Study, runs: Sequence[RunRow]) -> dict[tuple[Measure, str, Cell], LimitInterval]:
     """The stiffness that each measure aims at, from all verdicts of a participant's complete runs under a condition."""
     complete = complete_runs(runs)
     shares = {(run.condition, m): limit.share for run in runs for m, limit in run.limits.items()}

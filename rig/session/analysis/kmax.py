@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.core.deferred import stats
-from rig.session.analysis.rows import MEASURES, Limit, Measure, Observed, RunRow
+from rig.session.analysis.rows import MEASURES, LimitInterval, Measure, Observed, RunRow
 from rig.session.search.resolution import FLOATING, is_resolved, unresolved_words
 
 Floats = NDArray[np.float64]
@@ -98,7 +98,7 @@ class OfParticipant:
     rounding
         Standard deviation of the error of `mean` that rounding to the levels makes.
     marked
-        How many of the values are marked (`rig.session.analysis.rows.Limit`); 0 unless they were asked for.
+        How many of the values are marked (`rig.session.analysis.rows.LimitInterval`); 0 unless they were asked for.
     """
 
     measure: Measure
@@ -178,10 +178,10 @@ class Paired:
     problem: str = ""
 
 
-Pooled = Mapping[tuple[Measure, str, Cell], Limit]  # by measure, participant and cell
+Pooled = Mapping[tuple[Measure, str, Cell], LimitInterval]  # by measure, participant and cell
 
 
-def beyond_of(limits: Iterable[tuple[str, float, Limit]]) -> dict[Cell, Beyond]:
+def beyond_of(limits: Iterable[tuple[str, float, LimitInterval]]) -> dict[Cell, Beyond]:
     """Count limits and censored ones of each condition and damping."""
     found: dict[Cell, Beyond] = {}
     for condition, damping, limit in limits:
@@ -225,7 +225,7 @@ def observed(runs: Sequence[RunRow], measure: Measure, pooled: Pooled) -> tuple[
     )
 
 
-def _observed(measure: Measure, runs: Sequence[RunRow], limit: Limit) -> Observed:
+def _observed(measure: Measure, runs: Sequence[RunRow], limit: LimitInterval) -> Observed:
     return Observed(
         measure=measure,
         participant=runs[0].participant,
@@ -466,8 +466,8 @@ def bootstrap(values: Floats, seed: int = 0) -> tuple[float, float]:
 
 
 def _interval(
-    limits: Sequence[Limit],
-    pooled: Limit | None,
+    limits: Sequence[LimitInterval],
+    pooled: LimitInterval | None,
     by_student: tuple[float, float],
     by_bootstrap: tuple[float, float],
 ) -> tuple[float, float, IntervalOf]:

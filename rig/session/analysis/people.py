@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 
 from rig.session.analysis.rows import ENDED_BY_MOST, AnswerRow, ParticipantRow, RunRow, TrialRow
-from rig.session.analysis.study import Session, Study
+from rig.session.analysis.study import Study, StudySession
 from rig.session.search.catching import CatchTrials
 
 
@@ -55,7 +55,7 @@ def _fate(trial: TrialRow, state: str) -> str:
     return "catch trials" if trial.catch else "unsure" if trial.verdict == "unsure" else "counted"
 
 
-def _row(session: Session, trials: Sequence[TrialRow], runs: Sequence[RunRow]) -> ParticipantRow:
+def _row(session: StudySession, trials: Sequence[TrialRow], runs: Sequence[RunRow]) -> ParticipantRow:
     theirs = [trial for trial in trials if trial.participant == session.code]
     searches = [run for run in runs if run.participant == session.code]
     asked_once = {item.name for item in session.state.protocol.question if item.when != "block"}

@@ -43,7 +43,7 @@ class Posterior:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Psychometric:
+class PsychometricFit:
     """The function of one participant, or of all (`participant` is empty then).
 
     Attributes
@@ -62,7 +62,7 @@ class Psychometric:
     levels, verdicts, stable
         Of each level that was judged: stiffness, verdicts, and how many of them were stable.
     step, mark
-        Distance of the levels about K50; and why K50 is no limit that the verdicts show, as of a `Limit`.
+        Distance of the levels about K50; and why K50 is no limit that the verdicts show, as of a `LimitInterval`.
     """
 
     participant: str
@@ -96,7 +96,7 @@ Verdicts = list[tuple[float, bool]]
 
 def psychometrics(
     study: Study, complete: Container[tuple[str, int]], *, include_marked: bool = False
-) -> tuple[Psychometric, ...]:
+) -> tuple[PsychometricFit, ...]:
     """All functions: by judge, condition and damping, each participant and then all of them (without marked ones).
 
     Parameters
@@ -104,7 +104,7 @@ def psychometrics(
     complete
         Participants and numbers of the runs that count, see `complete_runs`.
     """
-    found: list[Psychometric] = []
+    found: list[PsychometricFit] = []
     judges: tuple[Judge, ...] = ("person", "automatic")
     grids = levels_by_participant(study)
     for judge in judges:
@@ -163,7 +163,7 @@ def fit(
     judge: Judge,
     levels: tuple[float, ...],
     verdicts: Sequence[tuple[float, bool]],
-) -> Psychometric:
+) -> PsychometricFit:
     """The function that verdicts (stiffness, stable) of one participant on these levels show."""
     grid = curve.of_levels(tuple(levels))
     posterior = grid.posterior(verdicts)
@@ -172,7 +172,7 @@ def fit(
         level: [stable for _, stable in group]
         for level, group in groupby(sorted(verdicts), key=lambda verdict: verdict[0])
     }
-    return Psychometric(
+    return PsychometricFit(
         participant=participant,
         condition=condition,
         damping=damping,
@@ -192,8 +192,8 @@ def fit(
 
 
 def together(
-    each: Sequence[Psychometric], levels: tuple[float, ...], verdicts: Sequence[tuple[float, bool]]
-) -> Psychometric:
+    each: Sequence[PsychometricFit], levels: tuple[float, ...], verdicts: Sequence[tuple[float, bool]]
+) -> PsychometricFit:
     """The function of several participants under one condition, of whose verdicts these are all."""
     own = np.array([one.threshold.mean for one in each])
     interval = student(own, rounding_of([rounding_deviation(one.step) for one in each]))

@@ -14,7 +14,7 @@ from rig.core.quantity import Quantity
 from rig.session.search.catching import CatchTrials
 from rig.session.search.resolution import rounding_deviation
 from rig.session.search.rule import Censored
-from rig.session.trial import Trial
+from rig.session.trial import RecordedTrial
 
 Measure = Literal["rule", "K50 person", "K50 automatic"]
 # How the limit of a run is estimated: by the rule that asked for its walls, from the verdicts that it followed;
@@ -24,7 +24,7 @@ MEASURES: tuple[Measure, ...] = ("rule", "K50 person", "K50 automatic")
 
 
 @dataclass(kw_only=True)
-class TrialRow(Trial):
+class TrialRow(RecordedTrial):
     """A trial of the log, with what the study adds: whose it is, and whether and how it counts."""
 
     participant: Annotated[str, Quantity("", "code")]
@@ -92,7 +92,7 @@ class AnswerRow:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Limit:
+class LimitInterval:
     """Where a limit lies: value, interval of 95 %, and the end of the levels beyond which it lies ("above", "below").
 
     There the interval is open: `high` is infinite, or `low` zero.
@@ -145,7 +145,7 @@ class RunRow:
             "complete, unfinished, skipped, or ended by most: before it had its turns; only complete ones enter K_max",
         ),
     ]
-    limits: dict[Measure, Limit]
+    limits: dict[Measure, LimitInterval]
     trials: Annotated[int, Quantity("", "judged hits that count")]
     invalid: Annotated[int, Quantity("", "invalid hits")]
     voided: Annotated[int, Quantity("", "hits redone, restarted or left out")]
@@ -201,4 +201,4 @@ class Observed:
     order: float
     block: float
     runs: int
-    limit: Limit
+    limit: LimitInterval

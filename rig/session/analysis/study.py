@@ -23,8 +23,8 @@ from rig.session.place import device_words, differences
 from rig.session.protocol import Protocol
 from rig.session.protocol_changes import Difference, is_within, listed, settings_of
 from rig.session.protocol_changes import differences as protocol_differences
-from rig.session.state import State
-from rig.session.trial import Trial
+from rig.session.state import SessionState
+from rig.session.trial import RecordedTrial
 
 LOG = "session.log"
 PROTOCOL = "protocol.toml"
@@ -33,7 +33,7 @@ Watch = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Session:
+class StudySession:
     """One participant's session.
 
     Attributes
@@ -54,7 +54,7 @@ class Session:
 
     directory: Path
     events: Sequence[Event]
-    state: State
+    state: SessionState
     began: Mapping[str, Any]
     recordings: Mapping[int, str]
     amended: frozenset[int]
@@ -94,7 +94,7 @@ class Session:
 class Study:
     """Sessions under one protocol, in the order of the rows of the plan, and what must be said of them."""
 
-    sessions: tuple[Session, ...]
+    sessions: tuple[StudySession, ...]
     messages: tuple[str, ...] = field(default=())
     differences: tuple[Difference, ...] = ()  # of their protocols
 
@@ -164,7 +164,7 @@ def read_study(
     )
 
 
-def _with_trials(sessions: list[Session]) -> tuple[list[Session], list[str]]:
+def _with_trials(sessions: list[StudySession]) -> tuple[list[StudySession], list[str]]:
     """Those that have trials, if any has, and what to say of the others: one that was only begun decides nothing."""
     empty = [session for session in sessions if not session.state.trials]
     if not empty or len(empty) == len(sessions):
@@ -192,12 +192,12 @@ def find_sessions(paths: Iterable[Path]) -> list[Path]:
     return list(found.values())
 
 
-def read_session(directory: Path, *, hashes: bool = True) -> Session:
+def read_session(directory: Path, *, hashes: bool = True) -> StudySession:
     """Read one session; raises as `read_study`."""
     path = directory / LOG
     events = read(path)
     try:
-        state = State.of(events)
+        state = SessionState.of(events)
     except (KeyError, TypeError, ValueError) as error:
         raise RecordingError(
             f"{path}: an event lacks what this version needs ({type(error).__name__}: {error})",
@@ -205,7 +205,7 @@ def read_session(directory: Path, *, hashes: bool = True) -> Session:
         ) from error
     except RecordingError as error:
         raise RecordingError(f"{path}: {error.message}", remedy=error.remedy) from error
-    return Session(
+    return StudySession(
         directory=directory,
         events=events,
         state=state,
@@ -217,7 +217,7 @@ def read_session(directory: Path, *, hashes: bool = True) -> Session:
     )
 
 
-def _recording(directory: Path, trial: Trial, hashes: bool) -> str:
+def _recording(directory: Path, trial: RecordedTrial, hashes: bool) -> str:
     path = directory / trial.recording
     if not path.is_file():
         return "missing"
@@ -234,8 +234,8 @@ def _amended(events: Sequence[Event]) -> frozenset[int]:
     )
 
 
-def _refuse(sessions: Sequence[Session]) -> None:
-    by_code: dict[str, Session] = {}
+def _refuse(sessions: Sequence[StudySession]) -> None:
+    by_code: dict[str, StudySession] = {}
     for session in sessions:
         other = by_code.setdefault(session.code, session)
         if other is not session:
@@ -251,7 +251,7 @@ def _refuse(sessions: Sequence[Session]) -> None:
         )
 
 
-def _protocol_differences(sessions: Sequence[Session], across: Sequence[str]) -> list[Difference]:
+def _protocol_differences(sessions: Sequence[StudySession], across: Sequence[str]) -> list[Difference]:
     """In what the protocols differ; raises `ConfigError` for what can decide a result and is not stated."""
     differ = protocol_differences(
         {one.code: settings_of(one.state.protocol, one.state.experiment) for one in sessions}
@@ -290,7 +290,7 @@ def _of_differences(differ: Sequence[Difference]) -> list[str]:
     return stated
 
 
-def _messages(sessions: Sequence[Session]) -> list[str]:
+def _messages(sessions: Sequence[StudySession]) -> list[str]:
     told: list[str] = []
     for session in sessions:
         told += _of_session(session)
@@ -309,7 +309,7 @@ def _messages(sessions: Sequence[Session]) -> list[str]:
     return told
 
 
-def _of_session(session: Session) -> list[str]:
+def _of_session(session: StudySession) -> list[str]:
     told = []
     code, state = session.code, session.state
     if state.ended is None:
@@ -329,7 +329,7 @@ def _of_session(session: Session) -> list[str]:
     return told
 
 
-def _changed_between(session: Session) -> Iterator[str]:
+def _changed_between(session: StudySession) -> Iterator[str]:
     """What was another when trials were recorded: the device, its firmware, the software."""
     used: list[tuple[Mapping[str, Any], list[str]]] = []
     for trial, opened in session.devices().items():
@@ -361,13 +361,13 @@ def _trials(numbers: Sequence[str]) -> str:
     return f"trial{'s' if len(numbers) > 1 else ''} {listed(numbers)}"
 
 
-def _facts(sessions: Sequence[Session]) -> dict[str, dict[str, str]]:
+def _facts(sessions: Sequence[StudySession]) -> dict[str, dict[str, str]]:
     """What sessions of a study should have in common, by participant."""
 
-    def version(session: Session, name: str) -> str:
+    def version(session: StudySession, name: str) -> str:
         return str((session.began.get("versions") or {}).get(name, "unknown"))
 
-    def devices(session: Session) -> str:
+    def devices(session: StudySession) -> str:
         opened = [event.content for event in session.of_kind("opened")]
         return " and ".join(dict.fromkeys(str(one.get("device", "unknown")) for one in opened)) or "unknown"
 

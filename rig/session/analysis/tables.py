@@ -27,7 +27,7 @@ from rig.session.analysis.kmax import Paired
 from rig.session.analysis.rows import (
     MEASURES,
     AnswerRow,
-    Limit,
+    LimitInterval,
     Measure,
     ParticipantRow,
     RunRow,
@@ -243,7 +243,7 @@ _TRIALS = (*columns_of(
 
 def _limit(measure: Measure, field: str) -> Callable[[RunRow], Any]:
     def of(run: RunRow) -> Any:
-        limit: Limit | None = run.limits.get(measure)
+        limit: LimitInterval | None = run.limits.get(measure)
         return None if limit is None else getattr(limit, field)
 
     return of

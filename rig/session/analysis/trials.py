@@ -7,17 +7,17 @@ from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from typing import Any
 
 from rig.config.schemes import Scheme
-from rig.session.analysis.rows import ENDED_BY_MOST, Limit, Measure, RunRow, TrialRow
-from rig.session.analysis.study import Session, Study
+from rig.session.analysis.rows import ENDED_BY_MOST, LimitInterval, Measure, RunRow, TrialRow
+from rig.session.analysis.study import Study, StudySession
 from rig.session.protocol import Condition, Protocol
-from rig.session.schedule import Run, levels_of
-from rig.session.search import Answer, Estimate, psychometric
+from rig.session.schedule import SearchRun, levels_of
+from rig.session.search import Estimate, JudgedProbe, psychometric
 from rig.session.search.ascending import Ascending
 from rig.session.search.catching import CatchTrials
 from rig.session.search.resolution import step_at
 from rig.session.search.rule import Censored, contradiction, verdicts_of
-from rig.session.state import WALKING, State
-from rig.session.trial import Trial
+from rig.session.state import WALKING, SessionState
+from rig.session.trial import RecordedTrial
 
 PEOPLE = ("person", "simulated")  # who may have judged, besides the automatic verdict
 NUMBERS = (
@@ -128,7 +128,7 @@ def levels_by_participant(study: Study) -> dict[tuple[str, str], tuple[float, ..
 
 def half_way(
     grid: Sequence[float], verdicts: Sequence[tuple[float, bool]], share: float | None = None
-) -> Limit:
+) -> LimitInterval:
     """The stiffness with this share of stable verdicts (None: a half), as the median of its posterior.
 
     Verdicts of several runs are taken for those of one limit: where it wanders from run to run, the interval is too
@@ -143,7 +143,7 @@ def half_way(
     """
     share = share or 0.5
     found = psychometric.locate(tuple(grid), verdicts, share)
-    return Limit(
+    return LimitInterval(
         value=found.value,
         low=found.low,
         high=found.high,
@@ -154,7 +154,7 @@ def half_way(
     )
 
 
-def answers(state: State, run: Run, judge: str) -> list[Answer]:
+def answers(state: SessionState, run: SearchRun, judge: str) -> list[JudgedProbe]:
     """What a run's trials say by one judge.
 
     Parameters
@@ -168,11 +168,11 @@ def answers(state: State, run: Run, judge: str) -> list[Answer]:
     counted = [t for t in state.trials_of(run) if t.judged]
     if judge == "automatic":
         criterion = state.protocol.study.criterion
-        return [Answer(trial.probe, trial.passes[criterion]) for trial in counted]
+        return [JudgedProbe(trial.probe, trial.passes[criterion]) for trial in counted]
     return state.heard(run) if any(trial.judged_by in PEOPLE for trial in counted) else []
 
 
-def _ordered(state: State) -> Iterable[tuple[int, int, Run]]:
+def _ordered(state: SessionState) -> Iterable[tuple[int, int, SearchRun]]:
     """Block, place in it, and run, in the order of the plan; practice aside."""
     for block in state.blocks:
         if not block.practice:
@@ -181,7 +181,7 @@ def _ordered(state: State) -> Iterable[tuple[int, int, Run]]:
 
 
 def _trial_row(
-    session: Session, trial: Trial, schemes: dict[str, str], place: int, logged_at: float
+    session: StudySession, trial: RecordedTrial, schemes: dict[str, str], place: int, logged_at: float
 ) -> TrialRow:
     numbers, baseline = trial.numbers, trial.baseline or {}
     undecided = "invalid" if trial.invalid else "" if trial.verdict else "not judged"
@@ -203,7 +203,7 @@ def _trial_row(
 
 
 def _run_row(
-    session: Session, block: int, order: int, place: int, run: Run, schemes: dict[str, str]
+    session: StudySession, block: int, order: int, place: int, run: SearchRun, schemes: dict[str, str]
 ) -> RunRow:
     state = session.state
     search = state.protocol.search_of(state.protocol.condition_named(run.condition))
@@ -238,7 +238,7 @@ def _run_row(
     )
 
 
-def _state(state: State, run: Run) -> str:
+def _state(state: SessionState, run: SearchRun) -> str:
     if run.number in state.skipped:
         return "skipped"
     # What was found complete stays so when a correction afterwards would have the rule ask once more.
@@ -248,17 +248,19 @@ def _state(state: State, run: Run) -> str:
     return ENDED_BY_MOST if state.rule(run).estimate(state.answers(run)).ended_by_most else "complete"
 
 
-def _caught(judged: Sequence[Trial], levels: Sequence[float], sides: Container[Censored]) -> CatchTrials:
+def _caught(
+    judged: Sequence[RecordedTrial], levels: Sequence[float], sides: Container[Censored]
+) -> CatchTrials:
     answers = [
-        Answer(trial.probe, None if trial.verdict == "unsure" else trial.verdict == "stable")
+        JudgedProbe(trial.probe, None if trial.verdict == "unsure" else trial.verdict == "stable")
         for trial in judged
     ]
     return CatchTrials.of(answers, levels, sides)
 
 
-def _limits(state: State, run: Run, rule: str) -> tuple[dict[Measure, Limit], str]:
+def _limits(state: SessionState, run: SearchRun, rule: str) -> tuple[dict[Measure, LimitInterval], str]:
     """The limits of a run by each measure that there is, and what must be known of them."""
-    found: dict[Measure, Limit] = {}
+    found: dict[Measure, LimitInterval] = {}
     grid = levels(state.protocol, run.condition)
     heard, note = answers(state, run, "followed"), ""
     if _follows(state, run, rule, heard, grid):
@@ -276,7 +278,7 @@ def _limits(state: State, run: Run, rule: str) -> tuple[dict[Measure, Limit], st
     return found, note
 
 
-def _of_series(rule: Ascending, heard: Sequence[Answer]) -> str:
+def _of_series(rule: Ascending, heard: Sequence[JudgedProbe]) -> str:
     """How many series failed at the softest wall already, where that is not the limit of all of them."""
     series = rule.series(heard)
     failed = sum(one.censored == "below" for one in series)
@@ -286,9 +288,9 @@ def _of_series(rule: Ascending, heard: Sequence[Answer]) -> str:
     return f"{failed} of {len(series)} series failed at the softest wall and {enters} with it"
 
 
-def _add(found: dict[Measure, Limit], measure: Measure, estimate: Estimate) -> None:
+def _add(found: dict[Measure, LimitInterval], measure: Measure, estimate: Estimate) -> None:
     if math.isfinite(estimate.value):
-        found[measure] = Limit(
+        found[measure] = LimitInterval(
             value=estimate.value,
             low=estimate.low,
             high=estimate.high,
@@ -299,7 +301,9 @@ def _add(found: dict[Measure, Limit], measure: Measure, estimate: Estimate) -> N
         )
 
 
-def _follows(state: State, run: Run, name: str, heard: Sequence[Answer], grid: Sequence[float]) -> bool:
+def _follows(
+    state: SessionState, run: SearchRun, name: str, heard: Sequence[JudgedProbe], grid: Sequence[float]
+) -> bool:
     """Whether a rule would have asked for these walls after these answers."""
     if name not in WALKING:
         return all(answer.probe.level in grid for answer in heard)

@@ -14,7 +14,7 @@ from typing import Any, cast
 
 from rig.core.errors import StoppedError
 from rig.core.present import plain
-from rig.session.desk import Action, Desk, Question, Reply, View
+from rig.session.desk import Action, Desk, DeskView, Question, Reply
 from rig.session.keymap import VERDICTS
 
 SILENCE_S = 2.0  # of who shows it while a hit runs; then the hit ends
@@ -28,7 +28,7 @@ class AskingDesk(Desk):
     """See the module."""
 
     def __init__(self) -> None:
-        self._view: View | None = None
+        self._view: DeskView | None = None
         self._question: Question | None = None
         self._began_s = 0.0
         self._number = 0
@@ -50,7 +50,7 @@ class AskingDesk(Desk):
         """Whether the other end is a new one, which knows no question yet."""
         return False
 
-    def show(self, view: View) -> None:
+    def show(self, view: DeskView) -> None:
         """Show how things stand; returns at once, also when who shows it hangs."""
         self._view = view
         self._say("view", view=plain(view))

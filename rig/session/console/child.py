@@ -16,7 +16,7 @@ from typing import Any
 from rig.core.child import with_this_package
 from rig.core.errors import RigError
 from rig.session.console import terminal
-from rig.session.console.messages import Lines, line_of
+from rig.session.console.messages import MessageReader, line_of
 
 assert sys.platform != "win32"
 
@@ -164,7 +164,7 @@ class Child:
         os.close(self._complaints)
 
     def _listen(self) -> None:
-        lines = Lines()
+        lines = MessageReader()
         try:
             while data := os.read(self._from, READ_BYTES):
                 self.heard_s, self.greeted = time.monotonic(), True

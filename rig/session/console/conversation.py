@@ -14,7 +14,7 @@ from typing import Any, Literal, cast
 
 from rig.session.console.held import RELEASED_S, HeldKeys
 from rig.session.console.pointer import HandKind
-from rig.session.desk import Action, Question, View
+from rig.session.desk import Action, DeskView, Question
 from rig.session.items import parse_answer, wanted
 from rig.session.keymap import HELP, STOP, VERDICTS, KeyMap
 
@@ -36,15 +36,15 @@ class Answer:
 
 
 @dataclass(frozen=True, slots=True)
-class Stop:
+class StopPressed:
     """Zero effort, now."""
 
 
-Decision = Answer | Stop
+Decision = Answer | StopPressed
 
 
 @dataclass(slots=True)
-class Entry:
+class TextEntry:
     """A line that is being typed: a note, or the answer to an item."""
 
     purpose: Literal["note", "item"]
@@ -85,11 +85,11 @@ class Conversation:
     def __init__(self, keymap: KeyMap, hand: HandKind | None = None) -> None:
         self.keymap, self.hand = keymap, hand
         self.held = HeldKeys()
-        self.view = View(state="starting")
+        self.view = DeskView(state="starting")
         self.question: Question | None = None
         self.asked = 0
         self.due_s = 0.0
-        self.entry: Entry | None = None
+        self.entry: TextEntry | None = None
         self.twice: Action | None = None
         self.later: Action | None = None
         self.live = False
@@ -98,7 +98,7 @@ class Conversation:
 
     def see(self, view: Mapping[str, Any]) -> None:
         """Take a new view."""
-        self.view = View(**{**view, "lines": tuple(view.get("lines", ()))})
+        self.view = DeskView(**{**view, "lines": tuple(view.get("lines", ()))})
 
     def ask(self, question: Mapping[str, Any], now_s: float) -> list[Decision]:
         """Take a new question; what waited for it is answered at once."""
@@ -112,7 +112,7 @@ class Conversation:
         if later is not None and later in asked.actions:
             return self._act(later, sure=True)
         if asked.kind == "item":
-            self.entry = Entry("item")
+            self.entry = TextEntry("item")
         return []
 
     def pass_time(self, now_s: float) -> list[Decision]:
@@ -146,7 +146,7 @@ class Conversation:
         if key == STOP and (self.moving or self.entry is None):
             self.notice = "STOP" if self.moving else "nothing moves"
             self.help = False
-            return [Stop()]
+            return [StopPressed()]
         if self.help:
             self.help = False  # a key acts as the page says, but for those that somebody presses to see the rest again
             if key in BACK:
@@ -181,7 +181,7 @@ class Conversation:
         if action in self.allowed:
             return self._answer(Answer("judge", meaning)) if action == "judge" else self._act(action)
         if self.question is not None and self.question.kind == "item" and action == "go":
-            self.entry = Entry("item")
+            self.entry = TextEntry("item")
             return []
         if action in LATER and self.question is None:
             return self._act(action) if action in TWICE else self._remember(action)
@@ -190,7 +190,7 @@ class Conversation:
 
     def _act(self, action: Action, *, sure: bool = False) -> list[Decision]:
         if action == "note":
-            self.entry = Entry("note")
+            self.entry = TextEntry("note")
             return []
         if action in TWICE and not sure:
             self.twice = action
@@ -212,13 +212,13 @@ class Conversation:
         if action in self.allowed:
             return self._answer(Answer(action))
         self._remember(action)
-        return [Stop()] if self.moving else []
+        return [StopPressed()] if self.moving else []
 
     def _answer(self, answer: Answer) -> list[Decision]:
         self.question, self.entry, self.twice = None, None, None
         return [answer]
 
-    def _type(self, key: str, entry: Entry) -> list[Decision]:
+    def _type(self, key: str, entry: TextEntry) -> list[Decision]:
         if key == "enter":
             return self._typed(entry)
         if key == "escape":
@@ -231,7 +231,7 @@ class Conversation:
             entry.text = (entry.text + (" " if key == STOP else key))[:MOST_TEXT]
         return []
 
-    def _typed(self, entry: Entry) -> list[Decision]:
+    def _typed(self, entry: TextEntry) -> list[Decision]:
         text = entry.text.strip()
         if entry.purpose == "note":
             if text:

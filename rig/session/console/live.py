@@ -51,7 +51,7 @@ class Snapshot:
     skipped: int
 
 
-class Live:
+class LiveLoop:
     """The loop of a process, found when there is one, let go of when it has ended."""
 
     def __init__(self, pid: int) -> None:

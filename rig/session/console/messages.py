@@ -4,7 +4,7 @@
 from        kind       content
 ==========  =========  ============================================================================================
 session     setup      pid of the program, keys, how the terminal was set, hand (null, or where it is moved)
-session     view       `rig.session.desk.View`
+session     view       `rig.session.desk.DeskView`
 session     ask        number (counts up), `rig.session.desk.Question`
 session     end        give the terminal back and go
 console     alive      a few times a second, as long as it is
@@ -28,7 +28,7 @@ def line_of(kind: str, **content: Any) -> bytes:
     return json.dumps({"kind": kind, **content}).encode() + b"\n"
 
 
-class Lines:
+class MessageReader:
     """Bytes in, messages out; what is no message is left out."""
 
     def __init__(self) -> None:

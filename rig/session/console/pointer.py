@@ -20,7 +20,7 @@ WALL_SHARE = (BEHIND + 1.0) / (BEHIND + 1.0 + INSIDE)
 HandKind = Literal["mouse", "keyboard"]
 
 
-class Hand(Protocol):
+class PointerTarget(Protocol):
     """Where an intention goes (`rig.realtime.hand.SharedHand`)."""
 
     def move(self, position: float, press: float) -> None:

@@ -17,9 +17,9 @@ from typing import Any
 
 from rig.realtime.hand import SharedHand
 from rig.session.console import terminal
-from rig.session.console.conversation import Stop
+from rig.session.console.conversation import StopPressed
 from rig.session.console.keyboard import Keyboard
-from rig.session.console.messages import Lines, line_of
+from rig.session.console.messages import MessageReader, line_of
 from rig.session.console.plain import PlainLines
 from rig.session.console.seat import Seat, SeatHand
 from rig.session.keymap import STOP
@@ -57,7 +57,7 @@ class _Console:
 
     def __init__(self, from_session: int, to_session: int) -> None:
         self._from, self._to = from_session, to_session
-        self._lines = Lines()
+        self._lines = MessageReader()
         setup, self._early = self._setup()
         hand = setup["hand"]
         self._hand = (
@@ -90,7 +90,7 @@ class _Console:
         # What was typed while no console was here answers nothing, but STOP is STOP, and a key may still be down.
         typed = Keyboard().feed(terminal.take(IN, before))
         if STOP in typed:
-            self._seat.do([Stop()])
+            self._seat.do([StopPressed()])
         for key in typed:
             self._talk.held.arrive(key, time.monotonic())
         try:

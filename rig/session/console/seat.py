@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 from rig.core.errors import ConfigError
 from rig.realtime import running
-from rig.session.console.conversation import Conversation, Decision, Stop
-from rig.session.console.live import Live, Snapshot
-from rig.session.console.pointer import KEYS, START_SHARE, Hand, HandKind, Pointer
+from rig.session.console.conversation import Conversation, Decision, StopPressed
+from rig.session.console.live import LiveLoop, Snapshot
+from rig.session.console.pointer import KEYS, START_SHARE, HandKind, Pointer, PointerTarget
 from rig.session.keymap import KeyMap
 
 if TYPE_CHECKING:  # a console, started anew within a hit, loads no loop
@@ -36,7 +36,7 @@ class SeatHand:
         Where its intention goes.
     """
 
-    def __init__(self, kind: HandKind, press: float, hand: Hand) -> None:
+    def __init__(self, kind: HandKind, press: float, hand: PointerTarget) -> None:
         self.kind = kind
         self.pointer = Pointer(press)
         self._hand = hand
@@ -90,7 +90,7 @@ class Seat:
         self._say = say
         self.hand = hand
         self.talk = Conversation(KeyMap.from_mapping(setup["keys"]), None if hand is None else hand.kind)
-        self.live = Live(self._pid)
+        self.live = LiveLoop(self._pid)
         self.snapshot: Snapshot | None = None
         self.number = 0
 
@@ -128,7 +128,7 @@ class Seat:
     def do(self, outcomes: list[Decision], shown_s: float | None = None) -> None:
         """Do what a key, a question or the time came to."""
         for outcome in outcomes:
-            if isinstance(outcome, Stop):
+            if isinstance(outcome, StopPressed):
                 running.ask_to_stop(self._pid)  # before anything that may take time
                 if self.talk.moving:
                     self._say("stop")

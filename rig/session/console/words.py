@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from rig.session.console.conversation import TWICE, Conversation
 from rig.session.console.live import Snapshot
 from rig.session.console.pointer import CLOSE, HandKind
-from rig.session.desk import Action, View
+from rig.session.desk import Action, DeskView
 
 HALF, NEAR = 0.4, 0.8  # of the limit: from where an effort is called half, and near the limit
 MEANINGS: dict[str, str] = {
@@ -45,7 +45,7 @@ class Gauge:
     text: str
 
 
-def place(view: View) -> str:
+def place(view: DeskView) -> str:
     """Where the session stands."""
     parts = [view.code] if view.code else []
     if view.practice:
@@ -65,7 +65,7 @@ def state(talk: Conversation) -> str:
     return talk.view.state + waits
 
 
-def facts(view: View) -> list[tuple[str, str]]:
+def facts(view: DeskView) -> list[tuple[str, str]]:
     """What stands beside the live numbers."""
     wall = "hidden"
     if view.stiffness is not None:
@@ -81,7 +81,7 @@ def facts(view: View) -> list[tuple[str, str]]:
     ]
 
 
-def gauges(view: View, live: Snapshot | None) -> list[Gauge]:
+def gauges(view: DeskView, live: Snapshot | None) -> list[Gauge]:
     """The live lines; dashes while no loop runs."""
     names = ("phase", "depth", "velocity", "effort", "round trip", "late, lost")
     if live is None:
@@ -105,7 +105,7 @@ def gauges(view: View, live: Snapshot | None) -> list[Gauge]:
     ]
 
 
-def effort(view: View, live: Snapshot, name: str = "effort") -> Gauge:
+def effort(view: DeskView, live: Snapshot, name: str = "effort") -> Gauge:
     """The effort: its share of the limit as a word for the blind, as a number for the others."""
     limit = abs(float(view.scale.get("effort_limit") or 0.0))
     share = live.peak_effort / limit if limit else 0.0

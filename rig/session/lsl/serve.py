@@ -27,7 +27,7 @@ DEATH_S = 1.0  # without a row, before it is asked whether the process lives
 
 
 @dataclass(slots=True)
-class Served:
+class Streamed:
     """What was sent: loops followed, samples and markers, rows that came too late to be seen, and the last rate."""
 
     name: str
@@ -87,7 +87,7 @@ def serve(
     markers: int | None = None,
     expected: tuple[Motion, float] | None = None,
     report: Callable[[Mapping[str, Any]], None] | None = None,
-) -> Served:
+) -> Streamed:
     """Send what loops in real time do, until Ctrl-C or until what is followed is over.
 
     Parameters
@@ -155,7 +155,7 @@ class _Server:
         self._offset = library.clock_offset(pylsl)
         with Ring.allocate(1) as ring:
             Follower(ring).poll()
-        self.served = Served(
+        self.served = Streamed(
             name, offset_s=self._offset.offset_s, offset_uncertainty_s=self._offset.uncertainty_s
         )
         self._markers = MarkerStream(pylsl, name, self._offset)

@@ -19,20 +19,20 @@ from typing import Any
 from rig.core.errors import ConfigError
 from rig.session.search.ascending import Ascending
 from rig.session.search.catching import Catching
-from rig.session.search.grid import Grid
+from rig.session.search.grid import LevelGrid
 from rig.session.search.interleaved import Interleaved
 from rig.session.search.psi import Psi
-from rig.session.search.rule import Answer, Estimate, Probe, Rule
+from rig.session.search.rule import Estimate, JudgedProbe, Probe, Rule
 from rig.session.search.staircase import Staircase
 
-__all__ = ["RULES", "Answer", "Catching", "Estimate", "Probe", "Rule", "make"]
+__all__ = ["RULES", "Catching", "Estimate", "JudgedProbe", "Probe", "Rule", "make"]
 
 RULES: dict[str, Callable[..., Rule]] = {
     "ascending": Ascending,
     "staircase": Staircase,
     "interleaved": Interleaved,
     "psi": Psi,
-    "grid": Grid,
+    "grid": LevelGrid,
 }
 
 

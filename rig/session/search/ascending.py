@@ -16,9 +16,9 @@ from rig.core.deferred import stats
 from rig.session.search.psychometric import opened
 from rig.session.search.resolution import is_resolved, rounding_deviation, step_at
 from rig.session.search.rule import (
-    Answer,
     Censored,
     Estimate,
+    JudgedProbe,
     Probe,
     check_whole,
     checked_levels,
@@ -28,7 +28,7 @@ from rig.session.search.rule import (
 
 
 @dataclass(frozen=True, slots=True)
-class Series:
+class AscendingSeries:
     """The last stable level of an ascending series that has ended.
 
     A series in which no wall failed, or already the softest, has its limit beyond the levels (`censored`) and enters
@@ -64,12 +64,12 @@ class Ascending:
         object.__setattr__(self, "levels", checked_levels(self.levels))
         check_whole("repeats", self.repeats, 1, 1000)
 
-    def next(self, answers: Sequence[Answer]) -> Probe | None:
+    def next(self, answers: Sequence[JudgedProbe]) -> Probe | None:
         """The next level of the series, or the first one of the next."""
         places, step = self._places(answers)
         return None if len(places) == self.repeats else Probe(self.levels[step], track=len(places))
 
-    def estimate(self, answers: Sequence[Answer]) -> Estimate:
+    def estimate(self, answers: Sequence[JudgedProbe]) -> Estimate:
         """Mean over the series that have ended, and Student's interval of it.
 
         It is infinite for a single series, and for series that scatter by no more than rounding to the levels makes;
@@ -102,15 +102,15 @@ class Ascending:
         )
         return marked(estimate, verdicts_of(answers))
 
-    def series(self, answers: Sequence[Answer]) -> tuple[Series, ...]:
+    def series(self, answers: Sequence[JudgedProbe]) -> tuple[AscendingSeries, ...]:
         """The series that have ended."""
         return tuple(self._series(place) for place in self._places(answers)[0])
 
-    def _series(self, place: int) -> Series:
+    def _series(self, place: int) -> AscendingSeries:
         side: Censored = "below" if place == 0 else "above" if place == len(self.levels) else ""
-        return Series(self.levels[max(place - 1, 0)], side)
+        return AscendingSeries(self.levels[max(place - 1, 0)], side)
 
-    def _places(self, answers: Sequence[Answer]) -> tuple[list[int], int]:
+    def _places(self, answers: Sequence[JudgedProbe]) -> tuple[list[int], int]:
         """Stable levels of each series that has ended, and the step of the one that has not."""
         places: list[int] = []
         step = 0

@@ -13,7 +13,7 @@ from itertools import takewhile
 import numpy as np
 
 from rig.core.errors import ConfigError
-from rig.session.search.rule import Answer, Censored, Estimate, Probe, Rule, verdicts_of
+from rig.session.search.rule import Censored, Estimate, JudgedProbe, Probe, Rule, verdicts_of
 
 MOST_SHARE = 0.5
 TRACK = -1  # of a catch trial
@@ -48,7 +48,7 @@ class CatchTrials:
 
     @classmethod
     def of(
-        cls, answers: Sequence[Answer], levels: Sequence[float], sides: Container[Censored]
+        cls, answers: Sequence[JudgedProbe], levels: Sequence[float], sides: Container[Censored]
     ) -> CatchTrials:
         """Count the catch trials among answers.
 
@@ -106,7 +106,7 @@ class Catching:
                 remedy="choose a smaller share",
             )
 
-    def next(self, answers: Sequence[Answer]) -> Probe | None:
+    def next(self, answers: Sequence[JudgedProbe]) -> Probe | None:
         """What the rule asks for, or before it a catch trial; an invalid one is asked again."""
         probe = self.rule.next(answers)
         if probe is None:
@@ -115,7 +115,7 @@ class Catching:
         caught = sum(one.stable is not None for one in since)  # since the rule's own latest verdict
         return self._drawn(len(verdicts_of(answers)), caught) or probe
 
-    def estimate(self, answers: Sequence[Answer]) -> Estimate:
+    def estimate(self, answers: Sequence[JudgedProbe]) -> Estimate:
         """The rule's."""
         return self.rule.estimate(answers)
 

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from rig.session.search.psi import posterior_estimate
-from rig.session.search.rule import Answer, Estimate, Probe, check_whole, checked_levels, verdicts_of
+from rig.session.search.rule import Estimate, JudgedProbe, Probe, check_whole, checked_levels, verdicts_of
 
 
 @dataclass(frozen=True, kw_only=True)
-class Grid:
+class LevelGrid:
     """Every level `repeats` times, each time all levels in another order (`seed`)."""
 
     levels: Sequence[float]
@@ -27,7 +27,7 @@ class Grid:
         object.__setattr__(self, "levels", checked_levels(self.levels))
         check_whole("repeats", self.repeats, 1, 1000)
 
-    def next(self, answers: Sequence[Answer]) -> Probe | None:
+    def next(self, answers: Sequence[JudgedProbe]) -> Probe | None:
         """The next level of the order."""
         done = len(verdicts_of(answers))
         if done >= self.repeats * len(self.levels):
@@ -36,6 +36,6 @@ class Grid:
         order = np.random.default_rng([self.seed, block]).permutation(len(self.levels))
         return Probe(self.levels[int(order[place])], track=block)
 
-    def estimate(self, answers: Sequence[Answer]) -> Estimate:
+    def estimate(self, answers: Sequence[JudgedProbe]) -> Estimate:
         """K50 of the psychometric function that the verdicts show."""
         return posterior_estimate(tuple(self.levels), answers)

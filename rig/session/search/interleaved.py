@@ -13,7 +13,7 @@ import numpy as np
 
 from rig.session.search import psychometric
 from rig.session.search.resolution import step_at
-from rig.session.search.rule import Answer, Censored, Estimate, Probe, marked, verdicts_of
+from rig.session.search.rule import Censored, Estimate, JudgedProbe, Probe, marked, verdicts_of
 from rig.session.search.staircase import Staircase
 
 
@@ -52,7 +52,7 @@ class Interleaved:
         one = self._staircase
         return replace(one, start=one.levels[0]), replace(one, start=one.levels[-1])
 
-    def next(self, answers: Sequence[Answer]) -> Probe | None:
+    def next(self, answers: Sequence[JudgedProbe]) -> Probe | None:
         """A draw among the tracks that have not ended; an answer without a verdict is asked again."""
         probes = [track.next(answers, number) for number, track in enumerate(self._tracks)]
         going = [probe for probe in probes if probe is not None]
@@ -61,7 +61,7 @@ class Interleaved:
         drawn = np.random.default_rng([self.seed, len(verdicts_of(answers))])
         return going[int(drawn.integers(len(going)))]
 
-    def estimate(self, answers: Sequence[Answer]) -> Estimate:
+    def estimate(self, answers: Sequence[JudgedProbe]) -> Estimate:
         """Mean of both tracks, and the interval that all verdicts together give."""
         single = [
             track.estimate_of(

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from rig.session.search.psychometric import share_stable
-from rig.session.search.rule import Answer, Rule
+from rig.session.search.rule import JudgedProbe, Rule
 
 Making = Callable[
     ..., Rule
@@ -38,12 +38,12 @@ class Observer:
         return float(self.threshold + self.spread * np.log((1.0 - share) / share))
 
 
-def run(rule: Rule, observer: Observer, seed: int, most: int = 100_000) -> list[Answer]:
+def run(rule: Rule, observer: Observer, seed: int, most: int = 100_000) -> list[JudgedProbe]:
     """Answers of an observer until the rule has enough, or `most` of them; the same seed gives the same."""
     drawn = np.random.default_rng(seed)
-    answers: list[Answer] = []
+    answers: list[JudgedProbe] = []
     while len(answers) < most and (probe := rule.next(answers)) is not None:
-        answers.append(Answer(probe, observer.judge(probe.level, drawn)))
+        answers.append(JudgedProbe(probe, observer.judge(probe.level, drawn)))
     return answers
 
 

@@ -16,7 +16,15 @@ from numpy.typing import NDArray
 from rig.core.errors import ConfigError
 from rig.session.search import psychometric
 from rig.session.search.resolution import step_at
-from rig.session.search.rule import Answer, Estimate, Probe, check_whole, checked_levels, marked, verdicts_of
+from rig.session.search.rule import (
+    Estimate,
+    JudgedProbe,
+    Probe,
+    check_whole,
+    checked_levels,
+    marked,
+    verdicts_of,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,7 +60,7 @@ class Psi:
                 f"enough = {self.enough:g} is outside 0 … 1", remedy="choose a share of K50, like 0.05"
             )
 
-    def next(self, answers: Sequence[Answer]) -> Probe | None:
+    def next(self, answers: Sequence[JudgedProbe]) -> Probe | None:
         """The level whose answer is expected to leave the least entropy of K50."""
         verdicts = verdicts_of(answers)
         if len(verdicts) >= self.hits or self._knows_enough(answers, len(verdicts)):
@@ -64,18 +72,18 @@ class Psi:
         expected = _entropy(stable) + _entropy(other)
         return Probe(self.levels[int(np.argmin(expected))])
 
-    def _knows_enough(self, answers: Sequence[Answer], hits: int) -> bool:
+    def _knows_enough(self, answers: Sequence[JudgedProbe], hits: int) -> bool:
         if self.enough == 0.0 or hits < self.least:
             return False
         estimate = self.estimate(answers)
         return (estimate.high - estimate.low) / 2.0 <= self.enough * estimate.value
 
-    def estimate(self, answers: Sequence[Answer]) -> Estimate:
+    def estimate(self, answers: Sequence[JudgedProbe]) -> Estimate:
         """Posterior median and interval of K50."""
         return posterior_estimate(tuple(self.levels), answers)
 
 
-def posterior_estimate(levels: tuple[float, ...], answers: Sequence[Answer]) -> Estimate:
+def posterior_estimate(levels: tuple[float, ...], answers: Sequence[JudgedProbe]) -> Estimate:
     """K50 after any answers on these levels, see `rig.session.search.psychometric.locate`."""
     verdicts = verdicts_of(answers)
     found = psychometric.locate(levels, verdicts)

@@ -47,7 +47,7 @@ def share_stable(
 
 
 @dataclass(frozen=True)
-class Psychometric:
+class PsychometricGrid:
     """The grid for a set of levels (stiffnesses, rising). `log_share` is made once for all levels."""
 
     levels: tuple[float, ...]
@@ -118,9 +118,9 @@ class Psychometric:
 
 
 @lru_cache(maxsize=16)
-def of_levels(levels: tuple[float, ...]) -> Psychometric:
+def of_levels(levels: tuple[float, ...]) -> PsychometricGrid:
     """The grid for these levels, made once."""
-    return Psychometric(levels)
+    return PsychometricGrid(levels)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

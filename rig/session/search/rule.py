@@ -24,7 +24,7 @@ class Probe:
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class JudgedProbe:
     """A judged probe. `stable` is None where there is no verdict (unsure, invalid): the rule asks again."""
 
     probe: Probe
@@ -69,11 +69,11 @@ class Estimate:
 class Rule(Protocol):
     """A way to find the limit; see the package."""
 
-    def next(self, answers: Sequence[Answer]) -> Probe | None:
+    def next(self, answers: Sequence[JudgedProbe]) -> Probe | None:
         """Return what to ask after these answers, or None when it is enough."""
         ...
 
-    def estimate(self, answers: Sequence[Answer]) -> Estimate:
+    def estimate(self, answers: Sequence[JudgedProbe]) -> Estimate:
         """Return the limit that these answers show, also when they are not yet enough."""
         ...
 
@@ -125,7 +125,7 @@ def contradiction(value: float, low: float, high: float, verdicts: Sequence[tupl
     return ""
 
 
-def verdicts_of(answers: Sequence[Answer], track: int | None = None) -> list[tuple[float, bool]]:
+def verdicts_of(answers: Sequence[JudgedProbe], track: int | None = None) -> list[tuple[float, bool]]:
     """Level and verdict of each answer that has one and is no catch trial; of one track, or of all."""
     return [
         (answer.probe.level, answer.stable)

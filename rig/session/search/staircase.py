@@ -15,9 +15,9 @@ from rig.core.errors import ConfigError
 from rig.session.search import psychometric
 from rig.session.search.resolution import step_at
 from rig.session.search.rule import (
-    Answer,
     Censored,
     Estimate,
+    JudgedProbe,
     Probe,
     check_whole,
     checked_levels,
@@ -88,12 +88,12 @@ class Staircase:
         """Share of stable verdicts where it settles."""
         return float(0.5 ** (1.0 / self.stable_to_rise))
 
-    def next(self, answers: Sequence[Answer], track: int = 0) -> Probe | None:
+    def next(self, answers: Sequence[JudgedProbe], track: int = 0) -> Probe | None:
         """The level where the track stands, or None when it has turned often enough."""
         walk = self.walk(verdicts_of(answers, track))
         return None if self.has_ended(walk) else Probe(self.levels[walk.place], track=track)
 
-    def estimate(self, answers: Sequence[Answer]) -> Estimate:
+    def estimate(self, answers: Sequence[JudgedProbe]) -> Estimate:
         """Mean of the turns at the smallest step, and the interval that all verdicts together give."""
         verdicts = verdicts_of(answers, 0)
         return self.estimate_of(self.walk(verdicts), verdicts, len(answers))

@@ -19,7 +19,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Regions:
+class LevantRegions:
     """The boundaries over one grid of μ2, shape (n,), infinite where there is none; the numeric one over μ1."""
 
     mu2: Floats
@@ -50,11 +50,11 @@ class Regions:
         }
 
 
-def levant_regions() -> Regions:
+def levant_regions() -> LevantRegions:
     """Compute the boundaries that the picture shows."""
     mu2 = np.linspace(0.0, LARGEST_MU2, _POINTS)
     mu1 = 1.0 + np.geomspace(0.02, LARGEST_MU1 - 1.0, _POINTS // 2)
-    return Regions(
+    return LevantRegions(
         mu2,
         np.array([regions.hba_mu1(m) for m in mu2]),
         np.array([regions.lfba_mu1(m) for m in mu2]),
@@ -64,7 +64,7 @@ def levant_regions() -> Regions:
 
 
 @style.own_style()
-def draw_levant_regions(computed: Regions, picture: str | Path) -> Path:
+def draw_levant_regions(computed: LevantRegions, picture: str | Path) -> Path:
     """Draw both regions, their crossing, the named gains and the numeric boundary into a file; returns its path."""
     figure = style.new_figure(7.0, 5.0)
     axes = figure.subplots()

@@ -18,7 +18,7 @@ from rig.session.analysis.agreement import Agreement
 from rig.session.analysis.analyse import StudyAnalysis
 from rig.session.analysis.effects import less_means
 from rig.session.analysis.kmax import OfParticipant, OverParticipants
-from rig.session.analysis.psychometric import Psychometric
+from rig.session.analysis.psychometric import PsychometricFit
 from rig.session.analysis.rows import Measure, RunRow, TrialRow
 from rig.session.trial_facts import file_name
 from rig.views.plots import style
@@ -314,7 +314,7 @@ def psychometric_figure(found: StudyAnalysis) -> Any:
     return figure
 
 
-def _functions(axes: Any, of: Sequence[Psychometric], judge: str, colour: str, most: int) -> set[str]:
+def _functions(axes: Any, of: Sequence[PsychometricFit], judge: str, colour: str, most: int) -> set[str]:
     """Draw a panel; the largest circle stands for `most` verdicts. Returns which of `CURVES` are in it."""
     mine = [one for one in of if one.judge == judge]
     together = _together(mine)
@@ -324,7 +324,7 @@ def _functions(axes: Any, of: Sequence[Psychometric], judge: str, colour: str, m
     margin = 0.05 * (high - low) or 0.05 * high
     at = np.linspace(max(low - margin, 0.0), high + margin, 200)
     other = _together([one for one in of if one.judge != judge])
-    curves: dict[str, Sequence[Psychometric | None]] = {
+    curves: dict[str, Sequence[PsychometricFit | None]] = {
         EACH: [one for one in mine if one is not together],
         ONE if together.participant else ALL: [together],
         AUTOMATIC: [other],  # often equal to the one before: on top of it
@@ -352,7 +352,7 @@ def _functions(axes: Any, of: Sequence[Psychometric], judge: str, colour: str, m
     return drawn
 
 
-def _k50(one: Psychometric) -> str:
+def _k50(one: PsychometricFit) -> str:
     """K50, as a bound, or the number of censored ones where there are both kinds."""
     if one.above and one.below:
         return f"K50 of {one.above + one.below} of {one.participants} censored"
@@ -360,7 +360,7 @@ def _k50(one: Psychometric) -> str:
     return f"K50 {mark} {one.threshold.mean:.4g}"
 
 
-def _together(of: Sequence[Psychometric]) -> Psychometric | None:
+def _together(of: Sequence[PsychometricFit]) -> PsychometricFit | None:
     """The function of all participants, or of the only one."""
     for one in of:
         if one.participant == "":

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from rig.control.verdict import Kind
 from rig.core.sample import unit_of
-from rig.session.analysis.study import Session, Study
+from rig.session.analysis.study import Study, StudySession
 from rig.session.log import Event
 from rig.session.protocol_changes import value_words
 from rig.session.telling import lost, lost_samples
@@ -93,12 +93,12 @@ def notes(study: Study) -> tuple[Deviation, ...]:
     return tuple(found)
 
 
-def _deviation(session: Session, event: Event, what: str, detail: str) -> Deviation:
+def _deviation(session: StudySession, event: Event, what: str, detail: str) -> Deviation:
     at_s = max(event.at - session.began_at, 0.0)
     return Deviation(participant=session.code, at_s=at_s, what=what, detail=detail)
 
 
-def _sentence(session: Session, event: Event) -> str:
+def _sentence(session: StudySession, event: Event) -> str:
     """An event and what belongs to it, filled into the template."""
     content, before = event.content, session.events[: event.number]
     trial = content.get("trial")
@@ -124,7 +124,7 @@ def _sentence(session: Session, event: Event) -> str:
     return " ".join(text.split())
 
 
-def _away_s(session: Session, event: Event) -> float | None:
+def _away_s(session: StudySession, event: Event) -> float | None:
     """How long a session had rested before it was resumed or continued."""
     since = [
         one
@@ -134,10 +134,10 @@ def _away_s(session: Session, event: Event) -> float | None:
     return max(event.at - since[-1].at, 0.0) if since else None
 
 
-def _with_units(session: Session, reasons: str) -> str:
+def _with_units(session: StudySession, reasons: str) -> str:
     """Reasons of a verdict, which have numbers alone, with their units."""
     return _REASON.sub(lambda found: f"{found[0]} {_unit(session, _MEASURED[found[1]])}", reasons)
 
 
-def _unit(session: Session, quantity: str) -> str:
+def _unit(session: StudySession, quantity: str) -> str:
     return unit_of(quantity, session.state.experiment["rig"]["motion"])

@@ -29,7 +29,7 @@ from rig.session.analysis.rows import Measure
 from rig.session.bands import asked
 from rig.session.conduct import walls_in
 from rig.session.schedule import cells_of, levels_of, rows_of, rule
-from rig.session.search.psychometric import LAPSE_RATES, Psychometric, of_levels
+from rig.session.search.psychometric import LAPSE_RATES, PsychometricGrid, of_levels
 from rig.session.search.rule import Rule
 from rig.session.search.staircase import EDGE_VERDICTS
 from rig.views.report.template import fill_text
@@ -84,7 +84,7 @@ class _Condition:
 
 
 @dataclass(frozen=True, slots=True)
-class _Search:
+class _StatedSearch:
     """A search: that of the study (`condition` None), or a condition's own."""
 
     condition: str | None
@@ -101,7 +101,7 @@ class _Prior:
     """What was assumed before any verdict, on these levels."""
 
     levels: tuple[float, ...]
-    grid: Psychometric
+    grid: PsychometricGrid
 
 
 def methods(found: StudyAnalysis) -> tuple[Paragraph, ...]:
@@ -236,13 +236,13 @@ def _settings(
     return tuple(settings)
 
 
-def _searches(found: StudyAnalysis) -> Iterator[_Search]:
+def _searches(found: StudyAnalysis) -> Iterator[_StatedSearch]:
     """The study's search, unless every condition has its own, and those."""
     protocol = found.study.protocol
     own = [(one.name, one.search) for one in protocol.condition if one.search is not None]
     shared = [(None, protocol.search)] if len(own) < len(protocol.condition) else []
     for name, wanted in (*shared, *own):
-        yield _Search(
+        yield _StatedSearch(
             condition=name,
             levels=tuple(levels_of(wanted)),
             step=wanted.step,

@@ -13,9 +13,9 @@ from rig.session.analysis.analyse import StudyAnalysis
 from rig.session.analysis.effects import Slope
 from rig.session.analysis.kmax import Beyond, Bound, Paired
 from rig.session.analysis.mixed import Contrast, Mixed
-from rig.session.analysis.psychometric import Psychometric
+from rig.session.analysis.psychometric import PsychometricFit
 from rig.session.analysis.rows import ENDED_BY_MOST, Measure
-from rig.session.analysis.study import Session
+from rig.session.analysis.study import StudySession
 from rig.session.analysis.tables import PRIOR_LAPSE_RATE
 from rig.session.state import END
 from rig.session.trial import VOIDED
@@ -121,7 +121,7 @@ def terms(found: StudyAnalysis, model: Mixed) -> Table:
     return Table(("term", "value", "95 %"), rows, f"Terms of the model ({found.study.unit('stiffness')})")
 
 
-def psychometric(found: StudyAnalysis, some: Iterable[Psychometric], caption: str) -> Table:
+def psychometric(found: StudyAnalysis, some: Iterable[PsychometricFit], caption: str) -> Table:
     """Parameters of psychometric functions."""
     unit = found.study.unit("stiffness")
     rows = [
@@ -152,7 +152,7 @@ def psychometric(found: StudyAnalysis, some: Iterable[Psychometric], caption: st
     return Table((*head, "lapse rate", "verdicts"), rows, caption, words=3)
 
 
-def _mostly_censored(one: Psychometric) -> bool:
+def _mostly_censored(one: PsychometricFit) -> bool:
     return one.participants > 1 and Beyond(one.participants, one.above, one.below).mostly
 
 
@@ -300,7 +300,7 @@ def participants(found: StudyAnalysis) -> Table:
     )
 
 
-def _participant(found: StudyAnalysis, session: Session) -> tuple[object, ...]:
+def _participant(found: StudyAnalysis, session: StudySession) -> tuple[object, ...]:
     state = session.state
     trials = [trial for trial in found.trials if trial.participant == session.code]
     planned = [block for block in state.blocks if not block.practice]
@@ -433,7 +433,7 @@ def _units(found: StudyAnalysis) -> Sequence[str]:
     return (f"B ({found.study.unit('damping')})", f"K_max ({found.study.unit('stiffness')})")
 
 
-def whole(found: StudyAnalysis) -> tuple[list[Psychometric], list[Psychometric]]:
+def whole(found: StudyAnalysis) -> tuple[list[PsychometricFit], list[PsychometricFit]]:
     """Psychometric functions of all participants (or the only one), and those of each."""
     alone = len(found.study.sessions) == 1
     every = list(found.psychometrics)

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rig.bench.bridge.library import BIN_US, Bridge, Facts
+from rig.bench.bridge.library import BIN_US, Bridge, BridgeFacts
 from tests.benchmarks.realtime.workbench import CPUS, FULL, PRIORITY, compile_c, print_table, quantiles
 from tests.conformance.bridged import bridged_rig, plain_drive
 
@@ -63,7 +63,7 @@ def by_a_client(
     return took[took >= 0] / 1e3, int(np.sum(took < 0))
 
 
-def by_the_bridge(line: int, rate: int, seconds: float = SECONDS, *, as_a_board: bool = False) -> Facts:
+def by_the_bridge(line: int, rate: int, seconds: float = SECONDS, *, as_a_board: bool = False) -> BridgeFacts:
     """What the bridge saw in as many periods, with nobody at its other end."""
     bridge = Bridge(bridged_rig(), plain_drive(), checksum=False, rate=rate)
     host, other = os.openpty()

@@ -26,7 +26,7 @@ from firmware_protocol.framing import encode_frame
 from firmware_protocol.packing import pack, type_id_of
 from rig.config import controller, presets
 from rig.config.sections import Host
-from rig.control.step import TRIAL, Controller
+from rig.control.step import TRIAL, ControllerState
 from rig.devices.port import LoopPort
 from rig.loop.layout import EndReason
 from rig.loop.run import LoopSettings, LoopThread
@@ -143,7 +143,7 @@ def interpreter_hogs() -> Iterator[None]:
 # What the loop runs ---------------------------------------------------------------------------------------
 
 
-def pushing_for_ever(rate: int) -> Controller:
+def pushing_for_ever(rate: int) -> ControllerState:
     """The compliant rig's wall in the middle of a trial that has neither end nor limits of place and speed."""
     experiment = presets.load("koul-compliant")
     made = controller.for_experiment(experiment, current_quantum_a=CURRENT_QUANTUM_A)

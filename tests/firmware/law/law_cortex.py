@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from tests.firmware import cortex
-from tests.firmware.cortex import CORES, RAM, Core, Image
+from tests.firmware.cortex import CORES, RAM, CortexCore, Image
 from tests.firmware.law.law_library import SOURCES, TICKS, Output, Parameters, State
 
 OUTPUT, INPUT, STATE, PARAMETERS, WORK, TABLE = (
@@ -27,7 +27,7 @@ RUNNER = Path(__file__).parents[1] / "golden.c"
 __all__ = ["CORES", "Simulator", "build"]
 
 
-def build(core: Core) -> Image:
+def build(core: CortexCore) -> Image:
     """Compile and link the law for a core; the test is skipped where there is no compiler for it."""
     image = cortex.build(core, [*sorted(SOURCES.glob("*.c")), RUNNER], ENTRIES)
     held = [name for name, at in image.symbols.items() if at >= RAM and "law" in name]

@@ -17,7 +17,7 @@ from rig.control.estimators import fdm_butterworth_fixed as fixed
 from rig.control.estimators.estimator import PERIOD, RESOLUTION, Floats, Prepared
 from rig.control.fixed_point import Format
 from rig.control.fixed_wall import FixedWall
-from rig.control.step import Controller
+from rig.control.step import ControllerState
 from tests.firmware.law.law_library import Parameters
 
 __all__ = ["ELSEWHERE", "ESTIMATORS", "FIXED", "FLOAT"]  # of the design: for other tests
@@ -38,7 +38,7 @@ _SAME = [
 ]  # fmt: skip
 
 
-def parameters_of(controller: Controller, arithmetic: int = FLOAT) -> ct.Structure:
+def parameters_of(controller: ControllerState, arithmetic: int = FLOAT) -> ct.Structure:
     """Parameters of the C law for a controller."""
     c = controller.control[0]
     values = device_law.law_parameters(controller, ARITHMETICS[arithmetic])

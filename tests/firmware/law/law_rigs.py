@@ -9,8 +9,8 @@ import numpy as np
 
 from rig import config
 from rig.config import Experiment, controller, presets
-from rig.control.judging import Signals, judge
-from rig.control.step import Controller
+from rig.control.judging import TrialSignals, judge
+from rig.control.step import ControllerState
 from rig.control.verdict import Verdict
 from rig.core.sample import Phase, RowFlag
 from sim_backend import trial
@@ -33,7 +33,7 @@ def experiment_of(
     return config.override(presets.load("koul-compliant"), given)
 
 
-def controller_of(experiment: Experiment, reference_count: int = 0) -> Controller:
+def controller_of(experiment: Experiment, reference_count: int = 0) -> ControllerState:
     """A fresh controller."""
     quantum = experiment.rig.amplifier.current_quantum_a
     return controller.for_experiment(experiment, current_quantum_a=quantum, reference_count=reference_count)
@@ -60,7 +60,7 @@ class Run:
         position = controller.resolution(experiment) * self.counts[during]
         flags, none = self.flags[during], np.zeros(during.sum(), bool)
         wall = experiment.wall
-        signals = Signals(
+        signals = TrialSignals(
             tick_s=1.0 / experiment.controller.position_rate,
             resolution=experiment.rig.encoder.resolution,
             position=position,

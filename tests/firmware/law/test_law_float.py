@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rig.control import estimators, laws
-from rig.control.step import CONTROL, Controller, new_memory, step
+from rig.control.step import CONTROL, ControllerState, new_memory, step
 from rig.core.sample import Phase, RowFlag
 from tests.firmware.law.law_design import parameters_of
 from tests.firmware.law.law_library import inputs
@@ -127,7 +127,7 @@ def drawn_controller(random: Any) -> Any:
     estimator = estimators.get(str(random.choice(["fdm", "fdm-butterworth", "foaw-end"])))
     law_ = laws.get(str(random.choice(["spring-damper", "spring-damper", "bilateral"])))
     prepared = estimator.prepare({}, values["resolution"], period_s)
-    return Controller(control, new_memory(), prepared, law_.prepare(wall))
+    return ControllerState(control, new_memory(), prepared, law_.prepare(wall))
 
 
 def test_every_option_and_limit_is_the_hosts(law: Any) -> None:

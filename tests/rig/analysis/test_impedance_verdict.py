@@ -12,13 +12,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rig.analysis.impedance.estimate import Impedance
-from rig.analysis.impedance.fitting import Device, fit
+from rig.analysis.impedance.fitting import RigidRig, fit
 from rig.analysis.impedance.verdict import fidelity, judge, passive
 from rig.core.errors import ConfigError
 from rig.core.present import plain
 
 M, B = 0.52, 13.2  # the carriage of Chawda et al.
-DEVICE = Device(M, B)
+DEVICE = RigidRig(M, B)
 LINES = np.arange(1.0, 401.0)
 
 

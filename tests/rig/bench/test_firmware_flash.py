@@ -10,7 +10,7 @@ import pytest
 import rig.cli
 from firmware_protocol import dictionary as dictionaries
 from rig.bench.firmware import flash as flashing
-from rig.bench.firmware.flash import Drive, drive_at, find_drives, flash
+from rig.bench.firmware.flash import BootDrive, drive_at, find_drives, flash
 from rig.bench.firmware.record import ImageFacts, Record, pack
 from rig.bench.firmware.uf2 import RP2040, Piece, write_uf2
 from rig.core.errors import ConfigError, DeviceNotFoundError, DeviceRefusedError, LinkLostError
@@ -85,7 +85,7 @@ def test_a_device_without_a_boot_loader_says_so(image: Any, drive: Any) -> None:
 
 
 def test_a_drive_is_known_by_what_it_says(drive: Any) -> None:
-    assert find_drives() == [Drive(path=drive, board_id="RPI-RP2", model="Raspberry Pi RP2")]
+    assert find_drives() == [BootDrive(path=drive, board_id="RPI-RP2", model="Raspberry Pi RP2")]
     assert drive_at(drive).board_id == "RPI-RP2"
 
 

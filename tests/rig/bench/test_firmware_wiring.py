@@ -10,7 +10,7 @@ import pytest
 
 import rig.cli
 from rig.bench.firmware import boards
-from rig.bench.firmware.wiring import Part, Wiring, svg, wiring
+from rig.bench.firmware.wiring import Wiring, WiringPart, svg, wiring
 from rig.core.errors import ConfigError
 
 BOARD = boards.load("rp2040")
@@ -20,7 +20,7 @@ CHOSEN = {output: boards.settings_of(BOARD, {"output": output}) for output in ("
 ALONE = {"SYNC IN", "TRIAL", "INSIDE"}  # for whoever has something to connect there
 
 
-def part(name: str, found: Wiring = FOUND) -> Part:
+def part(name: str, found: Wiring = FOUND) -> WiringPart:
     return next(one for one in found.parts if one.name == name)
 
 

@@ -11,7 +11,7 @@ from rig.console.errands import Errands
 from rig.console.jobs import Jobs
 from rig.console.lease import Lease
 from rig.console.requests import request_of
-from rig.console.service import LATER, Service, Shared
+from rig.console.service import LATER, Service, ServiceContext
 from rig.core.errors import RigError
 from rig.core.present import plain
 
@@ -52,8 +52,8 @@ class Here(Errands):
         return result if isinstance(result, tuple) else (result, b"")
 
 
-def shared(output: Path, errands: Errands | None = None) -> Shared:
-    return Shared(set(), Lease(), Jobs(lambda job, message: None), output, errands or Here())
+def shared(output: Path, errands: Errands | None = None) -> ServiceContext:
+    return ServiceContext(set(), Lease(), Jobs(lambda job, message: None), output, errands or Here())
 
 
 async def ask(service: Service, page: Any, do: str, **content: Any) -> Any:

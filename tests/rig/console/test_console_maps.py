@@ -14,7 +14,7 @@ if numba.config.DISABLE_JIT:
 
 import rig.cli
 from rig.console import map_errands, map_jobs
-from rig.console.maps import Maps, Watched
+from rig.console.maps import MapService, Watched
 from rig.console.requests import request_of
 from rig.core.errors import ConfigError, RecordingError, RigError
 from rig.experiments import maps
@@ -53,7 +53,7 @@ def started(**fields: Any) -> dict[str, Any]:
     """Content of the job that a page's request makes."""
     request = request_of(
         json.dumps({"do": "map-run", **fields}),
-        {"map-run": Maps(shared(Path("out"))).handlers()["map-run"][0]},
+        {"map-run": MapService(shared(Path("out"))).handlers()["map-run"][0]},
     )
     return asdict(request)
 
@@ -62,7 +62,7 @@ def test_a_page_is_told_the_plan_then_every_cell_by_criterion(root: Path) -> Non
     page = Page()
 
     async def body() -> Any:
-        service = Maps(shared(root / "recordings"))
+        service = MapService(shared(root / "recordings"))
         facts = await ask(service, page, "map-watch", map=NAME)
         while not page.told:
             await ask(service, page, "maps")
@@ -141,7 +141,7 @@ def test_a_click_on_a_cell_makes_that_hit_a_recording_where_the_others_are(root:
     ((key, rows), *_), _ = read_on(root / "maps" / NAME / maps.JOURNAL)
 
     async def body() -> Any:
-        service = Maps(shared(root / "recordings"))
+        service = MapService(shared(root / "recordings"))
         return await ask(service, Page(), "map-hit", map=NAME, key=key, stiffness=rows[-1]["stiffness"])
 
     which = run(body)
@@ -181,7 +181,7 @@ def test_a_map_is_named_inside_its_directory_or_not_at_all(root: Path, do: str, 
     if (do, name) == ("map-watch", ""):
         return  # shows none
     with pytest.raises(ConfigError, match="is no directory here"):
-        run(lambda: ask(Maps(shared(root / "recordings")), Page(), do, map=name))
+        run(lambda: ask(MapService(shared(root / "recordings")), Page(), do, map=name))
 
 
 def test_a_damaged_plan_is_listed_with_its_reason(root: Path) -> None:
@@ -251,7 +251,7 @@ def test_a_job_names_its_directory_once_it_is_there_and_ends_with_it(tmp_path: P
 def test_only_who_operates_starts_and_ends_maps_and_no_page_chooses_a_program(root: Path) -> None:
     async def body() -> None:
         common = shared(root / "recordings")
-        service = Maps(common)
+        service = MapService(common)
         with pytest.raises(ConfigError, match=r"wall\.law is not changed from a page"):
             await ask(service, Page("operator"), "map-run", changes={"wall.law": "x"})
         with pytest.raises(ConfigError, match="no map of this console runs"):

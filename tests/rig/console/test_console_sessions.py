@@ -20,7 +20,7 @@ from rig.console.errand_worker import ERRANDS
 from rig.console.jobs import Job, Jobs
 from rig.console.lease import Lease
 from rig.console.live import Live
-from rig.console.service import Shared
+from rig.console.service import ServiceContext
 from rig.console.session_lists import protocols, resumable
 from rig.console.talk import Talk
 from rig.console.terminal import Terminal
@@ -28,7 +28,7 @@ from rig.core.errors import ConfigError, StoppedError
 from rig.realtime import ring as words
 from rig.realtime.hand import SharedHand
 from rig.realtime.ring import STOP, Ring
-from rig.session.desk import Question, Reply, View
+from rig.session.desk import DeskView, Question, Reply
 from rig.session.place import Place
 from rig.session.protocol import Keys
 from rig.session.template_files import template_names, write_template
@@ -89,7 +89,7 @@ def test_the_time_of_an_answer_is_from_when_it_could_be_read(page: AtPage, asker
 
 
 def test_a_page_that_comes_back_sees_the_question(page: AtPage, asker: ThreadPoolExecutor) -> None:
-    page.desk.show(View(state="verdict?", code="P08"))
+    page.desk.show(DeskView(state="verdict?", code="P08"))
     reply = asked(page, asker, VERDICT)
     again = FakeClient("operator, reloaded")
     page.service.greet(cast("Client", again))
@@ -159,7 +159,7 @@ def test_a_participant_answers_verdicts_and_items_and_nothing_else(
 
 
 def test_a_participant_is_told_no_wall_and_no_trouble_of_an_operator_who_may_know(page: AtPage) -> None:
-    seen = View(
+    seen = DeskView(
         state="trouble", say="", blinded=False, condition="dual", stiffness=25.5, last="invalid: secret"
     )
     page.desk.show(seen)
@@ -171,13 +171,13 @@ def test_a_participant_is_told_no_wall_and_no_trouble_of_an_operator_who_may_kno
 
 def test_pages_are_blind_until_a_view_says_otherwise(page: AtPage) -> None:
     assert page.shared.blinded
-    page.desk.show(View(state="ready"))
+    page.desk.show(DeskView(state="ready"))
     page.sees("ready")
     assert page.shared.blinded
-    page.desk.show(View(state="open", blinded=False))
+    page.desk.show(DeskView(state="open", blinded=False))
     page.sees("open")
     assert not page.shared.blinded
-    page.desk.show(View(state="again", blinded=True))
+    page.desk.show(DeskView(state="again", blinded=True))
     page.sees("again")
     page.in_loop(page.told({"say": "ended"}))
     assert not page.shared.blinded
@@ -201,7 +201,7 @@ class Page(FakeClient):
 def test_nothing_of_a_blinded_loop_reaches_a_page(tmp_path: Path) -> None:
     info = {"experiment": {"wall": {"stiffness": 1234.5}, "controller": {"position_rate": 1000}}}
     one = Page()
-    shared = Shared({cast("Client", one)}, Lease(), Jobs(lambda *_: None), tmp_path)
+    shared = ServiceContext({cast("Client", one)}, Lease(), Jobs(lambda *_: None), tmp_path)
     with SharedHand.create(tmp_path / "hand") as hand, Ring.allocate(64, info=info, shared=True) as ring:
         ring.words[words.HEAD] = 10
         live = Live(shared, hand, Terminal(), own=False)

@@ -18,7 +18,7 @@ from rig.console.jobs import Job, Jobs
 from rig.console.lease import Lease
 from rig.console.live import Live
 from rig.console.runs import Runs
-from rig.console.service import Shared
+from rig.console.service import ServiceContext
 from rig.console.terminal import Terminal
 from rig.core.errors import ConfigError
 from rig.realtime.hand import SharedHand
@@ -59,7 +59,7 @@ def play(program: str, monkeypatch: pytest.MonkeyPatch, body: Callable[[Here], A
     asyncio.run(whole())
 
 
-def runs(shared: Shared, hand: SharedHand) -> Runs:
+def runs(shared: ServiceContext, hand: SharedHand) -> Runs:
     terminal = Terminal()
     return Runs(shared, Live(shared, hand, terminal, own=True), hand, terminal, verified=False)
 
@@ -86,7 +86,7 @@ def test_a_stop_ends_our_job_also_where_no_other_loop_can_be_looked_for(
         monkeypatch.setattr("rig.console.live.ask_to_stop", no_descriptor_left)
         await here.jobs.start("hit", {})
         with SharedHand.create(tmp_path / "hand") as hand:
-            shared = Shared(set(), Lease(), here.jobs, tmp_path)
+            shared = ServiceContext(set(), Lease(), here.jobs, tmp_path)
             live = Live(shared, hand, Terminal(), own=True)
             with pytest.raises(OSError, match="Too many"):
                 live.stop_all()
@@ -111,7 +111,7 @@ def test_a_job_without_an_operator_ends_unless_it_goes_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def body(here: Here) -> None:
-        shared = Shared(set(), Lease(), here.jobs, tmp_path)
+        shared = ServiceContext(set(), Lease(), here.jobs, tmp_path)
         with SharedHand.create(tmp_path / "hand") as hand:
             beats = asyncio.create_task(runs(shared, hand).every_beat())
             shared.lease.take("a-page-here")
@@ -136,7 +136,7 @@ def test_a_console_that_cannot_watch_ends_what_it_moves_also_what_would_go_on(
         monkeypatch.setattr(Lease, "expire", lambda _: {}["a defect"])
         await here.jobs.start("hit", {}, goes_on=True)
         with SharedHand.create(tmp_path / "hand") as hand:
-            shared = Shared(set(), Lease(), here.jobs, tmp_path)
+            shared = ServiceContext(set(), Lease(), here.jobs, tmp_path)
             with pytest.raises(KeyError):
                 await runs(shared, hand).every_beat()
         await here.ended()

@@ -18,7 +18,7 @@ from rig.console.jobs import Jobs
 from rig.console.lease import Lease
 from rig.console.live import Live
 from rig.console.runs import Runs
-from rig.console.service import Shared
+from rig.console.service import ServiceContext
 from rig.console.session_requests import BeginSession
 from rig.console.talk import Talk
 from rig.console.terminal import LONGEST, Terminal
@@ -111,7 +111,7 @@ def test_a_word_arms_nothing_for_a_page_that_stopped_or_went(
 ) -> None:
     async def body(terminal: Terminal, person: int) -> None:
         page = Page()
-        shared = Shared(set(), Lease(), Jobs(lambda *_: None), tmp_path, Here())
+        shared = ServiceContext(set(), Lease(), Jobs(lambda *_: None), tmp_path, Here())
         with SharedHand.create(tmp_path / "hand") as hand:
             live = Live(shared, hand, terminal, own=True)
             runs = Runs(shared, live, hand, terminal, verified=True)
@@ -150,7 +150,7 @@ def test_terminal_and_page_show_what_is_agreed_to_and_nothing_else_is_armed(
                 started.append(dict(content))
                 return SimpleNamespace(pid=1)
 
-        shared = Shared(set(), Lease(), Starts(lambda *_: None), tmp_path, Here())
+        shared = ServiceContext(set(), Lease(), Starts(lambda *_: None), tmp_path, Here())
         with SharedHand.create(tmp_path / "hand") as hand:
             live = Live(shared, hand, terminal, own=True)
             runs = Runs(shared, live, hand, terminal, verified=True)

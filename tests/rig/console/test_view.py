@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from rig.console.history import History
 from rig.console.trigger import Trigger
-from rig.console.view import POINTS, Shown, View
+from rig.console.view import POINTS, View, ViewRequest
 from rig.core.errors import ConfigError
 from rig.core.sample import ROW, RowFlag
 
@@ -57,7 +57,7 @@ def test_each_point_is_sent_once_however_seldom_a_page_reads(
     pieces: list[int], window_s: float, slow: int
 ) -> None:
     told = Told()
-    view = View(told.history, RATE, Shown(columns=("tick",), window_s=window_s))
+    view = View(told.history, RATE, ViewRequest(columns=("tick",), window_s=window_s))
     seen: list[float] = []
     for number, count in enumerate(pieces):
         told.tell(count)
@@ -73,7 +73,7 @@ def test_each_point_is_sent_once_however_seldom_a_page_reads(
 def test_another_window_begins_with_what_is_there() -> None:
     told = Told()
     told.tell(5000)
-    (frame,) = map(unpacked, View(told.history, RATE, Shown(columns=("tick",), window_s=2.0)).frames())
+    (frame,) = map(unpacked, View(told.history, RATE, ViewRequest(columns=("tick",), window_s=2.0)).frames())
     assert frame["fresh"]
     assert (frame["low"]["tick"][0], frame["high"]["tick"][-1]) == (3000, 4999)
 
@@ -90,7 +90,7 @@ def test_another_window_begins_with_what_is_there() -> None:
 def test_a_sweep_begins_where_its_trigger_says(trigger: Trigger, at: int) -> None:
     told = Told()
     told.tell(50)
-    view = View(told.history, RATE, Shown(columns=("tick", "position"), window_s=0.2, trigger=trigger))
+    view = View(told.history, RATE, ViewRequest(columns=("tick", "position"), window_s=0.2, trigger=trigger))
     sweeps = []
     for _ in range(40):  # in pieces that no sweep fits
         told.tell(70)
@@ -106,7 +106,7 @@ def test_a_sweep_begins_where_its_trigger_says(trigger: Trigger, at: int) -> Non
 def test_a_single_sweep_is_the_only_one() -> None:
     told = Told()
     told.tell(150)
-    view = View(told.history, RATE, Shown(window_s=0.1, trigger=Trigger(single=True)))
+    view = View(told.history, RATE, ViewRequest(window_s=0.1, trigger=Trigger(single=True)))
     sweeps = []
     for _ in range(30):
         told.tell(200)
@@ -128,5 +128,5 @@ def test_a_single_sweep_is_the_only_one() -> None:
 )
 def test_what_cannot_be_shown_is_named(shown: dict[str, Any], named: str) -> None:
     with pytest.raises(ConfigError, match=named) as error:
-        Shown(**shown)
+        ViewRequest(**shown)
     assert error.value.remedy

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from rig.control import bilateral, laws
 from rig.control.excitation import ramp
-from rig.control.step import Controller
+from rig.control.step import ControllerState
 
 WALL = {"stiffness": 1000.0, "damping": 5.0, "side": 1, "pull": "clamp", "damping_on": "both"}
 TABLE = np.array([1.0, -2.0, 3.0, 0.5])
@@ -90,5 +90,5 @@ def test_the_laws_are_found_by_name_so_that_a_recording_can_be_replayed() -> Non
     plain = controller.for_experiment(
         presets.load("chawda-linear"), current_quantum_a=0.001, law=bilateral.excited_law(TABLE, 7)
     )
-    again = Controller.from_mapping(plain.as_mapping())
+    again = ControllerState.from_mapping(plain.as_mapping())
     assert again.law.parameters.tobytes()[16:] == saved.parameters.tobytes()[16:]

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from rig.control import estimators, laws
 from rig.control.law import Law
-from rig.control.step import CONTROL, MEMORY, Controller, new_memory, step
+from rig.control.step import CONTROL, MEMORY, ControllerState, new_memory, step
 from rig.core.errors import ConfigError, RecordingError
 from rig.core.sample import Phase, RowFlag
 from rig.realtime.kernel import kernel
@@ -70,7 +70,7 @@ class Tick:
         kind = laws.get(law) if isinstance(law, str) else law
         family = estimators.get(estimator) if isinstance(estimator, str) else estimator
         period_s = c["tick_s"] * c["velocity_divider"]
-        self.controller = Controller(
+        self.controller = ControllerState(
             control, new_memory(), family.prepare({}, float(c["resolution"]), period_s), kind.prepare(section)
         )
         if skip_homing:
@@ -628,7 +628,7 @@ def test_a_saved_controller_continues_bit_for_bit_after_json() -> None:
     lively(one, 137, seed=1)
     two = Tick(**DUAL)
     saved = json.loads(json.dumps(one.controller.as_mapping()))
-    two.controller = Controller.from_mapping(saved)
+    two.controller = ControllerState.from_mapping(saved)
     assert lively(one, 200, seed=2) == lively(two, 200, seed=2)
     assert one.controller.as_mapping() == two.controller.as_mapping()
 
@@ -639,7 +639,7 @@ def test_a_saved_controller_is_a_copy() -> None:
     before = json.dumps(saved)
     lively(tick, 20, seed=1)
     assert json.dumps(saved) == before
-    again = Controller.from_mapping(saved)
+    again = ControllerState.from_mapping(saved)
     again.memory["velocity"] = 5.0
     again.estimator.state_f[0] = 5.0
     assert json.dumps(saved) == before
@@ -651,9 +651,9 @@ def test_a_saved_controller_of_another_version_is_refused_not_filled_up_with_zer
     removed = next(iter(saved[part]))
     lacking = {**saved, part: {k: v for k, v in saved[part].items() if k != removed}}
     with pytest.raises(RecordingError, match=removed):
-        Controller.from_mapping(lacking)
+        ControllerState.from_mapping(lacking)
     with pytest.raises(RecordingError, match="friction_compensation"):
-        Controller.from_mapping({**saved, part: {**saved[part], "friction_compensation": 1.0}})
+        ControllerState.from_mapping({**saved, part: {**saved[part], "friction_compensation": 1.0}})
 
 
 def test_a_saved_controller_with_a_memory_of_another_size_is_refused() -> None:
@@ -661,14 +661,14 @@ def test_a_saved_controller_with_a_memory_of_another_size_is_refused() -> None:
     for part, name in (("estimator", "state_f"), ("estimator", "state_i"), ("law", "state")):
         saved = Tick(**DUAL).controller.as_mapping()
         with pytest.raises(RecordingError, match="another size"):
-            Controller.from_mapping({**saved, part: {**saved[part], name: [0.0] * 1000}})
+            ControllerState.from_mapping({**saved, part: {**saved[part], name: [0.0] * 1000}})
 
 
 def test_a_saved_controller_whose_law_is_not_known_here_needs_it_given() -> None:
     saved = Tick(law=law_of(spy)).controller.as_mapping()
     with pytest.raises(ConfigError, match="no law 'test'"):
-        Controller.from_mapping(saved)
-    assert Controller.from_mapping(saved, law=law_of(spy)).law.law.function is spy
+        ControllerState.from_mapping(saved)
+    assert ControllerState.from_mapping(saved, law=law_of(spy)).law.law.function is spy
 
 
 def digest() -> str:

@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rig.control.judging import Signals, judge, meter, recorded_signals, true_signals
+from rig.control.judging import TrialSignals, judge, meter, recorded_signals, true_signals
 from rig.control.measure import NUMBERS
 from rig.control.verdict import (
     CRITERIA,
@@ -60,13 +60,13 @@ def signals(
     resolution: float = 0.0,
     penetration: Any = None,
     **flags: Any,
-) -> Signals:
+) -> TrialSignals:
     """A trial of 1 s against a wall at zero; without anything else said a calm one."""
     position = np.asarray(position, dtype=float)
     nothing = np.zeros(len(position), bool)
     quiet = dict.fromkeys(("saturated", "late", "slew_bound", "overruled"), nothing)
     quiet["lost"] = quiet["currents"] = np.zeros(len(position), np.int64)
-    return Signals(
+    return TrialSignals(
         tick_s=T,
         resolution=resolution,
         position=position,

@@ -22,7 +22,7 @@ from firmware_protocol.transaction import MOST_TRIES, RETRY_AFTER_S
 from rig.core.errors import DeviceRefusedError, IncompatibleDeviceError, LinkLostError
 from rig.devices import framed
 from rig.devices.device import DeviceUrl
-from rig.devices.fault_script import DeviceFault, Direction, Faults, FrameFault, Kind
+from rig.devices.fault_script import DeviceFault, Direction, FaultKind, Faults, FrameFault
 from rig.devices.framed import FAULT_LOG_S, READY_AGAIN_S, STOP_FRAMES, FramedDevice
 from sim_backend.device import SimulatedDevice
 from sim_backend.link import MemoryLink
@@ -98,7 +98,9 @@ class Answering:
 
 def silent(*directions: Any) -> Any:
     return Faults(
-        frames=tuple(FrameFault(kind=Kind.SILENCE, direction=d, frame=0) for d in directions or Direction)
+        frames=tuple(
+            FrameFault(kind=FaultKind.SILENCE, direction=d, frame=0) for d in directions or Direction
+        )
     )
 
 
@@ -127,12 +129,12 @@ def test_one_lost_frame_of_any_transaction_costs_a_repeat_and_nothing_else(direc
     requests = len(clean.sent)
     # The pages of the dictionary are all alike: a few of them, then everything that comes after.
     for frame in [*range(0, requests - 20, 10), *range(requests - 20, requests)]:
-        fault = FrameFault(kind=Kind.DROP, direction=direction, frame=frame)
+        fault = FrameFault(kind=FaultKind.DROP, direction=direction, frame=frame)
         simulated, wire, device = make(faults=Faults(frames=(fault,)))
         assert device.configure(RUN_PARAMETERS).values == echo.values
         device.arm()
         device.disarm()
-        assert wire.link.line.acted[Kind.DROP] == 1
+        assert wire.link.line.acted[FaultKind.DROP] == 1
         assert len(wire.sent) == requests + 1
         assert simulated.connection.state is State.CONFIGURED
 
@@ -509,7 +511,7 @@ def test_a_fault_in_the_middle_of_configuring_is_a_refusal_in_words() -> None:
     begin = next(i for i, message in enumerate(wire.messages()) if isinstance(message, m.SetBegin))
     _, wire, device = make(
         faults=Faults(
-            (FrameFault(kind=Kind.DROP, direction=Direction.TO_DEVICE, frame=begin),),
+            (FrameFault(kind=FaultKind.DROP, direction=Direction.TO_DEVICE, frame=begin),),
             (DeviceFault(5, Fault.ENCODER),),
         )
     )
@@ -663,7 +665,7 @@ def test_a_lost_answer_to_the_parameters_is_no_restart(real: None) -> None:
     said = wire.link.line.frames[Direction.TO_HOST]
     device.configure(other)
     for frame in range(said, wire.link.line.frames[Direction.TO_HOST]):
-        silence = FrameFault(kind=Kind.SILENCE, direction=Direction.TO_HOST, frame=frame)
+        silence = FrameFault(kind=FaultKind.SILENCE, direction=Direction.TO_HOST, frame=frame)
         simulated, wire, device = make(faults=Faults(frames=(silence,)))
         device.configure(RUN_PARAMETERS)
         with pytest.raises(LinkLostError):
@@ -740,7 +742,7 @@ def test_closing_on_a_device_that_does_not_answer_says_all_and_waits_for_no_answ
     wire.write(device.connection.send(m.Command(0, 20_000, int(m.Mode.CURRENT), 0, 300)))
     wire.link.elapse(0.005)
     line = wire.link.line
-    line.add([FrameFault(kind=Kind.SILENCE, direction=d, frame=line.frames[d]) for d in ways])
+    line.add([FrameFault(kind=FaultKind.SILENCE, direction=d, frame=line.frames[d]) for d in ways])
     with pytest.raises(LinkLostError):
         device.has_restarted()
     assert simulated.current == 0
@@ -830,13 +832,13 @@ def test_answers_that_waited_do_not_count() -> None:
     assert device.dictionary.simulated
     asked = wire.link.line.frames[Direction.TO_HOST]
     delays = tuple(
-        FrameFault(kind=Kind.DELAY, direction=Direction.TO_HOST, frame=asked + later, ticks=3)
+        FrameFault(kind=FaultKind.DELAY, direction=Direction.TO_HOST, frame=asked + later, ticks=3)
         for later in (0, 1, 4)
     )
     _, wire, device = make(faults=Faults(frames=delays))
     assert device.dictionary.simulated
     fit = device.clock(8)
-    assert wire.link.line.acted[Kind.DELAY] == 3
+    assert wire.link.line.acted[FaultKind.DELAY] == 3
     assert wire.clock.now_ns() >= 3_000_000
     assert fit.rejected == 3
     assert fit.offset_ns == pytest.approx(0, abs=100)
@@ -848,7 +850,7 @@ def test_a_request_that_had_to_be_repeated_took_from_its_first_frame_on() -> Non
     _, wire, device = make(faults=Faults())
     assert device.dictionary.simulated
     asked = wire.link.line.frames[Direction.TO_DEVICE]
-    lost = FrameFault(kind=Kind.DROP, direction=Direction.TO_DEVICE, frame=asked + 1)
+    lost = FrameFault(kind=FaultKind.DROP, direction=Direction.TO_DEVICE, frame=asked + 1)
     _, wire, device = make(faults=Faults(frames=(lost,)))
     assert device.dictionary.simulated
     stamps = device.exchange_clock(4)

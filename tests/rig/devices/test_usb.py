@@ -105,7 +105,7 @@ def bus(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
     def claim(device: Device, interface: int) -> None:
         device._do("claim")
 
-    monkeypatch.setattr(links, "Bus", Bus)
+    monkeypatch.setattr(links, "UsbBus", Bus)
     monkeypatch.setattr(links, "SYSFS", tmp_path)
     monkeypatch.setattr(links.usb.util, "claim_interface", claim)
     monkeypatch.setattr(links.usb.util, "release_interface", lambda device, interface: device._do("release"))
@@ -244,7 +244,7 @@ def test_without_libusb_the_package_is_named(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(usb_handle, "_own_backend", lambda: None)
     monkeypatch.setattr(usb_handle.usb.core, "find", nothing)
     with pytest.raises(DeviceNotFoundError, match="libusb") as caught:
-        usb_handle.Bus()
+        usb_handle.UsbBus()
     assert "apt install libusb-1.0-0" in caught.value.remedy
     assert links.available_devices() == []
 

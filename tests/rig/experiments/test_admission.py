@@ -20,7 +20,7 @@ from rig.devices.framed import FramedDevice
 from rig.experiments import examine as examining
 from rig.experiments import hit as hits
 from rig.experiments.admission import admission_checks
-from rig.experiments.examine import Examination, Question
+from rig.experiments.examine import Examination, ExaminationRequest
 from rig.experiments.hit import HitRequest
 from rig.experiments.trial import prepared_on
 from sim_backend.link import MemoryLink
@@ -83,7 +83,7 @@ def made_up(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 def by_doctor(x: config.Experiment, changes: dict[str, Any], device: FramedDevice) -> bool | None:
-    asked = Question(experiment=x, changes=changes, url="serial:///dev/rig")
+    asked = ExaminationRequest(experiment=x, changes=changes, url="serial:///dev/rig")
     return examining._with_device(asked, device, Examination(checks=(), ports=()), lambda *_: None).armable
 
 
@@ -156,7 +156,7 @@ def test_a_rate_that_a_served_board_does_not_run_is_refused_by_doctor_too(made_u
     link = MemoryLink(device)
     link.clock.virtual = False  # type: ignore[attr-defined]
     with FramedDevice(link) as framed:
-        asked = Question(experiment=x, changes=changes, url="serial:///dev/rig")
+        asked = ExaminationRequest(experiment=x, changes=changes, url="serial:///dev/rig")
         found = examining._with_device(asked, framed, Examination(checks=(), ports=()), lambda *_: None)
     assert found.armable is False
     texts = " ".join(check.text for check in found.admission)

@@ -27,8 +27,8 @@ from rig.devices.device import LINK_SHARE, STATE_BYTES
 from rig.experiments import maps, sweep
 from rig.experiments.design import (
     Candidate,
-    Place,
-    Request,
+    DesignRequest,
+    LawPlace,
     UnmetError,
     Wishes,
     design,
@@ -42,7 +42,7 @@ from rig.experiments.design import (
     places_for,
 )
 from rig.experiments.design import search as searching
-from rig.experiments.design.rules import Boundary
+from rig.experiments.design.rules import BoundaryMeasures
 from rig.experiments.design.search import Round
 from rig.experiments.ranges import search_for
 from rig.experiments.rendering import RENDERED, rendered_damping, rendered_share
@@ -66,7 +66,7 @@ ROUNDS = (
     Round(name="first", enter=5, ratio=2.0, columns=4, offsets=(0.1,)),
     Round(name="second", enter=3, way="ladder", ratio=1.3, columns=4, offsets=(0.1, 0.6)),
 )
-REQUEST = Request(experiment=X, schemes=SCHEMES, rounds=ROUNDS, places=places_for(X))
+REQUEST = DesignRequest(experiment=X, schemes=SCHEMES, rounds=ROUNDS, places=places_for(X))
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -151,8 +151,8 @@ def test_a_board_without_a_float_unit_has_less_time_for_a_float_law() -> None:
 # --- the listed set ---------------------------------------------------------------------------------------------------
 
 
-def place(**given: Any) -> Place:
-    return Place(**{"loop": "host", "rate_maximum": 5000, **given})
+def place(**given: Any) -> LawPlace:
+    return LawPlace(**{"loop": "host", "rate_maximum": 5000, **given})
 
 
 @pytest.fixture
@@ -251,7 +251,7 @@ def test_the_search_finds_what_all_hits_find(kept: Any) -> None:
     )
     grid = maps.zwidth(whole)
     areas = [
-        Boundary.of(dampings, [b.stiffness for b in grid.curve(number, "any")]).area
+        BoundaryMeasures.of(dampings, [b.stiffness for b in grid.curve(number, "any")]).area
         for number in range(len(whole.schemes))
     ]
     assert max(one.measures.area for one in found.finalists) * ROUNDS[-1].ratio >= max(areas)
@@ -333,7 +333,7 @@ def test_json_holds_everything(kept: Any) -> None:
 
 
 def test_a_wall_that_must_be_stable_decides_before_the_goal() -> None:
-    wished = Request(
+    wished = DesignRequest(
         experiment=X, schemes=SCHEMES[:2], rounds=ROUNDS, wishes=Wishes(goal="stiffness", wall=(60.0, 0.3))
     )
     with_wall = design(wished)
@@ -353,7 +353,7 @@ def test_a_wall_that_must_be_stable_decides_before_the_goal() -> None:
 def test_a_wish_that_nothing_fulfils_is_named_with_how_far_one_comes(wishes: Wishes, said: str) -> None:
     quick = (replace(ROUNDS[0], columns=2, enter=2),)
     with pytest.raises(UnmetError, match=said):
-        design(Request(experiment=X, schemes=SCHEMES[:2], rounds=quick, wishes=wishes))
+        design(DesignRequest(experiment=X, schemes=SCHEMES[:2], rounds=quick, wishes=wishes))
 
 
 def test_no_scheme_is_recommended_where_none_has_a_stable_wall() -> None:

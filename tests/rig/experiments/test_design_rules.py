@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.experiments.design import rules
-from rig.experiments.design.rules import Boundary, Comparison, Measures, UnmetError, Wishes
+from rig.experiments.design.rules import BoundaryMeasures, Comparison, Measures, UnmetError, Wishes
 from rig.experiments.searches import Extent
 
 FEW = st.sampled_from([0.0, 1.0, 2.0, 3.0])  # so that ties are common
@@ -61,7 +61,7 @@ def test_dominance_has_a_direction(one: Any, other: Any) -> None:
 @given(st.lists(st.sampled_from([0.0, 0.0, 1.0, 2.5, 1e3]), min_size=2, max_size=9))
 def test_a_boundary_reaches_to_the_last_wall_and_holes_count_nothing(limits: Any) -> None:
     dampings = [float(n) for n in range(len(limits))]
-    found, extent = Boundary.of(dampings, limits), Extent.of(dampings, limits)
+    found, extent = BoundaryMeasures.of(dampings, limits), Extent.of(dampings, limits)
     last = max((n for n, k in enumerate(limits) if k > 0.0), default=0)
     assert found.damping == extent.damping == last
     assert extent.holes == tuple(float(n) for n in range(last) if limits[n] == 0.0)

@@ -16,7 +16,7 @@ from rig.core.errors import ConfigError
 from rig.experiments.design import rules, whole
 from rig.experiments.design.listing import Candidate
 from rig.experiments.design.rounds import Sweeper
-from rig.experiments.design.whole import Paper
+from rig.experiments.design.whole import PaperSchemes
 from tests.conformance.maps import SHORT
 
 LOOSE = {
@@ -53,8 +53,8 @@ def few_walls(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_what_a_hit_rules_out_misses_that_measure_in_its_map(
     papers: Scheme, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    paper = Paper(schemes=(papers,), measures=rules.OF_A_PAPER)
-    monkeypatch.setattr(Paper, "of", lambda _: paper)
+    paper = PaperSchemes(schemes=(papers,), measures=rules.OF_A_PAPER)
+    monkeypatch.setattr(PaperSchemes, "of", lambda _: paper)
     (found,) = whole.against_paper(X, [candidate(one) for one in LISTED], Sweeper())
     everything = whole._Whole(X, paper, Sweeper())._measured(
         "all", [candidate(one) for one in LISTED if one != papers]
@@ -71,7 +71,7 @@ def test_what_a_hit_rules_out_misses_that_measure_in_its_map(
 
 def test_without_damping_the_estimator_has_no_part() -> None:
     schemes = [one for one in LISTED if one.position_rate == 10_000]
-    grid = whole.Grid(dampings=(0.0,), search=whole.search_for(X, "grid", ratio=1.5), offsets=(0.1,))
+    grid = whole.WallGrid(dampings=(0.0,), search=whole.search_for(X, "grid", ratio=1.5), offsets=(0.1,))
     first, *others = Sweeper().map_each("B = 0", [(X, one, grid) for one in schemes])
     assert len(others) == 3
     assert all(one.series == first.series for one in others)
@@ -83,8 +83,8 @@ def test_the_second_paper_is_held_to_its_table_one(monkeypatch: pytest.MonkeyPat
     short = {"realisations": 2, "settle_periods": 1, "periods": 2, "period_s": 0.2, "low_hz": 5.0}
     x = presets.load("chawda-linear")
     x = replace(x, excitation=replace(x.excitation, **short))
-    paper = replace(Paper.of("chawda-linear"), schemes=Paper.of("chawda-linear").schemes[:1])
-    monkeypatch.setattr(Paper, "of", lambda _: paper)
+    paper = replace(PaperSchemes.of("chawda-linear"), schemes=PaperSchemes.of("chawda-linear").schemes[:1])
+    monkeypatch.setattr(PaperSchemes, "of", lambda _: paper)
     papers_own, raw, filtered = (
         candidate(one)
         for one in (
@@ -106,4 +106,4 @@ def test_the_second_paper_is_held_to_its_table_one(monkeypatch: pytest.MonkeyPat
 
 def test_a_rig_of_no_paper_is_refused() -> None:
     with pytest.raises(ConfigError, match=r"hapkit is the rig of no paper.*chawda-linear"):
-        Paper.of("hapkit")
+        PaperSchemes.of("hapkit")

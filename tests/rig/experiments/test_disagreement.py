@@ -32,7 +32,7 @@ from rig.experiments.ablation import (
 )
 from rig.experiments.disagreement import DisagreementPlan, edges_of
 from rig.experiments.hit_simulator import start_of
-from rig.experiments.searches import Search
+from rig.experiments.searches import StiffnessSearch
 from rig.experiments.zwidth import MapPlan
 from rig.testing import reactions
 from rig.views.report.disagreement import paragraph
@@ -44,7 +44,9 @@ def experiment() -> Any:
     return config.override(presets.load("koul-compliant"), held)
 
 
-def plan_of(experiment: Any, scheme: str, dampings: tuple[float, ...], search: Search) -> DisagreementPlan:
+def plan_of(
+    experiment: Any, scheme: str, dampings: tuple[float, ...], search: StiffnessSearch
+) -> DisagreementPlan:
     return DisagreementPlan(
         map=MapPlan(experiment=experiment, schemes=(Scheme.parse(scheme),), dampings=dampings, search=search)
     )
@@ -116,7 +118,7 @@ def test_friction_stabilises_and_the_quantum_buzzes(
     experiment: Any, scheme: str, stiffness: float, damping: float, cause: str, linear: bool
 ) -> None:
     plan = plan_of(
-        experiment, scheme, (damping,), Search(lowest=stiffness, highest=1.1 * stiffness, ratio=2.0)
+        experiment, scheme, (damping,), StiffnessSearch(lowest=stiffness, highest=1.1 * stiffness, ratio=2.0)
     )
     (wall,) = maps.zwidth(plan, workers=1).walls
     assert (wall.linear, wall.holds, wall.cause) == (linear, not linear, cause)
@@ -127,7 +129,9 @@ def test_friction_stabilises_and_the_quantum_buzzes(
 
 
 def test_shares_are_areas_of_cells_that_fill_the_plane(experiment: Any) -> None:
-    plan = plan_of(experiment, "dual:20k/2k", (0.0, 1.0, 3.0), Search(lowest=10.0, highest=90.0, ratio=3.0))
+    plan = plan_of(
+        experiment, "dual:20k/2k", (0.0, 1.0, 3.0), StiffnessSearch(lowest=10.0, highest=90.0, ratio=3.0)
+    )
     agreed, failed = ({"radius": 0.9, "holds": holds, "holds_without": True} for holds in (True, False))
     one = {"cures": None, "hits": 1, "ticks": 1}
     column = [
@@ -165,11 +169,15 @@ def test_cells_end_half_way_to_their_neighbours() -> None:
 def test_what_theory_says_nothing_about_is_refused(experiment: Any, changes: Any, text: str) -> None:
     changed = config.override(experiment, changes)
     with pytest.raises(PlanError, match=text):
-        _ = plan_of(changed, "dual:20k/2k", (0.0,), Search(lowest=10.0, highest=90.0, ratio=3.0)).tasks
+        _ = plan_of(
+            changed, "dual:20k/2k", (0.0,), StiffnessSearch(lowest=10.0, highest=90.0, ratio=3.0)
+        ).tasks
 
 
 def test_the_paragraph_has_every_scheme_its_share_and_its_causes(experiment: Any) -> None:
-    plan = plan_of(experiment, "dual:20k/2k", (0.0, 1.0), Search(lowest=10.0, highest=90.0, ratio=3.0))
+    plan = plan_of(
+        experiment, "dual:20k/2k", (0.0, 1.0), StiffnessSearch(lowest=10.0, highest=90.0, ratio=3.0)
+    )
     row = {
         "radius": 1.1,
         "holds": True,

@@ -22,7 +22,7 @@ from rig.control.law import Law
 from rig.core.errors import ConfigError, DeviceFaultError, LawError, LinkLostError, RecordingError, RigError
 from rig.core.present import plain
 from rig.core.sample import Phase, RowFlag
-from rig.devices.fault_script import DeviceFault, Direction, Faults, FrameFault, Happening, Kind
+from rig.devices.fault_script import DeviceFault, Direction, FaultKind, Faults, FrameFault, Happening
 from rig.devices.framed import FramedDevice
 from rig.experiments.replay import COMPUTED, replay
 from rig.realtime.kernel import kernel
@@ -128,10 +128,10 @@ def test_an_encoder_that_counts_down_replays_exactly(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("kind", "counter"),
     [
-        (Kind.DROP, "lost"),
-        (Kind.DUPLICATE, "duplicated"),
-        (Kind.REORDER, "reordered"),
-        (Kind.DELAY, "skipped"),
+        (FaultKind.DROP, "lost"),
+        (FaultKind.DUPLICATE, "duplicated"),
+        (FaultKind.REORDER, "reordered"),
+        (FaultKind.DELAY, "skipped"),
     ],
 )
 def test_gaps_replay_exactly(kind: Any, counter: str, armed: Any, tmp_path: Path) -> None:
@@ -143,7 +143,7 @@ def test_gaps_replay_exactly(kind: Any, counter: str, armed: Any, tmp_path: Path
     recording = recorded(tmp_path, faults=Faults(frames=faults))
     assert recording.trailer["counters"][counter] >= len(faults)
     gaps = (recording.rows["flags"] & int(RowFlag.GAP)) != 0
-    assert gaps.any() or kind is Kind.DUPLICATE
+    assert gaps.any() or kind is FaultKind.DUPLICATE
     assert_exact(replay(recording))
 
 
@@ -177,7 +177,7 @@ def test_a_run_that_ends_while_the_slew_limit_still_lowers_the_effort_replays_ex
 
 
 def test_a_silent_link_and_a_pulled_plug_replay_exactly(armed: Any, tmp_path: Path) -> None:
-    for kind in (Kind.SILENCE, Kind.UNPLUG):
+    for kind in (FaultKind.SILENCE, FaultKind.UNPLUG):
         place = tmp_path / kind.name
         place.mkdir()
         fault = FrameFault(kind=kind, direction=Direction.TO_HOST, frame=armed + 55)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.experiments.searches import Search, limit_of
+from rig.experiments.searches import StiffnessSearch, limit_of
 
 RANGE = {"lowest": 10.0, "highest": 1000.0, "ratio": 1.06}
 
@@ -38,7 +38,7 @@ def below(bound: Any) -> Any:
 @pytest.mark.parametrize("way", ["ladder", "bisection", "grid"])
 @given(bound=st.floats(1.0, 2000.0))
 def test_every_way_finds_the_last_rung_below_a_single_limit(way: str, bound: float) -> None:
-    search = Search(way=way, **RANGE)
+    search = StiffnessSearch(way=way, **RANGE)
     found = limit(search, below(bound))
     expected = max((k for k in search.rungs if k < bound), default=0.0)
     assert found.stiffness == expected
@@ -47,14 +47,14 @@ def test_every_way_finds_the_last_rung_below_a_single_limit(way: str, bound: flo
 
 
 def test_rungs_keep_their_ratio_and_stay_in_the_range() -> None:
-    rungs = Search(**RANGE).rungs
+    rungs = StiffnessSearch(**RANGE).rungs
     assert rungs[0] == 10.0
     assert rungs[-1] <= 1000.0 < rungs[-1] * 1.06
     assert all(b / a == pytest.approx(1.06) for a, b in itertools.pairwise(rungs))
 
 
 def test_a_bisection_of_a_hundred_rungs_needs_few_trials() -> None:
-    search = Search(way="bisection", lowest=1.0, highest=1000.0, ratio=1.06)
+    search = StiffnessSearch(way="bisection", lowest=1.0, highest=1000.0, ratio=1.06)
     assert len(search.rungs) > 100
     assert len(walked(search, below(77.0))) <= 9
 
@@ -63,9 +63,9 @@ def test_the_ladder_ends_when_every_criterion_has_failed_and_the_grid_never() ->
     def passes(k: Any) -> Any:
         return {"felt": k < 100.0, "heard": k < 300.0}
 
-    ladder = Search(**RANGE)
+    ladder = StiffnessSearch(**RANGE)
     assert 300.0 <= max(walked(ladder, passes)) < 300.0 * 1.06
-    grid = Search(way="grid", **RANGE)
+    grid = StiffnessSearch(way="grid", **RANGE)
     assert list(walked(grid, passes)) == grid.rungs
 
 
@@ -73,8 +73,8 @@ def test_an_island_is_shown_by_the_grid_and_unseen_by_the_ladder() -> None:
     def passes(k: Any) -> Any:
         return {"felt": k < 50.0 or 200.0 < k < 400.0}
 
-    grid = limit(Search(way="grid", **RANGE), passes)
-    ladder = limit(Search(**RANGE), passes)
+    grid = limit(StiffnessSearch(way="grid", **RANGE), passes)
+    ladder = limit(StiffnessSearch(**RANGE), passes)
     assert grid.stiffness == ladder.stiffness < 50.0
     ((low, high),) = grid.islands
     assert 200.0 < low < 200.0 * 1.06
@@ -86,7 +86,7 @@ def test_bisection_with_two_criteria_gives_each_its_own_limit() -> None:
     def passes(k: Any) -> Any:
         return {"felt": k < 100.0, "heard": k < 600.0}
 
-    search = Search(way="bisection", **RANGE)
+    search = StiffnessSearch(way="bisection", **RANGE)
     assert 100 / 1.06 < limit(search, passes, "felt").stiffness < 100
     assert 600 / 1.06 < limit(search, passes, "heard").stiffness < 600
 
@@ -110,7 +110,7 @@ def test_a_limit_lies_below_every_failure_and_counts_what_said_nothing(tried: An
 )
 def test_a_range_that_is_none_is_refused(wrong: Any) -> None:
     with pytest.raises(ValueError, match=r"range|ratio"):
-        Search(**{**RANGE, **wrong})
+        StiffnessSearch(**{**RANGE, **wrong})
 
 
 def test_hits_that_all_say_nothing_make_neither_a_limit_nor_a_cap() -> None:

@@ -40,7 +40,7 @@ from rig.core.errors import (
     UnpluggedError,
 )
 from rig.core.sample import ROW, Phase
-from rig.devices.fault_script import DeviceFault, Direction, Faults, FrameFault, Happening, Kind
+from rig.devices.fault_script import DeviceFault, Direction, FaultKind, Faults, FrameFault, Happening
 from rig.devices.framed import FaultReport, FramedDevice
 from rig.experiments import trial as trials
 from rig.experiments.endings import ENDINGS, error_of
@@ -234,15 +234,15 @@ def frames_until_armed(tmp_path_factory: pytest.TempPathFactory) -> Any:
         (None, {"law": RAISING}, LawError, "law_raised"),
         (Faults(device=(DeviceFault(40, Fault.ENCODER),)), {}, DeviceFaultError, "device_fault"),
         (Faults(device=(DeviceFault(0, Fault.ENCODER),)), {}, DeviceFaultError, "device_fault"),
-        (Kind.SILENCE, {}, LinkLostError, "link_silent"),
-        (Kind.UNPLUG, {}, LinkLostError, "link_closed"),
+        (FaultKind.SILENCE, {}, LinkLostError, "link_silent"),
+        (FaultKind.UNPLUG, {}, LinkLostError, "link_closed"),
     ],
     ids=["law", "fault", "fault at once", "silence", "unplug"],
 )
 def test_an_early_end_leaves_a_sealed_judged_recording_that_the_error_names(
     faults: Any, options: Any, error: Any, reason: str, tmp_path: Path, frames_until_armed: Any
 ) -> None:
-    if isinstance(faults, Kind):
+    if isinstance(faults, FaultKind):
         faults = frame_fault(faults, frames_until_armed + 40)
     bench = Bench(tmp_path, faults)
     with pytest.raises(error) as caught:
@@ -260,7 +260,7 @@ def test_an_early_end_leaves_a_sealed_judged_recording_that_the_error_names(
 def test_a_link_that_dies_before_the_first_sample_leaves_an_empty_recording(
     tmp_path: Path, frames_until_armed: Any
 ) -> None:
-    bench = Bench(tmp_path, frame_fault(Kind.SILENCE, frames_until_armed))
+    bench = Bench(tmp_path, frame_fault(FaultKind.SILENCE, frames_until_armed))
     with pytest.raises(LinkLostError) as caught:
         bench.run(judge=judged)
     recording = open_recording(caught.value.recording)
@@ -524,7 +524,7 @@ def test_no_thread_and_no_descriptor_is_left(ending: str, tmp_path: Path, frames
     before = threads(), descriptors()
     faults = {
         "fault": Faults(device=(DeviceFault(40, Fault.ENCODER),)),
-        "unplug": frame_fault(Kind.UNPLUG, frames_until_armed + 40),
+        "unplug": frame_fault(FaultKind.UNPLUG, frames_until_armed + 40),
     }
     options = {
         "law": {"law": RAISING},

@@ -19,7 +19,7 @@ from rig.core.errors import PlanError
 from rig.experiments import zwidth as maps
 from rig.experiments.hit_simulator import HitSimulator
 from rig.experiments.maps import zwidth
-from rig.experiments.searches import Search
+from rig.experiments.searches import StiffnessSearch
 from rig.experiments.zwidth import MapPlan, ZWidth
 
 SHORT = {"trial.duration_s": 0.4, "verdict.tail_s": 0.1, "homing.settle_s": 0.02}
@@ -49,7 +49,7 @@ def planned(**changes: Any) -> Any:
         "experiment": config.override(presets.load("koul-compliant"), SHORT),
         "schemes": (DUAL, UNIFORM),
         "dampings": (0.0, 0.5),
-        "search": Search(lowest=5.0, highest=300.0, ratio=2.0),
+        "search": StiffnessSearch(lowest=5.0, highest=300.0, ratio=2.0),
         "repeats": 2,
     }
     return MapPlan(**{**given, **changes})
@@ -127,7 +127,9 @@ def test_without_friction_and_quantum_the_limit_is_that_of_the_linear_theory(
             experiment=experiment,
             schemes=(of,),
             dampings=(damping,),
-            search=Search(way="bisection", lowest=0.7 * expected, highest=1.3 * expected, ratio=1.02),
+            search=StiffnessSearch(
+                way="bisection", lowest=0.7 * expected, highest=1.3 * expected, ratio=1.02
+            ),
             offsets=(0.1,),
         )
     )

@@ -26,9 +26,9 @@ from rig.experiments.hit import HitResult
 from rig.experiments.hit_simulator import HitSimulator
 from rig.experiments.maps import zwidth
 from rig.experiments.on_device import OnDevice
-from rig.experiments.searches import Search
+from rig.experiments.searches import StiffnessSearch
 from rig.experiments.zwidth import TRUE, MapPlan
-from rig.experiments.zwidth_rig import Session, cooling_s, zwidth_on_rig
+from rig.experiments.zwidth_rig import DeviceMap, cooling_s, zwidth_on_rig
 from rig.recording.reader import open_recording
 
 SHORT = {"trial.duration_s": 0.4, "verdict.tail_s": 0.1, "homing.settle_s": 0.02, "trial.release_s": 0.01}
@@ -40,7 +40,7 @@ def planned(changes: Any = None, **others: Any) -> Any:
     given = {
         "schemes": (Scheme.parse("dual:5k/1k"),),
         "dampings": (0.1, 0.4),
-        "search": Search(way="bisection", lowest=20.0, highest=450.0, ratio=4.7),
+        "search": StiffnessSearch(way="bisection", lowest=20.0, highest=450.0, ratio=4.7),
         "offsets": (OFFSET,),
         "judged": "recorded",
     }
@@ -55,7 +55,7 @@ class Person:
         self.asked, self.told, self.waited_s = [], [], []
 
     def session(self, directory: Any, url: str = "sim://", **others: Any) -> Any:
-        return Session(
+        return DeviceMap(
             where=OnDevice(url=url, recordings=directory / "hits", **others),
             agrees=self._agrees,
             report=lambda asked, done, valid: self.told.append(str(done.kind)),
@@ -76,7 +76,7 @@ def kinds(found: Any, suffix: str = "") -> Any:
 
 def test_over_the_byte_link_a_map_is_that_of_the_hits_without_bytes(tmp_path: Path) -> None:
     # Within homing's tolerance a hit without bytes starts where its seed says; the device starts where it is.
-    plan = planned(search=Search(way="bisection", lowest=20.0, highest=450.0, ratio=2.17))
+    plan = planned(search=StiffnessSearch(way="bisection", lowest=20.0, highest=450.0, ratio=2.17))
     person = Person()
     start = HitSimulator(plan.experiment).start
     found = zwidth_on_rig(plan, person.session(tmp_path, f"sim://?initial_position={start!r}"))
@@ -150,7 +150,7 @@ def test_ctrl_c_at_the_question_is_a_stop_like_any_other(tmp_path: Path) -> None
 
 def test_a_wall_that_throws_the_handle_out_fails_and_the_session_goes_on(tmp_path: Path) -> None:
     narrow = {"rig.limits.position_minimum": -0.02, "rig.limits.position_maximum": 0.05, "trial.effort": 0.3}
-    rungs = Search(lowest=38.0, highest=80.0, ratio=1.9)
+    rungs = StiffnessSearch(lowest=38.0, highest=80.0, ratio=1.9)
     plan = planned(narrow, schemes=(Scheme.parse("uniform:1k"),), dampings=(0.0, 0.01), search=rungs)
     person = Person()
     found = zwidth_on_rig(plan, person.session(tmp_path))
@@ -177,7 +177,7 @@ def test_a_hit_that_ended_for_want_of_time_is_repeated(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its device missed ticks in the middle of the push; the map is that of an undisturbed session."""
-    plan = planned(dampings=(0.1,), search=Search(lowest=100.0, highest=110.0, ratio=1.2))
+    plan = planned(dampings=(0.1,), search=StiffnessSearch(lowest=100.0, highest=110.0, ratio=1.2))
     undisturbed = zwidth_on_rig(plan, Person().session(tmp_path / "undisturbed"))
     (path,) = (tmp_path / "undisturbed" / "hits").glob("*.parquet")
     rows = open_recording(path).rows
@@ -214,7 +214,7 @@ def test_a_lost_link_ends_the_session(tmp_path: Path, monkeypatch: pytest.Monkey
 def test_a_hit_that_says_nothing_three_times_ends_the_session_with_the_reason(tmp_path: Path) -> None:
     # A slew limit that binds in every hit makes another wall of it.
     person = Person()
-    rungs = Search(lowest=400.0, highest=420.0, ratio=1.5)
+    rungs = StiffnessSearch(lowest=400.0, highest=420.0, ratio=1.5)
     plan = planned({"rig.limits.slew": 200.0}, dampings=(0.0,), search=rungs)
     with pytest.raises(RigError, match=r"3 hits at K = 400, B = 0 were invalid.*slew limit bound") as caught:
         zwidth_on_rig(plan, person.session(tmp_path))
@@ -299,7 +299,7 @@ def test_a_real_device_of_unverified_polarity_is_not_moved(tmp_path: Path, real_
             r"scheme uniform:20k.*asks for 20000 Hz, and the device runs at most at 8000 Hz.*`rate` 8000",
         ),
         (
-            {"search": Search(lowest=0.1, highest=10.0, ratio=2.0)},
+            {"search": StiffnessSearch(lowest=0.1, highest=10.0, ratio=2.0)},
             r"K from 0.1 to .*peak penetration.*window",
         ),
     ],

@@ -19,7 +19,7 @@ from rig.experiments.table_one import PAPER
 from rig.papers.chawda import parts as chawda_parts
 from rig.papers.chawda import reproduction as chawda
 from rig.papers.chawda import rules as chawda_rules
-from rig.papers.chawda.readings import Grid, Readings, bands, read
+from rig.papers.chawda.readings import ExcitationGrid, Readings, bands, read
 from rig.papers.chawda.rigs import (
     FULL,
     MAIN,
@@ -33,7 +33,7 @@ from rig.papers.chawda.rigs import (
     pushed_rig,
 )
 from rig.papers.parts import run_parts
-from rig.papers.rules import Status
+from rig.papers.rules import ClaimStatus
 
 # --- rules: every verdict can be reached ---------------------------------------------------------------------
 
@@ -44,9 +44,9 @@ def test_an_order_is_strict() -> None:
 
 
 def test_stiffer_means_more_than_a_rung_of_the_search() -> None:
-    assert chawda_rules.stiffer({"a": [1.2, 1.3]}).status is Status.REPRODUCED
-    assert chawda_rules.stiffer({"a": [1.2, 1.3]}, step=1.5).status is Status.NOT
-    assert chawda_rules.stiffer({"a": [0.9, 1.3, 1.3]}).status is Status.NOT  # softer somewhere
+    assert chawda_rules.stiffer({"a": [1.2, 1.3]}).status is ClaimStatus.REPRODUCED
+    assert chawda_rules.stiffer({"a": [1.2, 1.3]}, step=1.5).status is ClaimStatus.NOT
+    assert chawda_rules.stiffer({"a": [0.9, 1.3, 1.3]}).status is ClaimStatus.NOT  # softer somewhere
     assert chawda_rules.stiffer({"a": [1.2], "b": [1.0]}).verdict == "reproduced only with a"
 
 
@@ -62,15 +62,15 @@ def test_a_width_drops_where_it_stays_below_half_of_its_peak() -> None:
 
 def test_where_it_drops_is_compared_with_the_paper_within_a_quarter() -> None:
     found = chawda_rules.drops_at({"a": (300.0, 250.0), "b": (math.inf, 250.0)}, [100.0, math.inf])
-    assert found.status is Status.NOT  # a claim about each of them
+    assert found.status is ClaimStatus.NOT  # a claim about each of them
     assert (found["finite"], found["beyond"]) == ([100.0], 1)
-    assert chawda_rules.drops_at({"a": (600.0, 250.0)}, [math.inf]).status is Status.NOT
+    assert chawda_rules.drops_at({"a": (600.0, 250.0)}, [math.inf]).status is ClaimStatus.NOT
 
 
 def test_limited_means_clearly_less() -> None:
-    assert chawda_rules.limited({"a": 20.0}, 100.0).status is Status.REPRODUCED
-    assert chawda_rules.limited({"a": 20.0, "b": 100.0}, 100.0).status is Status.NOT
-    assert chawda_rules.limited({"a": 90.0}, 100.0).status is Status.NOT
+    assert chawda_rules.limited({"a": 20.0}, 100.0).status is ClaimStatus.REPRODUCED
+    assert chawda_rules.limited({"a": 20.0, "b": 100.0}, 100.0).status is ClaimStatus.NOT
+    assert chawda_rules.limited({"a": 90.0}, 100.0).status is ClaimStatus.NOT
 
 
 def test_table_one_wants_every_number_near() -> None:
@@ -82,25 +82,25 @@ def test_table_one_wants_every_number_near() -> None:
 
 
 def test_wider_lower_larger_and_controlled() -> None:
-    assert chawda_rules.wider({"a": 2.0}).status is Status.REPRODUCED
-    assert chawda_rules.wider({"a": 2.0, "b": 0.4}).status is Status.NOT
-    assert chawda_rules.wider({"a": 1.25}, step=1.2).status is Status.NOT  # less than half a rung
-    assert chawda_rules.lower({("a", 100.0): [0.1, 0.08]}).status is Status.REPRODUCED
-    assert chawda_rules.lower({("a", 100.0): [0.1, -0.01]}).status is Status.NOT
-    assert chawda_rules.lower({}).status is Status.NOT
+    assert chawda_rules.wider({"a": 2.0}).status is ClaimStatus.REPRODUCED
+    assert chawda_rules.wider({"a": 2.0, "b": 0.4}).status is ClaimStatus.NOT
+    assert chawda_rules.wider({"a": 1.25}, step=1.2).status is ClaimStatus.NOT  # less than half a rung
+    assert chawda_rules.lower({("a", 100.0): [0.1, 0.08]}).status is ClaimStatus.REPRODUCED
+    assert chawda_rules.lower({("a", 100.0): [0.1, -0.01]}).status is ClaimStatus.NOT
+    assert chawda_rules.lower({}).status is ClaimStatus.NOT
     bands = {("a", 100.0): [0.1], ("b", 100.0): [0.1], ("a", 200.0): [0.1], ("b", 200.0): [0.0]}
     assert chawda_rules.lower(bands).verdict == "reproduced only with a band up to 100 Hz"
-    assert chawda_rules.mostly_larger({"a": (9, 10)}).status is Status.REPRODUCED
-    assert chawda_rules.mostly_larger({"a": (9, 10), "b": (1, 10)}).status is Status.NOT
-    assert chawda_rules.mostly_larger({"a": (0, 0), "b": (1, 10)}).status is Status.NOT
-    assert chawda_rules.controlled({"a": 26.3e3}, 26.4e3).status is Status.REPRODUCED
-    assert chawda_rules.controlled({"a": 20e3}, 26.4e3).status is Status.NOT
+    assert chawda_rules.mostly_larger({"a": (9, 10)}).status is ClaimStatus.REPRODUCED
+    assert chawda_rules.mostly_larger({"a": (9, 10), "b": (1, 10)}).status is ClaimStatus.NOT
+    assert chawda_rules.mostly_larger({"a": (0, 0), "b": (1, 10)}).status is ClaimStatus.NOT
+    assert chawda_rules.controlled({"a": 26.3e3}, 26.4e3).status is ClaimStatus.REPRODUCED
+    assert chawda_rules.controlled({"a": 20e3}, 26.4e3).status is ClaimStatus.NOT
 
 
 def test_a_search_is_judged_by_where_it_ends() -> None:
-    assert chawda_rules.traced(0, 0, 0, 20).status is Status.REPRODUCED
-    assert chawda_rules.traced(5, 0, 0, 20).status is Status.NOT
-    assert chawda_rules.traced(5, 5, 10, 20).status is Status.NOT
+    assert chawda_rules.traced(0, 0, 0, 20).status is ClaimStatus.REPRODUCED
+    assert chawda_rules.traced(5, 0, 0, 20).status is ClaimStatus.NOT
+    assert chawda_rules.traced(5, 5, 10, 20).status is ClaimStatus.NOT
 
 
 # --- readings --------------------------------------------------------------------------------------------------
@@ -145,7 +145,7 @@ def test_the_main_reading_is_what_an_impedance_is_judged_by_when_nobody_says_oth
     assert len(bands(READINGS)) == 24
 
 
-def _grid(**changes: object) -> Grid:
+def _grid(**changes: object) -> ExcitationGrid:
     rig = config.override(
         excited_rig(QUICK),
         {"excitation.realisations": 4, "excitation.periods": 2, "excitation.settle_periods": 1},
@@ -155,7 +155,7 @@ def _grid(**changes: object) -> Grid:
         "experiment": rig, "schemes": (SCHEMES["FDM+filter"], SCHEMES["Levant"]), "stiffnesses": (5e3, 2e4, 9e5),
         "dampings": (10.0, 60.0), "readings": READINGS, "measurements": 2,
     }  # fmt: skip
-    return Grid(**(whole | changes))  # type: ignore[arg-type]
+    return ExcitationGrid(**(whole | changes))  # type: ignore[arg-type]
 
 
 def test_readings_are_the_same_whoever_excites() -> None:

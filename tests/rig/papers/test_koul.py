@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.analysis import theory
-from rig.experiments.searches import Search
+from rig.experiments.searches import StiffnessSearch
 from rig.experiments.zwidth import MapPlan, ZWidth
 from rig.papers.koul import ideas as koul_ideas
 from rig.papers.koul import parts as koul_parts
@@ -19,7 +19,7 @@ from rig.papers.koul import rules as koul_rules
 from rig.papers.koul import ways as koul_ways
 from rig.papers.koul.rigs import DUAL, FULL, HELD, MAIN, QUICK, SCHEMES, SLOW
 from rig.papers.parts import part, run_parts
-from rig.papers.rules import Status, each, judge, judge_settable, judge_share, within
+from rig.papers.rules import ClaimStatus, each, judge, judge_settable, judge_share, within
 
 RATES = (1000, 2000, 20_000, 50_000)
 FITTED, UNFITTED = "fitted", "unfitted"
@@ -33,8 +33,8 @@ def test_a_claim_holds_in_all_cases_or_under_a_condition_that_somebody_can_set()
     assert judge({"a": True, "b": False, "c": True}).verdict == "not reproduced"  # nobody sets a case
     assert judge({"a": True, "b": False}, conditions=each("ab")).verdict == "reproduced only with a"
     assert judge({"a": False, "b": False}, conditions=each("ab")).verdict == "not reproduced"
-    assert judge({"a": True, "b": False}, decisive=["a"]).status is Status.REPRODUCED
-    assert judge({}).status is Status.NOT  # what was not tried is not confirmed
+    assert judge({"a": True, "b": False}, decisive=["a"]).status is ClaimStatus.REPRODUCED
+    assert judge({}).status is ClaimStatus.NOT  # what was not tried is not confirmed
     assert judge({"a": False}).only(lag=True)["lag"] is True
 
 
@@ -43,37 +43,41 @@ def test_a_condition_is_named_when_every_case_under_it_held(cases: dict[tuple[st
     found = judge_settable(cases, [1])
     held = {word for word in "xyz" if (of := [h for case, h in cases.items() if case[1] == word]) and all(of)}
     assert set(found.sufficient) == held
-    expected = Status.REPRODUCED if all(cases.values()) else Status.ONLY_WITH if held else Status.NOT
+    expected = (
+        ClaimStatus.REPRODUCED if all(cases.values()) else ClaimStatus.ONLY_WITH if held else ClaimStatus.NOT
+    )
     assert found.status is expected
 
 
 def test_a_claim_about_readings_needs_most_of_them() -> None:
-    assert judge_share(95, 100).status is Status.REPRODUCED
-    assert judge_share(5, 100).status is judge_share(89, 100).status is Status.NOT
+    assert judge_share(95, 100).status is ClaimStatus.REPRODUCED
+    assert judge_share(5, 100).status is judge_share(89, 100).status is ClaimStatus.NOT
     assert judge_share(5, 100)["share"] == 0.05
-    assert judge_share(0, 100).status is Status.NOT
-    assert judge_share(0, 0).status is Status.NOT  # nothing was held anywhere
+    assert judge_share(0, 100).status is ClaimStatus.NOT
+    assert judge_share(0, 0).status is ClaimStatus.NOT  # nothing was held anywhere
 
 
 def test_rising_wants_every_rate_and_the_whole_way() -> None:
     up, flat, dip = [100, 200, 600, 700], [100, 400, 600, 700], [100, 50, 600, 700]
-    assert koul_rules.rises({"a": up}, RATES).status is Status.REPRODUCED
-    assert koul_rules.rises({"a": flat}, RATES).status is Status.NOT
-    assert koul_rules.rises({"a": dip}, RATES).status is Status.NOT
-    assert koul_rules.rises({"a": up, "b": flat}, RATES).status is Status.NOT
+    assert koul_rules.rises({"a": up}, RATES).status is ClaimStatus.REPRODUCED
+    assert koul_rules.rises({"a": flat}, RATES).status is ClaimStatus.NOT
+    assert koul_rules.rises({"a": dip}, RATES).status is ClaimStatus.NOT
+    assert koul_rules.rises({"a": up, "b": flat}, RATES).status is ClaimStatus.NOT
     slightly = [100, 90, 600, 700]
-    assert koul_rules.rises({"a": slightly}, RATES).status is Status.NOT
-    assert koul_rules.rises({"a": slightly}, RATES, step=1.15).status is Status.REPRODUCED  # less than a rung
+    assert koul_rules.rises({"a": slightly}, RATES).status is ClaimStatus.NOT
+    assert (
+        koul_rules.rises({"a": slightly}, RATES, step=1.15).status is ClaimStatus.REPRODUCED
+    )  # less than a rung
 
 
 def test_levelling_off_needs_the_lag_when_the_control_goes_on_rising() -> None:
     found = koul_rules.levels_off({"a": 1.2}, {"a": 2.0})
-    assert found.status is Status.ONLY_WITH
+    assert found.status is ClaimStatus.ONLY_WITH
     assert found["lag"]
     assert koul_rules.levels_off({"a": 1.2}, {"a": None})["lag"]  # beyond the search
-    assert koul_rules.levels_off({"a": 1.2}, {"a": 1.1}).status is Status.REPRODUCED
-    assert koul_rules.levels_off({"a": 1.9}, {"a": 2.0}).status is Status.NOT
-    assert koul_rules.levels_off({"a": None}, {"a": 2.0}).status is Status.NOT  # a cap shows no level
+    assert koul_rules.levels_off({"a": 1.2}, {"a": 1.1}).status is ClaimStatus.REPRODUCED
+    assert koul_rules.levels_off({"a": 1.9}, {"a": 2.0}).status is ClaimStatus.NOT
+    assert koul_rules.levels_off({"a": None}, {"a": 2.0}).status is ClaimStatus.NOT  # a cap shows no level
 
 
 def test_a_number_is_confirmed_by_the_rig_that_is_not_fitted() -> None:
@@ -88,16 +92,16 @@ def test_a_number_is_confirmed_by_the_rig_that_is_not_fitted() -> None:
 
 
 def test_equal_ranges_are_equal_in_every_case() -> None:
-    assert koul_rules.same({"a": 1.05}, {"a": 1.0}).status is Status.REPRODUCED
+    assert koul_rules.same({"a": 1.05}, {"a": 1.0}).status is ClaimStatus.REPRODUCED
     assert koul_rules.same({"a": 1.5, "b": 1.0}, {"a": 1.0}).failed == ["a"]
-    assert koul_rules.same({"a": 1.12}, {"a": 1.0}, step=1.1).status is Status.REPRODUCED  # a rung more
-    assert koul_rules.same({"a": 2.0}, {"a": 1.2}).status is Status.NOT
+    assert koul_rules.same({"a": 1.12}, {"a": 1.0}, step=1.1).status is ClaimStatus.REPRODUCED  # a rung more
+    assert koul_rules.same({"a": 2.0}, {"a": 1.2}).status is ClaimStatus.NOT
 
 
 def test_equal_ranges_of_random_plants_want_most_of_them() -> None:
     same, other = (2.0, 2.0), (2.0, 1.0)
-    assert koul_rules.same_of_plants([same] * 19 + [other]).status is Status.REPRODUCED
-    assert koul_rules.same_of_plants([same] * 10 + [other] * 10).status is Status.NOT
+    assert koul_rules.same_of_plants([same] * 19 + [other]).status is ClaimStatus.REPRODUCED
+    assert koul_rules.same_of_plants([same] * 10 + [other] * 10).status is ClaimStatus.NOT
     assert koul_rules.same_of_plants([same, other])["count"] == 1
 
 
@@ -111,8 +115,8 @@ def test_half_is_half_and_not_less() -> None:
     assert judged(a=7.6) == "not reproduced"
     assert judged(a=0.7) == "not reproduced"
     assert judged(1.2, a=0.7) == "reproduced"  # within a step of its search
-    assert koul_rules.half_of_plants([(0.5, 1.0)] * 10).status is Status.REPRODUCED
-    assert koul_rules.half_of_plants([(0.5, 1.0), (7.0, 1.0)]).status is Status.NOT
+    assert koul_rules.half_of_plants([(0.5, 1.0)] * 10).status is ClaimStatus.REPRODUCED
+    assert koul_rules.half_of_plants([(0.5, 1.0), (7.0, 1.0)]).status is ClaimStatus.NOT
 
 
 def test_a_peak_is_higher_by_more_than_rounding() -> None:
@@ -120,13 +124,13 @@ def test_a_peak_is_higher_by_more_than_rounding() -> None:
         ("rigid", "normal hand", cutoff, criterion)
         for cutoff, criterion in (("1 kHz", "felt"), ("1 kHz", "any"), ("2 kHz", "any"))
     )
-    assert koul_rules.higher_peak({one: 1.4}).status is Status.REPRODUCED
+    assert koul_rules.higher_peak({one: 1.4}).status is ClaimStatus.REPRODUCED
     found = koul_rules.higher_peak({one: 1.4, other: 0.9, third: 0.9})
-    assert found.status is Status.NOT
+    assert found.status is ClaimStatus.NOT
     assert found["groups"] == [("rigid, 1 kHz", 1, 2), ("rigid, 2 kHz", 0, 1)]
     assert koul_rules.higher_peak({one: 1.4, other: 1.4, third: 0.9}).verdict.endswith("only with 1 kHz")
-    assert koul_rules.higher_peak({one: 1.01}).status is Status.NOT
-    assert koul_rules.higher_peak({one: 1.1}, step=1.35).status is Status.NOT  # less than half a rung
+    assert koul_rules.higher_peak({one: 1.01}).status is ClaimStatus.NOT
+    assert koul_rules.higher_peak({one: 1.1}, step=1.35).status is ClaimStatus.NOT  # less than half a rung
 
 
 FALLS = [(0.0, 500.0), (0.01, 500.0), (1.0, 400.0), (2.0, 100.0), (3.0, 0.0)]
@@ -155,24 +159,24 @@ def test_stiffness_rises_to_a_peak() -> None:
 
 
 def test_penetration_with_dual_rate_is_clearly_the_lowest() -> None:
-    assert koul_rules.lower_penetration({"a": (57, 40, 29)}).status is Status.REPRODUCED
+    assert koul_rules.lower_penetration({"a": (57, 40, 29)}).status is ClaimStatus.REPRODUCED
     some = {"20 kHz, float": (57, 30, 28), "20 kHz, fixed": (57, 57, 29), "10 kHz, fixed": (57, 40, 29)}
     assert koul_rules.lower_penetration(some).verdict == "reproduced only with fixed"
-    assert koul_rules.lower_penetration({"a": (57, 30, 28)}).status is Status.NOT
-    assert koul_rules.like_none({"a": (57, 57, 29)}).status is Status.REPRODUCED
-    assert koul_rules.like_none({"a": (57, 30, 29)}).status is Status.NOT
+    assert koul_rules.lower_penetration({"a": (57, 30, 28)}).status is ClaimStatus.NOT
+    assert koul_rules.like_none({"a": (57, 57, 29)}).status is ClaimStatus.REPRODUCED
+    assert koul_rules.like_none({"a": (57, 30, 29)}).status is ClaimStatus.NOT
 
 
 def test_noise_and_null_readings_are_about_the_rate() -> None:
-    assert koul_rules.noisier({"a": 0.5}, 0.1).status is Status.REPRODUCED
+    assert koul_rules.noisier({"a": 0.5}, 0.1).status is ClaimStatus.REPRODUCED
     assert koul_rules.noisier({"a": 0.5, "b": 0.1}, 0.1).verdict == "reproduced only with a"
-    assert koul_rules.noisier({"a": 0.1}, 0.1).status is Status.NOT
-    assert koul_rules.null_late({"a": (0.0, 0.9)}).status is Status.REPRODUCED
-    assert koul_rules.null_late({"a": (0.0, 0.0)}).status is Status.NOT  # null at 2 kHz as well
-    assert koul_rules.null_late({"a": (1.2, 1.0)}).status is Status.NOT
-    assert koul_rules.null_late_only({"a": (0.9, 0.1)}).status is Status.REPRODUCED
+    assert koul_rules.noisier({"a": 0.1}, 0.1).status is ClaimStatus.NOT
+    assert koul_rules.null_late({"a": (0.0, 0.9)}).status is ClaimStatus.REPRODUCED
+    assert koul_rules.null_late({"a": (0.0, 0.0)}).status is ClaimStatus.NOT  # null at 2 kHz as well
+    assert koul_rules.null_late({"a": (1.2, 1.0)}).status is ClaimStatus.NOT
+    assert koul_rules.null_late_only({"a": (0.9, 0.1)}).status is ClaimStatus.REPRODUCED
     assert koul_rules.null_late_only({"a": (0.9, 0.1), "b": (0.0, 0.0)}).verdict == "reproduced only with a"
-    assert koul_rules.null_late_only({"a": (0.0, 0.0)}).status is Status.NOT  # never seen
+    assert koul_rules.null_late_only({"a": (0.0, 0.0)}).status is ClaimStatus.NOT  # never seen
 
 
 # --- pieces ----------------------------------------------------------------------------------------------------
@@ -216,7 +220,7 @@ def test_what_is_not_linear_has_no_linear_limits() -> None:
 
 
 def test_a_grid_tells_what_ladder_and_bisection_would_have_said() -> None:
-    search = Search(way="grid", lowest=1.0, highest=64.0, ratio=2.0)
+    search = StiffnessSearch(way="grid", lowest=1.0, highest=64.0, ratio=2.0)
     plan = MapPlan(
         experiment=MAIN[0].experiment(),
         schemes=(SCHEMES[DUAL],),
@@ -236,7 +240,7 @@ def test_a_grid_tells_what_ladder_and_bisection_would_have_said() -> None:
 def test_ranges_are_the_same_whoever_computes_them() -> None:
     """One part of each cheap kind, by one worker and by two: equal in every bit."""
     held = HELD[0].experiment()
-    search = Search(way="bisection", lowest=0.05, highest=6.0, ratio=1.3)
+    search = StiffnessSearch(way="bisection", lowest=0.05, highest=6.0, ratio=1.3)
     schemes = (SCHEMES[DUAL], SCHEMES[SLOW])
     tasks = koul_parts.range_tasks(held, schemes, (0.1,), stiffness=50.0, search=search, weight=1.0)
     plants = {"schemes": [s.text for s in schemes], "numbers": [0, 1], "seed": 3, "islands": [0, 1]}

@@ -23,7 +23,7 @@ from rig.papers.claims import read_claims
 from rig.papers.koul.reproduction import KOUL
 from rig.papers.parts import Part, Parts
 from rig.papers.reproduction import Paper, Reproduction, draw_into, render, write_report
-from rig.papers.rules import Ruling, Status
+from rig.papers.rules import ClaimStatus, Ruling
 from rig.views.report import template, writing
 from tests.conformance.sweep_work import raise_as_given
 
@@ -111,7 +111,7 @@ def paper(**words: Any) -> Paper:
         plan=lambda _: pytest.fail("nothing is computed"),
         rulings=lambda _: {
             f"c{number}": Ruling(status=status, cases={"a": True}, numbers={"ours": 1.5})
-            for number, status in enumerate(Status)
+            for number, status in enumerate(ClaimStatus)
         },
         words=lambda _: {"nasty": NASTY, **words},
         numbers=lambda _: {"a": float("nan"), "b": [1.5, NASTY]},
@@ -150,11 +150,11 @@ def test_a_claim_has_the_words_of_its_template_and_the_verdict_of_its_rule(templ
 def test_a_ruling_without_words_and_words_without_a_number_are_errors(templates: None) -> None:
     made = paper()
     name, words = made.template(reproduction.CLAIMS), made.words(None)
-    nothing = Ruling(status=Status.NOT, cases={}, numbers={})
+    nothing = Ruling(status=ClaimStatus.NOT, cases={}, numbers={})
     with pytest.raises(UndefinedError, match="ours"):
         read_claims(name, {"c0": nothing}, words)
     with pytest.raises(KeyError, match="c7"):
-        read_claims(name, {"c7": Ruling(status=Status.NOT, cases={}, numbers={"ours": 1.0})}, words)
+        read_claims(name, {"c7": Ruling(status=ClaimStatus.NOT, cases={}, numbers={"ours": 1.0})}, words)
 
 
 # --- what stands in templates ----------------------------------------------------------------------------------------

@@ -13,7 +13,7 @@ from numba import types
 
 from rig.config import controller, presets
 from rig.loop import host
-from rig.loop.layout import SETTINGS, Buffers, Shared
+from rig.loop.layout import SETTINGS, Buffers, SharedRing
 from rig.realtime.groups import Address, Floats, Int, group, type_of
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import LAW_SIGNATURE, LawPlug
@@ -107,7 +107,7 @@ def test_two_arguments_of_the_loop_in_each_others_place_are_refused() -> None:
     """A controller where the port belongs, buffers where the ring belongs."""
     link = MemoryLink(SimulatedDevice(rotary_rig()))
     law = controller.for_experiment(presets.load("koul-compliant"), current_quantum_a=0.001).arguments()
-    shared = Shared(words=0, mailbox=0, rows=np.zeros(1, np.int64))
+    shared = SharedRing(words=0, mailbox=0, rows=np.zeros(1, np.int64))
     right = [link.port(), law, shared, np.zeros(1, SETTINGS), Buffers.allocate()]
     for one, other in ((0, 1), (2, 4)):
         swapped = list(right)

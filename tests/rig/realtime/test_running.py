@@ -17,7 +17,7 @@ from rig import __main__ as start
 from rig.core.errors import ConfigError, RigError
 from rig.realtime import ring as words
 from rig.realtime import running
-from rig.realtime.memories import Memory
+from rig.realtime.memories import LoopMemory
 from rig.realtime.ring import Ring
 from tests.conformance.running_loop import loop_process
 
@@ -258,12 +258,12 @@ def test_nothing_else_stops_a_loop(words_of_it: list[str]) -> None:
 def test_a_loop_that_ends_while_it_is_being_stopped_was_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
     """It may do so before anybody looks again: that is no reason to say that none ran."""
     with Ring.allocate(1, info=INFO, shared=True) as ring:
-        asked = Memory.ask_to_stop
+        asked = LoopMemory.ask_to_stop
 
-        def at_once(other: Memory) -> None:
+        def at_once(other: LoopMemory) -> None:
             asked(other)
             ring.put(words.LOOP_DONE, 1)
 
-        monkeypatch.setattr(Memory, "ask_to_stop", at_once)
+        monkeypatch.setattr(LoopMemory, "ask_to_stop", at_once)
         (stopped,) = running.stop(os.getpid(), patience_s=1)
         assert stopped.ended

@@ -644,6 +644,6 @@ def test_locked_mappings_are_read_from_smaps() -> None:
         """
     )
     assert memory.locked_ranges(smaps) == [
-        memory.Range(0x7F00, 0x7F10, True),
-        memory.Range(0x7F20, 0x7F30, False),
+        memory.LockedRange(0x7F00, 0x7F10, True),
+        memory.LockedRange(0x7F20, 0x7F30, False),
     ]

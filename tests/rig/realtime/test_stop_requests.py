@@ -16,7 +16,7 @@ import pytest
 
 from rig.core.errors import StoppedError
 from rig.realtime import stop_requests
-from rig.realtime.stop_requests import STOPPING, Series
+from rig.realtime.stop_requests import STOPPING, RunSeries
 
 pytestmark = pytest.mark.signals
 
@@ -49,11 +49,13 @@ def unchanged() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def in_a_thread(context: Callable[[], Any], during: Callable[[Series], object] = lambda series: None) -> Any:
+def in_a_thread(
+    context: Callable[[], Any], during: Callable[[RunSeries], object] = lambda series: None
+) -> Any:
     """Enter a context of another thread while this lasts; yields its series."""
 
     @contextmanager
-    def entered() -> Iterator[Series]:
+    def entered() -> Iterator[RunSeries]:
         ready, leave, found = threading.Event(), threading.Event(), []
 
         def body() -> None:

@@ -23,7 +23,7 @@ from rig.console.client import Client
 from rig.console.jobs import Job, Jobs
 from rig.console.lease import Lease
 from rig.console.requests import request_of
-from rig.console.service import LATER, Shared
+from rig.console.service import LATER, ServiceContext
 from rig.console.session_desk import PageDesk
 from rig.console.sessions import JOB, Sessions
 from rig.console.talk import Talk
@@ -209,7 +209,9 @@ class AtPage(Place):
         self.job, self.line_ = FakeJob(self), Line(self)
         self.jobs = FakeJobs(self.job)
         pages, screens = (cast("set[Client]", {one}) for one in (self.client, self.participant))
-        self.shared = Shared(pages, Lease(), cast("Jobs", self.jobs), Path(), Here(), participants=screens)
+        self.shared = ServiceContext(
+            pages, Lease(), cast("Jobs", self.jobs), Path(), Here(), participants=screens
+        )
         self.service = Sessions(self.shared, self.hand, Consents(), verified=False)
         try:
             self.ask("session", protocol="a.toml", code="P01", hand=hand[0] if hand else "simulated")

@@ -18,15 +18,15 @@ from rig.core.errors import RigError
 from rig.experiments.pulse import Pulse
 from rig.recording.files import whole_file
 from rig.session.conduct import conduct
-from rig.session.desk import Desk, Question, Reply, View
+from rig.session.desk import Desk, DeskView, Question, Reply
 from rig.session.directory import Session, begin
 from rig.session.load import protocol_from_mapping
 from rig.session.log import Event
 from rig.session.protocol import Protocol
 from rig.session.rehearsal import Day, Person, RehearsalDesk
-from rig.session.runner import Done, RefusedWalls, Wall
-from rig.session.state import BOOKKEEPING, State
-from rig.session.trial import Hit
+from rig.session.runner import Done, RefusedWalls, SessionWall
+from rig.session.state import BOOKKEEPING, SessionState
+from rig.session.trial import HitOutcome
 
 TRUE_LIMIT = 430.0
 TEXT = b"# as it was\n"  # of the protocol's file
@@ -65,7 +65,7 @@ def started(directory: Path, protocol: Protocol | None = None) -> Session:
     )  # fmt: skip
 
 
-def rehearsed(session: Session, runner: FakeRunner, person: Person) -> State:
+def rehearsed(session: Session, runner: FakeRunner, person: Person) -> SessionState:
     """Conduct a session on its own day with a simulated person."""
     assert isinstance(session.clock, Day)
     with session:
@@ -94,7 +94,7 @@ class FakeRunner:
     def facts(self, experiment: Experiment, changes: Mapping[str, Any]) -> dict[str, Any]:
         return {"url": "fake://", "device": experiment.rig.name, "firmware": "none", "simulated": True}
 
-    def refusals(self, walls: Sequence[Wall]) -> Sequence[RefusedWalls]:
+    def refusals(self, walls: Sequence[SessionWall]) -> Sequence[RefusedWalls]:
         return ()
 
     def pace(self, experiment: Experiment, changes: Mapping[str, Any]) -> Pace | None:
@@ -155,7 +155,7 @@ class FakeRunner:
             "heat": heat + self.heat_of_a_hit,
         }
         changed, error = self.fails.get(number, ({}, None))
-        return Done(Hit(**{**content, **changed}), error, 1.5)
+        return Done(HitOutcome(**{**content, **changed}), error, 1.5)
 
     def close(self) -> None:
         pass
@@ -175,10 +175,10 @@ class ScriptedDesk(Desk):
 
     def __init__(self, answer: Callable[[Question], Reply | None] = lambda question: None) -> None:
         self.answer = answer
-        self.views: list[View] = []
+        self.views: list[DeskView] = []
         self.questions: list[Question] = []
 
-    def show(self, view: View) -> None:
+    def show(self, view: DeskView) -> None:
         self.views.append(view)
 
     def ask(self, question: Question) -> Reply:

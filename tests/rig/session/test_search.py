@@ -17,7 +17,7 @@ from scipy.optimize import brentq
 
 from rig.core.errors import ConfigError
 from rig.session import search
-from rig.session.search import Answer, psychometric
+from rig.session.search import JudgedProbe, psychometric
 from rig.session.search.catching import CatchTrials
 from rig.session.search.interleaved import Interleaved
 from rig.session.search.observer import Observer, performance, run
@@ -63,13 +63,13 @@ def test_the_same_answers_always_lead_to_the_same_probe(rule: Any) -> None:
 @settings(max_examples=15, deadline=None)
 @given(verdicts=st.binary(min_size=50, max_size=50))
 def test_whatever_is_answered_it_ends_on_its_levels(rule: Any, verdicts: bytes) -> None:
-    answers: list[Answer] = []
+    answers: list[JudgedProbe] = []
     for verdict in np.unpackbits(np.frombuffer(verdicts, np.uint8)).astype(bool).tolist():
         probe = rule.next(answers)
         if probe is None:
             break
         assert probe.level in LEVELS
-        answers.append(Answer(probe, verdict))
+        answers.append(JudgedProbe(probe, verdict))
     estimate = rule.estimate(answers)
     assert estimate.hits == len(answers)
     assert estimate.low <= estimate.high
@@ -81,9 +81,9 @@ def test_whatever_is_answered_it_ends_on_its_levels(rule: Any, verdicts: bytes) 
 def test_a_verdict_that_says_nothing_is_asked_again_and_changes_nothing(rule: Any) -> None:
     answers = run(rule, SHARP, seed=2)[:5]
     probe = rule.next(answers)
-    empty = [*answers, Answer(probe, None)]
+    empty = [*answers, JudgedProbe(probe, None)]
     assert rule.next(empty).level == probe.level
-    assert rule.next([*empty, Answer(probe, True)]) == rule.next([*answers, Answer(probe, True)])
+    assert rule.next([*empty, JudgedProbe(probe, True)]) == rule.next([*answers, JudgedProbe(probe, True)])
     assert rule.estimate(empty).value == pytest.approx(rule.estimate(answers).value, nan_ok=True)
 
 
@@ -106,7 +106,7 @@ def test_a_limit_beyond_the_levels_is_said_to_lie_there_also_after_a_slip(name: 
     ):
         answers = run(RULES[name], observer, seed=2)
         place = 12 if name == "psi" else next(n for n, a in enumerate(answers) if a.probe.level == 300.0)
-        slip = [*answers[:place], Answer(answers[place].probe, side == "below"), *answers[place + 1 :]]
+        slip = [*answers[:place], JudgedProbe(answers[place].probe, side == "below"), *answers[place + 1 :]]
         estimate = RULES[name].estimate(slip)
         assert (estimate.censored, estimate.value) == (side, end)
         assert math.isinf(estimate.high) if side == "above" else estimate.low == 0.0
@@ -114,7 +114,7 @@ def test_a_limit_beyond_the_levels_is_said_to_lie_there_also_after_a_slip(name: 
 
 def test_walls_that_all_held_tell_no_more_than_the_stiffest_of_them() -> None:
     """A search that was left early has not been at the end of its levels."""
-    answers = [Answer(search.Probe(level), True) for level in LEVELS[:8]]
+    answers = [JudgedProbe(search.Probe(level), True) for level in LEVELS[:8]]
     estimate = RULES["psi"].estimate(answers)
     assert (estimate.value, estimate.censored, estimate.high) == (LEVELS[7], "above", math.inf)
 
@@ -190,12 +190,12 @@ def test_a_staircase_that_had_no_time_for_its_turns_says_so(name: str, mark: str
 
 def test_the_ascending_rule_climbs_from_the_softest_wall_so_often() -> None:
     rule = search.make("ascending", levels=(10.0, 20.0, 30.0), repeats=2)
-    answers: list[Answer] = []
+    answers: list[JudgedProbe] = []
     asked = []
     for verdict in (True, True, False, False):
         probe = rule.next(answers)
         asked.append((probe.track, probe.level))
-        answers.append(Answer(probe, verdict))
+        answers.append(JudgedProbe(probe, verdict))
     assert asked == [(0, 10.0), (0, 20.0), (0, 30.0), (1, 10.0)]
     estimate = rule.estimate(answers)
     assert (estimate.value, estimate.censored) == (15.0, "")  # limits 20 and 10
@@ -205,10 +205,10 @@ def test_a_climb_that_fails_at_the_softest_wall_is_marked_and_bounds_no_other() 
     rule = search.make("ascending", levels=(10.0, 20.0, 30.0), repeats=3)
 
     def ascended(*verdicts: Any) -> Any:
-        answers: list[Answer] = []
+        answers: list[JudgedProbe] = []
         for verdict in verdicts:
             probe = rule.next(answers)
-            answers.append(Answer(probe, verdict))
+            answers.append(JudgedProbe(probe, verdict))
         return [one.censored for one in rule.series(answers)], rule.estimate(answers)
 
     marks, estimate = ascended(True, True, False, False, True, False)
@@ -270,9 +270,9 @@ def test_a_catch_trial_that_said_nothing_comes_again_and_so_does_any_other() -> 
     rule = catching(MAKE["1u1d"](seed=1))
     answers = []
     while (probe := rule.next(answers)) is not None and len(answers) < 200:
-        answers.append(Answer(probe, None))
+        answers.append(JudgedProbe(probe, None))
         assert rule.next(answers) == probe
-        answers[-1] = Answer(probe, probe.level < 430.0)
+        answers[-1] = JudgedProbe(probe, probe.level < 430.0)
     assert any(answer.probe.catch for answer in answers)
 
 

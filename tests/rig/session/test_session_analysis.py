@@ -23,7 +23,7 @@ from rig.config import as_mapping, presets
 from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError, RecordingError
 from rig.session.analysis import (
-    Options,
+    AnalysisOptions,
     StudyAnalysis,
     analyse,
     analyse_study,
@@ -314,7 +314,7 @@ def test_a_search_that_ended_by_most_is_marked_and_left_out_unless_asked_for(
     assert found.of_participants == found.paired == ()
     assert any("6 runs were ended by most, left out of K_max" in message for message in found.messages)
     assert found.counts()["of searches that ended by most"] == len(found.trials)
-    taken = analyse([tmp_path], Options(include_marked=True))
+    taken = analyse([tmp_path], AnalysisOptions(include_marked=True))
     assert {one.marked for one in taken.of_participants if one.measure == "rule"} <= {0, 1}
     assert any(one.marked for one in taken.over_participants)
     assert any("6 runs were ended by most, taken in" in message for message in taken.messages)
@@ -545,7 +545,7 @@ def test_recordings_that_are_gone_or_changed_are_said(tmp_path: Path) -> None:
     told = " ".join(found.messages)
     assert "1 recording is missing (trial 2)" in told
     assert "1 recording is changed (trial 3)" in told
-    unchecked = analyse([tmp_path], Options(hashes=False))
+    unchecked = analyse([tmp_path], AnalysisOptions(hashes=False))
     assert [trial.recorded for trial in unchecked.trials] == [
         "not checked",
         "missing",

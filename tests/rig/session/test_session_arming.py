@@ -29,7 +29,7 @@ from rig.session.hits import DeviceRunner
 from rig.session.log import read
 from rig.session.protocol import Protocol
 from rig.session.run import resume_session, run_session
-from rig.session.runner import RefusedWalls, Wall
+from rig.session.runner import RefusedWalls, SessionWall
 from rig.session.schedule import levels_of
 from rig.session.telling import line_of_event
 from tests.conformance.made_links import link
@@ -47,9 +47,9 @@ class RealRunner(FakeRunner):
     def __init__(self, *, arm_anyway: bool = False) -> None:
         super().__init__()
         self.arm_anyway = arm_anyway
-        self.asked: list[Wall] = []
+        self.asked: list[SessionWall] = []
 
-    def refusals(self, walls: Sequence[Wall]) -> Sequence[RefusedWalls]:
+    def refusals(self, walls: Sequence[SessionWall]) -> Sequence[RefusedWalls]:
         self.asked += walls
         by_search: dict[tuple[str, float], list[float]] = {}
         for wall in walls:

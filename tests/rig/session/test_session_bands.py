@@ -33,7 +33,7 @@ from rig.session.rehearsal import Person
 from rig.session.run import rehearsal_desk, run_session, summary
 from rig.session.simulated_hand import reach_for, simulated
 from rig.session.telling import outcome, whole_line
-from rig.session.trial import Hit
+from rig.session.trial import HitOutcome
 from rig.views.report.session_methods import methods
 from tests.rig.session.session_fakes import FakeRunner, ScriptedDesk, protocol_of, started, study
 
@@ -65,8 +65,8 @@ press = [0.17, 0.23]
 """
 
 
-def hit(automatic: str = "stable", **numbers: float | None) -> Hit:
-    return Hit(
+def hit(automatic: str = "stable", **numbers: float | None) -> HitOutcome:
+    return HitOutcome(
         recording="",
         sha256="",
         rows_sha256="",
@@ -100,7 +100,7 @@ def hit(automatic: str = "stable", **numbers: float | None) -> Hit:
     ],
 )
 def test_what_lies_outside_is_invalid_or_kept_as_the_protocol_says(
-    one: Hit, outside: tuple[str, ...]
+    one: HitOutcome, outside: tuple[str, ...]
 ) -> None:
     found = judged(one, BOTH, "rotary")
     assert found.outside == outside

@@ -26,7 +26,7 @@ from rig.devices.framed import FramedDevice
 from rig.recording.reader import open_recording
 from rig.session.analysis import read_study
 from rig.session.analysis.study import Study
-from rig.session.bids import Options, export_bids, label_of
+from rig.session.bids import BidsOptions, export_bids, label_of
 from rig.session.bids_motion import TYPES, channels, spans
 from rig.session.export import Exported, export_trials
 from sim_backend.device import SimulatedDevice
@@ -105,7 +105,7 @@ def study(tmp_path_factory: pytest.TempPathFactory, hit: Any) -> Any:
 @pytest.fixture(scope="module")
 def dataset(study: Any, tmp_path_factory: pytest.TempPathFactory) -> Any:
     out = tmp_path_factory.mktemp("out") / "bids"
-    found = export_bids(read_study([study]), out, Options(authors=("A. Author",), licence="CC0"))
+    found = export_bids(read_study([study]), out, BidsOptions(authors=("A. Author",), licence="CC0"))
     assert not found.left_out
     return out
 
@@ -273,7 +273,7 @@ def test_channels_have_types_components_and_units_of_the_standard(motion: str) -
 
 
 def test_less_can_be_kept_and_dates_can_be_moved(study: Any, tmp_path: Path, hit: Any) -> None:
-    export_bids(read_study([study / "P01"]), tmp_path / "bids", Options(every=3, shift_dates=True))
+    export_bids(read_study([study / "P01"]), tmp_path / "bids", BidsOptions(every=3, shift_dates=True))
     path = runs_of(tmp_path / "bids")[0]
     kept = np.loadtxt(path, delimiter="\t")
     np.testing.assert_array_equal(kept[:, 1], open_recording(hit).column("position")[::3])

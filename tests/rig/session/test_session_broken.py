@@ -16,7 +16,7 @@ from rig.loop.layout import EndReason
 from rig.session import hits
 from rig.session.clock import WallClock
 from rig.session.conduct import conduct
-from rig.session.desk import Desk, Question, Reply, View
+from rig.session.desk import Desk, DeskView, Question, Reply
 from rig.session.directory import LOG, Session, resume
 from rig.session.hits import DeviceRunner
 from rig.session.log import Event, read
@@ -65,7 +65,7 @@ class Breaks(Desk):
     def __init__(self, error: Exception) -> None:
         self.error = error
 
-    def show(self, view: View) -> None:
+    def show(self, view: DeskView) -> None:
         """Nobody looks."""
 
     def ask(self, question: Question) -> Reply:
@@ -141,7 +141,7 @@ class Attends(ScriptedDesk):
     def attend(self, session: Session) -> None:
         self.session = session
 
-    def show(self, view: View) -> None:
+    def show(self, view: DeskView) -> None:
         assert self.session is not None
         assert view.trial in (self.session.state.newest, self.session.state.newest + 1)
 

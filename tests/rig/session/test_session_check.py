@@ -27,7 +27,7 @@ from rig.session.conditions import Walls, base_of
 from rig.session.device_checks import device_checks
 from rig.session.directory import LOG
 from rig.session.disk import refuse_full_disk
-from rig.session.expected import Range, expected_trials
+from rig.session.expected import ExpectedRange, expected_trials
 from rig.session.hits import DeviceRunner
 from rig.session.load import as_mapping, load_protocol
 from rig.session.pace import pace_checks
@@ -274,14 +274,14 @@ def test_the_times_of_people_who_have_finished_replace_the_planned_ones(
 )
 def test_rules_of_fixed_length_take_that_many(rule: Any, settings: dict[str, Any], hits: int) -> None:
     search = Search(lowest=100.0, highest=900.0, step=100.0, rule=rule, settings=settings)
-    found = expected_trials(search, Range(200.0, 400.0, 600.0))
-    assert found.count == Range(hits, hits, hits)
+    found = expected_trials(search, ExpectedRange(200.0, 400.0, 600.0))
+    assert found.count == ExpectedRange(hits, hits, hits)
     assert 0 < found.failures.least < found.failures.most < hits
 
 
 def test_a_ladder_costs_more_the_higher_the_limit_lies() -> None:
     search = Search(lowest=100.0, highest=900.0, step=20.0, rule="ascending", settings={"repeats": 3})
-    low, high = (expected_trials(search, Range(k, k, k)).count.likely for k in (200.0, 600.0))
+    low, high = (expected_trials(search, ExpectedRange(k, k, k)).count.likely for k in (200.0, 600.0))
     assert 3 * 2 < low < 3 * 8 < high < 3 * 27
 
 

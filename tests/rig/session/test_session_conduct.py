@@ -29,7 +29,7 @@ from rig.session.hits import heat_after
 from rig.session.log import Event, read
 from rig.session.rehearsal import Day, Person
 from rig.session.run import row_of, summary
-from rig.session.state import BOOKKEEPING, State
+from rig.session.state import BOOKKEEPING, SessionState
 from rig.session.telling import line_of_event
 from tests.rig.session.session_fakes import (
     INVALID,
@@ -47,7 +47,7 @@ from tests.rig.session.session_fakes import (
 OFF = {"fastest_verdict_s": 0.0}
 
 
-def run_with(session: Session, runner: FakeRunner, desk: ScriptedDesk) -> State:
+def run_with(session: Session, runner: FakeRunner, desk: ScriptedDesk) -> SessionState:
     with session:
         return conduct(session, runner, desk)
 
@@ -470,7 +470,7 @@ def test_a_correction_is_an_event_of_its_own_and_changes_what_follows(tmp_path: 
     assert (tmp_path / "P01" / LOG).stat().st_size > size
     after = read(tmp_path / "P01" / LOG)
     assert after[: len(events)] == events
-    assert State.of(after).trials[0].verdict == "buzz"
+    assert SessionState.of(after).trials[0].verdict == "buzz"
 
 
 def test_a_trial_is_left_out_afterwards_and_taken_back(tmp_path: Path) -> None:
@@ -480,13 +480,13 @@ def test_a_trial_is_left_out_afterwards_and_taken_back(tmp_path: Path) -> None:
     assert (read(log)[number].kind, read(log)[number].content["trial"]) == ("trial", 3)
     written = amend(tmp_path / "P01", number, "void", "somebody bumped the table")
     assert line_of_event(written) == "trial 3 does not count (somebody bumped the table)"
-    after = State.of(read(log))
+    after = SessionState.of(read(log))
     assert [trial.trial for trial in after.trials if trial.void] == [3]
     run = next(run for block in after.blocks for run in block.runs if run.number == after.trials[2].run)
     assert len(after.heard(run)) == len(before.heard(run)) - 1
     assert after.ended == "complete"
     amend(tmp_path / "P01", number, "counts", "it was another table")
-    assert State.of(read(log)).trials == before.trials
+    assert SessionState.of(read(log)).trials == before.trials
 
 
 def test_a_trial_that_was_left_out_comes_again_when_the_session_goes_on(tmp_path: Path) -> None:
@@ -588,7 +588,7 @@ def test_a_corrected_verdict_never_leads_to_a_wall_that_nobody_has_come_near(
     for wrong in judged:
         value = "buzz" if wrong.content["verdict"] == "stable" else "stable"
         amendment = Event(len(events), events[-1].at, "amended", _amendment(wrong.number, value))
-        state = State.of([*events, amendment])
+        state = SessionState.of([*events, amendment])
         (run,) = state.blocks[0].runs
         probe = state.asks(run)
         heard = state.answers(run)
@@ -612,7 +612,7 @@ def test_a_correction_of_an_answer_is_checked_like_an_answer(tmp_path: Path) -> 
     with pytest.raises(ConfigError, match="1 to 7"):
         amend(tmp_path / "P01", number, "banana", "a slip")
     assert amend(tmp_path / "P01", number, "5", "a slip").content["value"] == 5
-    assert State.of(read(tmp_path / "P01" / LOG)).answered["tired", 0] == 5
+    assert SessionState.of(read(tmp_path / "P01" / LOG)).answered["tired", 0] == 5
 
 
 def test_a_correction_in_the_wrong_directory_leaves_nothing_there(tmp_path: Path) -> None:
@@ -693,7 +693,7 @@ def test_a_machine_that_spoils_one_trial_after_another_pauses_the_session(tmp_pa
     kinds = [event.kind for event in events[at - 3 : at + 5]]
     assert kinds == [*["trial"] * 3, "paused", "continued", *["trial"] * 3]  # counted anew from there
     assert state.ended == "complete"
-    assert State.of(events).trials == state.trials
+    assert SessionState.of(events).trials == state.trials
 
 
 @pytest.mark.parametrize("kept", ["trial", "paused", "continued"])

@@ -20,14 +20,14 @@ from rig.core.sample import ROW, Phase, RowFlag
 from rig.realtime import ring as ring_words
 from rig.realtime.ring import Ring
 from rig.session.console import words
-from rig.session.console.conversation import Answer, Conversation, Stop
+from rig.session.console.conversation import Answer, Conversation, StopPressed
 from rig.session.console.held import RELEASED_S
 from rig.session.console.keyboard import Keyboard
-from rig.session.console.live import Live, Snapshot, snapshot_of
-from rig.session.console.messages import Lines, line_of
+from rig.session.console.live import LiveLoop, Snapshot, snapshot_of
+from rig.session.console.messages import MessageReader, line_of
 from rig.session.console.plain import PlainLines
 from rig.session.console.pointer import HandKind, Pointer
-from rig.session.desk import Action, Question, View
+from rig.session.desk import Action, DeskView, Question
 from rig.session.keymap import KeyMap
 from rig.session.protocol import Keys
 
@@ -59,9 +59,9 @@ SNAPSHOT = Snapshot(
 )
 
 
-def told(question: Question | None = None, view: View | None = None) -> Conversation:
+def told(question: Question | None = None, view: DeskView | None = None) -> Conversation:
     conversation = Conversation(KEYMAP)
-    conversation.see(plain(view or View(state="ready", scale=SCALE)))
+    conversation.see(plain(view or DeskView(state="ready", scale=SCALE)))
     if question is not None:
         assert conversation.ask(plain(question), 0.0) == []
     return conversation
@@ -152,7 +152,7 @@ def test_a_space_anywhere_in_what_is_typed_stops_what_moves(
             conversation.ask(plain(asked()), 0.0)  # whatever was answered meanwhile
         for key in keyboard.feed(data) + (keyboard.flush() if waited else []):
             found += conversation.press(key)
-    assert Stop() in found
+    assert StopPressed() in found
 
 
 # What they mean
@@ -224,7 +224,7 @@ def test_a_stuck_key_answers_no_question(before: int, repeat_s: float, delay_s: 
             assert conversation.press("1", now_s) == []
             assert "release it" in conversation.notice
             now_s += repeat_s
-        assert conversation.press("space", now_s) == [Stop()]  # STOP is no answer
+        assert conversation.press("space", now_s) == [StopPressed()]  # STOP is no answer
     assert conversation.press("1", now_s + RELEASED_S) == [Answer("judge", "stable")]
 
 
@@ -256,7 +256,7 @@ def test_a_held_key_of_a_hit_still_stops_it() -> None:
     conversation = told()
     conversation.live = True
     assert conversation.press("a", 1.0) == []
-    assert conversation.press("a", 1.03) == [Stop()]
+    assert conversation.press("a", 1.03) == [StopPressed()]
 
 
 @pytest.mark.parametrize("action", ["pause", "note"])
@@ -294,7 +294,7 @@ def test_abort_in_a_hit_stops_it_and_answers_the_next_question() -> None:
     conversation = told()
     conversation.live = True
     assert conversation.press("a") == []
-    assert conversation.press("y") == [Stop()]
+    assert conversation.press("y") == [StopPressed()]
     assert conversation.ask(plain(asked()), 0.0) == [Answer("abort")]
 
 
@@ -311,7 +311,8 @@ def test_what_shows_the_keys_hides_no_stop_and_no_question() -> None:
 
 
 @pytest.mark.parametrize(
-    ("key", "outcome"), [("1", [Answer("judge", "stable")]), ("r", [Answer("redo")]), ("space", [Stop()])]
+    ("key", "outcome"),
+    [("1", [Answer("judge", "stable")]), ("r", [Answer("redo")]), ("space", [StopPressed()])],
 )
 def test_a_key_on_the_page_of_the_keys_does_what_the_page_says(key: str, outcome: list[Any]) -> None:
     conversation = told(asked("verdict", ("judge", "redo", "note", "abort")))
@@ -403,7 +404,7 @@ def test_an_answer_is_always_one_that_was_asked_for(rounds: list[tuple[Question,
             stands = conversation.question
             outcomes += conversation.press(key)
             if key == "space" and stands is None:
-                assert isinstance(outcomes[-1], Stop)
+                assert isinstance(outcomes[-1], StopPressed)
         answers = [one for one in outcomes if isinstance(one, Answer)]
         assert len(answers) <= 1
         assert all(one.action in question.actions for one in answers)
@@ -417,7 +418,7 @@ def test_a_blinded_effort_is_a_word(share: float, saturated: bool) -> None:
     limit = SCALE["effort_limit"]
     assert isinstance(limit, float)
     live = replace(SNAPSHOT, peak_effort=share * limit, effort=share * limit, saturated=saturated)
-    gauge = words.effort(View(state="hit", scale=SCALE), live)
+    gauge = words.effort(DeskView(state="hit", scale=SCALE), live)
     assert gauge.text in ("low", "half", "near the limit", "saturated")
     assert gauge.share in (0.1, words.HALF, words.NEAR, 1.0)  # nor is the bar a number
     if saturated:
@@ -425,17 +426,17 @@ def test_a_blinded_effort_is_a_word(share: float, saturated: bool) -> None:
 
 
 def test_a_blinded_console_shows_neither_effort_nor_wall() -> None:
-    def shown(view: View) -> str:
+    def shown(view: DeskView) -> str:
         lines = PlainLines().lines(told(view=view), SNAPSHOT, 0.0)
         facts = [" ".join(fact) for fact in words.facts(view)]
         return "\n".join([*lines, *facts, *(gauge.text for gauge in words.gauges(view, SNAPSHOT))])
 
-    text = shown(View(state="hit", scale=SCALE))
+    text = shown(DeskView(state="hit", scale=SCALE))
     assert "N·m" not in text
     assert "0.123" not in text
     assert text.count("hidden") == 2
     assert "half" in text
-    view = View(state="hit", scale=SCALE, blinded=False, condition="dual", stiffness=25.5, damping=0.1)
+    view = DeskView(state="hit", scale=SCALE, blinded=False, condition="dual", stiffness=25.5, damping=0.1)
     for part in ("+0.123 N·m", "K = 25.5, B = 0.1", "dual", "+0.0100 rad", "-0.200 rad/s", "0.51 ms", "3, 1"):
         assert part in shown(view)
 
@@ -447,7 +448,10 @@ LONG = (
 
 
 def test_plain_lines_say_a_reason_once_and_whole() -> None:
-    talk, printer = told(view=View(state="ready", last=LONG, lines=("trial 6: stable", LONG))), PlainLines()
+    talk, printer = (
+        told(view=DeskView(state="ready", last=LONG, lines=("trial 6: stable", LONG))),
+        PlainLines(),
+    )
     said = printer.lines(talk, None, 0.0)
     assert f"last: {LONG}" in said
     assert [line for line in said if LONG in line] == [f"last: {LONG}"]
@@ -460,14 +464,14 @@ def test_lines_say_each_thing_once() -> None:
     assert first[-1].startswith("? [1] stable")
     assert printer.lines(conversation, None, 1.0) == []
     conversation.press("1")
-    conversation.see(plain(View(state="hit", lines=("one", "two"))))
+    conversation.see(plain(DeskView(state="hit", lines=("one", "two"))))
     assert printer.lines(conversation, SNAPSHOT, 2.0) == [
         "state: hit",
         "phase: trial",
         "log: one",
         "log: two",
     ]
-    conversation.see(plain(View(state="hit", lines=("two", "three"))))
+    conversation.see(plain(DeskView(state="hit", lines=("two", "three"))))
     assert printer.lines(conversation, SNAPSHOT, 3.0) == ["log: three"]
     conversation.ask(plain(asked("verdict", ("judge", "redo"))), 4.0)
     assert (
@@ -521,7 +525,7 @@ def test_who_looks_at_a_loop_never_reads_what_it_is(monkeypatch: pytest.MonkeyPa
     shared.rows[:] = ring.rows
     shared.words[ring_words.HEAD] = 100
     monkeypatch.setattr(Ring, "info_and_word", lambda self: pytest.fail("the info was read"))
-    live = Live(os.getpid())
+    live = LiveLoop(os.getpid())
     assert live.look() is not None
     shared.words[ring_words.LOOP_DONE] = 1
     assert live.look() is None
@@ -586,7 +590,7 @@ def test_the_keys_name_what_moves_the_hand(hand: HandKind, says: list[str]) -> N
 )
 def test_only_messages_come_through(parts: list[bytes]) -> None:
     data = b"".join(parts)
-    lines = Lines()
+    lines = MessageReader()
     found = [message for n in range(0, len(data), 5) for message in lines.feed(data[n : n + 5])]
     expected = [part for part in parts if re.search(rb"alive|reply", part)]
     assert [line_of(**message) for message in found] == expected

@@ -15,9 +15,9 @@ import pytest
 from rig.core.present import plain
 from rig.realtime.ring import STOP, Ring
 from rig.session.console import program
-from rig.session.console.conversation import Stop
+from rig.session.console.conversation import StopPressed
 from rig.session.console.messages import line_of
-from rig.session.desk import Question, View
+from rig.session.desk import DeskView, Question
 from rig.session.keymap import KeyMap
 from rig.session.protocol import Keys
 
@@ -55,7 +55,7 @@ def test_stop_is_in_the_loops_memory_before_the_session_hears_of_it(
     assert one._talk.moving
     with Ring.allocate(16, info={}, shared=True) as ring:
         with pytest.raises(BlockingIOError):
-            one._seat.do([Stop()])
+            one._seat.do([StopPressed()])
         assert ring.peek(STOP) != 0
 
 
@@ -81,7 +81,7 @@ def test_lines_come_ten_to_twenty_times_a_second_while_the_handle_moves(
         return []
 
     monkeypatch.setattr(one._printer, "lines", lines)
-    one._hear({"kind": "view", "view": plain(View(state="hit"))})
+    one._hear({"kind": "view", "view": plain(DeskView(state="hit"))})
     if not moving:
         question = Question(kind="ready", text="ready?", actions=("go",))
         one._hear({"kind": "ask", "number": 1, "question": plain(question)})

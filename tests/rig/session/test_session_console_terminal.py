@@ -21,7 +21,7 @@ import pytest
 
 from rig.core.errors import ConfigError, RigError, StoppedError
 from rig.session.console.desk import ConsoleDesk, at_console
-from rig.session.desk import Question, Reply, View
+from rig.session.desk import DeskView, Question, Reply
 from tests.conformance.terminal import PATIENCE_S, Program, Terminal
 from tests.rig.session.session_fakes import FakeRunner, protocol_of
 
@@ -86,7 +86,7 @@ def wait_for_console(terminal: Terminal, number: int, *texts: str) -> None:
 
 def test_space_before_the_next_console_is_there_is_stop(terminal: Terminal) -> None:
     with console(terminal, silence_s=20.0) as (desk, _):
-        desk.show(View(state="hold"))
+        desk.show(DeskView(state="hold"))
         terminal.wait("hold")
         os.kill(desk.pid, signal.SIGKILL)
         terminal.type("1\x1b ")
@@ -97,18 +97,18 @@ def test_an_escape_does_not_wait_for_the_session_to_be_silent(terminal: Terminal
     """Each message wakes the console; the escape is as old as it is all the same."""
     pause, deadline = threading.Event(), time.monotonic() + 5.0
     with console(terminal) as (desk, _):
-        desk.show(View(state="hold"))
+        desk.show(DeskView(state="hold"))
         terminal.wait("hold")
         terminal.type("\x1b")
         while "escape: no such key" not in terminal.printed:
             assert time.monotonic() < deadline
-            desk.show(View(state="hold"))
+            desk.show(DeskView(state="hold"))
             pause.wait(0.01)
 
 
 def test_a_stopped_console_ends_the_hit_and_is_replaced(terminal: Terminal) -> None:
     with console(terminal, silence_s=0.3, hung_s=0.3) as (desk, asker):
-        desk.show(View(state="hold", code="P07"))
+        desk.show(DeskView(state="hold", code="P07"))
         terminal.wait("P07")
         stopped = desk.pid
         os.kill(stopped, signal.SIGSTOP)
@@ -116,7 +116,9 @@ def test_a_stopped_console_ends_the_hit_and_is_replaced(terminal: Terminal) -> N
         assert "was silent for 0.3 s" in error.message
         assert "resume" in error.remedy
         for number in range(200):  # a pipe that nobody reads must not hold the session up
-            desk.show(View(state="hold", code="P07", lines=tuple(f"line {number}" * 20 for _ in range(8))))
+            desk.show(
+                DeskView(state="hold", code="P07", lines=tuple(f"line {number}" * 20 for _ in range(8)))
+            )
         reply = asking(desk, asker, VERDICT)
         wait_for_console(terminal, 2, "the verdict?", "P07")
         terminal.type("1")
@@ -127,7 +129,7 @@ def test_a_stopped_console_ends_the_hit_and_is_replaced(terminal: Terminal) -> N
 
 def test_a_console_that_dies_is_started_anew_with_the_same_question(terminal: Terminal) -> None:
     with console(terminal, silence_s=20.0) as (desk, asker):
-        desk.show(View(state="verdict?", code="P08"))
+        desk.show(DeskView(state="verdict?", code="P08"))
         reply = asking(desk, asker, VERDICT)
         terminal.wait("the verdict?")
         before = desk.pid

@@ -13,7 +13,7 @@ from rig.session.directory import LOG, Session, resume
 from rig.session.log import read
 from rig.session.protocol import Protocol
 from rig.session.rehearsal import Day, Person
-from rig.session.state import State
+from rig.session.state import SessionState
 from tests.conformance.tiers import first_by_default
 from tests.rig.session.session_fakes import FakeRunner, decisions, protocol_of, rehearsed, started
 from tests.rig.session.session_fuse import DeadError, Full, Fuse, fused
@@ -36,17 +36,17 @@ def short() -> Protocol:
     )
 
 
-def finish(session: Session) -> State:
+def finish(session: Session) -> SessionState:
     return rehearsed(session, FakeRunner(), PERSON)
 
 
-def go_on(directory: Path) -> State:
+def go_on(directory: Path) -> SessionState:
     """What a person does after a crash: resume, or start again if there is nothing to resume."""
     try:
         session = resume(directory, clock=Day())
     except ConfigError as error:
         if "is over" in str(error):
-            return State.of(read(directory / LOG))
+            return SessionState.of(read(directory / LOG))
         session = started(directory, short())
     return finish(session)
 
@@ -55,7 +55,7 @@ def check_equal(directory: Path, calm: Path) -> None:
     """The same decisions and results as an uninterrupted session; every recording there, once, and unchanged."""
     events = read(directory / LOG)
     assert decisions(events) == decisions(read(calm / LOG))
-    state = State.of(events)
+    state = SessionState.of(events)
     assert state.ended == "complete"
     for trial in state.trials:
         assert sha256_of(directory / trial.recording) == trial.sha256

@@ -16,7 +16,7 @@ from rig.realtime.hand import SharedHand, Wish
 from rig.session.conduct import conduct
 from rig.session.console.held import RELEASED_S
 from rig.session.console.pointer import HandKind
-from rig.session.desk import Action, Question, Reply, View
+from rig.session.desk import Action, DeskView, Question, Reply
 from rig.session.protocol import Keys
 from tests.conformance.terminal import PATIENCE_S
 from tests.rig.session.session_desks import PLACES, Place, until
@@ -72,7 +72,7 @@ def watched(place: Place) -> StoppedError:
 
 def test_a_session_is_shown_and_answered_by_keys(sit: Sit, asker: ThreadPoolExecutor) -> None:
     place = sit()
-    place.desk.show(View(state="ready", say="Push.", code="P03", block=2, blocks=5, trial=34, trials=120))
+    place.desk.show(DeskView(state="ready", say="Push.", code="P03", block=2, blocks=5, trial=34, trials=120))
     reply = asker.submit(place.desk.ask, READY_QUESTION)
     place.sees("P03 · block 2 of 5 · trial 34 of about 120", "ready?", "Push.", "[g] go")
     place.press("n")
@@ -90,7 +90,7 @@ def test_a_session_is_shown_and_answered_by_keys(sit: Sit, asker: ThreadPoolExec
     place.sees("abort: no")
     place.press("g")
     assert answered(reply) == ("go", "")
-    place.desk.show(View(state="go"))
+    place.desk.show(DeskView(state="go"))
     reply = asker.submit(place.desk.ask, VERDICT)
     place.sees("[1] stable")
     place.press("2")
@@ -116,7 +116,7 @@ def test_a_pedal_and_no_bell(sit: Sit, asker: ThreadPoolExecutor) -> None:
 
 def test_space_stops_the_hit_that_runs_and_not_the_next_one(sit: Sit, asker: ThreadPoolExecutor) -> None:
     place = sit()
-    place.desk.show(View(state="hold"))
+    place.desk.show(DeskView(state="hold"))
     place.sees("hold")
     place.press("space")
     assert "stopped at the console" in str(watched(place))
@@ -133,7 +133,7 @@ def test_space_stops_the_hit_that_runs_and_not_the_next_one(sit: Sit, asker: Thr
 
 def test_a_hit_ends_when_nothing_is_heard_of_who_shows_it(sit: Sit) -> None:
     place = sit(silence_s=0.3)
-    place.desk.show(View(state="hold", code="P07"))
+    place.desk.show(DeskView(state="hold", code="P07"))
     place.sees("P07")
     place.hang()
     error = watched(place)
@@ -198,7 +198,7 @@ def hand(tmp_path: Path) -> Iterator[SharedHand]:
 
 def test_the_hand_follows(sit: Sit, hand: SharedHand) -> None:
     place = sit(hand=("keyboard", hand.path))
-    place.desk.show(View(state="hold", scale={"start": 0.1, "wall": 0.5}))
+    place.desk.show(DeskView(state="hold", scale={"start": 0.1, "wall": 0.5}))
     place.sees("hold", "hand:")
     place.press("end")
     assert wished(hand, lambda one: one.position > 0.7).position == pytest.approx(0.8)
@@ -213,7 +213,7 @@ def test_the_hand_of_the_keys_is_back_before_a_trial_and_keys_in_a_note_do_not_m
     sit: Sit, asker: ThreadPoolExecutor, hand: SharedHand
 ) -> None:
     place = sit(hand=("keyboard", hand.path))
-    place.desk.show(View(state="hit", scale={"start": 0.1, "wall": 0.5}))
+    place.desk.show(DeskView(state="hit", scale={"start": 0.1, "wall": 0.5}))
     place.sees("hit")
     place.press("end")
     wished(hand, lambda one: one.press == 4.0)
@@ -239,7 +239,7 @@ def test_a_key_that_repeats_from_before_the_question_judges_nothing_until_it_was
     sit: Sit, asker: ThreadPoolExecutor
 ) -> None:
     place = sit()
-    place.desk.show(View(state="hold"))
+    place.desk.show(DeskView(state="hold"))
     place.sees("hold")
     place.press("1")
     place.sees("not now")

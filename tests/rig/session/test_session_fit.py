@@ -21,7 +21,7 @@ from rig.session.directory import LOG, amend, resume
 from rig.session.fitting import refuse_misfit
 from rig.session.log import read
 from rig.session.protocol import Protocol
-from rig.session.state import DoTrial, State
+from rig.session.state import DoTrial, SessionState
 from tests.rig.session.session_fakes import FakeRunner, ScriptedDesk, protocol_of, started
 from tests.rig.session.test_session_conduct import run_with
 
@@ -77,7 +77,7 @@ def test_a_corrected_answer_changes_nothing_of_what_was_done(tmp_path: Path) -> 
     log = tmp_path / "P01" / LOG
     (number,) = (event.number for event in read(log) if event.kind == "answered")
     amend(tmp_path / "P01", number, "the other damper", why="the first one was broken")
-    assert isinstance(State.of(read(log)).next(), DoTrial)
+    assert isinstance(SessionState.of(read(log)).next(), DoTrial)
 
 
 def test_whoever_resumes_is_asked_again_because_nobody_knows_what_is_on_the_rig(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from rig.cli import session_progress
 from rig.cli.session_progress import Rehearsed
-from rig.session.desk import View
+from rig.session.desk import DeskView
 from rig.session.log import Event
 
 
@@ -33,8 +33,8 @@ def clock(step_s: float) -> Iterator[float]:
         now += step_s
 
 
-def ready(trial: int, block: int = 2) -> View:
-    return View(state="ready", trial=trial, trials=104, block=block, blocks=5, practice=block == 0)
+def ready(trial: int, block: int = 2) -> DeskView:
+    return DeskView(state="ready", trial=trial, trials=104, block=block, blocks=5, practice=block == 0)
 
 
 def test_a_terminal_has_one_line(monkeypatch: pytest.MonkeyPatch, said: list[str]) -> None:
@@ -42,7 +42,7 @@ def test_a_terminal_has_one_line(monkeypatch: pytest.MonkeyPatch, said: list[str
     with Rehearsed(quiet=False, clock=clock(3.0).__next__) as seen:
         for trial in (1, 2, 3, 4):
             seen.looks(ready(trial, 0 if trial == 1 else 2))
-        seen.looks(View(state="homing"))
+        seen.looks(DeskView(state="homing"))
         seen.on_event(Event(1, 0.0, "paused", {"reason": "the operator asked for it"}))
     start = "True \r\033[K"
     assert said == [

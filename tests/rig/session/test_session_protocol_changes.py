@@ -13,7 +13,7 @@ from rig.cli import rig
 from rig.config.files import parse_toml
 from rig.core.check import Outcome
 from rig.core.errors import ConfigError
-from rig.session.analysis import Options, analyse
+from rig.session.analysis import AnalysisOptions, analyse
 from rig.session.analysis.study import read_study
 from rig.session.check import check
 from rig.session.load import load_walls, protocol_from_mapping
@@ -154,7 +154,7 @@ def test_each_participant_is_estimated_on_the_levels_of_their_own_protocol(tmp_p
             mapping = protocol(search={"highest": highest}, order={"repeats": 1})
             with sitting(tmp_path / code, mapping, person, code=code, row=row) as one:
                 one.run()
-    found = analyse([tmp_path], Options(across=("search.highest",)))
+    found = analyse([tmp_path], AnalysisOptions(across=("search.highest",)))
     k50 = {
         (one.participant, one.condition): one.mean
         for one in found.of_participants

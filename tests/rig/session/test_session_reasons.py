@@ -19,7 +19,7 @@ from rig.control.verdict import TOGGLES, Objection
 from rig.core.errors import GuardError
 from rig.core.present import plain
 from rig.session.conduct import conduct
-from rig.session.desk import View
+from rig.session.desk import DeskView
 from rig.session.log import Event
 from rig.session.reasons import HIDDEN, RIG_LIMIT, told
 from rig.session.run import summary
@@ -89,7 +89,7 @@ def invalid(*objections: Objection, **more: Any) -> dict[str, Any]:
     return {**INVALID, "reasons": [reason(one) for one in objections], **more}
 
 
-def views_after(desk: ScriptedDesk, trial: int) -> list[View]:
+def views_after(desk: ScriptedDesk, trial: int) -> list[DeskView]:
     return [view for view in desk.views if view.last.startswith(f"trial {trial}:")]
 
 

@@ -12,7 +12,7 @@ from rig.session.conduct import conduct
 from rig.session.desk import Question, Reply
 from rig.session.directory import LOG
 from rig.session.log import read
-from rig.session.state import State
+from rig.session.state import SessionState
 from tests.rig.session.session_fakes import INVALID, FakeRunner, ScriptedDesk, protocol_of, started
 
 STOPS: list[dict[str, Any]] = [{}, {"trials": 3}, {"minutes": 0.001}, {"aborts": 2}]
@@ -20,12 +20,12 @@ STOPS: list[dict[str, Any]] = [{}, {"trials": 3}, {"minutes": 0.001}, {"aborts":
 
 def run(
     directory: Path, runner: FakeRunner, answer: Callable[[Question], Reply | None], **sections: Any
-) -> State:
+) -> SessionState:
     with started(directory, protocol_of(**sections)) as session:
         return conduct(session, runner, ScriptedDesk(answer))
 
 
-def ended(directory: Path, runner: FakeRunner, redos: int, **sections: Any) -> State:
+def ended(directory: Path, runner: FakeRunner, redos: int, **sections: Any) -> SessionState:
     """A session at whose end somebody says redo so often, one after the other."""
     said = 0
 
@@ -38,7 +38,7 @@ def ended(directory: Path, runner: FakeRunner, redos: int, **sections: Any) -> S
         return None
 
     state = run(directory, runner, answer, **sections)
-    again = State.of(read(directory / LOG))
+    again = SessionState.of(read(directory / LOG))
     assert (again.trials, again.ended) == (state.trials, state.ended)
     return state
 

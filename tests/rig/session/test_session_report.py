@@ -20,9 +20,9 @@ from rig.cli import rig, session_report
 from rig.config.table import parameters
 from rig.core.oscillation import OSCILLATIONS
 from rig.core.present import Table
-from rig.session.analysis import Options, analyse
+from rig.session.analysis import AnalysisOptions, analyse
 from rig.session.search.psychometric import LAPSE_RATES
-from rig.session.state import State
+from rig.session.state import SessionState
 from rig.views.plots import style
 from rig.views.plots.session import draw_session, pictures, tracks_name, zwidth_figure
 from rig.views.report.session import (
@@ -96,7 +96,7 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Any:
             one.run(6)
             judged = [event.number for event in one.log.events if event.kind == "judged"][-1]
             one.log.append("amended", number=judged, field="verdict", value="unsure", why="the wrong key")
-            one.state = State.of(one.log.events)
+            one.state = SessionState.of(one.log.events)
             one.record("skipped", run=one.state.next().presented.run)
             one.run(20)
             one.record("ended", reason="60 minutes")
@@ -551,7 +551,7 @@ def test_limits_beyond_the_levels_are_marked(tmp_path: Path) -> None:
 def test_a_session_that_has_hardly_begun_has_a_page(trials: int, tmp_path: Path) -> None:
     with without_sync(), sitting(tmp_path / "P01", mapping_of(), person()) as one:
         one.run(trials)
-    found = analyse([tmp_path], Options(measure="K50 person"))
+    found = analyse([tmp_path], AnalysisOptions(measure="K50 person"))
     read = _Page(render(found, {}))
     assert "no limit" in read.text.lower()
     for draw in pictures(found).values():

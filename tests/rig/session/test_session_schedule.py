@@ -12,8 +12,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.session.protocol import Condition, Order, Practice, Protocol, Search, Study
-from rig.session.schedule import Run, asking_of, cells_of, levels_of, rows_of, rule_of, schedule, williams
-from rig.session.search import Answer
+from rig.session.schedule import (
+    SearchRun,
+    asking_of,
+    cells_of,
+    levels_of,
+    rows_of,
+    rule_of,
+    schedule,
+    williams,
+)
+from rig.session.search import JudgedProbe
 
 SEARCH = Search(lowest=100.0, highest=500.0, step=100.0)
 
@@ -159,7 +168,7 @@ def test_practice_comes_first_and_goes_through_its_walls() -> None:
     assert (run.number, run.condition, run.damping, run.practice) == (0, "c1", 0.0, True)
     rule, answers = rule_of(one, run), []
     while (probe := rule.next(answers)) is not None:
-        answers.append(Answer(probe, None))
+        answers.append(JudgedProbe(probe, None))
     assert [answer.probe.level for answer in answers] == [300.0, 100.0]
 
 
@@ -180,8 +189,8 @@ def test_a_rule_is_that_of_its_condition_and_starts_at_the_nearest_level() -> No
     own = Search(lowest=100.0, highest=500.0, ratio=1.3, rule="staircase", settings={"start": 200.0})
     one = protocol([1, 1])
     one = replace(one, condition=(one.condition[0], replace(one.condition[1], search=own)))
-    usual = rule_of(one, Run(number=1, condition="c0", damping=0.0, seed=3))
-    other = rule_of(one, Run(number=2, condition="c1", damping=0.0, seed=3))
+    usual = rule_of(one, SearchRun(number=1, condition="c0", damping=0.0, seed=3))
+    other = rule_of(one, SearchRun(number=2, condition="c1", damping=0.0, seed=3))
     assert usual.next([]).level == 300.0
     assert other.next([]).level == pytest.approx(219.7)
 
@@ -190,9 +199,9 @@ def test_catch_trials_come_where_the_seed_of_the_run_puts_them() -> None:
     one = replace(protocol([1]), search=replace(SEARCH, rule="staircase", catch_share=0.5))
 
     def catches(seed: int) -> list[bool]:
-        rule, answers = asking_of(one, Run(number=1, condition="c0", damping=0.0, seed=seed)), []
+        rule, answers = asking_of(one, SearchRun(number=1, condition="c0", damping=0.0, seed=seed)), []
         while len(answers) < 20 and (probe := rule.next(answers)) is not None:
-            answers.append(Answer(probe, stable=probe.level < 250.0))
+            answers.append(JudgedProbe(probe, stable=probe.level < 250.0))
         return [answer.probe.catch for answer in answers]
 
     assert catches(1) == catches(1)

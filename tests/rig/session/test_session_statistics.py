@@ -17,7 +17,7 @@ from scipy import stats
 
 from rig.core.deferred import mixed_linear_model
 from rig.session.analysis import agreement, effects, kmax, mixed, psychometric
-from rig.session.analysis.rows import Limit, RunRow, TrialRow
+from rig.session.analysis.rows import LimitInterval, RunRow, TrialRow
 from rig.session.analysis.trials import half_way
 from rig.session.search.observer import Observer
 from tests.benchmarks import null_studies
@@ -33,7 +33,7 @@ def blank(kind: Any, **known: Any) -> Any:
 def run_row(
     participant: str = "P01", condition: str = "a", damping: float = 0.0, value: float = 400.0, **changes: Any
 ) -> Any:
-    limit = Limit(
+    limit = LimitInterval(
         value=value, low=value - 10, high=value + 10, censored=changes.pop("censored", ""), share=0.5
     )
     known = {
@@ -321,7 +321,7 @@ def test_a_bootstrap_of_four_values_against_all_their_samples() -> None:
 )
 def test_an_interval_says_what_it_is_of(values: Any, interval: str, low: float | None) -> None:
     rows = [run_row(value=value) for value in values]
-    pooled = Limit(value=400.0, low=380.0, high=440.0, censored="", share=0.5)
+    pooled = LimitInterval(value=400.0, low=380.0, high=440.0, censored="", share=0.5)
     (one,) = kmax.of_participants(rows, {("rule", "P01", ("a", 0.0)): pooled})
     assert (one.interval, one.repeats) == (interval, len(values))
     assert low is None or one.low == low
@@ -337,7 +337,7 @@ def test_an_interval_says_what_it_is_of(values: Any, interval: str, low: float |
 
 
 def test_a_single_series_has_no_interval_of_its_own() -> None:
-    endless = Limit(value=400.0, low=0.0, high=math.inf, censored="", share=None)
+    endless = LimitInterval(value=400.0, low=0.0, high=math.inf, censored="", share=None)
     (one,) = kmax.of_participants([replace(run_row(), limits={"rule": endless})], {})
     assert (one.interval, math.isnan(one.low)) == ("none", True)
 
@@ -351,7 +351,7 @@ def test_limits_beyond_the_levels_are_counted_and_what_has_not_ended_is_left_out
 def test_repeats_that_are_mostly_bounds_have_the_open_interval_of_all_verdicts() -> None:
     """Two ends of the levels and a limit just below them scatter little, and say nothing of where the limit is."""
     rows = [run_row(value=780.0), *(run_row(value=800.0, censored="above") for _ in range(2))]
-    pooled = Limit(value=800.0, low=790.0, high=math.inf, censored="above", share=0.5)
+    pooled = LimitInterval(value=800.0, low=790.0, high=math.inf, censored="above", share=0.5)
     (one,) = kmax.of_participants(rows, {("rule", "P01", ("a", 0.0)): pooled})
     assert (one.interval, one.low, one.high) == ("verdicts", 790.0, math.inf)
     assert math.isnan(one.student_low)
@@ -559,7 +559,7 @@ def test_an_order_that_cannot_be_separated_from_the_conditions_is_left_out() -> 
 
 def test_limits_beyond_the_levels_are_said() -> None:
     rows = runs_of_people(people=8)
-    limit = Limit(value=430.0, low=400.0, high=500.0, censored="above", share=0.5)
+    limit = LimitInterval(value=430.0, low=400.0, high=500.0, censored="above", share=0.5)
     rows[3] = replace(rows[3], limits={"rule": limit})
     model = model_of(rows)
     assert (model.beyond.count, model.contrasts[0].beyond.count) == (1, 1)
@@ -570,7 +570,7 @@ def test_limits_beyond_the_levels_are_said() -> None:
 
 def test_a_cell_that_is_mostly_beyond_the_levels_is_left_out_and_so_is_the_mean_over_it() -> None:
     rows = runs_of_people(people=7, dampings=(0.0, 1.0, 3.0))
-    limit = Limit(value=430.0, low=400.0, high=math.inf, censored="above", share=0.5)
+    limit = LimitInterval(value=430.0, low=400.0, high=math.inf, censored="above", share=0.5)
     stiff = [
         replace(row, limits={"rule": limit}) if (row.condition, row.damping) == ("b", 3.0) else row
         for row in rows
@@ -655,7 +655,7 @@ def test_no_method_infers_from_a_scatter_that_rounding_to_the_levels_makes(
 
 
 def test_repeats_that_scatter_by_rounding_have_the_interval_of_all_verdicts() -> None:
-    pooled = Limit(value=400.0, low=380.0, high=440.0, censored="", share=0.5)
+    pooled = LimitInterval(value=400.0, low=380.0, high=440.0, censored="", share=0.5)
     rows = [
         replace(run_row(), limits={"rule": replace(pooled, value=v, step=STEP)})
         for v in (400.0, 402.0, 404.0)

@@ -22,7 +22,7 @@ from rig.testing import (
     assert_safe,
     assert_stable,
 )
-from rig.testing.hits import Rest
+from rig.testing.hits import DeviceAfterwards
 
 QUICK = {"trial.duration_s": 0.5, "homing.settle_s": 0.01}
 HARD = {**QUICK, "wall.stiffness": 900.0, "wall.damping": 0.0, "trial.effort": 0.3}
@@ -120,9 +120,9 @@ def test_an_effort_under_an_old_command_or_behind_a_fault_is_not_safe(rig_hit: H
     ("rest", "what"),
     [
         (None, "nobody knows its effort"),
-        (Rest(None, False), "was never zero"),
-        (Rest(0.0205, False), r"was zero 20\.5 ms after the host's last word"),
-        (Rest(0.0, True), "stayed armed"),
+        (DeviceAfterwards(None, False), "was never zero"),
+        (DeviceAfterwards(0.0205, False), r"was zero 20\.5 ms after the host's last word"),
+        (DeviceAfterwards(0.0, True), "stayed armed"),
     ],
 )
 def test_what_the_device_did_afterwards_counts(

@@ -14,7 +14,7 @@ import pytest
 
 import rig
 from rig.core.errors import ConfigError, DeviceNotFoundError, LinkLostError
-from rig.devices.fault_script import Direction, FrameFault, Kind
+from rig.devices.fault_script import Direction, FaultKind, FrameFault
 from rig.testing import Experiments, FaultWords, Hits, Maps, SerialRig, with_every_frame
 
 IMPORT_MS = 10.0
@@ -71,7 +71,7 @@ def test_every_kind_strikes_every_frame_of_each_direction_once() -> None:
     hits: Any = Rigless()
     with_every_frame(hits.__call__, hits, [], None)()
     assert Counter((fault.kind, fault.direction) for fault in hits.played) == {
-        (kind, way): 7 if way is Direction.TO_DEVICE else 6 for kind in Kind for way in Direction
+        (kind, way): 7 if way is Direction.TO_DEVICE else 6 for kind in FaultKind for way in Direction
     }
     assert len(set(hits.played)) == 8 * 13
     assert hits.faults.script is None

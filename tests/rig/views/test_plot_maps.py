@@ -13,14 +13,14 @@ from rig.config.schemes import Scheme
 from rig.control.verdict import CRITERIA
 from rig.experiments.disagreement import DisagreementPlan
 from rig.experiments.kmax import KMax, kmax_plan
-from rig.experiments.searches import Search, StiffnessLimit
+from rig.experiments.searches import StiffnessLimit, StiffnessSearch
 from rig.experiments.zwidth import Boundary, MapPlan, ZWidth
 from rig.views.plots import style
 from rig.views.plots.disagreement import disagreement_figure
 from rig.views.plots.zwidth import kmax_figure, zwidth_figure
 from tests.rig.views.conftest import scaled
 
-SEARCH = Search(lowest=10.0, highest=1000.0, ratio=1.1)
+SEARCH = StiffnessSearch(lowest=10.0, highest=1000.0, ratio=1.1)
 SCHEMES = ("uniform:20k", "dual:20k/2k", "uniform:2k")
 FIVE = (0.0, 0.5, 1.0, 1.5, 2.0)
 Limits = Callable[[int, float, str], Sequence[StiffnessLimit]]

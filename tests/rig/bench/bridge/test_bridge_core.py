@@ -469,11 +469,11 @@ def test_codes_are_those_of_the_header() -> None:
 
 def test_structures_are_those_of_the_header() -> None:
     made = library.library()
-    assert made.bridge_facts_bytes() == library.ctypes.sizeof(library.Facts)
+    assert made.bridge_facts_bytes() == library.ctypes.sizeof(library.BridgeFacts)
     header = (BRIDGE.root / "bridge" / "bridge.h").read_text()
     facts = header[header.index("struct bridge_facts {") :]
     names = re.findall(r"\b(\w+)(?:\[\w+\])?[;,]", re.sub(r"/\*.*?\*/", "", facts[: facts.index("};")]))
-    assert names == [name for name, *_ in library.Facts._fields_]
+    assert names == [name for name, *_ in library.BridgeFacts._fields_]
     setup = header[header.index("struct bridge_setup {") :]
     names = re.findall(r"(\w+);", re.sub(r"/\*.*?\*/", "", setup[: setup.index("};")]))
     assert names == [name for name, *_ in library.Setup._fields_]

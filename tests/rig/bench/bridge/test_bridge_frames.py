@@ -13,7 +13,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from rig.bench.bridge.bus import AdapterBus, CanBus, CanFrame, open_bus
-from rig.bench.bridge.library import BRIDGE, Adapter, Frame, library
+from rig.bench.bridge.library import BRIDGE, Adapter, CanFrameBytes, library
 from rig.core.errors import ConfigError, DeviceNotFoundError, LinkLostError
 from rig.devices.device import DeviceUrl
 from tests.conformance.bridged import CURRENT, Bridged, armed, push
@@ -27,7 +27,7 @@ def _compiler() -> None:
 
 
 def heard(text: bytes, *, checksum: bool = False) -> tuple[list[CanFrame], Adapter]:
-    adapter, frame = Adapter(checksum=checksum), Frame()
+    adapter, frame = Adapter(checksum=checksum), CanFrameBytes()
     frames = [
         CanFrame(frame.id, frame.data)
         for byte in text

@@ -11,7 +11,7 @@ import pytest
 from firmware_protocol.faults import Status
 from firmware_protocol.parameters import BY_NAME
 from rig.bench.bridge.bus import CanFrame
-from rig.bench.bridge.moteus import Conversation, find, fit, switches_of
+from rig.bench.bridge.moteus import MoteusConversation, find, fit, switches_of
 from rig.core.errors import (
     ConfigError,
     DeviceNotFoundError,
@@ -130,7 +130,7 @@ def test_a_second_master_is_heard_before_a_word_is_said() -> None:
     bus = MemoryBus(moteus())
     bus.heard.append(CanFrame(0x8001, b"\x11\x00"))
     with pytest.raises(DeviceRefusedError, match="second master"):
-        find(Conversation(bus, 1), 1)
+        find(MoteusConversation(bus, 1), 1)
     assert bus.said == 0
 
 
@@ -185,6 +185,6 @@ def test_its_limits_are_those_of_the_device() -> None:
 def test_a_transmission_between_output_and_handle_is_part_of_the_torque() -> None:
     """Encoder on the rotor, a gear of 2:1 in the drive: the same rig, half of it inside."""
     drive = moteus(motor_position__rotor_to_output_ratio="0.5")
-    within = fit(find(Conversation(MemoryBus(drive), 1), 1), bridged_rig())
+    within = fit(find(MoteusConversation(MemoryBus(drive), 1), 1), bridged_rig())
     assert within.counts_per_turn == 2 * TURN
     assert within.transmission == pytest.approx(1.0)

@@ -27,7 +27,7 @@ from rig.core.errors import (
 from rig.core.model import Encoder, RigModel
 from rig.devices.device import DeviceUrl
 from sim_backend.drives.bus import Frame
-from sim_backend.drives.can_simple import Command, Error
+from sim_backend.drives.can_simple import CanSimpleCommand, Error
 from sim_backend.drives.odrive import OdriveOptions, SimulatedOdrive
 from tests.conformance.bridged import (
     CURRENT,
@@ -78,7 +78,7 @@ def test_a_drive_that_fits_is_described() -> None:
 def test_a_file_to_start_from_stays_within_the_limits_of_the_drive(tmp_path: Path) -> None:
     """Its speed that ends a run, too: the maker's default is an error at 2.4 turns a second."""
     drive = drive_with({odrive.OVERSPEED: "1", "axis0.controller.config.vel_limit": "2.0"})
-    facts = odrive.find(odrive.Conversation(MemoryBus(drive), 0, endpoints()))
+    facts = odrive.find(odrive.OdriveConversation(MemoryBus(drive), 0, endpoints()))
     (tmp_path / "mine.toml").write_text(describe.text(facts, "odrive://can0"))
     x = config.load_experiment(tmp_path / "mine.toml")
     run = controller.prepared(x)
@@ -155,15 +155,15 @@ def test_another_node_on_the_bus() -> None:
 
 def test_a_second_master_is_heard_before_a_word_is_said() -> None:
     bus = MemoryBus(drive_with())
-    bus.heard.append(CanFrame(Command.SET_INPUT_TORQUE, bytes(4)))
+    bus.heard.append(CanFrame(CanSimpleCommand.SET_INPUT_TORQUE, bytes(4)))
     with pytest.raises(DeviceRefusedError, match="second master"):
-        odrive.find(odrive.Conversation(bus, 0, endpoints()))
+        odrive.find(odrive.OdriveConversation(bus, 0, endpoints()))
     assert bus.said == 0
 
 
 def test_a_drive_that_somebody_drives_or_that_has_stopped_with_an_error() -> None:
     driven = drive_with({odrive.WATCHDOG: "0"})
-    driven.receive(Frame(Command.SET_AXIS_STATE, struct.pack("<I", 8)))
+    driven.receive(Frame(CanSimpleCommand.SET_AXIS_STATE, struct.pack("<I", 8)))
     assert "closed loop: another program drives it" in refusal(driven)
     stopped = drive_with()
     stopped.happen("fault", Error.DRV_FAULT)
@@ -172,13 +172,13 @@ def test_a_drive_that_somebody_drives_or_that_has_stopped_with_an_error() -> Non
 
 def test_what_a_killed_bridge_left_behind_is_taken() -> None:
     left = drive_with()
-    left.receive(Frame(Command.SET_AXIS_STATE, struct.pack("<I", 8)))
+    left.receive(Frame(CanSimpleCommand.SET_AXIS_STATE, struct.pack("<I", 8)))
     left.run(left.ticks + 80)  # its watchdog has ended it
     assert found_odrive(left, bridged_rig()).id == 0
 
 
 def test_an_answer_that_takes_longer_than_half_a_period_is_a_slow_bus() -> None:
-    found = odrive.find(odrive.Conversation(MemoryBus(drive_with()), 0, endpoints()))
+    found = odrive.find(odrive.OdriveConversation(MemoryBus(drive_with()), 0, endpoints()))
     with pytest.raises(DeviceRefusedError, match=r"may take 0\.5 ms") as caught:
         odrive.fit(replace(found, quickest_s=0.9e-3), bridged_rig())
     assert "baud_rate = 1000000" in str(caught.value.remedy)
@@ -246,7 +246,7 @@ def test_without_its_heartbeat_a_drive_may_have_stopped() -> None:
     world, host = armed(Bridged(kind="odrive"))
     push(host, 5)
     here = world.lines["from drive"]
-    deaf = lambda line: b"" if line[0] == Command.HEARTBEAT else line  # noqa: E731
+    deaf = lambda line: b"" if line[0] == CanSimpleCommand.HEARTBEAT else line  # noqa: E731
     world.strikes = {("from drive", number): deaf for number in range(here, here + 400)}
     for _ in range(80):
         state = host.next_state()

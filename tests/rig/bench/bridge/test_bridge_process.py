@@ -112,7 +112,11 @@ def test_an_odrive_gets_no_torque_when_its_bridge_is_killed(tmp_path: Path) -> N
             until, state = time.monotonic() + PATIENCE_S, 8
             while state != 1 and time.monotonic() < until:
                 heard = watching.receive(PATIENCE_S)
-                state = heard.data[4] if heard is not None and heard.id == odrive.Command.HEARTBEAT else state
+                state = (
+                    heard.data[4]
+                    if heard is not None and heard.id == odrive.OdriveCommand.HEARTBEAT
+                    else state
+                )
             assert state == 1
             watching.close()
             with pytest.raises(LinkLostError):
