@@ -170,7 +170,7 @@ class Board(Supervisor):
         self.core = Core(
             library, unmeasured(model or rotary_rig(effort_limit=10.0)), law_maximum=law_maximum, **options
         )
-        self.count, self.measured, self.inputs, self.late = 0, 0, 0, 0
+        self.count, self.edge_time, self.measured, self.inputs, self.late = 0, 0, 0, 0, 0
         self.missed = 0  # ticks before the next one
         self.fed: list[Sample] = []  # what the board saw and had active at each tick
         self.core.start()
@@ -182,7 +182,8 @@ class Board(Supervisor):
         status = self.core.status
         time = status.due + self.late + self.missed * UNITS_PER_SECOND // status.rate
         self.missed = 0
-        self.library.host_set_world(self.core.address, time, self.count, 0, self.measured, self.inputs)
+        world = (time, self.count, self.edge_time, self.measured, self.inputs)
+        self.library.host_set_world(self.core.address, *world)
         self.strike()
         self.fed.append(Sample(self.core.status.sample_index, self.count, status.current, self.measured))
         self.take(self.core.take())

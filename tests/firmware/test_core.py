@@ -3,89 +3,47 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import pytest
 
 from firmware_protocol import messages as m
-from firmware_protocol.connection import Connection, Received, State
+from firmware_protocol.connection import State
 from firmware_protocol.dictionary import decode
 from firmware_protocol.errors import LocalProtocolError
 from firmware_protocol.faults import Fault, LimitFlag, Status
 from firmware_protocol.framing import ENCODED_LIMIT
 from firmware_protocol.header import CORE, FILES
-from firmware_protocol.messages import Message, Role
-from firmware_protocol.parameter import Value
-from firmware_protocol.parameters import BY_NAME, encode_block
-from firmware_protocol.transfer import set_parameters
+from firmware_protocol.messages import Message, Mode
+from firmware_protocol.parameters import BY_NAME
 from rig.core.model import RigModel
-from sim_backend.firmware import Core
-from sim_backend.safety import BUDGET, HEAT, UNITS_PER_SECOND, configure_heat, flat, warm
-from tests.conformance.host import RUN_PARAMETERS
-from tests.conformance.rigs import rotary_rig, unmeasured
+from sim_backend.safety import BUDGET, HEAT, configure_heat, flat, warm
+from tests.conformance.rigs import rotary_rig
+from tests.firmware import supervised
 
 RATE = 2_000
 PERIOD = 16_000_000 // RATE
 POLL_BYTES = 64
 
 
-class Board:
-    """A core on its timer, and a host that speaks to it."""
+class Board(supervised.Board):
+    """A core on its timer, and a host that computes the currents."""
 
-    def __init__(self, library: ctypes.CDLL, model: RigModel | None = None, **options: int) -> None:
-        self.core = Core(library, unmeasured(model or rotary_rig()), **options)
-        self.library = library
-        self.host = Connection(Role.HOST)
-        self.count, self.measured, self.edge_time, self.inputs, self.late = 0, 0, 0, 0, 0
-        self.nonce = 0
-        self.core.start()
+    def __init__(self, library: ctypes.CDLL, model: RigModel | None = None) -> None:
+        super().__init__(library, model or rotary_rig())
 
-    def events(self, data: bytes) -> Iterator[Message]:
-        self.host.receive_data(data)
-        while (event := self.host.next_event()) is not None:
-            assert isinstance(event, Received)
-            yield event.message
-
-    def tick(self, current: int | None = None, missed: int = 0) -> m.State | None:
+    def tick(self, current: int | None = None, missed: int = 0) -> m.State | None:  # type: ignore[override]
         """Let the timer strike, once more for each missed tick; a COMMAND comes before, if one is given."""
         if current is not None:
-            self.core.receive(self.host.send(m.Command(self.host.answered, 20_000, 0, 0, current)))
-        time = self.core.status.due + self.late + missed * UNITS_PER_SECOND // self.core.status.rate
-        self.library.host_set_world(
-            self.core.address, time, self.count, self.edge_time, self.measured, self.inputs
-        )
-        self.library.host_tick(self.core.address)
-        states = [message for message in self.events(self.core.take()) if isinstance(message, m.State)]
-        assert len(states) <= 1
-        return states[0] if states else None
+            self.command(Mode.CURRENT, current)
+        self.missed, before = missed, len(self.states)
+        super().tick()
+        return self.states[-1] if len(self.states) > before else None
 
-    def ask(self, message: Message, session: int | None = None) -> Message:
-        (answer,) = self.events(self.core.receive(self.host.send(message, session=session)))
+    def ask(self, message: Message, session: int | None = None) -> Any:
+        (answer,) = self.take(self.receive(self.host.send(message, session=session)))
         return answer
-
-    def configure(self, **values: Value) -> m.Ack:
-        self.nonce += 1
-        for message in set_parameters(encode_block(values), self.nonce):
-            ack = self.ask(message)
-            assert isinstance(ack, m.Ack)
-            if ack.status:
-                break
-        return ack
-
-    def arm(self, session: int = 1) -> m.Ack:
-        self.nonce += 1
-        ack = self.ask(m.Arm(self.nonce, self.core.hash, self.crc), session)
-        assert isinstance(ack, m.Ack)
-        return ack
-
-    def begin(self, **values: Value) -> Board:
-        self.ask(m.Identify(1, 0))
-        ack = self.configure(**{**RUN_PARAMETERS, "position_rate": RATE, **values})
-        assert ack.status == Status.OK
-        self.crc = ack.crc
-        assert self.arm().status == Status.OK
-        return self
 
 
 def seen(state: m.State | None) -> m.State:
@@ -222,13 +180,13 @@ def test_it_enters_its_boot_loader_when_asked_and_not_armed(library: ctypes.CDLL
     board = Board(library)
     board.ask(m.Identify(1, 0))
     question = m.EnterBootloader(2)
-    assert board.ask(question).status == Status.UNSUPPORTED  # type: ignore[attr-defined]
+    assert board.ask(question).status == Status.UNSUPPORTED
     library.host_let_leave(board.core.address)
     board.begin()
     with pytest.raises(LocalProtocolError, match="ARMED"):
         board.ask(question)
     board.ask(m.Disarm(9, 0))
-    assert board.ask(question).status == Status.OK  # type: ignore[attr-defined]
+    assert board.ask(question).status == Status.OK
     for _ in range(RATE // 20):
         assert not board.core.status.left, "the answer has 50 ms to leave"
         board.tick()
@@ -244,7 +202,7 @@ def test_what_had_stopped_the_processor_is_told(library: ctypes.CDLL) -> None:
         library.host_restart(board.core.address)
         library.host_was_reset(board.core.address, place)
         assert board.core.status.fault == fault
-        assert board.ask(m.GetStatistics(2)).stopped_at == place  # type: ignore[attr-defined]
+        assert board.ask(m.GetStatistics(2)).stopped_at == place
 
 
 def test_a_main_loop_that_stands_for_20_ms_ends_the_run_and_starves_the_watchdog(

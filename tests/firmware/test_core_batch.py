@@ -89,12 +89,6 @@ def test_a_frame_knows_when_its_first_sample_was_taken(library: ctypes.CDLL) -> 
     assert [frame.message.device_time for frame in board.frames] == times[::10][:3]
 
 
-def test_a_count_before_the_first_difference_follows_the_last_frame(library: ctypes.CDLL) -> None:
-    board = board_of(library, 0, 10)
-    board.run([*range(0, 100, 3)])
-    assert [frame.message.base_count for frame in board.frames] == [0, 27, 57]
-
-
 @pytest.mark.parametrize("layout", [0, 1, 2])
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_difference_that_does_not_fit_is_a_fault_and_the_rest_is_kept(
@@ -123,19 +117,6 @@ def test_how_far_the_handle_moved_over_a_gap_need_not_fit(library: ctypes.CDLL) 
     assert second.message.first_index == first.message.first_index + 2 + 1
 
 
-def test_a_frame_that_the_link_does_not_take_is_lost_whole(library: ctypes.CDLL) -> None:
-    board = board_of(library, 0, 10)
-    board.run([0] * 10)
-    library.host_set_room(board.core.address, 0)
-    board.run([1] * 10)
-    library.host_set_room(board.core.address, OUTPUT_BYTES)
-    board.run([2] * 10)
-    first, last = board.frames
-    assert last.message.first_index == first.message.first_index + 20
-    assert (first.sequence, last.sequence) == (0, 2)
-    assert [sample.count for sample in last.samples] == [2] * 10
-
-
 @pytest.mark.parametrize("mode", [Mode.STOP, Mode.CURRENT])
 def test_the_last_samples_leave_when_supervision_ends(library: ctypes.CDLL, mode: Mode) -> None:
     board = board_of(library)
@@ -146,13 +127,6 @@ def test_the_last_samples_leave_when_supervision_ends(library: ctypes.CDLL, mode
     board.tick()
     board.tick()
     assert len(board.frames) == 1
-
-
-def test_the_last_samples_leave_before_a_disarm_is_answered(library: ctypes.CDLL) -> None:
-    board = board_of(library)
-    board.run([0] * 7)
-    assert board.disarm().status == 0
-    assert [len(frame.samples) for frame in board.frames] == [7]
 
 
 def test_the_tick_of_a_fault_is_the_last_that_arrives(library: ctypes.CDLL) -> None:

@@ -17,21 +17,11 @@ from sim_backend.hardware import Hardware
 from sim_backend.operator import PRESS_HZ, REPEAT_S, TREMOR_HZ, OperatorScript
 from sim_backend.plant import DiscretePlant, advance
 from tests.conformance.rigs import linear_rig, rotary_rig
+from tests.sim_backend.test_plant import ROTARY
 
 TICK_S = 5e-4
 REACH = Reach(start=-0.05, target=0.02, pace=0.5, wait_s=0.1, seed=3)
-TWO_MASS = Mechanics(
-    structure="two-mass",
-    motor_inertia=1.9e-4,
-    link_inertia=1.58e-3,
-    motor_damping=2.7e-3,
-    link_damping=1e-3,
-    motor_coulomb=0.005,
-    link_coulomb=0.0017,
-    transmission_stiffness=2310.0,
-    transmission_damping_ratio=0.035,
-    handle_radius=0.1,
-)
+TWO_MASS = ROTARY.mechanics
 RIGID = replace(TWO_MASS, structure="rigid")
 STILL = replace(GRIPS["normal"], tremor=0.0, press_modulation=0.0)
 

@@ -26,12 +26,6 @@ def test_a_position_lies_in_the_cell_that_its_count_names(position: float, offse
     assert low - slack <= position <= low + RESOLUTION + slack
 
 
-@given(positions)
-def test_an_offset_of_half_a_count_rounds_to_the_nearest_count(position: float) -> None:
-    count = encoder_count(position, RESOLUTION, 0.5, 1)
-    assert abs(position - count * RESOLUTION) <= RESOLUTION * (0.5 + 1e-9)
-
-
 @given(positions, positions, offsets)
 def test_counts_never_fall_while_the_position_rises(one: float, other: float, offset: float) -> None:
     low, high = sorted((one, other))

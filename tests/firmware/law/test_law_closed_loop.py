@@ -10,7 +10,6 @@ from rig.control.fixed_wall import current_quanta
 from rig.control.verdict import Kind
 from rig.core.sample import Phase
 from sim_backend.plant import advance
-from tests.firmware.law.exact_law import ExactLaw
 from tests.firmware.law.law_design import FIXED, fixed_wall_of, parameters_of, velocity_format
 from tests.firmware.law.law_rigs import (
     DUAL,
@@ -55,16 +54,6 @@ def test_a_hit_of_a_second_is_the_hosts_fixed_wall_exactly(law: Any, scheme: Any
     assert ours.counts.tolist() == counts
     assert ours.currents.tolist() == currents
     assert min(currents) < -2000, "it must hit"
-
-
-def test_a_hit_from_homing_to_release_is_exact(law: Any) -> None:
-    experiment = experiment_of(*ESTIMATOR, DUAL, SHORT, {"trial.start": START - 0.002})
-    p = parameters_of(controller_of(experiment), FIXED)
-    run = in_lock_step(law, experiment, p, law.reset(p), 10_000)
-    assert set(run.phases.tolist()) == set(Phase) - {Phase.WAIT, Phase.FREE}
-    exact = ExactLaw(p)
-    expected = [exact.tick(count) for count in run.counts.tolist()]
-    assert list(zip(run.currents.tolist(), run.flags.tolist(), run.phases.tolist(), strict=True)) == expected
 
 
 def test_the_fixed_law_renders_the_wall_of_the_float64_one(law: Any) -> None:

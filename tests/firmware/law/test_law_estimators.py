@@ -135,15 +135,6 @@ def test_explicit_levant_stays_within_its_own_chatter_of_the_host(law: Any, disc
     assert math.sqrt(np.mean(off**2)) <= 2.0 * alpha
 
 
-@pytest.mark.parametrize("seed", range(12))
-def test_fixed_velocity_is_the_golden_one(law: Any, seed: int) -> None:
-    vectors = golden_vectors(seed)
-    p = bare(estimators.get("fdm").prepare({}, 1.0, 1.0), vectors.velocity_divider)
-    _set_biquad(p, vectors.filter)
-    ticks = law.run(p, inputs(vectors.counts))
-    assert tuple(ticks["velocity_fixed"].tolist()) == vectors.velocities
-
-
 @given(st.data())
 @settings(max_examples=60)
 def test_fixed_velocity_is_exact_after_gaps(law: Any, data: st.DataObject) -> None:
