@@ -9,13 +9,11 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 import time
 import tty
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
-from queue import Queue
 
 import pytest
 
@@ -33,6 +31,7 @@ from tests.conformance.firmware import need_compiler
 from tests.conformance.host import Host
 from tests.conformance.link import check_link
 from tests.conformance.rigs import rotary_rig
+from tests.conformance.served import served_rig
 from tests.conformance.started import die_with_parent, started
 
 WAIT_S = 20.0
@@ -43,34 +42,6 @@ from sim_backend.pty import serve
 from tests.conformance.rigs import rotary_rig
 serve(rotary_rig(), announce=lambda path: print(path, flush=True), link_path={link_path!r}, firmware={firmware})
 """
-
-
-class Server:
-    """`serve` in a thread."""
-
-    def __init__(self, **options: object) -> None:
-        announced: Queue[str] = Queue()
-        self.stop = threading.Event()
-        self.error: BaseException | None = None
-
-        def body() -> None:
-            try:
-                pty.serve(rotary_rig(), announce=announced.put, stop_event=self.stop, **options)  # type: ignore[arg-type]
-            except BaseException as error:
-                self.error = error
-
-        self.thread = threading.Thread(target=body, daemon=True)
-        self.thread.start()
-        self.path = announced.get(timeout=WAIT_S)
-
-    def open(self) -> SerialLink:
-        return open_port(self.path)
-
-    def end(self) -> None:
-        self.stop.set()
-        self.thread.join(WAIT_S)
-        assert not self.thread.is_alive()
-        assert self.error is None
 
 
 def open_port(path: str) -> SerialLink:
@@ -85,10 +56,9 @@ def firmware(request: pytest.FixtureRequest) -> bool:
 
 
 @pytest.fixture
-def server(firmware: bool) -> Iterator[Server]:
-    running = Server(firmware=firmware)
-    yield running
-    running.end()
+def path(firmware: bool) -> Iterator[str]:
+    with served_rig(firmware=firmware) as served:
+        yield served
 
 
 def run(host: Host, states: int) -> list[m.State]:
@@ -112,22 +82,22 @@ def fault_of(host: Host) -> int:
 
 
 @pytest.mark.quiet
-def test_the_process_conforms_as_a_device(server: Server) -> None:
-    check_device(server.open, starts_in_boot=False)
+def test_the_process_conforms_as_a_device(path: str) -> None:
+    check_device(lambda: open_port(path), starts_in_boot=False)
 
 
-def test_its_port_conforms_as_a_link(server: Server) -> None:
+def test_its_port_conforms_as_a_link(path: str) -> None:
     master, slave = os.openpty()
     tty.setraw(slave)
     try:
-        check_link(server.open, lambda: open_port(os.ttyname(slave)), slack_s=SLACK_S)
+        check_link(lambda: open_port(path), lambda: open_port(os.ttyname(slave)), slack_s=SLACK_S)
     finally:
         os.close(master)
         os.close(slave)
 
 
-def test_it_advertises_the_rates_that_a_pseudo_terminal_carries(server: Server, firmware: bool) -> None:
-    about = Host(server.open()).identify()
+def test_it_advertises_the_rates_that_a_pseudo_terminal_carries(path: str, firmware: bool) -> None:
+    about = Host(open_port(path)).identify()
     assert (about.position_rate_default, about.position_rate_maximum) == (
         1_000,
         20_000 if firmware else 4_000,
@@ -137,9 +107,9 @@ def test_it_advertises_the_rates_that_a_pseudo_terminal_carries(server: Server, 
     assert law.maximum == (2 if firmware else 0)
 
 
-def test_a_descriptor_without_any_library_is_enough(server: Server) -> None:
+def test_a_descriptor_without_any_library_is_enough(path: str) -> None:
     connection = Connection(m.Role.HOST)
-    port = os.open(server.path, os.O_RDWR | os.O_NOCTTY)
+    port = os.open(path, os.O_RDWR | os.O_NOCTTY)
     try:
         os.write(port, connection.send(m.Identify(7, 0)))
         event = None
@@ -152,9 +122,9 @@ def test_a_descriptor_without_any_library_is_enough(server: Server) -> None:
 
 
 def test_samples_come_in_order_and_answers_act_one_tick_later_at_the_soonest(
-    server: Server, firmware: bool
+    path: str, firmware: bool
 ) -> None:
-    host = Host(server.open())
+    host = Host(open_port(path))
     host.begin()
     states = run(host, 100)
     host.disarm()
@@ -174,8 +144,8 @@ def test_samples_come_in_order_and_answers_act_one_tick_later_at_the_soonest(
     assert 20 in {state.current_commanded for state in states}
 
 
-def test_a_host_that_does_not_read_loses_states_and_hinders_nobody(server: Server, firmware: bool) -> None:
-    host = Host(server.open())
+def test_a_host_that_does_not_read_loses_states_and_hinders_nobody(path: str, firmware: bool) -> None:
+    host = Host(open_port(path))
     rate = 20_000 if firmware else 4_000  # which has more room for what nobody reads
     host.begin(ramp_us=0, position_rate=rate)
     indices = [host.next_state().sample_index]
@@ -194,14 +164,14 @@ def test_a_host_that_does_not_read_loses_states_and_hinders_nobody(server: Serve
     host.link.close()
 
 
-def test_what_one_host_left_unread_is_not_read_by_the_next(server: Server, firmware: bool) -> None:
-    host = Host(server.open())
+def test_what_one_host_left_unread_is_not_read_by_the_next(path: str, firmware: bool) -> None:
+    host = Host(open_port(path))
     host.begin()
     last = host.next_state().sample_index
     time.sleep(0.3)
     host.link.close()
     time.sleep(0.1)
-    port = os.open(server.path, os.O_RDWR | os.O_NOCTTY)  # pyserial would flush by itself
+    port = os.open(path, os.O_RDWR | os.O_NOCTTY)  # pyserial would flush by itself
     try:
         received = b""
         while not (frames := FrameSplitter().feed(received)):
@@ -251,46 +221,42 @@ def test_kill_of_the_host_process_and_sigterm_of_the_rig(tmp_path: Path, firmwar
 
 def test_a_pause_of_the_whole_process_is_counted_and_not_made_up_for(monkeypatch: pytest.MonkeyPatch) -> None:
     """The clock of the server jumps by half a second, then by an hour; only the first passes in the simulated world."""
-    server = Server(firmware=False)
-    host = Host(server.open())
-    host.begin()
-    before = host.next_state()
-    jump_ns = 0
-    monotonic_ns = time.monotonic_ns
-    monkeypatch.setattr(time, "monotonic_ns", lambda: monotonic_ns() + jump_ns)
-    jump_ns = 500_000_000
-    while (after := host.next_state()).missed_ticks < 400:
-        pass
-    assert after.missed_ticks - before.missed_ticks <= after.sample_index - before.sample_index
-    jump_ns = 3_600_000_000_000
-    while (later := host.next_state()).missed_ticks < 65_535:
-        pass
-    assert later.sample_index - after.sample_index < 60_000
-    host.disarm()
-    host.link.close()
-    server.end()  # before its clock jumps back, which no real one does
+    jump_ns, monotonic_ns = 0, time.monotonic_ns
+    with served_rig(firmware=False) as path:  # it ends before its clock jumps back, which no real one does
+        host = Host(open_port(path))
+        host.begin()
+        before = host.next_state()
+        monkeypatch.setattr(time, "monotonic_ns", lambda: monotonic_ns() + jump_ns)
+        jump_ns = 500_000_000
+        while (after := host.next_state()).missed_ticks < 400:
+            pass
+        assert after.missed_ticks - before.missed_ticks <= after.sample_index - before.sample_index
+        jump_ns = 3_600_000_000_000
+        while (later := host.next_state()).missed_ticks < 65_535:
+            pass
+        assert later.sample_index - after.sample_index < 60_000
+        host.disarm()
+        host.link.close()
 
 
 def test_the_firmware_ticks_at_twenty_kilohertz_in_real_time() -> None:
     need_compiler()
-    server = Server(firmware=True, rate=20_000)
-    host = Host(server.open())
-    host.identify()  # it shows itself now, a hundred times a second
-    first, began = host.next_state(), time.monotonic()
-    time.sleep(0.2)
-    while (last := host.next_state()).sample_index < first.sample_index + 4_000:
-        assert time.monotonic() < began + WAIT_S
+    with served_rig(firmware=True, rate=20_000) as path:
+        host = Host(open_port(path))
+        host.identify()  # it shows itself now, a hundred times a second
+        first, began = host.next_state(), time.monotonic()
+        time.sleep(0.2)
+        while (last := host.next_state()).sample_index < first.sample_index + 4_000:
+            assert time.monotonic() < began + WAIT_S
+        host.link.close()
     assert last.device_time - first.device_time == 800 * (last.sample_index - first.sample_index)
     assert (last.missed_ticks, last.fault) == (0, 0)
-    host.link.close()
-    server.end()
 
 
 def test_it_ends_by_itself_after_its_duration() -> None:
-    finite = Server(duration_s=0.05)
-    finite.thread.join(WAIT_S)
-    assert not finite.thread.is_alive()
-    assert finite.error is None
+    announced: list[str] = []
+    pty.serve(rotary_rig(), announce=announced.append, duration_s=0.05)
+    assert len(announced) == 1
 
 
 @pytest.mark.parametrize(

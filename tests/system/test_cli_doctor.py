@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import threading
 from collections.abc import Iterator
 from pathlib import Path
-from queue import Queue
 from typing import Any
 
 import numpy as np
@@ -23,8 +21,8 @@ from rig.devices.port_facts import PortFacts
 from rig.experiments import examine as examining
 from rig.recording.quantiles import Distribution
 from rig.recording.reader import open_recording
-from sim_backend import pty
 from tests.conformance.claimed import claim_to_be_real
+from tests.conformance.served import served_rig
 
 WAIT_S = 30.0
 QUICK = ("--seconds", "0.3", "--set", "host.realtime=off")
@@ -43,15 +41,8 @@ def machine(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def port() -> Iterator[Any]:
     """A simulated rig behind a pseudo-terminal."""
-    announced, stop = Queue(), threading.Event()
-    model = config.rig_model(presets.load("koul-compliant"))
-    thread = threading.Thread(
-        target=lambda: pty.serve(model, rate=1000, announce=announced.put, stop_event=stop), daemon=True
-    )
-    thread.start()
-    yield f"serial://{announced.get(timeout=WAIT_S)}"
-    stop.set()
-    thread.join(WAIT_S)
+    with served_rig(config.rig_model(presets.load("koul-compliant")), rate=1000) as path:
+        yield f"serial://{path}"
 
 
 @pytest.fixture

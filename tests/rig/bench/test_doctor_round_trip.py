@@ -8,7 +8,6 @@ import json
 import math
 import threading
 from collections.abc import Iterator
-from queue import Queue
 from types import SimpleNamespace
 from typing import Any
 
@@ -29,7 +28,7 @@ from rig.devices.device import DeviceUrl
 from rig.devices.port import LoopPort
 from rig.realtime.clock import VirtualClock
 from rig.realtime.plugs import TRANSFER_SIGNATURE, WAIT_SIGNATURE, NativeFunction
-from sim_backend import pty
+from tests.conformance.served import served_rig
 
 WAIT_S = 30.0
 UNIT_NS = 62.5
@@ -263,15 +262,8 @@ def test_virtual_time_has_no_delay_and_the_device_is_as_before() -> None:
 @pytest.fixture
 def port() -> Iterator[Any]:
     """A simulated rig behind a pseudo-terminal."""
-    announced, stop = Queue(), threading.Event()
-    model = config.rig_model(presets.load("koul-compliant"))
-    thread = threading.Thread(
-        target=lambda: pty.serve(model, rate=1000, announce=announced.put, stop_event=stop), daemon=True
-    )
-    thread.start()
-    yield f"serial://{announced.get(timeout=WAIT_S)}"
-    stop.set()
-    thread.join(WAIT_S)
+    with served_rig(config.rig_model(presets.load("koul-compliant")), rate=1000) as path:
+        yield f"serial://{path}"
 
 
 def test_over_a_port_a_trip_takes_some_time_and_the_line_is_in_order_afterwards(port: Any) -> None:

@@ -5,10 +5,8 @@ from __future__ import annotations
 import socket
 import subprocess
 import sys
-import threading
 from collections.abc import Iterator
 from pathlib import Path
-from queue import Queue
 from typing import Any
 
 import pytest
@@ -20,12 +18,11 @@ from rig.core.errors import ConfigError, DeviceNotFoundError, UnpluggedError
 from rig.devices.device import DeviceUrl
 from rig.devices.local import host_beside
 from rig.devices.local_socket import SocketLink, open_link
-from sim_backend import pty
 from tests.conformance.device import check_device
 from tests.conformance.firmware import need_compiler
 from tests.conformance.host import Host
 from tests.conformance.link import check_link
-from tests.conformance.rigs import rotary_rig
+from tests.conformance.served import served_rig
 
 WAIT_S = 20.0
 SLACK_S = 5.0  # of a loaded machine
@@ -38,17 +35,8 @@ def opened(path: Any, query: str = "") -> SocketLink:
 @pytest.fixture(params=[None, False], ids=["default", "readable"])
 def path(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Path]:
     """Of a simulated rig that is served."""
-    announced: Queue[str] = Queue()
-    stop = threading.Event()
-    options = {"firmware": request.param, "socket": tmp_path / "port", "stop_event": stop}
-    thread = threading.Thread(
-        target=pty.serve, args=(rotary_rig(),), kwargs=options | {"announce": announced.put}
-    )
-    thread.start()
-    yield Path(announced.get(timeout=WAIT_S))
-    stop.set()
-    thread.join(WAIT_S)
-    assert not thread.is_alive()
+    with served_rig(firmware=request.param, socket=tmp_path / "port") as served:
+        yield Path(served)
     assert not (tmp_path / "port").exists()
 
 

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import errno
-import threading
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
-from queue import Queue
 from types import SimpleNamespace
 from typing import Any
 
@@ -28,11 +27,10 @@ from rig.devices.framed import STOP_FRAMES
 from rig.devices.threaded_serial import ThreadedSerialLink, open_link
 from rig.experiments.hit import HitRequest, hit
 from rig.recording.reader import open_recording
-from sim_backend import pty as served
 from tests.conformance.device import check_device
 from tests.conformance.firmware import need_compiler
 from tests.conformance.link import check_link
-from tests.conformance.rigs import rotary_rig
+from tests.conformance.served import served_rig
 
 WAIT_S = 20.0
 SLACK_S = 5.0  # of a loaded machine
@@ -46,20 +44,8 @@ def opened(path: str, query: str = "") -> ThreadedSerialLink:
 @pytest.fixture
 def board() -> Iterator[Callable[..., str]]:
     """Serves rigs, each behind a pseudo-terminal; gives its path."""
-    stop = threading.Event()
-    threads: list[threading.Thread] = []
-
-    def serve(model: Any = None, **options: Any) -> str:
-        announced: Queue[str] = Queue()
-        given = {"stop_event": stop, "announce": announced.put, **options}
-        threads.append(threading.Thread(target=served.serve, args=(model or rotary_rig(),), kwargs=given))
-        threads[-1].start()
-        return announced.get(timeout=WAIT_S)
-
-    yield serve
-    stop.set()
-    for thread in threads:
-        thread.join(WAIT_S)
+    with ExitStack() as running:
+        yield lambda model=None, **options: running.enter_context(served_rig(model, **options))
 
 
 def test_it_conforms_as_a_link_and_the_rig_behind_it_as_a_device(board: Any, line: Any) -> None:

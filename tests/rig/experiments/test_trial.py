@@ -9,7 +9,6 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from queue import Queue
 from typing import Any
 
 import numba
@@ -53,10 +52,10 @@ from rig.realtime.kernel import kernel
 from rig.realtime.plugs import LAW_SIGNATURE
 from rig.recording.files import free_name
 from rig.recording.reader import open_recording
-from sim_backend import pty
 from sim_backend.device import SimulatedDevice
 from sim_backend.link import MemoryLink
 from tests.conformance.claimed import claim_to_be_real
+from tests.conformance.served import served_rig
 from tests.conformance.trials import trial_on
 
 WAIT_S = 20.0
@@ -706,17 +705,9 @@ def test_names_of_recordings_are_free(tmp_path: Path) -> None:
 
 @pytest.fixture
 def port() -> Iterator[Any]:
-    """A simulated rig behind a pseudo-terminal that says it runs at 800 Hz."""
-    announced, stop = Queue(), threading.Event()
-
-    def serve() -> None:
-        pty.serve(config.rig_model(SHORT), rate=800, announce=announced.put, stop_event=stop)
-
-    thread = threading.Thread(target=serve, daemon=True)
-    thread.start()
-    yield f"serial://{announced.get(timeout=WAIT_S)}"
-    stop.set()
-    thread.join(WAIT_S)
+    """A simulated rig behind a pseudo-terminal that declares a rate of 800 Hz."""
+    with served_rig(config.rig_model(SHORT), rate=800) as path:
+        yield f"serial://{path}"
 
 
 def test_in_real_time_the_device_names_the_rate_unless_the_user_does(port: Any) -> None:

@@ -1,0 +1,39 @@
+"""A simulated rig behind a port, served by a thread of this process."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from queue import Queue
+from typing import Any
+
+from rig.core.model import RigModel
+from sim_backend import pty
+from tests.conformance.rigs import rotary_rig
+
+WAIT_S = 20.0
+
+
+@contextmanager
+def served_rig(model: RigModel | None = None, **options: Any) -> Iterator[str]:
+    """Serve a rig (`sim_backend.pty.serve`) and yield the path of its port; raise at the end what the server raised."""
+    announced: Queue[str] = Queue()
+    stop, errors = threading.Event(), []
+
+    def body() -> None:
+        try:
+            pty.serve(model or rotary_rig(), announce=announced.put, stop_event=stop, **options)
+        except BaseException as error:
+            errors.append(error)
+
+    thread = threading.Thread(target=body, daemon=True)
+    thread.start()
+    try:
+        yield announced.get(timeout=WAIT_S)
+    finally:
+        stop.set()
+        thread.join(WAIT_S)
+    assert not thread.is_alive()
+    if errors:
+        raise errors[0]
