@@ -22,6 +22,9 @@ from rig.control import estimators
 from rig.control.estimators.arrays import inputs, run
 from rig.control.estimators.estimator import Estimator, Floats
 from rig.core.errors import ConfigError
+from rig.core.present import Item, Row
+from rig.core.sample import unit_of
+from rig.core.shown import Shown
 from rig.experiments.cases import DELAY_STEP_S, Case
 
 APPROACH_S, REST_S, LISTENED_S = 0.2, 1.0, 0.5  # of the rest that noise is measured in
@@ -98,13 +101,25 @@ class Score:
     refused: str | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class EstimatorComparison:
+@dataclass(frozen=True, slots=True, repr=False)
+class EstimatorComparison(Shown):
     """Every variant on every case: `scores` case by case, in the order of the variants."""
 
     cases: tuple[Case, ...]
     variants: tuple[Variant, ...]
     scores: tuple[Score, ...]
+
+    def brief(self) -> list[Item]:
+        """Raw error and delay of each."""
+        rows: list[Item] = []
+        number = len(self.variants)
+        for case, first in zip(self.cases, range(0, len(self.scores), number), strict=True):
+            unit = unit_of("velocity", case.motion)
+            rows += [f"{case.name} at {case.rate_hz:g} Hz, {case.speed_rms:.3g} {unit} rms"]
+            for variant, score in zip(self.variants, self.scores[first : first + number], strict=True):
+                late = "" if math.isnan(score.delay_s) else f"{1e3 * score.delay_s:.3g} ms late"
+                rows += [Row(variant.label, score.refused or score.rms, "" if score.refused else unit, late)]
+        return rows
 
 
 def default_variants(names: Iterable[str] | None = None) -> tuple[Variant, ...]:

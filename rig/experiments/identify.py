@@ -39,9 +39,10 @@ from rig.core.check import refuse
 from rig.core.errors import ConfigError, PlanError, RigError
 from rig.core.keyword import Keyword
 from rig.core.model import Cogging
-from rig.core.present import reported
+from rig.core.present import Item, Row, reported
 from rig.core.same_rig import check_rig
 from rig.core.sample import RowFlag, unit_of
+from rig.core.shown import Shown
 from rig.devices.device import DeviceUrl
 from rig.devices.framed import FramedDevice
 from rig.experiments.excitation_run import late_ticks
@@ -148,8 +149,8 @@ class IdentifyRequest(FreeRigRequest):
             )
 
 
-@dataclass(frozen=True, kw_only=True)
-class Identification:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Identification(Shown):
     """What came of it: the fits, the recordings behind them, and the experiment with the identified values.
 
     Attributes
@@ -193,6 +194,18 @@ class Identification:
     def motion(self) -> str:
         """Its kind of motion, which decides the units."""
         return self.experiment.rig.motion
+
+    def brief(self) -> list[Item]:
+        """Friction, damping, inertia, delay, each with its 95 % interval; warnings."""
+        x, sliding, dynamics = self.experiment, self.sliding, self.dynamics
+        values = {
+            "Coulomb friction": sliding.coulomb.text(_unit(x, "effort")),
+            "viscous damping": sliding.damping.text(_unit(x, "damping")),
+            "inertia": dynamics.inertia.text(_unit(x, "inertia")),
+            "delay": dynamics.delay_s.scaled(1e3).text("ms"),
+        }
+        rows = [Row(name, text) for name, text in values.items()]
+        return [f"{self.rig}, identified", *rows, *(f"warning: {one}" for one in self.warnings)]
 
 
 @stop_requests.together()

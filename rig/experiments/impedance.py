@@ -38,8 +38,9 @@ from rig.config.schemes import Scheme
 from rig.core.check import refuse
 from rig.core.errors import ConfigError, PlanError, RecordingError, UnexpectedVerdictError
 from rig.core.keyword import Keyword
-from rig.core.present import plain, reported
+from rig.core.present import Item, Row, plain, reported
 from rig.core.sample import Motion, Phase, unit_of
+from rig.core.shown import Shown
 from rig.experiments.excitation_plan import excitation_checks
 from rig.experiments.excitation_run import (
     ExcitedRig,
@@ -96,8 +97,8 @@ class Judging:
     ] = EFFECTIVE_HZ
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ImpedanceResult:
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class ImpedanceResult(Shown):
     """One wall under one scheme.
 
     Attributes
@@ -194,6 +195,19 @@ class ImpedanceResult:
             **config.excitation_size(x),
             "channel": x.excitation.channel,
         }
+
+    def brief(self) -> list[Item]:
+        """Verdict and fidelity, or what ended it."""
+        if self.judgement is None or self.fidelity is None:
+            return [self.label, Row("ended", self.ended, note=f"after {self.ended_s:.3g} s")]
+        unit, tested = unit_of("damping", self.motion), self.judgement.passivity
+        verdict = "passive" if self.judgement.passive else "; ".join(self.judgement.reasons)
+        low, high = tested.band_hz
+        return [
+            self.label,
+            Row("passivity", verdict, note=f"{tested.tested} lines, {low:g} to {high:g} Hz"),
+            Row("fidelity", self.fidelity.rms, unit, note="rms off the ideal wall"),
+        ]
 
     def expected(self, lines_hz: Floats) -> Complexes | None:
         """Closed form of rig and wall without friction and quantum; None for an estimator that is not linear."""

@@ -24,6 +24,8 @@ from rig.control import estimators
 from rig.control.estimators.estimator import Estimator, Floats, Setting
 from rig.core.deferred import optimize, stats
 from rig.core.errors import ConfigError
+from rig.core.present import Item, Row
+from rig.core.shown import Shown
 from rig.experiments.cases import Case
 from rig.experiments.estimators import Score, Variant, errors, estimates, raw_error, score
 
@@ -72,8 +74,8 @@ class SettingRange:
     open_above: bool
 
 
-@dataclass(frozen=True, slots=True)
-class Tuning:
+@dataclass(frozen=True, slots=True, repr=False)
+class Tuning(Shown):
     """The best settings found for one case, and how much they matter.
 
     `settings` are those that were given and those that had to move; all others are at their default.
@@ -92,6 +94,12 @@ class Tuning:
     before: Score
     after: Score
     evaluations: int
+
+    def brief(self) -> list[Item]:
+        """The settings and how far each may be off."""
+        rows = [Row(one.setting, one.value, note=f"within 10 %: {shown_range(one)}") for one in self.ranges]
+        changed = f"{self.objective} {self.objective_start:.4g} before, {self.objective_best:.4g} now"
+        return [f"{self.estimator} tuned on {self.case}: {changed}", *rows]
 
     def toml(self) -> str:
         """Fragment of an experiment's file: estimator and settings, with what they were tuned for."""

@@ -71,6 +71,7 @@ def compliant(tmp_path_factory: pytest.TempPathFactory) -> Any:
 
 
 def test_chawda_linear_comes_out_within_a_per_cent(chawda: Any) -> None:
+    assert re.search(r"Coulomb friction +0\.\d+ ± \S+ N\n.*\n +inertia +0\.5\d* ± \S+ kg", repr(chawda))
     assert chawda.signs.sign == 1
     assert chawda.dynamics.inertia.value == pytest.approx(0.52, rel=0.002)
     assert chawda.sliding.damping.value == pytest.approx(13.2, rel=0.005)
