@@ -33,6 +33,10 @@ from tests.conformance.census import still_there
 RUN = "HAPTIC_RIG_TEST_RUN"  # in the environment of whatever a run of the tests starts
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy: as the command line does
+# Some images of containers set it: then some hundred processes compile the package, and each worker rewrites the
+# asserts of every file, in every run.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 program.begin()
 
 collect_ignore = ["lab_package"]  # a package of its own, whose tests run where it is installed
