@@ -8,25 +8,17 @@ import shutil
 import signal
 import subprocess
 import sys
-import threading
 import time
 import tomllib
 from pathlib import Path
-from queue import Queue
 from subprocess import PIPE
 from typing import Any
 
-import numpy as np
 import pytest
 
 import rig.cli
-from rig import config
-from rig.config import presets
-from rig.devices import framed
-from rig.experiments.judgement import experiment_of, judge
 from rig.recording.reader import open_recording
 from rig.views.plots import style
-from sim_backend import pty
 from tests.conformance.started import started
 from tests.conformance.tiers import first_by_default
 
@@ -45,22 +37,6 @@ def hit(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def recording(hit: Path, tmp_path: Path) -> str:
     """A copy of one hit, where a test may write beside it."""
     return str(shutil.copy(hit, tmp_path))
-
-
-def test_hit_prints_the_verdict_and_leaves_a_recording_and_a_picture(run: Any, tmp_path: Path) -> None:
-    code, out, err = run("hit", *QUICK)
-    assert code == 0, err
-    (parquet,) = (tmp_path / "recordings").glob("*.parquet")
-    recording = open_recording(parquet)
-    experiment = experiment_of(recording)
-    for row in judge(recording, experiment).rows(experiment):
-        assert row.label in out
-        assert row.text in out
-    (picture,) = (tmp_path / "recordings").glob("*.png")
-    assert picture.read_bytes().startswith(b"\x89PNG")
-    assert open_recording(parquet).complete
-    assert str(parquet.name) in out
-    assert not list((tmp_path / "recordings").glob("*.rigcap"))
 
 
 @pytest.mark.usefixtures("coarse")
@@ -129,21 +105,6 @@ def test_what_a_program_reads_is_utf_8_whatever_the_locale_says(outside: dict[st
     assert tomllib.loads(preset.decode("utf-8"))["rig"]["name"] == "koul-compliant"
 
 
-def test_hit_gives_the_numbers_as_json(run: Any) -> None:
-    code, out, _ = run(
-        "hit", "--json", "--no-plot", "-K", "200", "-B", "0.3", "--rate", "20k/2k", "--repeats", "2", *QUICK
-    )
-    assert code == 0
-    first, second = json.loads(out)["hits"]
-    assert first["verdict"]["kind"] == first["verdict_true"]["kind"] == "stable"
-    assert first["stiffness"] == 200.0
-    assert (first["position_rate"], first["velocity_rate"]) == (20000, 2000)
-    assert first["recording"] != second["recording"]
-    assert first["verdict"]["peak_penetration"] == pytest.approx(
-        second["verdict"]["peak_penetration"], rel=0.2
-    )
-
-
 def test_the_default_hit_is_the_one_of_the_reference_study(run: Any) -> None:
     """Peak 17 to 18 counts, rest 3 to 4, effort up to 1.2 N·m, no saturation, stable."""
     code, out, _ = run("hit", "--json", "--no-plot")
@@ -156,30 +117,6 @@ def test_the_default_hit_is_the_one_of_the_reference_study(run: Any) -> None:
     assert verdict["peak_effort"] <= 1.2
     assert verdict["saturated_fraction"] == 0.0
     assert verdict["ticks"] == 20000
-
-
-def test_a_wall_of_three_times_the_limit_is_not_stable(run: Any) -> None:
-    code, out, _ = run(
-        "hit", "--json", "--no-plot", "-K", "1500", "-B", "0", "--set", "trial.minimum_rest_counts=0"
-    )
-    assert code == 0
-    (hit,) = json.loads(out)["hits"]
-    assert hit["verdict"]["kind"] == "unstable"
-    assert hit["verdict_true"]["kind"] == "unstable"
-
-
-def test_show_says_what_a_recording_holds(run: Any, recording: Any, tmp_path: Path) -> None:
-    code, out, _ = run("show", recording, "-o", tmp_path / "again.png")
-    assert code == 0
-    assert "finished" in out
-    assert "position_true" in out
-    assert "rad/s" in out
-    assert (tmp_path / "again.png").stat().st_size > 10_000
-    code, out, _ = run("show", recording, "--json")
-    facts = json.loads(out)
-    assert facts["header"]["experiment"]["wall"]["stiffness"] == 300.0
-    assert facts["columns"]["velocity"] == "rad/s"
-    assert facts["complete"]
 
 
 def test_a_verdict_that_is_not_the_expected_one_has_an_exit_code_of_its_own(run: Any, recording: Any) -> None:
@@ -206,17 +143,6 @@ def test_a_hit_for_a_script_prints_nothing_and_says_all_by_its_exit_code(run: An
     assert (code, result["error"]["exit_code"], len(result["hits"])) == (17, 17, 1)
 
 
-def test_show_draws_force_over_penetration(run: Any, recording: Any) -> None:
-    code, out, _ = run("show", recording, "--xy", "--format", "svg", "--json")
-    picture = Path(recording).with_name(f"{Path(recording).stem}-xy.svg")
-    assert (code, json.loads(out)["picture"]) == (0, str(picture))
-    drawn = picture.read_text(encoding="utf-8")
-    assert "penetration (rad)" in drawn
-    assert "force of the wall (N·m)" in drawn
-    code, _, err = run("show", recording, "-o", "a.png", "--format", "svg")
-    assert (code, "two formats" in err) == (2, True)
-
-
 def test_a_rig_is_a_name_or_a_file_with_the_same_option(run: Any, tmp_path: Path) -> None:
     (tmp_path / "mine.toml").write_text('preset = "koul-rigid"\n[wall]\nstiffness = 123.0\n')
     as_file, as_rig = (
@@ -227,187 +153,6 @@ def test_a_rig_is_a_name_or_a_file_with_the_same_option(run: Any, tmp_path: Path
     assert as_rig != run("experiment", "plan", "--rig", "koul-rigid", "--json")
     code, _, err = run("experiment", "plan", "mine.toml", "--rig", "mine.toml")
     assert (code, "both a file and --rig" in err) == (2, True)
-
-
-def test_the_schema_of_experiment_files_is_printed(run: Any) -> None:
-    jsonschema = pytest.importorskip("jsonschema")
-    code, out, _ = run("experiment", "schema")
-    schema = json.loads(out)
-    assert code == 0
-    jsonschema.Draft202012Validator.check_schema(schema)
-    validator = jsonschema.Draft202012Validator(schema)
-    table = tomllib.loads('preset = "koul-rigid"\n[wall]\nstiffness = 100.0\n')
-    assert not list(validator.iter_errors(table))
-    assert list(validator.iter_errors({"wall": {"stiffness": "stiff"}}))
-
-
-def test_what_is_active_on_a_device_is_dumped_and_nothing_changes(run: Any) -> None:
-    code, out, _ = run("device", "parameters", "sim://koul-rigid", "--json")
-    active = json.loads(out)
-    parameters = {one["name"]: one for one in active["parameters"]}
-    assert code == 0
-    assert {"current_limit", "float_stiffness"} <= set(parameters)
-    assert all(one["value"] == one["default"] for one in parameters.values())
-    assert parameters["float_stiffness"]["unit"] == "quantum/count"
-    code, out, _ = run("device", "parameters", "sim://koul-rigid")
-    assert f"{active['crc']:08x}" in out
-
-
-def test_replay_with_the_same_settings_is_bit_exact(run: Any, recording: Any) -> None:
-    code, out, _ = run("recording", "replay", recording, "--json")
-    assert code == 0
-    result = json.loads(out)
-    assert result["exact"]
-    assert result["velocity_difference"] == result["effort_difference"] == 0.0
-
-
-def test_replay_through_another_estimator_shows_the_difference(
-    run: Any, recording: Any, tmp_path: Path
-) -> None:
-    code, out, _ = run(
-        "recording", "replay", recording, "--estimator", "fdm", "--json", "-o", tmp_path / "replay.png"
-    )
-    assert code == 0
-    result = json.loads(out)
-    assert result["estimator"] == "fdm"
-    assert not result["exact"]
-    assert result["velocity_difference"] > 0.01
-    assert (tmp_path / "replay.png").exists()
-    code, out, _ = run("recording", "replay", recording, "-K", "100", "--json")
-    assert json.loads(out)["effort_difference"] > 0.01
-
-
-@pytest.mark.parametrize("ending", ["csv", "mat", "parquet"])
-def test_export_writes_the_formats_that_people_open(run: Any, recording: Any, ending: str) -> None:
-    code, out, _ = run("recording", "export", recording, f"hit.{ending}")
-    assert code == 0
-    assert out.strip() == f"hit.{ending}"
-    code, _, err = run("recording", "export", recording, f"hit.{ending}")
-    assert code != 0
-    assert "exists" in err
-    assert run("recording", "export", recording, f"hit.{ending}", "--overwrite")[0] == 0
-
-
-def test_plan_lists_steps_and_checks_and_touches_nothing(run: Any, tmp_path: Path) -> None:
-    code, out, _ = run("experiment", "plan", "--rig", "chawda-linear")
-    assert code == 0
-    for words in ("home", "push", "release", "impact velocity", "N/m", "motor heat"):
-        assert words in out
-    assert not list(tmp_path.iterdir())
-    code, out, _ = run("experiment", "plan", "--json")
-    assert json.loads(out)["ok"]
-
-
-def test_a_preset_prints_as_a_file_that_runs(run: Any, tmp_path: Path) -> None:
-    code, out, _ = run("experiment", "preset", "koul-rigid")
-    assert code == 0
-    (tmp_path / "mine.toml").write_text(out, encoding="utf-8")
-    assert run("experiment", "plan", "mine.toml")[0] == 0
-    code, out, _ = run("experiment", "preset")
-    assert "koul-compliant" in out
-
-
-def test_devices_lists_backends_and_asks_a_simulated_one_who_it_is(run: Any) -> None:
-    code, out, _ = run("device", "list")
-    assert code == 0
-    assert "sim://" in out
-    assert "serial://" in out
-    code, out, _ = run("device", "show", "sim://chawda-linear", "--json")
-    facts = json.loads(out)
-    assert facts["device"] == "chawda-linear"
-    assert facts["simulated"]
-
-
-@pytest.mark.quiet
-def test_devices_asks_the_port_as_well_as_the_device_behind_it(
-    run: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(framed, "DRIFT_S", 0.2)  # it is not asked here how well the drift is known
-    announced, stop = Queue(), threading.Event()
-    model = config.rig_model(presets.load("koul-compliant"))
-    thread = threading.Thread(
-        target=lambda: pty.serve(model, rate=1000, announce=announced.put, stop_event=stop), daemon=True
-    )
-    thread.start()
-    url = f"serial://{announced.get(timeout=60.0)}"
-    try:
-        code, out, err = run("device", "show", url, "--json")
-        assert code == 0, err
-        told = json.loads(out)
-        assert told["device"] == "koul-compliant"
-        assert told["port"]["device"] == url.removeprefix("serial://")
-        assert told["port"]["hangs_up"] is False
-        assert told["messages"] == []
-        code, out, err = run("device", "show", url)
-        assert code == 0, err
-        assert "port device" in out
-    finally:
-        stop.set()
-        thread.join(60.0)
-
-
-WRONG = {
-    "unknown key": ("[wall]\nstifness = 3.0", ["mine.toml", "stifness", "stiffness"]),
-    "out of range": ("[wall]\nstiffness = -5.0", ["mine.toml", "wall.stiffness", "-5", "≥ 0", "N·m/rad"]),
-    "wrong type": ('[wall]\nstiffness = "hard"', ["mine.toml", "wall.stiffness", "hard", "number"]),
-    "rates": ("[controller]\nvelocity_rate = 3000", ["mine.toml", "velocity_rate", "3000", "2500"]),
-    "no toml": ("[wall\n", ["mine.toml", "line 2"]),
-}
-
-
-@pytest.mark.parametrize("case", WRONG)
-def test_a_wrong_file_is_refused_with_file_key_value_range_and_remedy(
-    run: Any, tmp_path: Path, case: Any
-) -> None:
-    text, words = WRONG[case]
-    (tmp_path / "mine.toml").write_text(f'preset = "koul-compliant"\n{text}\n', encoding="utf-8")
-    for command in (["experiment", "plan"], ["hit", "--no-plot"]):
-        code, out, err = run(*command, "mine.toml")
-        assert code == 2
-        assert out == ""
-        for word in words:
-            assert word in err, (word, err)
-
-
-REFUSED = [
-    (["hit", "nothere.toml"], 2, "nothere.toml"),
-    (["hit", "--rig", "koul-complaint"], 2, "koul-compliant"),
-    (["hit", "--url", "serial:///dev/nothere"], 3, "no port /dev/nothere"),
-    (["hit", "--url", "serial://"], 2, "no port"),
-    (["hit", "--url", "can://1:2"], 2, "no backend for can://"),
-    (["hit", "--url", "usb://1:2"], 3, "there is no USB device 0001:0002"),
-    (["hit", "--url", "usb://mine"], 2, "usb://"),
-    (["hit", "--url", "sim://?colour=blue"], 2, "colour"),
-    (["hit", "--url", "nonsense"], 2, "no scheme"),
-    (["hit", "--estimator", "fdm-butterwort"], 2, "fdm-butterworth"),
-    (["hit", "--rate", "20k/3k"], 2, "velocity_rate"),
-    (["hit", "--rate", "fast"], 2, "--rate fast"),
-    (["hit", "--rate", "100k"], 2, "50 to 50000"),
-    (["hit", "--effort", "0.03"], 2, "counts"),
-    (["hit", "--set", "wall.stiffness"], 2, "key=value"),
-    (["hit", "--set", "controller.parameters.cutoff_hz=1500"], 2, "1000 Hz"),
-    (["show", "nothere.parquet"], 9, "nothere.parquet"),
-    (["recording", "replay", "nothere.parquet"], 9, "nothere.parquet"),
-    (["recording", "export", "nothere.parquet", "x.csv"], 9, "nothere.parquet"),
-    (["device", "show", "serial:///dev/null"], 3, "/dev/null"),
-]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "code", "words"),
-    REFUSED,
-    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
-)
-def test_what_cannot_be_meant_is_refused_in_words(
-    run: Any, tmp_path: Path, arguments: Any, code: Any, words: Any
-) -> None:
-    got, _, err = run(*arguments, *(["--no-plot"] if arguments[0] == "hit" else []))
-    assert got == code, err
-    if "no libusb" in err:
-        pytest.skip("libusb is not installed (package libusb-1.0-0)")
-    assert words in err
-    assert err.splitlines()[-1].startswith("rig: "), "whatever was said of compiling before"
-    assert not list(tmp_path.rglob("*.rigcap"))
 
 
 @pytest.mark.usefixtures("coarse")
@@ -436,19 +181,6 @@ def test_a_run_that_ends_early_still_gives_verdict_picture_and_the_hits_before_i
     assert told["hits"] == []
     assert told["error"]["exit_code"] == code == 10
     assert open_recording(told["error"]["recording"]).trailer["verdict"]["kind"] == "unstable"
-
-
-def test_what_a_file_says_is_meant_in_real_time_too(tmp_path: Path) -> None:
-    from rig import config  # noqa: PLC0415
-
-    (tmp_path / "soft.toml").write_text(
-        'preset = "koul-compliant"\n[wall]\nstiffness = 100.0\n[trial]\neffort = 0.2\n', encoding="utf-8"
-    )
-    experiment = config.with_realtime(config.load_experiment(tmp_path / "soft.toml"))
-    assert experiment.wall.stiffness == 100.0
-    assert experiment.trial.effort == 0.2
-    assert experiment.wall.damping == 0.2, "what the file leaves open is the preset's gentler value"
-    assert experiment.controller.position_rate == 1000
 
 
 def test_an_error_is_json_too_when_json_was_asked_for(run: Any) -> None:
@@ -481,24 +213,6 @@ def test_a_device_of_another_rig_is_refused_before_anything_moves(
     assert "--rig koul-rigid" in err
     assert not list(tmp_path.glob("**/*.rigcap"))
     assert not list(tmp_path.glob("**/*.parquet"))
-
-
-def test_a_url_alone_names_the_rig(run: Any) -> None:
-    code, out, _ = run("hit", "--url", "sim://koul-rigid", "--no-plot", "--json", *QUICK)
-    assert code == 0
-    assert json.loads(out)["hits"][0]["rig"] == "koul-rigid"
-
-
-def test_a_push_that_rests_below_two_counts_is_refused_with_the_number(run: Any) -> None:
-    _, _, err = run("experiment", "plan", "--effort", "0.05")
-    assert "1.1 counts" in err
-
-
-def test_a_file_that_is_no_recording_is_refused(run: Any, tmp_path: Path) -> None:
-    (tmp_path / "x.parquet").write_bytes(b"PAR1 but not really")
-    assert run("show", "x.parquet")[0] == 9
-    (tmp_path / "y.rigcap").write_bytes(np.random.default_rng(1).bytes(1000))
-    assert run("recording", "replay", "y.rigcap")[0] == 9
 
 
 def test_a_directory_that_cannot_be_written_is_refused_before_anything_moves(
@@ -675,3 +389,15 @@ def test_a_name_that_is_no_text_is_shown_in_any_locale(option: list[str]) -> Non
     assert done.returncode == 2
     assert b"\\udcff.toml" in done.stderr
     assert not option or json.loads(done.stdout)["error"]["error"].startswith("preset \udcff.toml")
+
+
+def test_the_schema_of_experiment_files_is_printed(run: Any) -> None:
+    jsonschema = pytest.importorskip("jsonschema")
+    code, out, _ = run("experiment", "schema")
+    schema = json.loads(out)
+    assert code == 0
+    jsonschema.Draft202012Validator.check_schema(schema)
+    validator = jsonschema.Draft202012Validator(schema)
+    table = tomllib.loads('preset = "koul-rigid"\n[wall]\nstiffness = 100.0\n')
+    assert not list(validator.iter_errors(table))
+    assert list(validator.iter_errors({"wall": {"stiffness": "stiff"}}))

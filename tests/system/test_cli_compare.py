@@ -27,17 +27,6 @@ def run(capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.M
     return call
 
 
-def test_it_prints_a_table_and_draws_a_picture_and_records_nothing(run: Any, tmp_path: Path) -> None:
-    code, out, err = run("--rig", "koul-rigid", *QUICK)
-    assert code == 0, err
-    assert "koul-rigid: K = 300 N·m/rad, B = 0.5 N·m·s/rad, the same hit, mean over 4 encoder offsets" in out
-    lines = [line.split() for line in out.splitlines()]
-    assert [line[:2] for line in lines[2:5]] == [["no", "damping"], ["uniform", "20"], ["dual", "20/2"]]
-    (picture,) = (tmp_path / "recordings").iterdir()
-    assert picture.name == "koul-rigid-compare.png"
-    assert picture.read_bytes().startswith(b"\x89PNG")
-
-
 def test_json_has_every_number_of_every_scheme_and_offset(run: Any, tmp_path: Path) -> None:
     code, out, _ = run(
         "--json", "--no-plot", "-K", "200", "-B", "0.3", "--scheme", "none",
@@ -61,7 +50,7 @@ def test_json_has_every_number_of_every_scheme_and_offset(run: Any, tmp_path: Pa
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.exhaustive("::test_it_prints_a_table_and_draws_a_picture_and_records_nothing")
+@pytest.mark.exhaustive("tests/system/test_commands.py::test_a_good_run_ends_with_0_as_json_and_as_text")
 def test_the_conditions_of_the_paper_give_figures_7_and_8(run: Any, tmp_path: Path) -> None:
     code, out, _ = run("--as-in-the-paper", "-o", "figures")
     assert code == 0
@@ -75,28 +64,3 @@ def test_the_conditions_of_the_paper_give_figures_7_and_8(run: Any, tmp_path: Pa
     assert [panel["position_rate"] for panel in facts["figure_7"]] == [20000, 10000] * 2
     assert len(facts["word_lengths"]) == 18
     assert [p["velocity_rate"] for p in facts["figure_8"]["profiles"]] == [2000, 20000] * 2
-
-
-WRONG = [
-    (["--set", "trial.repeats=3"], "trial.repeats = 3: a compared hit has no noise"),
-    (["--as-in-the-paper", "-K", "100"], "has its own rig, wall, start and schemes"),
-    (["--scheme", "triple:20k"], "no such kind of sampling"),
-    (["--scheme", "none", "--scheme", "none"], "scheme none is named twice"),
-    (["--scheme", "dual:20k/3k"], "velocity_rate"),
-    (["--estimator", "fmd"], "fmd"),
-    (["--rig", "nobody"], "nobody"),
-    (["--start", "-0.4", *BRIEF], "never reached the wall within 0.06 s"),
-    (["--set", "trial.kind=human"], "in automated trials, without a hand"),
-]
-
-
-@pytest.mark.parametrize(("arguments", "text"), WRONG)
-def test_what_cannot_be_meant_is_refused_in_one_line(
-    run: Any, tmp_path: Path, arguments: Any, text: Any
-) -> None:
-    code, out, err = run(*arguments)
-    assert code == 2
-    assert err.startswith("rig: ")
-    assert text in err
-    assert out == ""
-    assert not list(tmp_path.iterdir())

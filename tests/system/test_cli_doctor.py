@@ -93,16 +93,6 @@ def test_without_a_device_it_looks_at_machine_and_ports(run: Any, monkeypatch: p
         assert absent not in out
 
 
-def test_json_without_a_device(run: Any) -> None:
-    code, out, err = run("doctor", "--json")
-    assert code == 0
-    assert err == ""
-    found = json.loads(out)
-    assert [one["name"] for one in found["checks"]] == ["governor", "ports"]
-    assert found["armable"] is None, "nothing was measured"
-    assert found["device"] is found["link"] is found["gate"] is found["error"] is None
-
-
 def test_rules_for_udev_are_printed_and_nothing_else(run: Any) -> None:
     code, out, err = run("doctor", "--print-udev")
     assert code == 0

@@ -12,8 +12,6 @@ import pytest
 import rig.cli
 from rig import config
 from rig.control import estimators
-from rig.core.signals import SIGNALS
-from rig.experiments.tuning import OBJECTIVES
 from tests.firmware.build import compile_c
 
 HIT = [
@@ -48,29 +46,6 @@ def test_list_shows_every_estimator_with_its_parameters_delay_and_source(run: An
             assert setting.meaning in out
     assert "200 Hz   (0.1 to 1e+06) -3 dB frequency" in out
     assert "1.338 ms at 2000 Hz" in out
-
-
-def test_list_as_json_has_defaults_ranges_units_and_choices(run: Any) -> None:
-    code, out, _ = run("estimators", "list", "--json", "--rate", "20k", "fdm", "fdm-butterworth")
-    assert code == 0
-    fdm, filtered = json.loads(out)
-    assert fdm["delay_s"] == pytest.approx(0.25e-4, abs=2e-6)
-    assert fdm["parameters"] == []
-    (cutoff,) = (p for p in filtered["parameters"] if p["name"] == "cutoff_hz")
-    assert cutoff["default"] == 200.0
-    assert (cutoff["minimum"], cutoff["maximum"], cutoff["unit"]) == (0.1, 1e6, "Hz")
-
-
-def test_compare_prints_a_table_and_draws_a_picture(run: Any, tmp_path: Path) -> None:
-    code, out, _ = run("estimators", "compare", "--rate", "2k,20k", "--resolution", "2e-5", "--no-time")
-    assert code == 0
-    assert out.count("wall-bounce at") == 2
-    assert "2e-05 m a count; truth: closed form" in out
-    for name in estimators.names():
-        assert out.count(f"  {name} ") == 2
-    assert (tmp_path / "estimators.png").stat().st_size > 20_000
-    rows = [line.split() for line in out.splitlines() if line.split()[:1] == ["fdm"]]
-    assert [float(row[2]) for row in rows] == pytest.approx([0.25, 0.025], abs=0.01), "delay in ms"
 
 
 def test_compare_takes_variants_signals_and_json(run: Any, tmp_path: Path) -> None:
@@ -130,19 +105,6 @@ def test_tune_writes_a_fragment_that_an_experiment_can_use(run: Any, recording: 
     assert found["objective_best"] <= found["objective_start"]
 
 
-WRONG = [
-    (["list", "fmd"], "no estimator 'fmd'"),
-    (["compare", "--signal", "square"], f"no signal 'square'; choose one of: {', '.join(SIGNALS)}"),
-    (["compare", "--rate", "2q"], "not a whole number of Hz"),
-    (["compare", "--resolution", "-1"], "not above zero"),
-    (["compare", "--estimator", "fdm:cutoff"], "has no value"),
-    (["compare", "nothere.parquet"], "nothere.parquet"),
-    (["tune", "fdm"], "nothing to tune"),
-    (["tune", "fdm-butterworth", "--rate", "1k,2k"], "one rate is needed"),
-    (["tune", "fdm-butterworth", "--objective", "beauty"], f"choose one of: {', '.join(OBJECTIVES)}"),
-]
-
-
 def test_an_estimator_is_exported_with_the_recording_it_was_tuned_on(run: Any, tmp_path: Path) -> None:
     wall = ("--estimator", "kalman", "--set", "controller.parameters.gain=steady")
     recorded = json.loads(run("hit", "--rig", "koul-rigid", *HIT, *wall)[1])["hits"][0]["recording"]
@@ -159,17 +121,6 @@ def test_an_estimator_is_exported_with_the_recording_it_was_tuned_on(run: Any, t
     assert (code, "kalman.h" in err) == (9, True)
     code, _, err = run("estimators", "export", "period", "--rig", "koul-rigid")
     assert (code, "cannot be exported as C" in err) == (2, True)
-
-
-@pytest.mark.parametrize(("arguments", "text"), WRONG)
-def test_what_cannot_be_meant_is_refused_in_one_line(
-    run: Any, tmp_path: Path, arguments: Any, text: Any
-) -> None:
-    code, out, err = run("estimators", *arguments)
-    assert code != 0
-    assert text in err
-    assert out == ""
-    assert not list(tmp_path.iterdir())
 
 
 def test_the_lipschitz_constant_of_a_recorded_hit_can_be_put_into_levant(

@@ -11,42 +11,6 @@ from tests.conformance.firmware import need_compiler
 from tests.firmware import cross
 
 
-def test_the_self_test_of_a_simulated_rig_passes(run: Any) -> None:
-    code, out, err = run(
-        "firmware",
-        "selftest",
-        "sim://koul-rigid",
-        "--rig",
-        "koul-rigid",
-        "--rate",
-        "2000",
-        "--seconds",
-        "0.1",
-    )
-    assert code == 0, err
-    for words in ("ok protocol", "ok rig", "ok ticks: 2000.00 Hz", "-- encoder", "ok link"):
-        assert words in out
-
-
-def test_the_self_test_of_another_rig_fails_with_its_remedy(run: Any) -> None:
-    arguments = [
-        "selftest",
-        "sim://koul-rigid",
-        "--rig",
-        "chawda-linear",
-        "--rate",
-        "1000",
-        "--seconds",
-        "0.1",
-        "--json",
-    ]
-    code, out, err = run("firmware", *arguments)
-    assert code == 5
-    found = json.loads(out)
-    assert not found["passed"]
-    assert "--rig chawda-linear" in err
-
-
 def test_the_law_of_the_firmware_streams_without_a_current(run: Any) -> None:
     need_compiler()
     url = "sim://koul-rigid?firmware=1"
@@ -58,35 +22,11 @@ def test_the_law_of_the_firmware_streams_without_a_current(run: Any) -> None:
     assert "0 gaps; no current" in out
 
 
-def test_a_port_is_tried_by_its_own_program_not_by_the_firmware(run: Any) -> None:
-    code, _, err = run("firmware", "check-port", "sim://koul-rigid")
-    assert code == 5
-    assert "rig firmware build --check-port" in err
-
-
-def test_info_of_a_simulated_device(run: Any) -> None:
-    code, out, _ = run("firmware", "info", "sim://koul-rigid", "--json")
-    assert code == 0
-    found = json.loads(out)
-    assert found["compatible"]
-    assert found["simulated"]
-    assert found["law"] == 0
-
-
 def test_what_is_no_image_is_refused(run: Any, tmp_path: Path) -> None:
     (tmp_path / "text.uf2").write_text("hello")
     assert run("firmware", "info", "text.uf2")[0] == 2
     assert run("firmware", "flash", "text.uf2")[0] in (2, 3)
     assert run("firmware", "flash", "none.uf2", "--drive", tmp_path)[0] == 2
-
-
-def test_boards_are_listed_and_others_refused(run: Any) -> None:
-    code, out, _ = run("firmware", "build", "--board", "list", "--json")
-    assert code == 0
-    assert "mps2" in [board["name"] for board in json.loads(out)]
-    code, _, err = run("firmware", "build", "--board", "arduino")
-    assert code == 2
-    assert "mps2" in err
 
 
 def test_without_a_compiler_the_command_says_what_to_install(

@@ -11,20 +11,6 @@ import pytest
 SHORT = ("--periods", "2", "--realisations", "2", "--set", "excitation.settle_periods=1")
 
 
-def test_without_arguments_it_shows_the_bare_rig_and_its_wall(run: Any, tmp_path: Path) -> None:
-    code, out, _ = run("impedance", "measure")
-    assert code == 0
-    for text in (
-        "bare rig, uniform 1 kHz", "K = 20000 N/m, B = 60 N·s/m", "over 250 lines, 1 to 250 Hz", "worst line", "mass",
-        "kg", "friction's share included", "% of what was asked for", "over 20 lines, 1 to 20 Hz",
-        "rms off the ideal wall", "coherence",
-    ):  # fmt: skip
-        assert text in out
-    (place,) = (tmp_path / "impedances").iterdir()
-    assert {file.name for file in place.iterdir()} == {"impedance.parquet", "impedance.json", "impedance.png"}
-    assert (place / "impedance.png").stat().st_size > 30_000
-
-
 def test_json_is_one_document_with_every_line(run: Any) -> None:
     code, out, _ = run(
         "impedance", "measure", "--json", "--no-plot", *SHORT, "-K", "5000,10000", "-B", "20", "--band", "2:100",
@@ -107,29 +93,3 @@ def test_plan_lists_a_excited_run(run: Any, tmp_path: Path) -> None:
     code, out, err = run("experiment", "plan", file)
     assert code != 0
     assert "peak excitation" in err
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("--band", "1-250"), "--band 1-250 is not a frequency band"),
-        (("--band", "250:1"), "--band 250:1 is not a frequency band"),
-        (("--judged-band", "300:400"), "no line lies between 300 and 400 Hz"),
-        (("-K", "1,2,3", "-B", "1,2"), "3 stiffnesses and 2 dampings"),
-        (("-K", "hard"), "'hard' is not a list of numbers"),
-        (("--stiffness=-5",), "not negative"),
-        (("--amplitude", "500"), "rig.limits.effort, 100 N"),
-        (("--amplitude", "40", "--bare"), "peak position"),
-        (("--band", "1:700"), "half of controller.position_rate"),
-        (("--scheme", "uniform:1k,estimator=levan"), "levan"),
-        (("--kind", "schroeder", "--realisations", "3"), "must be 1"),
-        (("--url", "sim://", "--channel", "external"), "second actuator"),
-        (("--verified",), "--url"),
-        (("--rig", "chawda"), "chawda-linear"),
-    ],
-)
-def test_what_cannot_be_is_one_line_with_a_remedy(run: Any, arguments: tuple[str, ...], message: str) -> None:
-    code, _, err = run("impedance", "measure", "--no-plot", *arguments)
-    assert code != 0
-    assert message in err
-    assert err.strip().splitlines()[-1].startswith("rig: ")

@@ -85,16 +85,3 @@ def test_quick_reproduces_the_second_paper_too(tmp_path: Path, capfd: pytest.Cap
         assert by_key[key] == "reproduced", key
     for key in ("order", "levant-stiffest", "both", "widths"):
         assert by_key[key] == "not reproduced", key
-
-
-def test_an_unknown_paper_is_refused_with_those_that_there_are(capfd: pytest.CaptureFixture[str]) -> None:
-    assert rig.cli.run(["reproduce", "nobody"]) == 2
-    assert "koul" in capfd.readouterr().err
-
-
-def test_a_directory_that_cannot_be_made_is_said_before_anything_runs(
-    place: Any, capfd: pytest.CaptureFixture[str]
-) -> None:
-    (place / "file").write_text("")
-    assert rig.cli.run(["reproduce", "koul", "--quick", "-o", str(place / "file" / "below")]) != 0
-    assert "cannot make" in capfd.readouterr().err

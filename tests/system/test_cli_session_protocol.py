@@ -55,22 +55,6 @@ def test_templates_are_listed_and_an_unknown_one_is_refused(run: Any, tmp_path: 
     assert not list(tmp_path.iterdir())
 
 
-def test_a_plan_is_printed_for_people(run: Any, tmp_path: Path) -> None:
-    (tmp_path / "study.toml").write_text(PLAN)
-    code, out, err = run("session", "check", "study.toml")
-    assert code == 0, err
-    for words in (
-        "Short: on koul-compliant, the participant hits; 4 participants",
-        "trials",
-        "hidden from",
-        "N·m/rad",
-        "200 … 600 (9)",
-        "ok motor heat",
-        "order: 4 participants",
-    ):
-        assert words in out, words
-
-
 @pytest.mark.parametrize("blind", ["both", "operator", "participant", "none"])
 def test_a_blinded_operator_who_checks_the_plan_learns_no_order(run: Any, tmp_path: Path, blind: str) -> None:
     """Whose turn is which condition's is what the console hides."""
@@ -111,11 +95,3 @@ def test_a_bad_file_is_refused_in_words(run: Any, tmp_path: Path, text: Any, wor
     assert words in err
     assert "study.toml" in err
     assert "Traceback" not in err
-
-
-def test_the_schema_is_json(run: Any) -> None:
-    code, out, _ = run("session", "schema")
-    assert code == 0
-    schema = json.loads(out)
-    assert schema["properties"].keys() >= {"study", "condition", "search", "keys"}
-    assert "N·m/rad" in schema["$defs"]["Search"]["properties"]["lowest"]["description"]

@@ -20,21 +20,6 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(summary, name, number)
 
 
-def test_it_prints_limits_and_what_binds_and_draws_a_picture(run: Any, tmp_path: Path) -> None:
-    code, out, _ = run("theory", "walls", "--rig", "koul-compliant")
-    assert code == 0
-    for text in (
-        "koul-compliant, end mass 0.07 kg, no hand", "dual 20/2 kHz", "uniform 20 kHz", "uniform 2 kHz",
-        "K_max at B = 0 ",
-        "K_max at B = 0.5", "(binds)", "islands up to", "0.479", "sufficient", "necessary", "Hz there",
-        "passivity, lag and delay counted", "delay 0 ticks",
-    ):  # fmt: skip
-        assert text in out
-    picture = tmp_path / "theory-koul-compliant.png"
-    assert picture.read_bytes().startswith(b"\x89PNG")
-    assert picture.stat().st_size > 20_000
-
-
 def test_it_says_what_the_maps_of_a_hand_would_speak_of(run: Any) -> None:
     """An automated trial has an end mass and no hand, a map a normal hand: K_max at B = 0 is 30 and 519."""
     code, out, _ = run("theory", "walls", "--rig", "koul-compliant", "--no-plot", "--scheme", "dual:20k/2k")
@@ -181,30 +166,3 @@ def test_a_linear_rig_has_its_units_and_no_picture_is_drawn_unless_wanted(run: A
     assert "N·m" not in out
     assert out.count("K_max at") == 1
     assert not list(tmp_path.iterdir())
-
-
-def test_a_file_and_its_own_scheme(run: Any, tmp_path: Path) -> None:
-    file = tmp_path / "mine.toml"
-    file.write_text('preset = "koul-rigid"\n[controller]\nposition_rate = 4000\nvelocity_rate = 4000\n')
-    code, out, _ = run("theory", "walls", file, "--no-plot", "--json")
-    assert code == 0
-    (only,) = json.loads(out)["schemes"]
-    assert only["label"].startswith("uniform 4 kHz")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("--scheme", "uniform:20k,estimator=levant"), "levant is not linear"),
-        (("--scheme", "triple:1k"), "triple"),
-        (("--operator", "iron"), "no grip 'iron'"),
-        (("--rig", "koul-complaint"), "koul-compliant"),
-    ],
-)
-def test_what_cannot_be_meant_is_one_line_with_a_remedy(
-    run: Any, arguments: tuple[str, ...], message: str
-) -> None:
-    code, _, err = run("theory", "walls", "--no-plot", *arguments)
-    assert code == 2
-    assert message in err
-    assert err.strip().splitlines()[-1].startswith("rig: ")

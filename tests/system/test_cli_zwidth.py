@@ -38,26 +38,6 @@ def the_map(directory: Any) -> Any:
 # --- results --------------------------------------------------------------------------------------------------
 
 
-def test_a_map_is_a_table_a_picture_and_files(run: Any, tmp_path: Path) -> None:
-    code, out, err = run("zwidth", *TINY)
-    assert code == 0, err
-    assert out.startswith("koul-compliant, pushed by 0.15 N·m: K in N·m/rad, B in N·m·s/rad\n")
-    assert [line.split()[:3] for line in out.splitlines()[2:3]] == [["uniform", "10", "kHz,"]]
-    files = {path.name for path in the_map(tmp_path / "maps").iterdir()}
-    assert files == {"plan.json", "journal", "hits.parquet", "map.json", "zwidth.png"}
-
-
-def test_json_is_one_document_with_everything(run: Any, tmp_path: Path) -> None:
-    code, out, _ = run("zwidth", *TINY, "--json", "--no-plot", "-o", tmp_path / "here")
-    assert code == 0
-    facts = json.loads(out)
-    assert facts["schemes"][0]["scheme"] == "uniform:10k"
-    assert {"felt", "heard", "any"} == set(facts["schemes"][0]["curves"])
-    assert facts["experiment"]["trial"]["duration_s"] == 0.3
-    assert Path(facts["directory"], "hits.parquet").exists()
-    assert facts["picture"] is None
-
-
 def test_without_schemes_the_rigs_own_are_mapped_in_its_units(run: Any) -> None:
     code, out, _ = run("zwidth", "--rig", "chawda-linear", "--search", "bisection", "--ratio", "4",
                        "-B", "20,60", "--offsets", "0.1", "--no-plot", "--json")  # fmt: skip
@@ -135,72 +115,7 @@ def test_an_explained_map_is_shares_a_paragraph_a_picture_and_files(run: Any, tm
     assert facts["walls"] == 10
 
 
-@pytest.mark.parametrize(
-    ("arguments", "text"),
-    [
-        (["-B", "0.3,0.1"], r"\(--damping\) are not in rising order"),
-        (["--scheme", "uniform:10k,estimator=levant"], r"estimator levant is not linear"),
-    ],
-)
-def test_what_cannot_be_explained_is_refused(run: Any, arguments: list[str], text: str) -> None:
-    code, out, err = run(*EXPLAINED, *arguments)
-    assert (code, out) == (2, "")
-    assert re.search(text, err)
-
-
 # --- what is refused ----------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("arguments", "text"),
-    [
-        (["-K", "10"], r"--stiffness 10: no range; write it as LOW:HIGH"),
-        (["-K", "0:100"], r"from 0 to 100 is not a range above zero \(--stiffness"),
-        (["-K", "10:1e9"], r"1e\+09 \(--stiffness\).* above 477.*--effort"),
-        (["-B", "x"], r"--damping 'x' is not a list of numbers; write them as"),
-        (["-B", "0:1:0"], r"a count of 1 to 10000"),
-        (["-B", "0:1:100000000"], r"a count of 1 to 10000"),
-        (["-B", "0,0"], r"\(--damping\): 0.0 is given twice"),
-        (["-B", "-1"], r"\(--damping\): -1 is out of range.*at least 0"),
-        (["--offsets", "1"], r"\(--offsets\): 1 is out of range.*at least 0 and less than 1"),
-        (["--ratio", "1"], r"ratio of 1 between rungs is not in 1.0001 to 1e6 .*--ratio"),
-        (["--scheme", "uniform:10000"], r"\(--scheme\): uniform:10k is given twice"),
-        (["--scheme", "uniform:10k,estimator=fmd"], r'estimator = "fmd".*fdm'),
-        (["--scheme", "triple:1k"], r"no such kind of sampling; write dual:20k/2k"),
-        (["--operator", "strong"], r'operator.grip = "strong".*relaxed.*normal.*firm'),
-        (
-            ["--operator", "firm", "--effort", "0.2", "--set", "trial.duration_s=1"],
-            r"--effort 0.2: a person pushes here \(firm\)",
-        ),
-        (
-            ["--workers", "2", "--scheduler", "tcp://127.0.0.1:1"],
-            r"either a scheduler or a number of workers",
-        ),
-        (["--verified"], r"--verified is about a device"),
-        (["--url", "sim://", "--workers", "2"], r"a device is hit by one program at a time"),
-        (["--url", "sim://", "--judge", "true"], r"not the truth.*--judge recorded"),
-        (["--url", "sim://", "--offsets", "0.1,0.2"], r"2 encoder offsets"),
-        (
-            ["--url", "sim://?position_rate_maximum=5000&position_rate_default=1000"],
-            r"at most at 5000 Hz",
-        ),
-    ],
-)
-def test_what_cannot_be_meant_is_one_line_with_option_value_and_remedy(
-    run: Any, tmp_path: Path, arguments: list[str], text: str
-) -> None:
-    code, out, err = run("zwidth", *TINY, *arguments)
-    assert (code, out) == (2, "")
-    (line,) = (line for line in err.splitlines() if line.startswith("rig: "))
-    assert re.search(text, line)
-    assert not list(tmp_path.rglob("hits.parquet"))
-
-
-def test_an_output_that_is_no_directory(run: Any, tmp_path: Path) -> None:
-    (tmp_path / "in the way").write_text("")
-    code, _, err = run("zwidth", *TINY, "-o", tmp_path / "in the way")
-    assert code == 9
-    assert "cannot make" in err
 
 
 # --- Ctrl-C -----------------------------------------------------------------------------------------------------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections import defaultdict
 from typing import Any
 
@@ -10,8 +11,10 @@ import click
 import pytest
 
 import rig.cli
+from rig.cli import table
 from rig.cli.command import DEVICE, EXPERIMENT, OWN, RESULT, Command
 from tests.conformance.commands import commands
+from tests.conformance.guides import ROOT
 
 DIFFERENT = {"--rate"}  # one rate, several, or T1/T2
 WALLS = {"--stiffness", "--damping"}  # one wall, or several
@@ -68,3 +71,25 @@ def test_quiet_prints_nothing_but_json_and_keeps_the_exit_code(capsys: pytest.Ca
     assert (out, err.startswith("rig: ")) == ("", True)
     assert rig.cli.run(["experiment", "preset", "-q", "--json"]) == 0
     assert "koul-rigid" in json.loads(capsys.readouterr().out)
+
+
+NAMED = re.compile(r"(?:`|next: |run: )rig ([a-z][a-z-]*)((?: [a-z][a-z-]*)?)")  # a command in a text
+
+
+def test_there_are_at_most_twenty_commands_at_the_top_and_each_that_a_text_names_exists() -> None:
+    assert len(table.COMMANDS) <= 20
+    known = {words[:2] for words, _ in commands()}
+    groups = {words[0] for words in known if len(words) > 1}
+    named = {
+        (str(path.relative_to(ROOT)), first, second.strip())
+        for place in ("README.md", "rig", "firmware_protocol")
+        for path in [ROOT / place, *(ROOT / place).rglob("*")]
+        if path.suffix in (".md", ".py", ".toml")
+        for first, second in NAMED.findall(path.read_text(encoding="utf-8"))
+    }
+    assert len(named) > 100
+    assert [
+        one
+        for one in sorted(named)
+        if (one[1:] not in known if one[1] in groups and one[2] else one[1] not in table.COMMANDS)
+    ] == []

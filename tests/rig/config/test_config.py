@@ -546,6 +546,10 @@ def test_realtime_changes_are_kept_aside_and_checked_when_applied() -> None:
     assert experiment.realtime["wall.stiffness"] == 50
     assert experiment.realtime["controller.position_rate"] == 1000  # of the preset
     assert with_realtime(experiment).wall.stiffness == 50.0
+    stated = with_realtime(
+        experiment_from_mapping({"preset": "koul-compliant", "wall": {"stiffness": 100.0}}, "hit.toml")
+    )
+    assert (stated.wall.stiffness, stated.wall.damping) == (100.0, 0.2), "the preset's gentler damping"
     broken = override(KOUL, {"realtime.wall.stiffness": -1.0})
     with pytest.raises(ConfigError, match=r"\[realtime\] of koul-compliant: wall\.stiffness = -1\.0"):
         with_realtime(broken)
