@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any
-
 import click
 
 from rig import config
@@ -17,28 +14,10 @@ from rig.experiments.examine import ExaminationRequest, examine
 
 
 @command()
-@options.experiment_options
-@options.url_option("machine and ports only")
-@options.realtime_option("Examine a simulated rig, as a process behind a port.")
-@click.option(
-    "--seconds",
-    type=click.FloatRange(0.1, 600.0),
-    default=4.0,
-    show_default=True,
-    help="How long to measure.",
-)
+@options.request_options(ExaminationRequest, options.experiment_options)
 @click.option("--print-udev", is_flag=True, help="Print udev rules for rigs, and do nothing else.")
 @options.json_option
-def doctor(
-    file: Path | None,
-    preset: str | None,
-    url: str | None,
-    realtime: bool,
-    seconds: float,
-    print_udev: bool,
-    as_json: bool,
-    **changed: Any,
-) -> None:
+def doctor(request: ExaminationRequest, print_udev: bool, as_json: bool) -> None:
     """Examine what this machine and a link can do, with the remedy for what they cannot; changes nothing.
 
     The machine: rights, limits, kernel, timers, ports. With --url the device, too: its identity, the round trip, the
@@ -50,14 +29,11 @@ def doctor(
     if print_udev:
         click.echo(rules_for_rigs(), nl=False)
         return
-    experiment = options.chosen_experiment(file, preset or options.preset_of(url, file))
-    changes = options.changes(**changed)
-    config.check_plugins(config.override(experiment, changes), str(file or preset or options.DEFAULT_PRESET))
-    question = ExaminationRequest(
-        experiment=experiment, changes=changes, url=url, realtime=realtime, seconds=seconds
-    )
+    given = click.get_current_context().params
+    source = str(given["file"] or given["preset"] or options.DEFAULT_PRESET)
+    config.check_plugins(config.override(request.experiment, request.changes), source)
     with output.StatusLine(quiet=as_json) as status:
-        found = examine(question, status.on_progress)
+        found = examine(request, status.on_progress)
     if as_json:
         error = None if found.error is None else output.error_facts(found.error)
         output.print_json({**plain(found), "error": error})

@@ -21,6 +21,7 @@ from rig.bench.firmware.wiring import draw
 from rig.bench.firmware.wiring import wiring as wired
 from rig.cli import options, output, values
 from rig.cli.command import command, option
+from rig.cli.keyword_options import gathered_options
 from rig.config import amplifiers as profiles
 from rig.config import presets
 from rig.config.files import read_toml
@@ -238,34 +239,14 @@ def selftest(
 
 @command("check-port")
 @click.argument("url", type=values.URL)
-@click.option(
-    "--wired",
-    is_flag=True,
-    help="Sync outputs tick and trial are wired to encoder A and B, inside to the sync input.",
-)
-@click.option(
-    "--current",
-    type=click.IntRange(-32768, 32767),
-    default=0,
-    show_default=True,
-    help="Current (quanta) to switch on for some milliseconds. THE MOTOR GETS IT: free the handle, let nobody hold it.",
-)
-@click.option(
-    "--seconds",
-    type=click.FloatRange(0.05, 600.0),
-    default=1.0,
-    show_default=True,
-    help="How long the board's time is watched; 280 from power-up on sees bit 32 change.",
-)
-@click.option("--bootloader", is_flag=True, help="Try the way into the boot loader, last of all.")
+@gathered_options(PortCheckRequest, "request")
 @options.json_option
-def check_port(url: str, wired: bool, current: int, seconds: float, bootloader: bool, as_json: bool) -> None:
+def check_port(url: str, request: PortCheckRequest, as_json: bool) -> None:
     """Try the port of the board at URL, duty by duty; rig firmware build --check-port makes the program for it.
 
     Without --current nothing is switched on. The board is reset by its watchdog twice. Exits with 5 when a duty is
     broken.
     """
-    request = PortCheckRequest(wired=wired, current=current, seconds=seconds, bootloader=bootloader)
     with output.StatusLine(quiet=as_json) as status:
         found = try_port(lambda: open_link(url), request, status.on_progress)
     if as_json:

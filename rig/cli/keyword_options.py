@@ -48,12 +48,13 @@ def _chosen(request: type, names: tuple[str, ...]) -> list[Keyword]:
 
 def _option(one: Keyword) -> Callable[[F], F]:
     names = one.names or (f"--{one.name.replace('_', '-')}",)
-    more: dict[str, Any] = {"default": one.default, "show_default": bool(one.default)}
     if one.type is bool:
-        more["is_flag"] = True
+        more: dict[str, Any] = {"is_flag": True}
     else:
-        more["multiple"] = get_args(one.type)[1:] == (...,)
-        more["type"] = _type(one, get_args(one.type)[0] if more["multiple"] else one.type)
+        multiple = get_args(one.type)[1:] == (...,)
+        kind = _type(one, get_args(one.type)[0] if multiple else one.type)
+        shown = one.default not in (None, "", ())
+        more = {"default": one.default, "show_default": shown, "multiple": multiple, "type": kind}
     return option(*names, one.name, group=one.group, help=one.help, metavar=one.metavar, **more)
 
 

@@ -21,7 +21,7 @@ from rig.config.sections import SchemeCutoff
 from rig.core.errors import ConfigError, RecordingError, RigError
 from rig.core.keyword import Keyword, keywords
 from rig.devices.device import DeviceUrl
-from rig.experiments.settings import ExcitationSettings, HitSettings, changes_of
+from rig.experiments.settings import ExcitationSettings, HitSettings, RigRequest, changes_of
 from rig.views.plots.style import FORMATS
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -181,12 +181,7 @@ def realtime_option(help: str) -> Callable[[F], F]:
     return option("--realtime", group=DEVICE, is_flag=True, help=help)
 
 
-verified_option = option(
-    "--verified",
-    group=DEVICE,
-    is_flag=True,
-    help="On a real rig: encoder and motor signs were checked, and the handle is at position zero.",
-)
+verified_option = keyword_options(RigRequest, "verified")
 arm_anyway_option = option(
     "--arm-anyway",
     group=DEVICE,

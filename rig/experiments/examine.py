@@ -6,7 +6,9 @@ import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Annotated, Any
+
+from annotated_types import Ge, Le
 
 from rig import config, devices
 from rig.bench import answers
@@ -19,6 +21,7 @@ from rig.bench.doctor.walls import Supported, supported_walls, wall_items
 from rig.config import Experiment
 from rig.core.check import Check, Outcome, refused
 from rig.core.errors import RealtimeError, RigError
+from rig.core.keyword import Keyword
 from rig.core.present import Item, Row, reported
 from rig.core.sample import unit_of
 from rig.devices.device_facts import DeviceFacts
@@ -115,19 +118,22 @@ class ExaminationRequest:
         Validated experiment, before `changes`: its wall is the one to arm, its rig and estimator make the table.
     changes
         Keys that the user set by hand.
-    url
-        Of the device; with None, machine and ports only.
-    realtime
-        Without a URL, or with one of a simulation: measure against a simulated device that is a process of its own.
-    seconds
-        How long to measure.
     """
 
     experiment: Experiment
     changes: Mapping[str, Any] = field(default_factory=dict)
-    url: str | None = None
-    realtime: bool = False
-    seconds: float = SECONDS
+    url: Annotated[
+        str | None,
+        Keyword(
+            "serial:///dev/ttyACM0, usb://1209:0001, sim://. [machine and ports only]",
+            group="Device",
+            values="url",
+        ),
+    ] = None
+    realtime: Annotated[
+        bool, Keyword("Examine a simulated rig, as a process behind a port.", group="Device")
+    ] = False
+    seconds: Annotated[float, Ge(0.1), Le(600.0), Keyword("How long to measure.")] = SECONDS
 
 
 def examine(question: ExaminationRequest, on_progress: Progress = lambda what, share: None) -> Examination:

@@ -12,7 +12,9 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Any
+from typing import Annotated, Any
+
+from annotated_types import Ge, Le
 
 from firmware_protocol import messages as m
 from firmware_protocol.counters import LinkStatistics
@@ -22,6 +24,7 @@ from firmware_protocol.framing import HEADER_BYTES, FrameSplitter, encode_frame
 from rig.core import check
 from rig.core.check import Check, Outcome
 from rig.core.errors import ConfigError, DeviceRefusedError, LinkLostError, RigError
+from rig.core.keyword import Keyword
 from rig.core.present import Item, reported
 from rig.devices.device import Link
 
@@ -81,22 +84,31 @@ class PortCheckRequest:
     Attributes
     ----------
     current
-        A current (quanta) that the amplifier may give for some milliseconds: the handle is free, or a resistor is in
-        the motor's place. 0: none, and nothing is switched on.
-    wired
-        Whether the sync outputs tick and trial are wired to the encoder's A and B, and inside to the sync input.
-    seconds
-        How long the board's time is watched.
-    bootloader
-        Whether to end in the boot loader.
+        0: nothing is switched on.
     real_time
         Whether the board keeps the time of the link's clock; an emulator may not, and gets more of it to answer.
     """
 
-    current: int = 0
-    wired: bool = False
-    seconds: float = 1.0
-    bootloader: bool = False
+    wired: Annotated[
+        bool,
+        Keyword("Sync outputs tick and trial are wired to encoder A and B, inside to the sync input."),
+    ] = False
+    current: Annotated[
+        int,
+        Ge(-32768),
+        Le(32767),
+        Keyword(
+            "Current (quanta) to switch on for some milliseconds. THE MOTOR GETS IT: free the handle, let nobody hold "
+            "it."
+        ),
+    ] = 0
+    seconds: Annotated[
+        float,
+        Ge(0.05),
+        Le(600.0),
+        Keyword("How long the board's time is watched; 280 from power-up on sees bit 32 change."),
+    ] = 1.0
+    bootloader: Annotated[bool, Keyword("Try the way into the boot loader, last of all.")] = False
     real_time: bool = True
 
 
