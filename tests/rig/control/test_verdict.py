@@ -653,6 +653,48 @@ def test_an_array_of_trials_has_the_kinds_that_each_is_given_by_itself() -> None
         }[kind]  # fmt: skip
 
 
+@pytest.mark.parametrize(
+    ("changed", "kind", "passes"),
+    [
+        ({}, Kind.STABLE, True),
+        ({"tail_begins_s": math.nan}, Kind.INVALID, None),
+        ({"contact_s": math.nan, "inside_ticks_in_tail": 0}, Kind.INVALID, None),
+        ({"inside_ticks_in_tail": 0}, Kind.INVALID, False),
+        ({"contact_s": 0.61}, Kind.INVALID, None),
+        ({"longest_gap": 3}, Kind.INVALID, None),
+        ({"lost_fraction": 0.0031}, Kind.INVALID, None),
+        ({"late_fraction": 0.01}, Kind.INVALID, None),
+        ({"slew_bound_ticks": 1}, Kind.INVALID, None),
+        ({"overruled_ticks": 1}, Kind.INVALID, None),
+        ({"current_differs": 1}, Kind.INVALID, None),
+        ({"other_current_ticks": 1}, Kind.INVALID, None),
+        ({"saturated_fraction_in_tail": 0.011}, Kind.INVALID, None),
+        ({"saturated_fraction_in_tail": 0.011, "moved": 1.3e-3}, Kind.UNSTABLE, False),
+        ({"settling_in_tail_s": 0.1}, Kind.STABLE, True),
+        ({"settling_in_tail_s": 0.1, "exits_in_tail": 1}, Kind.INVALID, False),
+        ({"settling_in_tail_s": 0.1, "heard": 0.11}, Kind.INVALID, False),
+        ({"exits_in_tail": 1}, Kind.UNSTABLE, False),
+        ({"growth": 1.21}, Kind.STABLE, True),
+        ({"growth": 1.21, "heard": 0.11}, Kind.UNSTABLE, False),
+        ({"felt": 0.051}, Kind.LIMIT_CYCLE, False),
+        ({"heard": 0.11}, Kind.LIMIT_CYCLE, False),
+        ({"moved": 1.3e-3}, Kind.LIMIT_CYCLE, False),
+    ],
+)
+def test_each_number_of_a_calm_trial_that_changes_has_its_consequence(
+    changed: dict[str, float], kind: Kind, passes: bool | None
+) -> None:
+    numbers = measured(REST).numbers.copy()
+    for name, value in changed.items():
+        numbers[name] = value
+    trial = Measured(numbers, LIMITS)
+    assert (trial.kind, trial.passes("any")) == (kind, passes)
+    spoilt = numbers.copy()
+    spoilt["longest_gap"] = 3
+    assert Measured(spoilt, LIMITS).kind is Kind.INVALID
+    assert Measured(spoilt, LIMITS).passes("any") is None
+
+
 def test_a_wall_that_still_rings_when_the_trial_ends_fails_though_its_verdict_wants_a_longer_trial() -> None:
     ring = 5e-3 + 4e-3 * np.exp(-TIME / 0.32) * np.cos(2 * np.pi * 60 * TIME)
     ringing = measured(ring, effort=900 * ring)

@@ -54,6 +54,31 @@ def test_what_is_redone_after_a_stop_rule_comes_again(tmp_path: Path, redos: int
     assert walls[3:] == walls[3 - redos : 3]
 
 
+def test_redone_in_the_middle_does_not_count_towards_the_end(tmp_path: Path) -> None:
+    ready = 0
+
+    def answer(question: Question) -> Reply | None:
+        nonlocal ready
+        ready += question.kind == "ready"
+        return Reply(action="redo") if question.kind == "ready" and ready == 2 else None
+
+    state = run(tmp_path, FakeRunner(), answer, stop={"trials": 3})
+    assert [trial.void for trial in state.trials] == ["redone", "", "", ""]
+
+
+def test_only_a_trial_of_the_block_that_runs_can_be_redone(tmp_path: Path) -> None:
+    offered: list[bool] = []
+
+    def answer(question: Question) -> Reply | None:
+        if question.text == "ready?":
+            offered.append("redo" in question.actions)
+        return None
+
+    blocks = [trial.block for trial in run(tmp_path, FakeRunner(), answer, order={"repeats": 2}).trials]
+    assert set(blocks) == {1, 2}
+    assert offered == [before == block for before, block in zip([0, *blocks], blocks, strict=False)]
+
+
 @pytest.mark.parametrize("stop", STOPS, ids=lambda stop: next(iter(stop), "none"))
 def test_every_end_waits_for_what_was_redone(tmp_path: Path, stop: Any) -> None:
     cut = {"automatic": "unstable", "aborted": "energy"}
