@@ -5,12 +5,8 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-import numba
 import pytest
 from click.testing import CliRunner
-
-if numba.config.DISABLE_JIT:
-    pytest.skip("plug points are function types of compiled code", allow_module_level=True)
 
 import rig.cli
 from rig.console import map_errands, map_jobs

@@ -3,11 +3,7 @@
 from dataclasses import replace
 from typing import Any
 
-import numba
 import pytest
-
-if numba.config.DISABLE_JIT:
-    pytest.skip("plug points are function types of compiled code", allow_module_level=True)
 
 from rig import config
 from rig.config import presets

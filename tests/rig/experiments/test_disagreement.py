@@ -3,12 +3,8 @@
 from dataclasses import replace
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
-
-if numba.config.DISABLE_JIT:
-    pytest.skip("plug points are function types of compiled code", allow_module_level=True)
 
 from rig import config
 from rig.config import presets

@@ -2,12 +2,8 @@
 
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
-
-if numba.config.DISABLE_JIT:
-    pytest.skip("plug points are function types of compiled code", allow_module_level=True)
 
 from rig.config import presets
 from rig.config.schemes import Scheme

@@ -7,7 +7,6 @@ import threading
 from collections.abc import Iterator
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -23,8 +22,6 @@ from rig.realtime import running
 from rig.realtime.mailbox import SET_FLOATS, take
 from rig.realtime.ring import Ring
 from tests.conformance.running_loop import loop_process
-
-pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="atomics are intrinsics")
 
 QUANTUM_A = 0.001
 EXPERIMENT = load("koul-compliant")

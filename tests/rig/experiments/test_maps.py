@@ -6,14 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numba
-import pytest
-
-if numba.config.DISABLE_JIT:
-    pytest.skip("plug points are function types of compiled code", allow_module_level=True)
-
 import pandas as pd
 import pyarrow.parquet as pq
+import pytest
 
 from rig import config
 from rig.config import load

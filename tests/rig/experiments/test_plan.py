@@ -221,16 +221,6 @@ def test_settings_that_an_estimator_does_not_have_are_a_config_error() -> None:
 # ---------------------------------------------------------------------- steps
 
 
-def test_the_steps_tell_what_happens_in_order_with_units() -> None:
-    plan = make_plan(COMPLIANT)
-    assert [step.name for step in plan.steps] == ["configure", "home", "push", "release", "judge"]
-    text = " ".join(step.text for step in plan.steps)
-    for words in ("dual-rate", "20000 Hz", "N·m/rad", "-0.015 rad", "0.15 N·m", "fdm-butterworth"):
-        assert words in text
-    assert "N/m" in " ".join(step.text for step in make_plan(presets.load("chawda-linear")).steps)
-    assert "uniform" in make_plan(presets.load("chawda-linear")).steps[0].text
-
-
 def test_the_duration_is_the_longest_that_it_may_take() -> None:
     x = changed({"trial.repeats": 3})
     plan = make_plan(x)

@@ -1,14 +1,9 @@
 """Where maps begin and end when nobody says: what the push can show, what a device may hit, what theory allows."""
 
+from dataclasses import replace
 from typing import Any
 
-import numba
 import pytest
-
-if numba.config.DISABLE_JIT:
-    pytest.skip("plug points are function types of compiled code", allow_module_level=True)
-
-from dataclasses import replace
 
 import rig
 from rig import config

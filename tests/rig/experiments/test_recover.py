@@ -8,7 +8,6 @@ import os
 from pathlib import Path
 from typing import Any
 
-import numba
 import pytest
 
 import rig.cli
@@ -23,10 +22,6 @@ from rig.recording.data import Recording
 from rig.recording.reader import open_recording
 from rig.recording.recorder import AT_RISK_S, Recorder
 from tests.conformance.recording import example_header, example_rows
-
-pytestmark = pytest.mark.skipif(
-    numba.config.DISABLE_JIT, reason="system calls and atomic words need the compiler"
-)
 
 EXPERIMENT = as_mapping(load("koul-compliant"))
 RATE = EXPERIMENT["controller"]["position_rate"]

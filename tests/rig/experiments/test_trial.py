@@ -11,18 +11,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
-
-if numba.config.DISABLE_JIT:
-    pytest.skip("plug points are function types of compiled code", allow_module_level=True)
 
 import rig.devices
 from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault
 from rig import config
-from rig.bench.doctor.in_effect import in_effect
 from rig.config import presets
 from rig.control.law import Law
 from rig.core.errors import (
@@ -55,7 +50,6 @@ from rig.recording.reader import open_recording
 from sim_backend.device import SimulatedDevice
 from sim_backend.link import MemoryLink
 from tests.conformance.claimed import claim_to_be_real
-from tests.conformance.served import served_rig
 from tests.conformance.trials import trial_on
 
 WAIT_S = 20.0
@@ -701,44 +695,3 @@ def test_names_of_recordings_are_free(tmp_path: Path) -> None:
 
 
 # ---------------------------------------------------------------------- hit in real time
-
-
-@pytest.fixture
-def port() -> Iterator[Any]:
-    """A simulated rig behind a pseudo-terminal that declares a rate of 800 Hz."""
-    with served_rig(config.rig_model(SHORT), rate=800) as path:
-        yield f"serial://{path}"
-
-
-def test_in_real_time_the_device_names_the_rate_unless_the_user_does(port: Any) -> None:
-    preset = presets.load("koul-compliant")
-    with rig.devices.open_device(port) as device:
-        chosen = in_effect(preset, device, {})
-        assert (chosen.controller.position_rate, chosen.controller.velocity_rate) == (800, 800)
-        assert chosen.wall.stiffness == preset.realtime["wall.stiffness"]
-        changes = {"controller.position_rate": 1000, "controller.velocity_rate": 500, "wall.stiffness": 77.0}
-        changes["verdict.lowpass_hz"] = 200.0
-        chosen = in_effect(preset, device, changes)
-        assert (chosen.controller.position_rate, chosen.controller.velocity_rate) == (1000, 500)
-        assert chosen.wall.stiffness == 77.0
-
-
-def test_a_hit_over_a_port_ends_well_or_says_why(port: Any, tmp_path: Path) -> None:
-    """In real time on whatever machine this is: what is asserted is that nothing is left half done."""
-    changes = {
-        "trial.duration_s": 0.1,
-        "verdict.tail_s": 0.05,
-        "homing.timeout_s": 3.0,
-        "verdict.lowpass_hz": 300.0,
-    }
-    experiment = presets.load("koul-compliant")
-    try:
-        (result,) = hit(HitRequest(experiment=experiment, url=port, changes=changes, output=tmp_path))
-        recording = result.recording
-        assert result.verdict_true is None
-        assert recording.header["experiment"]["controller"]["position_rate"] == 800
-    except (LinkLostError, GuardError) as error:
-        recording = open_recording(error.recording)
-    assert recording.complete
-    assert recording.header["clocks"]["kind"] == "monotonic"
-    assert recording.rows["current_sent"][-1] == 0 or recording.trailer["reason"] != "finished"

@@ -14,13 +14,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import rig
 from rig import config
 from rig.config import presets
 from rig.config.schemes import Scheme
 from rig.core.errors import PlanError
 from rig.core.present import plain
-from rig.experiments import maps, sweep
+from rig.experiments import maps
 from rig.experiments.impedance import Judging
 from rig.experiments.maps import zwidth
 from rig.experiments.ranges import (
@@ -200,28 +199,6 @@ def test_dual_rate_goes_through_the_same_plan() -> None:
 
 
 # ---------------------------------------------------------------------- the same bytes, files, refusals
-
-
-def test_the_same_bytes_from_one_worker_two_and_after_a_stop(tmp_path: Path) -> None:
-    asked = plan(SHORT, [FILTERED, "uniform:1k,estimator=foaw-best"], [5e3, 50e3], [0.0, 60.0])
-    one = zwidth(asked, workers=1)
-    two = zwidth(asked, workers=2)
-    journal = tmp_path / "journal"
-
-    def stop(progress: Any) -> None:
-        if progress.done:
-            raise KeyboardInterrupt
-
-    with pytest.raises(sweep.SweepStoppedError):
-        sweep.run(asked.tasks, journal=journal, workers=1, unit="runs", watch=stop)
-    went_on = zwidth(asked, journal=journal)
-    public = rig.impedance_map(
-        SHORT, [FILTERED, "uniform:1k,estimator=foaw-best"], stiffnesses=[5e3, 50e3], dampings=[0.0, 60.0]
-    )
-    texts = {json.dumps(list(found.columns)) for found in (one, two, went_on, public)}
-    assert len(texts) == 1
-    assert len(one.columns) == 4
-    assert sum(row["runs"] for rows in one.columns for row in rows) == 16
 
 
 def test_files_hold_units_and_every_wall_and_a_finished_map_is_read(tmp_path: Path) -> None:
