@@ -9,7 +9,6 @@ import json
 import shutil
 from pathlib import Path
 
-import numba
 import pytest
 
 from tests.attack.__main__ import attack
@@ -17,9 +16,6 @@ from tests.attack.area import Outcome, chance_of
 from tests.attack.report import AreaReport
 from tests.attack.worker import AREAS, answer, area_of
 from tests.conformance.tiers import first_by_default
-
-if numba.config.DISABLE_JIT:
-    pytest.skip("plug points are function types of compiled code", allow_module_level=True)
 
 SEED = 1
 CASES = {"protocol": 4, "devices": 2, "liars": 66}  # of which every second is a contradiction: each once

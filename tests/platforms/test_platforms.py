@@ -16,7 +16,6 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
-import numba
 import pyarrow.parquet as pq
 import pytest
 
@@ -29,11 +28,6 @@ from tests.platforms.everyday import LINUX_ALONE
 ROOT = Path(__file__).parents[2]
 ENVIRONMENT = {**{name: value for name, value in os.environ.items() if name != "CC"}, "PYTHONPATH": str(ROOT)}
 WAIT_S = 300.0  # a busy machine with an empty cache took 110
-
-
-needs_the_compiler = pytest.mark.skipif(
-    bool(numba.config.DISABLE_JIT), reason="a trial without the compiler takes minutes"
-)
 
 
 @contextmanager
@@ -51,7 +45,6 @@ def programs(place: Path) -> Iterator[Callable[..., Any]]:
 
 
 @pytest.mark.timeout(2 * WAIT_S)
-@needs_the_compiler
 @pytest.mark.exhaustive("::test_the_commands_load_where_nothing_of_linux_is")
 def test_what_people_do_off_linux_runs_to_the_end_and_alike(tmp_path: Path) -> None:
     """Rows to the last bit, of the readable device where there is no C compiler, and of the firmware."""
@@ -69,7 +62,6 @@ def test_what_people_do_off_linux_runs_to_the_end_and_alike(tmp_path: Path) -> N
 
 
 @pytest.mark.timeout(2 * WAIT_S)
-@needs_the_compiler
 @pytest.mark.quiet
 def test_a_board_that_runs_the_law_is_hit_off_linux(tmp_path: Path) -> None:
     """In real time, once with a person."""

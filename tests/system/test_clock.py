@@ -7,12 +7,8 @@ import json
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
-
-if numba.config.DISABLE_JIT:
-    pytest.skip("recordings are made by the compiled loop", allow_module_level=True)
 
 import rig.cli
 from rig import config

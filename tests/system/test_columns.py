@@ -8,9 +8,7 @@ from itertools import combinations
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
-import pytest
 
 from rig import config
 from rig.config import presets
@@ -27,7 +25,6 @@ from tests.conformance.far_end import patient_host
 from tests.conformance.firmware import need_compiler
 from tests.conformance.trials import trial_on
 
-pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="the loop is compiled")
 START = -0.015
 LINE = tuple(
     FrameFault(kind=kind, direction=Direction.TO_HOST, frame=frame, ticks=2)

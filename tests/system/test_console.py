@@ -13,7 +13,6 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
-import numba
 import pytest
 from websockets.asyncio.client import ClientConnection
 
@@ -22,8 +21,6 @@ from rig.recording.data import Recording
 from rig.recording.reader import open_recording
 from tests.conformance.console import Page, Served, served
 from tests.conformance.started import started
-
-pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="the loop is compiled")
 
 BEAT_S = 0.1
 NAME = "the-first-page"

@@ -6,7 +6,6 @@ import json
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
 
@@ -23,8 +22,6 @@ from rig.experiments.replay import replay
 from rig.recording.reader import open_recording
 from rig.testing import Hits, assert_stable
 from tests.conformance.firmware import need_compiler
-
-pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="the loop is compiled")
 
 EXAMPLE = Path(__file__).parents[2] / "firmware_protocol/firmware/boards/rp2040/example.toml"
 SHORT = {

@@ -8,12 +8,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numba
 import numpy as np
 import pytest
-
-if numba.config.DISABLE_JIT:
-    pytest.skip("plug points are function types of compiled code", allow_module_level=True)
 
 from rig import config
 from rig.cli import run

@@ -5,12 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 
-import numba
 import numpy as np
 import pytest
-
-if numba.config.DISABLE_JIT:
-    pytest.skip("plug points are function types of compiled code", allow_module_level=True)
 
 from rig import config
 from rig.config import controller, device_law, presets

@@ -15,7 +15,6 @@ from io import StringIO
 from pathlib import Path
 from typing import Any
 
-import numba
 import pytest
 
 import rig
@@ -72,7 +71,6 @@ RUNNING = sorted(
 )
 
 
-@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="the loop is compiled")
 @pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("name", first_by_default(RUNNING, len(RUNNING) - len(LONG)))
 def test_what_a_page_shows_runs(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

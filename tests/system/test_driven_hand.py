@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import numba
 import pytest
 
 from rig.config import override, presets
@@ -13,8 +12,6 @@ from rig.core.sample import Phase
 from rig.experiments.hit import HitRequest, hit
 from rig.realtime.hand import SharedHand
 from tests.conformance.firmware import need_compiler
-
-pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="the loop is compiled")
 
 DRIVEN = override(
     presets.load("koul-rigid"),

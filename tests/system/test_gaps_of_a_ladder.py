@@ -4,12 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
-
-if numba.config.DISABLE_JIT:
-    pytest.skip("plug points are function types of compiled code", allow_module_level=True)
 
 from rig.control.verdict import MACHINE, Kind
 from tests.benchmarks.gaps import NO_DELAYS, RUNG, Case, SeriesRig, middle

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
 
@@ -21,8 +20,6 @@ from sim_backend.make_device import make_device
 from tests.conformance.claimed import claim_to_be_real
 from tests.conformance.struck import InMemory, StruckTrial
 from tests.conformance.tiers import first_by_default
-
-pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="the loop is compiled")
 
 HELD = {"trial.kind": "human"}
 SHORT = {

@@ -13,7 +13,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import numba
 import pytest
 
 import rig.experiments.hit  # noqa: F401  (compiles the loop before anybody waits for it)
@@ -26,8 +25,6 @@ from rig.realtime.running import RunningLoop, running, stop
 from rig.recording.reader import open_recording
 from tests.conformance.census import MARK, marked, still_there
 from tests.conformance.started import started
-
-pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="the loop is compiled")
 
 ROOT = Path(__file__).parents[2]
 PATIENCE_S = 60.0

@@ -11,12 +11,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
-
-if numba.config.DISABLE_JIT:
-    pytest.skip("atomics are intrinsics", allow_module_level=True)
 
 from rig import config, devices
 from rig.config import presets

@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numba
 import pytest
 
 from rig import config
@@ -21,8 +20,6 @@ from sim_backend.link import MemoryLink
 from sim_backend.make_device import make_device
 from tests.conformance.tiers import first_by_default
 from tests.conformance.trials import trial_on
-
-pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="the loop is compiled")
 
 SHORT = {"trial.duration_s": 0.4, "verdict.tail_s": 0.15}
 

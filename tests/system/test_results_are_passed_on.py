@@ -10,7 +10,6 @@ from functools import wraps
 from pathlib import Path
 from typing import Any
 
-import numba
 import pytest
 
 from rig.config import controller, load, override, presets
@@ -25,8 +24,6 @@ from rig.session.log import read
 from rig.session.rehearsal import Person
 from rig.session.run import rehearsal_desk, run_session
 from tests.system.session_study import PROTOCOL
-
-pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="the loop is compiled")
 
 COUNTED: dict[str, Callable[..., Any]] = {
     "files": load.experiment_from_mapping,  # every value of an experiment and every rule

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from typing import Any
 
-import numba
 import pytest
 
 from rig.config import override, presets
@@ -18,8 +17,6 @@ from rig.experiments.plan import make_plan
 from rig.experiments.replay import replay
 from rig.testing import Hits, assert_stable
 from tests.conformance.firmware import need_compiler
-
-pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="the loop is compiled")
 
 SHORT = {"trial.duration_s": 0.5, "trial.release_s": 0.02, "homing.settle_s": 0.02, "verdict.tail_s": 0.1}
 HELD = {

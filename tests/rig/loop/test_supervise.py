@@ -6,14 +6,10 @@ import errno
 from collections.abc import Sequence
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
-if numba.config.DISABLE_JIT:
-    pytest.skip("plug points are function types of compiled code", allow_module_level=True)
 
 from firmware_protocol import messages as m
 from firmware_protocol.connection import State

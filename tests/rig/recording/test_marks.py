@@ -6,15 +6,11 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-import numba
 import numpy as np
 import pytest
 from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
-if numba.config.DISABLE_JIT:
-    pytest.skip("plug points are function types of compiled code", allow_module_level=True)
 
 from firmware_protocol.faults import Input
 from rig import config, devices

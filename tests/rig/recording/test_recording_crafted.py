@@ -9,7 +9,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numba
 import pytest
 
 import rig.cli
@@ -23,8 +22,6 @@ from rig.recording.capture import END_MAGIC, ROWS_MAGIC, pack_block, pack_header
 from rig.recording.data import Recording
 from rig.recording.reader import open_recording
 from rig.recording.shape import DEPTH, misfit, parsed
-
-pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="a hit takes long without the compiler")
 
 COMMANDS = (
     ["recording", "show", "--marks"],

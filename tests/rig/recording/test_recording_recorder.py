@@ -13,7 +13,6 @@ import time
 from contextlib import AbstractContextManager
 from pathlib import Path
 
-import numba
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -29,10 +28,6 @@ from rig.recording.reader import open_recording
 from rig.recording.recorder import AT_RISK_S, Recorder, write_all
 from tests.conformance.recording import example_header, example_rows
 from tests.conformance.started import started
-
-pytestmark = pytest.mark.skipif(
-    numba.config.DISABLE_JIT, reason="system calls and atomic words need the compiler"
-)
 
 HEADER = example_header()
 

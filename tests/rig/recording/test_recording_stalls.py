@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-import numba
 import pytest
 
 from tests.conformance.stalled_disk import DiskRun, record_on_a_pausing_disk
-
-pytestmark = pytest.mark.skipif(
-    numba.config.DISABLE_JIT, reason="system calls and atomic words need the compiler"
-)
 
 RATE = 10_000
 MEMORY = 32_000_000  # far less than the rows of a run; garbage and stacks of threads

@@ -10,12 +10,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
-
-if numba.config.DISABLE_JIT:
-    pytest.skip("recordings are made by the compiled loop", allow_module_level=True)
 
 from rig import config
 from rig.config import presets

@@ -11,7 +11,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numba
 import pytest
 
 from rig import config
@@ -24,9 +23,6 @@ from tests.system.usb.emulated_bus import Bus, Child, build
 pytestmark = pytest.mark.exhaustive(
     "tests/rig/devices/test_usb.py::test_anything_else_that_goes_wrong_in_opening_is_typed_and_gives_the_bus_back"
 )
-
-if numba.config.DISABLE_JIT:
-    pytest.skip("the device's plant is too slow for real time uncompiled", allow_module_level=True)
 
 Check = Callable[..., Any]
 
