@@ -448,7 +448,7 @@ def recorded_impedance(
     if len(walls) != 1:
         raise ConfigError(
             f"recordings of {len(walls)} walls, where those of one are needed",
-            remedy="give the recordings of one result of `impedance`",
+            remedy="give the recordings of one result of rig.impedance",
         )
     runs = [
         RealisationRun(record_of(one, experiment), saturated=bound_share(one))

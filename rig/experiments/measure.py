@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Unpack
+from typing import Any, TypedDict, Unpack
 
 from rig import config
 from rig.config.load import DEFAULT_PRESET
@@ -207,22 +207,29 @@ def impedance_map(
     return maps.map_into(plan, place, scheduler=scheduler, workers=workers, watch=watch)
 
 
+class IdentifyOptions(TypedDict, total=False):
+    """What `identify` takes by name: fields of an `IdentifyRequest`, with their types there."""
+
+    url: str | None
+    changes: Mapping[str, Any]
+    verified: bool
+    output: str | Path
+    realisations: int
+    period_s: float
+    seed: int
+    cogging: int | None
+    rate_hz: int | None
+    mass_kg: float | None
+    arm_m: float | None
+
+
+@takes(IdentifyOptions, IdentifyRequest)
 def identify(
     experiment: ExperimentLike = DEFAULT_PRESET,
     *,
-    url: str | None = None,
-    verified: bool = False,
-    realisations: int = 6,
-    period_s: float = 0.5,
-    seed: int = 0,
-    cogging: int | None = None,
-    rate_hz: int | None = None,
-    mass_kg: float | None = None,
-    arm_m: float | None = None,
-    output: str | Path = "recordings",
-    changes: Mapping[str, Any] | None = None,
     tell: Callable[[str], None] | None = None,
     ask: Callable[[str], None] | None = None,
+    **options: Unpack[IdentifyOptions],
 ) -> Identification:
     """Identify a rig whose handle is free: signs, friction, inertia, damping, delay, first mode (`rig identify`).
 
@@ -230,24 +237,14 @@ def identify(
     ----------
     experiment
         The rig as far as it is known, as in `load`; its limits are kept.
-    url, verified
-        A device, as in `hit`; None simulates the rig.
-    realisations, period_s, seed
-        Of the excitation: how many draws of phases, its period (s), and the seed of the phases.
-    cogging
-        Also map cogging, up to this harmonic.
-    rate_hz
-        Of the loop while it moves (Hz); None: the experiment's, or in real time what the measured link carries.
-    mass_kg, arm_m
-        With `cogging`: a mass to hang on the rig for the sweeps once more (kg), and its lever arm (m).
-    output
-        Directory of the recordings: each motion is one.
-    changes
-        Other keys of the experiment, by dotted name.
     tell
         Called with a line about what happens next.
     ask
         Called with what a person has to do; returns when it is done. Needed for a mass on a real rig.
+    **options
+        `changes` are other keys of the experiment, by dotted name; `rate_hz` is that of the loop while it moves (None:
+        the experiment's, or in real time what the measured link carries); with `cogging`, `mass_kg` and `arm_m` are a
+        mass to hang on the rig for the sweeps once more, and its lever arm.
 
     Returns
     -------
@@ -264,20 +261,7 @@ def identify(
     RigError
         What ended a trial early; the effort is zero.
     """
-    request = IdentifyRequest(
-        experiment=load(experiment),
-        url=url,
-        changes=dict(changes or {}),
-        verified=verified,
-        realisations=realisations,
-        period_s=period_s,
-        seed=seed,
-        cogging=cogging,
-        rate_hz=rate_hz,
-        mass_kg=mass_kg,
-        arm_m=arm_m,
-        output=output,
-    )
+    request = IdentifyRequest(experiment=load(experiment), **options)
     return identifying.identify(request, tell, ask)
 
 

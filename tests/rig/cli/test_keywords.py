@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
@@ -18,7 +18,9 @@ from rig.cli.options import CommandSettings
 from rig.config.table import parameters
 from rig.core.keyword import Keyword, keywords
 from rig.experiments.hit import HitRequest
+from rig.experiments.identify import IdentifyRequest
 from rig.experiments.lab import HitOptions
+from rig.experiments.measure import IdentifyOptions
 
 TYPES = {float: "number", int: "whole number", bool: "true or false", str: "text"}
 
@@ -84,9 +86,12 @@ def test_a_setting_has_type_and_unit_of_its_key() -> None:
             assert f"({key.unit_for(None)})" in one.help, name
 
 
-def test_the_keywords_of_a_hit_are_the_fields_of_its_request() -> None:
-    asked, given = get_type_hints(HitRequest), get_type_hints(HitOptions)
-    for name in {one.name for one in fields(HitRequest)} & set(given) - {"changes", "law"}:
+@pytest.mark.parametrize(
+    ("options", "request_"), [(HitOptions, HitRequest), (IdentifyOptions, IdentifyRequest)]
+)
+def test_the_keywords_of_a_function_are_the_fields_of_its_request(options: type, request_: type) -> None:
+    asked, given = get_type_hints(request_), get_type_hints(options)
+    for name in set(asked) & set(given) - {"law"}:
         assert asked[name] in (given[name], given[name] | None), name
 
 
