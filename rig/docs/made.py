@@ -26,7 +26,6 @@ from firmware_protocol.fmea import SingleFault, single_faults
 from rig import cli
 from rig.cli.command import RESULT, Option
 from rig.cli.listing import listing
-from rig.cli.table import COMMANDS
 from rig.config import presets
 from rig.config.table import ConfigKey, parameters, parameters_of, shown
 from rig.control import estimators
@@ -174,8 +173,10 @@ def further() -> str:
 
 def command_list() -> str:
     """Every command with its line."""
-    known = listing()["commands"]
-    rows = ((f"[`rig {name}`](commands/{name}.md)", _prose(known[name]["help"])) for name in COMMANDS)
+    known = {name: row for name, row in listing()["commands"].items() if "options" in row}
+    rows = (
+        (f"[`rig {name}`](commands/{name.split()[0]}.md)", _prose(row["help"])) for name, row in known.items()
+    )
     return table(("command", "what it does"), rows)
 
 

@@ -14,13 +14,11 @@ import rig.cli
 from rig import config
 from rig.config import presets
 from rig.core.clock_fit import ClockFit, as_exchanges, fit_clock
-from rig.core.errors import RecordingError
 from rig.core.present import plain
 from rig.devices.framed import FramedDevice
 from rig.experiments.timing import timing
 from rig.recording.capture import write_capture
 from rig.recording.reader import open_recording
-from rig.views.plots import style
 from sim_backend.device import SimulatedDevice
 from sim_backend.link import MemoryLink
 from tests.conformance.rigs import rotary_rig
@@ -172,13 +170,6 @@ def command(capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pyte
     return call
 
 
-def test_timing_prints_stages_counts_and_clock_and_draws(command: Any, sealed: Any, tmp_path: Path) -> None:
-    code, out, err = command("recording", "timing", sealed, "-o", tmp_path / "when.png")
-    assert code == 0, err
-    assert "sampled to applied" in out
-    assert (tmp_path / "when.png").read_bytes().startswith(b"\x89PNG")
-
-
 def test_timing_as_json_is_what_the_trailer_has(command: Any, sealed: Any, tmp_path: Path) -> None:
     code, out, _ = command("recording", "timing", sealed, "--json", "--no-plot")
     assert code == 0
@@ -212,23 +203,6 @@ def test_a_run_cut_off_has_the_hosts_share_alone(command: Any, sealed: Any, tmp_
     assert "no clock exchanges" in out
     assert (tmp_path / "cut-timing.png").exists()
     assert timing(path).stages["law"].ticks > 100
-
-
-def test_a_picture_that_cannot_be_drawn_does_not_take_the_numbers_with_it(
-    command: Any, sealed: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def save(figure: Any, path: Path) -> Path:
-        raise RecordingError(f"cannot write the picture {path}", remedy="choose another place for it")
-
-    monkeypatch.setattr(style, "save", save)  # which says this when it has painted
-    nowhere = tmp_path / "nowhere" / "x.png"
-    code, out, err = command("recording", "timing", sealed, "-o", nowhere)
-    assert (code, "counted apart" in out) == (9, True)
-    assert "cannot write the picture" in err
-    code, out, _ = command("recording", "timing", sealed, "-o", nowhere, "--json")
-    told = json.loads(out)
-    assert (code, told["picture"], told["error"]["exit_code"]) == (9, None, 9)
-    assert told["stages"]
 
 
 def test_a_picture_does_not_overwrite_the_recording(command: Any, sealed: Any) -> None:
@@ -267,9 +241,6 @@ def test_recordings_without_a_ledger_are_refused_in_one_line(
 
 
 def test_devices_says_how_the_clocks_stand(command: Any) -> None:
-    code, out, _ = command("device", "show", "sim://koul-compliant?clock_ppm=50")
-    assert code == 0
-    assert "clock drift" in out
-    code, out, _ = command("device", "show", "sim://koul-compliant?clock_ppm=50", "--json")
+    _, out, _ = command("device", "show", "sim://koul-compliant?clock_ppm=50", "--json")
     clock = ClockFit.from_mapping(json.loads(out)["clock"])
     assert clock.drift_ppm == pytest.approx(-50.0, abs=3 * clock.drift_sd_ppm)
