@@ -326,16 +326,6 @@ def test_its_link_conforms() -> None:
     check_link(fresh, lambda: MemoryLink(FirmwareDevice(rotary_rig())))
 
 
-@pytest.mark.parametrize("ppm", [-200.0, -0.001, 0.0, 50.0, 1000.0])
-def test_it_ticks_by_its_own_clock(ppm: float) -> None:
-    link = MemoryLink(FirmwareDevice(rotary_rig(), position_rate_default=7_000), clock_ppm=ppm)
-    for _ in range(20):
-        link.elapse(0.1)
-    exact_ns = 2e9 * (1 + ppm * 1e-6)
-    assert exact_ns - 1e9 / 7_000 - 63 <= link.device.elapsed_ns <= exact_ns + 1e-3
-    assert link.device.next_tick_ns > exact_ns - 63
-
-
 @pytest.mark.parametrize("text", ["firmware=2", "firmware=yes", "firmware=-1"])
 def test_the_option_is_one_or_nothing(text: str) -> None:
     with pytest.raises(ConfigError, match="firmware"):

@@ -19,12 +19,9 @@ from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault
 from rig import config
 from rig.config import presets
-from rig.control.law import Law
 from rig.core.errors import (
     DeviceFaultError,
     DeviceNotFoundError,
-    GuardError,
-    LawError,
     LinkLostError,
     RecordingError,
     StoppedError,
@@ -37,7 +34,6 @@ from tests.conformance.far_end import FarEnd, HostProcess, Script, patient_host
 from tests.conformance.firmware import need_compiler
 from tests.conformance.struck import StruckTrial
 from tests.conformance.tiers import first_by_default
-from tests.system.test_faults import gives_nan, raises
 
 COMMON = {"trial.release_s": 0.02, "homing.settle_s": 0.02, "verdict.tail_s": 0.05}
 ON_HOST = {
@@ -129,31 +125,6 @@ def test_without_a_fault_it_completes(bench: Bench) -> None:
     assert trial.counters["bad_frames"] == 0
 
 
-COUNTER = {
-    FaultKind.DROP: "lost",
-    FaultKind.CORRUPT: "bad_frames",
-    FaultKind.TRUNCATE: "bad_frames",
-    FaultKind.DUPLICATE: "duplicated",
-    FaultKind.REORDER: "reordered",
-}
-
-
-@pytest.mark.parametrize("kind", [*COUNTER, FaultKind.DELAY])
-@pytest.mark.exhaustive(
-    "tests/system/test_faults.py::test_a_fault_at_any_frame_ends_with_zero_effort_and_a_readable_recording"
-)
-def test_a_bad_frame_each_way_costs_itself_and_is_counted_where_it_should_have_come(
-    kind: FaultKind, bench: Bench
-) -> None:
-    # One of two strikes may hit a comparison of clocks: a lost one is not counted.
-    device = bench.start(frames=broken(kind, *Direction, strikes=2))
-    trial = bench.run(device, long=False).check(replays=False)
-    assert device["acted"] == 2 * len(Direction)
-    if kind is not FaultKind.DELAY:
-        assert device[COUNTER[kind]] >= 1
-        assert trial.counters[COUNTER[kind]] >= 1
-
-
 # What breaks → script, error, the first fault of the device.
 ENDINGS: dict[str, tuple[dict[str, Any], type[Exception], Fault]] = {
     "silence to the device": (
@@ -230,29 +201,6 @@ def test_a_device_that_dies_or_stands_still_is_a_lost_link_and_ramps_when_it_run
     assert isinstance(trial.error, LinkLostError)
     assert trial.error.remedy
     assert trial.recording.complete
-
-
-# ---------------------------------------------------------------------- the law
-
-
-@pytest.mark.parametrize(("function", "reason"), [(gives_nan, "nonfinite"), (raises, "law_raised")])
-@pytest.mark.exhaustive(
-    "tests/system/test_faults.py::test_a_law_that_fails_ends_the_run_with_zero_and_is_named"
-)
-def test_a_law_that_fails_ends_the_run_with_zero(function: Any, reason: str, bench: Bench) -> None:
-    law = Law("bad", "for this test", function, 2, lambda wall: [])
-    trial = bench.run(bench.start(), law=law).check(LawError, replays=False)
-    assert trial.recording.trailer["reason"] == reason
-
-
-@pytest.mark.exhaustive("tests/system/test_faults.py::test_leaving_the_window_ends_the_run_with_zero")
-def test_leaving_the_window_ends_the_run_with_zero(bench: Bench) -> None:
-    narrow = {"rig.limits.position_maximum": 0.0005, "wall.stiffness": 60.0, "wall.damping": 0.0}
-    device = bench.start()
-    trial = StruckTrial(device, bench.directory, config.override(bench.long, narrow))
-    trial.check(GuardError, DeviceFaultError, replays=False)  # both look, every tick
-    if isinstance(trial.error, DeviceFaultError):
-        assert device["first_fault"] == Fault.POSITION_WINDOW
 
 
 # ---------------------------------------------------------------------- the host

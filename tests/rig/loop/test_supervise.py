@@ -308,16 +308,6 @@ def test_the_run_ends_when_its_own_law_is_done() -> None:
     assert_ends_with_stops(device)
 
 
-def test_leaving_the_window_or_an_unreachable_start_end_the_run() -> None:
-    device = BatchDevice([*[0] * 20, *range(0, 100_000, 100)])
-    _, end = ran(device)
-    assert end.reason == EndReason.OUT_OF_WINDOW
-    assert_ends_with_stops(device)
-    thread, end = ran(BatchDevice([0] * 200), controlled(home_target=-0.01, home_timeout_ticks=30))
-    assert end.reason == EndReason.HOMING_FAILED
-    assert rows_of(thread)["flags"][-1] & RowFlag.HOMING_FAILED
-
-
 @pytest.mark.parametrize("tick", [0, 3, 4, 17])
 def test_a_fault_of_the_device_ends_the_run_with_every_sample_up_to_it(tick: int) -> None:
     device = BatchDevice([0] * 100)
