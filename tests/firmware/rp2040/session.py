@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from firmware_protocol import messages as m
@@ -47,6 +48,16 @@ class Session:
     def arm(self, session: int = 1) -> None:
         ack = self.host.arm(session, self.crc)
         assert ack.status == 0, ack
+
+    def push(self, current: int = 300, position_rate: int = 5_000) -> None:
+        """Have an armed device give a current (quanta), with nothing that would stop at a place."""
+        self.configure(position_rate=position_rate, window_minimum=-(2**31), window_maximum=2**31 - 1)
+        self.arm()
+        self.host.command(current)
+        self.listen(0.002)
+        look = self.pico.look()
+        assert look["enabled"]
+        assert look["current"] == pytest.approx(current * 1e-3, abs=0.002)
 
     def configure_law(self, position_rate: int, velocity_rate: int, **changes: Any) -> dict[str, Value]:
         """Parameters of a trial with the law on the device, in integers."""

@@ -54,24 +54,13 @@ def steps_off(code: int, quanta: int) -> float:
     return abs(code - MIDDLE - quanta * QUANTUM_A / FULL_SCALE_A * (MIDDLE - 1))
 
 
-def running(session: Session, current: int = 300) -> None:
-    """An armed device that gives a current (quanta)."""
-    session.configure(position_rate=5_000, window_minimum=-(2**31), window_maximum=2**31 - 1)
-    session.arm()
-    session.host.command(current)
-    session.listen(0.002)
-    look = session.pico.look()
-    assert look["enabled"]
-    assert look["current"] == pytest.approx(current * QUANTUM_A, abs=STEP_A)
-
-
 def test_nothing_is_heard_before_the_device_is_armed_and_the_range_before_any_current(
     powered_dac: Powered,
 ) -> None:
     session = powered_dac()
     assert session.pico.look()["volts"] == 0.0
     assert {(frame.word, frame.heard) for frame in frames(session)} == {(RANGE, False)}
-    running(session)
+    session.push()
     heard = [frame for frame in frames(session) if frame.heard]
     assert heard[0].word == RANGE
     assert steps_off(heard[-1].code, 300) <= NEAREST
@@ -133,7 +122,7 @@ def test_a_transfer_that_stalls_is_a_fault_and_zero_volts_within_two_ticks(
     powered_dac: Powered, amid: bool
 ) -> None:
     session = powered_dac()
-    running(session)
+    session.push()
     session.pico.ask("stall", amid=amid)
     took_us = session.pico.ask("off", us=1e3)["took"] / 1e3
     assert took_us < 2.0 * PERIOD_US + WORK_US
@@ -161,7 +150,7 @@ def test_a_hung_board_is_at_zero_volts_with_its_watchdog_and_again_after_the_res
     powered_dac: Powered,
 ) -> None:
     session = powered_dac()
-    running(session)
+    session.push()
     session.pico.ask("hang")
     session.pico.run(WATCHDOG_US)
     assert session.pico.look()["resets"] == 1
@@ -174,19 +163,10 @@ def test_a_hung_board_is_at_zero_volts_with_its_watchdog_and_again_after_the_res
     assert not any(frame.heard for frame in frames(session))
 
 
-def test_a_crash_is_zero_volts(powered_dac: Powered) -> None:
-    session = powered_dac()
-    running(session)
-    session.pico.ask("crash")
-    session.pico.run(10.0)
-    assert session.pico.look()["volts"] == 0.0
-    assert not session.pico.look()["enabled"]
-
-
 def test_the_next_run_begins_at_zero_and_gives_its_current(powered_dac: Powered) -> None:
     """The range is told anew: what was in reset meanwhile knows none."""
     session = powered_dac()
-    running(session)
+    session.push()
     session.host.disarm()
     session.arm(session=2)
     assert session.pico.look()["volts"] == 0.0
@@ -200,7 +180,7 @@ def test_a_contact_behind_the_board_is_zero_volts_whatever_it_sends_and_until_it
     powered_dac: Powered,
 ) -> None:
     session = powered_dac()
-    running(session)
+    session.push()
     frames(session)
 
     def volts_with(current: int) -> float:

@@ -17,17 +17,6 @@ from tests.firmware.rp2040.session import Session
 Powered = Callable[..., Session]
 
 
-def running(session: Session, current: int = 300, position_rate: int = 5_000) -> None:
-    """An armed device that gives a current (quanta)."""
-    session.configure(position_rate=position_rate, window_minimum=-(2**31), window_maximum=2**31 - 1)
-    session.arm()
-    session.host.command(current)
-    session.listen(0.002)
-    look = session.pico.look()
-    assert look["enabled"]
-    assert look["current"] == pytest.approx(current * 1e-3, abs=0.002)
-
-
 def test_nothing_is_driven_before_a_host_says_so(powered: Powered) -> None:
     session = powered()
     look = session.pico.look()
@@ -40,7 +29,7 @@ def test_the_watchdog_drops_enable_and_the_device_says_why_it_is_back(
     powered: Powered, rate: int, bite_us: float
 ) -> None:
     session = powered()
-    running(session, position_rate=rate)
+    session.push(position_rate=rate)
     session.pico.ask("hang")
     session.pico.run(bite_us - 1e6 / rate - 10.0)  # fed within the last tick
     assert session.pico.look()["resets"] == 0
@@ -56,12 +45,16 @@ def test_the_watchdog_drops_enable_and_the_device_says_why_it_is_back(
     assert (state.state, state.fault) == (State.FAULT, Fault.WATCHDOG_RESET)
 
 
-def test_a_crash_drops_enable_at_once_and_its_place_is_told_behind_the_reset(powered: Powered) -> None:
-    session = powered()
-    running(session)
+@pytest.mark.parametrize("output", ["powered", "powered_dac"])
+def test_a_crash_drops_enable_at_once_and_its_place_is_told_behind_the_reset(
+    output: str, request: pytest.FixtureRequest
+) -> None:
+    session = request.getfixturevalue(output)()
+    session.push()
     at = session.pico.ask("crash")["at"]
     session.pico.run(10.0)
-    assert not session.pico.look()["enabled"]
+    look = session.pico.look()
+    assert (look["enabled"], look["current"], look["volts"]) == (False, 0.0, 0.0)
     session.pico.run(WATCHDOG_US + START_US)
     session.connect()
     state = session.host.next_state()
@@ -80,7 +73,7 @@ def test_a_main_loop_that_stands_still_ends_the_run_within_20_ms_and_the_watchdo
     powered: Powered,
 ) -> None:
     session = powered()
-    running(session)
+    session.push()
     session.pico.ask("hang", interrupts=True)
     session.pico.run(15_000.0)
     assert session.pico.look()["enabled"], "the tick goes on, and the command lives"
@@ -126,9 +119,9 @@ class OnTheBoard(FarEnd):
         self.pico.ask("set", hold_to_run=held)
 
 
-@pytest.mark.parametrize("output", ["pulse width", "converter"])
+@pytest.mark.parametrize("output", ["powered", "powered_dac"])
 def test_a_fault_of_the_board_is_zero_effort_in_time_latched_and_reported(
-    powered: Powered, powered_dac: Powered, output: str
+    output: str, request: pytest.FixtureRequest
 ) -> None:
-    far_end = OnTheBoard(powered() if output == "pulse width" else powered_dac())
+    far_end = OnTheBoard(request.getfixturevalue(output)())
     check_faults(lambda: far_end)
