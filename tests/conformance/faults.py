@@ -361,7 +361,7 @@ def check_hold_to_run(far: FarEnd) -> None:
     far.push()
     far.hold(False)
     assert not any(far.watch(REST_TICKS, far.command)[1 + far.late :])
-    assert (far.state.state, far.state.fault) == (State.RUNNING, Fault.NONE)
+    assert (far.state.state, far.state.fault) == (State.RUNNING, Fault.NONE), far.state
     assert far.state.limits & LimitFlag.HOLD_TO_RUN_RELEASED
     assert not far.state.inputs & Input.HOLD_TO_RUN
     far.hold(True)

@@ -156,6 +156,7 @@ class Rig:
         self.hardware = Hardware(model, self._rate, seed=0, initial_position=None)
         self._trace: list[tuple[int, int, int, int, int]] = []
         self.said: list[bytes] = [self._reply.bytes]
+        self.inputs = 0
 
     @property
     def trace(self) -> np.ndarray:
@@ -165,6 +166,14 @@ class Rig:
     @property
     def state(self) -> State:
         return self._reply.state
+
+    @property
+    def current(self) -> int:
+        return self._reply.current
+
+    @property
+    def enabled(self) -> bool:
+        return self._reply.enabled
 
     def tick(self) -> None:
         """A tick of the board: sample, law, current; then the plant moves until the next."""
@@ -191,7 +200,7 @@ class Rig:
         self.hardware.advance(self._reply.current)
         time = self._world.time + UNITS_PER_SECOND // self._rate
         age = round(min(self.hardware.edge_age_s * UNITS_PER_SECOND, time))
-        self._world = World(time, self.hardware.count, time - age, self.hardware.measured)
+        self._world = World(time, self.hardware.count, time - age, self.hardware.measured, self.inputs)
         self.clock.sleep_until(time * 125 // 2)
 
     # ------------------------------------------------------------------ as a link

@@ -12,6 +12,8 @@ import pytest
 
 from firmware_protocol import messages as m
 from firmware_protocol.connection import State
+from firmware_protocol.faults import Input
+from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import encode_block
 from firmware_protocol.transfer import set_parameters
 from rig import config
@@ -19,6 +21,7 @@ from rig.bench.firmware.flash import read_image
 from rig.config import Experiment, controller, device_law, presets
 from rig.devices import framed
 from rig.devices.framed import FramedDevice
+from tests.conformance.faults import FarEnd, check_faults
 from tests.firmware import cross
 from tests.firmware.mps2.lockstep import Partner, Rig, in_emulator, on_this_computer
 
@@ -113,3 +116,50 @@ def test_the_image_does_and_says_what_this_computer_does(case: str, tmp_path: Pa
     assert trace["count"].max() > 5, "it never met the wall"
     assert np.ptp(trace["current"]) > 500
     assert read_image(built.elf)[1].facts.board == board
+
+
+class InLockStep(FarEnd):
+    """A device in lock-step with a rig."""
+
+    late = 1  # what the world shows at a sample is from the tick before
+
+    def __init__(self, partner: Partner) -> None:
+        self.rig = Rig(partner, config.rig_model(presets.load(cross.RIG)))
+        super().__init__(self.rig)
+        pressed, hardware = "the emergency stop is pressed", self.rig.hardware
+        self.strikes = {
+            pressed: lambda: self.show(Input.EMERGENCY_STOP, True),
+            "a short circuit": lambda: setattr(hardware, "leak", 32_767),
+        }
+        self.mends = {
+            pressed: lambda: self.show(Input.EMERGENCY_STOP, False),
+            "a short circuit": lambda: setattr(hardware, "leak", 0),
+        }
+
+    def parameters(self) -> dict[str, Value]:
+        """The handle is pushed again and again, and nothing holds it."""
+        anywhere = {
+            "window_minimum": -(2**31),
+            "window_maximum": 2**31 - 1,
+            "speed_limit": 2**32 - 1,
+            "continuous_current": 5_000,
+        }
+        return {**super().parameters(), **anywhere}
+
+    def show(self, which: Input, active: bool) -> None:
+        self.rig.inputs = self.rig.inputs | which if active else self.rig.inputs & ~which
+
+    def effort(self) -> float:
+        return float(self.rig.current)
+
+    def enabled(self) -> bool:
+        return self.rig.enabled
+
+
+def test_each_fault_is_zero_effort_in_time_on_the_processor(tmp_path: Path) -> None:
+    partner = in_emulator(cross.image("mps2-m0plus", "tests"), tmp_path)
+    try:
+        far_end = InLockStep(partner)
+        check_faults(lambda: far_end)
+    finally:
+        partner.close()
