@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -200,31 +201,17 @@ def flash(image: Path, drive: Path | None, url: str | None, as_json: bool) -> No
 @click.option(
     "--rate", type=options.Hertz(50, 200_000), help="Tick rate to test (Hz). [the device's maximum]"
 )
-@click.option(
-    "--seconds",
-    type=click.FloatRange(0.05, 600.0),
-    default=1.0,
-    show_default=True,
-    help="How long ticks are counted.",
-)
-@click.option("--move", is_flag=True, help="Ask for the handle to be moved by hand, and look for its counts.")
-@click.option(
-    "--stream",
-    is_flag=True,
-    help="Check the samples of the law on the device: it is armed, with a current limit of zero.",
-)
+@gathered_options(SelfTestRequest, "request")
 @options.json_option
-def selftest(
-    url: str, preset: str | None, rate: int | None, seconds: float, move: bool, stream: bool, as_json: bool
-) -> None:
+def selftest(url: str, preset: str | None, rate: int | None, request: SelfTestRequest, as_json: bool) -> None:
     """Have the device at URL test itself and its link. Nothing moves: no command asks for a current.
 
     Exits with 5 when a check fails.
     """
     experiment = None if preset is None else presets.load_named(preset)
-    if move and not as_json:
+    if request.move and not as_json:
         click.echo("move the handle by hand until the test has ended", err=True)
-    request = SelfTestRequest(experiment=experiment, rate=rate, seconds=seconds, move=move, stream=stream)
+    request = replace(request, experiment=experiment, rate=rate)
     with open_device(url, request.model) as device, output.StatusLine(quiet=as_json) as status:
         found = run(device, request, status.on_progress)
     if as_json:

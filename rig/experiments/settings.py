@@ -70,7 +70,7 @@ class WallSettings(Settings, total=False):
 class HitSettings(WallSettings, total=False):
     """And how often it is hit."""
 
-    repeats: Annotated[int, Ge(1), Le(10_000), _key("trial.repeats", "How many hits.")]
+    repeats: Annotated[int, Ge(1), Le(100_000), _key("trial.repeats", "How many hits.")]
 
 
 def _excitation(key: str, help: str) -> Keyword:

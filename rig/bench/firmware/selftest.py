@@ -9,6 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from typing import Annotated
+
+from annotated_types import Ge, Le
 
 from firmware_protocol import messages as m
 from firmware_protocol.connection import State
@@ -24,6 +27,7 @@ from rig.config.controller import prepared
 from rig.core import check
 from rig.core.check import Check, Outcome
 from rig.core.errors import DeviceRefusedError, RigError
+from rig.core.keyword import Keyword
 from rig.core.model import RigModel
 from rig.core.present import Item, reported
 from rig.core.same_rig import check_rig
@@ -52,19 +56,16 @@ class SelfTestRequest:
         The rig to which the image should belong, and the law for `stream`; None: do not compare.
     rate
         Tick rate to count at (Hz); None: the device's maximum.
-    seconds
-        How long ticks are counted.
-    move
-        Whether a person will move the handle by hand.
-    stream
-        Whether to arm, with a current limit of zero, and check the samples of the law on the device.
     """
 
     experiment: Experiment | None = None
     rate: int | None = None
-    seconds: float = 1.0
-    move: bool = False
-    stream: bool = False
+    seconds: Annotated[float, Ge(0.05), Le(600.0), Keyword("How long ticks are counted.")] = 1.0
+    move: Annotated[bool, Keyword("Ask for the handle to be moved by hand, and look for its counts.")] = False
+    stream: Annotated[
+        bool,
+        Keyword("Check the samples of the law on the device: it is armed, with a current limit of zero."),
+    ] = False
 
     @property
     def model(self) -> RigModel | None:

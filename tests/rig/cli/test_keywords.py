@@ -21,6 +21,7 @@ from rig.experiments.hit import HitRequest
 from rig.experiments.identify import IdentifyRequest
 from rig.experiments.lab import HitOptions
 from rig.experiments.measure import IdentifyOptions
+from rig.experiments.settings import ExcitationSettings
 
 TYPES = {float: "number", int: "whole number", bool: "true or false", str: "text"}
 
@@ -74,14 +75,20 @@ def test_a_wrong_value_is_named_with_what_is_allowed(words: str, message: str) -
     assert message in failed.value.format_message()
 
 
-def test_a_setting_has_type_and_unit_of_its_key() -> None:
-    hints = get_type_hints(CommandSettings)
-    for name, one in keywords(CommandSettings).items():
+@pytest.mark.parametrize("settings", [CommandSettings, ExcitationSettings])
+def test_a_setting_has_type_range_and_unit_of_its_key(settings: type) -> None:
+    hints = get_type_hints(settings)
+    for name, one in keywords(settings).items():
+        if not one.key:  # a band: two keys
+            continue
         key = parameters()[one.key]
         if get_origin(hints[name]) is Literal:
             assert get_args(hints[name]) == key.choices, name
         elif key.kind not in ("table", "choice"):
             assert TYPES[hints[name]] == key.kind, name
+        bounds = {f"≥ {m.ge:g}" for m in one.marks if isinstance(m, Ge)}
+        bounds |= {f"≤ {m.le:g}" for m in one.marks if isinstance(m, Le)}
+        assert bounds <= set(key.bounds), name
         if one.help and key.unit not in ("", "1"):
             assert f"({key.unit_for(None)})" in one.help, name
 
