@@ -1,8 +1,8 @@
 """Hands out the tasks of a sweep, keeps what comes back, shows how far it is, and takes the Ctrl-C.
 
-All in the caller's thread. Signals are only noted while it runs, and acted on between two results, so that no Ctrl-C
+All in the caller's thread. A signal is only noted while it runs, and acted on between two results, so that no Ctrl-C
 can strike between a result and its line in the journal. The first one ends the handing out, a second one the waiting
-for what is running.
+for what is running, at once: a line that it tears is left out when the journal is read.
 """
 
 from __future__ import annotations
@@ -173,15 +173,27 @@ class Coordinator:
         # A signal that ends the process at once is left alone: the journal is good whatever ends it.
         numbers = tuple(one for one in (signal.SIGINT, signal.SIGTERM) if callable(signal.getsignal(one)))
         signals: list[int] = []
-        with handled(numbers, lambda number, frame: signals.append(number)), listening() as series:
-            while self._out or (self._queue and not self._stopping):
-                self._hand_out()
-                if self._interrupted(signals, series):
-                    return
-                self._take()
-                self._store.sync()
-            self._shown_s = -math.inf
-            self._interrupted(signals, series)
+
+        def note(number: int, frame: object) -> None:
+            signals.append(number)
+            if len(signals) > 1:  # the first is not acted on: the watcher waits for a stopped terminal
+                raise KeyboardInterrupt
+
+        with handled(numbers, note), listening() as series:
+            try:
+                self._work(signals, series)
+            except KeyboardInterrupt as error:
+                self.interruption = self.interruption or error
+
+    def _work(self, signals: list[int], series: RunSeries) -> None:
+        while self._out or (self._queue and not self._stopping):
+            self._hand_out()
+            if self._interrupted(signals, series):
+                return
+            self._take()
+            self._store.sync()
+        self._shown_s = -math.inf
+        self._interrupted(signals, series)
 
     @property
     def _stopping(self) -> bool:

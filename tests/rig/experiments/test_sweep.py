@@ -385,6 +385,21 @@ def test_a_second_ctrl_c_does_not_wait_for_what_is_running_and_neither_does_the_
         assert "SweepStoppedError: stopped; 0 of 1 tasks are done" in process.communicate(timeout=60.0)[1]
 
 
+@pytest.mark.signals
+def test_ctrl_c_ends_a_watcher_that_blocks_as_a_stopped_terminal_does(tmp_path: Path) -> None:
+    ended = []
+
+    def watch(progress: Progress) -> None:
+        for _ in range(2):  # the first is only noted: nothing looks for it while this runs
+            signal.raise_signal(signal.SIGINT)
+        ended.append(threading.Event().wait(10.0))
+
+    with pytest.raises(SweepStoppedError, match="tasks are done and kept in"):
+        sweep.run(sines(3), journal=tmp_path / "j", watch=watch)
+    assert not ended
+    assert len(sweep.run(sines(3), journal=tmp_path / "j")) == 3
+
+
 def keep_interrupting(thread: Any, first_s: float, ended: threading.Event) -> None:
     """Press Ctrl-C, and again until it is heard: Python drops one that falls into a finaliser."""
     wait_s = first_s
