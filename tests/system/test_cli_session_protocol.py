@@ -6,6 +6,8 @@ from typing import Any
 
 import pytest
 
+from tests.conformance.tiers import first_by_default
+
 PLAN = """
 [study]
 title = "Short"
@@ -55,7 +57,7 @@ def test_templates_are_listed_and_an_unknown_one_is_refused(run: Any, tmp_path: 
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("blind", ["both", "operator", "participant", "none"])
+@pytest.mark.parametrize("blind", first_by_default(["both", "none", "operator", "participant"], 2))
 def test_a_blinded_operator_who_checks_the_plan_learns_no_order(run: Any, tmp_path: Path, blind: str) -> None:
     """Whose turn is which condition's is what the console hides."""
     (tmp_path / "study.toml").write_text(

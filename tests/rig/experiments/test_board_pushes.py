@@ -28,6 +28,7 @@ from rig.recording.reader import open_recording
 from sim_backend.link import MemoryLink
 from tests.benchmarks.pulses import TickByTick
 from tests.conformance.firmware import need_compiler
+from tests.conformance.tiers import first_by_default
 
 LIFETIME_S, RAMP_S = 0.1, 0.01
 X = config.override(
@@ -74,7 +75,7 @@ def supervised(host: FramedDevice, way: Any, seconds: float) -> None:
     host.supervise(seconds, round(1e6 * LIFETIME_S))
 
 
-@pytest.mark.parametrize("drive", [1.0, -1.0, 2.0])
+@pytest.mark.parametrize("drive", first_by_default([1.0, -1.0, 2.0]))
 @pytest.mark.parametrize("way", [1, -1])
 def test_the_board_cuts_in_the_tick_that_left_the_way_of_a_push(way: int, drive: float) -> None:
     """Motor and encoder agree or not: a sample outside of it is followed by zero effort, though the host says go on."""

@@ -184,7 +184,10 @@ BROKEN = {
 
 
 @pytest.mark.parametrize(
-    ("what", "x"), [*((what, MARKED) for what in BROKEN), ("no switch", BY_BOARD), ("no index", BY_BOARD)]
+    ("what", "x"),
+    first_by_default(
+        [("no switch", BY_BOARD), ("no index", BY_BOARD), *((what, MARKED) for what in BROKEN)], 4
+    ),
 )
 def test_what_is_wrong_with_switch_or_index_is_said_at_rest(what: str, x: Experiment, tmp_path: Path) -> None:
     marks, said = BROKEN[what]
