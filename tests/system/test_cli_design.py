@@ -97,6 +97,7 @@ def test_what_cannot_be_is_refused_in_a_sentence(run: Any, arguments: Any, said:
     assert re.search(said, err), err
 
 
+@pytest.mark.exhaustive("::test_a_design_is_a_section_to_paste_with_picture_page_and_numbers")
 def test_with_a_device_the_recommended_scheme_is_hit_there(run: Any, tmp_path: Path) -> None:
     code, out, err = run("design", *FEW, "--url", "sim://koul-compliant", "--json", "--no-plot")
     assert code == 0, err

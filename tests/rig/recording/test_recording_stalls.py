@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.conformance.stalled_disk import DiskRun, record_on_a_pausing_disk
+from tests.conformance.tiers import first_by_default
 
 RATE = 10_000
 MEMORY = 32_000_000  # far less than the rows of a run; garbage and stacks of threads
@@ -18,7 +19,7 @@ def check(run: DiskRun, made: int) -> None:
     assert run.grown_bytes < MEMORY
 
 
-@pytest.mark.parametrize("shared", [True, False])
+@pytest.mark.parametrize("shared", first_by_default([False, True]))
 def test_a_second_without_the_disk_and_without_python_costs_no_row(shared: bool) -> None:
     """At 10 kHz, with the ring of 5 s that a trial has."""
     run = record_on_a_pausing_disk(1.4, rate_hz=RATE, pauses=[(0.15, 1.0)], shared=shared)
