@@ -5,13 +5,13 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from rig.realtime.source_files import source_files
-from tests.conformance.sources import nodes
 
 ROOT = Path(__file__).parents[1]
 RIG = ROOT / "rig"
@@ -25,6 +25,19 @@ REGISTRIES = {
     "rig/control/estimators/__init__.py": "rig.control.estimators.",
     "rig/experiments/sweep/executors.py": "rig.experiments.sweep.",
 }
+
+
+@cache
+def nodes() -> dict[str, list[ast.AST]]:
+    """All that stands in each module."""
+    return {module: list(ast.walk(ast.parse(path.read_text()))) for module, path in source_files().items()}
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _nodes_are_forgotten() -> Iterator[None]:
+    """They take 160 MB of a worker."""
+    yield
+    nodes.cache_clear()
 
 
 def paths() -> list[list[str]]:
