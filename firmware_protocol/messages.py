@@ -53,6 +53,9 @@ class Mode(IntEnum):
     STOP = 2  # zero current now, without a ramp; the device stays armed
 
 
+STOP_FRAMES = 5  # times that a host sends STOP, so that one arrives over a link that loses frames
+
+
 class Sync(IntFlag):
     """Pins of the sync output, for an oscilloscope and for other recorders.
 

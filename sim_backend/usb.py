@@ -114,7 +114,7 @@ class UsbShape:
 
 
 class UsbPort:
-    """The device's end of the two bulk pipes, as a `real_time.Port`; `end` is a connected SOCK_SEQPACKET."""
+    """The device's end of the two bulk pipes, as a `real_time.DevicePort`; `end` is a connected SOCK_SEQPACKET."""
 
     def __init__(self, end: socket.socket, packet: int = FULL_SPEED_PACKET) -> None:
         end.setblocking(False)

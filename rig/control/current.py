@@ -31,7 +31,7 @@ import math
 from collections import namedtuple
 from typing import Any
 
-from rig.core.board import SPEED_LAG_S, CurrentSensor
+from rig.core.current_sensor import SPEED_LAG_S, CurrentSensor
 from rig.realtime.groups import Ints
 from rig.realtime.kernel import rule
 

@@ -31,8 +31,9 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
-from rig.control import estimators, guard, laws, sources, watch
+from rig.control import guard, laws, sources, watch
 from rig.control.estimators.estimator import WINDOW, Prepared
+from rig.control.estimators.family import get as get_estimator
 from rig.control.estimators.fdm import count_difference
 from rig.control.law import Law, PreparedLaw
 from rig.core.errors import RecordingError
@@ -248,7 +249,7 @@ class ControllerState:
                 control=_record(CONTROL, mapping["control"]),
                 memory=_record(MEMORY, mapping["memory"]),
                 estimator=Prepared(
-                    estimators.get(estimator["name"]),
+                    get_estimator(estimator["name"]),
                     np.array(estimator["parameters"], dtype=np.float64),
                     np.array(estimator["state_f"], dtype=np.float64),
                     np.array(estimator["state_i"], dtype=np.int64),

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from firmware_protocol import dictionary as dictionaries
 from firmware_protocol.dictionary import ConstantInfo, SettingValue
 from firmware_protocol.parameter import Value
+from rig.core.current_sensor import SPEED_LAG_S, CurrentSensor
 from rig.core.model import RigModel
 from rig.core.sample import unit_of
 
@@ -19,7 +20,6 @@ CURRENT_QUANTA_LIMIT = 2**15 - 1  # of an i16 on the wire
 STALL_COUNTS = 2  # travel that must show an edge wherever the handle stood in its encoder cell
 # Above the amplifier's own peak: noise and ripple of the sensor are no fault, a shorted winding is.
 OVER_CURRENT_MARGIN = 1.1
-SPEED_LAG_S = 2.5e-3  # over which the comparison of currents smooths the count's speed, for the back-EMF
 ROUNDED = math.sqrt(2.0 / 12.0)  # rms of the difference of two rounded values, in quanta
 MOVED_QUANTITIES = {
     "effort_quantum": "effort",
@@ -61,29 +61,6 @@ class MovedMechanics:
     inertia: float
     damping: float
     lag_s: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CurrentSensor:
-    """What the measured current must be (`rig.control.current`). `struct current_sensor` of the firmware.
-
-    Attributes
-    ----------
-    noise
-        Of a measurement and its quantisation, the count's included where there is back-EMF (quanta, rms); negative: the
-        current is not measured.
-    lag_s
-        First-order lag between the current that is set and the one that flows (s).
-    delay_s
-        By which the set-point reaches the amplifier late, before the lag (s).
-    back_emf
-        Current that the back-EMF takes off at a count a second (quanta·s); 0 for a current amplifier.
-    """
-
-    noise: float
-    lag_s: float
-    delay_s: float
-    back_emf: float
 
 
 def current_sensor(model: RigModel) -> CurrentSensor:

@@ -30,7 +30,6 @@ from rig.core.clock_fit import EXCHANGE, ClockFit, fit_clock
 from rig.core.errors import DeviceRefusedError, IncompatibleDeviceError, LinkLostError
 from rig.devices.device import Link
 
-STOP_FRAMES = 5
 SUPERVISE_EVERY_S = 0.005  # a quarter of the time that a law on the device continues without a command
 MOST_NS = (1 << 63) - 1  # what a stamp holds: 292 years
 EXCHANGES = 8  # of the clock, unless told otherwise
@@ -332,7 +331,7 @@ class FramedDevice:
 
     def stop(self) -> None:
         """Zero effort, now, several times. Cannot raise: a lost link is reported by the next call."""
-        for _ in range(STOP_FRAMES):
+        for _ in range(m.STOP_FRAMES):
             with suppress(Exception):
                 self.link.write(self.connection.send(m.Command(0, 1000, int(m.Mode.STOP), 0, 0)))
 

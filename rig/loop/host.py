@@ -18,8 +18,8 @@ from typing import Any
 
 from numba import types
 
+from firmware_protocol.messages import STOP_FRAMES
 from rig.control.step import CONTROLLER_TYPE, MEMORY_TYPE, ControllerArguments, shown_phase, step
-from rig.devices.framed import STOP_FRAMES
 from rig.devices.port import PORT_TYPE, LoopPort
 from rig.loop.commands import MODE_CURRENT, MODE_STOP, NO_SYNC, send_command, sync_of
 from rig.loop.currents import compare_command, compare_measured

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from firmware_protocol.faults import Fault, Input
 from rig.control import current
 from rig.control.step import ControllerState
-from rig.core.board import CurrentSensor
+from rig.core.current_sensor import CurrentSensor
 from rig.devices.device import Link
 from rig.loop import host
 from rig.loop.contradictions import Contradiction

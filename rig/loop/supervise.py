@@ -17,6 +17,7 @@ from typing import Any
 
 from numba import types
 
+from firmware_protocol.messages import STOP_FRAMES
 from rig.control.step import (
     CONTROL_TYPE,
     CONTROLLER_TYPE,
@@ -26,7 +27,6 @@ from rig.control.step import (
     step,
 )
 from rig.core.sample import Phase
-from rig.devices.framed import STOP_FRAMES
 from rig.devices.port import PORT_TYPE, LoopPort
 from rig.loop.batches import has_room, take_frames
 from rig.loop.commands import MODE_STOP, MODE_SUPERVISE, NO_SYNC, send_command

@@ -6,12 +6,12 @@ import ctypes
 from dataclasses import asdict
 from typing import Self
 
-from rig.core import board
+from rig.core import board, current_sensor
 from rig.core.model import RigModel
 from rig.realtime.c_library import doubles
 
 Mechanics = doubles(board.MovedMechanics)
-CurrentSensor = doubles(board.CurrentSensor)
+CurrentSensor = doubles(current_sensor.CurrentSensor)
 
 
 class BoardSetup(ctypes.Structure):

@@ -149,7 +149,7 @@ class Ring:
 
     @classmethod
     def attach(cls, path: str, *, writable: bool = True) -> Ring:
-        """Open the ring of another process by its path, see `memories.Memory`; not writable, it can only be looked at.
+        """Open the ring of another process by path, see `memories.LoopMemory`; writable or for reading alone.
 
         Raises
         ------

@@ -38,7 +38,8 @@ from firmware_protocol.faults import Fault
 from rig import config
 from rig.config import amplifiers, presets
 from rig.control.current import SHARE, SIGMAS, WINDOW_S
-from rig.core.board import SPEED_LAG_S, current_sensor
+from rig.core.board import current_sensor
+from rig.core.current_sensor import SPEED_LAG_S
 from rig.core.errors import RigError
 from rig.core.model import RigModel
 from rig.core.sample import Phase, RowFlag

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from rig.control import current
 from rig.control.current import CURRENT, DISAGREES, SLOTS, WORDS
-from rig.core.board import CurrentSensor
+from rig.core.current_sensor import CurrentSensor
 from rig.realtime import c_board as board
 from tests.firmware.build import CORE, FIRMWARE, UNDEFINED, compile_c
 

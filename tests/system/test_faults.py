@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 
 from firmware_protocol.faults import Fault
+from firmware_protocol.messages import STOP_FRAMES
 from rig import config
 from rig.config import presets
 from rig.control.law import Law
@@ -34,7 +35,7 @@ from rig.core.errors import (
 from rig.core.sample import Phase, RowFlag
 from rig.devices import framed, open_device
 from rig.devices.fault_script import DeviceFault, Direction, FaultKind, Faults, FrameFault, Happening
-from rig.devices.framed import EXCHANGES, STOP_FRAMES
+from rig.devices.framed import EXCHANGES
 from rig.devices.local import serve_locally
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import LAW_SIGNATURE

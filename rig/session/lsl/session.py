@@ -165,7 +165,7 @@ class LslMarks:
             _log.warning(why)
 
     def close(self) -> dict[str, Any] | None:
-        """Let it send what it has, and end it: what it sent (`serve.Served`), or None if it does not say."""
+        """Let it send what it has, and end it: what it sent (`serve.Streamed`), or None if it does not say."""
         if self._closed:
             return None
         self._closed = True

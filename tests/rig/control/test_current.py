@@ -11,7 +11,8 @@ from scipy.signal import lfilter
 
 from rig.control import current
 from rig.control.current import AGREES, CURRENT, DISAGREES, FEWEST_TICKS, WORDS, compare
-from rig.core.board import ROUNDED, SPEED_LAG_S, CurrentSensor
+from rig.core.board import ROUNDED
+from rig.core.current_sensor import SPEED_LAG_S, CurrentSensor
 from rig.realtime.kernel import kernel
 
 INTS = types.int64[::1]

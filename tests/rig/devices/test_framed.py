@@ -16,6 +16,7 @@ from firmware_protocol import messages as m
 from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault, Status
 from firmware_protocol.framing import decode_frame, encode_frame
+from firmware_protocol.messages import STOP_FRAMES
 from firmware_protocol.packing import pack, type_id_of, unpack
 from firmware_protocol.parameters import BY_NAME
 from firmware_protocol.transaction import MOST_TRIES, RETRY_AFTER_S
@@ -23,7 +24,7 @@ from rig.core.errors import DeviceRefusedError, IncompatibleDeviceError, LinkLos
 from rig.devices import framed
 from rig.devices.device import DeviceUrl
 from rig.devices.fault_script import DeviceFault, Direction, FaultKind, Faults, FrameFault
-from rig.devices.framed import FAULT_LOG_S, READY_AGAIN_S, STOP_FRAMES, FramedDevice
+from rig.devices.framed import FAULT_LOG_S, READY_AGAIN_S, FramedDevice
 from sim_backend.device import SimulatedDevice
 from sim_backend.link import MemoryLink
 from tests.conformance.claimed import claim_to_be_real

@@ -15,6 +15,7 @@ import serial
 from firmware_protocol import messages as m
 from firmware_protocol.faults import LimitFlag
 from firmware_protocol.framing import decode_frame
+from firmware_protocol.messages import STOP_FRAMES
 from firmware_protocol.packing import unpack
 from rig import config, devices
 from rig.config import Experiment, experiment_from_mapping, presets
@@ -23,7 +24,6 @@ from rig.core.errors import ConfigError, DeviceNotFoundError, LinkLostError, Pla
 from rig.core.sample import Phase
 from rig.devices import threaded_serial
 from rig.devices.device import DeviceUrl
-from rig.devices.framed import STOP_FRAMES
 from rig.devices.threaded_serial import ThreadedSerialLink, open_link
 from rig.experiments.hit import HitRequest, hit
 from rig.recording.reader import open_recording

@@ -22,12 +22,12 @@ from firmware_protocol import messages as m
 from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault
 from firmware_protocol.framing import decode_frame, encode_frame
+from firmware_protocol.messages import STOP_FRAMES
 from firmware_protocol.packing import pack, unpack
 from rig.config import controller, presets
 from rig.control.law import Law
 from rig.control.step import SETTLE
 from rig.core.sample import Phase, RowFlag
-from rig.devices.framed import STOP_FRAMES
 from rig.devices.port import LoopPort
 from rig.loop import receive
 from rig.loop.contradictions import WRAP

@@ -15,6 +15,7 @@ from firmware_protocol import messages as m
 from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault, LimitFlag, Status
 from firmware_protocol.framing import encode_frame
+from firmware_protocol.messages import STOP_FRAMES
 from firmware_protocol.packing import pack
 from firmware_protocol.parameters import decode_block
 from rig.config import controller, presets
@@ -23,7 +24,6 @@ from rig.control.step import new_memory
 from rig.core.errors import ConfigError, PlanError
 from rig.core.present import plain
 from rig.core.sample import Phase, RowFlag
-from rig.devices.framed import STOP_FRAMES
 from rig.experiments.replay import COMPUTED
 from rig.loop import supervise
 from rig.loop.layout import EndReason

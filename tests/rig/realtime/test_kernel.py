@@ -147,7 +147,7 @@ def test_the_second_process_loads_what_the_first_compiled(first: tuple[Project, 
 SLOW = """
 import pathlib, time
 from rig.realtime import parts
-make = parts.Compiler._compile_core
+make = parts.PartCompiler._compile_core
 
 def slow(self, *args):
     pathlib.Path("begun").touch()
@@ -155,7 +155,7 @@ def slow(self, *args):
         time.sleep(0.01)
     return make(self, *args)
 
-parts.Compiler._compile_core = slow
+parts.PartCompiler._compile_core = slow
 """
 
 

@@ -1,0 +1,30 @@
+"""What the measured motor current must be, given the current that is set: the same numbers for host and device."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+SPEED_LAG_S = 2.5e-3  # over which the comparison of currents smooths the count's speed, for the back-EMF
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CurrentSensor:
+    """What the measured current must be (`rig.control.current`). `struct current_sensor` of the firmware.
+
+    Attributes
+    ----------
+    noise
+        Of a measurement and its quantisation, the count's included where there is back-EMF (quanta, rms); negative: the
+        current is not measured.
+    lag_s
+        First-order lag between the current that is set and the one that flows (s).
+    delay_s
+        By which the set-point reaches the amplifier late, before the lag (s).
+    back_emf
+        Current that the back-EMF takes off at a count a second (quanta·s); 0 for a current amplifier.
+    """
+
+    noise: float
+    lag_s: float
+    delay_s: float
+    back_emf: float
