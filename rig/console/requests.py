@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 
 from annotated_types import Ge, Le, MaxLen
 
+from rig.config.table import shown
 from rig.console.trigger import Trigger
 from rig.console.view import DEFAULT
 from rig.core.deferred import pydantic
@@ -139,16 +140,18 @@ def request_of(text: str | bytes, kinds: Mapping[str, type[Request]]) -> Request
     """
     do = json_of(text).get("do")
     if not isinstance(do, str) or do not in kinds:
-        raise ConfigError("no such request", remedy=f"say one of {', '.join(kinds)}")
+        raise ConfigError(f"no such request: {shown(do)}", remedy=f"send one of {', '.join(kinds)}")
     kind = kinds[do]
     if kind not in _adapters:
         _adapters[kind] = pydantic.TypeAdapter(kind)
     try:
         found: Request = _adapters[kind].validate_json(text)
     except pydantic.ValidationError as error:
-        first = error.errors(include_url=False, include_input=False)[0]
+        first = error.errors(include_url=False)[0]
         where = ".".join(str(part) for part in first["loc"])
-        raise ConfigError(f"{do}: {where}: {first['msg']}", remedy="correct it") from None
+        given = "" if first["type"] == "missing" else f" = {shown(first['input'])}"
+        remedy = f"send {where or 'a request'} as {kind.__name__} has it"
+        raise ConfigError(f"{do}: {where}{given}: {first['msg']}", remedy=remedy) from None
     return found
 
 

@@ -59,6 +59,14 @@ def test_what_is_wrong_is_named(message: Any, named: str) -> None:
         request_of(json.dumps(message), KINDS)
 
 
+def test_a_wrong_field_is_named_with_its_value_and_what_is_allowed() -> None:
+    message = {"do": "run", "job": "format"}
+    with pytest.raises(ConfigError, match=r"run: job = \"format\": Input should be 'hit' or 'play'; send"):
+        request_of(json.dumps(message), KINDS)
+    with pytest.raises(ConfigError, match=r'no such request: "shutdown"; send one of operate, run'):
+        request_of('{"do": "shutdown"}', KINDS)
+
+
 @pytest.mark.parametrize(
     "text", ["NaN", '{"do":"hand","position":NaN}', '{"do":"hand","position":1e999}', "[" * 9999, b"\xff"]
 )
