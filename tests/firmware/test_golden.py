@@ -7,13 +7,18 @@ import ctypes as ct
 import numpy as np
 import pytest
 
+from rig.control.excitation_table import PHASES, ExcitationTable
 from rig.core.sample import Phase, RowFlag
 from tests.firmware import cortex, golden
 from tests.firmware.build import kept_c
-from tests.firmware.law.law_cortex import RUNNER, build
-from tests.firmware.law.law_library import SOURCES, LawLibrary
+from tests.firmware.law.law_cases import excited
+from tests.firmware.law.law_cortex import PARAMETERS, RUNNER, TABLE, WORK, build
+from tests.firmware.law.law_design import FIXED
+from tests.firmware.law.law_library import SOURCES, LawLibrary, Parameters
 
 MET, BAD_FILE, REFUSED, DIFFERENT, OTHER_BITS = range(5)
+IMAGE_BYTES, STACK_BYTES = 23_700, 600  # with the runner; 520 of stack were measured on M0+
+COSINE_CYCLES = 86  # of one line at one tick, when the excitation is worked out
 RESULT, STATE, FILE = cortex.RAM, cortex.RAM + 0x100, cortex.RAM + 0x2000
 
 
@@ -87,10 +92,34 @@ def test_a_runner_says_what_is_wrong(runner: ct.CDLL, vectors: list[golden.Vecto
 @pytest.mark.exhaustive("::test_this_computer_meets_them")
 def test_a_processor_meets_them(core: cortex.CortexCore, vectors: list[golden.Vector]) -> None:
     pytest.importorskip("unicorn", reason="unicorn is not installed (pip install unicorn==2.1.4)")
-    simulator = cortex.Simulator(build(core), counts=False)
+    image = build(core)
+    assert len(image.code) <= IMAGE_BYTES
+    simulator = cortex.Simulator(image, counts=False)
     for v in vectors:
         file = v.to_bytes()
         simulator.uc.mem_write(FILE, file)
         simulator.call("golden_run", RESULT, STATE, FILE, len(file))
         result = Result.from_buffer_copy(bytes(simulator.uc.mem_read(RESULT, ct.sizeof(Result))))
         assert (result.verdict, result.ticks) == (MET, len(v.records)), f"{v.name}: {result}"
+    assert simulator.stack <= STACK_BYTES
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+@pytest.mark.filterwarnings("ignore::UserWarning")
+@pytest.mark.parametrize("core", cortex.CORES.values(), ids=lambda core: core.name)
+@pytest.mark.exhaustive("tests/firmware/law/test_law_excitation.py::test_large_tables_are_pythons_too")
+def test_an_excitation_is_ready_in_seconds(core: cortex.CortexCore) -> None:
+    """250 lines over a second at 20 kHz, from the cost of a piece; both kinds of phases."""
+    for phases in PHASES:
+        excitation = ExcitationTable(250, 1, 1, 20_000, 2**16, phases=phases)
+        simulator = cortex.Simulator(build(core))
+        simulator.uc.mem_write(PARAMETERS, bytes(excited(FIXED, excitation)))
+        simulator.call("law_excitation_begin", WORK, PARAMETERS + Parameters.excitation.offset, TABLE)
+        cosines = 2 * excitation.lines
+        simulator.call("law_excitation_continue", WORK, cosines)
+        table = np.frombuffer(bytes(simulator.uc.mem_read(TABLE, 4)), np.int16)
+        assert (table == excitation.table[:2]).all()
+        each = simulator.cycles / cosines
+        seconds = each * excitation.lines * excitation.period / core.clock_hz
+        print(f"{core.name} {phases}: {each:.0f} cycles a cosine, {seconds:.1f} s of work")
+        assert each <= COSINE_CYCLES
