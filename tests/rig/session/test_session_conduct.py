@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -725,3 +726,11 @@ def test_where_nobody_sits_the_session_ends_there_and_is_resumed(tmp_path: Path)
     state = rehearsed(resume(tmp_path / "P01", clock=Day()), spoiled(4), person)
     assert state.ended == "complete"
     assert not state.skipped
+
+
+def test_a_rehearsed_person_cannot_say_after_their_share_of_the_trials() -> None:
+    trial: Any = SimpleNamespace(automatic="stable", condition="another", stiffness=1.0)
+    person, drawn = Person(thresholds={}, unsure=0.25), np.random.default_rng(1)
+    said = [person.judge(trial, drawn) for _ in range(2000)]
+    assert set(said) == {"stable", "unsure"}
+    assert said.count("unsure") / len(said) == pytest.approx(0.25, abs=0.03)

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.core.present import plain
+from rig.session.console import words
 from rig.session.console.conversation import Answer, Conversation
 from rig.session.desk import Question
 from rig.session.items import asked, parse_answer, wanted
@@ -62,6 +63,8 @@ def test_the_console_takes_what_the_engine_takes(text: str, kept: str | None) ->
     told = Conversation(KeyMap.of(Keys()))
     question = Question(kind="item", text="How tired?", actions=("answer", "abort"), item=SCALE)
     told.ask(plain(question), 0.0)
+    assert words.question(told, 0.0) == "How tired?  (-2 to 7)"
+    assert words.offered(told)[0] == ("enter", "answer")
     answers = [answer for key in (*text, "enter") for answer in told.press(key)]
     assert answers == ([] if kept is None else [Answer("answer", kept)])
     assert (told.notice == wanted(SCALE)) is (kept is None)

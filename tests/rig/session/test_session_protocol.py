@@ -479,7 +479,7 @@ def test_names_that_are_there_twice_are_told_as_they_were_written() -> None:
     assert '"Dual rate" and "dual Rate"' in said
 
 
-def test_a_template_overwrites_nothing(tmp_path: Path) -> None:
+def test_a_template_overwrites_nothing_and_has_its_name(tmp_path: Path) -> None:
     path = written(tmp_path)
     with pytest.raises(RecordingError, match="exists") as caught:
         write_template("koul-fig6", path)
@@ -487,3 +487,6 @@ def test_a_template_overwrites_nothing(tmp_path: Path) -> None:
     assert path.read_text() == TEXT
     with pytest.raises(RecordingError):
         write_template("koul-fig6", tmp_path / "nowhere" / "x.toml")
+    with pytest.raises(ConfigError, match="there is no template 'koul-fig5'") as unknown:
+        write_template("koul-fig5", tmp_path / "other.toml")
+    assert "koul-fig6" in str(unknown.value.remedy)
