@@ -14,6 +14,7 @@ from rig import config
 from rig.analysis import theory
 from rig.bench.doctor import gate as gates
 from rig.bench.doctor.gate import LIFETIME_SHARE, check_armable, gate
+from rig.bench.doctor.in_effect import in_effect
 from rig.bench.doctor.late_loops import LARGEST_DELAY, LateLoops, hands_of, late_by
 from rig.bench.doctor.walls import candidate_rates, dampings_of, supported_walls
 from rig.config import controller, presets
@@ -241,6 +242,19 @@ def test_a_real_device_is_measured_as_long_as_p999_takes(measures: Any) -> None:
         )
         check_armable(device(), experiment, anyway=True)
         assert measures[-1] == pytest.approx(seconds, abs=0.1)
+
+
+def test_in_real_time_the_device_names_the_rate_and_the_file_the_wall_unless_the_user_does() -> None:
+    real = device()
+    real.dictionary.position_rate_default = 800
+
+    def chosen(**changes: float) -> tuple[int, int, float]:
+        x = in_effect(KOUL, real, {key.replace("__", "."): value for key, value in changes.items()})
+        return x.controller.position_rate, x.controller.velocity_rate, x.wall.stiffness
+
+    assert chosen() == (800, 800, KOUL.realtime["wall.stiffness"])
+    rates = {"controller__position_rate": 1000, "controller__velocity_rate": 500}
+    assert chosen(**rates, wall__stiffness=77.0, verdict__lowpass_hz=200.0) == (1000, 500, 77.0)
 
 
 # ---------------------------------------------------------------------- the table of walls

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import stats
 from scipy.optimize import brentq
 
 from rig.core.errors import ConfigError
@@ -186,6 +187,19 @@ def test_a_staircase_that_had_no_time_for_its_turns_says_so(name: str, mark: str
 
 
 # ---------------------------------------------------------------------- each in its own way
+
+
+def test_the_interval_of_ascending_series_is_students() -> None:
+    rule = search.make("ascending", levels=LEVELS, repeats=3)
+    answers: list[JudgedProbe] = []
+    for stable in (3, 5, 10):
+        for place in range(stable + 1):
+            answers.append(JudgedProbe(rule.next(answers), place < stable))
+    estimate = rule.estimate(answers)
+    limits = [LEVELS[stable - 1] for stable in (3, 5, 10)]
+    expected = stats.ttest_1samp(limits, 0.0).confidence_interval()
+    assert estimate.value == pytest.approx(np.mean(limits))
+    assert (estimate.low, estimate.high) == pytest.approx((max(0.0, expected.low), expected.high))
 
 
 def test_the_ascending_rule_climbs_from_the_softest_wall_so_often() -> None:
