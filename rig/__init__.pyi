@@ -6,6 +6,7 @@ from rig.config.schemes import Scheme as Scheme
 from rig.control.estimators.arrays import estimate as estimate
 from rig.control.estimators.arrays import quantise as quantise
 from rig.control.estimators.estimator import Estimator as Estimator
+from rig.control.estimators.lipschitz import LipschitzFit as LipschitzFit
 from rig.control.estimators.plain_estimator import estimator as estimator
 from rig.control.law import Law as Law
 from rig.control.plain_functions import Memory as Memory
@@ -40,6 +41,7 @@ from rig.experiments.lab import plan as plan
 from rig.experiments.lab import replay as replay
 from rig.experiments.lab import stop as stop
 from rig.experiments.lab import zwidth as zwidth
+from rig.experiments.lipschitz import lipschitz_of as lipschitz_of
 from rig.experiments.measure import identify as identify
 from rig.experiments.measure import impedance as impedance
 from rig.experiments.measure import impedance_map as impedance_map
@@ -48,6 +50,7 @@ from rig.experiments.new_rig import NewRig as NewRig
 from rig.experiments.new_rig import new_rig as new_rig
 from rig.experiments.planned import Plan as Plan
 from rig.experiments.replay import ReplayResult as ReplayResult
+from rig.experiments.table_one import TableOne as TableOne
 from rig.experiments.table_one import table_one as table_one
 from rig.experiments.tuning import Tuning as Tuning
 from rig.experiments.tuning import tune_estimator as tune_estimator

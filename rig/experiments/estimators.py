@@ -21,6 +21,7 @@ import numpy as np
 from rig.control import estimators
 from rig.control.estimators.arrays import inputs, run
 from rig.control.estimators.estimator import Estimator, Floats
+from rig.core.drawn import Drawn
 from rig.core.errors import ConfigError
 from rig.core.present import Item, Row
 from rig.core.sample import unit_of
@@ -102,7 +103,7 @@ class Score:
 
 
 @dataclass(frozen=True, slots=True, repr=False)
-class EstimatorComparison(Shown):
+class EstimatorComparison(Shown, Drawn):
     """Every variant on every case: `scores` case by case, in the order of the variants."""
 
     cases: tuple[Case, ...]

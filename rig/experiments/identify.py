@@ -36,6 +36,7 @@ from rig.bench.doctor.pace import SECONDS
 from rig.config import Experiment
 from rig.control.excitation import Multisine
 from rig.core.check import refuse
+from rig.core.drawn import Drawn
 from rig.core.errors import ConfigError, PlanError, RigError
 from rig.core.keyword import Keyword
 from rig.core.model import Cogging
@@ -150,7 +151,7 @@ class IdentifyRequest(FreeRigRequest):
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class Identification(Shown):
+class Identification(Shown, Drawn):
     """What came of it: the fits, the recordings behind them, and the experiment with the identified values.
 
     Attributes

@@ -36,6 +36,7 @@ from rig.analysis.impedance.welch import welch
 from rig.config import Excitation, Experiment
 from rig.config.schemes import Scheme
 from rig.core.check import refuse
+from rig.core.drawn import Drawn
 from rig.core.errors import ConfigError, PlanError, RecordingError, UnexpectedVerdictError
 from rig.core.keyword import Keyword
 from rig.core.present import Item, Row, plain, reported
@@ -98,7 +99,7 @@ class Judging:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
-class ImpedanceResult(Shown):
+class ImpedanceResult(Shown, Drawn):
     """One wall under one scheme.
 
     Attributes

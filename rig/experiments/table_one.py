@@ -252,7 +252,19 @@ class TableOne:
 
 
 def table_one(found: FrequencyMap) -> TableOne:
-    """Summarise a map scheme by scheme."""
+    """Summarise a map scheme by scheme, as Table I of Chawda et al. does.
+
+    Parameters
+    ----------
+    found
+        Of `impedance_map`.
+
+    Returns
+    -------
+    TableOne
+        For each scheme K-width and B-width (N·m/rad and N·m·s/rad, or N/m and N·s/m) with their spread over
+        realisations, fidelity (damping units) at walls that all schemes hold, and the tuned numbers.
+    """
     plan = found.plan
     regions = connected(found.passive[:, -1])  # of all realisations together
     damped = np.array(plan.dampings) > 0.0

@@ -19,9 +19,14 @@ MARKS = "osv^Dx"
 PANELS = 4  # more would be too small to read
 
 
-@style.own_style()
 def draw_comparison(comparison: EstimatorComparison, picture: str | Path) -> Path:
-    """Draw into a file and return its path; raises `ConfigError` when there is nothing to draw.
+    """Draw into a file; returns its path. Errors as `estimators_figure`."""
+    return style.save(estimators_figure(comparison), Path(picture))
+
+
+@style.own_style()
+def estimators_figure(comparison: EstimatorComparison) -> Any:
+    """Return the figure of a comparison (`matplotlib.figure.Figure`); `ConfigError` when there is nothing to draw.
 
     A panel for each signal and resolution, the first `PANELS` of them. On the left the error that is left without
     delay, on the right the delay, against the velocity rate; with a single rate the estimates over time instead.
@@ -41,7 +46,7 @@ def draw_comparison(comparison: EstimatorComparison, picture: str | Path) -> Pat
             _over_time(axes, cases[0], comparison.variants)
     handles, labels = rows[0][0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False, fontsize=8)
-    return style.save(figure, Path(picture))
+    return figure
 
 
 def _against_rate(axes: Any, cases: list[Case], comparison: EstimatorComparison) -> None:

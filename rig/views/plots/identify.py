@@ -15,9 +15,14 @@ from rig.recording.reader import open_recording
 from rig.views.plots import style
 
 
-@style.own_style()
 def draw_identification(found: Identification, picture: str | Path) -> Path:
-    """Draw data, fits and residuals into a file; returns its path."""
+    """Draw into a file; returns its path."""
+    return style.save(identification_figure(found), Path(picture))
+
+
+@style.own_style()
+def identification_figure(found: Identification) -> Any:
+    """Return the figure of data, fits and residuals (`matplotlib.figure.Figure`)."""
     mapped = found.cogging is not None
     figure = style.new_figure(12.0, 11.5 if mapped else 8.5)
     rows = figure.subplots(3 + mapped, 2, height_ratios=(3, 3, 2, 3)[: 3 + mapped])
@@ -29,7 +34,7 @@ def draw_identification(found: Identification, picture: str | Path) -> Path:
     _draw_response(response, phase, residual, found)
     x = found.experiment
     figure.suptitle(f"{x.rig.name}: identification, lines are fits", fontsize=12)
-    return style.save(figure, Path(picture))
+    return figure
 
 
 def _draw_pushes(axes: Any, found: Identification) -> None:

@@ -19,14 +19,19 @@ Z_SCORE = 2.0  # of the shaded bands
 HEADROOM = 1.3  # of the real part's axis, over what was measured
 
 
-@style.own_style()
 def draw_impedance(results: Sequence[ImpedanceResult], picture: str | Path) -> Path:
-    """Draw results into a file, one colour each; returns its path.
+    """Draw results into a file; returns its path. Errors as `impedance_figure`, and where it cannot be written."""
+    return style.save(impedance_figure(results), Path(picture))
+
+
+@style.own_style()
+def impedance_figure(results: Sequence[ImpedanceResult]) -> Any:
+    """Return the figure of results (`matplotlib.figure.Figure`), one colour each.
 
     Solid with a band of two standard deviations: measured. Thin and dark: closed form of rig and wall, without friction
     and quantum. Dashed: the ideal wall K/(jω) + B.
 
-    Raises `RecordingError` when nothing was measured, or the file cannot be written.
+    Raises `RecordingError` when nothing was measured.
     """
     shown = [result for result in results if result.impedance is not None]
     if not shown:
@@ -62,7 +67,7 @@ def draw_impedance(results: Sequence[ImpedanceResult], picture: str | Path) -> P
         fontsize=8,
         loc="left",
     )
-    return style.save(figure, Path(picture))
+    return figure
 
 
 def _draw(

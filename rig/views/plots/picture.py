@@ -11,7 +11,10 @@ from rig.core.errors import ConfigError
 from rig.experiments.compare import SchemeComparison
 from rig.experiments.design import Design
 from rig.experiments.disagreement import Disagreement
+from rig.experiments.estimators import EstimatorComparison
 from rig.experiments.hit import HitResult
+from rig.experiments.identify import Identification
+from rig.experiments.impedance import ImpedanceResult
 from rig.experiments.ranges import linear_curves, theory_curves
 from rig.experiments.replay import ReplayResult
 from rig.experiments.zwidth import ZWidth
@@ -22,7 +25,10 @@ from rig.views.plots.column import column_figure
 from rig.views.plots.compare import scheme_figure
 from rig.views.plots.design import design_figure
 from rig.views.plots.disagreement import disagreement_figure
+from rig.views.plots.estimators import estimators_figure
 from rig.views.plots.hit import hit_figure
+from rig.views.plots.identify import identification_figure
+from rig.views.plots.impedance import impedance_figure
 from rig.views.plots.replay import replay_figure
 from rig.views.plots.theory import theory_figure
 from rig.views.plots.zwidth import zwidth_figure
@@ -30,16 +36,17 @@ from rig.views.plots.zwidth_frequency import frequency_figure
 
 
 def plot(result: object) -> Picture:
-    """Draw a hit, a recording or a column of it, a replay, a comparison, a map, a design or a theory.
+    """Draw a result that has a picture, such as a hit, a recording or a column of it, a map or an impedance.
 
-    Raises `ConfigError` for another result.
+    Raises `ConfigError` for another one.
     """
     for kind, figure in _FIGURES.items():
         if isinstance(result, kind):
             return Picture(figure(result), style.save, style.png)
     raise ConfigError(
         f"a {type(result).__name__} has no picture",
-        remedy="give a hit, a recording or a column of it, a replay, a comparison, a map, a design or a theory",
+        remedy="give a hit, a recording or a column of it, a replay, a comparison, a map, an impedance, an "
+        "identification, a design or a theory",
     )
 
 
@@ -54,4 +61,7 @@ _FIGURES: Mapping[type, Callable[[Any], Any]] = {
     Disagreement: disagreement_figure,
     Design: design_figure,
     SchemeComparison: scheme_figure,
+    ImpedanceResult: lambda one: impedance_figure([one]),
+    Identification: identification_figure,
+    EstimatorComparison: estimators_figure,
 }

@@ -56,7 +56,7 @@ def test_every_public_function_documents_its_parameters_results_and_errors() -> 
     found = {name: inspect.getdoc(value) or "" for name, value in vars(_loaded()).items()}
     assert [name for name, text in found.items() if not text] == []
     measures = ("impedance", "read_impedance", "impedance_map", "identify", "counts_case", "recording_case",
-                "compare_estimators", "tune_estimator", "read_study", "analyse_study")  # fmt: skip
+                "compare_estimators", "tune_estimator", "lipschitz_of", "read_study", "analyse_study")  # fmt: skip
     for name in measures:
         assert "Parameters\n---" in found[name], name
         assert "Raises\n---" in found[name], name

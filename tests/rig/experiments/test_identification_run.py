@@ -31,7 +31,6 @@ from rig.experiments.identified_values import identified_values
 from rig.experiments.identify import IdentifyRequest
 from rig.experiments.motion_run import LONGEST_FILLED, MOST_LOST_SHARE, TimingError, trial_rows, whole
 from rig.recording.reader import open_recording
-from rig.views.plots.identify import draw_identification
 from sim_backend import device as simulated
 from sim_backend.device import SimulatedDevice
 from sim_backend.hardware import Hardware
@@ -252,7 +251,7 @@ def test_cogging_beyond_the_friction_is_mapped_and_spoils_no_other_parameter(tmp
     assert found.sliding.coulomb.value == pytest.approx(0.0067, rel=0.03)
     assert found.dynamics.inertia.value == pytest.approx(1.77e-3, rel=0.04)
     assert found.experiment.rig.cogging == map_.cogging
-    picture = draw_identification(found, tmp_path / "map.png")
+    picture = found.plot().save(tmp_path / "map.png")
     assert picture.read_bytes().startswith(b"\x89PNG")
     path = tmp_path / "rig.toml"
     path.write_text(format_identification(found))
