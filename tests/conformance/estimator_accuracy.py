@@ -14,7 +14,7 @@ import math
 import platform
 import sys
 from collections.abc import Callable, Sequence
-from functools import cache
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -44,9 +44,9 @@ NOTHING = 1e-7  # m/s, in the guide
 Row = dict[str, Any]
 
 
-@cache
+@lru_cache(maxsize=1)
 def case_of(signal: str, rate_hz: float, resolution: float) -> Case:
-    """Return a case, made once."""
+    """Return a case, made once for all estimators in a row that are scored on it."""
     return signal_case(SIGNALS[signal], rate_hz, resolution)
 
 
