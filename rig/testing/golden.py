@@ -7,10 +7,10 @@ by the rounding that its run can have gathered.
 
 from __future__ import annotations
 
-import re
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
+from urllib.parse import quote
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,8 +41,7 @@ class Golden:
     """
 
     def __init__(self, test: Path, name: str, *, update: bool) -> None:
-        self._place = test.parent / DIRECTORY / re.sub(r"[^\w.=-]+", "_", f"{test.stem}.{name}")
-        self._update = update
+        self._directory, self._name, self._update = test.parent / DIRECTORY, f"{test.stem}.{name}", update
 
     def __call__(
         self, subject: Subject, name: str = "", *, tolerance: Mapping[str, float] | None = None
@@ -60,7 +59,9 @@ class Golden:
         """
         __tracebackhide__ = True
         recording = recording_of(subject)
-        golden = self._place.with_name(f"{self._place.name}{f'.{name}' if name else ''}.parquet")
+        # Quoted, so that no two names share a file: "soft wall" and "soft_wall" are two tests.
+        quoted = quote(f"{self._name}{name and f'.{name}'}", safe="[]=,")
+        golden = self._directory / f"{quoted}.parquet"
         if self._update:
             assert recording.path is not None, "a recording without a file cannot be golden"
             golden.parent.mkdir(parents=True, exist_ok=True)

@@ -173,12 +173,16 @@ def test_golden_recordings_are_missed_made_and_compared(suite: pytest.Pytester) 
 
         def test_it(rig_hit, rig_experiment, rig_golden):
             stiffness = float(os.environ.get("STIFFNESS", 60.0))
-            rig_golden(rig_hit(rig_experiment.short(None, {"wall.stiffness": stiffness})), "soft")
+            rig_golden(rig_hit(rig_experiment.short(None, {"wall.stiffness": stiffness})), "soft wall")
+            rig_golden(rig_hit(rig_experiment.short(None, {"wall.stiffness": 80.0})), "soft_wall")
         """
     )
     suite.runpytest_inprocess().stdout.fnmatch_lines(["*there is no golden recording *--rig-golden=update*"])
     suite.runpytest_inprocess("--rig-golden=update").assert_outcomes(passed=1)
-    assert (suite.path / "golden" / "test_it.test_it.soft.parquet").is_file()
+    assert {path.name for path in (suite.path / "golden").iterdir()} == {
+        "test_it.test_it.soft%20wall.parquet",
+        "test_it.test_it.soft_wall.parquet",
+    }
     suite.runpytest_inprocess().assert_outcomes(passed=1)
     with pytest.MonkeyPatch.context() as changed:
         changed.setenv("STIFFNESS", "61")
