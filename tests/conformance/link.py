@@ -138,6 +138,12 @@ def _waits_no_longer_than_asked(link: Link, slack_s: float) -> None:
 _BYTES = types.uint8[::1]
 
 
+@kernel(types.int64(TRANSFER, types.int64, _BYTES))
+def give(write: Any, handle: Any, data: Any) -> Any:  # type: ignore[no-untyped-def]
+    """Write once, as the loop does: bytes taken, or negative errno."""
+    return write(handle, data.ctypes.data + 0, len(data))
+
+
 @kernel(types.int64(TRANSFER, WAIT, types.int64, _BYTES, types.int64))
 def listen(read: Any, wait: Any, handle: Any, into: Any, deadline_ns: Any) -> Any:  # type: ignore[no-untyped-def]
     """Wait to a deadline and read: bytes, 0, or negative errno."""

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from numba import types
 
 from firmware_protocol import messages as m
 from firmware_protocol.errors import LocalProtocolError
@@ -18,8 +17,6 @@ from firmware_protocol.faults import Fault
 from firmware_protocol.messages import Mode
 from rig.devices.device import DeviceUrl
 from rig.devices.fault_script import Faults
-from rig.realtime.kernel import kernel
-from rig.realtime.plugs import TRANSFER
 from sim_backend import far_end
 from sim_backend import link as links
 from sim_backend.device import SimulatedDevice
@@ -28,19 +25,13 @@ from sim_backend.link import BUFFER_BYTES, MemoryLink
 from tests.conformance import host as hosts
 from tests.conformance.firmware import hide_compiler, need_compiler
 from tests.conformance.host import RUN_PARAMETERS, Host
-from tests.conformance.link import COMPILED, check_link, listen
+from tests.conformance.link import COMPILED, check_link, give, listen
 from tests.conformance.rigs import rotary_rig
 
 pytestmark = pytest.mark.skipif(not COMPILED, reason="function types need the compiler")
 
 RATE = 2_000
 TICK_S = 1.0 / RATE
-_BYTES = types.uint8[::1]
-
-
-@kernel(types.int64(TRANSFER, types.int64, _BYTES))
-def tell(write: Any, handle: int, data: Any) -> int:
-    return int(write(handle, np.int64(data.ctypes.data), np.int64(len(data))))
 
 
 class ThroughThePort:
@@ -52,7 +43,7 @@ class ThroughThePort:
         self.log: list[tuple[int, bytes]] = []
 
     def write(self, data: bytes) -> None:
-        assert tell(self.port.write, self.port.handle, np.frombuffer(data, np.uint8).copy()) == len(data)
+        assert give(self.port.write, self.port.handle, np.frombuffer(data, np.uint8).copy()) == len(data)
 
     def read(self, timeout_s: float) -> bytes:
         into = np.zeros(BUFFER_BYTES, np.uint8)
@@ -179,7 +170,7 @@ def test_an_exception_inside_is_eio_and_kept_as_the_links_failure() -> None:
 def test_a_closed_one_is_eio() -> None:
     wire = ThroughThePort(fresh())
     wire.link.close()
-    assert tell(wire.port.write, wire.port.handle, np.zeros(1, np.uint8)) == -errno.EIO
+    assert give(wire.port.write, wire.port.handle, np.zeros(1, np.uint8)) == -errno.EIO
     assert (
         listen(wire.port.read, wire.port.wait, wire.port.handle, np.zeros(8, np.uint8), 10**9) == -errno.EIO
     )

@@ -18,8 +18,6 @@ from firmware_protocol.framing import encode_frame
 from firmware_protocol.messages import STOP_FRAMES
 from firmware_protocol.packing import pack
 from firmware_protocol.parameters import decode_block
-from rig.config import controller, presets
-from rig.control.law import Law
 from rig.control.step import new_memory
 from rig.core.errors import ConfigError, PlanError
 from rig.core.present import plain
@@ -34,37 +32,22 @@ from rig.loop.supervised import SupervisedThread
 from rig.realtime import ring
 from rig.realtime.ring import Ring
 from tests.conformance.batch_device import BatchDevice
-from tests.rig.loop.test_loop import Script, state_frame
+from tests.rig.loop.test_loop import PERIOD_NS, SESSION, WAIT_S, Script, state_frame
+from tests.rig.loop.test_loop import at_rest as controlled
+from tests.rig.loop.test_loop import settings as settings_of
 
-SESSION, PERIOD_NS = 7, 1_000_000
-WAIT_S = 20.0
-COMPLIANT = presets.load("koul-compliant")
 TIMING = int(RowFlag.GAP | RowFlag.LATE)
 
 
-def controlled(law: Law | None = None, **control: float) -> Any:
-    """Homes where the handle is, and pushes for ever unless told otherwise."""
-    made = controller.for_experiment(COMPLIANT, current_quantum_a=0.001, law=law)
-    wanted = {"home_target": 0.0, "settle_ticks": 0, "trial_ticks": 1 << 40, "release_ticks": 1, **control}
-    for name, value in wanted.items():
-        made.control[name] = value
-    return made
-
-
 def loop_settings(**changes: Any) -> LoopSettings:
-    values = {
-        "period_ns": PERIOD_NS,
-        "session": SESSION,
+    supervised = {
         "lifetime_us": 20_000,
-        "lost_after_ns": 50 * PERIOD_NS,
-        "device_tick_ps": 62_500,
-        "current_quantum_a": 0.001,
-        "wait_for_room": False,
         "supervise_every_ns": 5_000_000,
         "batch_samples": 5,
         "agreement_quanta": 1,
     }
-    return LoopSettings(**{**values, **changes})
+    made: LoopSettings = settings_of(**{**supervised, **changes})
+    return made
 
 
 def ran(

@@ -38,16 +38,10 @@ from rig.realtime.system import monotonic_now
 from rig.recording.reader import open_recording
 from tests.conformance.device import check_device
 from tests.conformance.host import Host
-from tests.conformance.link import check_link, listen
+from tests.conformance.link import check_link, give, listen
 
 SLACK_S = 5.0  # of a loaded machine
 URL = "usb://1209:0001"
-
-
-@kernel(types.int64(TRANSFER, types.int64, types.uint8[::1]))
-def give(write: Any, handle: Any, data: Any) -> Any:  # type: ignore[no-untyped-def]
-    """Write once, as the loop does: bytes taken, or negative errno."""
-    return write(handle, data.ctypes.data + 0, len(data))
 
 
 @kernel(types.int64(TRANSFER, WAIT, types.int64, types.uint8[::1], types.int64))
