@@ -1,17 +1,22 @@
 """Work for sweeps: each kind of task that a sweep must survive. Imported where the tasks run."""
 
+import json
 import math
 import os
+import re
 import signal
 import threading
 import time
 from collections import defaultdict
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from rig.core.errors import PlanError
+from rig.experiments.sweep import Task
+from rig.experiments.sweep.executors import as_json
 
 Payload = dict[str, Any]
 
@@ -63,19 +68,6 @@ def raise_as_given(payload: Payload) -> int:
     return int(payload["number"])
 
 
-def kill_the_worker(payload: Payload) -> list[dict[str, Any]]:
-    """Do as `sines`, but the first process that meets a task with `dies` ends by SIGKILL in the middle of it."""
-    mark = payload.get("dies")
-    if mark is not None:
-        try:
-            Path(mark).open("x").close()
-        except FileExistsError:
-            pass
-        else:
-            os.kill(os.getpid(), signal.SIGKILL)
-    return sines(payload)
-
-
 def always_kill_the_worker(payload: Payload) -> None:
     """No process survives this."""
     os.kill(os.getpid(), signal.SIGKILL)
@@ -100,3 +92,27 @@ def wait_for_ever(payload: Payload) -> None:
 def large(payload: Payload) -> str:
     """As many letters as wanted."""
     return "x" * int(payload["letters"])
+
+
+# Tasks, and what came of them ------------------------------------------------------------------------
+
+
+def sines_of(number: int, **payload: Any) -> list[Task]:
+    """Tasks of `sines`."""
+    return [Task(f"seed {seed}", sines, {"seed": seed, **payload}) for seed in range(number)]
+
+
+def text(results: Iterable[Any]) -> list[str]:
+    """Bits and types of results, NaN included."""
+    return [as_json(result) for result in results]
+
+
+def lines_of(data: bytes) -> list[bytes]:
+    """Lines with their newline; the last one may lack it. Not bytes.splitlines, which has other ends as well."""
+    return re.findall(rb"[^\n]*\n|[^\n]+$", data)
+
+
+def keys_in(journal: Path) -> list[str]:
+    """Keys of the whole lines of a journal, in its order."""
+    whole = [line for line in lines_of(journal.read_bytes()) if line.endswith(b"\n")]
+    return [json.loads(line.partition(b" ")[2])["key"] for line in whole[1:]]

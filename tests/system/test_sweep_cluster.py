@@ -3,7 +3,6 @@
 Scheduler and workers are processes of their own, as on a real cluster; this one is only a client.
 """
 
-import contextlib
 import itertools
 import json
 import os
@@ -25,9 +24,9 @@ from rig.core.errors import ConfigError, RigError
 from rig.experiments import sweep
 from rig.experiments.sweep import SweepStoppedError, Task, TaskError, code_version
 from rig.experiments.sweep import cluster as clusters
-from rig.experiments.sweep.executors import as_json
 from tests.conformance import sweep_work
 from tests.conformance.started import LEASH
+from tests.conformance.sweep_work import keys_in, sines_of, text
 
 ROOT = Path(__file__).parents[2]
 START_S = 30.0
@@ -78,9 +77,8 @@ class Cluster:
         with Client(self.address, set_as_default=False) as client:
             return client.run_on_scheduler(question)
 
-    def add_worker(self, *, nanny: bool = False) -> None:
-        options = ["--nthreads", "1", "--local-directory", str(self._directory)]
-        options += ["--nanny" if nanny else "--no-nanny"]
+    def add_worker(self) -> None:
+        options = ["--nthreads", "1", "--local-directory", str(self._directory), "--no-nanny"]
         self.workers.append(self._start("dask_worker", self.address, *options))
 
     def _have_a_scheduler(self) -> None:
@@ -115,14 +113,11 @@ class Cluster:
                 env={**os.environ, "PYTHONPATH": str(ROOT)},
                 stdout=log,
                 stderr=log,
-                start_new_session=True,
             )
 
 
 def _end(process: Any) -> None:
-    """Kill the whole group, since a nanny's worker would outlive it."""
-    with contextlib.suppress(ProcessLookupError):
-        os.killpg(process.pid, signal.SIGKILL)
+    process.kill()
     process.wait()
 
 
@@ -130,18 +125,6 @@ def _end(process: Any) -> None:
 def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     with Cluster(tmp_path_factory.mktemp("cluster")) as started:
         yield started
-
-
-def sines(number: Any, **payload: Any) -> Any:
-    return [Task(f"seed {seed}", sweep_work.sines, {"seed": seed, **payload}) for seed in range(number)]
-
-
-def text(results: Any) -> Any:
-    return [as_json(result) for result in results]
-
-
-def keys_in(journal: Any) -> Any:
-    return [json.loads(line.partition(b" ")[2])["key"] for line in journal.read_bytes().splitlines()[1:]]
 
 
 def assert_nothing_lost_and_nothing_twice(results: Any, journal: Any, tasks: Any) -> None:
@@ -153,7 +136,7 @@ def assert_nothing_lost_and_nothing_twice(results: Any, journal: Any, tasks: Any
 @needs_distributed
 def test_two_workers_give_the_bits_of_one_process(cluster: Any, tmp_path: Path) -> None:
     cluster.have(2)
-    tasks, seen = sines(100), []
+    tasks, seen = sines_of(100), []
     options: Any = {"scheduler": cluster.address, "unit": "trials", "watch": seen.append}
     results = sweep.run(tasks, journal=tmp_path / "j", **options)
     assert_nothing_lost_and_nothing_twice(results, tmp_path / "j", tasks)
@@ -164,7 +147,7 @@ def test_two_workers_give_the_bits_of_one_process(cluster: Any, tmp_path: Path) 
 @pytest.mark.signals
 def test_ctrl_c_on_a_cluster_and_the_rest_in_this_process(cluster: Any, tmp_path: Path) -> None:
     cluster.have(2)
-    tasks = sines(60, wait_s=0.02)
+    tasks = sines_of(60, wait_s=0.02)
 
     def watch(progress: Any) -> None:
         if progress.done >= 6 and not progress.stopping:
@@ -199,7 +182,7 @@ def test_another_haptic_rig_on_the_workers_is_refused_with_both_versions(
     ours = code_version()
     monkeypatch.setattr("rig.experiments.sweep.coordinator.code_version", lambda: "9.9.9+0123456789ab")
     with pytest.raises(ConfigError) as caught:
-        sweep.run(sines(4), scheduler=cluster.address)
+        sweep.run(sines_of(4), scheduler=cluster.address)
     assert f"runs haptic-rig {ours}, this is 9.9.9+0123456789ab" in caught.value.message
 
 
@@ -220,7 +203,7 @@ def test_a_worker_killed_in_the_middle_loses_nothing_and_duplicates_nothing(
     cluster: Any, tmp_path: Path
 ) -> None:
     cluster.have(2)
-    tasks = sines(40, wait_s=0.03)
+    tasks = sines_of(40, wait_s=0.03)
 
     def watch(progress: Any) -> None:
         if progress.done >= 10 and cluster.workers[0].poll() is None:
@@ -255,7 +238,7 @@ def test_a_result_that_died_with_its_worker_before_it_was_fetched_is_computed_ag
             cluster.add_worker()
 
     monkeypatch.setattr(cfexecutor, "_cascade_future", kill_before_the_first)
-    tasks = sines(20)
+    tasks = sines_of(20)
     results = sweep.run(tasks, journal=tmp_path / "j", scheduler=cluster.address, watch=watch)
     assert killed.is_set()
     assert_nothing_lost_and_nothing_twice(results, tmp_path / "j", tasks)
@@ -276,21 +259,9 @@ def test_a_task_that_kills_every_worker_is_named(cluster: Any, tmp_path: Path) -
 
 
 @needs_distributed
-def test_a_worker_that_dies_under_a_task_is_started_again_by_its_nanny(cluster: Any, tmp_path: Path) -> None:
-    cluster.have(0)
-    cluster.add_worker(nanny=True)
-    tasks = sines(30, wait_s=0.02)
-    tasks[5] = Task("dies", sweep_work.kill_the_worker, {"seed": 5, "dies": str(tmp_path / "died")})
-    results = sweep.run(tasks, journal=tmp_path / "j", scheduler=cluster.address)
-    assert (tmp_path / "died").exists()
-    cluster.have(0)
-    assert_nothing_lost_and_nothing_twice(results, tmp_path / "j", tasks)
-
-
-@needs_distributed
 def test_a_sweep_waits_for_workers_and_says_so(cluster: Any, tmp_path: Path) -> None:
     cluster.have(0)
-    tasks, waited = sines(4), []
+    tasks, waited = sines_of(4), []
 
     def watch(progress: Any) -> None:
         if not progress.workers and not cluster.workers:
@@ -311,7 +282,7 @@ def test_a_scheduler_that_dies_ends_the_sweep_with_what_is_done(cluster: Any, tm
             cluster.scheduler.kill()
 
     with pytest.raises(RigError, match=f"the Dask scheduler at {cluster.address} is gone"):
-        sweep.run(sines(200, wait_s=0.05), journal=tmp_path / "j", scheduler=cluster.address, watch=watch)
+        sweep.run(sines_of(200, wait_s=0.05), journal=tmp_path / "j", scheduler=cluster.address, watch=watch)
     assert 3 <= len(keys_in(tmp_path / "j")) < 200
 
 
@@ -320,10 +291,10 @@ def test_a_scheduler_that_dies_ends_the_sweep_with_what_is_done(cluster: Any, tm
 def test_no_scheduler_there_is_said_with_the_remedy(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(clusters, "CONNECT_S", 0.1)
     with pytest.raises(ConfigError, match=r"no Dask scheduler answers at .*start one with `dask scheduler`"):
-        sweep.run(sines(2), scheduler=address)
+        sweep.run(sines_of(2), scheduler=address)
 
 
 def test_without_distributed_the_remedy_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(ConfigError, match=r"install it: pip install 'haptic-rig\[cluster\]'"):
-        sweep.run(sines(2), scheduler="tcp://127.0.0.1:1")
+        sweep.run(sines_of(2), scheduler="tcp://127.0.0.1:1")

@@ -9,7 +9,6 @@ import io
 import json
 import math
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -33,12 +32,9 @@ from rig.experiments.sweep.executors import as_json
 from rig.recording import lines
 from tests.conformance import sweep_work
 from tests.conformance.started import started
+from tests.conformance.sweep_work import keys_in, lines_of, sines_of, text
 
 ROOT = Path(__file__).parents[3]
-
-
-def sines(number: Any, **payload: Any) -> Any:
-    return [Task(f"seed {seed}", sweep_work.sines, {"seed": seed, **payload}) for seed in range(number)]
 
 
 def marks(number: Any, log: Any, **payload: Any) -> Any:
@@ -53,22 +49,6 @@ def numbers(number: int, *payloads: dict[str, Any]) -> list[Task]:
     return [Task(f"number {i}", work, {"number": i, **one}) for i, one in enumerate(more)]
 
 
-def text(results: Any) -> Any:
-    """Bits and types of results, NaN included."""
-    return [as_json(result) for result in results]
-
-
-def lines_of(data: Any) -> Any:
-    """Lines with their newline; the last one may lack it. Not bytes.splitlines, which knows other ends as well."""
-    return re.findall(rb"[^\n]*\n|[^\n]+$", data)
-
-
-def keys_in(journal: Any) -> Any:
-    """Keys of the whole lines of a journal, in its order."""
-    whole = [line for line in lines_of(journal.read_bytes()) if line.endswith(b"\n")]
-    return [json.loads(line.partition(b" ")[2])["key"] for line in whole[1:]]
-
-
 # Order and bits --------------------------------------------------------------------------------------
 
 
@@ -77,7 +57,7 @@ def keys_in(journal: Any) -> Any:
 def test_results_are_those_of_a_plain_loop_in_the_order_of_the_tasks(
     workers: int, kept: str, tmp_path: Path
 ) -> None:
-    tasks = sines(40, wait_s=0.004)
+    tasks = sines_of(40, wait_s=0.004)
     journal = tmp_path / "j" if kept == "in a journal" else None
     results = sweep.run(tasks, workers=workers, journal=journal)
     assert text(results) == text(sweep_work.sines(dict(task.payload)) for task in tasks)
@@ -127,7 +107,7 @@ def test_two_threads_run_two_tasks_at_the_same_time() -> None:
 def test_a_sweep_of_nothing_and_one_outside_the_main_thread() -> None:
     assert list(sweep.run([])) == []
     found = []
-    thread = threading.Thread(target=lambda: found.append(sweep.run(sines(3))))
+    thread = threading.Thread(target=lambda: found.append(sweep.run(sines_of(3))))
     thread.start()
     thread.join()
     assert len(found[0]) == 3
@@ -163,7 +143,7 @@ def test_kill_9_loses_at_most_the_tasks_in_flight(tmp_path: Path) -> None:
     assert 120 <= len(log.read_text().split()) <= 120 + 4 * workers
 
 
-FEW = sines(6)
+FEW = sines_of(6)
 
 
 @pytest.fixture(scope="module")
@@ -214,8 +194,8 @@ def test_a_finished_journal_needs_neither_work_nor_cluster(finished: Any) -> Non
     ("tasks", "differs"),
     [
         (
-            [replace(task, work=sweep_work.kill_the_worker) for task in FEW],
-            'work: "tests.conformance.sweep_work:sines" there, "tests.conformance.sweep_work:kill_the_worker" here',
+            [replace(task, work=sweep_work.large) for task in FEW],
+            'work: "tests.conformance.sweep_work:sines" there, "tests.conformance.sweep_work:large" here',
         ),
         (FEW[:5], "tasks: 6 there, 5 here"),
         ([*FEW[:3], replace(FEW[3], payload={"seed": 33}), *FEW[4:]], "a task after the first"),
@@ -280,11 +260,11 @@ def test_a_disk_that_fills_up_ends_the_sweep_and_what_was_kept_is_good(
 
     monkeypatch.setattr(lines, "FileIO", Full)
     with pytest.raises(RecordingError, match=r"cannot write .*No space left on device; free some space"):
-        sweep.run(sines(20), journal=path)
+        sweep.run(sines_of(20), journal=path)
     monkeypatch.undo()
     assert path.stat().st_size == 900
     seen = []
-    assert text(sweep.run(sines(20), journal=path, watch=seen.append)) == text(sweep.run(sines(20)))
+    assert text(sweep.run(sines_of(20), journal=path, watch=seen.append)) == text(sweep.run(sines_of(20)))
     assert 0 < seen[-1].kept < 20
 
 
@@ -301,7 +281,7 @@ def test_the_disk_is_synced_a_few_times_a_second_and_at_the_end(
         lines.os, "fsync", lambda descriptor: (synced.append(time.monotonic()), fsync(descriptor))
     )
     started = time.monotonic()
-    sweep.run(sines(300), journal=tmp_path / "j")
+    sweep.run(sines_of(300), journal=tmp_path / "j")
     assert 3 <= len(synced) <= 4 + (time.monotonic() - started) / lines.SYNC_S
 
 
@@ -358,7 +338,7 @@ def test_ctrl_c_keeps_what_is_done_and_what_is_running_and_the_same_command_goes
 
 def test_ctrl_c_after_the_last_task_is_reported_like_one_before_it(tmp_path: Path) -> None:
     """However quick the tasks were: the last thing that a watcher sees is that all is done."""
-    tasks, journal = sines(3), tmp_path / "journal"
+    tasks, journal = sines_of(3), tmp_path / "journal"
 
     def watch(progress: Any) -> None:
         if progress.done == progress.total:
@@ -395,9 +375,9 @@ def test_ctrl_c_ends_a_watcher_that_blocks_as_a_stopped_terminal_does(tmp_path: 
         ended.append(threading.Event().wait(10.0))
 
     with pytest.raises(SweepStoppedError, match="tasks are done and kept in"):
-        sweep.run(sines(3), journal=tmp_path / "j", watch=watch)
+        sweep.run(sines_of(3), journal=tmp_path / "j", watch=watch)
     assert not ended
-    assert len(sweep.run(sines(3), journal=tmp_path / "j")) == 3
+    assert len(sweep.run(sines_of(3), journal=tmp_path / "j")) == 3
 
 
 def keep_interrupting(thread: Any, first_s: float, ended: threading.Event) -> None:
@@ -446,7 +426,7 @@ def test_an_error_of_the_watcher_comes_through_and_what_is_done_is_kept(tmp_path
             raise BrokenPipeError
 
     with pytest.raises(BrokenPipeError):
-        sweep.run(sines(40, wait_s=0.01), journal=tmp_path / "j", workers=2, watch=watch)
+        sweep.run(sines_of(40, wait_s=0.01), journal=tmp_path / "j", workers=2, watch=watch)
     assert 3 <= len(keys_in(tmp_path / "j")) < 40
 
 
@@ -510,7 +490,7 @@ def test_arguments_that_cannot_be_meant() -> None:
 
 
 def test_progress_counts_tasks_weights_and_units(tmp_path: Path) -> None:
-    tasks = [replace(task, weight=1.0 + i) for i, task in enumerate(sines(12, wait_s=0.05))]
+    tasks = [replace(task, weight=1.0 + i) for i, task in enumerate(sines_of(12, wait_s=0.05))]
     with pytest.raises(SweepStoppedError) as caught:
         sweep.run(tasks, journal=tmp_path / "j", workers=2, watch=interrupt_at(3))
     kept = caught.value.done
