@@ -171,7 +171,7 @@ def takes(options: type, request: type = RigRequest) -> Callable[[F], F]:
     `request` is the dataclass whose fields some of them are.
     """
     hints, own = get_type_hints(options), keywords(request)
-    said = {**own, **keywords(options)}
+    all_keywords = {**own, **keywords(options)}
 
     def shown(function: F) -> F:
         signature = inspect.signature(function)
@@ -182,7 +182,9 @@ def takes(options: type, request: type = RigRequest) -> Callable[[F], F]:
         ]
         every = [*list(signature.parameters.values())[:-1], *named]
         function.__dict__["__signature__"] = signature.replace(parameters=every)
-        lines = "".join(f"        * `{name}`: {_meaning(said[name])}\n" for name in hints if name in said)
+        lines = "".join(
+            f"        * `{name}`: {_meaning(all_keywords[name])}\n" for name in hints if name in all_keywords
+        )
         function.__doc__ = _ENTRY.sub(lambda found: f"{found[0]}\n{lines}", function.__doc__ or "")
         return function
 
