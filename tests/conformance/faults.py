@@ -45,7 +45,7 @@ class FarEnd(ABC):
         The largest effort that the device may give (quanta).
     grain
         How well `effort` is known (quanta).
-    speak_every
+    send_every
         Ticks between two commands.
     late
         Ticks by which this far end may show an effect later: an emulator runs in slices.
@@ -59,7 +59,7 @@ class FarEnd(ABC):
     mode, current, lifetime_us, ramp_us = Mode.CURRENT, 200, 20_000, 10_000
     most = 200.0
     grain = 0.0
-    speak_every = 1
+    send_every = 1
     late = 0
 
     def __init__(self, link: Link) -> None:
@@ -68,7 +68,7 @@ class FarEnd(ABC):
         self.mends: dict[str, Callable[[], object]] = {}
         self.heard: list[m.Message] = []
         self.session = 0
-        self._spoken = 0
+        self._sent = 0
 
     @abstractmethod
     def effort(self) -> float:
@@ -115,7 +115,7 @@ class FarEnd(ABC):
 
     def push(self) -> None:
         """Command until there is effort."""
-        self.watch(3 * self.speak_every + self.late, self.command)
+        self.watch(3 * self.send_every + self.late, self.command)
         assert self.effort() != 0.0
 
     def command(self, mode: int | None = None) -> None:
@@ -123,12 +123,12 @@ class FarEnd(ABC):
         mode = self.mode if mode is None else mode
         self.host.command(self.current, lifetime_us=self.lifetime_us, mode=mode)
 
-    def watch(self, ticks: int, speak: Callable[[], object] | None = None) -> list[float]:
-        """Return the effort behind each of so many ticks, in which the host says something or nothing."""
+    def watch(self, ticks: int, send: Callable[[], object] | None = None) -> list[float]:
+        """Return the effort behind each of so many ticks, in which the host sends something or nothing."""
         begin_ns, efforts = self.host.link.clock.now_ns(), []
         for tick in range(ticks):
-            if speak is not None and tick % self.speak_every == 0:
-                speak()
+            if send is not None and tick % self.send_every == 0:
+                send()
             self._wait_until(begin_ns + round((tick + 1) * 1e9 / self.rate))
             efforts.append(self.effort())
         return efforts
@@ -141,8 +141,8 @@ class FarEnd(ABC):
     def frame(self, *, session: int | None = None, behind: int | None = None, **changes: int) -> bytes:
         """Return a command as the next one would be, but for some changes, or `behind` the newest one."""
         connection = self.host.connection
-        self._spoken += 1
-        sequence = connection.sequence_to_send(m.Command) + (self._spoken if behind is None else -1 - behind)
+        self._sent += 1
+        sequence = connection.sequence_to_send(m.Command) + (self._sent if behind is None else -1 - behind)
         fields = {
             "state_sequence": self.host.sequences[-1],
             "lifetime_us": self.lifetime_us,
@@ -179,7 +179,7 @@ _noise = random.Random(3)
 NO_NEWS = ("framing_errors", "stale_session", "duplicated")
 BROKEN = ("framing_errors", "crc_errors", "malformed")
 # What arrives in place of a command → its bytes, and which counters of the device show it.
-WORDS: dict[str, tuple[Callable[[FarEnd], bytes], tuple[str, ...]]] = {
+INEFFECTIVE: dict[str, tuple[Callable[[FarEnd], bytes], tuple[str, ...]]] = {
     "silence": (lambda far: b"", ()),
     "requests": (lambda far: far.host.connection.send(m.GetTime(far.host.nonce(), 0)), ()),
     "noise": (lambda far: _noise.randbytes(_noise.randrange(1, 30)) + b"\0", BROKEN),
@@ -198,9 +198,9 @@ WORDS: dict[str, tuple[Callable[[FarEnd], bytes], tuple[str, ...]]] = {
 }
 
 
-def check_word(make_far_end: MakeFarEnd, name: str) -> None:
+def check_ineffective(make_far_end: MakeFarEnd, name: str) -> None:
     """Without a command the effort is as with one for a lifetime, falls in the ramp, and is zero: LINK_LOST."""
-    make, counters = WORDS[name]
+    make, counters = INEFFECTIVE[name]
     far = make_far_end().begin()
     before = far.host.ask(m.GetStatistics(far.host.nonce()))
     far.host.states.clear()
@@ -219,17 +219,17 @@ def check_word(make_far_end: MakeFarEnd, name: str) -> None:
     assert far.arm().status == Status.OK
 
 
-def check_words_beside_commands(make_far_end: MakeFarEnd) -> None:
-    """What is no frame of the session, or comes twice or too late, changes nothing while good commands come."""
+def check_ineffective_beside_commands(make_far_end: MakeFarEnd) -> None:
+    """Noise, frames of another session and repeated ones change nothing while good commands come."""
     far = make_far_end().begin()
-    beside = [make for make, counters in WORDS.values() if counters and counters[0] in NO_NEWS]
+    beside = [make for make, counters in INEFFECTIVE.values() if counters and counters[0] in NO_NEWS]
 
     def disturb() -> None:
         far.command()
         beside.append(beside.pop(0))
         far.host.link.write(beside[-1](far))
 
-    ticks = 3 * len(beside) * far.speak_every
+    ticks = 3 * len(beside) * far.send_every
     expected = _undisturbed(make_far_end, far, ticks)
     assert far.watch(ticks, disturb) == expected
     assert far.state.fault == Fault.NONE
@@ -257,7 +257,7 @@ class Found:
     ticks
         Until the effort is zero.
     remains
-        Whether the device refuses to clear it, and to arm, until its cause has ended.
+        True if the device refuses to clear it, and to arm, until its cause has ended.
     arms
         What the device answers to ARM after the clear; None where that depends on the motion since.
     """
@@ -340,7 +340,7 @@ def check_stop(far: FarEnd) -> None:
     assert not any(far.watch(5 + far.late)[far.late :])
     assert (far.state.state, far.state.fault) == (State.RUNNING, Fault.NONE)
     far.command()
-    assert any(far.watch(5 * far.speak_every + far.late, far.command))
+    assert any(far.watch(5 * far.send_every + far.late, far.command))
 
 
 def check_disarm(far: FarEnd) -> None:
@@ -356,7 +356,7 @@ def check_hold_to_run(far: FarEnd) -> None:
     far.hold(False)
     assert far.arm(hold_to_run=1).status == Status.OK
     far.host.next_state()
-    assert not any(far.watch(5 * far.speak_every, far.command))
+    assert not any(far.watch(5 * far.send_every, far.command))
     far.hold(True)
     far.push()
     far.hold(False)
@@ -375,7 +375,7 @@ def check_command_in_the_ramp(far: FarEnd) -> None:
     far.command()
     far.watch(far.ticks_of(far.lifetime_us) + far.ticks_of(far.ramp_us) // 2)
     far.push()
-    far.watch(2 * far.speak_every, far.command)
+    far.watch(2 * far.send_every, far.command)
     assert far.state.fault == Fault.NONE
     assert not far.state.limits & LimitFlag.RAMPING
 
@@ -386,22 +386,22 @@ ENDS: dict[str, Callable[[FarEnd], None]] = {
     "hold-to-run is released": check_hold_to_run,
     "a command in the ramp": check_command_in_the_ramp,
 }
-BESIDE = "words beside commands"
+BESIDE = "invalid frames beside commands"
 
 
 def faults_of(far_end: FarEnd) -> list[str]:
     """Return the names of all that can happen to a far end."""
     held = type(far_end).hold is not FarEnd.hold
     ends = [name for name in ENDS if held or name != "hold-to-run is released"]
-    return [*WORDS, BESIDE, *ends, *far_end.strikes]
+    return [*INEFFECTIVE, BESIDE, *ends, *far_end.strikes]
 
 
 def check_fault(make_far_end: MakeFarEnd, name: str) -> None:
     """Check one of `faults_of`."""
-    if name in WORDS:
-        check_word(make_far_end, name)
+    if name in INEFFECTIVE:
+        check_ineffective(make_far_end, name)
     elif name == BESIDE:
-        check_words_beside_commands(make_far_end)
+        check_ineffective_beside_commands(make_far_end)
     elif name in ENDS:
         ENDS[name](make_far_end())
     else:

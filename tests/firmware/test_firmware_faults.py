@@ -116,7 +116,7 @@ def firmware() -> Simulated:
 class InTheWall(Simulated):
     """The firmware with its own law; the host supervises."""
 
-    rate, mode, speak_every = RATE, Mode.SUPERVISE, RATE // 200
+    rate, mode, send_every = RATE, Mode.SUPERVISE, RATE // 200
     most = float(PARAMETERS["current_limit"])
     blow = 5.0
 
@@ -134,13 +134,13 @@ class InTheWall(Simulated):
         """Supervise up to where the wall pushes back."""
         while self.device.hardware.count <= 0 or self.device.current >= -20:
             assert self.device.sample_index < 2 * RATE, "the handle does not come to the wall"
-            self.run(self.speak_every)
+            self.run(self.send_every)
 
     def run(self, ticks: int) -> None:
         """Supervise for so many ticks."""
-        for _ in range(0, ticks, self.speak_every):
+        for _ in range(0, ticks, self.send_every):
             self.command()
-            self._wait_until(self.link.clock.now_ns() + round(self.speak_every * 1e9 / self.rate))
+            self._wait_until(self.link.clock.now_ns() + round(self.send_every * 1e9 / self.rate))
 
     @property
     def samples(self) -> list[Sample]:
@@ -151,7 +151,7 @@ class InTheWall(Simulated):
     def ticks_to_fault(self, most: int) -> int:
         """Supervise until a fault is latched; return how many ticks that took."""
         for ticks in range(1, most + 1):
-            self.watch(1, self.command if ticks % self.speak_every == 1 else None)
+            self.watch(1, self.command if ticks % self.send_every == 1 else None)
             if self.device.fault is not Fault.NONE:
                 return ticks
         raise AssertionError("no fault")
