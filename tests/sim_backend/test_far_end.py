@@ -157,8 +157,9 @@ def test_a_change_that_python_makes_is_seen_by_ticks_that_run(
     assert abs(after) > abs(before)
 
 
-def test_an_exception_inside_is_eio_and_kept_as_the_links_failure() -> None:
-    wire = ThroughThePort(fresh())
+@pytest.mark.parametrize("number", range(3))
+def test_an_exception_inside_is_eio_and_kept_as_the_links_failure(number: int) -> None:
+    wire = three()[number]
     Host(wire).begin(position_rate=RATE)  # type: ignore[arg-type]
     wire.link.device.hardware.external_effort = "no number"
     into = np.zeros(64, np.uint8)

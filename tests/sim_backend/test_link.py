@@ -176,18 +176,6 @@ def test_without_a_model_there_is_nothing_to_simulate() -> None:
 
 
 @needs_compiler
-def test_an_exception_inside_the_simulation_becomes_eio_and_is_kept() -> None:
-    link = fresh()
-    host = Host(link)
-    host.begin(position_rate=RATE)
-    link.device.hardware.external_effort = "no number"  # type: ignore[assignment]
-    port = link.port()
-    got = listen(port.read, port.wait, port.handle, np.zeros(64, np.uint8), link.clock.now_ns() + 10**9)
-    assert got == -errno.EIO
-    assert isinstance(link.failure(), TypeError)
-
-
-@needs_compiler
 def test_the_loop_reads_no_more_than_it_has_room_for() -> None:
     link = fresh()
     host = Host(link)
