@@ -244,7 +244,10 @@ class StudyAnalysis:
 
 
 def analyse(
-    paths: Iterable[Path], options: AnalysisOptions | None = None, *, watch: Watch | None = None
+    paths: str | Path | Iterable[str | Path],
+    options: AnalysisOptions | None = None,
+    *,
+    watch: Watch | None = None,
 ) -> StudyAnalysis:
     """Analyse the sessions of a study.
 
@@ -353,11 +356,10 @@ def analyse_study(
     ConfigError
         Sessions that are not of one study, or that this version cannot read.
     """
-    paths = [places] if isinstance(places, str | Path) else places
     options = AnalysisOptions(
         measure=measure, hashes=hashes, across=tuple(across), seed=seed, include_marked=include_marked
     )
-    return analyse([Path(path) for path in paths], options, watch=watch)
+    return analyse(places, options, watch=watch)
 
 
 def _pooled(study: Study, runs: Sequence[RunRow]) -> dict[tuple[Measure, str, Cell], LimitInterval]:

@@ -119,7 +119,7 @@ class Study:
 
 
 def read_study(
-    paths: Iterable[str | Path],
+    paths: str | Path | Iterable[str | Path],
     *,
     hashes: bool = True,
     across: Sequence[str] = (),
@@ -145,7 +145,7 @@ def read_study(
     ConfigError
         Sessions that are not of one study.
     """
-    found = find_sessions([Path(path) for path in paths])
+    found = find_sessions(map(Path, [paths] if isinstance(paths, str | Path) else paths))
     sessions = []
     for number, directory in enumerate(found):
         if watch is not None:

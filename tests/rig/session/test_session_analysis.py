@@ -511,7 +511,7 @@ def test_sessions_of_different_studies_are_refused(tmp_path: Path) -> None:
     with pytest.raises(
         ConfigError, match=r"not run under one protocol: search\.step \(25.0: P01; 50.0: P02\)"
     ):
-        read_study([tmp_path])
+        read_study(str(tmp_path))
     begin("P03", protocol(study={"participants": 20, "title": "Another name"}, rest={"every": 9}), row=2)
     begin("P04", protocol(), row=2, versions={**VERSIONS, "haptic-rig": "0.2.0"})
     told = " ".join(read_study([tmp_path / code for code in ("P01", "P03", "P04")]).messages)
