@@ -14,7 +14,7 @@ import pytest
 import rig
 from rig import config, devices
 from rig.analysis.impedance.estimate import periodic
-from rig.analysis.impedance.ideal import rendered
+from rig.analysis.impedance.ideal import bare, rendered
 from rig.config import presets
 from rig.config.schemes import Scheme
 from rig.control import bilateral
@@ -155,6 +155,20 @@ def test_on_a_rigid_rig_the_own_motor_measures_what_a_second_actuator_measures(
     second = config.override(x, {"excitation.channel": "external"})
     other = periodic([ExcitedRig(second).excite(*wall).record])
     assert off(own.z, other.z)[0] < agree
+
+
+def test_lag_and_delay_of_the_own_motor_are_taken_out() -> None:
+    """F acts where the mass is, so the bare rig is m·s + b whatever lies between command and effort."""
+    late = {
+        "rig.amplifier.lag_s": 2e-4,
+        "rig.simulation.computation_delay_ticks": 2,
+        "excitation.channel": "motor",
+    }
+    x = linear("uniform:1k,estimator=fdm", **late)
+    measured = periodic([ExcitedRig(x, acquisition_hz=1e6).excite(0.0, 0.0).record])
+    magnitude, phase = off(measured.z, bare(x, measured.lines_hz))
+    assert magnitude < 0.1
+    assert phase < 0.05
 
 
 def test_samples_at_the_ticks_show_a_free_mass_too_little_motion() -> None:
