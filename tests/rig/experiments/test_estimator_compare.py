@@ -30,7 +30,7 @@ from rig.experiments.estimators import (
     rest_noise,
     score,
 )
-from rig.experiments.tuning import OBJECTIVES, WITHIN, tune_estimator
+from rig.experiments.tuning import OBJECTIVES, WITHIN, SettingRange, shown_range, tune_estimator
 from rig.recording.data import Recording
 from tests.conformance.tiers import first_by_default
 
@@ -339,6 +339,14 @@ def test_the_fragment_is_an_experiment_that_runs_with_these_settings(tmp_path: P
 def test_what_cannot_be_tuned_is_refused(name: str, changes: Any, text: str) -> None:
     with pytest.raises(ConfigError, match=text):
         tune_estimator(name, hit(), **changes)
+
+
+def test_ranges_say_when_the_search_ended_before_they_did() -> None:
+    base = SettingRange("x", "Hz", 2.0, 1.0, 4.0, open_below=False, open_above=False)
+    assert shown_range(base) == "1 to 4 Hz"
+    assert shown_range(replace(base, open_above=True)) == "1 to 4 or more Hz"
+    assert shown_range(replace(base, open_below=True, unit="1")) == "1 or less to 4"
+    assert shown_range(replace(base, open_below=True, open_above=True)) == "anything from 1 to 4 Hz"
 
 
 @pytest.mark.parametrize("name", estimators.names())

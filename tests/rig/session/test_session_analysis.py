@@ -8,6 +8,7 @@ import math
 import runpy
 import warnings
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -92,6 +93,19 @@ def test_a_known_difference_lies_within_the_intervals(found: Any) -> None:
         assert (contrast.condition, contrast.against) == ("dual", "uniform")
         assert contrast.low <= DUAL - UNIFORM <= contrast.high
         assert contrast.p < 0.01
+
+
+def test_differences_without_an_interval_are_counted_in_a_message(found: Any) -> None:
+    assert not any("rounding to the levels" in message for message in found.messages)
+    same = [
+        replace(
+            one, low=math.nan, high=math.nan, p=math.nan, holm=math.nan, problem="the differences are alike"
+        )
+        for one in found.paired
+        if one.measure == "rule"
+    ]
+    (message,) = [m for m in replace(found, paired=tuple(same)).messages if "rounding to the levels" in m]
+    assert message.startswith("1 paired difference has no interval and no p")
 
 
 def test_each_persons_limit_is_found(found: Any) -> None:
