@@ -6,16 +6,11 @@ import ctypes as ct
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-
 from firmware_protocol.law_parameters import LAW_PARAMETERS
 from firmware_protocol.parameter import Value
 from rig.config import device_law
 from rig.config.device_law.estimators import ESTIMATORS, estimator_parameters
-from rig.config.device_law.walls import designed_wall
-from rig.control.estimators import fdm_butterworth_fixed as fixed
-from rig.control.estimators.estimator import PERIOD, RESOLUTION, Floats, Prepared
-from rig.control.fixed_point import Format
+from rig.control.estimators.estimator import PERIOD, RESOLUTION, Prepared
 from rig.control.fixed_wall import FixedWall
 from rig.control.step import ControllerState
 from tests.firmware.law.law_library import Parameters
@@ -112,16 +107,6 @@ def set_estimator(p: ct.Structure, prepared: Prepared) -> None:
     if "biquad_state_bits" in values:
         values["float_velocity_lsb"] = 2.0 ** -int(values["biquad_state_bits"])
     set_estimator_values(p, values)
-
-
-def velocity_format(prepared: Prepared) -> Format:
-    """Format of the fixed estimator's output."""
-    return Format(int(prepared.parameters[fixed.WORD_BITS]), int(prepared.parameters[fixed.STATE_BITS]))
-
-
-def fixed_wall_of(c: dict[str, Any], law: Floats, velocity: Format) -> FixedWall:
-    """The wall of `rig.control.fixed_wall` for the values of a controller with a spring and damper."""
-    return designed_wall(c, "spring-damper", np.asarray(law), velocity)
 
 
 def copy_wall(p: Any, wall: FixedWall) -> None:
