@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.core.model import Operator, Reach, RigModel
+from rig.core.model import Operator, OperatorReach, RigModel
 from rig.realtime.groups import FloatRows, Int, group
 from sim_backend.coupled_hand import INTENTIONS
 
@@ -68,7 +68,7 @@ class OperatorScript(NamedTuple):
 
 @lru_cache(maxsize=8)  # the rigs of a map differ in what no hand wants; 2 MB each, and nobody writes into it
 def _written(
-    operator: Operator, reach: Reach, radius: float, tick_s: float, position: float, session: int
+    operator: Operator, reach: OperatorReach, radius: float, tick_s: float, position: float, session: int
 ) -> OperatorScript:
     along_s = abs(reach.start - position) / reach.pace
     begin_s = along_s + reach.wait_s

@@ -41,7 +41,7 @@ def _be_quiet(context: click.Context, parameter: click.Parameter, value: bool) -
     context.meta[_QUIET] = value
 
 
-class Command(click.Command):
+class GroupedCommand(click.Command):
     """A command whose options are listed by group.
 
     Parameters
@@ -87,6 +87,6 @@ class Command(click.Command):
             return super().invoke(ctx)
 
 
-def command(name: str | None = None, *, quiet: bool = True) -> Callable[[Callable[..., Any]], Command]:
+def command(name: str | None = None, *, quiet: bool = True) -> Callable[[Callable[..., Any]], GroupedCommand]:
     """Make a function a command, as `click.command` does."""
-    return click.command(name, cls=Command, quiet=quiet)
+    return click.command(name, cls=GroupedCommand, quiet=quiet)

@@ -91,7 +91,7 @@ def compare(
     resolutions: tuple[float, ...],
     chosen: tuple[str, ...],
     timed: bool,
-    picture: options.Picture,
+    picture: options.PictureOption,
     as_json: bool,
 ) -> None:
     """Score estimators on reference signals and RECORDINGS: raw error, delay, error without delay, noise at rest, cost.

@@ -16,7 +16,7 @@ from rig.views.plots.levant import levant_regions as compute
 @command("levant-regions")
 @options.picture_options("Draw it.", default=True, place="levant-regions.png")
 @options.json_option
-def levant_regions(picture: options.Picture, as_json: bool) -> None:
+def levant_regions(picture: options.PictureOption, as_json: bool) -> None:
     """Draw the gains with which Levant's differentiator converges: α = μ1·C, λ = μ2·√C, by two proofs and by number."""
     computed = compute()
     picture.draw(Path("levant-regions"), lambda path: draw_levant_regions(computed, path))

@@ -262,7 +262,7 @@ def plot_options(help: str = "Draw a picture.", *, default: bool = True) -> Call
 
 
 @dataclass(slots=True)
-class Picture:
+class PictureOption:
     """Whether a picture is wanted, and where; its path when it is drawn, or why a file that was named was not."""
 
     wanted: bool
@@ -289,7 +289,7 @@ class Picture:
 
 
 def picture_options(help: str, *, default: bool, place: str) -> Callable[[F], F]:
-    """Of a picture that is all that the command writes; the command receives a `Picture` as `picture`.
+    """Of a picture that is all that the command writes; the command receives a `PictureOption` as `picture`.
 
     When a file that the user names cannot be drawn, the command prints its numbers and ends with the exit code of that.
     """
@@ -301,7 +301,7 @@ def picture_options(help: str, *, default: bool, place: str) -> Callable[[F], F]
                 raise ConfigError(
                     f"--output {path} and --format {ending} are two formats", remedy="leave one of them out"
                 )
-            picture = Picture(plot or path is not None, path, ending)
+            picture = PictureOption(plot or path is not None, path, ending)
             result = function(picture=picture, **others)
             return result if picture.failure is None else picture.failure.exit_code
 

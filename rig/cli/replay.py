@@ -24,7 +24,7 @@ from rig.views.plots.replay import draw_replay
 @options.set_option
 @options.picture_options("Draw recorded and replayed.", default=False, place="RECORDING-replay.png")
 @options.json_option
-def replay(recording: Path, picture: options.Picture, as_json: bool, **changed: Any) -> None:
+def replay(recording: Path, picture: options.PictureOption, as_json: bool, **changed: Any) -> None:
     """Run the inputs of RECORDING through the same law (bit-exact) or another one.
 
     The handle moves as it was recorded: this shows what another estimator or law would have commanded, not

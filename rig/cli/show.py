@@ -36,7 +36,12 @@ from rig.views.plots.xy import xy_figure
 @options.expect_option(options.VERDICTS)
 @options.json_option
 def show(
-    recording: Path, marks: bool, picture: options.Picture, xy: bool, expected: tuple[str, ...], as_json: bool
+    recording: Path,
+    marks: bool,
+    picture: options.PictureOption,
+    xy: bool,
+    expected: tuple[str, ...],
+    as_json: bool,
 ) -> None:
     """Show what RECORDING holds: rig, wall, why it ended, verdict, losses, columns."""
     opened = _opened(recording, every_column=marks)
@@ -71,7 +76,7 @@ def _opened(path: Path, *, every_column: bool) -> Recording:
     return replace(open_recording(path, needed), header=open_facts(path).header)
 
 
-def _draw(recording: Path, opened: Recording, picture: options.Picture, *, xy: bool) -> None:
+def _draw(recording: Path, opened: Recording, picture: options.PictureOption, *, xy: bool) -> None:
     stem = recording.with_suffix("")
     figure = xy_figure if xy else hit_figure
     picture.draw(

@@ -17,7 +17,7 @@ from rig.views.plots.timing import draw_timing
 @click.argument("recording", type=values.RECORDING)
 @options.picture_options("Draw it.", default=True, place="RECORDING-timing.png")
 @options.json_option
-def timing(recording: Path, picture: options.Picture, as_json: bool) -> None:
+def timing(recording: Path, picture: options.PictureOption, as_json: bool) -> None:
     """Show where the time of each tick in RECORDING went: sampled, received, computed, sent, applied.
 
     Sampled and applied are times of the device, put on the host's clock by the exchanges of the run; without them only

@@ -49,7 +49,7 @@ class Files(click.Path):
         return [CompletionItem(each) for each in paths(incomplete, self._endings)]
 
 
-class Band(click.ParamType):  # type: ignore[type-arg]  # as above
+class FrequencyBand(click.ParamType):  # type: ignore[type-arg]  # as above
     """Frequencies (Hz), written as LOW:HIGH."""
 
     name = "band"
@@ -133,7 +133,7 @@ SIGNAL = Named("signal", _signals)
 EXPERIMENT_FILE = Files("toml", ".toml")
 RECORDING = Files("recording", *_RECORDING)
 PATH = click.Path(path_type=Path)
-BAND = Band()
+BAND = FrequencyBand()
 KINDS: dict[str, click.ParamType[Any]] = {
     kind.name: kind
     for kind in (RIG, ESTIMATOR, SCHEME, GRIP, URL, SIGNAL, EXPERIMENT_FILE, RECORDING, PATH, BAND)

@@ -12,7 +12,7 @@ from rig.config.table import shown
 from rig.control import estimators, laws
 from rig.control.verdict import Thresholds
 from rig.core.errors import ConfigError
-from rig.core.model import Reach, RigModel
+from rig.core.model import OperatorReach, RigModel
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -50,9 +50,9 @@ def free_s(experiment: Experiment) -> float:
     return trial.baseline_s + random.Random(f"foreperiod {trial.seed}").uniform(0.0, trial.foreperiod_s)
 
 
-def _reach(x: Experiment) -> Reach:
+def _reach(x: Experiment) -> OperatorReach:
     depth = x.operator.depth / x.rig.mechanics.handle_radius
-    return Reach(
+    return OperatorReach(
         start=x.trial.start,
         target=x.wall.position + x.wall.side * depth,
         pace=x.homing.speed,

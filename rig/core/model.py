@@ -369,7 +369,7 @@ class Operator:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Reach:
+class OperatorReach:
     """Where an operator goes in one session, at the link: along to the start, and on into the wall."""
 
     start: float  # where the trial begins (rad or m)
@@ -397,7 +397,7 @@ class RigModel:
     reference: Reference = field(default_factory=Reference)
     cogging: Cogging = field(default_factory=Cogging)
     operator: Operator | None = None
-    reach: Reach | None = None
+    reach: OperatorReach | None = None
     board: tuple[tuple[str, bool | int | float | str], ...] = ()
 
     @property
@@ -412,7 +412,7 @@ class RigModel:
         """Whole ticks between a command and its effort: the far end's computation, and the set-point's way."""
         return self.simulation.computation_delay_ticks + self.amplifier.set_point_ticks(tick_s)
 
-    def held_by(self, operator: Operator | None, reach: Reach | None) -> RigModel:
+    def held_by(self, operator: Operator | None, reach: OperatorReach | None) -> RigModel:
         """Put the handle into somebody's hand; the end mass, which belongs to automated trials, is off then."""
         if operator is None:
             return self

@@ -43,7 +43,7 @@ from rig.session.log import Event
 from rig.session.place import resume_command
 from rig.session.protocol import BLINDED
 from rig.session.reasons import told
-from rig.session.runner import Done, TrialRunner
+from rig.session.runner import TrialDone, TrialRunner
 from rig.session.schedule import Block, SearchRun
 from rig.session.state import (
     DoAsk,
@@ -365,7 +365,7 @@ class _Engine:
         if done.error is not None:
             self._after_early_end(done, presented)
 
-    def _after_early_end(self, done: Done, presented: Presented) -> None:
+    def _after_early_end(self, done: TrialDone, presented: Presented) -> None:
         """The effort is zero; now somebody may be asked."""
         error = done.error
         if error is not None and not isinstance(error, _ASKED):

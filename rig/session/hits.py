@@ -39,7 +39,7 @@ from rig.session.arming import refusals
 from rig.session.bands import press_of
 from rig.session.pace import sentence
 from rig.session.place import software
-from rig.session.runner import Done, RefusedWalls, SessionWall, Watch
+from rig.session.runner import RefusedWalls, SessionWall, TrialDone, Watch
 from rig.session.trial import HitOutcome
 
 NUMBERS = (
@@ -222,7 +222,7 @@ class DeviceRunner:
         watch: Callable[[Experiment], Watch | None],
         heat: float,
         blinded: bool = False,
-    ) -> Done:
+    ) -> TrialDone:
         """Run one trial.
 
         Parameters
@@ -271,7 +271,7 @@ class DeviceRunner:
             if isinstance(error, LinkLostError) and not isinstance(error, DeviceFaultError):
                 self.close()  # the next trial opens it anew
         done = _hit_of(left, left.path.relative_to(directory.parent), heat)
-        return Done(done, error, _duration_s(left.recording))
+        return TrialDone(done, error, _duration_s(left.recording))
 
     def close(self) -> None:
         """Let go of the device."""

@@ -39,7 +39,7 @@ class RefusedWalls:
 
 
 @dataclass(frozen=True, slots=True)
-class Done:
+class TrialDone:
     """A trial that was run: its hit, what ended it early, if anything did, and how long it took (s)."""
 
     hit: HitOutcome
@@ -103,7 +103,7 @@ class TrialRunner(Protocol):
         watch: Callable[[Experiment], Watch | None],
         heat: float,
         blinded: bool = False,
-    ) -> Done:
+    ) -> TrialDone:
         """Run one trial; see `DeviceRunner.hit`."""
         ...
 

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rig.core.model import Mechanics, Operator, Reach, RigModel
+from rig.core.model import Mechanics, Operator, OperatorReach, RigModel
 from rig.core.operators import GRIPS
 from sim_backend.hardware import Hardware
 from sim_backend.operator import PRESS_HZ, REPEAT_S, TREMOR_HZ, OperatorScript
@@ -20,13 +20,13 @@ from tests.conformance.rigs import linear_rig, rotary_rig
 from tests.sim_backend.test_plant import ROTARY
 
 TICK_S = 5e-4
-REACH = Reach(start=-0.05, target=0.02, pace=0.5, wait_s=0.1, seed=3)
+REACH = OperatorReach(start=-0.05, target=0.02, pace=0.5, wait_s=0.1, seed=3)
 TWO_MASS = ROTARY.mechanics
 RIGID = replace(TWO_MASS, structure="rigid")
 STILL = replace(GRIPS["normal"], tremor=0.0, press_modulation=0.0)
 
 
-def held(operator: Operator = STILL, reach: Reach | None = REACH, **mechanics: Any) -> RigModel:
+def held(operator: Operator = STILL, reach: OperatorReach | None = REACH, **mechanics: Any) -> RigModel:
     rig = replace(rotary_rig(), mechanics=replace(RIGID, **mechanics))
     return rig.held_by(operator, reach)
 

@@ -19,7 +19,7 @@ from rig.session.hits import DeviceRunner
 from rig.session.log import read
 from rig.session.rehearsal import Day, Person, RehearsalDesk
 from rig.session.run import rehearsal_desk, resume_session, run_session
-from rig.session.runner import Done
+from rig.session.runner import TrialDone
 from rig.session.state import RecordedTrial, SessionState
 from sim_backend.channel import ScriptedLine
 from tests.system.session_study import written
@@ -32,7 +32,7 @@ FRAMES = 300  # of the armed device that reach the host before
 class Loose(DeviceRunner):
     """A rig whose plug comes out in a trial, and that is none that can be opened anew without looking at it."""
 
-    def hit(self, experiment: Experiment, changes: Any, directory: Path, name: str, *rest: Any) -> Done:
+    def hit(self, experiment: Experiment, changes: Any, directory: Path, name: str, *rest: Any) -> TrialDone:
         if name != UNPLUGGED:
             return super().hit(experiment, changes, directory, name, *rest)
         with pytest.MonkeyPatch.context() as patch:

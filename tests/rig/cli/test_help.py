@@ -12,7 +12,7 @@ import pytest
 
 import rig.cli
 from rig.cli import table
-from rig.cli.command import DEVICE, EXPERIMENT, OWN, RESULT, Command
+from rig.cli.command import DEVICE, EXPERIMENT, OWN, RESULT, GroupedCommand
 from tests.conformance.commands import commands
 from tests.conformance.guides import ROOT
 
@@ -27,7 +27,7 @@ def all_commands() -> list[tuple[str, click.Command]]:
 def test_every_command_is_ours_and_prints_json_and_can_be_quiet() -> None:
     for name, command in all_commands():
         options = {option for one in command.params for option in one.opts}
-        assert isinstance(command, Command), name
+        assert isinstance(command, GroupedCommand), name
         assert "--json" in options, name
         assert ("--quiet" in options) == (name not in ("console", "session run", "session resume")), name
 

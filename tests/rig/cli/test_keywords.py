@@ -12,7 +12,7 @@ import pytest
 from annotated_types import Ge, Gt, Le
 
 import rig
-from rig.cli.command import Command
+from rig.cli.command import GroupedCommand
 from rig.cli.keyword_options import gathered_options
 from rig.cli.options import CommandSettings
 from rig.config.table import parameters
@@ -44,7 +44,7 @@ class Asked:
 def answered(*words: str) -> Any:
     """What a command receives whose only argument is such a request."""
 
-    @click.command(cls=Command)
+    @click.command(cls=GroupedCommand)
     @gathered_options(Asked, "request")
     def command(request: Asked) -> Asked:
         return request

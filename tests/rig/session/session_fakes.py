@@ -24,7 +24,7 @@ from rig.session.load import protocol_from_mapping
 from rig.session.log import Event
 from rig.session.protocol import Protocol
 from rig.session.rehearsal import Day, Person, RehearsalDesk
-from rig.session.runner import Done, RefusedWalls, SessionWall
+from rig.session.runner import RefusedWalls, SessionWall, TrialDone
 from rig.session.state import BOOKKEEPING, SessionState
 from rig.session.trial import HitOutcome
 
@@ -127,7 +127,7 @@ class FakeRunner:
         watch: Callable[[Experiment], Callable[[int, int], None] | None],
         heat: float,
         blinded: bool = False,
-    ) -> Done:
+    ) -> TrialDone:
         number, stiffness = int(name[1:]), experiment.wall.stiffness
         self.hits.append((number, stiffness))
         seen = watch(experiment)
@@ -155,7 +155,7 @@ class FakeRunner:
             "heat": heat + self.heat_of_a_hit,
         }
         changed, error = self.fails.get(number, ({}, None))
-        return Done(HitOutcome(**{**content, **changed}), error, 1.5)
+        return TrialDone(HitOutcome(**{**content, **changed}), error, 1.5)
 
     def close(self) -> None:
         pass
