@@ -60,7 +60,11 @@ def interrupts_now() -> None:
     """Let what waits interrupt here, where an exception is heard."""
     if _waiting and _in_the_main_thread():
         for number in _came():
-            _heard_by[number](number, None)
+            if callable(_heard_by[number]):
+                _heard_by[number](number, None)
+            else:  # the system's own action, which ends the process
+                signal.signal(number, _heard_by[number])
+                signal.raise_signal(number)
 
 
 def take_no_signals() -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import ctypes
 import signal
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 from typing import Any
@@ -61,6 +63,20 @@ def test_an_impatient_ctrl_c_is_one_interruption() -> None:
         twice()
     with interrupts_later():
         interrupts_now()
+
+
+def test_a_sigterm_that_nothing_handles_ends_the_process() -> None:
+    """Its action is no function: calling that made a TypeError of the end that a process manager asked for."""
+    program = """
+import signal
+from rig.realtime.handlers import interrupts_later, interrupts_now
+signal.signal(signal.SIGTERM, signal.SIG_DFL)
+with interrupts_later():
+    signal.raise_signal(signal.SIGTERM)
+    interrupts_now()
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (-signal.SIGTERM, "")
 
 
 def test_it_is_raised_also_after_an_error() -> None:
