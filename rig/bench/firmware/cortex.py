@@ -193,15 +193,6 @@ class Simulator:
         painted = bytes(self.uc.mem_read(STACK_LEAST, STACK_TOP - STACK_LEAST))
         return len(painted) - (len(painted) - len(painted.lstrip(PAINT)))
 
-    def by_function(self, profile: Counter[int]) -> list[tuple[str, int]]:
-        """Cycles of each function in a profile, most first."""
-        spans = sorted((self.image.symbols[name] & ~1, name) for name in self.image.sizes)
-        starts = np.array([start for start, _ in spans])
-        sums: Counter[str] = Counter()
-        for address, cycles in profile.items():
-            sums[spans[int(np.searchsorted(starts, address, "right")) - 1][1]] += cycles
-        return sums.most_common()
-
 
 def _block(address: int, words: list[int], small: bool) -> BasicBlock:
     """Cost of the instructions in a block; `small` for the M0+."""

@@ -38,11 +38,6 @@ def sealed(content: bytes, behind: int) -> bytes:
     return content[:at] + _WORD.pack(crc32(image[behind : -_WORD.size])) + content[at + _WORD.size :]
 
 
-def is_elf(content: bytes) -> bool:
-    """Whether a file begins as a 32-bit ELF does."""
-    return content.startswith(MAGIC)
-
-
 def read_segments(content: bytes, name: str) -> tuple[Segment, ...]:
     """Return what the program in a file of that name consists of, by load address; `ConfigError` when it is damaged."""
     try:

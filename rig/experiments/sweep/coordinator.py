@@ -113,11 +113,6 @@ class Progress:
         return 1.0 if self.done == self.total else self.weight_done / self.weight_total
 
     @property
-    def tasks_per_s(self) -> float:
-        """Tasks per second of this run."""
-        return (self.done - self.kept) / max(self.elapsed_s, 1e-9)
-
-    @property
     def units_per_s(self) -> float:
         """Units per second of this run."""
         return self.units / max(self.elapsed_s, 1e-9)

@@ -6,37 +6,15 @@ An ideal spring is the straight line K·x. What the loop encloses is the energy 
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from rig.core.sample import Phase, unit_of
 from rig.recording.data import Recording
-from rig.recording.reader import open_recording
 from rig.views.plots import style
 
 DRAWN = ("phase", "penetration", "effort_wall")  # columns that the figure takes
-
-
-def draw_xy(path: str | Path, picture: str | Path | None = None) -> Path:
-    """Draw a recording.
-
-    Parameters
-    ----------
-    path
-        The recording.
-    picture
-        File to write, see `rig.views.plots.style.save`; ``…-xy.png`` beside the recording unless given.
-
-    Returns
-    -------
-    Path
-        The picture.
-    """
-    source = Path(path)
-    target = Path(picture) if picture else source.with_name(f"{source.stem}-xy.png")
-    return style.save(xy_figure(open_recording(source, DRAWN)), target)
 
 
 @style.own_style()
