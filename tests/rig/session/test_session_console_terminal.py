@@ -189,12 +189,12 @@ import sys
 from rig.core.errors import RigError
 from rig.session.console import child
 from rig.session.console.desk import ConsoleDesk
-from rig.session.desk import Question, View
+from rig.session.desk import DeskView, Question
 
 child.END_S = 0.2  # of one that is stopped
 with ConsoleDesk() as desk:
     print("console", desk.pid, file=sys.stderr, flush=True)
-    desk.show(View(state="verdict?", code="P09"))
+    desk.show(DeskView(state="verdict?", code="P09"))
     try:
         while True:
             reply = desk.ask(Question(kind="verdict", text="?", actions=("judge", "redo", "note")))
