@@ -137,7 +137,7 @@ def header() -> str:
 
 
 def faults_of_a_rig() -> str:
-    """Single faults of a rig, their detection and what is left of them."""
+    """Return the table of a rig's single faults: how each is detected, the reaction, and the remaining hazard."""
     rows = [
         (
             one.part,

@@ -7,9 +7,9 @@ built on it and a device built on it can be joined back to back in a test.
 How the state moves. The device owns the state; `TRANSITIONS` says which of the host's messages it takes
 in which state and where each leads. A transaction takes effect with its answer: the device moves when it
 sends the reply (for an ACK: with status OK), the host when it receives it, both by the same lines. A
-COMMAND has no answer and takes effect when it is received. Besides, the host believes what the device
-says of its state in STATE, IDENTITY and ACK(BAD_STATE), so that a host that was restarted, or missed a
-fault, finds its way back.
+COMMAND has no reply and takes effect when it is received. The host also adopts the state that the device
+reports in STATE, IDENTITY and ACK(BAD_STATE), so that a host that was restarted, or missed a fault,
+is synchronised again.
 
 Rules that no table of states can hold stand beside it:
 
@@ -232,7 +232,7 @@ class Connection:
             self.statistics.overrun += 1
 
     def next_event(self) -> Event | None:
-        """Return the next event, or None when there is none.
+        """Return the next event, or None when no complete event has been received.
 
         Raises
         ------
@@ -405,7 +405,7 @@ class Connection:
     def say(self, time_ns: int) -> bytes:
         """Host: the frame of the transaction that is to be written to the link now; none when nothing is due.
 
-        `time_ns` is of any clock that goes on. Raises `LocalProtocolError` as `send` does.
+        `time_ns` is the time of any monotonic clock. Raises `LocalProtocolError` as `send` does.
         """
         before = self.transaction
         self.transaction = after_time(before, time_ns, MOST_TRIES)

@@ -43,7 +43,7 @@ class ParameterInfo:
 
 @dataclass(frozen=True, slots=True)
 class ConstantInfo:
-    """A number that the device was built with and nobody can set: of the rig that its monitors take it to move."""
+    """A read-only constant of the device's build: a property of the rig that its safety monitors assume."""
 
     name: str
     unit: str
@@ -305,7 +305,7 @@ def _code_info(code: Described) -> CodeInfo:
 
 
 def explain_status(code: int, known: tuple[CodeInfo, ...]) -> CodeInfo:
-    """Explain a status by those that a device has told, as far as it has; see `Dictionary.explain_fault`."""
+    """Explain a status code by the device's own descriptions, where it sent one; see `Dictionary.explain_fault`."""
     return _explain(known, Status, code)
 
 

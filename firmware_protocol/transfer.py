@@ -55,7 +55,7 @@ class Assembler:
         return Status.OK
 
     def commit(self, message: SetCommit) -> tuple[Status, bytes]:
-        """Return OK and the block, or why there is none. It is forgotten then, unless bytes are missing."""
+        """Return OK and the block, or the status of the failure. The transfer then ends, unless bytes are missing."""
         begun = self._begun
         if begun is None or message.nonce != begun.nonce or self._missing:
             return Status.INCOMPLETE, b""

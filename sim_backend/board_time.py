@@ -1,9 +1,9 @@
 """Real time for a device whose ticks are compiled: a board's timer and main loop, without Python and without its lock.
 
 One compiled call does what a board does: it waits for bytes or for the next tick, hands bytes to the device as soon as
-they come, lets the ticks pass that are due, and writes what the device says. Python is asked (the call returns, and is
-made again) where something is used up, where the device changed its rate or was armed, where the host hung up, and
-every `SLICE_NS` whether it is to stop: then it also hears its signals.
+they come, lets the ticks pass that are due, and writes what the device sends. The call returns to Python, which calls
+again, where a supply is used up, where the device changed its rate or was armed, where the host hung up, and every
+`SLICE_NS` to check the stop request: then Python also handles its signals.
 
 Time keeps its grid: deadlines follow from the device's own clock, so lateness never adds up. A board's timer is never
 late, a process is. No tick is left out and each has its sample: what is late is made up at twice the pace and no
@@ -12,7 +12,7 @@ longer than `LONGEST_PAUSE_NS` (a suspended process) the grid restarts, because 
 
 The answer to STATE k acts from sample k + 1 on: one tick of delay at least, as behind any real port. A process that is
 late lets a host that stood still with it answer first, and hands over what came before the late tick passes, so that
-the watchdog hears of it first.
+the watchdog is fed first.
 
 It mirrors a board behind a USB serial port: that stays when a host goes, even by kill -9, and its watchdog knows of
 that only by the silence.
@@ -94,7 +94,7 @@ def _flush(port: LoopPort, grid: Any, said: Any) -> None:
 
 @kernel(types.void(type_of(Lockstep), PORT_TYPE, _INTS, _BYTES))
 def _say(software: Lockstep, port: LoopPort, grid: Any, said: Any) -> None:
-    """Send what the device has said. What has no room is thrown away, newest first, whole frames only."""
+    """Send the device's output. Output without room is discarded, newest first, whole frames only."""
     behind = np.int64(said.ctypes.data) + grid[PENDING]
     count = _take(software.take, software.device, behind, SAID_BYTES)
     if grid[HUNG_UP] == 0 and grid[PENDING] + count <= PENDING_BYTES:
@@ -143,7 +143,7 @@ def keep_time(
     """Tick and move bytes until `end_ns` on the port's clock, or until Python has to look; say why it returned.
 
     `line` stands for the port (`_keep`).
-    `said` has room for `SAID_BYTES` behind the `PENDING_BYTES` that are kept, `heard` for `HEARD_BYTES`.
+    Output buffer: `SAID_BYTES` behind the `PENDING_BYTES` that wait to be sent; input buffer: `HEARD_BYTES`.
     """
     words, port = software.words, _at(line)
     while True:
@@ -229,7 +229,7 @@ class BoardTime:
     hung_up
         Called when the host hung up.
     most
-        Ticks after which the device is told what has passed, at the latest.
+        Largest number of ticks before `device` is notified of the ticks that have passed.
     """
 
     def __init__(

@@ -85,7 +85,7 @@ class ScriptedLine:
         return [*self._faults.get((direction, number), ()), *now]
 
     def _strike(self, fault: FrameFault, pieces: list[bytes], tick: int) -> tuple[list[bytes], int]:
-        """Return what is left of a frame, and when it comes."""
+        """Apply a fault to a frame; return the pieces that are still delivered, and their tick."""
         if fault.kind is FaultKind.REORDER:
             self._held[fault.direction] = pieces
         elif fault.kind is FaultKind.SILENCE:
@@ -104,7 +104,7 @@ def _flip(frame: bytes, fault: FrameFault) -> bytes:
     return bytes(damaged)
 
 
-# What is left of a frame; of the other kinds, nothing.
+# Pieces of a frame that each kind of fault still delivers; the other kinds deliver nothing.
 _LEFT: dict[FaultKind, Callable[[bytes, FrameFault], list[bytes]]] = {
     FaultKind.CORRUPT: lambda frame, fault: [_flip(frame, fault)],
     FaultKind.DUPLICATE: lambda frame, _: [frame, frame],

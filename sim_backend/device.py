@@ -413,7 +413,7 @@ class SimulatedDevice:
     def _apply(self, values: Mapping[str, Value]) -> None:
         """Run under new parameters from the next tick on, or raise `ParameterError` and continue as before.
 
-        What may change on an armed device concerns a law on it, and here is none.
+        Only parameters of a law on the device may change while it is armed, and this device has no such law.
         """
         if self._armed:
             return

@@ -1,4 +1,4 @@
-"""A simulated hand that somebody drives while time passes: by a mouse, by keys, by a program.
+"""A simulated hand that is driven interactively during a run: by a mouse, by keys, by a program.
 
 While the rig homes, the hand goes along as the scripted one does (`sim_backend.operator`), whatever is wished: a hand
 that pulls elsewhere would keep the handle from its start. From the beginning of the trial on it follows the wishes.
@@ -44,7 +44,8 @@ class DrivenHand:
     wish
         Returns what is wished now (`rig.realtime.hand.SharedHand.read`), or None.
     tell
-        Told, for each block of ticks, hand and handle (rad or m) and the handle's velocity as they are at its start.
+        Called at the start of each block of ticks with the positions of hand and handle (rad or m) and the handle's
+        velocity.
 
     Raises
     ------

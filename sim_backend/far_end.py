@@ -1,7 +1,7 @@
 """The far end of a link in virtual time, compiled: the plug functions of the loop, for a device that is compiled too.
 
-A tick of the loop then passes no Python: `wait` lets ticks pass until the device has said something, `write` hands it
-the host's bytes, `read` takes what it said. Python is asked (`serve`) where something is used up, where the device
+A tick of the loop then runs no Python: `wait` lets ticks pass until the device has sent something, `write` passes the
+host's bytes to it, `read` takes its output. Python is called (`serve`) where a supply is used up, where the device
 changed its rate or was armed, and before the first tick after Python itself had the device.
 
 It mirrors `sim_backend.link.MemoryLink`, whose callbacks do the same where frames or the device fail on command.
@@ -116,7 +116,7 @@ def _ready(handle: int) -> int:
 
 @kernel(types.void(FAR_END_TYPE))
 def _hear(end: FarEnd) -> None:
-    """Take what the device has said; what has no room is lost, as in a driver."""
+    """Take the device's output; what has no room is lost, as in a driver."""
     progress, arrived = end.progress, end.arrived
     software = end.software
     room = OUTPUT_BYTES

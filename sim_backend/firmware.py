@@ -248,7 +248,7 @@ class FirmwareDevice:
         most
             Ticks at most.
         enough
-            Bytes to be said that end it.
+            Bytes of output after which it returns.
         """
         until = (2 * (until_ns - self._epoch_ns) + 1) // _NS_NUMERATOR  # the last unit that is not later
         ticks, said = 0, b""

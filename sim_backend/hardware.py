@@ -187,8 +187,8 @@ class Hardware:
     def run(self, software: Lockstep, until: int, most: int, enough: int, truth: TruthLog | None) -> int:
         """Let many ticks pass under the current that some software asks for; see `sim_backend.lockstep.run_ticks`.
 
-        It stops early where noise, room for the truth or what a driven hand wants is used up: whoever wants more calls
-        again.
+        It stops early where noise, room for the truth or the wishes of a driven hand are used up: for more ticks, call
+        it again.
         """
         world = self.world(truth)
         ticks = run_ticks(software, *world, until, min(most, self.most_ticks), enough)
@@ -250,7 +250,7 @@ class Hardware:
 
     @property
     def edge_age_s(self) -> float:
-        """Age of the last encoder edge at the last sample (s); ∞ when there was none."""
+        """Age of the last encoder edge at the last sample (s); ∞ before the first edge."""
         return self._state.item(self._plant.edge_age)
 
     def cut(self) -> None:

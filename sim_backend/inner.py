@@ -1,4 +1,4 @@
-"""What every inner step has in common, whoever holds the rig: parameters, Coulomb friction, the date of an edge."""
+"""Common parts of all inner steps, for a free or held rig: parameters, Coulomb friction, the time of an edge."""
 
 from __future__ import annotations
 

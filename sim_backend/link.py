@@ -274,7 +274,7 @@ class MemoryLink:
 
     @property
     def frames(self) -> dict[Direction, int]:
-        """Frames sent so far in each direction, where something goes wrong on command; else nobody counts them."""
+        """Frames sent so far in each direction; counted only on a link with scripted faults, else empty."""
         return {} if self.line is None else self.line.frames
 
     @property
@@ -329,7 +329,7 @@ class MemoryLink:
         return self._port
 
     def failure(self) -> BaseException | None:
-        """Return the exception that the simulation raised inside the loop, or None; a scripted unplug is none."""
+        """Return the exception that the simulation raised inside the loop, or None, also after a scripted unplug."""
         return self._failure or (None if self._compiled is None else self._compiled.failure)
 
     def truth(self) -> NDArray[np.void]:

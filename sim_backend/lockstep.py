@@ -66,9 +66,9 @@ class Wires(NamedTuple):
     external_effort, slip, leak
         Of `sim_backend.hardware.Hardware`.
     index_first, index_counts
-        True count of an index, and counts to the next one; 0: there is none.
+        True count of an index, and counts to the next one; 0: no index.
     switch_count, switch_way
-        True count from which on the limit switch is pressed, and in which direction of counting; 0: there is none.
+        True count from which on the limit switch is pressed, and in which direction of counting; 0: no limit switch.
     """
 
     effort_quantum: Float

@@ -66,7 +66,7 @@ class OperatorScript(NamedTuple):
         return _written(model.operator, model.reach, model.mechanics.handle_radius, tick_s, position, session)
 
 
-@lru_cache(maxsize=8)  # the rigs of a map differ in what no hand wants; 2 MB each, and nobody writes into it
+@lru_cache(maxsize=8)  # rigs of a map differ in nothing that changes the script; 2 MB each, never written to
 def _written(
     operator: Operator, reach: OperatorReach, radius: float, tick_s: float, position: float, session: int
 ) -> OperatorScript:

@@ -395,7 +395,7 @@ class FaultMemory:
         return Fault(self._rules[AT.fault])
 
     def latch(self, faults: int, time: int) -> None:
-        """Take faults as bits ``1 << code``. The gravest is the first, if there is none yet: the ring freezes."""
+        """Latch faults, bits ``1 << code``. Without an earlier fault the gravest is the first, and the ring freezes."""
         if not self.latched:
             self._first = _gravest(faults)
             self._rules[AT.fault] = self._first

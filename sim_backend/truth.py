@@ -36,7 +36,7 @@ class TruthLog:
         return self._indices, self._states, self._size
 
     def written(self, size: int) -> None:
-        """Take note of rows that somebody else has put into the buffers: so many there are now."""
+        """Set the number of rows in the buffers after other code has written into them."""
         self._size = size
 
     def table(self) -> NDArray[np.void]:

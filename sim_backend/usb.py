@@ -95,7 +95,7 @@ class UsbShape:
         Returns
         -------
         bytes or None
-            The data stage, empty when there is none; None to stall, for what this device does not know.
+            The data stage, may be empty; None to stall, for a request that this device does not know.
         """
         direction, request, value, _, length = _SETUP.unpack(setup)
         if request == _GET_DESCRIPTOR:

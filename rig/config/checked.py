@@ -50,7 +50,7 @@ class FileKind(Generic[T]):
     also
         Keys that a file may have at the top beside the sections.
     otherwise
-        Alternative remedy where something is missing, as the end of a sentence; empty when there is none.
+        Alternative remedy where something is missing, as the end of a sentence; may be empty.
     """
 
     root: type[T]
@@ -173,7 +173,7 @@ class _Changing:
 
 
 def plain(value: Any) -> Any:
-    """Nested dicts of a dataclass; what is None is left out, and comes back as None."""
+    """Return a dataclass as nested dicts; a value None is left out, and read back as None."""
     kind: Any = type(value)  # mypy finds types not hashable
     if kind in LEAVES:
         return value

@@ -260,7 +260,7 @@ def prepared(
     reference_count
         Count at position zero.
     referenced
-        It follows from the encoder's index, not from where somebody put the handle.
+        `reference_count` follows from the encoder's index, not from where the handle was placed.
     verified
         The polarity of motor and encoder is verified, or nothing can move.
     law
@@ -329,7 +329,7 @@ def device_parameters(
         "continuous_current": max(1, math.floor(limits.nominal_effort / quantum)),
         "thermal_time_constant": limits.thermal_time_constant_s,
         # A person can hold the handle still against any effort: with this the device does not take that for a stall.
-        # For longer than a trial nobody has to: then the encoder may be dead.
+        # No trial requires that for longer than its own length: after that the encoder may be dead.
         "hold_to_run": 1 if human else 0,
         "confirm_ms": round(1e3 * (push_s(experiment) + CONFIRM_S)) if human else 0,
         "law": 0,

@@ -40,7 +40,7 @@ def read_toml(path: Path, kind: str = "an experiment") -> Table:
 
 
 def parse_toml(text: str, source: str) -> Table:
-    """Parse TOML; `ConfigError` with the line when it is none."""
+    """Parse TOML; raises `ConfigError` with the line of a syntax error."""
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:
@@ -81,7 +81,7 @@ def preset_text(name: str) -> str:
 
 @cache
 def preset_table(name: str) -> Table:
-    """Parse a preset, once: whoever asks gets the same table, and changes nothing in it."""
+    """Parse a preset once. All callers share the table and must not change it."""
     return parse_toml(preset_text(name), f"preset {name}")
 
 

@@ -23,7 +23,7 @@ from rig.core.sample import UNITS, Motion
 DEFAULT_PRESET = "koul-compliant"
 DEFAULT_GRIP = "normal"
 LOOP = "controller.loop"
-FREE = "controller.parameters"  # the one table whose keys belong to somebody else: the estimator
+FREE = "controller.parameters"  # the one table whose keys the estimator defines
 
 EXPERIMENT = FileKind(
     Experiment,

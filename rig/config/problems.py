@@ -14,7 +14,7 @@ class Problem:
     """One thing that is wrong: ``key = value`` (or the key alone), what it must be, and what to do."""
 
     key: str
-    value: str  # as `rig.config.table.shown` writes it; empty when there is none
+    value: str  # as `rig.config.table.shown` writes it; empty when the key has no value
     must: str  # continues the sentence: "must be …", "is missing", "is not a known key"
     remedy: str
 

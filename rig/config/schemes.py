@@ -40,7 +40,7 @@ Prediction = Literal["hold", "extrapolate"]
 
 @dataclass(frozen=True, kw_only=True)
 class Scheme:
-    """Rates, estimator and prediction; what is None comes from the experiment that it is applied to.
+    """Rates, estimator and prediction; fields left at None come from the experiment that it is applied to.
 
     Attributes
     ----------
@@ -94,7 +94,7 @@ class Scheme:
 
     @classmethod
     def of(cls, experiment: Experiment) -> Scheme:
-        """Return the scheme of an experiment, with everything said."""
+        """Return the scheme of an experiment, with every field stated."""
         controller = experiment.controller
         return cls(
             position_rate=controller.position_rate,
@@ -213,7 +213,7 @@ def parse_rates(text: str) -> tuple[int, int]:
 
 
 def usual_settings(estimator: str, velocity_rate: int) -> dict[str, float | str]:
-    """Settings of an estimator where nothing is said: a filter cuts off at a tenth of the velocity rate."""
+    """Return the default settings of an estimator: a filter has its cut-off at a tenth of the velocity rate."""
     return {_CUTOFF: _USUAL_SHARE * velocity_rate} if _has_cutoff(estimator) else {}
 
 

@@ -6,10 +6,10 @@ F is the identified map. The fade falls from one to zero over the last part of t
 outside of it nothing is known and nothing is done.
 
 **It cannot drive the rig.** A map of effort over position alone gives back on any way home what it took: its work along
-a closed path is zero, true map or false. What is left is what any wall has too: with the delay τ of the loop a slope s
-of F, taken away late, damps by s·τ where cogging stiffens and takes as much damping where it softens; theory counts it
-(`rig.analysis.theory.loop`). A zero that has slipped can double the cogging, no more, and the limit bounds it whatever
-the map says; guard, window and the watch over energy see its effort as any other.
+a closed path is zero, true map or false. The remaining effect is that of the delay, as with any wall: with the loop's
+delay τ a slope s of F, compensated late, adds damping s·τ where cogging stiffens and removes as much where it softens;
+theory includes it (`rig.analysis.theory.loop`). A position zero that has slipped can at most double the cogging, and
+the limit bounds the effort whatever the map says; guard, window and energy watch treat it like any other effort.
 
 It is off unless a law is wrapped in it, and works where that law does: in trial and release, inside the wall and
 outside, not in homing. It is part of the law's effort in a recording's columns, wanted before the guard and sent behind

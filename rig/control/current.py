@@ -1,6 +1,6 @@
 """Whether the measured current is the one that was set: a lead that came off, a dead amplifier, a wrong sign or scale.
 
-The active current passes through the amplifier's lag. What is left between that and the measured current is added up
+The active current passes through the amplifier's lag. The residual between that and the measured current is summed
 over `WINDOW_S`, by magnitude, so that neither an oscillation nor noise averages it away; the largest of a window is
 left out, since it may be a spike of the converter. At the end of each window the sum is compared with the larger of
 `SIGMAS` of the sensor's noise and a tenth of the current that was expected:
@@ -14,9 +14,9 @@ whole number of ticks: the lowest and the highest active current between half th
 whole ticks around it, pass through both lags.
 
 Under voltage drive the back-EMF flows too, behind the same lag. It follows from the count's own speed, smoothed over
-`SPEED_LAG_S`, or single counts would be large currents; what is left between the others is smoothed alike before the
-back-EMF is taken off, so that motion of any speed is compared with what itself did. What is smooth has no spikes: left
-out is as much as the largest before that, of this window and the one before, can have added.
+`SPEED_LAG_S`, or single counts would be large currents; the residual without back-EMF is smoothed alike before the
+back-EMF is subtracted, so that motion of any speed is compared with its own back-EMF. A smoothed residual has no single
+spikes: subtracted is the most that the largest unsmoothed one, of this window and the one before, can have added.
 
 All of it is integers in flat memory, of 32 bits but for products, as the firmware has it (`core/current.c`, which
 mirrors this): the simulated device and both loops of the host call this one.
@@ -54,8 +54,8 @@ _Places = namedtuple(
     # lag and behind twice the lag (1/16384 quantum); last count, how many are known (0, 1 or more); newest slot of the
     # delay line, ticks in it, ticks until the active current of each delay is known
     "expected quick_low quick_high slow_low slow_high count known newest filled awaited "
-    # with back-EMF: speed, and behind the lag (1/16384 count a tick); what is left, smoothed and not; expected current,
-    # smoothed; what the four bounds differ by from the expected current, smoothed
+    # with back-EMF: speed, and behind the lag (1/16384 count a tick); residual, smoothed and not; expected current,
+    # smoothed; differences of the four bounds from the expected current, smoothed
     "speed moved left before smooth quick_low_left quick_high_left slow_low_left slow_high_left "
     # of this window: also what a dead motor would have left; the largest and most of the one before, where they still
     # act
@@ -184,7 +184,7 @@ def compare(words: Ints, count: int, active: int, measured: int) -> int:
     Returns
     -------
     int
-        `AGREES`, `DISAGREES`, or 0: the window goes on, or the current was too small to be observed.
+        `AGREES`, `DISAGREES`, or 0: the window is not complete, or the current was too small to be observed.
     """
     if words[CURRENT.noise] == _UNOBSERVED:
         return 0
@@ -193,7 +193,7 @@ def compare(words: Ints, count: int, active: int, measured: int) -> int:
     if delays:
         _set(words, active)
     if words[CURRENT.awaited] > 0:
-        # These fit together at any speed: what is left follows back-EMF from here on.
+        # Count and current of one instant agree at any speed: from here on the residual follows the back-EMF.
         words[CURRENT.count], words[CURRENT.known] = count, 1
         words[CURRENT.awaited] -= 1
         _begin_at(words, measured)
@@ -285,7 +285,7 @@ def _back_emf(words: Ints, count: int) -> int:
 
 @rule
 def _smooth(words: Ints, measured: int) -> None:
-    """Let what is left, back-EMF apart, and what is expected be as smooth as the speed."""
+    """Smooth the residual (without back-EMF) and the expected current with the time constant of the speed."""
     left = measured * _UNIT - words[CURRENT.expected]
     # Of a tick's speed it is the middle that follows; in the first tick all of it comes behind the lag.
     share = words[CURRENT.late] if words[CURRENT.known] == 1 else _HALF
@@ -299,7 +299,7 @@ def _smooth(words: Ints, measured: int) -> None:
 
 @rule
 def _outside(left: int, low: int, high: int) -> int:
-    """How far what is left lies outside of what some delay and lag would have left (quanta)."""
+    """Return how far the residual lies outside of the residuals that possible delays and lags explain (quanta)."""
     return _size(left - min(max(left, low), high))
 
 

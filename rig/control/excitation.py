@@ -37,7 +37,7 @@ OVERSAMPLING = 16  # points for each period of the highest line, where a peak is
 
 @dataclass(frozen=True, slots=True)
 class Peak:
-    """The greatest value of a quantity under an excitation, and its limit; None where there is none to keep."""
+    """The greatest value of a quantity under an excitation, and its limit; None if the quantity is not limited."""
 
     name: str
     quantity: Literal["effort", "position", "velocity"]

@@ -131,7 +131,7 @@ def design_biquad(
     rounding: str = "nearest",
     unit_gain: bool = True,
 ) -> Biquad:
-    """Round the coefficients of a low pass and measure what is left of it.
+    """Round the coefficients of a low pass and measure the filter that results.
 
     Parameters
     ----------

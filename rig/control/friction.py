@@ -6,9 +6,9 @@ The level is that of the direction of motion, up or down. Inside the dead band t
 that a handle at rest gets none and an encoder's noise makes no chatter; it must be wider than that noise.
 
 **It cannot drive the rig.** The effort is never more than share · level, and while the handle slides with velocity v
-friction takes level · |v| out of it. Whatever velocity the estimator gives, late, wrong or of the wrong sign,
-the power that both put in together is at most −(1 − share) · level · |v| ≤ 0; at rest it is zero. So no energy comes of
-it as long as the rig's own friction is not below share · level (0.8 of what was identified, unless asked otherwise);
+friction dissipates level · |v|. Whatever velocity the estimator gives, late, wrong or of the wrong sign,
+the power of both together is at most −(1 − share) · level · |v| ≤ 0; at rest it is zero. So it adds no energy
+while the rig's own friction is not below share · level (by default 0.8 of the identified level);
 where it is below, by d, at most d · |distance slid|. On a rig of two masses this holds for the mass that the motor acts
 on and its own friction: take levels of the motor side if the link has much friction of its own.
 

@@ -28,8 +28,7 @@ _OVERRULES = int(~(LimitFlag.SPEED | LimitFlag.POSITION))
 class TrialSignals:
     """One trial, uniformly sampled: arrays of equal length, positions and efforts in the units of the rig.
 
-    `velocity` is None when it has to be derived from `position`; `resolution` is the count behind
-    `position`, 0 for truth.
+    Without `velocity` (None) it is derived from `position`; `resolution` is the count behind `position`, 0 for truth.
     """
 
     tick_s: float
@@ -51,7 +50,7 @@ def recorded_signals(
 ) -> TrialSignals:
     """What a rig records of the trial phase of its rows (`rig.core.sample.ROW`), its effort by a column.
 
-    That is what the law gave, but for a wall that a drive rendered itself: what the drive told, ``effort_applied``.
+    That is the law's effort; for a wall that a drive rendered itself use the drive's reported ``effort_applied``.
     """
     trial = rows["phase"] == Phase.TRIAL
     (places,) = np.nonzero(trial)
@@ -102,7 +101,7 @@ def true_signals(
 def judge(signals: TrialSignals, thresholds: Thresholds) -> Verdict:
     """Judge one trial (see the module's text).
 
-    A trial shorter than its tail is judged on what there is; one without samples is invalid.
+    A trial shorter than its tail is judged on all its samples; one without samples is invalid.
     """
     return measured(signals, thresholds).verdict
 

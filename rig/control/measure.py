@@ -116,7 +116,7 @@ SETTINGS = np.dtype(
 )
 
 FEWEST_TICKS = 8  # a trial with fewer has no numbers
-# Among the flags of a tick, above those of RowFlag: the device did not do what the law said, and from the next bit on
+# Among the flags of a tick, above those of RowFlag: the device did not apply the law's effort, and from the next bit on
 # how many samples were lost just before.
 OVERRULED = 1 << 32
 LOST_BITS = 33

@@ -4,7 +4,7 @@ A function asks for its arguments by name, in any order: quantities of this tick
 `Memory` are what it sees of its numbers, by the names that its decorator was given; both are arrays underneath, so that
 a loop, a recording and a replay know them as those of any other law.
 
-What cannot be compiled is told in one sentence with the line of the function, never by the compiler's own report.
+A function that cannot be compiled raises an error of one sentence with its line, never the compiler's own report.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ class Form:
 
 @dataclass(frozen=True, slots=True)
 class Compiled:
-    """A plain function inside the kernel's source, and what its decorator said."""
+    """A plain function, wrapped in the source of a kernel, with the arguments of its decorator."""
 
     name: str
     summary: str

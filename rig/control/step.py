@@ -10,7 +10,7 @@ The order of one tick is normative:
 5. the other sources are added: constant effort or homing servo;
 6. the guard limits the sum once;
 7. the result is rounded to the wire's current quantum;
-8. whoever called applies it.
+8. the caller applies it.
 
 The sample index is the only clock: nothing here asks what time it is, so a replay of the counts gives the
 same bits.
@@ -78,7 +78,7 @@ CONTROL = np.dtype(
         ("energy_limit", "<f8"),  # that the motor may give in a trial (J); 0: any
         ("oscillation_limit", "<i8"),  # oscillations of effort in a row that end the run; 0: any
         ("oscillation_ticks", "<i8"),  # within which the next one is in a row
-        ("oscillation_travel", "<f8"),  # of the handle, below which an oscillation is none
+        ("oscillation_travel", "<f8"),  # of the handle; ignore oscillations below it
         ("held_effort", "<f8"),  # that friction and weight hold without motion
         ("impulse_limit", "<f8"),  # of the rest, without motion, above which the run ends; 0: any
     ],

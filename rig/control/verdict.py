@@ -10,7 +10,7 @@ A rig records the side of its encoder; of the truth, felt and moved are those of
 
 *Invalid* is a trial without a verdict: no contact, a gap too long or too many samples lost or
 late ticks from the first contact on, a binding slew limit, a device that overruled the law, a current that was not the
-one that was set, or saturation without motion. What is lost before the contact is counted and told. *Unstable*: the
+one that was set, or saturation without motion. Losses before the contact are counted and reported. *Unstable*: the
 wall was left in the tail, or the ripple grows, or the motor saturates while a threshold is exceeded. *Limit cycle*: not
 unstable, but felt, heard or moved is above its threshold. *Stable*: none of them.
 

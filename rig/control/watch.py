@@ -1,7 +1,7 @@
 """The watch on a run, which ends it: too much energy, a violent oscillation, an effort that moves nothing.
 
-At the beginning of a tick it looks at the effort of the tick before and at how far the handle moved under it. Energy
-and violence are watched in the trial and its release, the standstill where the motor moves a handle that nobody holds.
+At the beginning of a tick it evaluates the effort of the tick before and how far the handle moved under it. Energy
+and violence are watched in the trial and its release, the standstill where the motor moves a free handle.
 
 **Energy.** The sum of effort times displacement is the energy that the motor has given to the handle (a passivity
 observer). A passive wall returns at most what it took, so with a person at the handle the sum stays at or below zero; a
@@ -14,7 +14,7 @@ was sent: where it acts d ticks later, the sum is off by effort times the travel
 after the handle has moved by a quarter of what the verdict calls *moved*, and by more than one toggling count. An
 impact is one oscillation and a bounce another, each smaller; a buzz does not span the whole range. The defaults are in
 `rig.core.oscillation`; the simulations behind them are in `rig/session/README.md`. One count of a coarse encoder
-that makes the whole effort cannot be told from a buzz.
+that makes the whole effort cannot be distinguished from a buzz.
 
 **Standstill.** While the count stays on two neighbours (all that a dead encoder, or one with a dead channel, shows), a
 free handle gathers the momentum p = ∫(effort − friction) dt, and one that friction holds gathers none. Beyond the
@@ -23,9 +23,9 @@ and v_0 the handle's when the encoder died: then no rig with the described frict
 damping, is faster than v_b + max(v_b, v_0). For e = v − p/I obeys I ė = −b v − (F(v) − F(p/I)) with a friction F that
 rises with speed, hence e ė < 0 wherever |e| > |p|/I: |e| never grows beyond the larger of v_0 and v_b. It is watched
 where nothing but friction may hold the handle: in homing, and in a trial's push outside of the wall. A push whose slew
-limit still binds is left out: pushes of a board grow so, and look for friction that nobody has described. Weight is
-counted as friction: what it does to a handle no motor stops. A tick whose sample was lost is not counted, because its
-command may have been lost as well: where a share s of them is, v_b is 1/(1 − s) as much.
+limit still binds is left out: a board's pushes ramp up in this way to find friction that is not yet described. Weight
+is counted as friction: no motor stops what it does to a handle. A tick whose sample was lost is not counted, because
+its command may have been lost as well: where a share s of them is, v_b is 1/(1 − s) as much.
 
 Source: Hannaford and Ryu 2002, "Time-domain passivity control of haptic interfaces", for the observer. The rules about
 oscillations and standstill are ours.

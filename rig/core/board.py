@@ -108,7 +108,7 @@ def moved_mechanics(model: RigModel) -> MovedMechanics:
 
 
 def constants(model: RigModel) -> tuple[ConstantInfo, ...]:
-    """Return what the monitors of a device know of its rig, as it tells its host."""
+    """Return the constants of the rig that a device's monitors assume, as the device reports them to its host."""
     mechanics = moved_mechanics(model)
     return (
         ConstantInfo("over_current", "quantum", over_current(model)),

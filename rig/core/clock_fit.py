@@ -135,7 +135,7 @@ class ClockFit:
     def from_mapping(cls, mapping: Mapping[str, Any]) -> ClockFit:
         """Inverse of `rig.core.present.plain`; other keys of the mapping are ignored.
 
-        Raises `RecordingError` when a number is missing, is none, or is no time that a clock shows.
+        Raises `RecordingError` when a value is missing, not a number, or out of the range of a clock.
         """
         try:
             kinds = {"int": int, "float": float}
@@ -197,7 +197,7 @@ def fit_clock(exchanges: NDArray[np.void], *, drift_prior_ppm: float = DRIFT_PRI
 
 
 def fit_if_possible(exchanges: NDArray[np.void]) -> ClockFit | None:
-    """Fit the line, or None when `fit_clock` refuses: for callers whose work goes on without."""
+    """Fit the line, or return None when `fit_clock` raises: for callers that can continue without a fit."""
     try:
         return fit_clock(exchanges)
     except RigError:

@@ -11,7 +11,7 @@ from typing import Any
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """A picture: a notebook shows it, `save` writes it, and `figure` is a `matplotlib.figure.Figure` to go on with."""
+    """A picture: a notebook shows it, `save` writes it, and `figure` is a `matplotlib.figure.Figure` to edit."""
 
     figure: Any
     write: Callable[[Any, Path], Path] = field(repr=False)  # `rig.views.plots.style.save`

@@ -1,4 +1,4 @@
-"""Locks on open files between processes, which end with whoever holds them: flock(2), or LockFile on Windows."""
+"""Lock open files between processes; a lock ends with its process: flock(2), or LockFile on Windows."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import sys
 if sys.platform == "win32":
     import msvcrt
 
-    # Windows lets nobody else read a byte that is locked: one far behind all data, within the 31 bits of `locking`.
+    # On Windows other processes cannot read a locked byte: lock one far behind all data, within 31 bits of `locking`.
     _PLACE = 0x7FFF_0000
 
     def _call(descriptor: int, mode: int) -> None:
@@ -20,7 +20,7 @@ if sys.platform == "win32":
             os.lseek(descriptor, before, os.SEEK_SET)
 
     def lock(descriptor: int) -> bool:
-        """Lock a file; False where somebody else has it. Raises `OSError` where the file system knows no locks."""
+        """Lock a file; False if another process holds it. Raises `OSError` if the file system has no locks."""
         try:
             _call(descriptor, msvcrt.LK_NBLCK)
         except PermissionError:
@@ -35,7 +35,7 @@ else:
     import fcntl
 
     def lock(descriptor: int) -> bool:
-        """Lock a file; False where somebody else has it. Raises `OSError` where the file system knows no locks."""
+        """Lock a file; False if another process holds it. Raises `OSError` if the file system has no locks."""
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -48,7 +48,7 @@ else:
 
 
 def is_locked(path: str | os.PathLike[str]) -> bool:
-    """Whether somebody has a file locked; on Linux without touching the lock, elsewhere by having it for a moment."""
+    """Return True if a process holds a file's lock; Linux reads /proc/locks, others take the lock for a moment."""
     try:
         if sys.platform == "linux":
             there = os.stat(path)

@@ -270,7 +270,7 @@ class Encoder:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Reference:
-    """What ties position zero to the mechanism: the encoder's index, and a limit switch that tells which index it is.
+    """Reference of position zero in the mechanism: the encoder's index, and a limit switch that selects one index.
 
     An incremental encoder counts from where the handle stood at power-up. Its index comes once a turn, so that it names
     a place only where the travel holds one of them, or behind a switch.
@@ -303,7 +303,7 @@ class Reference:
         return {"none": 0, "minimum": 1, "maximum": -1}[self.limit_switch]
 
     def index_counts(self, encoder: Encoder) -> int:
-        """Counts from an index to the next; 0 where there is none, or nobody has said how many."""
+        """Return the counts from one index to the next; 0 without an index, or if the distance is not described."""
         if not self.index:
             return 0
         if self.index_distance is not None:
@@ -413,7 +413,7 @@ class RigModel:
         return self.simulation.computation_delay_ticks + self.amplifier.set_point_ticks(tick_s)
 
     def held_by(self, operator: Operator | None, reach: OperatorReach | None) -> RigModel:
-        """Put the handle into somebody's hand; the end mass, which belongs to automated trials, is off then."""
+        """Return the rig with an operator at its handle, without the end mass, which belongs to automated trials."""
         if operator is None:
             return self
         bare = replace(self.mechanics, end_mass=0.0)

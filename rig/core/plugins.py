@@ -1,7 +1,7 @@
 """Parts that third parties add by entry points: estimators, laws, backends. A broken one breaks nothing else.
 
-A program that has made a part itself lends it under its name for as long as it is used (`lent`): within this process
-it is then found like an installed one.
+A program can temporarily register a part of its own under a name: within this process it is then found like an
+installed one.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def _found(find: Callable[..., Any], group: str) -> tuple[EntryPoint, ...]:
 
 
 def load(group: str, kind: str, name: str, fits: Callable[[Any], bool]) -> Any:
-    """Return the part (an estimator, a law: `kind`) that a plug-in of that name gives, None where there is none.
+    """Return the part (an estimator, a law: `kind`) that a plug-in of that name provides, None if not found.
 
     Raises `ConfigError` when it does not load, or gives something that does not fit.
     """
@@ -63,7 +63,7 @@ def load(group: str, kind: str, name: str, fits: Callable[[Any], bool]) -> Any:
     remedy = f"fix or remove {point.dist.name if point.dist else 'that package'}"
     try:
         part = point.load()
-    except (Exception, SystemExit) as error:  # somebody else's module may raise anything
+    except (Exception, SystemExit) as error:  # a third party's module may raise anything
         raise ConfigError(f"{where} does not load: {error!r}", remedy=remedy) from error
     if not fits(part):
         raise ConfigError(f"{where} is no {kind} but {type(part).__name__}", remedy=remedy)

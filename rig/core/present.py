@@ -1,4 +1,4 @@
-"""What every result offers to whoever shows it: fields for machines, rows for people.
+"""Output forms of every result: fields for machines, rows for people.
 
 A result is a frozen dataclass. `plain` makes JSON types of any: its fields under their own names, and the properties
 marked `reported`. What the dataclass keeps out of its ``repr`` (traces, raw rows) is kept out of JSON as well.
@@ -49,7 +49,7 @@ def plain(value: Any, not_finite: Callable[[float], Any] = lambda _: None) -> An
         Dataclasses, mappings, sequences, numpy scalars and arrays (complex ones as real and imaginary part),
         enumerations and paths, nested.
     not_finite
-        What stands for a number that JSON cannot write; None unless told otherwise.
+        Gives the substitute for a number that JSON cannot write; by default None.
 
     Raises
     ------
@@ -79,7 +79,7 @@ def plain(value: Any, not_finite: Callable[[float], Any] = lambda _: None) -> An
             return [item if type(item) in _AS_IT_IS else inner(item) for item in value]
         case PathLike():
             return fspath(value)
-    if hasattr(value, "tolist"):  # numpy's, without loading it for whoever has none
+    if hasattr(value, "tolist"):  # numpy's, without importing numpy where no value needs it
         complexes = value.dtype.kind == "c"
         return inner({"real": value.real, "imaginary": value.imag} if complexes else value.tolist())
     if hasattr(value, "as_mapping"):  # a result whose JSON is not its fields

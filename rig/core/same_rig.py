@@ -26,7 +26,7 @@ def check_rig(model: RigModel, device: Dictionary) -> Check:
     model
         The rig of the experiment.
     device
-        What the device says of itself. Of a constant that it does not tell, nothing is known: that is said.
+        The device's dictionary. Constants that it does not contain are not compared; the check's text lists them.
 
     Returns
     -------

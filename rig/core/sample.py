@@ -58,15 +58,15 @@ class Phase(IntEnum):
     TRIAL = 3
     RELEASE = 4
     DONE = 5
-    FREE = 6  # between SETTLE and TRIAL: no effort, and nobody may begin yet
+    FREE = 6  # between SETTLE and TRIAL: no effort, and the person must not begin yet
 
 
-HOLD = 7  # told to those who watch a loop in place of TRIAL, from the contact on that a hold counts from
+HOLD = 7  # reported to observers of a loop instead of TRIAL, from the contact on from which a hold counts
 _PHASE_NAMES = {int(phase): phase.name.lower() for phase in Phase} | {HOLD: "hold"}
 
 
 def phase_name(phase: int) -> str:
-    """Word for a phase, as those who watch a loop are told it."""
+    """Return the name of a phase, as reported to observers of a loop."""
     return _PHASE_NAMES.get(phase, "unknown")
 
 

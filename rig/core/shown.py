@@ -1,4 +1,4 @@
-"""What a result shows of itself where nobody asked for more: a few lines at a prompt, tables in a notebook.
+"""Short form of a result: a few lines at a prompt, tables in a notebook.
 
 Commands and pages show all that a result offers (`rig.core.present`); this is its short form.
 """

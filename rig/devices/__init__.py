@@ -113,7 +113,7 @@ def open_link(url: str, model: RigModel | None = None) -> Link:
     ConfigError
         An unknown scheme, or an option that the backend does not know.
     DeviceNotFoundError
-        No such port, no permission, or somebody else has it.
+        No such port, no permission, or another program uses it.
     """
     parsed = DeviceUrl.parse(url)
     try:

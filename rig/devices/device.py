@@ -157,5 +157,5 @@ class RealLink:
         return None
 
     def truth(self) -> NDArray[np.void] | None:
-        """Return None: nobody knows the true state of a real rig."""
+        """Return None: the true state of a real rig is unknown."""
         return None

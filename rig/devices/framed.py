@@ -32,7 +32,7 @@ from rig.devices.device import Link
 
 SUPERVISE_EVERY_S = 0.005  # a quarter of the time that a law on the device continues without a command
 MOST_NS = (1 << 63) - 1  # what a stamp holds: 292 years
-EXCHANGES = 8  # of the clock, unless told otherwise
+EXCHANGES = 8  # of the clock, by default
 DRIFT_EXCHANGES, DRIFT_S = 20, 1.0  # of the clock, where its drift is wanted
 DRIFT_VIRTUAL_S = 0.1  # where time costs computing and nothing disturbs an exchange
 GOLDEN = 0.6180339887498949  # multiples of it modulo 1 are as odd as can be
@@ -114,9 +114,9 @@ class FramedDevice:
         Raises
         ------
         LinkLostError
-            Nobody answers.
+            No reply.
         IncompatibleDeviceError
-            Somebody answers, in another major version or with nonsense.
+            The reply has another major version, or is not valid.
         """
         reader = PageReader(DICTIONARY_LIMIT)
         while not reader.complete:
@@ -247,7 +247,7 @@ class FramedDevice:
         return reader.content
 
     def _add_page(self, reader: PageReader, reply: m.Identity | m.Parameters, fingerprint: int) -> None:
-        """Take the page that was asked for; a device that tells another one would be asked for ever."""
+        """Add the requested page; raises for another one, because the request would otherwise repeat forever."""
         with self._understood():
             if reply.offset != reader.offset:
                 raise RemoteProtocolError(f"the page at {reply.offset}, wanted the one at {reader.offset}")
@@ -401,10 +401,10 @@ class FramedDevice:
         return [event.message for event in self._events(seconds) if isinstance(event.message, m.State)]
 
     def status_of(self, request: m.Message, *, session: int | None = None) -> Status:
-        """Send a request of one's own making, with a fresh nonce, and return the status of its answer.
+        """Send a request that the caller built, with a fresh nonce, and return the status of the reply.
 
-        For requests that must be refused; the caller undoes one that was accepted. Raises `DeviceRefusedError` where
-        nobody knows that status.
+        For requests that must be refused; the caller undoes one that was accepted. Raises `DeviceRefusedError` for a
+        status that this version does not know.
         """
         answer = self._transact(replace(request, nonce=self._next_nonce()), session=session)  # type: ignore[type-var]
         if not isinstance(answer, m.Ack):
@@ -446,8 +446,8 @@ class FramedDevice:
     def close(self) -> None:
         """Disarm if a session is open, and release the link; never raises.
 
-        A device that has just left a transaction unanswered is told so as often, and its answer not awaited again: by
-        then it has heard no COMMAND for longer than any lives, its ramp included.
+        After a transaction timed out, DISARM is sent with all its retries without waiting for replies: by then the
+        device has received no COMMAND for longer than any command's lifetime and ramp.
         """
         if self.connection.session:
             self.stop()

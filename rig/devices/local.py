@@ -39,9 +39,9 @@ def serve(
     """Serve a simulated rig in this process until stopped (see `sim_backend.pty.serve`).
 
     The calling thread gets real-time scheduling and its processor while it serves, where that is granted, and
-    `scheduled` is told; ``realtime="off"`` requests none. It has them from the announcement on: to load and compile
-    a device takes a second and more, in which no other device, loop or drive on that processor would run. Raises
-    `DeviceNotFoundError` when the simulation does not load, and `PlanError` where the system is not Linux.
+    `scheduled` is called with them; ``realtime="off"`` requests none. It has them from the announcement on: loading and
+    compiling a device takes a second and more, in which no other device, loop or drive on that processor would run.
+    Raises `DeviceNotFoundError` when the simulation does not load, and `PlanError` where the system is not Linux.
     """
     refuse_real_time("a simulated rig", IN_VIRTUAL_TIME)
     server = devices.loaded(devices.SERVER)

@@ -125,7 +125,7 @@ class _Line(ThreadedLine):
         try:
             data: bytes = self._port.read(1)  # the first, or the time-out
             return data + self._port.read(self._port.in_waiting) if data else b""
-        except (OSError, TypeError) as error:  # pyserial's own port is None once it is closed
+        except (OSError, TypeError) as error:  # pyserial sets its port to None when it is closed
             raise OSError(getattr(error, "errno", None) or errno.ENODEV, os.strerror(errno.ENODEV)) from None
 
     def send(self, data: bytes) -> int:

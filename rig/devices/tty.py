@@ -1,7 +1,7 @@
 """Settings of a terminal line, each set and read back: a driver may take an ioctl and do nothing.
 
-All functions work on a descriptor and ask the kernel alone. What a line does not know at all (a pseudo-terminal
-has no modem lines) is None, not an error.
+All functions work on a descriptor and ask the kernel alone. A setting that a line does not have (a pseudo-terminal
+has no modem lines) is returned as None and is not an error.
 """
 
 from __future__ import annotations

@@ -15,10 +15,10 @@ agree all sets of two, of three, of four. The sets of the first size that has so
 * Several cures of one: an interaction, each of these is needed (`EACH`). Without any one of them there is no
   disagreement.
 * Cures of two or more only: none is needed by itself, for others do the same (`OTHERS`).
-* No cure: `NONE`. What is left then is what the hit has and theory has not beside these four: an end, the hand's own
-  motion, thresholds, the quantum of the current.
+* No cure: `NONE`. The cause is then a difference between hit and theory other than these four: an end of the travel,
+  the hand's own motion, thresholds, the quantum of the current.
 
-A hit that shows nothing (invalid) makes nobody agree.
+An invalid hit does not count as agreement.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a rig shows while nobody touches the wall: the free space at the beginning of a person's trial."""
+"""Measure a rig's baseline without contact with the wall: the free space at the start of a person's trial."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Baseline:
 
 
 def baseline(recording: Recording, experiment: Experiment) -> Baseline | None:
-    """Measure the free space in a recording of this experiment; None where there is none."""
+    """Measure the free space in a recording of this experiment; None if it contains none of that phase."""
     rows = recording.rows[recording.rows["phase"] == Phase.FREE]
     if len(rows) == 0:
         return None

@@ -190,7 +190,7 @@ class SchemeComparison(Shown, Drawn):
         )
 
     def __getitem__(self, name: str) -> SchemeImpacts:
-        """Return the outcome of the entry of that name; `KeyError` if there is none."""
+        """Return the outcome of the entry of that name; raises `KeyError` if no entry has it."""
         for outcome in self.outcomes:
             if outcome.entry.name == name:
                 return outcome
@@ -216,7 +216,7 @@ def default_entries(experiment: Experiment) -> tuple[Entry, Entry, Entry]:
 
 
 def entries_of(experiment: Experiment, schemes: Sequence[str | Scheme]) -> tuple[Entry, ...]:
-    """Return an entry for each scheme, ``"none"`` for no damping; `default_entries` if there are none."""
+    """Return an entry for each scheme, ``"none"`` for no damping; `default_entries` if `schemes` is empty."""
     usual = default_entries(experiment)
     if not schemes:
         return usual

@@ -155,7 +155,7 @@ def error_of(end: LoopEnd, url: str, fault: FaultReport | None, rows: NDArray[np
     url
         Of the device.
     fault
-        What the device said of its fault, if it was asked and answered.
+        The device's fault report, if it was requested and received.
     rows
         The last rows of the ring, which the error carries.
     """
@@ -164,7 +164,7 @@ def error_of(end: LoopEnd, url: str, fault: FaultReport | None, rows: NDArray[np
     kind, message, remedy = ENDINGS[end.reason]
     named = (
         fault if fault is not None and fault.code != Fault.NONE else None
-    )  # a device may say that there is none
+    )  # a device may report that it has no fault
     errno = end.counters["errno"]
     loss = failure(errno, url)
     if end.reason == EndReason.LINK_CLOSED:

@@ -157,7 +157,7 @@ def export_estimator(
     overwrite
         Replace files of those names.
     on_progress
-        Is told each step and its share.
+        Called with each step and its share.
 
     Raises
     ------

@@ -30,7 +30,7 @@ from rig.experiments.cases import DELAY_STEP_S, Case
 
 APPROACH_S, REST_S, LISTENED_S = 0.2, 1.0, 0.5  # of the rest that noise is measured in
 APPROACH_PERIOD_COUNTS = 0.1 * math.pi  # speed before the rest (counts in a period): no whole number
-SILENCE_COUNTS = 1e-6  # velocity (counts in a period) that is none
+SILENCE_COUNTS = 1e-6  # velocity (counts in a period) up to which an estimate counts as zero
 TIMED_SAMPLES = 50_000
 TIMED_RUNS = 9
 
@@ -75,8 +75,8 @@ class Score:
     rms
         Raw error, rms.
     delay_s
-        Shift of the truth that leaves the least error: below zero for an estimate ahead of time; NaN when it cannot be
-        told (see `delay`).
+        Shift of the truth that leaves the least error: below zero for an estimate ahead of time; NaN when it is not
+        identifiable (see `delay`).
     rms_without_delay
         The error that is left then.
     rest_rms, toggling_rms
@@ -202,12 +202,12 @@ def raw_error(case: Case, velocity: Floats) -> float:
 
 
 def delay(case: Case, velocity: Floats) -> float:
-    """Shift of the truth (s) that leaves the least squared error; NaN when it cannot be told.
+    """Return the shift of the truth (s) that leaves the least squared error; NaN when it is not identifiable.
 
-    Looked for on the grid of `rig.experiments.cases`, and between its points on the parabola through the best one
-    and its neighbours: the error is smooth over many steps of the grid, which leaves microseconds. It cannot be told
-    when the true velocity is constant, when the best shift is an end of the grid, or when the estimate is so noisy that
-    the standard error of the shift exceeds one step.
+    Searched on the grid of `rig.experiments.cases`, and between its points on the parabola through the best one
+    and its neighbours: the error is smooth over many steps of the grid, which leaves microseconds. The shift is not
+    identifiable when the true velocity is constant, when the best shift is an end of the grid, or when the estimate is
+    so noisy that the standard error of the shift exceeds one step.
     """
     if np.ptp(case.true_velocity) <= 1e-9 * case.speed_rms:
         return math.nan

@@ -79,7 +79,7 @@ def excitation_checks(experiment: Experiment) -> list[Check]:
 
 
 def _rendered_check(found: Peak, motion: Motion) -> Check:
-    """What the motor renders is clipped by the guard, which spoils a measurement and endangers nobody."""
+    """Warn above the limit: the guard clips the rendered effort, which spoils a measurement but is safe."""
     return limited(
         found.name,
         found.holds,

@@ -49,7 +49,7 @@ Signal = Literal["count", "truth"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RealisationRun:
-    """One realisation: its record, or why there is none.
+    """One realisation: its record, or why it ended early.
 
     Attributes
     ----------

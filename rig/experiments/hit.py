@@ -55,15 +55,16 @@ class HitRequest(RigRequest):
     reference_count
         Count at position zero of a real rig. None: see `rig.experiments.zero.position_zero`.
     arm_anyway
-        See `rig.bench.doctor.gate`; it is said and recorded.
+        See `rig.bench.doctor.gate`; the override is reported and recorded.
     measuring
-        Told, while the link is measured before arming, the share of that which is done.
+        Called while the link is measured before arming, with the share that is done.
     judged_link
-        Told before arming what the measured link says for and against it.
+        Called before arming with the assessment of the measured link.
     hands_off
-        Told before a torque pulse what to do: a real rig is pushed before it is armed for a person.
+        Called before a torque pulse with the instruction to the operator: a real rig is pushed before it is armed for a
+        person.
     blinded
-        Somebody must not know the wall: whoever shows the running loop to people shows nothing of it.
+        A person must not know the wall: a program that displays the running loop must not show anything of it.
     """
 
     realtime: Annotated[
@@ -196,7 +197,7 @@ def hit(request: HitRequest, watch: Watch | None = None) -> Iterator[HitResult]:
         What to do.
     watch
         Called before each repeat with its number and the experiment in effect; may return a function that
-        is told (ticks, phase) while the trial runs.
+        is called with (ticks, phase) while the trial runs.
 
     Raises
     ------
@@ -348,7 +349,7 @@ def _reference_count(request: HitRequest, device: FramedDevice, experiment: Expe
 
 
 def _check_it_moves(request: HitRequest, device: FramedDevice, run: PreparedRun) -> None:
-    """A real rig is not armed for a person before it has moved as it is described, with nobody holding it."""
+    """Require a real rig to have moved as described, with its handle free, before it is armed for a person."""
     experiment = run.experiment
     if experiment.trial.kind != "human" or device.dictionary.simulated or device.moved_as_described:
         return

@@ -19,7 +19,7 @@ from rig.core.sample import unit_of
 
 @dataclass(frozen=True)
 class Identified:
-    """Keys with their new values, and for each what it is ± and the motion that told it."""
+    """Keys with their new values, and for each the text with its ± and the motion that identified it."""
 
     values: dict[str, Any] = field(default_factory=dict)
     sources: dict[str, tuple[str, str]] = field(default_factory=dict)

@@ -218,7 +218,7 @@ def identify(request: IdentifyRequest, tell: Tell | None = None, ask: Ask | None
     request
         What to do.
     tell
-        Told in a line what happens next.
+        Called with one line that says what happens next.
     ask
         Has a person hang the mass on a real rig, and returns when it is done.
 
@@ -571,7 +571,7 @@ def _at_rates(
 
 
 def _stated_rate(request: IdentifyRequest) -> Any:
-    """The rate that the user set by hand, None where there is none."""
+    """Return the rate that the user set by hand, None if the user set none."""
     return request.rate_hz or next((request.changes[key] for key in RATES if key in request.changes), None)
 
 

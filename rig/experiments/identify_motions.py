@@ -524,10 +524,10 @@ def push_growth(x: Experiment) -> float:
 
 
 def most_push(x: Experiment) -> float:
-    """Where a push gives up (N·m or N): after `PUSH_S`, or where a handle that nobody sees has become fast.
+    """Return the effort at which a push ends (N·m or N): after `PUSH_S`, or where an undetected motion would be fast.
 
-    Under an effort g·t a free handle of inertia m and Coulomb friction F has the speed (g·t − F)²/(2·g·m): that is what
-    a dead encoder hides.
+    Under an effort g·t a free handle of inertia m and Coulomb friction F has the speed (g·t − F)²/(2·g·m), which a dead
+    encoder would not show.
     """
     growth, speed = push_growth(x), UNSEEN_SPEED * x.rig.limits.speed
     return min(growth * PUSH_S, coulomb_of(x) + math.sqrt(2.0 * growth * inertia_of(x) * speed))
@@ -637,7 +637,7 @@ _NO_WALL: dict[str, Any] = {
 
 
 def still(x: Experiment) -> Experiment:
-    """The same rig in nobody's hand."""
+    """Return the same rig with its handle free."""
     return _moved(x, _middle(x), 1.0, slow_rate(x), {})
 
 

@@ -1,7 +1,7 @@
 """One hit from its first contact on: how deep, how often, how long, in encoder counts as the device counts them.
 
-Depth is measured in counts because that is what Koul et al. plot (Fig. 7), and because the swing that tells a peak
-from a toggling count is a number of counts.
+Depth is measured in counts because that is what Koul et al. plot (Fig. 7), and because the oscillation that separates a
+peak from a toggling count is a number of counts.
 """
 
 from __future__ import annotations

@@ -245,7 +245,7 @@ def measure_impedance(
     judging
         Band and thresholds of the verdict.
     watch
-        Told after each run.
+        Called after each run with the number of runs done and their total.
 
     Raises
     ------
@@ -471,7 +471,7 @@ def known_device(experiment: Experiment) -> RigidRig:
 
 
 def expected(experiment: Experiment, lines_hz: Floats, signal: Signal = "count") -> Complexes | None:
-    """Closed form of rig and wall without friction and quantum, where the position is taken; None if there is none."""
+    """Return the closed form of rig and wall without friction and quantum, at the measured position, if it exists."""
     wall, seen = experiment.wall, SEEN[signal]
     try:
         return rendered(experiment, wall.stiffness, wall.damping, lines_hz, seen=seen)
@@ -482,7 +482,7 @@ def expected(experiment: Experiment, lines_hz: Floats, signal: Signal = "count")
 def _recorded_whole(
     trials: Trials, experiment: Experiment, realisation: int
 ) -> tuple[RealisationRun, list[Path]]:
-    """One realisation, again if samples of it were lost: a period with a hole is none."""
+    """Record one realisation; repeat it if samples were lost, because a period with a gap cannot be used."""
     paths: list[Path] = []
     while True:
         try:

@@ -49,7 +49,7 @@ def experiment_of(recording: Recording) -> Experiment:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verdicts:
-    """What is said of a recording's wall, and kept in its trailer.
+    """Verdicts on a recording's wall, stored in its trailer.
 
     Attributes
     ----------
@@ -183,9 +183,9 @@ class Judgement(Verdicts):
 
 
 def verdicts_of(recording: Recording, experiment: Experiment) -> Verdicts:
-    """Return what was said of a recording when it was sealed; where that is not known, it is judged now.
+    """Return the verdicts that were stored when a recording was sealed; judge it now if they are missing.
 
-    So it is with a recording whose writer died, a cut, and one that another version wrote in its own words.
+    They are missing in a recording whose writer died, in a cut, and in one that another version wrote in its format.
     """
     try:
         told: Verdicts = pydantic.TypeAdapter(Verdicts).validate_python(recording.trailer)
@@ -195,7 +195,7 @@ def verdicts_of(recording: Recording, experiment: Experiment) -> Verdicts:
 
 
 def judge(recording: Recording, experiment: Experiment) -> Judgement:
-    """Measure and judge a recording; `experiment` is the one in effect, from `experiment_of` where nobody has it."""
+    """Measure and judge a recording; `experiment` is the one in effect; `experiment_of` reads it from the recording."""
     limits, wall, early = verdict_thresholds(experiment), experiment.wall, ended_early(recording)
     tick_s, thrown_out = 1.0 / experiment.controller.position_rate, early is not None
     by_the_drive = recording.header["extra"].get("arithmetic") == "drive"
@@ -294,7 +294,7 @@ def _began(recording: Recording) -> float | None:
 
 
 def _overruled(measured: Measured, overruling: tuple[Kind, str] | None) -> Verdict:
-    if overruling == FALSE_START:  # nothing else can be said of a trial that never began
+    if overruling == FALSE_START:  # a trial that never began has no other reasons
         return verdict.overruled(replace(measured.verdict, reasons=()), *overruling)
     if measured.found & Objection.CURRENT:  # whatever the handle did then, it says nothing of the wall
         return measured.verdict

@@ -364,7 +364,7 @@ def design(
     directory
         Where the search is kept, and resumed when it was stopped; not kept if None.
     workers, scheduler, watch
-        As in `rig.experiments.sweep.run`; `watch` is told the name of the stage, too.
+        As in `rig.experiments.sweep.run`; `watch` is also called with the name of the stage.
 
     Raises
     ------

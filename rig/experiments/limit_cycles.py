@@ -1,7 +1,7 @@
 """How well describing functions predict the limit cycle of the encoder's quantum: beside the same walls, simulated.
 
 **The walls**: under each scheme B at `DAMPINGS` of its B_max, and K at `STIFFNESSES` of K_max there, both of the linear
-theory; nobody holds the handle. Each is a wall on both sides against a push that rests `DEPTH` counts deep, half-way
+theory; the handle is free. Each is a wall on both sides against a push that rests `DEPTH` counts deep, half-way
 between two counts: that buzzes most. The handle is let go `AWAY` counts deeper, moves for `SETTLE_S`, and is measured
 for `MEASURED_S`: with the rig's friction and without, its effort limited by the wire alone.
 
@@ -11,7 +11,7 @@ a cycle whose phase wanders, as toggling between two ticks makes it; a line fitt
 such a cycle. A wall *rests* where no count changes any more. **The errors** are predicted over measured, less one, over
 the walls where both have a cycle; where only one of both has one is counted apart. Where less than `PURE` of the
 variance lies in the band the motion is no sinusoid, and its errors are given apart. So are, once more, those of the
-walls whose predicted cycle is `alone` (`rig.analysis.theory.describing`), which can be said of a wall beforehand.
+walls whose predicted cycle is `alone` (`rig.analysis.theory.describing`), which is known before any simulation.
 """
 
 from __future__ import annotations
@@ -124,7 +124,7 @@ class Tally:
     Attributes
     ----------
     sinusoids, others
-        Errors where the motion is a sinusoid and where it is none.
+        Errors where the motion is a sinusoid and where it is not.
     alone
         Errors where the loop without friction balances at a single frequency.
     both_rest

@@ -135,7 +135,7 @@ def _allowed() -> str:
 
 
 def _post(ring: Ring, changes: Mapping[str, Any]) -> tuple[int, Experiment]:
-    """Work out the set from what the loop runs now, and post it unless somebody else was faster: then anew."""
+    """Compute the set from what the loop runs now, and post it; retry if another program changed the loop meanwhile."""
     for _ in range(TRIES):
         info, word = ring.info_and_word()
         if "experiment" not in info or "current_quantum_a" not in info:
@@ -157,7 +157,7 @@ def _post(ring: Ring, changes: Mapping[str, Any]) -> tuple[int, Experiment]:
             "reference_count": info.get("reference_count", 0),
         }
         values = parameter_set(experiment, **device)
-        if experiment.controller.loop == "device":  # refused here, where somebody hears it
+        if experiment.controller.loop == "device":  # refused here, where the caller receives the error
             armed = controller.for_experiment(running_now, **device)
             device_law.live_parameters(armed, device_law.arithmetic_of(experiment.controller), values)
         if ring.get(LOOP_DONE):

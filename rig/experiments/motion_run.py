@@ -1,4 +1,4 @@
-"""One motion of a rig that nobody holds, as a recorded trial on an open device: its rows, every sample of them."""
+"""Run one motion of a rig with a free handle as a recorded trial on an open device; return every sample of it."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class TimingError(IdentificationError):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FreeRigRequest(RigRequest):
-    """Which rig is to move with nobody at its handle, and where; the wall and the trial of it are not used."""
+    """Which rig is to move with a free handle, and where; the wall and the trial of it are not used."""
 
     verified: Annotated[
         bool, Keyword("On a real rig: a push of the wrong sign can hurt nothing.", group="Device")
@@ -56,7 +56,7 @@ class FreeRigRequest(RigRequest):
 
 
 def refuse_unverified(device: FramedDevice, *, verified: bool) -> None:
-    """Raise `ConfigError` for a real rig of whose signs nobody has said anything."""
+    """Raise `ConfigError` for a real rig whose signs the caller has not declared as verified."""
     if device.dictionary.simulated or verified:
         return
     raise ConfigError(

@@ -1,7 +1,7 @@
-"""An experiment file for a rig of one's own, from two data sheets: every number with its unit and where it is from.
+"""Write an experiment file for a new rig from two data sheets: every number with its unit and its source.
 
-Values are computed at the hand. Start, push, wall and homing are chosen so that `rig experiment plan` holds and a hit
-reaches the wall; what the plan still refuses is changed as its checks name it.
+Values are computed at the handle. Start, push, wall and homing are chosen so that `rig experiment plan` passes and a
+hit reaches the wall; what the plan still refuses is changed as its checks state.
 """
 
 from __future__ import annotations
@@ -122,7 +122,7 @@ def new_rig(
     **data_sheets
         Numbers in SI units, by the names of `rig.config.data_sheets.DataSheets`: ``mechanism="lever",
         torque_constant=0.0385, rotor_inertia=1.1e-5, nominal_current=2.5, encoder_lines=2048, transmission=12.0,
-        handle_length=0.08, handle_mass=0.06``. What is left out of the others is assumed, and marked so in the file.
+        handle_length=0.08, handle_mass=0.06``. Others that are omitted are assumed, and marked so in the file.
 
     Raises
     ------

@@ -63,7 +63,7 @@ class Ended:
 
 @dataclass(frozen=True, slots=True)
 class Trials:
-    """Trials on a device that is kept open; `device` is None where each has a fresh one. One stop ends them all."""
+    """Trials on a device that stays open; without `device` (None) each opens a new one. One stop ends them all."""
 
     where: OnDevice
     device: FramedDevice | None

@@ -1,4 +1,4 @@
-"""What an experiment will do, and whether it may: listed and checked before anybody touches the handle.
+"""List what an experiment will do, and check whether it is permitted, before a person touches the handle.
 
 No device is touched here. The predictions are those of one rigid mass without damping, which errs on the hard
 side: a real hit is slower and softer.

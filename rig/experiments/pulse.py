@@ -127,7 +127,7 @@ def check_rig_moves(request: FreeRigRequest) -> Pulse:
 def pulse(
     device: FramedDevice, experiment: Experiment, *, recording: Path, verified: bool, reference_count: int
 ) -> Pulse:
-    """Push a rig that nobody holds, and compare its motion with the described one.
+    """Push a rig whose handle is free, and compare its motion with the described one.
 
     Parameters
     ----------

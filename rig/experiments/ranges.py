@@ -1,4 +1,4 @@
-"""Where a map begins and ends when nobody says, and what linear theory expects of each of its schemes.
+"""Default ranges of a map, and what linear theory expects of each of its schemes.
 
 A map of hits goes up to the stiffness that the push can show, and a little beyond the largest damping of the theory;
 one of impedances to a share of what the theory calls stable.
@@ -223,7 +223,7 @@ def hit_plan(
     judged: Judged | None = None,
     on_device: bool = False,
 ) -> MapPlan:
-    """A plan with everything said.
+    """Return a plan with every setting stated.
 
     Parameters
     ----------
@@ -302,7 +302,7 @@ def frequency_plan(
     judging: Judging | None = None,
     signal: Signal | None = None,
 ) -> FrequencyPlan:
-    """A plan with everything said.
+    """Return a plan with every setting stated.
 
     Parameters
     ----------

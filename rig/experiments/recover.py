@@ -1,4 +1,4 @@
-"""After a crash: find the captures that nobody sealed, say what was lost, and seal them.
+"""After a crash: find the captures that were not sealed, report what was lost, and seal them.
 
 A capture that is still being written is left alone: its writer holds a lock on it, and a loop in real time names its
 recording in its shared memory until it has sealed it. Nothing is overwritten, and a capture goes only after its sealed
@@ -33,7 +33,7 @@ class CaptureState(StrEnum):
     """State of a capture after recovery."""
 
     SEALED = "sealed"
-    IN_USE = "in use"  # somebody writes or seals it
+    IN_USE = "in use"  # another process writes or seals it
     FAILED = "failed"
 
 
@@ -56,8 +56,8 @@ class Recovered:
     duration_s
         Length of what is there (s).
     lost_at_most_s
-        Time of the run that may be missing at its end and in the middle (s); None when nobody can tell, for a
-        simulation in virtual time, which can be run again.
+        Time of the run that may be missing at its end and in the middle (s); None if unknown, for a simulation in
+        virtual time, which can be run again.
     complete
         Whether the writer came to its end; then nothing is missing there.
     reason
@@ -145,7 +145,7 @@ def _remove_drafts(sealed: Path) -> None:
 
 
 def _with_cost(capture: Path, sealed: Path, recording: Recording) -> Recovered:
-    """What there is and what is not; `sealed` is the capture itself where Parquet cannot be written."""
+    """Return the saved and the lost part; `sealed` is the capture itself where Parquet cannot be written."""
     tick_s = _tick_s(recording)
     missing = sum(loss.rows or 0 for loss in recording.lost)
     at_risk_s: float | None = missing * tick_s
@@ -174,7 +174,7 @@ def _tick_s(recording: Recording) -> float:
 
 @contextmanager
 def _alone(capture: Path) -> Iterator[bool]:
-    """Hold the lock that a writer holds; yields False when somebody has it. Raises `OSError` when it is gone."""
+    """Hold a writer's lock; yields False if another process holds it. Raises `OSError` if the capture is missing."""
     descriptor = os.open(capture, os.O_RDONLY)
     try:
         ours = True

@@ -6,7 +6,7 @@
 An incremental encoder counts from where the handle stood at power-up. Its index comes once in a turn of the encoder, so
 that behind a limit switch the first one on the way back is always the same. Where the travel holds one index only, it
 is enough by itself. The device keeps what was found until it restarts or loses counts: walls then stand at the same
-place of the mechanism, whoever put the handle where (drives call this homing by limit switch and
+place of the mechanism, wherever the handle was placed before (drives call this homing by limit switch and
 index pulse; here homing is the servo that takes the handle to the start of a trial).
 
 A search with a wrong sign runs away, so that it begins with a torque pulse (`rig.experiments.pulse`) and is bounded: by
@@ -116,7 +116,7 @@ class FoundReference:
 
 
 def find_reference(request: ReferenceRequest, tell: Tell | None = None) -> FoundReference:
-    """Open a device, and find its reference; `tell` is told what happens next. Errors as `reference`."""
+    """Open a device, and find its reference; `tell` is called with what happens next. Errors as `reference`."""
     x = config.override(request.experiment, request.changes)
     _refuse_without_index(x)
     url = devices.url_for(request.url or "sim://", x.controller.loop)
@@ -154,9 +154,9 @@ def reference(
     verified
         As in `rig.experiments.hit.HitRequest`; not needed by hand.
     by_hand
-        Somebody moves the handle.
+        A person moves the handle, not the motor.
     tell
-        Told what happens next, or what to do.
+        Called with what happens next, or what to do.
 
     Raises
     ------
@@ -210,7 +210,7 @@ _Found = tuple[int, int | None, int | None]  # counts: of the index, of the swit
 
 
 class _IndexSearch:
-    """One search on an open device, in counts; positions are from a zero that nobody knows yet."""
+    """One search on an open device, in counts; positions are relative to a zero that is not known yet."""
 
     def __init__(
         self, device: FramedDevice, x: Experiment, output: Path, tell: Tell, *, verified: bool
@@ -344,7 +344,7 @@ class _IndexSearch:
     # ------------------------------------------------------------------ by hand
 
     def by_hand(self) -> _Found:
-        """Look on while somebody moves the handle."""
+        """Observe the index and the switch while a person moves the handle."""
         away = "rising" if self._away * self._x.rig.encoder.sign > 0 else "falling"
         switched = self._reference.limit_switch != "none"
         where = "press the limit switch with the handle, then move it" if switched else "move the handle"

@@ -1,6 +1,6 @@
 """Which wall to try next, and how far the walls reach that pass: searches through one damping and through a grid.
 
-A search is a generator: it yields a wall and is sent the outcome, whoever finds that out; `drive` runs one.
+A search is a generator: it yields a wall and is sent its outcome from any source; `drive` runs one.
 
 * **ladder** (one damping): upwards from the lowest rung until everything has failed, as in Koul et al., section III.
   It finds the end of the range that is connected with soft walls, and costs most where walls are stable.
@@ -205,7 +205,7 @@ class Extent:
     area
         Under the curve, up to that damping; a hole counts as zero there, so it is a lower bound where there are holes.
     holes
-        Dampings below it at which no wall passed: the limit lies below the softest wall that was tried, or is none.
+        Dampings below it at which no wall passed: the limit lies below the softest wall tried, or does not exist.
     """
 
     damping: float

@@ -142,7 +142,7 @@ class RigRequest:
 def changes_of(options: Mapping[str, Any], known: type) -> dict[str, Any]:
     """Changes by dotted key that the settings among some options mean, those of ``changes`` last.
 
-    `known` is the TypedDict whose names may be said; `ConfigError` for another one, with the closest of them.
+    `known` is the TypedDict of the permitted names; raises `ConfigError` for another one, with the closest of them.
     """
     names, keys = get_type_hints(known), keywords(known)
     changes: dict[str, Any] = {}

@@ -11,7 +11,7 @@ larger for that alone, and where the rig's inertia dominates it is that of the s
 them stands the fidelity at walls with damping (without it the estimator has no effect) that are connected under every
 scheme that has any.
 
-*Tunable numbers* are counted as the paper does: those that somebody chose for this map, which are the numbers that the
+*Tunable numbers* are counted as the paper does: those that were chosen for this map, which are the numbers that the
 scheme or the experiment states. Levant's C, μ1 and μ2 make two gains, α = μ1·C and λ = μ2·√C, and count as two.
 Options (words) and what keeps its default do not count, although some defaults matter: FOAW's longest window does.
 """
@@ -117,7 +117,7 @@ class FrequencyWidth:
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """Mean, standard deviation and range over realisations; `count` of them said something."""
+    """Mean, standard deviation and range over realisations; `count` of them gave a finite value."""
 
     mean: float
     deviation: float
@@ -127,7 +127,7 @@ class Spread:
 
     @classmethod
     def of(cls, values: Sequence[float]) -> Spread:
-        """Summarise numbers; those that are none are left out. The deviation of fewer than two is NaN."""
+        """Summarise numbers; values that are not finite are left out. The deviation of fewer than two is NaN."""
         kept = [value for value in values if math.isfinite(value)]
         if not kept:
             return cls(math.nan, math.nan, math.nan, math.nan, 0)

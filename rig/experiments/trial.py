@@ -82,7 +82,7 @@ class TrialRequest:
     )
     sealed: bool = True  # False leaves the capture as it is, for callers that run thousands of trials
     extra: dict[str, Any] = field(default_factory=dict)
-    blinded: bool = False  # told to whoever looks at the loop, see `rig.experiments.hit.HitRequest`
+    blinded: bool = False  # passed to observers of the loop, see `rig.experiments.hit.HitRequest`
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +102,7 @@ class TrialEnd:
     sealed
         The recording as it was read back from its sealed file; None where it was not sealed.
     judgement
-        What the request's `judge` said of it.
+        Result of the request's `judge`.
     """
 
     experiment: Experiment
@@ -115,7 +115,7 @@ class TrialEnd:
 
 
 def end_of(error: BaseException) -> TrialEnd | None:
-    """How the run ended that this error tells of; None where none began."""
+    """Return how the run of this error ended; None if no run began."""
     end: TrialEnd | None = getattr(error, "end", None)
     return end
 
@@ -130,8 +130,8 @@ def prepared_on(
 ) -> PreparedRun:
     """Prepare a run for an open device; see `rig.config.controller.prepared`.
 
-    A reference count that is the device's own (`rig.experiments.reference`) is said to be one. Raises `PlanError` for a
-    law that this computer would have to run in real time, and cannot.
+    A reference count that is the device's own (`rig.experiments.reference`) is marked as referenced. Raises `PlanError`
+    for a law that this computer would have to run in real time, and cannot.
     """
     if experiment.controller.loop == "host" and not device.link.clock.virtual:
         if law is None:
@@ -199,7 +199,7 @@ def run_trial(device: FramedDevice, request: TrialRequest) -> TrialEnd:
         by = f" by {stop_requests.requester()}" if signals.is_stopped else ""
         error = StoppedError(f"stopped{by} after the trial had finished; the effort is zero")
     elif isinstance(error, RigError) and signals.is_stopped and not isinstance(error, StoppedError):
-        # A caller may go on after it, with the next wall: not when somebody said stop.
+        # After other errors a caller may continue with the next wall; after a stop request it must not.
         by = stop_requests.requester()
         error = StoppedError(
             f"stopped by {by} after the trial had ended: {error.message}", remedy=error.remedy
@@ -244,7 +244,7 @@ def _ring(device: FramedDevice, request: TrialRequest) -> Ring:
         "experiment": as_mapping(run.experiment),
         "current_quantum_a": run.current_quantum_a,
         "reference_count": run.reference_count,
-        "law": run.own_law,  # the caller's own: its parameters are nobody else's to compute
+        "law": run.own_law,  # the caller's own: other programs cannot compute its parameters
         "gate": {name: gate[name] for name in ("delay_ticks", "simulated", "forced")} if gate else None,
         "blinded": request.blinded,
     }
@@ -298,7 +298,7 @@ def _arm(
 
 
 def _compares_currents(device: FramedDevice, experiment: Experiment) -> bool:
-    """Not where a drive renders the wall: it changes its current within a tick, and tells one of it."""
+    """Return False where a drive renders the wall: its current changes within a tick, it reports one value."""
     return device.dictionary.current_measured and not is_on_the_drive(experiment)
 
 
@@ -323,7 +323,7 @@ def _loop_of(run: PreparedRun, link: Link) -> Callable[..., LoopThread]:
 def _supervising(
     settings: LoopSettings, experiment: Experiment, parameters: Mapping[str, Value]
 ) -> LoopSettings:
-    """The settings of a loop that says how to go on, and computes the same rows."""
+    """Return the settings of a loop that supervises a law on the device, and computes the same rows."""
     return replace(
         settings,
         lifetime_us=int(parameters["supervise_lifetime_us"]),
@@ -387,7 +387,7 @@ def _conclude(
         Exception
     ):  # the far end may be gone, or the simulation broken: what ended the run is known
         if end.reason == EndReason.DEVICE_FAULT:
-            fault = device.explain_fault(loop.fault)  # what STATE says, in case nobody answers now
+            fault = device.explain_fault(loop.fault)  # from STATE, in case the device does not reply now
             report = device.fault_report()
             fault = report if report.code != Fault.NONE else fault
         if end.reason == EndReason.LINK_SILENT and device.has_restarted():

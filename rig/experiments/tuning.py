@@ -135,10 +135,10 @@ def tune_estimator(
     case
         Counts with the velocity behind them: `counts_case` of arrays, `recording_case` of a recording.
     objective
-        ``"rms"``: raw error. ``"delay-corrected-rms"``: what is left when delay is forgiven. ``"rms+delay"``: the
+        ``"rms"``: raw error. ``"delay-corrected-rms"``: residual after correction of the delay. ``"rms+delay"``: the
         latter as a share of the speed, and 10 ms of delay weigh as much as the speed.
     settings
-        Where the search starts; what is left out starts at its default. Choices keep what is given here.
+        Where the search starts; settings not given start at their default. Choices keep the value given here.
     free
         Numbers to tune. None: all whose change is allowed and changes the estimate, but not those that start at zero,
         which says "not given".

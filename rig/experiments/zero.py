@@ -1,4 +1,4 @@
-"""Which count is position zero: the device's own reference, or where somebody has put the handle."""
+"""Count of position zero: the device's own reference, or the place where the operator has put the handle."""
 
 from __future__ import annotations
 

@@ -47,7 +47,7 @@ from rig.experiments.searches import (
 )
 
 Judged = Literal["true", "recorded"]
-OFFSETS = (0.1, 0.6)  # places of zero that a map takes unless told otherwise
+OFFSETS = (0.1, 0.6)  # default encoder offsets of a map, as shares of a count
 TRUE = "_true"  # how columns of the simulation's truth end, as in recordings
 _BEFORE = "guard tripped before the wall"  # what the numbers of a hit do not show
 

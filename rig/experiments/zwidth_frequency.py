@@ -5,8 +5,8 @@
 
 A map is an exhaustive grid. Each wall is excited by several realisations of the excitation, and every one of them is
 judged by itself (its variance is then that between its periods, which does not see what friction does alike in each
-of them) and all together (variance between realisations). The spread of the first is how far a single measurement
-may be believed; the second is the map. A wall that throws the handle out, or to its speed limit, is not passive.
+of them) and all together (variance between realisations). The spread of the first is the uncertainty of a single
+measurement; the second is the map. A wall that throws the handle out, or to its speed limit, is not passive.
 
 A task of the sweep is a column: one scheme and one damping. It is decided by its description alone, as in
 `rig.experiments.zwidth`, and by the same machinery: journal, resume, threads, Dask.
@@ -244,7 +244,7 @@ class FrequencyMap(Shown, Drawn):
         return [f"impedances of {plan.experiment.rig.name}, from {low:g} to {high:g} Hz", *rows]
 
     def table(self) -> Iterator[dict[str, Any]]:
-        """Every row, flat: scheme and damping before the others; realisation is None for all together."""
+        """Yield every row, flat: scheme and damping first; a row for all realisations together has realisation None."""
         for (number, damping), rows in zip(self.plan.columns(), self.columns, strict=True):
             for row in rows:
                 of_row = {key: value for key, value in row.items() if key != "runs"}

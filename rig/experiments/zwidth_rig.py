@@ -146,7 +146,7 @@ def _check(plan: MapPlan) -> None:
 
 
 def _check_hits(plan: MapPlan, device: FramedDevice) -> None:
-    """Refuse what could not be hit, before anybody waits hours for it: the ends of the search under every scheme."""
+    """Refuse walls that cannot be hit before hours of measurement begin: the ends of the search under every scheme."""
     rungs = plan.search.rungs
     for number, scheme in enumerate(plan.schemes):
         under = plan.experiment_of(next(one for one in plan.series() if one.scheme == number))

@@ -103,7 +103,7 @@ def _take_batch(
 
 @kernel(types.void(SETTINGS_TYPE, BUFFERS_TYPE, SUPERVISION_BUFFERS_TYPE, types.uintp))
 def _take_state(settings: Any, buffers: Buffers, supervised: SupervisionBuffers, words: int) -> None:
-    """Keep a STATE if it is newer than the last one, and believed: as the newest, and until its sample comes."""
+    """Store a STATE as the newest, and until its sample arrives, if it is newer than the last one and accepted."""
     v, p = supervised.supervision[0], buffers.progress[0]
     header, candidate = buffers.header, buffers.candidate
     states, newest = supervised.states, supervised.newest

@@ -1,8 +1,8 @@
-"""What a device says of a sample against what it said before and what it was sent: a contradiction ends the run.
+"""Check a device's reports against its earlier reports and the commands sent: a contradiction ends the run.
 
-Its clock counts as its samples do, an edge is not younger than its sample, a tick that it missed has no sample, and
-its active command is one that left not long before. A number of samples that goes back further than frames can
-overtake each other is a device that restarted.
+Its clock advances as its samples do, an edge is not younger than its sample, a missed tick has no sample, and the
+active command was sent shortly before. A sample index that goes back further than frames can be reordered means that
+the device restarted.
 """
 
 from __future__ import annotations
@@ -92,9 +92,9 @@ def _of_itself(settings: Any, progress: Any, told: Any) -> int:
 
 @kernel(types.UniTuple(types.int64, 2)(SETTINGS_TYPE, PROGRESS_TYPE, INTS, INTS, types.boolean))
 def take_news(settings: Any, progress: Any, told: Any, before: Any, first: bool) -> tuple[int, int]:
-    """Look at a STATE beside the newest one so far: by how many samples it is newer, and 1 if it is believed.
+    """Compare a STATE with the newest one so far; return by how many samples it is newer, and 1 if it is accepted.
 
-    A contradiction goes to `progress`. A STATE that tells a fault is believed: it ends the run anyway.
+    A contradiction is stored in `progress`. A STATE that reports a fault is accepted: it ends the run anyway.
     """
     p = progress[0]
     newer, error, found = 1, 0, _NONE

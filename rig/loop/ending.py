@@ -63,8 +63,8 @@ def ended_by_device(state: Any, progress: Any) -> int:
 def ended_at_the_switch(state: Any, settings: Any, progress: Any) -> int:
     """Reason to end that the limit switch gives in a STATE, or 0.
 
-    It stands outside of the position window: where it is reached position zero is wrong or the guard has failed, and a
-    broken wire says the same, because nobody would notice the end any more.
+    The switch lies outside of the position window: where it is reached position zero is wrong or the guard has failed.
+    A broken wire reads as pressed and ends the run as well, because the switch could no longer detect the end.
     """
     s, p = settings[0], progress[0]
     if state[STATE.inputs] & _SWITCH == 0:

@@ -9,7 +9,7 @@ from numba import types
 from rig.realtime import codec
 from rig.realtime.kernel import kernel
 
-NO_FRAME = -100  # what is left is no whole frame
+NO_FRAME = -100  # the remaining bytes contain no whole frame
 
 _BYTES = types.uint8[::1]
 

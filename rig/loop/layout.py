@@ -60,7 +60,7 @@ SETTINGS = np.dtype(
         ("host_paced", "<i8"),  # 1: wake on the host's own grid; 0: on each sample
         ("stop_when_late", "<i8"),  # 1: a tick more than one period late ends the run
         ("spin_ns", "<i8"),  # host-paced: the last part of each wait, awake
-        # n > 0: a limit switch that was open for n - 1 samples ends the run when it is pressed; 0: there is none
+        # n > 0: a limit switch that was open for n - 1 samples ends the run when it is pressed; 0: no limit switch
         ("limit_switch", "<i8"),
         # address of the word that counts requests to stop this process (rig.realtime.stop_requests), 0: none; its value
         # when the run began

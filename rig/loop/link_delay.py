@@ -1,8 +1,8 @@
-"""How old a command was when it came: a link that holds frames back delivers one each tick, and all of them too late.
+"""Detect a delayed link by a command's age at receipt: it delivers one frame each tick, and all of them too late.
 
-The age that STATE tells counts from receipt, and so does a command's lifetime. How long a command was under way shows
-in the sample that it answers. One that comes late is none of the link's faults yet; nothing but late ones for as long
-as a command lives is.
+The age in STATE counts from receipt, and so does a command's lifetime. How long a command was in transit follows from
+the sample that it answers. A single late command is not yet a fault of the link; only late ones for a whole command
+lifetime are.
 """
 
 from __future__ import annotations

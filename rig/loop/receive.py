@@ -47,7 +47,7 @@ def forget_noise(buffers: Buffers, start: int, end: int, words: int) -> None:
 
 @kernel(types.int64(SETTINGS_TYPE, BUFFERS_TYPE, types.uintp))
 def _take(settings: Any, buffers: Buffers, words: int) -> int:
-    """Keep a STATE of this session in `buffers.state` if it is newer, and believed; return by how many samples."""
+    """Store a STATE of this session in `buffers.state` if it is newer and accepted; return by how many samples."""
     p, candidate, state = buffers.progress[0], buffers.candidate, buffers.state
     newer, believed = take_news(settings, buffers.progress, candidate, state, p["started"] == 0)
     if believed == 0:

@@ -1,7 +1,7 @@
 """The thread around the compiled loop: start it, watch it, stop it, and report how it ended.
 
 The loop runs off the main thread with all signals blocked, so that Ctrl-C reaches Python and never
-interrupts a tick; stopping is one store into the ring, seen within a tick whoever holds the GIL. The thread
+interrupts a tick; stopping is one store into the ring, seen within a tick whichever thread holds the GIL. The thread
 is a daemon: if Python dies, it dies too, and the device's watchdog takes the effort to zero.
 """
 
@@ -73,7 +73,7 @@ class LoopSettings:
 class LoopEnd:
     """How a loop ended: the reason, an exception of a law or of the simulation, the link's counters.
 
-    `contradiction` is what the device said that cannot be, "" for nothing.
+    `contradiction` describes what is inconsistent in the device's reports, "" if nothing is.
     `stopper` completes "stopped": which signal or process stopped it, "" where the owner of the loop did.
     `watched` has the quantities of `rig.control.watch` and their limits: energy given in the trial and its limit (J),
     oscillations in a row at the end, and the time within which they are in a row (s).
@@ -113,7 +113,7 @@ COUNTERS = {
 
 
 def fault_of(state: NDArray[np.int64]) -> int:
-    """Fault that a STATE tells, 0 for none; a pressed emergency stop is one, whether the device latched it or not."""
+    """Return the fault of a STATE, 0 for none; a pressed emergency stop counts, also if the device did not latch it."""
     pressed = int(state[STATE.inputs]) & Input.EMERGENCY_STOP
     return int(state[STATE.fault]) or (Fault.EMERGENCY_STOP if pressed else Fault.NONE)
 
@@ -165,7 +165,7 @@ class LoopThread:
         self._error: BaseException | None = None
         self._memory: NDArray[np.uint8] | None = (
             ring.buffer
-        )  # lives as long as the thread runs, whoever closes it
+        )  # lives as long as the thread runs, also after the ring is closed
         self._buffers = Buffers.allocate()
         self._buffers.progress["nonce"] = nonce
         if sensor is not None:
@@ -308,7 +308,7 @@ class LoopThread:
         except Exception as error:
             # A law or an estimator of a user raised: the compiled loop is gone without its stop path. The
             # caller sends STOP next; this thread only says what happened. Compiled code has no frames to show,
-            # and those of this thread would keep it, and what it holds, until somebody collects garbage.
+            # and those of this thread would keep it, and what it refers to, until the next garbage collection.
             self._error = error.with_traceback(None)
             self.ring.put(words.END_REASON, EndReason.LAW_RAISED)
         finally:

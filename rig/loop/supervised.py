@@ -25,7 +25,7 @@ from rig.realtime import ring as words
 from rig.realtime.codec import STATE
 
 # Quanta by which the device's current may differ from the host's law. A drive that renders the wall has filters of its
-# own: how far it differs is told, and nothing is demanded.
+# own: its difference is reported, without a limit.
 BOUNDS = {"fixed": 1, "float32": 2, "drive": 1 << 16}
 MANY_SHARE, MANY_TICKS = (
     0.001,
@@ -98,7 +98,7 @@ class SupervisedThread(LoopThread):
 
     @property
     def fault(self) -> int:
-        """Fault that the newest STATE told, 0 for none."""
+        """Fault in the newest STATE, 0 for none."""
         return fault_of(self._supervision.newest)
 
     def agreement(self) -> DeviceHostAgreement:

@@ -1,7 +1,7 @@
 """Memory of a running loop on Linux: an anonymous file, found among the open files of its process.
 
 It lives as long as a process has it open or mapped, so nothing is left behind, and there is no registry that could be
-wrong. It cannot be resized, so that nobody's access can fault.
+wrong. It cannot be resized, so that no process's access can fault.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def paths(pid: int | None = None) -> Iterator[tuple[int, str]]:
             continue
         try:
             found = [f"{_PROC}/{process}/fd/{name}" for name in os.listdir(f"{_PROC}/{process}/fd")]
-        except OSError:  # the process ended, or is somebody else's
+        except OSError:  # the process ended, or belongs to another user
             continue
         yield from ((int(process), path) for path in found if is_memory(path))
 
@@ -91,7 +91,7 @@ def is_process(pid: int, creator: int) -> bool:
 
 
 def may_look(pid: int) -> bool:
-    """Whether this user may see what a process has open; raises `ProcessLookupError` where there is none."""
+    """Return True if this user may list a process's open files; raises `ProcessLookupError` if it does not exist."""
     try:
         os.listdir(f"{_PROC}/{pid}/fd")
     except PermissionError:

@@ -33,7 +33,7 @@ def load_word(typingctx: Any, address: Any) -> Any:
 
 @intrinsic
 def store_word(typingctx: Any, address: Any, value: Any) -> Any:
-    """Store an int64 with release order: everything written before is visible to whoever loads it."""
+    """Store an int64 with release order: a thread that loads it (`load_word`) sees everything written before."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         builder.store_atomic(args[1], _pointer(builder, args[0]), ordering="release", align=8)

@@ -1,4 +1,4 @@
-"""Struct board_setup of the firmware: what its ports to this computer are told of their rig."""
+"""Struct board_setup of the firmware: the description of the rig that its ports to this computer receive."""
 
 from __future__ import annotations
 

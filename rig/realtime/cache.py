@@ -1,4 +1,4 @@
-"""The disk cache of machine code: never stale, and never somebody else's.
+"""The disk cache of machine code: never stale, and never writable by another user.
 
 numba decides whether a cached function is fresh by the time stamp of *its own* file: a helper edited in
 another file leaves the caller's old machine code in use, which for a control law is silently wrong. So
@@ -6,7 +6,7 @@ the cache directory carries a hash of the files that compiled code depends on (`
 numba's and numpy's version and of the CPU; an edit there opens a new, empty directory, and directories unused for
 a month are removed. An edit of a command or an experiment does not recompile.
 
-What lies there runs a law on a hand: a directory that somebody else can write is not used.
+Its code runs a law on a person's hand: a directory into which another user can write is not used.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ else:
     _USER = f"-{os.getuid()}"
 
     def writable_by_others(place: Path) -> str:
-        """Why somebody else could put a file into a directory, or another one in its place; "" where nobody can."""
+        """Return why another user could add a file to a directory or replace the directory; "" if none can."""
         us = os.getuid()
         if place.lstat().st_uid != us or place.stat().st_uid != us:
             return f"{place} belongs to another user"

@@ -40,7 +40,7 @@ def callback_plugs(
     wait
         Wait until something is there, or to a deadline (ns, the link's clock), and say whether it is.
     failed
-        Told what one of them raised: none of it passes into compiled code, which is given its negative errno, or -EIO.
+        Called with an exception that one of them raised; compiled code receives only its negative errno, or -EIO.
     """
 
     def native(kind: Any, function: Callable[..., int], signature: Any) -> NativeFunction:

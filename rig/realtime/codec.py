@@ -6,7 +6,7 @@ on the device; and SET_BEGIN, SET_CHUNK, SET_COMMIT and ACK, by which the wall o
 Nothing about the bytes is written here a second time: the tables of offsets are made from the
 annotations of messages.py when this module is imported, and the compiler takes them as constants. All
 integers are int64, a u64 as far as it fits there. Kernels check what comes from the wire and return negative
-numbers for what is wrong; buffers are the caller's and must be as large as said.
+numbers for errors; buffers belong to the caller and must have at least the documented size.
 
 `STATE`, `COMMAND`, `GET_TIME` and so on name the places in an array of field values (``values[STATE.count]``), `HEAD`
 those in an array of header values, `SAMPLE` those in a row of a batch; all can be used inside kernels.

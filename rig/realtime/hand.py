@@ -1,9 +1,9 @@
-"""A hand in a small shared file: whoever moves a mouse writes what it wants, a simulated rig what became of that.
+"""A hand in a small shared file: a driving program writes the wished motion, a simulated rig the resulting motion.
 
 The file holds the wish (a sequence number, a position, a press) and a ring of the newest motions of hand and handle,
-each with its CRC. Writer and reader need no lock and no order of memory: what was caught half written has no CRC and is
-looked at again. Whoever is silent has let go: the sequence stands still, so a writer says something several times a
-second even where nothing changes.
+each with its CRC. Writer and reader need no lock and no memory order: a half-written entry fails its CRC and is read
+again. A sequence number that stands still means that the hand has let go, so a driving program writes the wish several
+times a second even where nothing changes.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _TRIES = 3
 if sys.platform == "win32":
     _NO_WAIT = 0
 else:
-    _NO_WAIT = os.O_NONBLOCK  # for the carrier of a terminal, where somebody names one
+    _NO_WAIT = os.O_NONBLOCK  # do not wait for a terminal's carrier, if the path is a terminal
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +42,7 @@ class Wish:
     Attributes
     ----------
     sequence
-        Counts the writings; 0 as long as nobody has written.
+        Number of writes; 0 before the first.
     position
         At the link (rad or m).
     press
@@ -80,15 +80,15 @@ class SharedHand:
     def __init__(self, memory: mmap.mmap, path: Path) -> None:
         self.path = path
         self._memory = memory
-        told = self._whole_motions()  # of whoever opened it before
+        told = self._whole_motions()  # of a process that opened it before
         self._told = self._seen = told[-1][0] if told else 0
 
     @classmethod
     def create(cls, path: str | Path) -> SharedHand:
-        """Make the file, or go on with the one that is there, to move it.
+        """Create the file of a hand to be moved, or continue with an existing one.
 
-        Whoever owns its directory removes it. Raises `ConfigError` when something else has that name, or it cannot be
-        made.
+        The owner of its directory removes it. Raises `ConfigError` if the name belongs to another kind of file, or the
+        file cannot be created.
         """
         path = Path(path)
         try:
@@ -104,7 +104,7 @@ class SharedHand:
 
     @classmethod
     def open(cls, path: str | Path) -> SharedHand:
-        """Open a file that somebody made, to obey it; raises `ConfigError` when there is none."""
+        """Open an existing file to follow its wishes; raises `ConfigError` if it does not exist or is not a hand."""
         path = Path(path)
         try:
             descriptor = os.open(path, os.O_RDWR | _NO_WAIT)
@@ -143,7 +143,7 @@ class SharedHand:
         self._memory[len(MAGIC) : WISH_END] = _packed(Wish(sequence, position, press))
 
     def read(self) -> Wish | None:
-        """What was said last; None while it is being written."""
+        """Return the newest wish; None while it is being written."""
         for _ in range(_TRIES):
             data = self._memory[len(MAGIC) : WISH_END]
             (crc,) = _CRC.unpack_from(data, _VALUES.size)
@@ -159,7 +159,7 @@ class SharedHand:
         self._memory[place : place + _MOTION_BYTES] = values + _CRC.pack(zlib.crc32(values))
 
     def motions(self) -> list[HandMotion]:
-        """The motions that were told since the last call, oldest first, as far as the ring still has them."""
+        """Return the motions written since the last call (`tell`), oldest first, as far as the ring still has them."""
         fresh = [one for one in self._whole_motions() if one[0] > self._seen]
         self._seen = max((number for number, _ in fresh), default=self._seen)
         return [motion for _, motion in fresh]

@@ -150,7 +150,7 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
 
 
 def prepare(*functions: Any) -> None:
-    """Compile or load kernels; what is none (a `NativeFunction`, or a plain function without the compiler) is ready."""
+    """Compile or load kernels; others (a `NativeFunction`, or a plain function without the compiler) are ready."""
     for function in functions:
         if isinstance(function, Kernel) and not function.prepared:
             function.prepare()
@@ -195,7 +195,7 @@ def kernel(
         "nogil": True,
         "error_model": "numpy",
         "fastmath": False,
-        # Each is said, also where it is the default: else it would be that of the kernel that needs this one first.
+        # State each, even a default: numba would otherwise inherit the option of the kernel that first needs this one.
         "_nrt": not (no_refcount or takes_group),
         "forceinline": inline,
         "no_cfunc_wrapper": takes_group,  # a plug point takes none

@@ -8,10 +8,10 @@ to copy from. Who has which stands in **one** word, and every change of hands is
     bits 8–62 number of the newest message posted
 
 The writer fills its slot and swaps it with the mail; the reader, when the mail is fresh, swaps its own with it. So
-a slot has one owner at any moment, and a message is never torn. Nobody spins: the reader gives up after `ATTEMPTS`
-and keeps what it has (a newer message is on its way), and the writer fails at most once, because the reader only moves
-fresh mail, and it is the writer who makes mail fresh. A writer that is killed in between leaves its own slot half
-filled, which nobody reads: because the word is all there is, there is nothing to repair.
+a slot has one owner at any moment, and a message is never torn. Neither side spins: the reader gives up after
+`ATTEMPTS` and keeps what it has (a newer message is on its way), and the writer fails at most once, because the reader
+only moves fresh mail, and only the writer makes mail fresh. A writer that is killed in between leaves its own slot half
+filled, which is never read: the word is the only shared state, so there is nothing to repair.
 
 Layout from the address of the mailbox: that word and 56 bytes of padding, then three slots of `SLOT_BYTES`: number
 and length (bytes) as int64, `MOST_BYTES` bytes, padding. What the bytes mean is between writer and reader; a set of
@@ -205,7 +205,7 @@ class Mailbox:
 
     @property
     def posted(self) -> int:
-        """Number of the newest message posted by anybody; 0 before the first."""
+        """Number of the newest message posted by any process; 0 before the first."""
         return int(read_word(self._address)) >> NUMBER
 
     def post(self, message: bytes) -> int:
@@ -225,7 +225,7 @@ class Mailbox:
             return self.post_alone(message)
 
     def post_alone(self, message: bytes) -> int:
-        """`post`, for whoever is `alone` already."""
+        """As `post`; the caller must hold `alone`."""
         words = np.zeros(-(-len(message) // _WORD) * _WORD, np.uint8)
         words[: len(message)] = np.frombuffer(message, np.uint8)
         assert len(words) <= MOST_BYTES

@@ -1,7 +1,7 @@
-"""The memories (`rig.realtime.ring`) of the loops that run on this computer, found and told to stop.
+"""Find the memories (`rig.realtime.ring`) of the loops that run on this computer, and request them to stop.
 
-By the modules that an interpreter has loaded anyway, because the word that stops a rig must not wait for any other:
-`rig.__main__` says it before it looks at the rest of its command line.
+Imports only modules that an interpreter has loaded anyway, because stopping a rig must not wait for an import:
+`rig.__main__` writes the stop word before it parses the rest of its command line.
 """
 
 from __future__ import annotations
@@ -41,12 +41,12 @@ class LoopMemory:
     held
         Where this process has (`rig.realtime.anonymous_memory.held`).
     ran
-        Whether its loop had not ended when it was told to stop.
+        Whether its loop was still running at `ask_to_stop`.
 
     Raises
     ------
     OSError
-        The process is gone or somebody else's, or this is no such memory.
+        The process has ended or belongs to another user, or the file is not the memory of a loop.
     """
 
     def __init__(self, pid: int, path: str) -> None:

@@ -43,7 +43,7 @@ def make(size: int) -> int:
 
 
 def close(descriptor: int) -> None:
-    """Let go of what `make` made; Windows keeps the file until nobody has it mapped."""
+    """Release what `make` made; Windows keeps the file until no process has it mapped."""
     os.close(descriptor)
     path = _made.pop(descriptor, None)
     if path is not None:
@@ -51,7 +51,7 @@ def close(descriptor: int) -> None:
 
 
 def is_sound(descriptor: int) -> bool:
-    """Nobody but this user can change the file."""
+    """Return True: only this user can change the file."""
     return True
 
 
@@ -128,7 +128,7 @@ def _have(file: FileIO) -> None:
 
 
 def _forget(directory: str) -> None:
-    """Take away what a dead process has left; what somebody else still has mapped stays, on Windows."""
+    """Remove the files of a dead process; on Windows those that another process still has mapped remain."""
     if os.path.isdir(directory) and not _lives(directory):
         for name in _names(directory):
             _remove(os.path.join(directory, name))

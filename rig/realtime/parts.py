@@ -216,7 +216,7 @@ class KernelCache(caching.FunctionCache):  # type: ignore[misc]
     def alone(self) -> Iterator[None]:
         """Let other processes wait with this kernel, and find it in the cache then, instead of compiling it too."""
         with contextlib.ExitStack() as held:
-            with contextlib.suppress(OSError):  # where nobody can write or lock, everybody compiles
+            with contextlib.suppress(OSError):  # without write access or locks, every process compiles
                 place = Path(self._cache_path)
                 place.mkdir(exist_ok=True)
                 file = held.enter_context(open(place / f"{self._impl.filename_base}.lock", "ab"))

@@ -196,7 +196,7 @@ class Ring:
 
     @property
     def info(self) -> dict[str, Any]:
-        """The creator's description of the run; empty when there is none, or of another version."""
+        """The creator's description of the run; empty if it is missing, or of another version."""
         return self.info_and_word()[0]
 
     def info_and_word(self) -> tuple[dict[str, Any], int]:
@@ -295,8 +295,8 @@ class Ring:
     def close(self) -> None:
         """Let go of the memory; may be called twice.
 
-        The control words stay readable, as they are now. Memory goes with the last array that looks at it, so that a
-        thread that still holds `rows` cannot crash; whoever holds nothing but an address must have ended before.
+        The control words stay readable, as they are now. The memory is freed with the last array that refers to it, so
+        that a thread that still holds `rows` cannot crash; a thread that holds only an address must have ended before.
         """
         if self._closed:
             return

@@ -1,4 +1,4 @@
-"""The new rows of a loop's ring, for whoever looks on: the loop neither waits for them nor knows of them."""
+"""Read the new rows of a loop's ring as an observer: the loop neither waits for its readers nor registers them."""
 
 from __future__ import annotations
 

@@ -124,7 +124,7 @@ def stop(
             memories.ask_to_stop(pid) if asked is None else asked
         ):  # before anything that takes time
             stack.enter_context(memory)
-            if memory.ran:  # it may have ended before anybody looked again
+            if memory.ran:  # it may have ended in the meantime
                 with suppress(OSError, RigError):
                     ring = stack.enter_context(Ring.attach(memory.held))
                     found.append((_look(memory, ring), ring))
@@ -183,7 +183,7 @@ def the_loop(pid: int | None = None) -> RunningLoop:
     Raises
     ------
     ConfigError
-        There is none, or several and none is named.
+        No loop runs, or several do and `pid` names none of them.
     """
     loops = [loop for loop in running() if pid is None or loop.pid == pid]
     if len(loops) == 1:

@@ -2,8 +2,8 @@
 
 Compiled code names its calls (`rig.realtime.system`), and only Linux has all of them under these names and with these
 numbers. Elsewhere each name leads to a function here, so that machine code is the same on every system. They take the
-GIL and some microseconds, which matters to nobody: what needs more, a law in real time on this computer, needs Linux
-anyway. In virtual time only the recorder calls them.
+GIL and some microseconds. That is acceptable: a law in real time on this computer, which could not tolerate it, needs
+Linux anyway. In virtual time only the recorder calls them.
 """
 
 from __future__ import annotations

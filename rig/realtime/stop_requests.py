@@ -191,7 +191,7 @@ def running() -> int:
 
 
 def last_signal() -> int | None:
-    """Number of the signal that the newest request was; None when it was none."""
+    """Return the signal number of the newest stop request; None when it was not a signal."""
     return int(read_word(_word(_LAST))) or None
 
 
@@ -280,7 +280,7 @@ def _hooked(process: _Process) -> Iterator[None]:
 
 
 def renew() -> None:
-    """See that signals are still counted, where somebody listens: to be called now and then while a run lasts."""
+    """Reinstall the signal handlers while a run or another listener counts signals; call it repeatedly during a run."""
     process = _process()
     if process.hook is not None:
         with process.lock:

@@ -185,7 +185,7 @@ def host_facts() -> dict[str, Any]:
 def git_revision(directory: Path) -> dict[str, Any] | None:
     """Return the revision of a git checkout and whether its tracked files were edited; None elsewhere, never an error.
 
-    `dirty` is None where git cannot compare. Files that a filter would convert count as edited once they were touched.
+    `dirty`: None if git cannot compare. Files that a filter would convert count as edited once they were touched.
     Read anew each second: git takes longer than many a simulated hit.
     """
     return _described(directory, int(time.monotonic()))

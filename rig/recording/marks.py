@@ -13,7 +13,7 @@ trial_out, inside_out
           in the tick of the sample itself, so that trial and contact are they
 ========  =============================================================================================
 
-Device times are on the scale of the column device_time; host times come from the clock fit, and are None without one.
+Device times are on the scale of the column device_time; host times come from the clock fit: None if it is missing.
 """
 
 from __future__ import annotations

@@ -107,14 +107,14 @@ def _encodings(dtype: np.dtype[np.void]) -> dict[str, Any]:
 def read_parquet(path: Path, columns: Collection[str] | None = None) -> Recording:
     """Read a sealed recording, of its rows all columns or those named; its header describes all of them.
 
-    Raises `RecordingError` when it is none, or when a bit of it has changed, in any column.
+    Raises `RecordingError` when the file is not a recording, or when a bit of it has changed, in any column.
     """
     with _opened(path) as file:
         return _recording(path, file, _metadata(path, file.schema_arrow), columns)
 
 
 def read_parquet_facts(path: Path) -> Recording:
-    """A sealed recording without its rows, from the end of the file; raises `RecordingError` when it is none."""
+    """Read a sealed recording without its rows, from the end of the file; raises `RecordingError` for another file."""
     with _opened(path) as file:
         metadata = _metadata(path, file.schema_arrow)
         return _facts(path, metadata)

@@ -1,6 +1,6 @@
 """What header and trailer of a recording must look like, for those who take numbers and names out of them.
 
-A checksum says that nobody changed a file by accident, not that this program wrote it. Only what is read again is
+A checksum shows that a file was not changed by accident, not that this program wrote it. Only what is read again is
 listed; the experiment is checked by `rig.config`, the state of the controller where a replay begins from it.
 """
 
@@ -59,7 +59,7 @@ TRAILER: dict[str, Any] = {
 
 
 def parsed(text: bytes) -> Any:
-    """Read a JSON; `ValueError` for text that is none, or nested deeper than `DEPTH`."""
+    """Parse JSON; raises `ValueError` for text that is not valid JSON, or nested deeper than `DEPTH`."""
     try:
         value = json.loads(text)
     except RecursionError:

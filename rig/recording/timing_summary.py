@@ -167,7 +167,7 @@ def _shown(quantile: Quantile) -> str:
 
 
 def summarise(ledger: Ledger, counters: Mapping[str, int] | None) -> TimingSummary:
-    """Add up a ledger; `counters` are the loop's, as a recording's trailer has them, or None where there are none."""
+    """Summarise a ledger; `counters` are the loop's, as in a recording's trailer, or None without a trailer."""
     counts = {name: (counters or {}).get(name) for name in COUNTED}
     if counts["late"] is None:
         counts["late"] = int(np.count_nonzero(ledger.late))

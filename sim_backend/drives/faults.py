@@ -60,7 +60,7 @@ class DriveScript:
 
     @classmethod
     def of(cls, texts: Iterable[str]) -> DriveScript:
-        """Read a script; `ConfigError` for what is none."""
+        """Read a script; raises `ConfigError` for an invalid entry."""
         found = [_read(text) for text in texts]
         return cls(
             frames=tuple(one for one in found if isinstance(one, FrameFault)),

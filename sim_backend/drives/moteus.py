@@ -180,7 +180,7 @@ class SimulatedMoteus:
     def happen(self, name: str, value: float) -> list[Frame]:
         """Let the world do something to it.
 
-        What happens to any (`Motor.happenings`; ``fault`` is a code), ``mode`` (somebody at its console commands one),
+        The events of any drive (`Motor.happenings`; ``fault`` is a code), ``mode`` (its console commands one),
         ``master`` (a second host commands a torque in N·m: the answer to it is on the bus).
         """
         return self._happenings()[name](value) or []

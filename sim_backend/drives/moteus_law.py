@@ -393,7 +393,7 @@ def law(w: Words, count: int, measured: float) -> float:
     """One control cycle: encoder count and torque at the shaft (N·m) in, torque wanted there out."""
     if w[W.source_valid] != 0.0:
         _filter(w, count)
-    # Torque at the output, as the drive believes, from that at the shaft, as it is.
+    # Torque at the output as the drive estimates it, from the true torque at the shaft.
     share = w[W.sign] * w[W.torque_constant] / w[W.motor_constant] / w[W.rotor_to_output]
     w[W.torque] = measured * share
     if w[W.timeout_left] > 0.0:

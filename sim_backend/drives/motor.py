@@ -93,7 +93,7 @@ def run(handle: int, ticks: int) -> None:
         measured = plant.state[plant.effort] / shaft.effort_per_torque
         torque = shaft.law(shaft.words, places[COUNT] + places[SLIP], measured)
         if not math.isfinite(torque):
-            torque = 0.0  # what a drive does that is asked for no number is nobody's to know
+            torque = 0.0  # how a real drive responds to a torque that is not finite is unknown
         if places[ROW_LEFT] == 0:
             places[ROW] = want(plant.state, plant.edge_age, script.rows, places[ROW], script.again)
             places[ROW_LEFT] = shaft.row_ticks

@@ -219,9 +219,9 @@ class SimulatedOdrive:
     def happen(self, name: str, value: float) -> list[Frame]:
         """Let the world do something to it.
 
-        What happens to any (`Motor.happenings`; ``fault`` has bits of an error), ``mode`` (somebody chooses a control
-        mode), ``master`` (a second host commands a torque in N·m: its frame is on the bus), ``estop``, ``bus-off`` (its
-        controller leaves the bus for so many seconds, 0: until it is switched off).
+        The events of any drive (`Motor.happenings`; ``fault`` has bits of an error), ``mode`` (its control mode is
+        changed), ``master`` (a second host commands a torque in N·m: its frame is on the bus), ``estop``,
+        ``bus-off`` (its controller leaves the bus for so many seconds, 0: until it is switched off).
         """
         return self._happenings()[name](value) or []
 

@@ -232,7 +232,7 @@ def law(w: Words, count: int, measured: float) -> float:
     """One control cycle: encoder count and torque at the shaft (N·m) in, torque wanted there out."""
     if w[W.encoder_valid] != 0.0:
         _estimate(w, count)
-    share = w[W.torque_constant] / w[W.motor_constant]  # what it believes of the motor, and what is true
+    share = w[W.torque_constant] / w[W.motor_constant]  # configured over true constant of the motor
     w[W.torque] = measured * share
     _heed(w)
     if w[W.requested] != 0.0:

@@ -1,7 +1,7 @@
 """Where a host finds a simulated drive: a pseudo-terminal, a CAN interface, a socket that is a bus.
 
 A CAN bus is a descriptor that passes one frame of linux/can.h a message (`socket_can`), read and written with the same
-calls in either of two forms, told apart by the place's name:
+calls in either of two forms, which the place's name selects:
 
 * ``vcan0``, ``can0``: a network interface, opened as ``socket(AF_CAN, SOCK_RAW, CAN_RAW)`` and bound to it;
 * ``/run/…`` (a path): a Unix socket, opened as ``socket(AF_UNIX, SOCK_SEQPACKET)`` and connected to it, for machines
@@ -83,7 +83,7 @@ class DriveSockets:
         self.unplug()
 
     def unplug(self) -> None:
-        """Leave the bus: a host at a socket reads its end of file, one at an interface hears nothing any more."""
+        """Leave the bus: a host at a socket reads its end of file, one at an interface receives nothing any more."""
         for end in self._ends:
             end.close()
         self._ends = []

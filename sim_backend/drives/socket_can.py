@@ -1,7 +1,7 @@
 """CAN frames as Linux has them on a raw socket: one a message, of 16 bytes (classic) or 72 (CAN FD).
 
 Inside the simulation each has the 72 bytes of ``struct canfd_frame`` (include/uapi/linux/can.h), and the flag of that
-page tells what it was: bytes of a line must be cut into frames without their messages.
+header gives its format: a byte stream must be split into frames without message boundaries.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class SocketCan:
     Parameters
     ----------
     fd
-        Whether the drive speaks CAN FD, with the faster bit rate, or classic CAN, where it hears nothing else.
+        Whether the drive uses CAN FD, with the faster bit rate, or classic CAN, where it receives nothing else.
     padding
         What fills its data up to a length that CAN FD has.
     """
@@ -69,7 +69,7 @@ class SocketCan:
         return Frames()
 
     def open(self, unit: bytes) -> tuple[Frame | None, list[bytes]]:
-        """Read a frame; what a controller tells of errors is none."""
+        """Read a frame; a controller's error frames are ignored."""
         if len(unit) != FD_BYTES:
             return None, []
         word, size, flags, data = _FRAME.unpack(unit)

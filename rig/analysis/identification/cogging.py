@@ -3,8 +3,8 @@
 While the handle moves slowly through x the motor's command is −F(x) + friction upwards and −F(x) − friction downwards,
 F being cogging; inertia and damping are taken off, because no servo keeps a speed quite constant. F is a sum of
 harmonics of a period, fitted to each pair of ways by itself. The pairs differ in speed, so that what depends on it
-widens the intervals, as noise does. A steady effort of the world is no cogging: it stands in the levels of friction,
-which any motion that slides both ways tells better (`sliding`).
+widens the intervals, as noise does. A constant external effort is not part of cogging: it appears in the friction
+levels, which any motion that slides both ways measures better (`sliding`).
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ BLOCKS = 64  # in a wave of the highest order: their means are the points of a f
 SETTLE_S = 0.3  # of a sweep, at both of its ends
 CERTAIN = 2.0  # an order is kept where its amplitude is this many times its interval
 SHARE = 0.02  # and this share of the largest
-LEAST_PERIODS = 1.0  # in the range, or harmonics cannot be told apart
+LEAST_PERIODS = 1.0  # in the range; with fewer, harmonics cannot be separated
 
 
 @dataclass(frozen=True, eq=False)

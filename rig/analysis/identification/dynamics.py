@@ -8,7 +8,7 @@ The motor's effort F is known, the position X is measured with an encoder's nois
 H is the delay of the effort: whole ticks and a first-order lag. The second factor of P is there for a rig of two
 masses: a sensor beside the motor sees the link swing against a motor that stands still (anti-resonance ω_a) and both
 against each other (resonance ω_r), and m·(ω_a/ω_r)² is the motor's own share of the inertia. S is Coulomb friction: the
-levels that sliding told, with the sign of the measured velocity, removed within the fit. It leaves out that friction of
+levels from sliding, with the sign of the measured velocity, removed within the fit. It leaves out that friction of
 a handle that stops is less than its level, and that the link behind an elastic drive turns round at other times than
 the motor does; with an effort six times the friction the first costs some 0.2 % of the inertia, the second shows in the
 damping of the modes. That bias is the same in every realisation; the
@@ -49,7 +49,7 @@ from rig.core.present import reported
 IMAGES = (-2, -1, 0, 1, 2)
 NEIGHBOURS = 5  # lines over which a variance is averaged
 ROUNDS = 3  # of fit and weights
-MODE_GAIN = 1.5  # by how much a mode must lessen the weighted error, as a factor, to be believed
+MODE_GAIN = 1.5  # factor by which a mode must reduce the weighted error to be accepted
 LEAST_SPLIT = 1.05  # resonance over anti-resonance: below it the two cancel
 LARGEST_RATIO = 0.5  # damping ratio of what is still a mode
 # Share of Coulomb friction over effort (rms) by which removing it may miss the inertia: chosen on 100 simulated runs
@@ -321,7 +321,7 @@ class _Problem:
         return min(possible, key=lambda fit: fit.cost)
 
     def best(self, start: Floats, free: Sequence[int]) -> tuple[_Fit, Sequence[int]]:
-        """A rigid body, two masses, or a rigid body below a mode: the fit that is believed, and its free parameters."""
+        """Return the accepted fit and its free parameters: rigid body, two masses, or rigid body below a mode."""
         rigid = self.with_delay(start, free)
         mode_start = self.mode_start(rigid.parameters)
         if mode_start is not None:

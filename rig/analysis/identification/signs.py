@@ -2,7 +2,7 @@
 
 A push grows evenly until the handle has moved a little. Friction F holds it first, up to the breakaway effort; from
 then on m·x″ = u − F − b·x′ with the effort u as it was commanded, in its steps: where a quantum of current is coarse, a
-push has a handful of them. So m·(x + d·∫x dt) = ∬(u − F) dt², whose fit tells m and F. The described d = b/m, which
+push has a handful of them. So m·(x + d·∫x dt) = ∬(u − F) dt², whose fit gives m and F. The described d = b/m, which
 back-EMF may make large, is taken as it is: a wrong scale of effort or way leaves it alone. That is good to some ten per
 cent, enough to see a wrong torque constant, a wrong ratio or a missing factor of four in the decoding.
 """
@@ -36,11 +36,11 @@ class Push:
 
     direction: Literal[-1, 1]
     moved: bool  # further than noise
-    began_s: float  # from the beginning of the push to that of the motion, as the fit has it; NaN if it cannot be told
+    began_s: float  # fitted time from the start of the push to the start of motion; NaN if the fit cannot determine it
     seen: float  # way between the extreme positions, the brake included (rad or m, not negative)
     breakaway: float  # effort at the first motion (N·m or N, not negative); what was reached if nothing moved
     way: float  # signed (rad or m)
-    inertia: float  # kg·m² or kg; NaN if it cannot be told
+    inertia: float  # kg·m² or kg; NaN if the fit cannot determine it
     after_reversal: bool  # the push before went the other way
 
 
@@ -53,7 +53,7 @@ class SignCheck:
     sign
         1 when the position rises with a positive effort, −1 when it falls, 0 when nothing moved or the pushes disagree.
     inertia
-        Median over the pushes (kg·m² or kg); NaN if none tells.
+        Median over the pushes (kg·m² or kg); NaN if no push determines it.
     scale
         `inertia` over the expected one.
     breakaway_up, breakaway_down

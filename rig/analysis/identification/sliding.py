@@ -1,11 +1,10 @@
 """Friction from sliding: strokes at constant speeds, both ways, tell Coulomb friction each way and viscous damping.
 
 While the speed is constant the motor's effort is friction alone: up + b·v for v > 0, −down + b·v for v < 0. Under
-voltage drive that effort is the command less the back-EMF, whose damping has to be given: no motion tells the two
-apart. A steady
-effort of the world (weight, a bent cable) adds to one and takes from the other, and no sliding can tell it from
-friction that differs by direction: `coulomb` is half of up + down, `bias` half of up − down, and only the two levels
-are measured.
+voltage drive that effort is the command less the back-EMF, whose damping has to be given: no motion separates it from
+viscous damping. A constant external effort (weight, a bent cable) adds to one level and subtracts from the other, and
+sliding cannot separate it from friction that differs by direction: `coulomb` is half of up + down, `bias` half of
+up − down, and only the two levels are measured.
 
 The mean over a piece of a stroke is one point, where the servo has reached the speed of the stroke. Friction varies
 with position, and with a coarse encoder the servo's effort ripples, so the scatter of the points about the line is what

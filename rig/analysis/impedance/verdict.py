@@ -142,8 +142,8 @@ def passive(
     band
         Lines that count (Hz, ends included); all if left out.
     z_score
-        Tolerance in standard deviations of each real part (`Impedance.spread`). With 0, or where the variance is not
-        known, there is none. Among many lines at the very limit a share of them fails by chance: 2.3 % at 2.
+        Tolerance in standard deviations of each real part (`Impedance.spread`). The tolerance is zero if this is 0 or
+        the variance is unknown. Of many lines exactly at the limit a share fails by chance: 2.3 % at 2.
 
     Raises
     ------

@@ -16,9 +16,9 @@ three equations for A, ω and x0. Without friction ω is where the phase of G·C
 A = |G·C|·q: at most (2/π)·|G·C| counts while one edge is crossed, so a wall that is linearly stable (|G·C| < 1) buzzes
 by less than 0.64 counts. Of several balances the largest is taken, but each may be the one that is seen, and which of
 them is a matter of where the handle comes from: only the only one (`alone`) is a prediction. Friction does not decide
-between them: where a mass rests in part of its period it takes less than this makes of it, and a balance that it
-should have ended may go on. `duty` is the fraction of a count that the mean
-reading lies above a whole one: ½ buzzes most, 0 not at all (until A is half a count).
+between them: where a mass rests in part of its period, friction dissipates less than this model assumes, and a limit
+cycle that the model rules out may persist. `duty` is the fraction of a count that the mean reading lies above a whole
+one: ½ buzzes most, 0 not at all (until A is half a count).
 
 What it takes for granted: one sinusoid (the loop is a low pass: harmonics of the reading, its images in the velocity's
 sampling and toggling between two ticks are left out) and motion without rest. Friction that brings a mass to rest in

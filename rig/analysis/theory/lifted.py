@@ -156,7 +156,7 @@ def _at_the_worse_place(
     stiffness: ArrayLike,
     damping: ArrayLike,
 ) -> NDArray[Any]:
-    """What is told of the period of each wall; if the motor cogs, the worse of both places."""
+    """Evaluate a function of each wall's period matrix; with cogging, also where it is softest, and take the worse."""
     k, b = np.broadcast_arrays(np.asarray(stiffness, float), np.asarray(damping, float))
     block = max(1, BLOCK // lifted.size**2)
     blocks = (slice(i, i + block) for i in range(0, max(k.size, 1), block))

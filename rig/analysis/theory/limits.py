@@ -37,7 +37,7 @@ DAMPING_REACH, DAMPING_DECADES = 8.0, 5.0  # of the scan for B_max, in J/T2
 
 @dataclass(frozen=True, slots=True)
 class Island:
-    """A range of stable stiffnesses beyond the connected one; `capped` if it goes on beyond the scan."""
+    """A range of stable stiffnesses above the connected one; `capped` if it reaches the end of the scan."""
 
     low: float
     high: float

@@ -113,7 +113,7 @@ def realise(
 def _watched(
     estimator: Estimator, settings: tuple[tuple[str, float | str], ...], period_s: float, resolution: float
 ) -> Realisation | str:
-    """The realisation of an estimator, or why there is none."""
+    """Return the realisation of an estimator, or the reason why it has no linear one."""
     probe = _Probe(estimator, dict(settings), period_s, resolution)
     rest, h = _settled_response(probe)
     return _nonlinearity(probe, rest, h) or _realised(estimator.name, h, period_s)

@@ -24,9 +24,9 @@ With b the viscous damping of the rig, T1 and T2 the periods, β a property of t
 Under voltage drive back-EMF is damping too: without a lag at any speed, behind a lag in slow motion only. The exact
 condition counts it as it is. At B = 0 slow motion decides, and b has it in full: what is necessary stays so (koul-rigid
 within 3 % of exact, but twice too high where there is hardly any other damping and the lag is about a tick), and K_max
-of a rigid rig still follows Gil's rule. A damper asks most of fast motion, and a closed form knows but one b: behind a
-lag there is none for B > 0. With the b of slow motion it would be twice too high for koul-rigid at B = 0.02, uniform at
-20 kHz, and the rule for B_max by up to 1.8 times; that takes the b of fast motion.
+of a rigid rig still follows Gil's rule. A damper is most critical in fast motion, and a closed form contains a single
+b: behind a lag no closed form holds for B > 0. With the b of slow motion it would be twice too high for koul-rigid at
+B = 0.02, uniform at 20 kHz, and the rule for B_max by up to 1.8 times; that rule uses the b of fast motion.
 
 All are about a bilateral wall. What they leave out is in `rig.analysis.theory.loop`; only Abbott and Okamura and
 Diolaiti know quantum and friction. None has its hand in it: they ask for any.
@@ -255,7 +255,7 @@ def _rules(loop: LinearLoop, damping: float) -> list[Bound]:
 
 
 def _fast_damping(subject: Subject) -> float:
-    """Damping of a rigid motion of any speed: back-EMF behind a lag is none."""
+    """Return the damping of a rigid motion at any speed; back-EMF behind a lag does not count."""
     amplifier = subject.model.amplifier
     return subject.damping - (amplifier.back_emf if amplifier.lag_s > 0.0 else 0.0)
 

@@ -175,8 +175,8 @@ def theory_of(
     Raises
     ------
     ConfigError
-        As `rig.analysis.theory.loop.linear_loop`; schemes that are not linear are left out and told unless all are
-        that.
+        As `rig.analysis.theory.loop.linear_loop`; schemes that are not linear are left out and listed in the result,
+        unless none is linear.
     """
     subject = resolve(rig, operator)
     experiment = subject.experiment

@@ -23,7 +23,7 @@ _LARGEST_ID, _LARGEST_PREFIX, _LARGEST_NODE = 127, 0x1FFF, 62
 
 
 class DriveFacts(Protocol):
-    """What a drive of any kind has told of itself."""
+    """Facts that a drive of any kind reports about itself."""
 
     @property
     def id(self) -> int:
@@ -45,7 +45,7 @@ class Address(Protocol):
     """Where a drive is, and what is known of it before it is asked."""
 
     def look(self, bus: Bus) -> DriveFacts:
-        """Ask the drive who it is, and let it be; raises `RigError` for one that would not do as it is told."""
+        """Identify the drive without changing it; raises `RigError` if it would not execute commands as sent."""
         ...
 
     def find(self, bus: Bus, model: RigModel) -> FittedDrive:

@@ -78,7 +78,7 @@ class Bus(Protocol):
         ...
 
     def receive(self, timeout_s: float) -> CanFrame | None:
-        """Return the next frame of anybody, None when none comes in time; raises `LinkLostError`."""
+        """Return the next frame from any sender, None after the timeout; raises `LinkLostError`."""
         ...
 
     def close(self) -> None:
@@ -94,7 +94,7 @@ def open_bus(url: DeviceUrl) -> Bus:
     ConfigError
         It names neither, or an option is wrong.
     DeviceNotFoundError
-        There is none, or somebody else has it.
+        The port or interface does not exist, or another program uses it.
     """
     classic = url.scheme == "odrive"
     if not url.place or (classic and "/" in url.place and not Path(url.place).is_socket()):

@@ -1,6 +1,6 @@
-"""An experiment file to start from, with what a drive tells of itself: encoder, torque constant, limits.
+"""Write an initial experiment file from what a drive reports about itself: encoder, torque constant, limits.
 
-What it cannot tell (what hangs on it) is assumed, and marked: `rig identify` measures it.
+The mechanics on its shaft are unknown to the drive: they are assumed, marked so, and `rig identify` measures them.
 """
 
 from __future__ import annotations

@@ -71,7 +71,7 @@ class DriveLaw:
 
     @property
     def objection(self) -> str:
-        """Why its wall would be another one than it is told; empty: it would not."""
+        """Reason why the drive would render another wall than the commanded one; empty if it renders that wall."""
         if not (self.kp > 0.0 and self.kd > 0.0):
             return "servo.pid_position.kp or kd is 0, and a share of it too"
         if self.sign != 1:

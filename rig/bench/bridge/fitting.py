@@ -18,18 +18,18 @@ Difference = tuple[str, str]  # what is otherwise, and its remedy
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Output:
-    """The output of a drive, as it tells it.
+    """The output of a drive, as the drive reports it.
 
     Attributes
     ----------
     encoder, counts
-        What encoder tells its position, and counts of that one for a turn of it.
+        Encoder that measures the position, and its counts per turn of that encoder.
     counts_per_turn
         Counts for a turn of the output.
     torque_constant, most_current
         N·m at the output for 1 A; the most that it gives (A).
     most_speed
-        Turns a second, beyond which it does not do as it is told; inf for none.
+        Speed (turns/s) above which it does not follow the commanded torque; inf for no limit.
     minimum, maximum
         Turns, outside of which it gives no torque; NaN for none.
     kind
@@ -115,7 +115,7 @@ class Output:
 
 
 def refuse(differences: Iterable[Difference]) -> None:
-    """Raise `DeviceRefusedError` with all of them, in one sentence each; nothing if there are none."""
+    """Raise `DeviceRefusedError` with one sentence for each difference; return if the sequence is empty."""
     wrong = list(differences)
     if wrong:
         raise DeviceRefusedError(

@@ -173,7 +173,7 @@ def library() -> ctypes.CDLL:
 
 @dataclass(frozen=True, slots=True)
 class Switches:
-    """Pins of a drive: its register that tells them (0: none), and the bits that are 1 while they let it run."""
+    """Input pins of a drive: the register that contains them (0: none), and the bits that are 1 in the run state."""
 
     register: int = 0
     hold: int = 0
@@ -205,7 +205,7 @@ class FittedDrive:
     rate_maximum
         Samples a second that it gives at most.
     cycle_us, beat_us
-        Between two samples, and two heartbeats, that it tells by itself; 0 where it is asked.
+        Period of the samples and of the heartbeats that the drive sends unrequested (µs); 0 if the bridge polls them.
     gains
         Of its own law, spring and damper (N·m/turn and N·m·s/turn at its output); None: it renders no wall.
     """
@@ -226,7 +226,7 @@ class FittedDrive:
 
 
 def dictionary_of(model: RigModel, drive: FittedDrive) -> dictionaries.Dictionary:
-    """Return what the bridge tells a host about this rig on this drive."""
+    """Return the dictionary that the bridge reports to a host for this rig on this drive."""
     plain = describe(
         model,
         firmware=f"bridge to {drive.firmware}",
@@ -245,7 +245,7 @@ class Bridge:
     Attributes
     ----------
     dictionary
-        What it tells its host.
+        Sent to the host that identifies the bridge.
     facts
         What happened on the bus.
     """
@@ -335,7 +335,7 @@ class Bridge:
         return self._bus()
 
     def to_host(self) -> bytes:
-        """What it has said to its host."""
+        """Return and clear the bytes that are to be sent to the host."""
         count = self._library.bridge_take(self._address, self._taken, _OUTPUT_BYTES)
         return self._taken.raw[:count]
 

@@ -37,7 +37,7 @@ def open_link(url: DeviceUrl, model: RigModel | None = None) -> BridgeLink:
     named = url.options.get("rig")
     plain = {name: text for name, text in url.options.items() if name != "rig"}
     asked = DeviceUrl(url.scheme, url.place, plain, url.text)
-    address_of(asked)  # what is wrong there is said at once
+    address_of(asked)  # raises for a wrong address now, not when the link is opened
     if named is not None:
         model = rig_model(presets.load_named(named))
     if model is None:
@@ -84,7 +84,7 @@ class BridgeLink(DescriptorLink):
     def bus_facts(self) -> dict[str, float]:
         """What happened on the bus so far: replies, lost ones, round trips (µs), the drive's temperature (°C).
 
-        `cycle_us` is the time between two samples that the drive tells by itself, 0 where it is asked.
+        `cycle_us` is the period of the samples that the drive sends unrequested, 0 if the bridge polls them.
         """
         return {**self.facts.as_mapping(), "cycle_us": self.drive.cycle_us}
 

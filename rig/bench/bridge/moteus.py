@@ -36,7 +36,7 @@ REST_S = 0.1  # a set-point lives for 50 ms at most
 LINE_S = 2.0  # for an answer of the diagnostic channel
 DIAGNOSTIC_BYTES = 48
 TORQUE_FACTOR = 1.5 / math.sqrt(3.0) * 60.0 / (2.0 * math.pi)  # N·m/A times Kv, from fw/bldc_servo.cc
-STEPS_PER_TURN = 65536  # in which it tells its position, fw/motor_position.h
+STEPS_PER_TURN = 65536  # resolution of the reported position, fw/motor_position.h
 SOURCE_KINDS = (
     "none",
     "SPI",
@@ -87,7 +87,7 @@ class MoteusConversation:
         return f"the moteus {self._drive} at {self._bus.place}"
 
     def refuse_others(self) -> None:
-        """Listen for a while; raises `DeviceRefusedError` when somebody else talks to the drive."""
+        """Listen for `LISTEN_S`; raises `DeviceRefusedError` when another host communicates with the drive."""
         deadline = time.monotonic() + LISTEN_S
         while (left := deadline - time.monotonic()) > 0:
             heard = self._bus.receive(left)
@@ -111,7 +111,7 @@ class MoteusConversation:
         return int(value)
 
     def setting(self, name: str) -> float:
-        """Value of a setting, by ``conf get``; raises `IncompatibleDeviceError` where there is none of this name."""
+        """Read a setting by ``conf get``; raises `IncompatibleDeviceError` if the drive has no setting of this name."""
         line = f"conf get {name}\n".encode()
         for at in range(0, len(line), DIAGNOSTIC_BYTES):
             part = line[at : at + DIAGNOSTIC_BYTES]
@@ -126,12 +126,12 @@ class MoteusConversation:
             ) from None
 
     def asked(self, request: bytes, is_answer: Callable[[bytes], bool]) -> bytes:
-        """Ask, again if need be, and return the reply.
+        """Send a request up to `TRIES` times and return the reply.
 
         Raises
         ------
         DeviceNotFoundError
-            Nobody answers, or somebody else.
+            No reply, or replies from other ids only.
         """
         others: set[int] = set()
         for _ in range(TRIES):
@@ -215,7 +215,7 @@ class MoteusFacts:
 
     @property
     def output(self) -> Output:
-        """What it tells, of its output."""
+        """Reported properties of the drive's output."""
         return Output(
             kind="moteus",
             encoder=self.source,
@@ -253,14 +253,14 @@ REQUIRED: dict[str, tuple[Callable[[float], bool], str, str]] = {
 
 
 def find(talk: MoteusConversation, drive: int) -> MoteusFacts:
-    """Read what matters of a moteus, and refuse one that would not do as it is told.
+    """Read the relevant settings of a moteus, and refuse one that would not execute torque commands as sent.
 
     Raises
     ------
     IncompatibleDeviceError
         Another generation of its firmware.
     DeviceRefusedError
-        Somebody else drives it, it has a fault, or a setting that would give another torque.
+        Another host commands it, it has a fault, or a setting that would give another torque.
     """
     talk.refuse_others()
     version, registers = talk.register(0x101), talk.register(0x102)

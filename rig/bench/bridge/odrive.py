@@ -1,9 +1,9 @@
 """An ODrive: who it is, how it is set up, and what must be true of it before a handle hangs on it.
 
-CAN Simple tells neither a limit nor a watchdog: they are parameters, read by the numbers of their endpoints (messages
-RxSdo and TxSdo). These numbers differ from one firmware to the next; the maker publishes them as
-``flat_endpoints.json``. Without that file no ODrive is taken: what it says of itself is worth more than what somebody
-remembers of it.
+CAN Simple reports neither limits nor the watchdog: they are parameters, read by the numbers of their endpoints
+(messages RxSdo and TxSdo). These numbers differ from one firmware to the next; the maker publishes them as
+``flat_endpoints.json``. Without that file every ODrive is refused: settings read from the drive are more reliable than
+settings entered from memory.
 
 Source: the description of the messages of 0.6.10 (DBC) that the package odrive-can carries;
 odriverobotics/ODriveResources, examples/can_param_access.py and can_watchdog.py; names of parameters from odrive
@@ -41,7 +41,7 @@ REST_S = 0.1  # a set-point lives for 50 ms at most
 LONGEST_WATCHDOG_S = 0.05  # as the firmware of this project has it
 WATCHED_PERIODS = 2.0  # of set-points at least, before the watchdog bites
 LONGEST_CYCLE_MS, LONGEST_BEAT_MS = 20, 10
-FLOAT = 1e-6  # a float32 tells a number to this share
+FLOAT = 1e-6  # relative tolerance for values sent as float32
 ONBOARD_COUNTS = 16384
 INCREMENTAL, ONBOARD = 1, 13  # odrive.enums.EncoderId
 WHERE_TO_GET = (
@@ -62,7 +62,7 @@ class OdriveCommand(IntEnum):
     TX_SDO = 0x05
 
 
-# What a host tells a drive, as `is_command` of odrive.c has it.
+# Message ids that a host sends to a drive; the same set as `is_command` in odrive.c.
 COMMANDS = {0x02, 0x04, 0x07, *range(0x0B, 0x14), 0x16, *range(0x18, 0x1C)}
 IDLE, CLOSED_LOOP = 1, 8
 WATCHDOG_EXPIRED = 0x01000000
@@ -142,7 +142,7 @@ class Endpoints:
 
     @classmethod
     def load(cls, place: str) -> Self:
-        """Read the maker's file; `ConfigError` for what is none."""
+        """Read the maker's file; raises `ConfigError` if it is not a valid ``flat_endpoints.json``."""
         try:
             return cls.of(place, json.loads(read_regular(place, TABLE_BYTES)))
         except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
@@ -190,7 +190,7 @@ class OdriveConversation:
         return f"the ODrive {self.node} at {self._bus.place}"
 
     def refuse_others(self) -> None:
-        """Listen for a while; raises `DeviceRefusedError` when somebody else commands the drive."""
+        """Listen for `LISTEN_S`; raises `DeviceRefusedError` when another host commands the drive."""
         deadline = time.monotonic() + LISTEN_S
         while (left := deadline - time.monotonic()) > 0:
             heard = self._bus.receive(left)
@@ -228,7 +228,7 @@ class OdriveConversation:
         return float(form.unpack_from(answer, 4)[0])
 
     def _asked(self, question: CanFrame, command: OdriveCommand, is_answer: Callable[[bytes], bool]) -> bytes:
-        """Ask, again if need be; `DeviceNotFoundError` when nobody answers."""
+        """Send a request up to `TRIES` times and return the reply; raises `DeviceNotFoundError` without one."""
         for _ in range(TRIES):
             self._bus.send(question)
             asked = time.monotonic()
@@ -271,7 +271,7 @@ class OdriveFacts:
 
     @property
     def output(self) -> Output:
-        """What it tells, of its shaft."""
+        """Reported properties of the drive's shaft."""
         v = self.values
         onboard = v[ENCODER] == ONBOARD
         constant = v[TORQUE_CONSTANT]
@@ -293,14 +293,14 @@ class OdriveFacts:
 
 
 def find(talk: OdriveConversation) -> OdriveFacts:
-    """Read what matters of an ODrive, and refuse one that would not do as it is told.
+    """Read the relevant settings of an ODrive, and refuse one that would not execute torque commands as sent.
 
     Raises
     ------
     IncompatibleDeviceError
         Another generation of its firmware, or a file of another version.
     DeviceRefusedError
-        Somebody else drives it, it has an error, or settings that would leave or change a torque: all of them.
+        Another host commands it, it has an error, or settings that would drop or change a torque; lists all of them.
     """
     talk.refuse_others()
     version = tuple(talk.told(OdriveCommand.GET_VERSION)[4:7])

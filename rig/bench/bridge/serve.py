@@ -30,7 +30,7 @@ assert sys.platform == "linux"
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """What is told when a bridge is ready: the drive, what could not be obtained, and its process."""
+    """Announcement of a ready bridge: the drive, messages about what could not be obtained, and the process id."""
 
     drive: FittedDrive
     messages: tuple[str, ...]
@@ -111,7 +111,7 @@ def _end_of(host: socket.socket | None) -> Iterator[tuple[int, str]]:
 
 @contextlib.contextmanager
 def _wakes() -> Iterator[int]:
-    """A descriptor that is readable once SIGINT or SIGTERM came: while C code runs, Python hears of none."""
+    """Yield a descriptor that becomes readable on SIGINT or SIGTERM: during C code no Python signal handler runs."""
     ear, mouth = os.pipe()
     os.set_blocking(mouth, False)
     numbers = (signal.SIGINT, signal.SIGTERM)

@@ -101,7 +101,7 @@ def running(root: Path, program: str) -> bool:
 
 
 def _rules(machine: Machine) -> Iterator[Path]:
-    """Each file of udev rules; a mask (a link to /dev/null) is none."""
+    """Yield each file of udev rules, without masks (links to /dev/null)."""
     for place in RULES_PLACES:
         for path in (machine.root / place).glob("*.rules"):
             if path.resolve() != Path("/dev/null"):

@@ -1,4 +1,4 @@
-"""What there is to say of a computer that is not a Linux one: who keeps the time of a law there."""
+"""Doctor's report on a computer without Linux: a law in real time must run on the device there."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ SPRING_AND_DAMPER = ("spring-damper", "bilateral", "excited")  # laws whose wall
 
 
 def hands_of(experiment: Experiment) -> dict[str, str | Operator]:
-    """No hand, every preset of a hand, and the experiment's own if it is none of them."""
+    """Return no hand, every preset of a hand, and the experiment's own hand if it differs from the presets."""
     hands: dict[str, str | Operator] = {name: name for name in (NO_OPERATOR, *GRIPS)}
     own = experiment.operator
     if experiment.trial.kind == "human" and GRIPS.get(own.grip) != own:

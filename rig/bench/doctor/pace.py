@@ -1,9 +1,9 @@
 """What a link and this computer make of a loop's rate: how many of its samples are lost, and which rate keeps them.
 
 Clock stamps are exchanged at the loop's own rate, in a thread scheduled like the loop. Answers follow each other
-by a period, or by the link's own time where that is longer; one that comes later by whole periods is a loop that has
-missed the samples of these, or has them late where the device paused as well: which of the two is not told apart. So
-the same answers say what a lower rate would lose.
+by a period, or by the link's own time where that is longer. A reply that is late by whole periods means that a loop
+would have missed the samples of these periods, or received them late where the device paused as well; the measurement
+does not distinguish the two. The same replies show what a lower rate would lose.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from rig.realtime.scheduling import obtained
 
 SECONDS = 2.0
 QUARTERS = 4  # a bad moment is not a bad machine: what counts is what each quarter of the measurement loses
-SLOWEST_HZ = 100  # nobody feels a stiff wall below
+SLOWEST_HZ = 100  # below this rate no wall feels stiff
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -103,7 +103,7 @@ class LinkMeasurement:
     def loop_rate_hz(self) -> float:
         """Highest rate at which 99.9 % of the commands are there within one period (Hz); infinite in virtual time.
 
-        A drive that tells its samples by itself has periods of whole messages.
+        With a drive that sends its samples unrequested, the period is a whole number of its message periods.
         """
         if self.late_s <= 0.0:
             return math.inf
@@ -194,7 +194,7 @@ def measure_link(
     Raises
     ------
     LinkLostError
-        Nobody answers, or the link is gone.
+        No reply, or the link is lost.
     """
     dictionary = device.dictionary  # a device that has just started answers IDENTIFY only
     run = _Run(device, seconds, rate)

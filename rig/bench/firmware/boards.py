@@ -83,7 +83,7 @@ class BoardFile:
     excitation_ticks
         Room for one period of an excitation; 0: none.
     flash, ram
-        What there is room in.
+        Memory regions for program and data.
     uf2_family
         Of its boot ROM; left out when it takes no UF2.
     drive

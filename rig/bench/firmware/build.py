@@ -107,7 +107,7 @@ class BuildResult:
     flash_bytes, ram_bytes
         What the program takes of the board's memory, its stack's reserve as the linker script has it.
     flash_room, ram_room
-        What there is.
+        Total size of the board's memory (bytes).
     ticks
         Which rates the processor has time for, with a law on the device in integers and in float32.
     warnings

@@ -24,7 +24,7 @@ from rig.core.deferred import unicorn
 from rig.core.errors import ToolchainError
 
 FLASH, RAM, SIZE = 0x0800_0000, 0x2000_0000, 0x8_0000
-STACK_TOP, STACK_LEAST = RAM + SIZE, RAM + SIZE - 0x4000  # memory below is free for whoever calls
+STACK_TOP, STACK_LEAST = RAM + SIZE, RAM + SIZE - 0x4000  # memory below is free for the caller
 RETURN = FLASH + SIZE - 0x100  # where a function returns to: nothing is there
 PAINT = b"\xa5"
 STRICT = (
@@ -89,7 +89,7 @@ def build(
     directory
         Where the files of the compiler go.
     sources, entries
-        What is compiled, and the functions of it that somebody calls.
+        What is compiled, and the functions that must be kept because they are called from outside.
     *more
         Options of the compiler: include paths, another optimisation.
 

@@ -285,7 +285,7 @@ def check_port(
     Raises
     ------
     LinkLostError
-        Nobody answers.
+        No reply.
     DeviceRefusedError
         The firmware itself runs there.
     ConfigError

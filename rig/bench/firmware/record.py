@@ -86,7 +86,7 @@ def find(image: bytes, name: str) -> Record:
     Raises
     ------
     ConfigError
-        There is none, or what is there was damaged.
+        The image contains no record, or a damaged one.
     """
     damaged = False
     at = image.find(MAGIC)
@@ -105,7 +105,7 @@ def find(image: bytes, name: str) -> Record:
 
 
 def _read(image: bytes, at: int) -> Record | None:
-    """Return the record at a place, or None when it is none or damaged."""
+    """Return the record at a place, or None when the bytes there are not a record or are damaged."""
     if len(image) < at + HEAD_BYTES:
         return None
     text_bytes, packed_bytes, crc = _LENGTHS.unpack_from(image, at + len(MAGIC))

@@ -1,6 +1,6 @@
 """Whether a board's scales fit a rig and its amplifier: what would saturate, never trip or be too coarse is refused.
 
-A device reports the current that it was told to give. That is true as long as its output can give it.
+A device reports the commanded current. That equals the real current only while its output can deliver it.
 """
 
 from __future__ import annotations
@@ -50,9 +50,9 @@ def _share_of_a_step(settings: Mapping[str, SettingValue]) -> float | None:
 
 
 def set_point_step_a(model: RigModel, settings: Mapping[str, SettingValue]) -> float | None:
-    """Return one step of the set-point (A): the coarser of what leaves the board and what the amplifier tells apart.
+    """Return one step of the set-point (A): the coarser of the board's output step and the amplifier's resolution.
 
-    None for a board without such an output; a clock that is not told in MHz is taken for fast enough.
+    None for a board without such an output; a clock that is not stated in MHz is assumed to be fast enough.
     """
     if (sent := _share_of_a_step(settings)) is None:
         return None

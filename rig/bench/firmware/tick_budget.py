@@ -101,7 +101,7 @@ def tick_budget(board: Board, settings: Mapping[str, SettingValue] | None = None
 
 
 def named_budget(name: str) -> TickBudget:
-    """Return the budget of a board by its name; `ConfigError` where there is none, or its cycles are not known."""
+    """Return the budget of a board by its name; `ConfigError` if the board is unknown or its cycles are not known."""
     found = tick_budget(load(name))
     if found is None:
         raise ConfigError(

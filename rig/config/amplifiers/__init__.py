@@ -38,7 +38,7 @@ class AmplifierProfile:
     most_a
         Largest current it gives (A); None: not known.
     steps
-        Set-points that it tells apart from full negative to full positive current; None: as many as are sent.
+        Distinct set-points from full negative to full positive current; None: as many as are sent.
     pwm_frequency
         Least and greatest pulse width rate that it takes (Hz); None: not known.
     settings

@@ -13,7 +13,7 @@ __all__ = ["load", "load_named", "names", "text"]
 
 
 def load(name: str) -> Experiment:
-    """Return a preset's experiment; `ConfigError` (with the closest name) when there is none of that name."""
+    """Return a preset's experiment; `ConfigError` (with the closest name) when no preset has that name."""
     return experiment_from_mapping({"preset": name}, f"preset {name}")
 
 

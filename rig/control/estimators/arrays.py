@@ -96,8 +96,8 @@ def estimate(
         Travel for one count (rad or m); negative when counts fall while the position rises.
     edge_time
         When the last encoder edge before each sample happened (s, shape (n,)), on a clock that is zero at the first
-        sample; −inf where there was none yet. Without it an edge is taken to happen at the sample that first shows
-        it, which is all that counts alone can say.
+        sample; −inf before the first edge. Without it an edge is assumed at the sample that first shows it, because
+        counts alone contain no more.
     elapsed
         Velocity periods from the sample before to each sample, shape (n,): above 1 after lost ones. All 1 if not given.
     width

@@ -41,7 +41,7 @@ class Setting:
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """A named option that a user may choose: default, what there is, and meaning; `design` gets the name."""
+    """A named option that a user may choose: default, choices, and meaning; `design` receives the chosen name."""
 
     name: str
     default: str

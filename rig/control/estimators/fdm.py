@@ -1,7 +1,7 @@
 """Finite difference: the slope between two samples, and nothing else.
 
 v = Δ·(c_k − c_{k−1}) / T. Rounding alone gives it Δ/(√6·T) rms of noise on a moving handle, which is why
-nobody renders damping from it at a high rate. Source: Chawda et al., equation (1).
+it is not used to render damping at a high rate. Source: Chawda et al., equation (1).
 """
 
 from __future__ import annotations

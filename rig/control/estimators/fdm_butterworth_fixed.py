@@ -6,7 +6,7 @@ products summed whole in 64 bits and rounded once per period. `rig.control.fixed
 rounding does to a low pass. Direct form I: the state is input and output themselves, so that no hidden sum can
 overflow. Everything is int64 up to the output, which becomes SI at the very end.
 
-With 16 fractional bits, rounding costs less than 1e-4 counts a period at f_c = fs/10; what is left is the error of
+With 16 fractional bits, rounding costs less than 1e-4 counts a period at f_c = fs/10; the remaining error is that of
 the coefficients. With 2 to 4, the reading of the FPGA of Koul et al. that explains its figure 7, the dead zone decides:
 rounding to zero at f_c = fs/20 with 4 bits, all motion below 0.78 counts a period reads as rest. That is 2.4 rad/s at
 20 kHz, and a tenth of it at 2 kHz.

@@ -35,7 +35,7 @@ from rig.control.estimators.fdm import count_difference
 from rig.core.errors import ConfigError
 from rig.realtime.kernel import kernel
 
-LONGEST = 64  # periods; a line over more has a delay that nobody renders with
+LONGEST = 64  # periods; the delay of a longer line is too large for rendering
 SLOTS, MASK = 128, 127  # ring of samples: a power of two above LONGEST
 
 BAND, LIMIT, STOP = COMMON, COMMON + 1, COMMON + 2  # parameters

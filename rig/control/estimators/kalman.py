@@ -26,7 +26,7 @@ Fading. When innovations are larger than the model explains, the propagated cova
 paper used it does not say.
 
 Source: Chawda et al., section II.B, equations (2) to (4) and Q after them; Bélanger et al. 1998; Xia et al. 1994 for
-fading. Neither of the last two was at hand: the recursion is the standard form of the literature.
+fading. Neither of the last two was available: the recursion is the standard form of the literature.
 """
 
 from __future__ import annotations

@@ -132,7 +132,7 @@ def update(
 
 
 def multipliers(settings: Mapping[str, Any], estimator: str = "levant") -> tuple[float, float]:
-    """(μ1, μ2) that the settings name; `ConfigError` for a pair outside the region that it is said to lie in."""
+    """Return (μ1, μ2) of the settings; raises `ConfigError` for a pair outside the region that `gains` names."""
     gains, mu1, mu2 = settings["gains"], settings["mu1"], settings["mu2"]
     if gains in levant_regions.NAMED_GAINS:
         if mu1 or mu2:

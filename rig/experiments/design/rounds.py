@@ -46,7 +46,7 @@ class Sweeper:
     scheduler, workers
         As in `rig.experiments.sweep.run`.
     watch
-        Told the name of the stage, and how far it is.
+        Called with the name of the stage and its progress.
     hits
         How many each stage has run.
     """

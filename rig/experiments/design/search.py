@@ -1,4 +1,4 @@
-"""The search itself: theory over the listed set, three rounds of hits, the chosen one again where nobody has looked.
+"""Search for a design: theory over the listed set, three rounds of hits, validation on held-out offsets and seeds.
 
 What a stage does follows from the results of those before, which are kept: a design that was stopped resumes in its
 stage, and its result is the same to the last bit.
@@ -129,7 +129,7 @@ def design(
     directory
         Where finished tasks are kept, and found again; None: nowhere.
     scheduler, workers, watch
-        As in `rig.experiments.sweep.run`; `watch` is also told the name of the stage.
+        As in `rig.experiments.sweep.run`; `watch` is also called with the name of the stage.
 
     Raises
     ------

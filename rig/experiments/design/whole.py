@@ -7,9 +7,9 @@ which they rule out most: at B = 0, where the estimator has no part in the law, 
 at every damping, also beyond the range. A scheme is ruled out when its walls fail at all encoder offsets; an
 invalid hit rules out nothing. Numbers to tune are counted without a hit.
 
-What is left is mapped as the paper's scheme was, rung by rung, and on a rig whose paper measures impedances excited,
-too: `BATCH` at a time, those first that theory holds for best, until one is as good. Without one all of the set is
-either ruled out or measured.
+The remaining schemes are mapped as the paper's scheme was, rung by rung, and on a rig whose paper measures impedances
+also excited: `BATCH` at a time, in the order of theory's ranking, until one is as good. If none is, every scheme of the
+set has been either ruled out or measured.
 
 All schemes meet the same walls: the dampings of `COLUMNS`, closer near zero, up to a little beyond the linear range of
 the paper's schemes, and `BEYOND` times that for the peak alone; rungs of `RATIO`; impedances over `STIFFNESSES` rungs

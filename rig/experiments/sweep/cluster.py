@@ -21,7 +21,7 @@ CENSUS_S = 1.0  # how often the workers are counted
 
 
 class Cluster:
-    """The workers of one scheduler. They may come and go; while there are none, nothing is sent."""
+    """The workers of one scheduler. They may join and leave; without workers nothing is sent."""
 
     ahead = 2  # the next task waits at the worker: sending one takes some 10 ms
 
@@ -44,7 +44,7 @@ class Cluster:
         return future
 
     def workers(self) -> int:
-        """Return the number of threads of all workers; 0 while there are none."""
+        """Return the number of threads of all workers; 0 without workers."""
         if time.monotonic() - self._counted_s >= CENSUS_S:
             try:
                 self._threads = sum(self._client.nthreads().values())

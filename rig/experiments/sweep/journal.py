@@ -1,6 +1,6 @@
 """The journal of a long computation: what is done stays done, whatever ends the process.
 
-One file of lines (`rig.recording.lines`), one for each thing said, appended and never changed::
+One file of lines (`rig.recording.lines`), one for each entry, appended and never changed::
 
     first   : {"sweep": 1, "work": …, "version": …, "tasks": …, "plan": SHA-256 of work, version and tasks, "first": …}
     others  : {"key": …, "result": …}, one for each task done, in the order in which they were done

@@ -79,7 +79,7 @@ def set_slice(slice_ns: int) -> int:
 
 
 def timer_slack() -> int:
-    """Slack of the calling thread in ns; 0 for a real-time thread, and where there is none."""
+    """Return the timer slack of the calling thread (ns); 0 for a real-time thread, and on systems without prctl."""
     function = getattr(_libc(), "prctl", None)
     return 0 if function is None else max(int(function(PR_GET_TIMERSLACK, *(ctypes.c_ulong(0),) * 4)), 0)
 
@@ -102,7 +102,7 @@ def stack_top() -> int:
 def touch(address: int, size: int) -> None:
     """Bring pages into memory, ready to be written, without changing what is in them.
 
-    On kernels before 5.14 one byte of each page is written over itself, so nobody else may write there meanwhile.
+    On kernels before 5.14 one byte of each page is written over itself, so no other thread may write there meanwhile.
     """
     first = address // mmap.PAGESIZE * mmap.PAGESIZE
     length = ctypes.c_size_t(address + size - first)

@@ -52,7 +52,7 @@ def _dynamic_mode(root: Path) -> str:
 
 
 def _built_mode(root: Path) -> str:
-    """Return the mode that the kernel was built to start with, if its configuration is at hand."""
+    """Return the preemption mode that the kernel was built to start with; empty if its configuration is unavailable."""
     try:
         built = gzip.decompress((root / "proc/config.gz").read_bytes()).decode(errors="replace")
     except (OSError, EOFError, zlib.error):
@@ -92,7 +92,7 @@ def governors(root: Path = ROOT) -> dict[int, str]:
 
 
 def idle_driver(root: Path = ROOT) -> str:
-    """Who puts idle processors to sleep; empty when nobody does."""
+    """Return the driver that puts idle processors to sleep; empty without one."""
     name = text_of(root / _CPUS / "cpuidle/current_driver")
     return "" if name == "none" else name
 

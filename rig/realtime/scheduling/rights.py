@@ -20,7 +20,7 @@ CAP_IPC_LOCK, CAP_SYS_NICE = 14, 23  # linux/capability.h
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rights:
-    """Limits are None where there is none; `groups` are the active ones, not those of the next login."""
+    """Rights of this process; None means no limit; `groups` are the active ones, not those of the next login."""
 
     user: str
     groups: frozenset[str]
