@@ -13,7 +13,7 @@
 * `sessions`, `session_desk`, `session_lists`, `session_requests`: the operator's seat, the session's side of it, what
   may be begun, and what is asked;
 * `consent`, `terminal`: what a person at the rig agrees to, and where;
-* `bounds`: how much of the server anybody may take;
+* `bounds`: how much of the server its clients may take;
 * `server`: sockets and the page;
 * `page/`: the page itself, plain modules and one vendored library.
 """

@@ -3,8 +3,8 @@
 A token is required on loopback too: any page of any site can open a socket to it, and any user of this computer. It
 stands in the fragment of the URL, which no browser sends, and comes back in the head of a request: as the second
 subprotocol that a socket offers, the only header that a page can add there, or as the bearer token of a download. The
-Host is checked beside the Origin: a name that somebody else's DNS points at this computer makes the two agree. A
-participant's screen has a token of its own, which opens nothing but that screen.
+Host is checked as well as the Origin: a foreign DNS name that points at this computer (DNS rebinding) makes the two
+agree. A participant's screen has a token of its own, which opens nothing but that screen.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class Access:
         return _only(headers, "Host") in self._hosts
 
     def origin_allowed(self, headers: Headers) -> bool:
-        """Whether a socket is opened by this page: a browser always says its origin, what is none may not."""
+        """Return True if this page opened the socket: a browser always sends an Origin, so one without is refused."""
         origin = _only(headers, "Origin")
         return origin.removeprefix("http://") in self._hosts and origin.startswith("http://")
 
@@ -86,7 +86,7 @@ class Access:
 
 
 def _only(headers: Headers, name: str) -> str:
-    """Return a header's value; "" where it is missing, or was sent twice: nobody could say which one counts."""
+    """Return a header's value; "" if it is missing, or ambiguous because it was sent twice."""
     values = headers.get_all(name)
     return values[0] if len(values) == 1 else ""
 

@@ -24,14 +24,14 @@ MOST_A_SECOND = 200.0  # messages of a socket
 
 
 class Places(Generic[One]):
-    """So many places; when all are taken, whoever was silent longest loses theirs.
+    """A limited number of places; when all are taken, the member that was silent longest is dropped.
 
     Parameters
     ----------
     most
-        Places.
+        Number of places.
     lose
-        Told who has lost theirs.
+        Called with the member that is dropped.
     """
 
     def __init__(self, most: int, lose: Callable[[One], None]) -> None:
@@ -39,7 +39,7 @@ class Places(Generic[One]):
         self._taken: dict[One, None] = {}  # silent longest first
 
     def hear(self, one: One) -> None:
-        """Somebody comes, or says something."""
+        """Give `one` a place, or note that it sent something."""
         self._taken.pop(one, None)
         self._taken[one] = None
         if len(self._taken) > self._most:
@@ -48,7 +48,7 @@ class Places(Generic[One]):
             self._lose(lost)
 
     def leave(self, one: One) -> None:
-        """Somebody goes, and need not have been here."""
+        """Free the place of `one`, if it has one."""
         self._taken.pop(one, None)
 
 

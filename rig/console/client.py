@@ -1,6 +1,6 @@
 """One page at its socket: what it is still to be sent, in a bounded memory, however slowly it reads.
 
-A page that reads slowly gets the newest state and one long piece of scope instead of many short ones; it delays nobody.
+A page that reads slowly gets the newest state and one long piece of scope, not many short ones, and delays no other.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Client:
     name
         Random, of the page's own choosing: its two sockets say the same.
     participant
-        Whether it is a participant's screen, which is told and asked what a participant may know.
+        Whether it is a participant's screen, which shows and asks only what a participant may know.
     shown, paused
         What its scope shows.
     allowance
@@ -82,7 +82,7 @@ class Client:
         self._wake.set()
 
     async def send(self) -> None:
-        """Send what there is, as fast as the page takes it, until its socket closes."""
+        """Send queued replies, states and scope frames as fast as the page reads them, until its socket closes."""
         while True:
             await self._wake.wait()
             self._wake.clear()
@@ -106,11 +106,11 @@ class Client:
 
 
 def trouble(error: RigError) -> str:
-    """Message that tells a page what went wrong, where it has not asked."""
+    """Return the message that reports an error to a page outside of any request."""
     return json.dumps({"say": "trouble", "message": str(error)})
 
 
 def defect(do: str, error: BaseException) -> RigError:
-    """What a page is told of a defect of ours; its traceback goes to where the console runs."""
+    """Return the error that a page shows for a defect of ours; print its traceback where the console runs."""
     traceback.print_exception(error)
     return RigError(f"{do}: {error!r}", remedy="report it with what stands where the console runs")

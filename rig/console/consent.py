@@ -1,7 +1,7 @@
 """What a person at the rig agrees to, in lines: the terminal asks with them, and the page that wants it shows the same.
 
-A digest of all that decides what the rig does is one of them, so that whoever agrees and whoever operates know that
-they mean the same; the job refuses what has another one, since a file may change while somebody reads.
+One line is a digest of all that decides what the rig does, so that the person who agrees and the operator can check
+that they mean the same; the job refuses another digest, since a file may change while a person reads.
 """
 
 from __future__ import annotations

@@ -39,7 +39,7 @@ ERRANDS: dict[str, Callable[..., Any]] = {
 
 
 def main() -> None:
-    """Do errands until nobody asks for more."""
+    """Do errands until standard input ends."""
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what a library prints is no answer
     compiling.listen(lambda busy: _tell(answers, {"compiling": busy}))
@@ -49,7 +49,7 @@ def main() -> None:
             result = ERRANDS[asked["errand"]](**asked["content"])
         except RigError as error:
             _tell(answers, error.as_mapping())
-        except Exception as error:  # a defect of ours: the page is told, and the next errand is done
+        except Exception as error:  # a defect of ours: report it to the page, and do the next errand
             _tell(answers, {"error": f"{asked['errand']}: {error!r}", "remedy": "report it"})
         else:
             found, data = result if isinstance(result, tuple) else (result, b"")

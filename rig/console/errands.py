@@ -34,8 +34,8 @@ class Errands:
     ) -> tuple[Any, bytes]:
         """Have an errand done (`rig.console.errand_worker.ERRANDS`); its result, and bytes where it has some.
 
-        `compiling` is told while machine code is being made. Raises `RigError` for what it raised, or when its process
-        died of it.
+        `compiling` is called with True when a compilation begins, and with False when it ends. Raises `RigError` if
+        the errand fails or its process dies.
         """
         async with self._room:
             process = self._idle.pop() if self._idle else await self._start()

@@ -111,7 +111,7 @@ class History:
         return float(self._seconds(self._raw[row % len(self._raw)][np.newaxis])[0])
 
     def received_at(self, row: int) -> float | None:
-        """When a row was received, on the clock of the page (ms since 1970); None where there is none yet."""
+        """Return when a row was received, on the page's clock (ms since 1970); None if it was not received yet."""
         if not 0 <= row < self.rows:
             return None
         age_ns = time.monotonic_ns() - int(self._raw["received_at"][row % len(self._raw)])

@@ -1,4 +1,4 @@
-"""Jobs that hit a wall: the motor does it, or somebody who drags the handle of a simulated rig."""
+"""Jobs that hit a wall: the motor does it, or a person who drags the handle of a simulated rig."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def short(data: bytes) -> str:
 
 
 def hit(content: Mapping[str, Any], talk: Talk) -> Any:
-    """One automated hit in real time, or a person's on a real rig: of the experiment that somebody agreed to."""
+    """Run an automated hit in real time, or a person's on a real rig; refuse another experiment than was agreed to."""
     experiment, changes = experiment_of(content), dict(content.get("changes") or {})
     agreed = content.get("digest")
     if agreed is not None and agreed != digest_of(in_effect(experiment, changes)):
@@ -67,7 +67,7 @@ def hit(content: Mapping[str, Any], talk: Talk) -> Any:
 
 
 def play(content: Mapping[str, Any], talk: Talk) -> Any:
-    """A simulated rig whose hand somebody drags, through the file `hand` (`rig.realtime.hand`)."""
+    """Run a simulated rig whose hand a person drags, through the file `hand` (`rig.realtime.hand`)."""
     url = str(content.get("url") or SIMULATED)
     if not url.startswith("sim:"):
         raise ConfigError(f"{url}: no hand is dragged there", remedy="hold its handle, and start a hit")

@@ -15,7 +15,7 @@ from rig.core.child import with_this_package
 from rig.core.errors import ConfigError, RigError, StoppedError
 from rig.realtime.running import ask_to_stop
 
-END_S = 10.0  # how long a job may take to bring its recording to rest once it was told to end
+END_S = 10.0  # longest time that a job may take to bring its recording to rest after the request to end
 TAIL_BYTES = 4096
 LINE_BYTES = 1 << 24  # of a message: a result with all its numbers
 
@@ -28,9 +28,9 @@ class Job:
     name, content
         What it is, and what it was given.
     goes_on
-        Whether it goes on when its operator has gone.
+        Whether it continues after its operator has left.
     asks
-        Whether it asks somebody what follows a STOP, which then does not end it.
+        Whether a STOP makes it ask the operator how to continue, instead of ending it.
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class Job:
     def end(self) -> None:
         """Zero effort by the stop word of its loop, or an interrupt where no loop runs yet. Never waits.
 
-        One that asks is told instead of interrupted: it goes on, and somebody says how.
+        A job that `asks` gets a stop message instead of the interrupt: it continues as the operator then decides.
         """
         loops = ask_to_stop(self.pid)
         if self.asks:
@@ -101,7 +101,7 @@ class Job:
         if self._process.returncode is None:
             self.end()
             if self.asks and self._process.stdin is not None:
-                self._process.stdin.close()  # nobody will answer any more
+                self._process.stdin.close()  # no answer will come any more
             try:
                 async with asyncio.timeout(END_S):
                     await self._process.wait()
@@ -134,7 +134,7 @@ class Jobs:
     Parameters
     ----------
     tell
-        Told every message of the job, and at its end.
+        Called with the job and each of its messages; the last one reports its end.
     """
 
     def __init__(self, tell: Callable[[Job, Mapping[str, Any]], None]) -> None:
@@ -196,7 +196,7 @@ class Jobs:
             self.running.beat()
 
     async def close(self) -> None:
-        """End what runs, unless it goes on without a console, and start nothing more."""
+        """End the running job, unless it continues without a console, and start no other."""
         self._closed = True
         self._stops += 1
         if self.running is not None and not self.running.goes_on:
@@ -207,7 +207,7 @@ class Jobs:
     async def _follow(self, job: Job) -> None:
         try:
             await job.follow(lambda message: self._tell(job, message))
-        except Exception as error:  # a defect of ours: what nobody follows must not move
+        except Exception as error:  # a defect of ours: a job whose messages are not read must not move
             traceback.print_exception(error)
             told = RigError(f"the {job.name} could not be followed: {error!r}", remedy="report it")
             self._tell(job, {"say": "failed", **told.as_mapping()})

@@ -1,4 +1,4 @@
-"""Who operates: one page, as long as it is heard of; the others look on.
+"""Who operates: one page, as long as its heartbeats arrive; the others only watch.
 
 The page's heartbeat comes from a worker of its own, since browsers throttle the timers of hidden pages, and says that
 the page itself has answered that worker. A beat is due within `BEAT_S`; a page that is silent for `LOST_S` operates no
@@ -20,7 +20,7 @@ LOOK_S = 0.05
 
 @dataclass(frozen=True, slots=True)
 class LeaseState:
-    """How the lease stands: who has it (None: nobody), and whether a beat is overdue."""
+    """State of the lease: the page that has it (None: no page), and whether its heartbeat is overdue."""
 
     by: str | None
     overdue: bool
@@ -43,13 +43,13 @@ class Lease:
         self._doubted = False  # a late look has found it silent
 
     def take(self, client: str) -> bool:
-        """Operate, if nobody else does; whether `client` does now."""
+        """Make `client` the operator if there is no other; return True if `client` operates now."""
         if self._by is None:
             self._by, self._heard, self._doubted = client, self._now(), False
         return self._by == client
 
     def beat(self, client: str) -> None:
-        """A page was heard of."""
+        """Note a heartbeat; only the operator's counts."""
         if client == self._by:
             self._heard, self._doubted = self._now(), False
 
@@ -63,9 +63,9 @@ class Lease:
         return LeaseState(self._by, self._by is not None and self._now() - self._heard > BEAT_S)
 
     def expire(self) -> str | None:
-        """Take it from a page that was not heard of for too long: that page, once; else None.
+        """Take the lease from a page that was silent for more than `LOST_S`; return that page once, else None.
 
-        To be called every `LOOK_S`; what was heard before a late call may be taken over before the next one.
+        Call it every `LOOK_S`: beats that wait in the socket at a late call can be read before the next one.
         """
         now = self._now()
         late, self._looked = now - self._looked > 2.0 * LOOK_S, now

@@ -44,9 +44,9 @@ class Live(Service):
         self._history = History()
         self._followed: Followed | None = None
         self._pid: int | None = None  # whose loop is wanted while no job runs; None: whichever began last
-        self._withheld = False  # whether that loop may be shown to nobody
+        self._withheld = False  # whether no page may show that loop
         self._unreadable: tuple[int, float] | None = None  # a loop that a defect of ours cannot read
-        self._defects: dict[str, float] = {}  # when which was told last
+        self._defects: dict[str, float] = {}  # when each was last reported (s)
 
     def handlers(self) -> Mapping[str, tuple[type[asked.Request], Handler]]:
         """See `Service.handlers`."""
@@ -69,7 +69,7 @@ class Live(Service):
         self.stop_all()
 
     def stop_all(self) -> None:
-        """Set the stop word of every loop of this user, first of those that are at hand without a search."""
+        """Set the stop word of every loop of this user, first of the followed loop and the job, without a search."""
         if self._followed is not None and not self._followed.ended:
             self._followed.stop()
         self._shared.jobs.end()
@@ -123,7 +123,7 @@ class Live(Service):
         """From now on look at whichever loop begins."""
         self._pid = None
 
-    # What goes on by itself.
+    # Periodic tasks.
 
     async def every_frame(self) -> None:
         """Take over rows and hand them on, sixty times a second."""
@@ -157,12 +157,12 @@ class Live(Service):
         """Look for another loop."""
         while True:
             with self._surviving("the search for loops"), suppress(OSError):
-                await self.search()  # no descriptor left, which anybody may use up: it is tried again
+                await self.search()  # out of descriptors, perhaps because of another program: try again
             await asyncio.sleep(SEARCH_S)
 
     @contextmanager
     def _surviving(self, what: str) -> Iterator[None]:
-        """Let a defect of ours cost what it spoils, told now and then, and not the server that hears STOP."""
+        """Report a defect of ours once per `DEFECT_S` at most; it must not end the server, which takes a STOP."""
         try:
             yield
         except Exception as error:
@@ -172,7 +172,7 @@ class Live(Service):
                 self._shared.tell_trouble(defect(what, error))
 
     async def search(self) -> None:
-        """Look at the loop that is wanted, if it is another one; at none that nobody here may know."""
+        """Follow the wanted loop, unless it is followed already; follow none while its operator must be blinded."""
         if self._shared.blinded:
             self._withhold()
             return

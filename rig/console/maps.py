@@ -1,4 +1,4 @@
-"""The view of maps: what lies in the directory of maps, whoever made it, grows on the page as its journal does.
+"""The view of maps: each map in the directory of maps, from any program, grows on the page as its journal does.
 
 A map that a page starts is a job like others (`rig.console.map_jobs`); its cells come by the way of all maps, from the
 directory. Nothing here moves a rig: a map on a device is started by its command, where a person agrees to each hit.
@@ -51,7 +51,7 @@ class EndMap(Request):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class WatchMap(Request):
-    """Show a map, and go on showing it; an empty name: none."""
+    """Show a map, and update it as it grows; an empty name shows none."""
 
     map: Name
 
@@ -83,8 +83,8 @@ class Watched:
     place
         In the journal, where the next line will begin.
     begun_s, begun_weight
-        When we first saw a column, and how much was done then: the time left is told from what came since, so that
-        no compiling counts.
+        When the first column was seen (s), and the work done by then: the remaining time is extrapolated from later
+        work only, so that compilation does not count.
     """
 
     path: Path

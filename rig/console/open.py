@@ -53,8 +53,8 @@ def open_console(
 def end_on_signal(serve: Callable[[asyncio.Event], Coroutine[None, None, None]]) -> None:
     """Serve until a signal sets the event; a program that has not ended `END_S` after it is ended at once.
 
-    A thread that waits for a disk that is gone would keep it for ever. What moves has been told to stop by then, and a
-    job's process brings its recording to rest by itself.
+    A thread that waits for a missing disk would keep it running for ever. By then all that moves has received its stop
+    request, and a job's process brings its recording to rest by itself.
     """
     late = threading.Timer(END_S, _leave)
     late.daemon = True

@@ -29,7 +29,7 @@ from rig.views.plots.hit import draw_hit
 
 SUFFIXES = (SEALED_SUFFIX, CAPTURE)
 PICTURES = {".png": "image/png", ".svg": "image/svg+xml"}
-PAGE = 50  # recordings that are told at once
+PAGE = 50  # recordings in one answer
 POINTS = 1500  # of a cut
 GREATEST = 1e300  # number of a setting
 COMPARED = ("velocity", "effort_sent")  # what a replay is shown of
@@ -213,7 +213,7 @@ def _cut(
 
 
 def picture(path: str, draw: bool) -> tuple[str, bytes]:
-    """The picture beside a recording, and its type; drawn and left there if there is none and `draw` says so."""
+    """Return the picture beside a recording, and its type; if it is missing, draw it there if `draw`, else raise."""
     found = _picture(Path(path))
     if found is None:
         if not draw:

@@ -30,7 +30,7 @@ class Regions:
     hand
         In which `stable` binds.
     note
-        What the numbers leave out, or why there are none.
+        What the numbers leave out, or why they are missing.
     """
 
     damping: float

@@ -1,6 +1,6 @@
 """What a page starts and changes: runs, the wall of the one that is looked at, the handle that is dragged; and who may.
 
-Nothing moves on while nobody operates, unless that was said at its start.
+What moves ends when no page operates, unless it was started to continue without one.
 """
 
 from __future__ import annotations
@@ -124,12 +124,12 @@ class Runs(Service):
         return found
 
     async def every_beat(self) -> None:
-        """End what moves while nobody operates: its operator has gone, or let go.
+        """End the running job when no page operates: its operator has left, or released the lease.
 
-        A defect here ends what this console moves, whether it goes on without a page or not, and then the console:
-        nobody would end it later.
+        A defect here ends the job, even one that continues without a page, and then the console: no other task would
+        end the job later.
         """
-        told: Job | None = None  # since nobody operates
+        told: Job | None = None  # that was asked to end since the last operator left
         try:
             while True:
                 told = self._beat(told)

@@ -78,7 +78,7 @@ class ConsoleSettings:
     own
         Look at runs of this console only.
     announce
-        Told the URL, once it is served.
+        Called with the URL, once it is served.
     """
 
     port: int = 0

@@ -45,7 +45,7 @@ class ServiceContext:
     errands
         What is read, drawn and computed elsewhere.
     blinded
-        Whether whoever sits here must not know the wall of the run that goes on: its loop is looked at by nobody.
+        Whether the operator must not know the wall of the current run: no page then shows its loop.
     """
 
     clients: set[Client]
@@ -57,7 +57,7 @@ class ServiceContext:
     blinded: bool = False
 
     def must_operate(self, client: Client) -> None:
-        """Refuse whoever only looks on; whoever asks while nobody operates does from now on."""
+        """Raise `ConfigError` if another page operates; make `client` the operator if none does."""
         if not self.lease.take(client.name):
             raise ConfigError("another page operates", remedy="let it release first, or close it")
 
@@ -118,7 +118,7 @@ class Service(ABC):
         """A page has come."""
 
     def job_says(self, job: Job, message: Mapping[str, Any]) -> bool:
-        """A job has said something; whether it was said to this service alone, and not to the pages."""
+        """Take a message of a job; return True if it is for this service alone, and not for the pages."""
         return False
 
     async def download(self, path: str) -> Download | None:
@@ -126,7 +126,7 @@ class Service(ABC):
         return None
 
     async def close(self) -> None:
-        """End what goes on."""
+        """Cancel the tasks that still run, and wait for their end."""
         for task in self._working:
             task.cancel()
         await asyncio.gather(*self._working, return_exceptions=True)

@@ -22,7 +22,7 @@ def listed() -> dict[str, Any]:
 
 
 def resumed(directory: str) -> dict[str, Any]:
-    """What the log of a session says about resuming it: whether somebody is rehearsed, the device, and real time."""
+    """Return what a session's log says about resuming it: whether it is a rehearsal, the device, and real time."""
     place = took_place(Path(directory))
     return {
         "rehearsed": rehearsed(Path(directory)) is not None,

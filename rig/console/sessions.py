@@ -1,9 +1,9 @@
-"""The sessions' view: begins and resumes sessions, and is the seat of whoever operates one, as a terminal is.
+"""The sessions' view: begins and resumes sessions, and is the seat of a session's operator, as a terminal is.
 
-What a page shows comes as texts (`rig.session.console.words`), and what it says are keys and lines, so that a page is a
-terminal of another kind: one conversation, one set of rules. A key names the question that stood there when it was
-pressed; about an earlier one it says nothing. A participant's screen is told what a participant may see, and answers
-verdicts and items alone.
+What a page shows comes as texts (`rig.session.console.words`), and what it sends are keys and lines, so that a page is
+a terminal of another kind: one conversation, one set of rules. A key names the question that was open when it was
+pressed; a key for an earlier question answers nothing. A participant's screen shows what a participant may see, and
+answers verdicts and items alone.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ class Sessions(Service):
 
     async def _start(self, content: Mapping[str, Any], *, asks: bool) -> dict[str, Any]:
         job = self._job = await self._shared.jobs.start(JOB, content, asks=asks)
-        self._shared.blinded = True  # until the session says that nobody has to be
+        self._shared.blinded = True  # until the session reports that its operator is not blinded
         self._seat, self._end, self._compiling = None, None, False
         self._rounds = asyncio.create_task(self._every_round(job))
         self._tell()
@@ -163,7 +163,7 @@ class Sessions(Service):
             and purpose == ("item" if kind == "item" else None)
         )
 
-    # What the session says, and what a page is told.
+    # Messages of the session, and what a page is sent.
 
     def job_says(self, job: Job, message: Mapping[str, Any]) -> bool:
         """See `Service.job_says`."""

@@ -1,4 +1,4 @@
-"""A job's line to its console; see `rig.console.worker` for what is said."""
+"""A job's line to its console; see `rig.console.worker` for the messages."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Talk:
     Parameters
     ----------
     goes_on
-        Whether the job goes on when its console has gone.
+        Whether the job continues without its console.
     """
 
     def __init__(self, goes_on: bool) -> None:
@@ -42,18 +42,18 @@ class Talk:
             self._gone.set()
 
     def progress(self, **content: Any) -> None:
-        """Say how far the job is.
+        """Report how far the job is.
 
-        Raises `StoppedError` when nobody is there any more and the job does not go on without.
+        Raises `StoppedError` when the console is gone and the job does not continue without it.
         """
-        if time.monotonic() - self._heard > SILENT_S:  # it hangs: nobody could say stop
+        if time.monotonic() - self._heard > SILENT_S:  # the console hangs: a STOP could not arrive
             self._gone.set()
         if self._gone.is_set() and not self._goes_on:
             raise StoppedError("the console has gone", remedy="start it again: rig console")
         self.tell("progress", **content)
 
     def ask(self, **content: Any) -> Any:
-        """Ask whoever operates, and wait for the answer. Raises `StoppedError` when nobody can answer."""
+        """Ask the operator, and wait for the answer. Raises `StoppedError` when the console is gone."""
         self.tell("asks", **content)
         answer = None if self._gone.is_set() else self._answers.get()
         if answer is None:
@@ -73,7 +73,7 @@ class Talk:
 
     @property
     def silent_s(self) -> float:
-        """For how long the console has said nothing (s)."""
+        """Time since the last line from the console (s)."""
         return time.monotonic() - self._heard
 
     def listen(self) -> None:

@@ -1,6 +1,6 @@
 """The person at the rig: what a page may not decide is asked on the terminal that runs the console.
 
-Through a tunnel every page looks local, and whoever drives a browser need not see the handle.
+Through a tunnel every page looks local, and the person at the browser may be unable to see the handle.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Terminal:
     """Asks on standard input, where that is a terminal."""
 
     def __init__(self) -> None:
-        # On Windows nobody can be asked: a loop of asyncio does not watch a terminal there.
+        # On Windows no question can be asked: a loop of asyncio does not watch a terminal there.
         self.there = sys.platform != "win32" and sys.stdin is not None and sys.stdin.isatty()
         self._asked: asyncio.Future[str] | None = None
 
@@ -68,7 +68,7 @@ class Terminal:
             self._asked = None
 
     def withdraw(self) -> None:
-        """Take back what is asked: a STOP came, or whoever wanted it has gone."""
+        """Withdraw the open question: a STOP came, or the page that asked for it has gone."""
         if self._asked is not None and not self._asked.done():
             self._asked.set_result("")
             click.echo("\nrig: the page takes that back; nothing is armed")

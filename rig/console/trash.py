@@ -1,4 +1,4 @@
-"""Recordings that nobody wants to see any more: moved with their pictures, never removed, and never over another."""
+"""Recordings that the operator puts aside: moved with their pictures, never removed, and never over another."""
 
 from __future__ import annotations
 

@@ -9,12 +9,12 @@ say        content
 =========  =======================================================================================
 compiling  busy: machine code is being made
 progress   what the job says of itself while it runs
-asks       a question to whoever operates; the next line of input answers it
+asks       a question to the operator; the next line of input answers it
 done       its result; the process ends
 failed     why it ended early (`RigError.as_mapping`); the process ends
 =========  =======================================================================================
 
-Without its console a job ends as by its stop word, unless it was started as one that goes on.
+Without its console a job ends as by its stop word, unless it was started to continue without one.
 """
 
 from __future__ import annotations

@@ -102,7 +102,7 @@ class Reproduction:
     results: Any = field(default=None, repr=False, compare=False)
 
     def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for JSON: what is not finite is None."""
+        """Return plain values for JSON; numbers that are not finite become None."""
         mapping = {
             "name": self.paper.name,
             "title": self.title,
@@ -185,7 +185,7 @@ def draw_into(
 ) -> dict[str, Path]:
     """Draw every picture into a file of this ending, PAPER-NAME; returns their paths by name.
 
-    A picture that fails is reported to `on_failure` with its name, and raised where there is none.
+    A picture that fails is reported to `on_failure` with its name, and raised without it.
     """
     paths = {}
     for name, picture in found.paper.pictures.items():

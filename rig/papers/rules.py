@@ -2,7 +2,7 @@
 
 A claim is tried in cases: rigs, hands, criteria, readings. It is reproduced when it holds in all of them. It is
 reproduced only with a condition when it holds in every case under that condition; a condition is something that
-somebody can set (a cut-off, a word length, gains), and the rule names it, not the result. What holds in some other
+a user can set (a cut-off, a word length, gains), and the rule names it, not the result. What holds in some other
 cases, in some readings or on some random plants is not reproduced; how many they are stands beside it. What a search
 found is known to a rung of it: rules that compare such numbers allow for that (`step`, the ratio of two rungs).
 
@@ -42,7 +42,7 @@ class Ruling:
     cases
         In which cases the claim was tried, and whether it held.
     conditions
-        What somebody can set, and the cases under it.
+        Settings that a user can choose, each with the cases under it.
     numbers
         What the sentence beside the verdict is made of; in a template ``ruling.name``.
     """
@@ -108,7 +108,7 @@ def judge(
 
 
 def each(cases: Iterable[str]) -> dict[str, list[str]]:
-    """Conditions of a claim whose every case is something that somebody can set."""
+    """Return the conditions of a claim in which every case is itself a setting that a user can choose."""
     return {case: [case] for case in cases}
 
 

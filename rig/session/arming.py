@@ -1,7 +1,7 @@
 """Which walls of a study the arming gate refuses on a rig's link, as measured (`rig.bench.doctor.gate`).
 
 A search for the limit asks for walls that do not hold, so on a real rig there are nearly always some. They are found
-before anybody touches the handle: a session begins with consent to all of them, or it does not begin.
+before a person touches the handle: a session begins with consent to all of them, or it does not begin.
 """
 
 from __future__ import annotations
@@ -72,9 +72,9 @@ def refusals(
 
 
 def refuse_unarmable(walls: Walls, runner: TrialRunner) -> None:
-    """Raise `rig.core.errors.PlanError` when this rig refuses a wall of the session, and nobody consented to those.
+    """Raise `rig.core.errors.PlanError` when this rig refuses a wall of the session without consent (`arm_anyway`).
 
-    A blinded operator hears how many there are, and nothing of any wall.
+    For a blinded operator the error gives only the number of such walls.
     """
     blinded = walls.protocol.study.blind in BLINDED
     if runner.simulated:  # never refused

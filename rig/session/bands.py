@@ -1,11 +1,11 @@
-"""Bands of impact speed and press: what a protocol asks of a hand, what it did, and what a simulated one is told.
+"""Bands of impact speed and press: what a protocol requires, what the hand did, and what a simulated hand aims at.
 
 The impact speed is that of the handle at the first contact (`rig.control.verdict`). The press is the mean effort that
 pushed the hand out of the wall over the judged tail (`verdict.tail_s`): what the hand pressed with, less the rig's
 friction, whatever the law of the wall.
 
-In an unstable wall the effort is the wall's own, and tells nothing of the hand: the press is not judged there, for to
-repeat such trials would throw unstable walls away. The impact speed, which no wall has part in, always is.
+In an unstable wall the effort comes from the wall and not from the hand: the press is not judged there, since
+repeating such trials would discard unstable walls. The impact speed, which no wall affects, is always judged.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def _words(band: Band) -> str:
 
 
 def pressing(x: Experiment, trial: Trial) -> dict[str, float]:
-    """What a simulated hand is told of the press, as keys of the experiment of a wall: the middle of the band."""
+    """Return the press of a simulated hand as keys of a wall's experiment: the middle of the band."""
     return {"operator.press": max(0.0, config.press_for(x, middle(trial.press)))} if trial.press else {}
 
 

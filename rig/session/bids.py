@@ -1,8 +1,8 @@
-"""A study's raw data as a BIDS-motion dataset, so that anybody's tools can read it (BIDS 1.10).
+"""A study's raw data as a BIDS-motion dataset, so that common tools can read it (BIDS 1.10).
 
-One recording is one run of the task ``wallhit``, numbered by its trial; what was hit, and what was said of it, is in
-the scans file of its participant, for practice, redone and invalid trials too. Nothing of the session's log leaves it
-but that and the answers to the questionnaire: notes are free text and stay where they are.
+One recording is one run of the task ``wallhit``, numbered by its trial; the wall and its verdict are in the
+scans file of its participant, for practice, redone and invalid trials too. Of the session's log only that and the
+answers to the questionnaire are exported: notes are free text and stay where they are.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a protocol will come to, and whether it may: listed and checked before anybody touches the handle.
+"""What a protocol will come to, and whether it may: listed and checked before a person touches the handle.
 
 Trials and times are expectations with a range (`rig.session.expected`, `rig.session.times`); every wall that a rule may
 ask for is checked like a hit of its own (`rig.experiments.plan`) and held against linear theory.
@@ -65,7 +65,7 @@ def check(
     participants
         How many will come; those that the protocol plans if not given.
     of_device
-        What a device is asked of these walls too, see `rig.session.device_checks`; whoever asks none loads no device.
+        Returns checks of these walls on a device, see `rig.session.device_checks`; without it no device is loaded.
     study
         Directory of the participants: what those took who have finished replaces the planned times of people, and the
         protocol is compared with that of their sessions.

@@ -22,7 +22,7 @@ from rig.session.times import Heat, TrialTimes
 TIRES_S = 1200.0  # chosen: so long without a rest, and a hand tires
 COARSE = 0.25  # of the expected limit: a step that resolves little
 SLOW = 4  # chosen: pauses more often than every so many trials, and people grow impatient
-FAR = 10.0  # times the stiffest wall: a cap beyond is none
+FAR = 10.0  # times the stiffest wall: a cap beyond has no effect
 SEVERITY = (Outcome.OK, Outcome.WARNING, Outcome.REFUSED)
 
 Walls = Sequence[tuple[str, Experiment]]  # each with its condition
@@ -117,7 +117,7 @@ def most_checks(cells: Sequence[CellPlan]) -> Iterator[Check]:
 
 
 def _step_at(levels: Sequence[float], stiffness: float) -> float:
-    """Step of the levels about a stiffness, over it; 0 where that is none of theirs."""
+    """Return the step of the levels around a stiffness, relative to it; 0 if it lies outside of them."""
     return max((b - a for a, b in pairwise(levels) if a <= stiffness <= b), default=0.0) / max(
         stiffness, levels[0]
     )

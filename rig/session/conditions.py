@@ -2,7 +2,7 @@
 
 Later ones win: the preset or the experiment file; what a person at the handle demands (`SAFE`); ``[study.changes]``;
 ``[trial]`` and ``[caps]``; the condition's scheme and its changes; damping and stiffness of the run. A simulated hand
-is told the bands of ``[trial]`` where nobody says how it hits (`rig.session.bands`).
+follows the bands of ``[trial]`` unless something else sets how it hits (`rig.session.bands`).
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def base_experiment(study: Any, folder: Path) -> Experiment | list[Problem]:
 
 
 class Walls:
-    """The walls of a study, as experiments: each is checked once, and then handed out to whoever asks again.
+    """The walls of a study, as experiments: each is checked once and then cached.
 
     Parameters
     ----------
@@ -84,8 +84,8 @@ class Walls:
     base
         What its ``[study]`` names, from `base_of`.
     reach_for
-        Finds the reach of a simulated hand for an impact speed (`rig.session.simulated_hand`); None where nobody
-        simulates one, and a band of impact speeds changes nothing.
+        Finds the reach of a simulated hand for an impact speed (`rig.session.simulated_hand`); None without a
+        simulated hand: a band of impact speeds then changes nothing.
     """
 
     def __init__(self, protocol: Protocol, base: Experiment, reach_for: ReachFor | None = None) -> None:
@@ -202,7 +202,7 @@ def _said(protocol: Protocol) -> dict[str, Any]:
 
 
 def _misplaced(protocol: Protocol) -> Iterator[Problem]:
-    """Changes to keys that are none, or that the protocol says elsewhere."""
+    """Yield changes to unknown keys, and to keys that the protocol sets elsewhere."""
     places: list[tuple[str, Mapping[str, Any]]] = [("study.changes", protocol.study.changes)]
     places += [(f"condition {n}.changes", one.changes) for n, one in enumerate(protocol.condition, 1)]
     for place, changes in places:

@@ -84,7 +84,7 @@ _ASKED = (
     LinkLostError,
     OverrunError,
     StoppedError,
-)  # after these somebody decides how to continue
+)  # after these the operator decides how to continue
 # Errors that a blinded operator may read: nothing in their texts comes from a wall.
 _PLAIN = (DeviceNotFoundError, LinkLostError, OverrunError, RealtimeError, RecordingError)
 
@@ -107,7 +107,7 @@ def _wall(
 
 
 class Marks(Protocol):
-    """Tells other programs what happens and never makes a session wait (`rig.session.lsl.session.LslMarks`)."""
+    """Reports events to other programs and never makes a session wait (`rig.session.lsl.session.LslMarks`)."""
 
     def push(self, mark: str, at_ns: int | None = None, **content: Any) -> None:
         """Say that something happens now."""
@@ -123,7 +123,7 @@ def conduct(
     on_event: Callable[[Event], None] | None = None,
     marks: Marks | None = None,
 ) -> SessionState:
-    """Run a session to its end, or until somebody leaves it.
+    """Run a session to its end, or until the operator leaves it.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ def conduct(
     Returns
     -------
     State
-        How it stands: `ended`, or `stopped` when somebody left it.
+        How it stands: `ended`, or `stopped` when the operator left it.
 
     Raises
     ------
@@ -202,8 +202,8 @@ def walls_in(state: SessionState, reach_for: ReachFor | None = None) -> Walls:
     return Walls(state.protocol, base, reach_for)
 
 
-class _Left(Exception):  # noqa: N818  (no error: somebody leaves)
-    """Somebody leaves the session."""
+class _Left(Exception):  # noqa: N818  (no error: the operator leaves)
+    """The operator leaves the session."""
 
 
 class _Engine:
@@ -254,7 +254,7 @@ class _Engine:
         self.record("opened", **self._runner.facts(*first_wall(self._walls, state.blocks)))
 
     def step(self) -> bool:
-        """Do what comes next; False when the session is over or somebody left it."""
+        """Do what comes next; return False when the session is over or the operator left it."""
         try:
             if self._state.paused is not None:
                 self._pause(self._state.paused)
@@ -366,7 +366,7 @@ class _Engine:
             self._after_early_end(done, presented)
 
     def _after_early_end(self, done: TrialDone, presented: Presented) -> None:
-        """The effort is zero; now somebody may be asked."""
+        """Raise the error that ended a hit, or ask the operator how to continue; the effort is zero."""
         error = done.error
         if error is not None and not isinstance(error, _ASKED):
             raise error  # the law or the desk is broken: the next hit would end like this one
@@ -377,7 +377,7 @@ class _Engine:
             and not isinstance(error, DeviceFaultError)
             and not self._runner.simulated
         ):
-            raise error  # whether the handle is still where it was counted from, somebody must look
+            raise error  # a person must check that the handle's position zero is still valid
         if self._state.trials[-1].invalid:
             why = error.message if isinstance(error, RigError) else done.hit.ended
             if self._blind and isinstance(error, GuardError):  # an energy, a velocity, an oscillating effort
@@ -385,7 +385,7 @@ class _Engine:
             self._trouble(f"the hit ended early: {why}", presented)
 
     def _trouble(self, text: str, presented: Presented) -> None:
-        """Continue only when somebody says so."""
+        """Continue only when the operator chooses to."""
         self._show("stopped", presented)
         actions: tuple[Action, ...] = ("go", "redo") if self._redoable() is not None else ("go",)
         reply = self._ask(
@@ -462,7 +462,7 @@ class _Engine:
         return reply.action == "go"
 
     def _machine_pauses(self, reason: str) -> None:
-        """Wait until somebody has seen to the machine; where nobody sits there, the session is left for that."""
+        """Wait until a person has fixed the machine; without a person at the desk, leave the session for that."""
         if self._desk.who != "simulated":
             self._pause(reason)
             return
@@ -492,7 +492,7 @@ class _Engine:
             self.record("redone", trial=trial.trial)
 
     def _ask(self, question: Question) -> Reply:
-        """Ask until it is more than a note; an action that was not offered is as if nobody had said anything."""
+        """Ask until the reply is more than a note; ignore an action that was not offered."""
         while True:
             reply = self._desk.ask(question)
             if reply.action not in question.actions:

@@ -1,7 +1,7 @@
-"""Whoever sits at the rig: what a session shows them, asks them, and hears from them.
+"""The person at the rig: what a session shows and asks there, and the replies.
 
-What stands in a view or a question may be seen by whoever reads it: the engine leaves out what a blinded operator must
-not know, so nothing behind this interface has to keep a secret.
+All that a view or a question contains may be shown: the engine leaves out what a blinded operator must not know, so
+nothing behind this interface has to keep a secret.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ Action = Literal[
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DeskView:
-    """What there is to see now.
+    """What a desk shows now.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class DeskView:
     say
         What to say to the participant now; empty for nothing.
     code, block, blocks, run, runs, trial, trials
-        Where the session stands; `trials` is about how many there will be, 0 when nobody knows.
+        Where the session stands; `trials` is about how many there will be, 0 if unknown.
     practice, attempt
         Whether it counts; which attempt at a trial it is, from 1.
     condition, stiffness, damping
@@ -86,12 +86,12 @@ class DeskView:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Question:
-    """What somebody must say before the session continues.
+    """A question that must be answered before the session continues.
 
     Attributes
     ----------
     actions
-        What may be answered.
+        Permitted answers.
     seconds
         Of a rest that is due.
     item
@@ -110,7 +110,7 @@ class Question:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reply:
-    """What somebody said, and how long it took them (s)."""
+    """An answer, and how long it took (s)."""
 
     action: Action
     value: str = ""
@@ -133,7 +133,7 @@ class Desk(ABC):
     def ask(self, question: Question) -> Reply:
         """Ask, and wait for the answer.
 
-        Raises `rig.core.errors.StoppedError` when nobody can answer any more.
+        Raises `rig.core.errors.StoppedError` when no answer can come any more.
         """
 
     def watch(self) -> Callable[[int, int], None] | None:

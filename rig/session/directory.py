@@ -3,7 +3,7 @@
 session.log               every decision (`rig.session.log`); nothing else is remembered
 protocol.toml             the protocol file as it was
 trials/t0001.parquet …    recordings; the name has the trial's number and nothing of its wall
-trials/abandoned/         recordings of trials that nobody logged, because the process died
+trials/abandoned/         recordings of trials that were not logged, because the process died
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ def begin(
     Raises
     ------
     ConfigError
-        The code is none, or the participant has a session already: nothing is overwritten.
+        The code is not valid, or the participant has a session already: nothing is overwritten.
     RecordingError
         Another process has the session open, or the disk refuses.
     """
@@ -144,14 +144,14 @@ def begin(
 
 
 def refuse_begun(protocol: Protocol, directory: Path, code: str) -> None:
-    """Raise `ConfigError` for a code that is none, or a directory that holds a session already."""
+    """Raise `ConfigError` for an invalid code, or a directory that holds a session already."""
     check_code(protocol, code)
     if (directory / LOG).exists() and (events := read(directory / LOG)):
         raise _begun(directory, events)
 
 
 def clear_rehearsal(directory: Path) -> None:
-    """Delete a rehearsal, which can be had again; a person's session, or what is none, is left as it is."""
+    """Delete a rehearsal, which can be repeated; leave a person's session, or any other directory, as it is."""
     events = read(directory / LOG) if (directory / LOG).exists() else []
     if events and events[0].content.get("rehearsal") is not None:
         shutil.rmtree(directory)
@@ -170,7 +170,7 @@ def _begun(directory: Path, events: Sequence[Event]) -> ConfigError:
 def resume(directory: Path, *, at: str = "trial", clock: SessionClock = WALL) -> Session:
     """Resume a session, whatever ended it.
 
-    Recordings of trials that nobody logged are moved aside, hashed, and named in the log.
+    Recordings of trials that were not logged are moved aside, hashed, and named in the log.
 
     Parameters
     ----------
@@ -229,7 +229,7 @@ def _refuse_no_session(directory: Path) -> None:
 def event_of_trial(directory: Path, trial: int, value: str) -> int:
     """Number of the event that an amendment of a trial is about: its verdict, or with `OF_TRIAL` the trial itself.
 
-    Raises `ConfigError` when there is none.
+    Raises `ConfigError` if the session has no such event.
     """
     _refuse_no_session(directory)
     kind = "trial" if value in OF_TRIAL else "judged"
@@ -249,8 +249,8 @@ def amend(
 ) -> Event:
     """Record a correction of an event; nothing is erased, and the state is what the corrected events give.
 
-    A verdict, the text of a note and an answer can be corrected; of a trial it can be said that it does not count
-    ("void"), or does after all ("counts").
+    A verdict, the text of a note and an answer can be corrected; a trial can be excluded ("void"), or included again
+    ("counts").
 
     Raises
     ------
@@ -291,7 +291,7 @@ def amend(
 
 
 def _corrected_answer(state: SessionState, name: str, value: str) -> str | int:
-    """An answer as the protocol wants it; raises `ConfigError` for one that is none."""
+    """Return an answer as the protocol wants it; raise `ConfigError` if it is not valid."""
     item = next((one for one in state.protocol.question if one.name == name), None)
     if item is None:
         return value

@@ -1,4 +1,4 @@
-"""What to expect of a search before anybody has touched the handle: where theory puts its limit, and what it costs.
+"""What to expect of a search before a person has touched the handle: where theory puts its limit, and what it costs.
 
 Linear theory knows no Coulomb friction, which stabilises walls up to `FRICTION_RAISES` times stiffer, and no encoder,
 whose noise under damping leaves as little as `ENCODER_LEAVES` of the limit. So the limit is expected in a wide range
@@ -31,7 +31,7 @@ ENCODER_LEAVES = (
 SPREAD = 0.05  # of an observer, over K50: verdicts turn within some 20 % of stiffness
 LAPSE_RATE = 0.02
 OBSERVERS = 5  # simulated for each expected limit
-MOST_TRIALS = 500  # of one simulated search: nobody sits through more
+MOST_TRIALS = 500  # of one simulated search: more than a participant can endure
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +77,7 @@ class Expected:
 
     @property
     def free(self) -> float | None:
-        """Largest stable stiffness that nobody holds."""
+        """Largest stable stiffness without a hand on the handle."""
         return self.by_hand.get(NO_OPERATOR)
 
     @property
@@ -158,7 +158,7 @@ def expected_trials(wanted: Search, limit: ExpectedRange) -> ExpectedTrials:
     Invalid and repeated trials come on top.
     """
     levels, settings = levels_of(wanted), wanted.settings
-    if wanted.rule == "psi" and not settings.get("enough"):  # the same whoever answers, half of it above K50
+    if wanted.rule == "psi" and not settings.get("enough"):  # same for all observers, half of it above K50
         hits = float(settings.get("hits", 25))
         return ExpectedTrials(
             count=ExpectedRange(hits, hits, hits), failures=ExpectedRange(hits / 4, hits / 2, 3 * hits / 4)

@@ -80,7 +80,7 @@ class DeviceRunner:
     lossy_anyway
         Begin although nearly every trial would be lost to the computer or the link.
     hand
-        File through which somebody moves the simulated hand (`rig.realtime.hand`); None: it plays its script.
+        File through which a person moves the simulated hand (`rig.realtime.hand`); None: it plays its script.
     messages
         What this computer or the port did not grant, once each.
     """
@@ -200,7 +200,7 @@ class DeviceRunner:
             return _fits(x, device)
 
     def pulse(self, experiment: Experiment, changes: Mapping[str, Any], directory: Path, name: str) -> Pulse:
-        """Send the rig, which nobody holds, a torque pulse; see `rig.experiments.pulse.pulse`."""
+        """Send the rig a torque pulse, without a hand on the handle; see `rig.experiments.pulse.pulse`."""
         device = self._device(experiment, changes)
         assert device is not None  # a real one
         with plain_errors("make", directory):

@@ -25,7 +25,7 @@ def asked(item: Item) -> dict[str, Any]:
 
 
 def parse_answer(item: Mapping[str, Any], text: str) -> str | int | None:
-    """An answer as it is kept; None for one that is none, so that it is asked again.
+    """Return an answer as it is stored; None if it is not valid, so that the item is asked again.
 
     A choice may be given by its number, from 1, or by its words, which win. What comes out may be parsed again.
     """

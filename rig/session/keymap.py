@@ -56,7 +56,7 @@ class KeyMap:
         Raises
         ------
         ConfigError
-            A key that is none, that means two things, or that the console needs itself.
+            A key that is not valid, that has two meanings, or that the console needs itself.
         """
         named = {field.name: getattr(keys, field.name) for field in fields(keys) if field.name != "bell"}
         return cls({meaning: _checked(meaning, key, named) for meaning, key in named.items()}, keys.bell)

@@ -85,7 +85,7 @@ def as_mapping(protocol: Protocol) -> dict[str, Any]:
 
 
 def check_code(protocol: Protocol, code: str) -> None:
-    """Raise `ConfigError` unless this is a participant's code that the protocol allows, and nobody's name."""
+    """Raise `ConfigError` unless this is a participant's code that the protocol allows, and not a name."""
     pattern = protocol.study.code
     remedy = f"give the code that the study's list has for this person; it matches {pattern}"
     if "@" in code:

@@ -6,7 +6,7 @@ A line (`rig.recording.lines`) holds an event::
 
 The first line also has ``"log"``, the version of the format; a log of another version is refused.
 
-Nothing is ever changed or taken out: a correction is an event of its own. The chain of CRCs shows a line that somebody
+Nothing is ever changed or taken out: a correction is an event of its own. The chain of CRCs shows a line that was
 removed or replaced. What a dying process left of its last line is cut off, and its length is kept (`SessionLog.torn`).
 A damaged line is refused, because what follows was decided on it; the last one can be set aside
 (`set_damaged_line_aside`).

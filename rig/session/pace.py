@@ -1,8 +1,8 @@
-"""Whether this computer and the link keep up with a session: measured before it begins, told, and kept in its log.
+"""Whether this computer and the link keep up with a session: measured before it begins, reported, stored in its log.
 
 Nearly every trial would be invalid where a hit in each quarter of the measurement would have been, by the limits of
-`[verdict]` on lost samples: such a session is refused, unless somebody accepts that. What is lost beside
-that is a warning: the trials that it spoils are repeated.
+`[verdict]` on lost samples: such a session is refused, unless the operator accepts that (`lossy_anyway`).
+Smaller losses give a warning: the trials that they spoil are repeated.
 """
 
 from __future__ import annotations

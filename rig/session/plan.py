@@ -26,10 +26,10 @@ class CellPlan:
     trials
         Of one search, and how many of its walls do not hold.
     unstable_free, unstable_in_hand
-        Levels that linear theory calls unstable when nobody holds the handle, and in one hand at least; None where it
-        gives none.
+        Levels that linear theory calls unstable without a hand on the handle, and in one hand at least; None where it
+        gives no limit.
     fit
-        What somebody must fit to the rig for it, in a time of its own; empty for nothing.
+        What a person must fit to the rig for it, in a time of its own; empty for nothing.
     """
 
     condition: str

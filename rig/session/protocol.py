@@ -381,7 +381,7 @@ class Protocol:
     __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
 
     def condition_named(self, name: str) -> Condition:
-        """The condition of this name; raises `KeyError` when there is none."""
+        """Return the condition of this name; raise `KeyError` if it is missing."""
         for condition in self.condition:
             if condition.name == name:
                 return condition

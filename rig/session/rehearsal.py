@@ -1,7 +1,7 @@
-"""A session without anybody: a simulated person, who hits through the simulated hand and judges by known numbers.
+"""A session with a simulated person, who hits through the simulated hand and judges by known thresholds.
 
-What a protocol needs, how long it takes and what its search rules make of lapses can so be seen before the first
-participant comes; and a test can know what an analysis must find.
+It shows what a protocol needs, how long it takes and how its search rules respond to lapses, before the first
+participant comes; and a test knows what an analysis must find.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ LATENCY_S = (0.6, 1.6)  # how long a simulated person thinks, at least and at mo
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Person:
-    """Somebody whose verdicts are known beforehand.
+    """A simulated person whose thresholds are known beforehand.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class Person:
     people_sd: float = 0.0
 
     def of_code(self, code: str, seed: int) -> Person:
-        """Return whoever has that code: all thresholds by one factor."""
+        """Return the person of that code: all thresholds multiplied by one factor."""
         drawn = random.Random(f"person {seed} {code}").gauss(0.0, self.people_sd)
         return replace(self, thresholds={name: k * math.exp(drawn) for name, k in self.thresholds.items()})
 
@@ -78,7 +78,7 @@ class Person:
 
 
 def thresholds_of(given: Iterable[str]) -> dict[str, float]:
-    """Thresholds from texts like ``dual=430``; raises `ConfigError` for one that is none."""
+    """Thresholds from texts like ``dual=430``; raises `ConfigError` for another form."""
     found: dict[str, float] = {}
     for text in given:
         name, equals, value = text.rpartition("=")
@@ -118,7 +118,7 @@ def refuse_nobody(person: Person, protocol: Protocol) -> None:
 
 
 class Day:
-    """A clock that only moves when somebody says so: seconds since an arbitrary morning."""
+    """A clock that only its methods move: seconds since an arbitrary morning."""
 
     def __init__(self) -> None:
         self.seconds = 0.0
@@ -132,7 +132,7 @@ class Day:
         self.seconds = round(self.seconds + seconds, 6)
 
     def goes_on_from(self, at: float) -> None:
-        """Go on where the log ends."""
+        """Continue at the time where the log ends."""
         self.seconds = at
 
     def rests(self, seconds: float) -> None:
@@ -169,7 +169,7 @@ class RehearsalDesk(Desk):
             self.day = session.clock
 
     def show(self, view: DeskView) -> None:
-        """Nobody looks, but for whoever waits for the end."""
+        """Pass the view to the callback `looks`, if any."""
         if self.looks is not None:
             self.looks(view)
 
@@ -200,7 +200,7 @@ class RehearsalDesk(Desk):
 
 
 def _plain_answer(item: Mapping[str, Any]) -> str:
-    """An answer that says that nobody was asked, or lies in the middle."""
+    """Return a placeholder answer: the first choice, the middle of a scale, or the word "rehearsal"."""
     if item.get("kind") == "choice":
         return str(item["choices"][0])
     if item.get("kind") == "scale":

@@ -134,7 +134,7 @@ def conditions(protocol: Protocol) -> Iterator[Problem]:
 
 
 def fits(protocol: Protocol) -> Iterator[Problem]:
-    """What changes the machine is fitted by somebody, who does so between two blocks."""
+    """Yield problems of conditions that change the machine: a person refits it between blocks, and `fit` says what."""
     blocks = protocol.order.blocks
     if len({one.fit for one in protocol.condition}) > 1 and blocks != "condition":
         must = 'must be "condition" where conditions differ in fit: the rig is not refitted within a block'

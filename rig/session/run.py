@@ -64,7 +64,7 @@ DeskFor = Callable[
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SessionResult:
-    """How a session stands when nobody is at it any more. Nothing in it identifies a wall.
+    """How a session stands after it has ended or was left. Nothing in it identifies a wall.
 
     Attributes
     ----------
@@ -112,7 +112,7 @@ class SessionResult:
 
     @property
     def pairs(self) -> list[tuple[str, str]]:
-        """What there is of it: names and values to show."""
+        """Its names and values to show."""
         outside = f", {self.outside} outside the bands" if self.outside else ""
         trials = (
             f"{self.trials}, {self.counted} count, {self.invalid} invalid ({self.by_machine} by the machine), "
@@ -148,7 +148,7 @@ def run_session(
     code
         Of the participant.
     desk
-        Makes whoever sits there.
+        Makes the desk: a person's, or a simulated one's.
     runner
         The rig; closed at the end.
     study
@@ -165,13 +165,13 @@ def run_session(
     on_event
         Called with each event once it is written.
     lsl
-        Stream samples and markers (`rig.session.lsl`), without walls where somebody is blinded.
+        Stream samples and markers (`rig.session.lsl`), without walls where a person is blinded.
 
     Raises
     ------
     ConfigError
-        The protocol or the code is none, the participant has a session already, the protocol is not that of the study's
-        earlier sessions (`ChangedProtocolError`), or the rig refuses a wall that the session may ask for
+        The protocol or the code is invalid, the participant has a session already, the protocol is not that of the
+        study's earlier sessions (`ChangedProtocolError`), or the rig refuses a wall that the session may ask for
         (`rig.session.arming`).
     RigError
         As `rig.session.conduct.conduct`.
@@ -196,7 +196,7 @@ def run_session(
     refuse_full_disk(walls, row, place)
     mapping = config.as_mapping(experiment)
     with closing(runner):
-        # Before anything is written: a rig that somebody else uses, or a place without a terminal, leaves no trace.
+        # Before anything is written: a rig in use by another program, or a missing terminal, leaves no trace.
         runner.facts(*first_wall(walls, schedule(protocol, row)))
         refuse_misfit(walls, runner)
         refuse_unarmable(walls, runner)
@@ -240,7 +240,7 @@ def resume_session(
     """Resume a session; see `rig.session.directory.resume` and `run_session`.
 
     Raises `ConfigError`, before anything is written, on another device than the session took place on; with
-    `other_device` somebody knows that.
+    `other_device` it is accepted.
     """
     person = rehearsed(directory)
     _refuse_a_real_rig(person, runner)
@@ -363,7 +363,7 @@ def row_of(code: str) -> int:
 
 
 def _checked_row(row: int, protocol: Protocol) -> int:
-    """A row that somebody gave; raises `ConfigError` for one that the plan does not have."""
+    """Return the given row; raise `ConfigError` for one that the plan does not have."""
     rows = max(protocol.study.participants, rows_of(protocol))
     if not 0 <= row < rows:
         raise ConfigError(
@@ -375,12 +375,12 @@ def _checked_row(row: int, protocol: Protocol) -> int:
 
 
 def _reach_for(runner: TrialRunner) -> ReachFor | None:
-    """What finds the reach of the simulated hand; at a real rig there is none."""
+    """Return the function that finds the reach of the simulated hand; None on a real rig."""
     return reach_for if runner.simulated else None
 
 
 def _refuse_a_real_rig(person: Person | None, runner: TrialRunner) -> None:
-    """Nobody is simulated at a rig that moves."""
+    """Raise `ConfigError` for a simulated person at a rig that moves."""
     if person is not None and not runner.simulated:
         raise ConfigError(
             "a rehearsal with a real rig: its simulated person would continue after a STOP",
@@ -416,7 +416,7 @@ def _conducted(
 
 @contextmanager
 def _streams(protocol: Protocol, experiment: Mapping[str, Any], *, wanted: bool) -> Iterator[LslMarks | None]:
-    """Streams beside a session, once they are open; None where nobody wants any."""
+    """Yield the streams of a session, once they are open; None if not `wanted`."""
     if not wanted:
         yield None
         return

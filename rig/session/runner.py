@@ -50,8 +50,8 @@ class TrialDone:
 class TrialRunner(Protocol):
     """Where trials are run: a rig (`DeviceRunner`), or what a test puts in its place.
 
-    `hand` is the file through which somebody moves the simulated hand, None while it plays its script. `arm_anyway`:
-    somebody consented to walls that the arming gate refuses; `lossy_anyway`: to a computer or a link that loses
+    `hand` is the file through which a person moves the simulated hand, None while it plays its script. `arm_anyway`:
+    the operator consented to walls that the arming gate refuses; `lossy_anyway`: to a computer or a link that loses
     samples.
     """
 
@@ -91,7 +91,7 @@ class TrialRunner(Protocol):
         ...
 
     def pulse(self, experiment: Experiment, changes: Mapping[str, Any], directory: Path, name: str) -> Pulse:
-        """Send the rig, which nobody holds, a torque pulse; see `rig.experiments.pulse.pulse`."""
+        """Send the rig a torque pulse, without a hand on the handle; see `rig.experiments.pulse.pulse`."""
         ...
 
     def hit(

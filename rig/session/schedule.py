@@ -102,7 +102,7 @@ def cells_of(protocol: Protocol) -> tuple[tuple[str, float], ...]:
 def rule_of(protocol: Protocol, run: SearchRun) -> search.Rule:
     """The rule of a run, without catch trials: its condition's, with the run's seed. Practice goes through its walls.
 
-    Raises `rig.core.errors.ConfigError` for settings that are none; `rig.session.load` has refused them before.
+    Raises `rig.core.errors.ConfigError` for invalid settings, which `rig.session.load` refuses earlier.
     """
     if run.practice:
         return InOrder(protocol.practice.stiffness)
@@ -125,7 +125,7 @@ def asking(wanted: Search, seed: int) -> search.Rule:
 
 
 def rule(wanted: Search, seed: int) -> search.Rule:
-    """The rule of a search without catch trials; raises `rig.core.errors.ConfigError` for settings that are none."""
+    """Return the rule of a search without catch trials; raise `rig.core.errors.ConfigError` for invalid settings."""
     levels = levels_of(wanted)
     settings: Mapping[str, Any] = wanted.settings
     start = settings.get("start")
@@ -155,7 +155,7 @@ def level_steps(wanted: Search) -> int:
 
 @dataclass(frozen=True)
 class InOrder:
-    """The rule of practice: each wall once, whatever comes of it; it finds no limit."""
+    """The rule of practice: each wall once, independent of the verdicts; it finds no limit."""
 
     levels: Sequence[float]
 
@@ -223,7 +223,7 @@ def _orders(protocol: Protocol, row: int) -> list[list[_Cell]]:
 
 
 def _fits(protocol: Protocol) -> dict[str, list[str]]:
-    """Conditions by what must be fitted to the rig for them: nobody refits it for every block."""
+    """Group conditions by what must be fitted to the rig, which is not refitted for every block."""
     found: dict[str, list[str]] = {}
     for one in protocol.condition:
         found.setdefault(one.fit, []).append(one.name)

@@ -7,12 +7,12 @@ reads what the session itself went by. The kinds of events, and what each holds:
 ``began``      protocol, protocol_sha256, experiment, code, row, seed, versions, rehearsal, differs (keys in which
                earlier sessions of the study have another value)
 ``opened``     the device and where it is, its clock, this computer and versions, each time that it was opened
-``resumed``    where (trial, block), abandoned: recordings of trials that nobody logged
+``resumed``    where (trial, block), abandoned: recordings of trials that were not logged
 ``block``      block: it begins
 ``trial``      one recorded hit: `rig.session.trial.Presented` and `rig.session.trial.HitOutcome`
 ``judged``     trial, verdict, judged_by, response_time_s
 ``redone``     trial: it does not count, and comes again
-``retried``    run: its trials were invalid so often that somebody was asked, and continued
+``retried``    run: its trials were invalid so often that the operator was asked, and continued
 ``skipped``    run: it is left without a limit
 ``note``       text, trial
 ``paused``     reason … ``continued``
@@ -50,7 +50,7 @@ from rig.session.trial import REDONE, RESTARTED, Presented, RecordedTrial, trial
 # What a session without interruptions has once or not at all.
 BOOKKEEPING = ("opened", "resumed", "stopped", "streamed", "amended", "pulse")
 AMENDABLE = {"judged": ("verdict",), "trial": ("void",), "note": ("text",), "answered": ("answer",)}
-_LONGEST_PAUSE_S = 3600.0  # between two events: beyond, nobody was there
+_LONGEST_PAUSE_S = 3600.0  # between two events: a longer gap does not count as active time
 _TRUSTED_S = 30.0  # of the time between two events, for cooling: the clock of the computer may have been set
 
 
@@ -66,7 +66,7 @@ class DoTrial:
 
 @dataclass(frozen=True, slots=True)
 class DoJudge:
-    """Somebody must judge this trial."""
+    """Have this trial judged."""
 
     trial: RecordedTrial
 
@@ -103,7 +103,7 @@ class DoPause:
 
 @dataclass(frozen=True, slots=True)
 class DoDecide:
-    """Trials of this run were invalid again and again: somebody must decide."""
+    """Ask the operator how to continue: trials of this run were invalid again and again."""
 
     run: SearchRun
     last: RecordedTrial
@@ -142,11 +142,11 @@ class SessionState:
     answered
         Answers to the questionnaire, by item and block.
     fitted
-        What is on the rig, as somebody said; None where nobody knows.
+        What is fitted to the rig, as the operator confirmed; None if unknown, as after a resume.
     stopped
         Why the session was left, until it is resumed.
     paused
-        Why it pauses, until somebody continues.
+        Why it pauses, until the operator continues.
     ended
         Why it is over; None while it is not.
     """
@@ -172,7 +172,7 @@ class SessionState:
     active_s: float = 0.0
     _last_at: float = 0.0
     _rested: dict[str, int] = field(default_factory=dict)  # newest trial at the last rest, by reason
-    _continued: int = 0  # newest trial when somebody continued after a pause
+    _continued: int = 0  # newest trial when the operator continued after a pause
     _retried: dict[int, int] = field(default_factory=dict)  # newest trial when a run was tried again
     _owed: dict[int, int] = field(default_factory=dict)  # redone trials that have not come again, by run
     _asked: dict[int, tuple[tuple[JudgedProbe, ...], Probe | None]] = field(default_factory=dict)
@@ -186,7 +186,7 @@ class SessionState:
         RecordingError
             It does not begin with ``began``.
         ConfigError
-            Its protocol is none.
+            Its protocol is not valid.
         """
         if not events or events[0].kind != "began":
             raise RecordingError(
@@ -215,7 +215,7 @@ class SessionState:
 
     def apply(self, event: Event) -> None:
         """Take one more event in."""
-        elapsed = max(0.0, event.at - self._last_at)  # somebody may have set the clock
+        elapsed = max(0.0, event.at - self._last_at)  # the computer's clock may have been set back
         self._last_at = event.at
         if event.kind not in BOOKKEEPING and elapsed < _LONGEST_PAUSE_S:
             self.active_s += elapsed
@@ -350,11 +350,11 @@ class SessionState:
         return rule_of(self.protocol, run)
 
     def answers(self, run: SearchRun) -> list[JudgedProbe]:
-        """What the rule of a run hears: all answers, unless one was corrected.
+        """Return the answers that the rule of a run receives: all, unless one was corrected.
 
-        A rule that walks from wall to wall knows where it stands by what it asked: after a correction it hears what it
-        would have asked for, continues there, and never jumps to a wall that nobody has come near. The other answers
-        stay for every estimate that needs no walk.
+        A rule that walks from wall to wall derives its place from the walls that it asked for: after a correction it
+        receives the answers to walls that it would have asked for, continues there, and never jumps to a wall far from
+        all that were hit. The other answers stay for every estimate that needs no walk.
         """
         heard = self.heard(run)
         if run.number not in self.corrected or run.practice or self._search(run).rule not in WALKING:
@@ -432,7 +432,7 @@ class SessionState:
             return first
         spoiled = _in_a_row(trial.by_machine for trial in self.trials[self._continued :])
         if spoiled >= self.protocol.stop.machine:
-            why = told(self.trials[-1].reasons, blind=True)  # the log's sentences are for anybody
+            why = told(self.trials[-1].reasons, blind=True)  # a blinded operator reads the log
             return DoPause(f"this computer or the link spoiled {spoiled} trials in a row: {why}")
         last = next((t for t in reversed(self.trials) if t.block == block.number and not t.void), None)
         if last is not None and last.invalid and last.run in [run.number for run in waiting]:
@@ -498,11 +498,11 @@ class SessionState:
         return int(np.random.default_rng([self.seed, self.row, 1, block.number, done]).integers(waiting))
 
     def seed_of(self, trial: int) -> int:
-        """Seed of the simulation in a trial, and of whoever is simulated there."""
+        """Return the seed of the simulation in a trial, and of the simulated person there."""
         return int(np.random.SeedSequence([self.seed, self.row, 2, trial]).generate_state(1)[0])
 
     def _invalid_in_a_row(self, run: SearchRun) -> int:
-        """Invalid trials of a run in a row, since somebody last decided to continue; the machine's aside."""
+        """Count invalid trials of a run in a row since the operator last chose to continue, without the machine's."""
         since = self._retried.get(run.number, 0)
         count = 0
         for trial in reversed(self.trials_of(run)):

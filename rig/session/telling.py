@@ -1,4 +1,4 @@
-"""Sentences about a session: such as anybody may read, without conditions and walls, and such as tell all."""
+"""Sentences about a session: blinded ones, without conditions and walls, and complete ones."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _LINES: dict[str, str] = {
 
 
 def line_of_event(event: Event) -> str:
-    """An event as a line that anybody may read: nothing of conditions and walls in it."""
+    """Return an event as a line that a blinded person may read: nothing of conditions and walls in it."""
     if event.kind == "trial":
         content = event.content
         invalid = content["automatic"] == Kind.INVALID
@@ -143,7 +143,7 @@ def _too_fast(trial: RecordedTrial) -> list[str]:
 def _kept(outside: Sequence[str], *, blind: bool) -> list[str]:
     """How a trial that counts lay outside the protocol's bands, in one phrase or none.
 
-    Not said before the verdict: that a press was judged tells that the wall was not unstable.
+    Not shown before the verdict: that a press was judged reveals that the wall was not unstable.
     """
     return [f"kept, but {told(outside, blind=blind)}"] if outside else []
 

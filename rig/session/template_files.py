@@ -24,7 +24,7 @@ def template_names() -> tuple[str, ...]:
 
 
 def template_text(name: str) -> str:
-    """Text of a template; `ConfigError` when there is none of that name."""
+    """Return the text of a template; raise `ConfigError` for an unknown name."""
     if name not in template_names():
         choice = did_you_mean(name, template_names(), f"choose one of: {', '.join(template_names())}")
         raise ConfigError(f"there is no template {name!r}", remedy=choice)
@@ -46,7 +46,7 @@ def write_template(name: str, path: Path) -> Path | None:
 
     Returns the schema that was written; None where a file of that name was there, which stays.
 
-    Raises `ConfigError` for a name that is none, `RecordingError` when there is such a file or the disk refuses.
+    Raises `ConfigError` for an unknown name, `RecordingError` when there is such a file or the disk refuses.
     """
     if path.exists():
         raise RecordingError(

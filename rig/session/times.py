@@ -57,7 +57,7 @@ class Taken:
     trial
         From the line before a trial in the log to its own.
     verdict
-        From there to the verdict; 0 where nobody is asked.
+        From there to the verdict; 0 where no person is asked.
     question
         From the line before an answer to its own.
     """

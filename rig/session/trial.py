@@ -1,4 +1,4 @@
-"""One trial, once: what was presented, what the rig returned, and what was said of it.
+"""One trial, defined once: what was presented, what the rig returned, and how it was judged.
 
 Everything else that speaks of a trial is a view of this record: the line of the log and the replayed state, the marker
 of a stream, the rows of tables and exports (`rig.session.analysis.rows.TrialRow`), and the sentences of
@@ -18,7 +18,7 @@ from rig.session.names import normalise
 from rig.session.search import Probe
 
 REDONE, RESTARTED, LEFT_OUT = "redone", "restarted", "left out"
-VOIDED = (REDONE, RESTARTED, LEFT_OUT)  # why a trial does not count, when somebody decided that
+VOIDED = (REDONE, RESTARTED, LEFT_OUT)  # why a trial does not count, by decision of a person
 MARKED = ("trial", "condition", "stiffness", "damping")  # of a wall, in a marker
 
 
@@ -113,7 +113,7 @@ class RecordedTrial(Presented, HitOutcome):
 
     @property
     def invalid(self) -> bool:
-        """Whether the hit cannot be judged: it is repeated, and nobody is asked about it."""
+        """Whether the hit cannot be judged: it is repeated, and no verdict is asked for."""
         return self.automatic == Kind.INVALID
 
     @property
@@ -122,7 +122,7 @@ class RecordedTrial(Presented, HitOutcome):
         return self.verdict != "" and not self.invalid
 
     def leave_out(self, why: str) -> None:
-        """Let it not count; the first decision of somebody at the desk stays the reason."""
+        """Exclude the trial; an earlier decision at the desk stays the reason."""
         if self.void in ("", LEFT_OUT):
             self.void = why
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rig.realtime.parts import count_allocations
 
-GUARD = 16  # numbers beside a memory that nobody may touch
+GUARD = 16  # numbers on each side of a memory that compiled code must not write
 _MARK = 12345
 
 

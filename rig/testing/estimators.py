@@ -152,7 +152,7 @@ def check_ramp(make: Make, tolerance: float) -> None:
 
 
 def check_ramp_over_gaps(make: Make, tolerance: float) -> None:
-    """Lost velocity periods do not disturb a steady motion: the update is told how many passed."""
+    """Check that lost velocity periods do not disturb a steady motion: the update receives how many passed."""
     elapsed = [1] * SETTLED + [2, 1, 5, 1, 17, 3, 1]
     counts = 7 * np.cumsum(elapsed)
     v = velocities(make(RESOLUTION_SI, PERIOD_S), counts.tolist(), elapsed)[SETTLED:]

@@ -1,4 +1,4 @@
-"""Golden recordings: what a hit left when somebody looked at it and found it right, and what differs today.
+"""Golden recordings: the recording of a hit that a person checked and found right, and what differs today.
 
 In virtual time a run repeats itself to the last bit on one machine. Another processor, or another build of a library,
 may round otherwise: so integers (counts, currents, flags, ticks) must be equal, and a column of real numbers may differ
@@ -53,7 +53,7 @@ class Golden:
         subject
             A hit or a sealed recording.
         name
-            Tells several of one test apart.
+            Distinguishes several golden recordings of one test.
         tolerance
             Of columns that may differ by more than rounding, in their units.
         """
@@ -124,7 +124,7 @@ def _apart(
 
 
 def _allowed(golden: Recording, name: str, tolerance: float | None) -> float:
-    """How far a real column may be off: what it is told, else the rounding that all its ticks can have gathered."""
+    """Return how far a real column may be off: the given tolerance, else the rounding that all its ticks may add up."""
     if tolerance is not None:
         return tolerance
     peak = float(np.nanmax(np.abs(golden.column(name)), initial=0.0))

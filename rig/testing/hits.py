@@ -1,7 +1,7 @@
 """Hits of a test: on a fresh simulated rig each, with faults on command, or on the one rig that this run was given.
 
 On a rig the same test runs unchanged. Its device is opened once, which keeps its lock and its position zero from test
-to test; after each hit, and when the run ends, it is told STOP.
+to test; after each hit, and when the run ends, the host sends STOP.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class Hit:
     error
         Why it ended early, where it may: else the error is raised.
     rest
-        What the device did afterwards; None where it told nobody.
+        What the device did afterwards; None if it sent no STATE.
     struck
         Faults of the script that have happened to frames.
     """
@@ -112,9 +112,9 @@ class Rigs:
     url
         Of ``--rig-url``.
     verified
-        A person has said that it may move.
+        A person has confirmed that it may move.
     ask
-        Asks that person to go on.
+        Asks that person to continue; returns False to end.
     """
 
     def __init__(self, url: str, *, verified: bool, ask: Callable[[str], bool]) -> None:
@@ -144,7 +144,7 @@ class Rigs:
 
     @contextmanager
     def device(self, experiment: Experiment, faults: Faults | None = None) -> Iterator[FramedDevice]:
-        """Lend a device for an experiment: a fresh simulated one, or the rig, which is told STOP afterwards."""
+        """Yield a device for an experiment: a fresh simulated one, or the rig, which is sent STOP afterwards."""
         if self.simulated:
             url = devices.url_for(self.url, experiment.controller.loop)
             with FramedDevice(devices.open_watched(url, config.rig_model(experiment), faults)) as device:
@@ -221,7 +221,7 @@ class Hits:
             New values by dotted key. On a rig they win over what it is given for real time (``[realtime]``, and its own
             rate), as on a command line.
         law
-            A law of one's own instead of the named wall.
+            A law to run instead of the named wall.
         may_end
             The run may end early, by the guard for one: then it is the hit's `error`, as where faults are scripted.
         device
@@ -264,7 +264,7 @@ class Hits:
 
 
 def end_all(stopped: StoppedError) -> NoReturn:
-    """End the run of all tests: somebody said stop, and the next test would move the rig again."""
+    """End the run of all tests after a person's stop, since the next test would move the rig again."""
     pytest.exit(str(stopped), returncode=stopped.exit_code)
 
 

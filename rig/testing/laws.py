@@ -1,7 +1,7 @@
 """What every force law must do: `check_law` says the first promise that is broken.
 
-It raises AssertionError with a sentence and needs no test runner; what a law does on purpose, as acting outside of the
-wall, is said by an argument.
+It raises AssertionError with a sentence and needs no test runner; an argument declares what a law does on purpose,
+such as acting outside of the wall.
 """
 
 from __future__ import annotations

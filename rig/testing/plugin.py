@@ -250,7 +250,7 @@ def _asker(config: pytest.Config) -> Callable[[str], bool]:
             capture.suspend_global_capture(in_=True)
         try:
             return input(f"\nrig: {text}   Enter: continue, q: end ").strip().lower() in ("", "y", "yes")
-        except (EOFError, OSError):  # nobody is there
+        except (EOFError, OSError):  # no terminal to ask on
             return False
         finally:
             if capture is not None:

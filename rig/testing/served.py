@@ -21,7 +21,7 @@ PATIENCE_S = 5.0
 
 @dataclass(frozen=True, slots=True)
 class Did:
-    """What a device tells of what was done to it, when the program has gone.
+    """State of a device after the program has closed its port.
 
     Attributes
     ----------
@@ -60,10 +60,10 @@ class SerialRig:
     experiment: Experiment
 
     def did(self) -> Did:
-        """Ask the device what was done to it; the program must have closed the port.
+        """Read from the device what the program did to it; the program must have closed the port.
 
-        A device that has just lost its host may not hear the next one at once on a busy computer: it is asked for
-        `PATIENCE_S`. Raises `rig.RigError` where somebody still has the port, or it says nothing.
+        On a busy computer a device that has just lost its host may not reply to the next one at once: retry for
+        `PATIENCE_S`. Raises `rig.RigError` if another program still has the port, or if there is no reply.
         """
         deadline = time.monotonic() + PATIENCE_S
         while True:

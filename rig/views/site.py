@@ -58,7 +58,7 @@ def build_site(output: Path, *, strict: bool = False) -> Site:
     RecordingError
         The directory cannot be written.
     RigError
-        Sphinx, or a script of the gallery, failed: with the end of what it said.
+        Sphinx, or a script of the gallery, failed: with the end of its output.
     """
     missing = [name for name in NEEDED if find_spec(name) is None]
     if missing:

@@ -32,7 +32,7 @@ Flags = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExcitationGrid:
-    """Walls to excite under some schemes, and how to read what comes of it."""
+    """Walls to excite under some schemes, and how to read the measured impedance."""
 
     experiment: Experiment  # its excitation has the realisations of all measurements
     schemes: tuple[Scheme, ...]

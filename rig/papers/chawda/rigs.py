@@ -29,7 +29,7 @@ PRINTED: Mapping[str, Printed] = dict(zip(ESTIMATORS, PAPER.values(), strict=Tru
 
 FRICTIONLESS: Mapping[str, Any] = {"rig.mechanics.motor_coulomb": 0.0}
 RENDERING_HZ = 1000.0
-EXCITATION_RMS = 2.0  # N, ten times Coulomb friction, and the same where there is none
+EXCITATION_RMS = 2.0  # N, ten times Coulomb friction; the same on a rig without friction
 HIGHEST_LINE = 400.0  # Hz: 0.4 of the rendering rate
 CONTROL_BAND = (1.0, HIGHEST_LINE)  # of what theory fixes
 

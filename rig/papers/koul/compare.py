@@ -205,8 +205,8 @@ class EstimatorProfile:
     delay_s
         Shift of the truth that leaves the least error over the impact; None when the estimate shows too little to tell.
     noise_early, noise_late
-        Rms of what is left (rad/s) while the handle is fast and while it is slow (`EARLY`, `LATE`); without a delay
-        against the truth as it is.
+        Rms of the residual (rad/s) while the handle is fast and while it is slow (`EARLY`, `LATE`); without a delay
+        against the unshifted truth.
     reading_early, reading_late
         Rms of the estimate over that of the truth: 1 if all is seen, 0 for a null reading.
     """
@@ -247,7 +247,7 @@ class Profiles:
     profiles: tuple[EstimatorProfile, ...]
 
     def __getitem__(self, key: tuple[int, str]) -> EstimatorProfile:
-        """Return the profile at a velocity rate (Hz) in an arithmetic; `KeyError` if there is none."""
+        """Return the profile at a velocity rate (Hz) in an arithmetic; raise `KeyError` if missing."""
         for profile in self.profiles:
             if (profile.velocity_rate, profile.arithmetic) == key:
                 return profile

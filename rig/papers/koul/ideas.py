@@ -28,7 +28,7 @@ T2_RATES = ("500", "1k", "2k", "4k", "5k", "10k", "20k")
 CUTOFFS_HZ = (50, 100, 200, 400, 800)
 LINES = ((1000, 1), (1000, 4), (2000, 4), (8000, 4), (40_000, 4))
 USUAL_LINES, FINEST_LINES = (1000, 4), (40_000, 4)
-SAME = 0.05  # a change of an area by less is none
+SAME = 0.05  # relative changes of an area up to this count as no change
 REFERENCE = "reference"
 
 

@@ -102,7 +102,7 @@ QUICK = KoulScale(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HeldRig:
-    """A rig in somebody's hand, or pushed by its motor."""
+    """A rig held in a hand, or pushed by its motor."""
 
     preset: str
     grip: str | None

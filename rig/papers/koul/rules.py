@@ -25,7 +25,7 @@ Curve = Sequence[tuple[float, float]]  # dampings from zero up, and the largest 
 
 # What the paper says.
 LEVEL, PEAK_DUAL, PEAK_SLOW = 560.0, 780.0, 350.0  # N·m/rad
-DUAL_AT_RANGE = 280.0  # N·m/rad: what is left of the dual-rate wall at the end of its range
+DUAL_AT_RANGE = 280.0  # N·m/rad: remaining stiffness of the dual-rate wall at the end of its range
 DAMPING_RANGE, DAMPING_RANGE_FAST = 3.3, 1.7  # N·m·s/rad
 HALF = DAMPING_RANGE_FAST / DAMPING_RANGE
 FAST_HZ, SLOW_HZ = 20_000, 2000

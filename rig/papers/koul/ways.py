@@ -1,6 +1,6 @@
 """Ladder, bisection and grid through the same walls: what each would have answered, from the hits of one grid.
 
-A ladder is the part of a grid below its first failure. A bisection visits few of the rungs and believes that
+A ladder is the part of a grid below its first failure. A bisection visits few of the rungs and assumes that
 everything above a failure fails, so where it ends shows whether stability was monotone in K.
 """
 

@@ -172,7 +172,7 @@ def _agreement(
 
 
 def _problem(counts: Floats, classes: Sequence[str], value: float | None) -> str:
-    """Why a table has no interval, whoever judged; empty when it may have one."""
+    """Return why κ of a table of verdicts has no interval; empty when it may have one."""
     if not counts.any():
         return "no trial has both verdicts"
     for who, axis in (("the person's verdict", 1), ("the automatic verdict", 0)):

@@ -1,11 +1,11 @@
-"""Order and fatigue: whether limits, verdicts and trials change as a session goes on.
+"""Order and fatigue: whether limits, verdicts and trials change during a session.
 
 People tire and learn at their own pace, so each participant has a slope of their own, by least squares, and the
 interval is Student's over these slopes: it is for other people of the same kind, where an interval over trials would
 take 150 trials of a person for 150 people.
 
-Nobody planned these slopes: they are there to be looked at, and p of those of one quantity are corrected for their
-number (Holm). Limits of a condition and damping where most are censored are left out: they are the end of the levels.
+These slopes were not planned: they are exploratory, and p of those of one quantity are corrected for their number
+(Holm). Limits of a condition and damping where most are censored are left out: they are the end of the levels.
 
 What people and conditions differ in is taken out first, by a mean for each participant under each condition and damping
 where runs are repeated, else by one for each participant and one for each condition and damping.
@@ -72,7 +72,7 @@ class BlockRow:
     trials
         Recorded, those that do not count included.
     invalid, redone, aborted
-        Invalid trials; that somebody had repeated; that were cut off for safety.
+        Invalid trials; trials repeated at the operator's request; trials cut off for safety.
     unsure
         Verdicts.
     response_s
@@ -224,7 +224,7 @@ def _rounding_of_slopes(
 def _over(
     each: Mapping[str, float], shared: bool, rounding: float
 ) -> tuple[float, float, float, float] | str:
-    """Mean of the participants' slopes, interval of 95 % and p, by Student over participants; or why there is none.
+    """Return mean, 95 % interval and p of the participants' slopes, by Student over participants; or why not.
 
     Where all have the conditions' means in common, those are estimated from the same values and leave one slope fewer
     free: of two conditions, each searched once, this is the two-sample test of a crossover.
@@ -253,7 +253,7 @@ def _shared(cells: Sequence[tuple[str, str, float]]) -> bool:
 
 
 def less_means(values: Floats, cells: Sequence[tuple[str, str, float]]) -> Floats:
-    """Values less what participants and conditions have in common, see above; what is left by rounding is zero."""
+    """Return values less the means of participants and conditions, see above; residuals by rounding become zero."""
     if not cells:
         return values
     if _shared(cells):

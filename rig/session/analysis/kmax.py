@@ -155,7 +155,7 @@ class OverParticipants:
 class Paired:
     """Difference of two conditions within participants: Student's paired test of their means over repeats.
 
-    `damping` is None for the mean over the dampings that both have. `holm` is p after Holm's correction for all
+    `damping` None: of the mean over the dampings that both have. `holm` is p after Holm's correction for all
     differences of the same measure, whatever the damping. `beyond` counts the limits behind it, and `bound` says on
     which side censored ones leave it open: the difference is at "least" or at "most" this, or "unknown" when they do
     both. Interval and p are NaN where `problem` says why; `withheld` is True where the reason is that most limits of a
@@ -406,7 +406,7 @@ def student(
 ) -> Student:
     """Return Student's interval and test of a mean, by scipy.
 
-    There is none for fewer than `LEAST_VALUES` values, and none where they scatter by no more than rounding makes.
+    `problem` says why they are missing: fewer than `LEAST_VALUES` values, or scatter no larger than from rounding.
 
     Parameters
     ----------

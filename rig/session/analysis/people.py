@@ -35,9 +35,9 @@ def answers_of(study: Study) -> tuple[AnswerRow, ...]:
 
 
 def fates(trials: Sequence[TrialRow], runs: Sequence[RunRow]) -> Counter[str]:
-    """Trials by what became of them; "counted" ones told limits, each other one has its reason.
+    """Count trials by their use: "counted" ones contribute to a limit, each other one has its reason.
 
-    Unsure verdicts tell no limit, save the last of so many in a row that the protocol takes them for not stable.
+    Unsure verdicts do not contribute, save the last of so many in a row that the protocol takes them for not stable.
     """
     states = {(run.participant, run.run): run.state for run in runs}
     return Counter(_fate(trial, states.get((trial.participant, trial.run), "complete")) for trial in trials)

@@ -1,9 +1,9 @@
-"""Psychometric functions: where verdicts change from stable to not, how gradually, and how often somebody lapses.
+"""Psychometric functions: where verdicts change from stable to not, how gradually, and how often a person lapses.
 
 The posterior on the grid of `rig.session.search.psychometric`, of all verdicts of a participant's complete runs under a
 condition at one damping, whatever rule asked for them. Its K50 is the one that K_max is made of
-(`rig.session.analysis.trials.half_way`). The interval takes all repeats for those of one K50: somebody who wanders
-between them is known less well than it says, and Student's interval over the repeats' own limits shows that.
+(`rig.session.analysis.trials.half_way`). The interval assumes one K50 in all repeats: if a person's K50 drifts
+between them it is too narrow, and Student's interval over the repeats' own limits shows that.
 
 Over participants K50 is the mean of their own, with Student's interval over them. Spread and lapse rate there are of
 all verdicts together, where differences between people make the spread wider, and have no interval: verdicts of one

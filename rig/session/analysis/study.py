@@ -1,8 +1,8 @@
 """The sessions of a study, read from disk: which there are, whether they belong together, what of them is missing.
 
 A session is its log. What cannot be one study is refused (another criterion, a rehearsal among real sessions, a
-participant twice), unless a difference is stated (`across`); what a reader must know is said (a session that is not
-over, another version of the software, a recording that is gone).
+participant twice), unless a difference is stated (`across`); what a reader must know is reported (a session that
+is not over, another version of the software, a recording that is gone).
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ class StudySession:
         return [event for event in self.events if event.kind == kind]
 
     def devices(self) -> dict[int, Mapping[str, Any]]:
-        """What the log said of the device on which each trial was made, as far as it said anything."""
+        """Return what the log contains of the device of each trial; without an entry where it has nothing."""
         found: dict[int, Mapping[str, Any]] = {}
         opened: Mapping[str, Any] | None = None
         for event in self.events:
@@ -92,7 +92,7 @@ class StudySession:
 
 @dataclass(frozen=True, kw_only=True)
 class Study:
-    """Sessions under one protocol, in the order of the rows of the plan, and what must be said of them."""
+    """Sessions under one protocol, in the order of the rows of the plan, and messages for the reader."""
 
     sessions: tuple[StudySession, ...]
     messages: tuple[str, ...] = field(default=())

@@ -155,13 +155,13 @@ def half_way(
 
 
 def answers(state: SessionState, run: SearchRun, judge: str) -> list[JudgedProbe]:
-    """What a run's trials say by one judge.
+    """Return the answers of a run's trials by one judge.
 
     Parameters
     ----------
     judge
-        "followed": what the rule heard. "person": the same, unless nobody was asked. "automatic": whether each wall
-        holds under the study's criterion.
+        "followed": the answers that the rule received. "person": the same, or none if no person judged any.
+        "automatic": whether each wall holds under the study's criterion.
     """
     if judge == "followed":
         return state.heard(run)

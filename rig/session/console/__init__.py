@@ -1,4 +1,4 @@
-"""The operator's terminal: what a session shows and asks there, and a STOP that needs nobody else.
+"""The operator's terminal: what a session shows and asks there, and a STOP that needs no other process.
 
 Two processes. The session's program has the device and the log; its side is `rig.session.console.desk.ConsoleDesk`. The
 console is a child (``python -m rig.session.console``) that has the terminal, and that may hang or die without more

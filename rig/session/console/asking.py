@@ -1,7 +1,7 @@
 """A desk that asks over a line, whatever carries it: what goes out, and what is an answer.
 
-Each question has a number, and an answer names it: what answers an earlier question, or is none of its actions, is not
-taken. STOP that comes with no question open ends the hit that runs, and not the next one.
+Each question has a number, and an answer names it: an answer to an earlier question, or with an action that was not
+offered, is ignored. STOP that comes with no question open ends the hit that runs, and not the next one.
 """
 
 from __future__ import annotations
@@ -61,11 +61,9 @@ class AskingDesk(Desk):
         Raises
         ------
         StoppedError
-            Nobody can answer any more.
+            The console is gone, so that no answer can come.
         """
-        if (
-            question.kind != "rest" or question != self._question
-        ):  # a rest continues while somebody writes a note
+        if question.kind != "rest" or question != self._question:  # a rest continues while a note is written
             self._began_s = time.monotonic()
         self._question = question
         self._number += 1
@@ -94,7 +92,7 @@ class AskingDesk(Desk):
         self._check_there()
 
     def _put(self, question: Question) -> None:
-        """Send a question; of a rest, what is left of it."""
+        """Send a question; for a rest, with its remaining time."""
         seconds = question.seconds
         if seconds:
             seconds = max(SHORTEST_S, seconds - (time.monotonic() - self._began_s))
@@ -114,7 +112,7 @@ class AskingDesk(Desk):
         over = action == "go" and question.kind == "rest" and took_s > question.seconds - POLL_S
         if (action not in question.actions and not over) or (action == "judge" and value not in VERDICTS):
             return None
-        shown_s = message.get("shown_s")  # since somebody could read it, from who knows that
+        shown_s = message.get("shown_s")  # since the question was on the screen, if the console reports it
         if shown_s is not None and question.kind != "rest":  # of which a note takes nothing
             took_s = min(took_s, max(0.0, float(shown_s)))
         return Reply(action=cast("Action", action), value=value, took_s=took_s)

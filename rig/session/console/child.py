@@ -46,7 +46,7 @@ class Child:
     heard_s
         When it was last heard (s, monotonic), at first when it was started.
     greeted
-        Whether it has said anything.
+        Whether it has sent a message.
     """
 
     def __init__(
@@ -115,7 +115,7 @@ class Child:
 
     @property
     def silent_s(self) -> float:
-        """For how long nothing was heard of it (s)."""
+        """Time since its last message (s)."""
         return time.monotonic() - self.heard_s
 
     def say(self, kind: str, **content: Any) -> None:
@@ -150,7 +150,7 @@ class Child:
             return
         if not self.dead:
             self.say("end")
-            self._reader.join(END_S)  # hears of the end at once: `wait` looks for it ever more rarely
+            self._reader.join(END_S)  # reads the end of the pipe at once: `wait` polls ever more rarely
             with suppress(subprocess.TimeoutExpired):
                 self._process.wait(0.0 if self._reader.is_alive() else END_S)
         if not self.dead:

@@ -18,7 +18,7 @@ from rig.session.desk import Action, DeskView, Question
 from rig.session.items import parse_answer, wanted
 from rig.session.keymap import HELP, STOP, VERDICTS, KeyMap
 
-LATER: tuple[Action, ...] = ("pause", "note", "abort")  # what may be asked for while nobody asks
+LATER: tuple[Action, ...] = ("pause", "note", "abort")  # may be requested while no question is open
 TWICE: dict[Action, str] = {  # what a wrong key must not do
     "abort": "leave the session (it can be resumed)",
     "skip": "leave this run without a limit",
@@ -52,14 +52,14 @@ class TextEntry:
 
 
 class Conversation:
-    """All that the console knows.
+    """State of the console.
 
     Attributes
     ----------
     view
-        What there is to see.
+        What the console shows.
     question
-        That somebody must answer; None while the session does something.
+        The open question; None while the session does something.
     asked
         How many questions came so far: the same one asked again is another one.
     due_s
@@ -116,13 +116,13 @@ class Conversation:
         return []
 
     def pass_time(self, now_s: float) -> list[Decision]:
-        """End a rest that is over, unless somebody is typing."""
+        """End a rest that is over, unless the operator is typing."""
         if self.left_s(now_s) > 0.0 or self.entry or self.twice or not self._resting:
             return []
         return self._answer(Answer("go"))
 
     def left_s(self, now_s: float) -> float:
-        """What is left of a rest (s)."""
+        """Return the remaining time of a rest (s)."""
         return max(0.0, self.due_s - now_s) if self._resting else 0.0
 
     @property
@@ -131,7 +131,7 @@ class Conversation:
 
     @property
     def moving(self) -> bool:
-        """Whether the handle may move: a loop runs, or nobody is asked anything."""
+        """Whether the handle may move: a loop runs, or no question is open."""
         return self.live or self.question is None
 
     @property
@@ -148,7 +148,7 @@ class Conversation:
             self.help = False
             return [StopPressed()]
         if self.help:
-            self.help = False  # a key acts as the page says, but for those that somebody presses to see the rest again
+            self.help = False  # a key acts as the page says, except for those that only close it (`BACK`)
             if key in BACK:
                 return []
         is_text = self.entry is not None and (key != "enter" or self.entry.text)
@@ -236,7 +236,7 @@ class Conversation:
         if entry.purpose == "note":
             if text:
                 return self._answer(Answer("note", text))
-            self.entry = None  # an empty note is none
+            self.entry = None  # an empty note is not stored
             return []
         value = self._answer_of(text)
         if value is None:

@@ -124,7 +124,7 @@ class ConsoleDesk(AskingDesk):
         self._child.say(kind, **content)
 
     def _take(self, patience_s: float) -> Message | None:
-        """The next message of the console that is; what an earlier one said is over."""
+        """Return the next message of the current console; None for one of an earlier console, or without a message."""
         try:
             child, message = self._inbox.get(timeout=patience_s) if patience_s else self._inbox.get_nowait()
         except Empty:
@@ -214,7 +214,7 @@ def at_console(
 def _open_terminal(place: Path) -> tuple[int, list[Any]]:
     """Open the terminal, and read how it is set.
 
-    Raises `ConfigError` where there is none, and when it is another job's now: the kernel would stop who reads from it.
+    Raises `ConfigError` if it is missing, or belongs to another job now: the kernel would stop a process that reads it.
     """
     with ExitStack() as opened:
         try:
@@ -229,7 +229,7 @@ def _open_terminal(place: Path) -> tuple[int, list[Any]]:
         try:
             ours = os.tcgetpgrp(descriptor) == os.getpgrp()
         except OSError:
-            ours = True  # nobody's controlling terminal has no foreground
+            ours = True  # a terminal that controls no session has no foreground process group
         if not ours:
             raise ConfigError("the session runs in the background, where nobody can answer", remedy="fg")
         opened.pop_all()

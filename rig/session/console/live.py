@@ -1,6 +1,6 @@
 """The newest rows of the loop that runs in another process, as numbers to show. Looks only, and never at its info.
 
-Whoever sits here may have to be blind to stiffness and damping, which stand in the info (`rig.realtime.ring`).
+The operator may have to be blind to stiffness and damping, which stand in the info (`rig.realtime.ring`).
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class LiveLoop:
         return snapshot_of(self._ring)
 
     def close(self) -> None:
-        """Let go of the memory: it lives as long as somebody has it."""
+        """Release the shared memory, which exists as long as a process has it open."""
         if self._ring is not None:
             self._ring.close()
             self._ring = None

@@ -9,8 +9,8 @@ session     ask        number (counts up), `rig.session.desk.Question`
 session     end        give the terminal back and go
 console     alive      a few times a second, as long as it is
 console     reply      number of the question, action, value
-console     stop       somebody asked for zero effort; the loop's stop word is set already, where there is one
-console     gone       nobody can answer any more: why
+console     stop       the operator requests zero effort; the loop's stop word is set already, where there is one
+console     gone       no answer can come any more: why
 ==========  =========  ============================================================================================
 """
 

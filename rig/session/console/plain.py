@@ -8,7 +8,7 @@ from rig.session.console.live import Snapshot
 
 
 class PlainLines:
-    """What was said already, so that each thing is said once."""
+    """Lines that are printed already, so that each is printed once."""
 
     def __init__(self) -> None:
         self._said: dict[str, str] = {}
@@ -33,7 +33,7 @@ class PlainLines:
         return [line for line in found if line]
 
     def _new(self, name: str, text: str) -> str:
-        """The text if it is another one than was said."""
+        """Return the text if it differs from the last one of this name, else an empty one."""
         before, self._said[name] = self._said.get(name, ""), text
         return text if text != before else ""
 

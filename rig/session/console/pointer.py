@@ -1,7 +1,7 @@
 """Mouse or arrow keys → the simulated hand's intention: how far it reaches, and how hard it presses.
 
 The screen's left end is a little behind the start, its right end is inside the wall, whichever side the wall is on.
-Beyond the wall the hand presses, harder the further it reaches, as somebody does who pushes against what holds; a mouse
+Beyond the wall the hand presses, harder the further it reaches, as a person pushes against a rigid object; a mouse
 button held presses with full force.
 """
 
@@ -31,7 +31,7 @@ class PointerTarget(Protocol):
 
 
 class Pointer:
-    """How far somebody reaches, as a share of the screen's way from 0 to 1.
+    """How far the hand reaches, as a share of the screen's width from 0 to 1.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ class Pointer:
 
     @property
     def intention(self) -> tuple[float, float] | None:
-        """Position (rad or m) and press (N); None before anybody said where start and wall are."""
+        """Position (rad or m) and press (N); None before a view gave start and wall."""
         if "start" not in self._scale or "wall" not in self._scale:
             return None
         start, wall = float(self._scale["start"]), float(self._scale["wall"])

@@ -24,7 +24,7 @@ PRESS_N = 4.0  # of a hand whose experiment does not say: that of a normal grip 
 
 
 class SeatHand:
-    """The simulated hand that somebody moves at this seat.
+    """The simulated hand that the operator moves at this seat.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ class SeatHand:
             self.pointer.point(START_SHARE, held=False)
 
     def hold(self) -> None:
-        """Say the intention again: a hand that nobody speaks for rests."""
+        """Send the intention again: a hand without new intentions rests."""
         intention = self.pointer.intention
         if intention is not None:
             self._hand.move(*intention)
@@ -95,7 +95,7 @@ class Seat:
         self.number = 0
 
     def hear(self, kind: str, message: Mapping[str, Any], now_s: float) -> bool:
-        """Take a message of the session; whether somebody should be rung for it."""
+        """Take a message of the session; return True if the bell should ring for it."""
         if kind == "view":
             before = self.talk.view.state
             self.talk.see(message["view"])

@@ -1,7 +1,7 @@
-"""What the console says, as plain text: a terminal prints it, a page arranges it.
+"""Texts of the console: a terminal prints them, a page arranges them.
 
-Where somebody must be blind to the wall, an effort is a word: low, half, near the limit, saturated. As a number, beside
-the penetration, it would be the stiffness.
+Where the operator must be blind to the wall, an effort is a word: low, half, near the limit, saturated. As a number,
+next to the penetration, it would reveal the stiffness.
 """
 
 from __future__ import annotations

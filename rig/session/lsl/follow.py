@@ -12,7 +12,7 @@ wall     another parameter set is active: its number; unless blinded its wall, w
 end      the loop has ended: the reason, rows, and how many of them came too late to be seen (`lost`)
 =======  ==================================================================================================
 
-Blinded markers have no number of a wall, a condition or a scheme, whoever wrote them (`without_secrets`). Rates are
+Blinded markers have no number of a wall, a condition or a scheme, from any source (`without_secrets`). Rates are
 among them: where conditions differ in their rates, a rate is a condition's name.
 """
 
@@ -90,7 +90,7 @@ class Follower:
     Attributes
     ----------
     ring, info
-        The memory, and what the loop's program said about the run when this began.
+        The memory, and what the loop's program had stored about the run when this began.
     position_rate, every, rate
         Rows a second; one row in `every` becomes a sample; samples a second.
     ended
@@ -144,7 +144,7 @@ class Follower:
         return Chunk(rows[wanted], times[wanted], sorted(markers, key=lambda marker: marker.time_ns))
 
     def _times(self, rows: NDArray[np.void]) -> NDArray[np.int64]:
-        """Host times of the rows, none before one that was told: a better line may be an earlier one."""
+        """Return host times of the rows, none before the last one returned: a better clock fit may lie earlier."""
         times: NDArray[np.int64] = np.maximum(self._clock.host_of(rows, rows["device_time"]), self._last_ns)
         self._last_ns = int(times[-1])
         return times

@@ -1,4 +1,4 @@
-"""Follow loops, one after another, and send what they do into the network, until somebody says enough."""
+"""Follow loops, one after another, and send what they do into the network, until interrupted."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ class Streamed:
 
 
 class Markers:
-    """Markers that somebody else writes, a line of JSON each: ``{"at": host time in ns, "marker": {...}}``.
+    """Markers that another program writes, a line of JSON each: ``{"at": host time in ns, "marker": {...}}``.
 
     Without `at` a marker has the time at which it was read.
 
     Attributes
     ----------
     malformed
-        Lines that were no such thing, and were left out.
+        Lines of another form, which were left out.
     over
         Whether no more can come.
     """
@@ -119,7 +119,7 @@ def serve(
     Raises
     ------
     ConfigError
-        pylsl or liblsl is missing, the rate is none, or there is no such process.
+        pylsl or liblsl is missing, the rate is not above 0, or there is no such process.
     """
     if rate is not None and not rate > 0.0:
         raise ConfigError(
@@ -249,7 +249,7 @@ def _next_loop(pid: int | None) -> tuple[int, Ring] | None:
 
 
 def _alive(pid: int) -> bool:
-    """Whether a process of ours lives: of a dead one that nobody has waited for the files are gone too."""
+    """Return True if a process of ours lives; a zombie, dead but not waited for, has no files and does not count."""
     try:
         return bool(os.listdir(f"/proc/{pid}/fd"))
     except OSError:

@@ -55,8 +55,8 @@ def _refuse_if_missing() -> None:
 class LslMarks:
     """``rig serve lsl`` for the loops of this process, with markers of this process's own; a context manager.
 
-    Once it has started nothing here raises or blocks but `wait`: a session does not end because a stream did. What
-    could not be said is counted (`lost`), and each reason for it is warned of once. A `text` that is too long is cut.
+    Once it has started nothing here raises or blocks but `wait`: a session does not end because a stream did. Markers
+    that could not be sent are counted (`lost`), with one warning for each reason. A `text` that is too long is cut.
 
     Parameters
     ----------

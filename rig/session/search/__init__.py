@@ -1,8 +1,8 @@
 """Search rules: which stiffness a person is to judge next, and where the limit lies.
 
 A rule is a value. It is asked with all answers so far and says the next probe, or that it has enough; it keeps nothing
-itself, so a session's log is all that is needed to go on after a crash, and any other rule can be asked about the same
-answers afterwards.
+itself, so a session's log is all that is needed to continue after a crash, and any other rule can be applied to the
+same answers afterwards.
 
     rule = search.make("staircase", levels=range(100, 900, 25), seed=7)
     probe = rule.next(answers)          # None when it has enough
@@ -39,7 +39,7 @@ RULES: dict[str, Callable[..., Rule]] = {
 def make(name: str, **settings: Any) -> Rule:
     """Return a rule by its name and settings.
 
-    Raises `rig.core.errors.ConfigError` for a name, a setting or a value that is none.
+    Raises `rig.core.errors.ConfigError` for an unknown name, setting or value.
     """
     rule = RULES.get(name)
     if rule is None:

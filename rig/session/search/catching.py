@@ -21,7 +21,7 @@ TRACK = -1  # of a catch trial
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CatchTrials:
-    """What catch trials showed, by kind: somebody who calls walls unstable too soon lapses on the soft ones alone.
+    """Results of catch trials, by kind: a person who calls walls unstable too soon lapses on the soft ones alone.
 
     Attributes
     ----------

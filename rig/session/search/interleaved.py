@@ -1,6 +1,7 @@
 """Two staircases that come from below and from above, in random turns.
 
-Nobody can follow a track whose turn is drawn, so an answer says more of the wall and less of the last answer.
+A person cannot follow a track whose turn is drawn at random, so an answer depends more on the wall and less on the
+last answer.
 """
 
 from __future__ import annotations

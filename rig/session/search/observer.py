@@ -19,7 +19,7 @@ Making = Callable[
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Observer:
-    """Somebody whose verdicts follow the psychometric function (`rig.session.search.psychometric`).
+    """An observer whose verdicts follow the psychometric function (`rig.session.search.psychometric`).
 
     `threshold` is K50, `spread` how gradually verdicts change, `lapse_rate` the share of verdicts turned round, as
     when a finger takes the wrong key.

@@ -94,7 +94,7 @@ class PsychometricGrid:
     def posterior(self, verdicts: Sequence[tuple[float, bool]]) -> Floats:
         """Probability of each grid point after these verdicts (level, stable), shape as one level of `shares`."""
         known, log = self._latest[0]
-        if tuple(verdicts[: len(known)]) != known:  # of somebody else
+        if tuple(verdicts[: len(known)]) != known:  # other verdicts than in the cache
             known, log = (), np.zeros(self.shares.shape[1:])
         stable, other = self.logs
         for level, verdict in verdicts[len(known) :]:

@@ -25,7 +25,7 @@ class Probe:
 
 @dataclass(frozen=True, slots=True)
 class JudgedProbe:
-    """A judged probe. `stable` is None where there is no verdict (unsure, invalid): the rule asks again."""
+    """A judged probe; `stable`: None without a verdict (unsure, invalid), so that the rule asks again."""
 
     probe: Probe
     stable: bool | None

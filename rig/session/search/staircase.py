@@ -25,7 +25,7 @@ from rig.session.search.rule import (
     verdicts_of,
 )
 
-EDGE_VERDICTS = 3  # in a row at an end of the levels, where it cannot go on: the limit lies beyond
+EDGE_VERDICTS = 3  # in a row at an end of the levels, which it cannot leave: the limit lies beyond
 
 
 @dataclass(slots=True)

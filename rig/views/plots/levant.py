@@ -20,7 +20,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LevantRegions:
-    """The boundaries over one grid of μ2, shape (n,), infinite where there is none; the numeric one over μ1."""
+    """Boundaries over one grid of μ2, shape (n,), infinite where no boundary exists; the numeric one over μ1."""
 
     mu2: Floats
     hba_mu1: Floats

@@ -64,7 +64,7 @@ Draw = Callable[[StudyAnalysis], Any]
 
 
 def pictures(found: StudyAnalysis) -> dict[str, Draw]:
-    """What there is to draw, by name; each is a function of the analysis that returns a matplotlib figure."""
+    """Return the pictures that the results allow, by name; each is a function of the analysis that returns a figure."""
     chosen: dict[str, Draw] = {}
     if found.over_participants:
         chosen["zwidth"] = partial(zwidth_figure, measure=found.options.measure)
@@ -99,7 +99,7 @@ def draw_session(
     endings
         Of the files, as `rig.views.plots.style.FORMATS` has them.
     watch
-        Told how many pictures are done, and of how many.
+        Called with the number of pictures done, and the total.
     on_failure
         Called with the error and the name of a picture that fails, in place of raising it.
 
@@ -373,7 +373,7 @@ def _together(of: Sequence[PsychometricFit]) -> PsychometricFit | None:
 
 @style.own_style()
 def tracks_figure(found: StudyAnalysis, code: str) -> Any:
-    """Which walls each run of a participant asked for, trial by trial, and what was said of them."""
+    """Draw which walls each run of a participant asked for, trial by trial, and their verdicts."""
     runs = [run for run in found.runs if run.participant == code]
     trials = [trial for trial in found.trials if trial.participant == code and not trial.practice]
     columns = min(_RUNS_IN_A_ROW, max(len(runs), 1))

@@ -80,7 +80,7 @@ def write_session_report(
 
 
 def numbers(found: StudyAnalysis) -> dict[str, Any]:
-    """Everything that the page reports, as plain values; what is not finite is None."""
+    """Return everything that the page reports as plain values; numbers that are not finite become None."""
     told: dict[str, Any] = plain(
         {
             **found.as_mapping(),

@@ -82,7 +82,7 @@ def invalid_trials(study: Study) -> tuple[Deviation, ...]:
 
 
 def notes(study: Study) -> tuple[Deviation, ...]:
-    """What somebody wrote down, corrections in place."""
+    """Return the operators' notes, with their later corrections applied."""
     found: list[Deviation] = []
     for session in study.sessions:
         texts = {event.content["number"]: str(event.content["value"]) for event in session.of_kind("amended")}

@@ -73,7 +73,7 @@ class _Setting:
 
 @dataclass(frozen=True, slots=True)
 class _Condition:
-    """A condition; `controller` is None where its estimator is not installed here."""
+    """A condition; `controller`: None if its estimator is not installed here."""
 
     name: str
     fit: str

@@ -26,12 +26,12 @@ _WORDS = (
 
 
 def number(value: float | None, digits: int = 4) -> str:
-    """A number with so many significant digits; a dash where there is none."""
+    """Format a number with so many significant digits; a dash if it is missing or not finite."""
     return NOTHING if value is None or not math.isfinite(value) else _minus(f"{value:.{digits}g}")
 
 
 def three(value: float | None, digits: int = 3) -> str:
-    """A number with exactly three significant digits, or so many, zeros included; a dash where there is none."""
+    """Format a number with `digits` significant digits, zeros included from 1 to 10⁶; ∞ for infinity, – if missing."""
     if value is None or not math.isfinite(value):
         return "∞" if value == math.inf else NOTHING
     if value != 0.0 and 1.0 <= abs(value) < 10.0**6:
@@ -99,7 +99,7 @@ def signed(value: float, digits: int = 4) -> str:
 
 
 def interval(low: float | None, high: float | None, decimals: int | None = None) -> str:
-    """An interval, perhaps open above; a dash where there is none, or it is open on both sides."""
+    """Format an interval, perhaps open above; a dash if it is missing, or open on both sides."""
     if low is None or high is None or math.isnan(low) or math.isnan(high) or math.isinf(low):
         return NOTHING
     how = ".4g" if decimals is None else f".{decimals}f"
@@ -147,7 +147,7 @@ def counted(count: int, noun: str) -> str:
 
 
 def shortest(value: float, digits: int = 6) -> str:
-    """A number that somebody chose, in its shortest form."""
+    """Format a setting in its shortest form."""
     return f"{value:.{digits}g}"
 
 
