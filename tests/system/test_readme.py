@@ -58,6 +58,27 @@ def test_the_search_rule_of_the_guide_runs(tmp_path: Path, monkeypatch: pytest.M
     assert names["probe"].level in range(100, 825, 25)
 
 
-def test_files_that_the_readme_links_to_exist() -> None:
-    for target in re.findall(r"\]\(([^)#:]+)", README.read_text(encoding="utf-8")):
-        assert (README.parent / target).exists(), target
+PAGES = (README, *sorted((ROOT / ".github").rglob("*.md")))
+PATH = re.compile(r"(?<![\w./])((?:rig|tests|sim_backend|firmware_protocol|\.ci|\.github)/[\w./-]*\w)")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_files_that_a_page_of_the_repository_names_exist(page: Path) -> None:
+    """A path with NAME in it stands for a file that the reader adds."""
+    text = page.read_text(encoding="utf-8")
+    links = [page.parent / target for target in re.findall(r"\]\(([^)#:]+)", text)]
+    named = [ROOT / path for path in PATH.findall(text) if "NAME" not in path]
+    assert [path for path in links + named if not path.exists()] == []
+
+
+def test_tests_and_tables_that_a_recipe_names_exist() -> None:
+    """A recipe names a table with its file, and a test by its function."""
+    text = " ".join((ROOT / ".github" / "CONTRIBUTING.md").read_text(encoding="utf-8").split())
+    tables = re.findall(r"`([A-Z_]{3,})` of `([\w/.]+/[\w.]+)`", text)
+    tables += [(name, path) for path, name in re.findall(r"`([\w/.]+\.py)`: a line of `([A-Z_]{3,})`", text)]
+    assert len(tables) >= 5
+    for name, path in tables:
+        assert re.search(rf"^{name}\b", (ROOT / path).read_text(encoding="utf-8"), re.MULTILINE), (name, path)
+    tests = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "tests").rglob("test_*.py"))
+    for name in re.findall(r"`(test_\w+)`", text):
+        assert f"def {name}(" in tests, name

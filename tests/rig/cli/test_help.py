@@ -82,7 +82,7 @@ def test_there_are_at_most_twenty_commands_at_the_top_and_each_that_a_text_names
     groups = {words[0] for words in known if len(words) > 1}
     named = {
         (str(path.relative_to(ROOT)), first, second.strip())
-        for place in ("README.md", "rig", "firmware_protocol")
+        for place in ("README.md", ".github", "rig", "firmware_protocol")
         for path in [ROOT / place, *(ROOT / place).rglob("*")]
         if path.suffix in (".md", ".py", ".toml")
         for first, second in NAMED.findall(path.read_text(encoding="utf-8"))
