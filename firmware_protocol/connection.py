@@ -237,7 +237,7 @@ class Connection:
         Raises
         ------
         IncompatibleMajorError
-            Host only: the device speaks another major version. The frame is dropped; the connection stays usable.
+            Host only: the device uses another major version. The frame is dropped; the connection stays usable.
         """
         while self._frames:
             event = self._event(self._frames.popleft())

@@ -1,4 +1,4 @@
-"""The device's dictionary: what a host must know of a device before it may arm it.
+"""The device's dictionary: the description that a host must read before it may arm the device.
 
 Canonical JSON (sorted keys, no spaces, UTF-8), zlib-compressed, read page by page with IDENTIFY. Its
 hash stands in every IDENTITY, so that a host reads a dictionary once for each firmware, and ARM repeats
@@ -141,7 +141,7 @@ def build(
     ranges
         Parameter name → (minimum, maximum) where the device is narrower than the table.
     constants
-        What its monitors know of the rig.
+        Constants of the rig that its monitors assume.
     settings
         What its board was built with, by the names of the board's port.
     """

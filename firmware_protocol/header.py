@@ -1,8 +1,8 @@
 """The protocol as C99: `protocol.h` and `protocol.c` of the firmware, from the tables that run.
 
-Everything that a device must know of the wire and that Python has in a table is printed here: type ids, where each
-field lies in a raw frame, states and their transitions, parameters, codes. So a firmware types no number of
-the protocol a second time. Names are those of PROTOCOL.md behind the prefix ``HR_``.
+Everything that a device needs of the wire format and that Python has in a table is printed here: type ids, the offset
+of each field in a raw frame, states and their transitions, parameters, codes. So no number of the protocol is typed a
+second time in the firmware. Names are those of PROTOCOL.md behind the prefix ``HR_``.
 """
 
 from __future__ import annotations

@@ -14,8 +14,8 @@ The answer to STATE k acts from sample k + 1 on: one tick of delay at least, as 
 late lets a host that stood still with it answer first, and hands over what came before the late tick passes, so that
 the watchdog is fed first.
 
-It mirrors a board behind a USB serial port: that stays when a host goes, even by kill -9, and its watchdog knows of
-that only by the silence.
+It mirrors a board behind a USB serial port: that stays when a host exits, even by kill -9, and its watchdog detects
+that only by the missing messages.
 """
 
 from __future__ import annotations
@@ -270,7 +270,7 @@ class BoardTime:
             )
             if why == ASK:
                 self.device.passed(world)
-            elif why == GONE:  # what it has not read goes too: the next host begins with an empty line
+            elif why == GONE:  # discard its unread bytes: the next host begins with an empty line
                 grid[PENDING] = 0
                 self._hung_up()
             now_ns = port.now(port.clock_handle)

@@ -1,9 +1,9 @@
-"""A rig excited about a point without bytes, one compiled call: what a measurement of its impedance is made of.
+"""Excite a rig about a point without bytes, in one compiled call: a measurement of its impedance consists of these.
 
 The law runs as it does everywhere, `rig.control.step.step` once a tick. Between its ticks the plant takes inner steps,
 and in each of them a second actuator may push the link. Its effort is that of the step's middle: a value taken at the
-beginning and held would be late by half a step, which no one sees in a hit and everyone in a phase (at 4 kHz it is 11°
-at 250 Hz). The positions are kept more often than the law sees them, as a separate instrument would.
+beginning and held would be late by half a step, which is negligible in a hit and visible in a phase (at 4 kHz it is 11°
+at 250 Hz). The positions are recorded at a higher rate than the law's, as a separate instrument would.
 
 The run begins in the trial's own phase, at rest: nothing has to be homed. With the rig's own motor as the actuator,
 which is the law's affair (`rig.control.bilateral`), the counts are those of the same trial over the byte link, to the

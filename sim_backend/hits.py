@@ -1,6 +1,6 @@
 """Hits without bytes, one compiled call each: the trial, and the measuring of what was recorded and what is true.
 
-A map of thousands of walls is made of these calls. They allocate nothing and do not hold the GIL, so a thread for each
+A map of thousands of walls consists of these calls. They allocate nothing and do not hold the GIL, so a thread for each
 core keeps it busy, and memory does not grow with the number of hits. What comes out is what
 `rig.control.judging.judge` gives for the recording of the same trial over the byte link.
 """

@@ -3,8 +3,8 @@
 The device is the firmware, its clock that of `board_time`; where nothing compiles it, the readable device (`device`),
 by the clock of `real_time`.
 
-It mirrors a USB serial device: it stays when a host goes, even by kill -9, and its watchdog knows of that only by
-the silence.
+It mirrors a USB serial device: it stays when a host exits, even by kill -9, and its watchdog detects that only by
+the missing messages.
 """
 
 from __future__ import annotations

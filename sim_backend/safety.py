@@ -294,7 +294,7 @@ class Safety:
     Parameters
     ----------
     model
-        What the board knows of its rig: direction of counting, the amplifier's peak, and what must move how fast.
+        The rig, for the monitors: direction of counting, the amplifier's peak current, and the moved mechanics.
 
     Attributes
     ----------
@@ -381,7 +381,7 @@ class FaultMemory:
         self.forget()
 
     def forget(self) -> None:
-        """Know of no fault and of no tick: after a reset."""
+        """Clear all faults and remembered ticks, as after a reset."""
         self.clear()
         self._rules[AT.remembered] = 0
         self._first = Fault.NONE

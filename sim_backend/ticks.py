@@ -177,7 +177,7 @@ def report(board: DeviceMemory) -> bool:
 
 
 def lifetime_of(words: Ints, mode: int, lifetime_us: int) -> int:
-    """How long a COMMAND counts: the shorter of what it wants and what the parameters allow (device time)."""
+    """Return the lifetime of a COMMAND: the shorter of its own and the parameters' (device time)."""
     cap = words[OWN.supervise_lifetime] if mode == _SUPERVISE else words[OWN.command_lifetime]
     return int(min(lifetime_us * UNITS_PER_US, cap))
 

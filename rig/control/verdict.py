@@ -154,7 +154,7 @@ _EXCEEDED_BY = dict(zip(CRITERIA, (Objection.FELT, Objection.HEARD, EXCEEDED), s
 
 
 def objections(numbers: Numbers, thresholds: Thresholds) -> Any:
-    """What speaks against trials: bits of `Objection`, for a record of `rig.control.measure.NUMBERS` or an array.
+    """Return objections to trials as bits of `Objection`, for a record of `rig.control.measure.NUMBERS` or an array.
 
     The thresholds must be those that the numbers were measured with: where the floor hides it, felt is NaN.
     """
@@ -237,7 +237,7 @@ class Measured:
 
     @cached_property
     def found(self) -> Objection:
-        """Everything that speaks against the trial."""
+        """All objections to the trial."""
         return Objection(int(objections(self.numbers, self.thresholds)))
 
     @property

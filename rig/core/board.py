@@ -1,4 +1,4 @@
-"""What a device must know of its rig, as constants of its firmware; simulated devices have the same.
+"""Data of a rig that its device needs, as constants of the firmware; simulated devices have the same.
 
 All in the device's own units: current quanta and counts. Only the mechanics stay in SI.
 """

@@ -26,7 +26,7 @@ def check_rig(model: RigModel, device: Dictionary) -> Check:
     model
         The rig of the experiment.
     device
-        The device's dictionary. Constants that it does not contain are not compared; the check's text lists them.
+        The device's dictionary. Constants that it does not contain are not compared; a passed check lists them.
 
     Returns
     -------

@@ -65,7 +65,7 @@ def ramp(speed: float = 0.01 * np.pi) -> Signal:
 
 
 def sine(amplitude: float = 0.01, frequency_hz: float = 5.0) -> Signal:
-    """Free swinging of a handle: amplitude · sin(2π·frequency·t)."""
+    """Free oscillation of a handle: amplitude · sin(2π·frequency·t)."""
     w = 2.0 * np.pi * frequency_hz
 
     def motion(t: Floats) -> Motion:

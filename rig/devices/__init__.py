@@ -35,7 +35,7 @@ if sys.platform == "linux":
         "moteus": "rig.bench.bridge.link:open_link",
         "odrive": "rig.bench.bridge.link:open_link",
     }
-MADE_FOR_A_RIG = ("sim", "moteus", "odrive")  # schemes whose far end is made of the experiment's rig
+MADE_FOR_A_RIG = ("sim", "moteus", "odrive")  # schemes whose far end is built from the experiment's rig
 FIRMWARE = "firmware"  # option of sim://: 1 is the compiled firmware in place of its mirror in Python
 # What the simulation offers beside its link (`rig.devices.simulated`), and its server (`rig.devices.local`).
 HITS, EXCITED = "sim_backend.hits:RigOfHits", "sim_backend.excited:ExcitedPlant"

@@ -26,7 +26,7 @@ class FirmwareFacts:
     device, firmware, simulated
         Name of the rig, version, and whether a simulation runs it.
     protocol, our_protocol
-        Version that it speaks, and that of this package.
+        Protocol version of the device, and that of this package.
     dictionary_hash
         As in IDENTITY and ARM, 16 hexadecimal digits.
     position_rate_default, position_rate_maximum

@@ -2,7 +2,7 @@
 
 A pseudo-terminal hands its bytes over in a worker of the kernel, which waits for a processor as any ordinary program
 does: beside two busy ones it comes milliseconds late, whatever the priorities at both ends are. A socket wakes its
-reader itself. So a simulated device that is started for a run (`rig.devices.local`) speaks through one.
+reader itself. So a simulated device that is started for a run (`rig.devices.local`) uses one.
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ if sys.platform == "linux":
     from rig.devices import tty
 
 FTDI_VENDOR = "0403"
-LONGEST_LATENCY_MS = 1  # of an FTDI adapter: it keeps what it has received for so long, hoping for more
+LONGEST_LATENCY_MS = 1  # of an FTDI adapter: time for which it holds received bytes to pass on more at once
 NO_TIMER_DRIVERS = frozenset({"cdc_acm"})  # the board itself decides when a packet leaves
 WHY = "a port that holds bytes back delays every command; one that others can open loses some"
 _PSEUDO = ("/dev/pts/", "/dev/pty")

@@ -1,6 +1,6 @@
 """A serial port as a link where the system is not Linux: through pyserial alone, read by a thread of Python.
 
-For a board that runs the law itself and has to hear of the host every few milliseconds
+For a board that runs the law itself and needs a message from the host every few milliseconds
 (`controller.supervise_lifetime_s`). No loop of this computer is fast enough here, and none is armed
 (`rig.experiments.trial.prepared_on`). DTR and RTS are set before the port opens; Windows drops both when it closes,
 which resets many boards.

@@ -310,7 +310,7 @@ class UsbLink(RealLink):
 
     @property
     def note(self) -> str:
-        """What a user should know of how the bytes move; empty when all is well."""
+        """Note for the user about how the bytes are transferred; empty without a restriction."""
         return self._transfers.note
 
     @property

@@ -110,7 +110,7 @@ class HitResult(Shown, Drawn):
     recorded: Recorded
     counters: dict[str, int]
     cleared_fault: str | None  # what an earlier run had left latched on the device
-    gate: Gate | None = None  # what speaks for and against arming on this link; None in virtual time
+    gate: Gate | None = None  # assessment of arming on this link; None in virtual time
     messages: tuple[
         str, ...
     ] = ()  # limits for people that do not hold; what was not granted; each with its remedy

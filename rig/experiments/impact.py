@@ -36,11 +36,11 @@ class ImpactNumbers:
     bounces
         How often the handle left the wall and came back.
     decay
-        (second_peak − rest) / (peak − rest), a rest outside the wall taken as its surface: 0 without a second swing,
-        1 and more for a wall that does not damp.
+        (second_peak − rest) / (peak − rest), a rest outside the wall taken as its surface: 0 without a second
+        oscillation, 1 and more for a wall that does not damp.
     settling_s
-        When the penetration came within `SWING_SHARE` of the first swing around the rest, one count at least, for good
-        (s); None if it never did.
+        Time after which the penetration stays within `SWING_SHARE` of the first oscillation around the rest, one count
+        at least (s); None if it never does.
     """
 
     impact_velocity: float
@@ -104,7 +104,7 @@ def measure(time_s: Floats, counts: Floats, impact_velocity: float) -> ImpactNum
 
 
 def second_peak(counts: Floats, swing: float) -> float | None:
-    """Deepest value after the peak, once the handle has turned back by `swing` and then come again by as much."""
+    """Return the deepest value after the peak, once the handle has moved back by `swing` and then in by as much."""
     after = counts[int(np.argmax(counts)) :]
     returned = np.flatnonzero(after <= after[0] - swing)
     if not len(returned):

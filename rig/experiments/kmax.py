@@ -1,6 +1,6 @@
 """The stiffest undamped wall against the sampling rate: Koul et al. 2013, Fig. 5.
 
-The same climbs as those of a Z-width map, with a uniform scheme for each rate and B = 0, where no estimator matters.
+The same series as in a Z-width map, with a uniform scheme for each rate and B = 0, where no estimator matters.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def kmax_plan(
     offsets: Sequence[float] = (0.1, 0.6),
     repeats: int = 1,
 ) -> MapPlan:
-    """Plan the climbs; run them with `rig.experiments.zwidth.zwidth` and wrap the map in `KMax`."""
+    """Plan the ascending series; run them with `rig.experiments.zwidth.zwidth` and wrap the map in `KMax`."""
     return MapPlan(
         experiment=experiment,
         schemes=undamped_schemes(rates),

@@ -1,4 +1,4 @@
-"""What people call to measure a rig: its impedance, walls of a grid, recordings of it, and what it is made of.
+"""Functions to measure a rig: its impedance, walls of a grid, recordings of it, and identification of its parameters.
 
 As `rig.experiments.lab`: arguments are adapted and handed to the functions that commands call, too.
 """

@@ -299,7 +299,7 @@ class PredictedImpact:
 def predict_impact(experiment: Experiment) -> PredictedImpact:
     """Energy balance: the push works along the approach, against Coulomb friction; the spring takes it all.
 
-    A person's hand is taken to follow what it wants without lag, and to be too soft to bring its own mass to bear.
+    A person's hand is assumed to follow its intention without lag, and to be so soft that its mass does not count.
     """
     mechanics, wall, push = rig_model(experiment).mechanics, experiment.wall, push_at_rest(experiment)
     inertia = mechanics.motor_inertia + mechanics.loaded_link_inertia

@@ -46,7 +46,7 @@ class Recovered:
     capture
         Where it was.
     outcome
-        What became of it.
+        Its state after recovery.
     recording
         The sealed file, if it was sealed.
     rows
@@ -178,7 +178,7 @@ def _alone(capture: Path) -> Iterator[bool]:
     descriptor = os.open(capture, os.O_RDONLY)
     try:
         ours = True
-        with suppress(OSError):  # a file system without locks: what we know of loops must do
+        with suppress(OSError):  # a file system without locks: only the check of running loops remains
             ours = locks.lock(descriptor)
         yield ours
     finally:

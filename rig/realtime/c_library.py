@@ -42,7 +42,7 @@ def doubles(numbers: Any) -> Any:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CLibrary:
-    """What a library is made of.
+    """Sources and flags of a library.
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ class CLibrary:
     flags: tuple[str, ...] = FLAGS
 
     def sources(self) -> list[Path]:
-        """The C files that it is made of."""
+        """Return the C files of the library."""
         return [path for part in self.parts for path in sorted((self.root / part).glob("*.c"))]
 
     def compiler(self) -> list[str]:

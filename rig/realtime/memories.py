@@ -70,7 +70,7 @@ class LoopMemory:
                 self.words[STOP] = -os.getpid()
 
     def made_by(self, pid: int) -> bool:
-        """Whether a process made what it has open: others look at it too, and forks inherit it without its loop."""
+        """Return True if a process created this memory: others open it too, and forks inherit it without its loop."""
         if self.words[VERSION] != LAYOUT_VERSION:
             return self.words[VERSION] != 0
         return place.is_process(pid, self.words[CREATOR])

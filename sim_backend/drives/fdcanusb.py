@@ -1,6 +1,6 @@
 r"""Lines of text that carry CAN frames: ``can send 8001 01000A… BF *5C`` to the drive, ``OK`` and ``rcv …`` back.
 
-Two devices speak so. The board's own serial port (`Uart`; docs/integration/uart.md of mjbots/moteus at db1a762, and
+Two devices use them. The board's own serial port (`Uart`; docs/integration/uart.md of mjbots/moteus at db1a762, and
 fw/uart_fdcanusb_micro_server.h): a checksum is allowed on a command, and once one came, each needs one and each answer
 has one; no flags on what is received. The USB adapter (`Fdcanusb`; README.md of mjbots/fdcanusb at f18c1d6, and
 fw/can_manager.cc): no checksums, flags, and data filled up with NOP to a length that CAN FD has.

@@ -117,7 +117,7 @@ class SimulatedMoteus:
     """
 
     rate_hz = RATE_HZ
-    next_due: int | None = None  # it never speaks unasked
+    next_due: int | None = None  # it never sends unrequested
 
     def __init__(self, model: RigModel, options: MoteusOptions = MoteusOptions()) -> None:
         self._words = np.zeros(WORDS)

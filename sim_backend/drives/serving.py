@@ -1,7 +1,7 @@
 """A simulated drive in real time: bytes of a line in, bytes out, and the drive's time kept beside the clock.
 
-A drive is asked about the present, so it is brought up to it, in compiled code, when a unit comes, when it has to speak
-by itself, and now and then. Where this process was kept from a processor, the simulated world stood still
+A request concerns the present, so the drive is advanced to it, in compiled code, when a unit arrives, when it has to
+send unrequested, and now and then. Where this process was kept from a processor, the simulated world stood still
 (`held_up_ns`): a watchdog of the drive does not expire because this computer was late.
 """
 

@@ -39,9 +39,9 @@ class CoggingMap:
     Attributes
     ----------
     period
-        Whose harmonics it is made of (rad or m).
+        Fundamental period of the harmonics (rad or m).
     orders, cosine, sine
-        Harmonics that there are, and their amplitudes (N·m or N); see `rig.core.model.Cogging`.
+        Orders of the identified harmonics, and their amplitudes (N·m or N); see `rig.core.model.Cogging`.
     minimum, maximum
         Range in which they were measured (rad or m).
     ci95

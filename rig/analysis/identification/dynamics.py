@@ -6,7 +6,7 @@ The motor's effort F is known, the position X is measured with an encoder's nois
     X = H·P·F − P·S,    P = 1/(s·(m·s + b)) · (s²/ω_a² + 2ζ_a·s/ω_a + 1)/(s²/ω_r² + 2ζ_r·s/ω_r + 1)
 
 H is the delay of the effort: whole ticks and a first-order lag. The second factor of P is there for a rig of two
-masses: a sensor beside the motor sees the link swing against a motor that stands still (anti-resonance ω_a) and both
+masses: a sensor beside the motor sees the link vibrate against a motor that stands still (anti-resonance ω_a) and both
 against each other (resonance ω_r), and m·(ω_a/ω_r)² is the motor's own share of the inertia. S is Coulomb friction: the
 levels from sliding, with the sign of the measured velocity, removed within the fit. It leaves out that friction of
 a handle that stops is less than its level, and that the link behind an elastic drive turns round at other times than

@@ -33,9 +33,9 @@ class Ripple:
     Attributes
     ----------
     period
-        Whose harmonics it is made of (rad or m).
+        Fundamental period of the harmonics (rad or m).
     orders, cosine, sine
-        Harmonics that there are, and what they are as shares of the effort; see `rig.core.model.Cogging`.
+        Orders of the identified harmonics, and their amplitudes as shares of the effort; see `rig.core.model.Cogging`.
     unseen
         Amplitude that a harmonic may have and not have been found.
     load

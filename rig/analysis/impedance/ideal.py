@@ -14,7 +14,7 @@ line up to 400 Hz, images change Z by at most 0.16 % and 0.05° for stable walls
 and 0.6° up to 60 kN/m, by 1.4 % up to 100 kN/m, and by 7 % for the stiffest that are just stable, where rig and wall
 cancel and all that is left is small. A record of the loop's ticks is another matter: it shows motions at all images as
 one, and an excitation that the loop's own motor plays moves the rig at all of them; without A that would be off by 3 %
-at 250 Hz and 29 % at 400 Hz. At half the rate a line and its image coincide, and there is no impedance to speak of.
+at 250 Hz and 29 % at 400 Hz. At half the rate a line and its image coincide, and no impedance is defined.
 
 In general (two masses, lag, delay in ticks, position at T1 and velocity at T2 = N·T1, held or extrapolated) the
 sampled loop has N frequencies ω + m·2π/T2 that the velocity path mixes. With x_m the sampled position at each, G_m

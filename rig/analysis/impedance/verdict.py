@@ -75,7 +75,7 @@ class Passivity:
 
 @dataclass(frozen=True, slots=True)
 class PassivityJudgement:
-    """Everything that speaks for or against a wall's passivity; `reasons` is empty for a passive one."""
+    """Judgement of a wall's passivity with its evidence; `reasons` is empty for a passive wall."""
 
     passive: bool
     reasons: tuple[str, ...]
@@ -185,9 +185,9 @@ def judge(
     residual_threshold: float = RESIDUAL,
     least_coherence: float = COHERENCE,
 ) -> PassivityJudgement:
-    """Judge passivity with everything that can speak against it: real part, residual power, coherence.
+    """Judge passivity by all criteria that can refute it: real part, residual power, coherence.
 
-    A residual or coherence that the record cannot show (NaN) is not held against it.
+    A residual or coherence that cannot be computed from the record (NaN) is ignored.
     """
     found = passive(impedance, band, z_score)
     part = impedance.within(band)

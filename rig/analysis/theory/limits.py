@@ -5,9 +5,9 @@ stable ones remains; a scan upwards and a full grid then answer differently. So 
 range, from the lowest stiffness up, and islands beyond it are listed. A scan sees islands wider than its step (8 % of
 K); their ends are then found by bisection, all of a curve at once.
 
-The lowest stiffness is that on which the rig's mass would swing at 1 Hz, the highest one that on which its motor alone
-would swing at half the position rate, or what damping could allow, if more: a limit there is a cap of the scan and
-flagged so, never a result.
+The lowest stiffness is that on which the rig's mass would oscillate at 1 Hz, the highest one that on which its motor
+alone would oscillate at half the position rate, or what damping could allow, if more: a limit there is a cap of the
+scan and flagged so, never a result.
 """
 
 from __future__ import annotations

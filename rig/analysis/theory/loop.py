@@ -1,4 +1,4 @@
-"""The linear loop that theory speaks of: a plant, a held effort, an estimator and their rates, from a rig and a scheme.
+"""The linear loop of the theory: a plant, a held effort, an estimator and their rates, from a rig and a scheme.
 
 `resolve` takes a rig however it is given; `linear_loop` makes the matrices. Left out, because no matrix holds them:
 Coulomb friction, the encoder's quantum, saturation, and the release from the wall: the handle is pressed against a wall

@@ -58,11 +58,11 @@ class Bus(Protocol):
     Attributes
     ----------
     place
-        What a user calls it.
+        Its name in URLs and messages.
     descriptor
         Of the open port or socket; no call on it blocks.
     checksum, is_socket
-        What a bridge must know of it.
+        Whether frames carry a checksum, and whether it is a socket: settings of a bridge.
     messages
         What could not be obtained, one sentence each with its remedy.
     """
@@ -124,7 +124,7 @@ def _connected(place: str) -> socket.socket:
 
 
 class AdapterBus:
-    """An fdcanusb, a mjcanfd-usb-1x, or what speaks like one."""
+    """An fdcanusb, a mjcanfd-usb-1x, or an adapter with the same protocol."""
 
     is_socket = False
 

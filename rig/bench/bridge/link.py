@@ -1,6 +1,6 @@
 """``moteus://`` and ``odrive://``: a bridge as a process of the run, which begins and ends with its link.
 
-The process speaks through a pair of sockets: when this end closes, by kill -9 too, it switches the drive off and ends.
+The process uses a pair of sockets: when this end closes, by kill -9 too, it switches the drive off and ends.
 """
 
 from __future__ import annotations

@@ -73,7 +73,7 @@ def finding(
     remedy: str = "",
     otherwise: Outcome = Outcome.REFUSED,
 ) -> Check:
-    """Return a check whose remedy is made of the changes with which it would hold."""
+    """Return a check whose remedy lists the changes with which it would pass."""
     if holds:
         return Check(name, Outcome.OK, text)
     changes = changes or {}

@@ -1,4 +1,4 @@
-"""A rig as a C constant: what the core must know of it, and where the board's wires go.
+"""A rig as a C constant: its data for the firmware's core, and the wiring of the board.
 
 `board_config.h` has the board's settings as numbers for the preprocessor and declares two constants: `board_config`
 (struct board of the core) and `image_record` (`rig.bench.firmware.record`), in which the first finds its dictionary.

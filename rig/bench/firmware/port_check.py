@@ -192,7 +192,7 @@ class BoardUnderTest:
         return numbers if kind == ANSWER and _HEAD.unpack_from(body)[0] == self._nonce else None
 
     def meet(self) -> tuple[int, ...]:
-        """Return what it says of itself, as soon as it answers."""
+        """Return the board's description of itself (`PortProbe.BOARD`), from its first reply."""
         for _ in range(TRIES - 1):
             with suppress(NoAnswerError):
                 return self.ask(PortProbe.BOARD, wait_s=ANSWER_S / TRIES)
@@ -207,7 +207,7 @@ class BoardUnderTest:
         return True
 
     def meet_again(self) -> tuple[int, ...]:
-        """Return what it says behind a reset, which may have taken its port along."""
+        """Return the board's description after a reset, which may have closed its port."""
         for _ in range(TRIES):
             try:
                 return self.meet()
