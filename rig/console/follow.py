@@ -102,7 +102,7 @@ class Followed:
         }
 
     def close(self) -> None:
-        """Let go of its memory; what was seen stays in the history."""
+        """Release its shared memory; rows that were read stay in the history."""
         self._ring.close()
 
     def _look_at_info(self) -> bool:

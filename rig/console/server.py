@@ -211,7 +211,7 @@ class Console:
 
 
 def _facts() -> dict[str, Any]:
-    """What a page needs to know once."""
+    """Constants that a page receives once."""
     return {
         "columns": [
             {

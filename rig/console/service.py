@@ -90,7 +90,7 @@ class Service(ABC):
         return set()
 
     def answer_later(self, client: Client, request: Request, work: Coroutine[Any, Any, Any]) -> object:
-        """Answer a request when some work is done, and meanwhile hear the page's next ones; returns `LATER`."""
+        """Answer a request when some work is done, and meanwhile take the page's next ones; return `LATER`."""
 
         async def answered() -> None:
             try:

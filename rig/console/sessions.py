@@ -204,7 +204,7 @@ class Sessions(Service):
             self._rounds = None
 
     async def _every_round(self, job: Job) -> None:
-        """Look at the loop and the clock, and say so; a desk that cannot ends its session, which then resumes."""
+        """Read the loop and the clock, and update the pages; an error ends the session, which can be resumed."""
         try:
             while True:
                 if self._seat is not None:

@@ -33,7 +33,7 @@ class Talk:
         self._heard = time.monotonic()
 
     def tell(self, say: str, /, **content: Any) -> None:
-        """Say something; a console that is gone does not hear it."""
+        """Send a message; without effect if the console is gone."""
         line = json.dumps({"say": say, **plain(content)}).encode() + b"\n"
         try:
             with self._lock:
@@ -61,7 +61,7 @@ class Talk:
         return answer
 
     def hear(self, patience_s: float) -> Any:
-        """What the console says next, within so long; None for nothing. Raises `StoppedError` when it has gone."""
+        """Return the console's next message; None after `patience_s` (s). Raises `StoppedError` when it is gone."""
         try:
             said = self._answers.get(timeout=patience_s) if patience_s else self._answers.get_nowait()
         except Empty:
@@ -77,7 +77,7 @@ class Talk:
         return time.monotonic() - self._heard
 
     def listen(self) -> None:
-        """Hear answers until the console goes; an empty line says that it is there."""
+        """Read answers until the console is gone; an empty line is its heartbeat."""
         for line in sys.stdin:
             self._heard = time.monotonic()
             if line.strip():

@@ -38,7 +38,7 @@ class ReproductionPlan(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Paper:
-    """What this project knows of a paper.
+    """A paper, and how its results are computed, judged, worded and drawn.
 
     Attributes
     ----------

@@ -56,7 +56,7 @@ class Session:
     clock: SessionClock = field(default_factory=WallClock)
 
     def record(self, kind: str, **content: Any) -> Event:
-        """Write down an event; only then does the state know of it."""
+        """Write an event to the log, and only then apply it to the state."""
         event = self.log.append(kind, **content)
         self.state.apply(event)
         return event

@@ -1,6 +1,6 @@
 """What to expect of a search before a person has touched the handle: where theory puts its limit, and what it costs.
 
-Linear theory knows no Coulomb friction, which stabilises walls up to `FRICTION_RAISES` times stiffer, and no encoder,
+Linear theory has no Coulomb friction, which stabilises walls up to `FRICTION_RAISES` times stiffer, and no encoder,
 whose noise under damping leaves as little as `ENCODER_LEAVES` of the limit. So the limit is expected in a wide range
 about that of theory; observers whose K50 lie at both ends and between (`rig.session.search.observer`) show how many
 trials a rule takes there.

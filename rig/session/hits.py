@@ -110,7 +110,7 @@ class DeviceRunner:
         return (self.url or "sim://").startswith("sim:")
 
     def facts(self, experiment: Experiment, changes: Mapping[str, Any]) -> dict[str, Any]:
-        """What the log should know of the device, its clock and this computer."""
+        """Return what the log stores about the device, its clock and this computer."""
         url = devices.url_for(self.url or "sim://", experiment.controller.loop)
         facts: dict[str, Any] = {
             "url": url,
@@ -274,7 +274,7 @@ class DeviceRunner:
         return TrialDone(done, error, _duration_s(left.recording))
 
     def close(self) -> None:
-        """Let go of the device."""
+        """Release the device."""
         stack, self._stack = self._stack, ExitStack()
         self._open = self._served = None
         stack.close()
@@ -305,7 +305,7 @@ class DeviceRunner:
 
 
 def _serial_number(link: Link) -> str | None:
-    """Of what is plugged in, as far as the link knows it."""
+    """Return the serial number of the plugged-in board, if the link has it."""
     return getattr(getattr(link, "facts", link), "serial_number", None) or None
 
 

@@ -104,7 +104,7 @@ class SessionLog:
         Raises
         ------
         RecordingError
-            The disk refuses: then it did not happen, unless the log says so when it is opened again. Or an earlier
+            The disk refuses: then it did not happen, unless the log contains it when it is opened again. Or an earlier
             append failed, and what it left could not be cut off: opening the log anew does that.
         ValueError
             A name that is the log's own.

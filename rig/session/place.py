@@ -18,7 +18,7 @@ from rig.realtime.source_files import code_version
 from rig.recording.header import checkout, versions
 from rig.session.log import Event
 
-# What of an ``opened`` event distinguishes devices; what one of two events does not know distinguishes nothing.
+# Keys of an ``opened`` event that distinguish devices; a key that one of two events lacks distinguishes nothing.
 _TELLING = {"simulated": "", "device": "device", "serial_number": "serial number"}
 
 

@@ -1,4 +1,4 @@
-"""What a study comes to, as values: searches, trials, times, order and checks."""
+"""The plan of a study, as values: searches, trials, times, order and checks."""
 
 from __future__ import annotations
 

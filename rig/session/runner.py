@@ -1,4 +1,4 @@
-"""What the engine knows of a rig: a place where trials are run, and what it reports about them."""
+"""Interface of the engine to a rig: where trials are run, and what is reported about them."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class TrialRunner(Protocol):
         ...
 
     def facts(self, experiment: Experiment, changes: Mapping[str, Any]) -> dict[str, Any]:
-        """What the log should know of the device, its clock and this computer."""
+        """Return what the log stores about the device, its clock and this computer."""
         ...
 
     def refusals(self, walls: Sequence[SessionWall]) -> Sequence[RefusedWalls]:
@@ -108,5 +108,5 @@ class TrialRunner(Protocol):
         ...
 
     def close(self) -> None:
-        """Let go of the device."""
+        """Release the device."""
         ...

@@ -34,11 +34,11 @@ def assert_stable(subject: Subject) -> None:
 
 
 def assert_safe(subject: Subject, *, within_ms: float) -> None:
-    """However the run ended, the effort is zero `within_ms` later, and something says why it ended.
+    """Assert that the effort is zero `within_ms` after any end of a run, and that a reason for the end is recorded.
 
-    In the recording no effort is active so long after the device latched a fault, or under a command so old. Of a hit
-    that a test made, the device was seen to come to zero so soon after the host's last word, and to disarm; on a rig
-    by its own STATE. `within_ms` is all of that time: a device has the lifetime of a command (five ticks, at least
+    In the recording no effort is active so long after the device latched a fault, or under a command so old. After a
+    hit that a test made, the device reaches zero within that time after the host's last frame, and disarms; on a real
+    rig its STATE shows it. `within_ms` is the whole time: a device has the lifetime of a command (five ticks, at least
     3 ms, at most 20 ms) and the ramp behind it (10 ms at most, PROTOCOL.md). That is 13 ms at 20 kHz and 15 ms at
     1 kHz, so 20 ms suit either; at most it is 30 ms.
     """

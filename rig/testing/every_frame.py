@@ -21,8 +21,8 @@ def with_every_frame(
     """Return the test as one that goes through all frames.
 
     It runs once without a fault, and then with each kind of fault at each frame of its hits, except for pages of a
-    dictionary that no host has cached yet. Fixtures are made once. It fails as its first failing run did, with a note
-    that says which frame that was and how many failed.
+    dictionary, which a process reads only once. Fixtures are made once. It fails as its first failing run did, with a
+    note that says which frame that was and how many failed.
 
     Parameters
     ----------

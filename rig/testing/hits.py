@@ -295,7 +295,7 @@ def _ended(request: HitRequest, device: FramedDevice, *, may_end: bool) -> Hit:
 
 
 def _watched(link: WatchedLink) -> DeviceAfterwards:
-    """Let time pass until the current is zero, and until a device that was armed has given up on its host."""
+    """Let time pass until the current is zero, and after that long enough for the watchdog of an armed device."""
     steps = 0
     while link.current != 0 and steps * STEP_S < WATCH_S:
         link.elapse(STEP_S)
@@ -306,7 +306,7 @@ def _watched(link: WatchedLink) -> DeviceAfterwards:
 
 
 def _asked(device: FramedDevice) -> DeviceAfterwards | None:
-    """Listen to the STATE that an unarmed device sends on its own; None from one that says nothing any more."""
+    """Read the STATE that an unarmed device sends on its own; return None if none arrives."""
     began_ns = device.link.clock.now_ns()
     rest: DeviceAfterwards | None = None
     while (waited_s := (device.link.clock.now_ns() - began_ns) * 1e-9) < WATCH_S:

@@ -43,7 +43,7 @@ class BoundarySearch:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Chawda:
-    """Everything that was computed; what claims, sentences and pictures are made of.
+    """All computed results, from which claims, sentences and pictures are made.
 
     Attributes
     ----------

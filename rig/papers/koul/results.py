@@ -61,7 +61,7 @@ class Best:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Koul:
-    """Everything that was computed; what claims, sentences and pictures are made of.
+    """All computed results, from which claims, sentences and pictures are made.
 
     Attributes
     ----------

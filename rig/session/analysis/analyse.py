@@ -118,7 +118,7 @@ class StudyAnalysis:
 
     @property
     def messages(self) -> tuple[str, ...]:
-        """What a reader must know: of the sessions, and of what was left out."""
+        """Messages for the reader: about the sessions, and about what was left out."""
         left = [run for run in self.runs if run.state != "complete"]
         found = []
         fast = sum(trial.too_fast and trial.counts for trial in self.trials)

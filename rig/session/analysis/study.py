@@ -79,7 +79,7 @@ class StudySession:
         return [event for event in self.events if event.kind == kind]
 
     def devices(self) -> dict[int, Mapping[str, Any]]:
-        """Return what the log contains of the device of each trial; without an entry where it has nothing."""
+        """Return the log's entry on the device of each trial, by the trial's number, where the log has one."""
         found: dict[int, Mapping[str, Any]] = {}
         opened: Mapping[str, Any] | None = None
         for event in self.events:

@@ -53,7 +53,7 @@ class DataColumn:
 
 @dataclass(frozen=True, slots=True)
 class DataTable:
-    """A table: its file's name, what a row is, its columns, and what the rows are made of."""
+    """A table: its file's name, what a row is, its columns, and the objects behind its rows."""
 
     name: str
     row: str

@@ -9,7 +9,7 @@ the running loop in shared memory, and sets its stop word.
 `messages`       lines between the two
 `asking`         the session's side over any line: questions with numbers, and what answers one
 `desk`           that side here: the watch over the child
-`child`          the child as a process: started, heard, ended
+`child`          the child as a process: started, read, ended
 `terminal`       how a terminal is taken and given back
 `keyboard`       bytes from it → keys
 `keymap`         keys → what they mean, from the protocol's ``[keys]``

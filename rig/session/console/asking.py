@@ -47,7 +47,7 @@ class AskingDesk(Desk):
         """Raise `StoppedError` when the other end must be feared to be gone while a hit runs."""
 
     def _renewed(self) -> bool:
-        """Whether the other end is a new one, which knows no question yet."""
+        """Return True if the other end is a new one, which has received no question yet."""
         return False
 
     def show(self, view: DeskView) -> None:

@@ -1,4 +1,4 @@
-"""The console as a process: started on a terminal, heard by a thread, ended, and the terminal as it was."""
+"""The console as a process: started on a terminal, read by a thread, ended, and the terminal restored."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Child:
     Attributes
     ----------
     heard_s
-        When it was last heard (s, monotonic), at first when it was started.
+        Time of its last message (s, monotonic), at first of its start.
     greeted
         Whether it has sent a message.
     """

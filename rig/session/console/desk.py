@@ -161,7 +161,7 @@ class ConsoleDesk(AskingDesk):
         return Child(self._place, self._before, self._setup, self._inbox)
 
     def _restart(self) -> None:
-        """A new console in the place of one that died or hangs, with what it must know."""
+        """Start a new console in the place of one that died or hangs, and send it the current view."""
         if not self._child.dead:
             self._child.kill()
         why = self._child.complaint()

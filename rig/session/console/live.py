@@ -52,7 +52,7 @@ class Snapshot:
 
 
 class LiveLoop:
-    """The loop of a process, found when there is one, let go of when it has ended."""
+    """The loop of a process: attached when it runs, released when it has ended."""
 
     def __init__(self, pid: int) -> None:
         self._pid = pid

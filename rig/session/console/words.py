@@ -38,7 +38,7 @@ ORDER: tuple[Action, ...] = ("go", "redo", "pause", "note", "skip", "abort")
 
 @dataclass(frozen=True, slots=True)
 class Gauge:
-    """One line of the live panel: a name, a share of full for a bar (None: no bar), and what it says."""
+    """One line of the live panel: a name, a share of full for a bar (None: no bar), and its text."""
 
     name: str
     share: float | None
@@ -142,7 +142,7 @@ def question(talk: Conversation, now_s: float) -> str:
 
 
 def offered(talk: Conversation) -> list[tuple[str, str]]:
-    """What answers now: key, and what it says."""
+    """Return the keys that answer now, each with its meaning."""
     keymap, allowed = talk.keymap, talk.allowed
     if talk.twice is not None:
         return [("y", "yes"), ("escape", "no")]
