@@ -8,6 +8,7 @@ import os
 import threading
 import time
 from contextlib import suppress
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -108,6 +109,15 @@ def test_a_new_ring_is_empty_and_says_its_layout(shared: bool) -> None:
         assert not ring.rows.view(np.uint8).any()
         assert ring.info == {}
         assert ring.buffer.ctypes.data % 64 == ring.mailbox % 64 == ring.rows.ctypes.data % 64 == 0
+
+
+def test_a_ring_with_other_rows_has_another_version() -> None:
+    """A console looks at loops of other processes, which may run an older version of this package.
+
+    When this fails, add one to `LAYOUT_VERSION`, or the console takes one column for another, and write both here.
+    """
+    columns = sha256(repr(ROW.descr).encode()).hexdigest()[:12]
+    assert (words.LAYOUT_VERSION, columns) == (4, "46f16a755a8a")
 
 
 def test_the_ring_is_one_block_so_that_it_can_be_shared_memory() -> None:
