@@ -54,10 +54,13 @@ thread = threading.Thread(target=run)
 thread.start()
 thread.join()
 """
+# The program ends while the thread runs. The interpreter aborts (code -6) where a daemon thread prints, as of an
+# exception that nothing catches, at the moment in which it finalises standard error.
 DAEMON = """
+threading.excepthook = lambda of: None
 threading.Thread(target=run, daemon=True).start()
 sent.wait()
-"""  # and the program ends
+"""
 HANDLED = """
 called = []
 signal.signal(signal.SIGINT, lambda number, frame: called.append(number))
