@@ -38,7 +38,8 @@ class LipschitzFit:
     Attributes
     ----------
     lipschitz
-        C, largest |second derivative| of the fit, the first and last `MARGIN` of the time left out (position unit/s²).
+        C, largest magnitude of the fit's second derivative, without the first and last `MARGIN` of the time (position
+        unit/s²).
     residual_rms
         RMS distance of the samples from the fit (position unit).
     offset
