@@ -14,29 +14,31 @@ from typing import Any
 
 from rig.core.errors import ConfigError
 
-_lent: list[tuple[str, str, Any]] = []  # group, name, part; of a name that is there twice the newest one
+_registered: list[
+    tuple[str, str, Any]
+] = []  # group, name, part; of a name that is there twice the newest one
 
 
 @contextmanager
-def lent(group: str, built_in: Container[str], name: str, part: Any) -> Iterator[None]:
+def registered(group: str, built_in: Container[str], name: str, part: Any) -> Iterator[None]:
     """Have a part found by its name meanwhile, in all threads; `ConfigError` if a built-in one has that name."""
     if name in built_in:
         raise ConfigError(f"{name!r} is the name of a built-in one", remedy='give yours another: name="…"')
-    loan = (group, name, part)
-    _lent.append(loan)
+    entry = (group, name, part)
+    _registered.append(entry)
     try:
         yield
     finally:
-        _lent[:] = [other for other in _lent if other is not loan]
+        _registered[:] = [other for other in _registered if other is not entry]
 
 
-def _lent_of(group: str) -> dict[str, Any]:
-    return {name: part for of, name, part in list(_lent) if of == group}
+def _registered_for(group: str) -> dict[str, Any]:
+    return {name: part for of, name, part in list(_registered) if of == group}
 
 
 def names(group: str, built_in: Container[str]) -> list[str]:
     """Names of the parts of a group that are no built-in ones, each once."""
-    return list(dict.fromkeys([*_lent_of(group), *(point.name for point in found(group, built_in))]))
+    return list(dict.fromkeys([*_registered_for(group), *(point.name for point in found(group, built_in))]))
 
 
 def found(group: str, built_in: Container[str]) -> list[EntryPoint]:
@@ -54,8 +56,8 @@ def load(group: str, kind: str, name: str, fits: Callable[[Any], bool]) -> Any:
 
     Raises `ConfigError` when it does not load, or gives something that does not fit.
     """
-    if name in (lent_ones := _lent_of(group)):
-        return lent_ones[name]
+    if name in (parts := _registered_for(group)):
+        return parts[name]
     point = next((point for point in _found(entry_points, group) if point.name == name), None)
     if point is None:
         return None

@@ -116,7 +116,7 @@ def hit(
     law, estimator = _own(given, changes)
     own = {one.name: given[one.name] for one in fields(HitRequest) if one.name in given}
     request = HitRequest(**{**own, "experiment": loaded, "changes": changes, "law": law})
-    with _lent(law, estimator):
+    with _registered(law, estimator):
         (result,) = one_hit.hit(request, watch)
     return result
 
@@ -159,7 +159,7 @@ def plan(
     """
     changes = changes_of(settings, WallSettings)
     own = _own({"law": law, "estimator": estimator}, changes)
-    with _lent(*own):
+    with _registered(*own):
         loaded = presets.load_named(experiment)
         linked = planning.is_linked(url, realtime=realtime, round_trip_s=round_trip_s)
         planned = config.with_realtime(loaded, changes) if linked else _changed(loaded, changes)
@@ -204,7 +204,7 @@ def replay(
         changes = {}  # the recorded one: with the parameters that it had
     if own_law is not None and own_law.name != recorded["law"]["name"]:
         changes["wall.law"] = own_law.name
-    with _lent(own_law, own_estimator):
+    with _registered(own_law, own_estimator):
         return replaying.replay(opened, changes, law=own_law)
 
 
@@ -245,7 +245,7 @@ def compare(
     own = _own({"law": law, "estimator": estimator}, changes)
     if own[0] is not None:
         changes["wall.law"] = own[0].name
-    with _lent(*own):
+    with _registered(*own):
         loaded = _changed(experiment, changes)
         return comparing.compare(loaded, entries_of(loaded, schemes), offsets=offsets)
 
@@ -304,7 +304,7 @@ def zwidth(
         changes["wall.law"] = own[0].name
     if (scheduler, directory) != (None, None):
         _refuse_what_is_not_installed(*own)
-    with _lent(*own):
+    with _registered(*own):
         loaded = _held(experiment, changes)
         parsed = [Scheme.parse(scheme) if isinstance(scheme, str) else scheme for scheme in schemes]
         chosen = schemes_for(loaded, parsed, dampings)
@@ -423,14 +423,14 @@ def _own(options: Mapping[str, Any], changes: dict[str, Any]) -> tuple[Law | Non
 
 
 @contextmanager
-def _lent(law: Law | None, estimator: Estimator | None) -> Iterator[None]:
-    """Have parts of the caller's own known by their names meanwhile."""
+def _registered(law: Law | None, estimator: Estimator | None) -> Iterator[None]:
+    """Register a law and an estimator of the caller for a while, unless they are given by name."""
     with ExitStack() as stack:
         if law is not None:
-            stack.enter_context(plugins.lent("rig.laws", laws.BUILT_IN, law.name, law))
+            stack.enter_context(plugins.registered("rig.laws", laws.BUILT_IN, law.name, law))
         if estimator is not None and not _built_in(estimator):
             stack.enter_context(
-                plugins.lent("rig.estimators", estimators.BUILT_IN, estimator.name, estimator)
+                plugins.registered("rig.estimators", estimators.BUILT_IN, estimator.name, estimator)
             )
         yield
 

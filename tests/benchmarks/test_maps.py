@@ -84,7 +84,7 @@ def test_memory_does_not_grow_with_the_number_of_hits() -> None:
         tracemalloc.stop()
         return most
 
-    peak(2000)  # what the interpreter keeps for reuse grows by 0.1 MB until here, and then no more
+    peak(2000)  # traced memory grows by 0.1 MB until here (cause unknown), and then no more
     few, many = peak(50), peak(500)
     print(f"\npeak of memory: {few / 1e3:.0f} kB in 50 hits, {many / 1e3:.0f} kB in 500")
     assert many < 1.2 * few + 20_000

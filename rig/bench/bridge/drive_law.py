@@ -91,8 +91,8 @@ class DriveLaw:
         """Spring and damper that a share of 1 gives, or None where it is not to render a wall."""
         return None if self.objection else (self.kp, self.kd)
 
-    def told(self, transmission: float) -> dict[str, int | float | str]:
-        """What a dictionary says of it; `transmission` is the angle of its output (rad) for 1 rad or 1 m of the rig."""
+    def describe(self, transmission: float) -> dict[str, int | float | str]:
+        """Return entries of a device's dictionary; `transmission`: output angle (rad) for 1 rad or 1 m of the rig."""
         scale = transmission**2 / (2.0 * math.pi)
         facts: dict[str, int | float | str] = {"drive_kp": self.kp, "drive_kd": self.kd}
         facts |= {"drive_law_hz": self.rate_hz, "drive_filter_hz": self.filter_hz}

@@ -378,7 +378,7 @@ def fit(
             "rotor_to_output": found.rotor_to_output,
             "torque_constant": found.torque_constant,
             "transmission": transmission,
-            **found.law.told(transmission),
+            **found.law.describe(transmission),
         },
         gains=found.law.gains,
         switches=switches or Switches(),

@@ -204,8 +204,8 @@ class OdriveConversation:
                 )
             self._others.add(node)
 
-    def told(self, command: OdriveCommand) -> bytes:
-        """Ask for a message; errors as `_asked`."""
+    def request(self, command: OdriveCommand) -> bytes:
+        """Request a message and return its data; errors as `_asked`."""
         frame = CanFrame(self.node << NODE_BITS | command, b"", classic=True, remote=True)
         return self._asked(frame, command, lambda data: len(data) == 8)
 
@@ -303,7 +303,7 @@ def find(talk: OdriveConversation) -> OdriveFacts:
         Another host commands it, it has an error, or settings that would drop or change a torque; lists all of them.
     """
     talk.refuse_others()
-    version = tuple(talk.told(OdriveCommand.GET_VERSION)[4:7])
+    version = tuple(talk.request(OdriveCommand.GET_VERSION)[4:7])
     firmware = ".".join(map(str, version))
     if version[:2] != GENERATION:
         raise IncompatibleDeviceError(
@@ -335,7 +335,7 @@ def _error_at_rest(talk: OdriveConversation) -> int:
     """Error of a drive at rest. What a killed bridge has left its watchdog ends, and nothing here."""
     deadline = time.monotonic() + REST_S
     while True:
-        error, state, _ = struct.unpack_from("<IBB", talk.told(OdriveCommand.HEARTBEAT))
+        error, state, _ = struct.unpack_from("<IBB", talk.request(OdriveCommand.HEARTBEAT))
         if state == IDLE:
             return int(error)
         if time.monotonic() > deadline:

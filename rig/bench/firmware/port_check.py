@@ -98,8 +98,8 @@ class PortCheckRequest:
         Ge(-32768),
         Le(32767),
         Keyword(
-            "Current (quanta) to switch on for some milliseconds. THE MOTOR GETS IT: free the handle, let nobody hold "
-            "it."
+            "Current (quanta) to switch on for some milliseconds. IT DRIVES THE MOTOR: free the handle, keep all "
+            "hands off."
         ),
     ] = 0
     seconds: Annotated[

@@ -146,7 +146,7 @@ class Threads:
         return self._workers
 
     def explain(self, error: BaseException) -> Failure:
-        """Raise the error: `perform` raises none."""
+        """Raise the error: `perform` returns those of a task."""
         raise error
 
     def close(self) -> None:
@@ -158,4 +158,7 @@ class Threads:
         take_no_signals()
         while (given := self._waiting.get()) is not None:
             future, function, arguments = given
-            future.set_result(function(*arguments))
+            try:
+                future.set_result(function(*arguments))
+            except BaseException as error:  # else the coordinator would wait for this call forever
+                future.set_exception(error)

@@ -73,7 +73,9 @@ def test_quiet_prints_nothing_but_json_and_keeps_the_exit_code(capsys: pytest.Ca
     assert "koul-rigid" in json.loads(capsys.readouterr().out)
 
 
-NAMED = re.compile(r"(?:`|next: |run: )rig ([a-z][a-z-]*)((?: [a-z][a-z-]*)?)")  # a command in a text
+NAMED = re.compile(
+    r"(?:(?:`|next: |run: )rig|/rig\"?) ([a-z][a-z-]*)((?: [a-z][a-z-]*)?)"
+)  # in a text, in a script
 
 
 def test_there_are_at_most_twenty_commands_at_the_top_and_each_that_a_text_names_exists() -> None:
@@ -82,9 +84,9 @@ def test_there_are_at_most_twenty_commands_at_the_top_and_each_that_a_text_names
     groups = {words[0] for words in known if len(words) > 1}
     named = {
         (str(path.relative_to(ROOT)), first, second.strip())
-        for place in ("README.md", ".github", "rig", "firmware_protocol")
+        for place in ("README.md", ".ci", ".github", "rig", "firmware_protocol")
         for path in [ROOT / place, *(ROOT / place).rglob("*")]
-        if path.suffix in (".md", ".py", ".toml")
+        if path.suffix in (".md", ".py", ".toml", ".yml") or path.parent.name == ".ci"
         for first, second in NAMED.findall(path.read_text(encoding="utf-8"))
     }
     assert len(named) > 100

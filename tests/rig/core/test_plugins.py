@@ -57,11 +57,11 @@ def test_the_lists_show_it_with_the_reason_beside_what_works(
     assert rig.cli.run(["device", "show", "theirs://x"]) == 2
 
 
-def test_a_part_is_lent_for_a_while_whoever_else_lends_one_of_that_name() -> None:
+def test_a_part_stays_registered_while_another_of_that_name_comes_and_goes() -> None:
     """Two programs of one process may run their laws at the same time, and end in any order."""
     one, two = laws.get("bilateral"), laws.get("excited")
-    first = plugins.lent("rig.laws", laws.BUILT_IN, "ours", one)
-    second = plugins.lent("rig.laws", laws.BUILT_IN, "ours", two)
+    first = plugins.registered("rig.laws", laws.BUILT_IN, "ours", one)
+    second = plugins.registered("rig.laws", laws.BUILT_IN, "ours", two)
     first.__enter__()
     second.__enter__()
     assert laws.get("ours") is two
@@ -73,6 +73,6 @@ def test_a_part_is_lent_for_a_while_whoever_else_lends_one_of_that_name() -> Non
         laws.get("ours")
     with (
         pytest.raises(ConfigError, match="'bilateral' is the name"),
-        plugins.lent("rig.laws", laws.BUILT_IN, "bilateral", one),
+        plugins.registered("rig.laws", laws.BUILT_IN, "bilateral", one),
     ):
         pass

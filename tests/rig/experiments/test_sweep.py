@@ -28,13 +28,27 @@ from rig.core.errors import ConfigError, RecordingError, StoppedError
 from rig.experiments import sweep
 from rig.experiments.sweep import Progress, SweepStoppedError, Task, TaskError
 from rig.experiments.sweep import journal as journals
-from rig.experiments.sweep.executors import as_json
+from rig.experiments.sweep.executors import Threads, as_json
 from rig.recording import lines
 from tests.conformance import sweep_work
 from tests.conformance.started import started
 from tests.conformance.sweep_work import keys_in, lines_of, sines_of, text
 
 ROOT = Path(__file__).parents[3]
+
+
+@pytest.mark.parametrize("error", [OSError("the sources cannot be read"), SystemExit(3)])
+def test_a_thread_returns_what_a_call_raises_and_serves_the_next_call(error: BaseException) -> None:
+    """Else the coordinator would wait for the result forever."""
+
+    def fail() -> None:
+        raise error
+
+    threads = Threads(1)
+    failed, good = threads.submit(fail), threads.submit(int, "7")
+    assert failed.exception(timeout=60.0) is error
+    assert good.result(timeout=60.0) == 7
+    threads.close()
 
 
 def marks(number: Any, log: Any, **payload: Any) -> Any:
