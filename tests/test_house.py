@@ -23,7 +23,7 @@ REGISTRIES = {
     "rig/control/laws.py": "rig.control.",
     "rig/control/estimators/family.py": "rig.control.estimators.",
     "rig/control/estimators/__init__.py": "rig.control.estimators.",
-    "rig/experiments/sweep/executors.py": "rig.experiments.sweep.",
+    "rig/experiments/sweep/executors.py": "rig.extras.cluster.",
 }
 
 
@@ -135,7 +135,7 @@ def test_modules_are_imported_by_name_in_few_places() -> None:
         "rig/core/lazy.py", "rig/cli/lazy.py", "rig/cli/session_protocol.py", "rig/core/deferred.py",
         "rig/control/laws.py", "rig/control/estimators/__init__.py", "rig/control/estimators/family.py",
         "rig/devices/__init__.py", "rig/realtime/parts.py",
-        "rig/experiments/sweep/executors.py", "rig/experiments/sweep/cluster.py", "rig/session/lsl/library.py",
+        "rig/experiments/sweep/executors.py", "rig/extras/cluster/cluster.py", "rig/extras/lsl/library.py",
     }  # fmt: skip
 
 
@@ -150,7 +150,7 @@ def test_imports_stand_at_the_top_of_files() -> None:
         for node in ast.walk(function)
         if isinstance(node, ast.Import | ast.ImportFrom)
     }
-    assert inside == {"rig.realtime.ring", "rig.__main__", "rig.cli.console"}
+    assert inside == {"rig.realtime.ring", "rig.__main__", "rig.extras.console.cli"}
 
 
 def test_every_child_of_this_interpreter_takes_no_module_from_the_working_directory() -> None:

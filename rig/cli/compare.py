@@ -17,9 +17,9 @@ from rig.core.present import Table, plain
 from rig.experiments import compare as comparing
 from rig.experiments.compare import entries_of, refuse_unused
 from rig.experiments.plan import stands_for_device
-from rig.papers.koul import compare as koul
-from rig.papers.koul import impact_pictures
-from rig.papers.koul.compare import Panel, Profiles, WordLength
+from rig.extras.papers.koul import compare as koul
+from rig.extras.papers.koul import impact_pictures
+from rig.extras.papers.koul.compare import Panel, Profiles, WordLength
 from rig.views.plots.compare import draw_comparison
 
 

@@ -11,7 +11,6 @@ from typing import Any
 import click
 
 from rig import config
-from rig.bench.firmware.tick_budget import BOARD, INTEGERS, named_budget
 from rig.cli import map_options, options, output
 from rig.cli.command import RESULT, command, option
 from rig.cli.next_step import name_next
@@ -35,6 +34,7 @@ from rig.experiments.design.linear import STAGE
 from rig.experiments.ranges import hit_plan, search_for
 from rig.experiments.results import write_document
 from rig.experiments.sweep import Progress
+from rig.firmware.tick_budget import BOARD, INTEGERS, named_budget
 from rig.recording.files import whole_file
 from rig.views.plots.design import draw_design
 from rig.views.report.design import write_design_report

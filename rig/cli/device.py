@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import click
 
-from rig.bench.doctor.here import here
 from rig.cli import options, output, values
 from rig.cli.command import command
 from rig.core.present import Row, plain
 from rig.devices import open_device
 from rig.devices.device_facts import DeviceFacts, active_parameters
+from rig.doctor.here import here
 
 
 @command("list")

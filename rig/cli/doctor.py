@@ -5,11 +5,11 @@ from __future__ import annotations
 import click
 
 from rig import config
-from rig.bench.doctor.ports import rules_for_rigs
 from rig.cli import options, output
 from rig.cli.command import command
 from rig.core.errors import PlanError
 from rig.core.present import plain
+from rig.doctor.ports import rules_for_rigs
 from rig.experiments.examine import ExaminationRequest, examine
 
 

@@ -8,18 +8,6 @@ from pathlib import Path
 import click
 
 from rig import config
-from rig.bench.firmware import boards
-from rig.bench.firmware.build import DEVICE, PORT_CHECK, BuildRequest
-from rig.bench.firmware.build import build as build_image
-from rig.bench.firmware.flash import flash as copy_image
-from rig.bench.firmware.info import info as look
-from rig.bench.firmware.port_check import PortCheckRequest
-from rig.bench.firmware.port_check import check_port as try_port
-from rig.bench.firmware.port_check import failure as broken_duties
-from rig.bench.firmware.selftest import SelfTestRequest, failure
-from rig.bench.firmware.selftest import selftest as run
-from rig.bench.firmware.wiring import draw
-from rig.bench.firmware.wiring import wiring as wired
 from rig.cli import options, output, values
 from rig.cli.command import command, option
 from rig.cli.keyword_options import gathered_options
@@ -28,6 +16,18 @@ from rig.config import presets
 from rig.config.files import read_toml
 from rig.core.errors import IncompatibleDeviceError
 from rig.devices import open_device, open_link
+from rig.firmware import boards
+from rig.firmware.build import DEVICE, PORT_CHECK, BuildRequest
+from rig.firmware.build import build as build_image
+from rig.firmware.flash import flash as copy_image
+from rig.firmware.info import info as look
+from rig.firmware.port_check import PortCheckRequest
+from rig.firmware.port_check import check_port as try_port
+from rig.firmware.port_check import failure as broken_duties
+from rig.firmware.selftest import SelfTestRequest, failure
+from rig.firmware.selftest import selftest as run
+from rig.firmware.wiring import draw
+from rig.firmware.wiring import wiring as wired
 
 DEFAULT_BOARD = "rp2040"
 _LISTED = ("name", "description", "rate_maximum", "settings")

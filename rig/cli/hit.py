@@ -11,7 +11,6 @@ from typing import Any
 
 import click
 
-from rig.bench.doctor.gate import Gate
 from rig.cli import hit_output, options, output
 from rig.cli.command import command
 from rig.cli.next_step import name_next
@@ -19,6 +18,7 @@ from rig.control.verdict import Verdict
 from rig.core.errors import RigError
 from rig.core.present import Row, plain
 from rig.devices import load_backend
+from rig.doctor.gate import Gate
 from rig.experiments import hit as hits
 from rig.experiments.judgement import unexpected
 

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 from rig import config
-from rig.bench.firmware.tick_budget import BOARD
 from rig.cli import hit_output, options, output
 from rig.cli.command import command, option
 from rig.cli.next_step import name_next
@@ -14,6 +13,7 @@ from rig.config import controller
 from rig.core.check import refused
 from rig.core.errors import PlanError
 from rig.experiments.plan import is_linked, plan_of
+from rig.firmware.tick_budget import BOARD
 
 
 @command()

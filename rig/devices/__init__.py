@@ -32,8 +32,8 @@ if sys.platform == "linux":
     BUILT_IN |= {
         "serial": "rig.devices.serial:open_link",
         "unix": "rig.devices.local_socket:open_link",
-        "moteus": "rig.bench.bridge.link:open_link",
-        "odrive": "rig.bench.bridge.link:open_link",
+        "moteus": "rig.extras.drives.link:open_link",
+        "odrive": "rig.extras.drives.link:open_link",
     }
 MADE_FOR_A_RIG = ("sim", "moteus", "odrive")  # schemes whose far end is built from the experiment's rig
 FIRMWARE = "firmware"  # option of sim://: 1 is the compiled firmware in place of its mirror in Python

@@ -13,7 +13,7 @@ from rig.experiments.plan import device_checks, human_limit_checks, link_checks,
 def admission_checks(run: PreparedRun, device: FramedDevice) -> list[Check]:
     """Return what decides whether a run may start on an open device, before its link is measured.
 
-    The wall behind the measured link is judged by `rig.bench.doctor.gate.gate`, which `rig doctor` and `rig hit` both
+    The wall behind the measured link is judged by `rig.doctor.gate.gate`, which `rig doctor` and `rig hit` both
     call with these checks done.
     """
     x, dictionary = run.experiment, device.dictionary

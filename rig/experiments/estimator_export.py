@@ -24,8 +24,6 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.bench.firmware.cycles import Cost, cost_of
-from rig.bench.firmware.estimator_c import FIXED, EstimatorC, c_float, estimator_c
 from rig.config import Experiment
 from rig.config.controller import resolution as signed
 from rig.control import estimators
@@ -37,6 +35,8 @@ from rig.core.sample import unit_of
 from rig.core.signals import SIGNALS
 from rig.experiments.cases import Case, signal_case
 from rig.experiments.estimators import Variant
+from rig.firmware.cycles import Cost, cost_of
+from rig.firmware.estimator_c import FIXED, EstimatorC, c_float, estimator_c
 from rig.recording.files import refuse_existing, whole_file
 
 HALF_ULP = 2.0**-24  # of float32, relative

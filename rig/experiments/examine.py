@@ -11,14 +11,9 @@ from typing import Annotated, Any
 from annotated_types import Ge, Le
 
 from rig import config, devices
-from rig.bench import answers
-from rig.bench.answers import question
-from rig.bench.doctor.gate import Gate, gate
-from rig.bench.doctor.in_effect import in_effect
-from rig.bench.doctor.ports import NO_PORTS, Port, ports_here, serial_port
-from rig.bench.doctor.round_trip import LinkMeasurement, measure_link
-from rig.bench.doctor.walls import Supported, supported_walls, wall_items
 from rig.config import Experiment
+from rig.core import answers
+from rig.core.answers import question
 from rig.core.check import Check, Outcome, refused
 from rig.core.errors import RealtimeError, RigError
 from rig.core.keyword import Keyword
@@ -27,14 +22,19 @@ from rig.core.sample import unit_of
 from rig.devices.device_facts import DeviceFacts
 from rig.devices.framed import FramedDevice
 from rig.devices.local import host_beside, opened
+from rig.doctor.gate import Gate, gate
+from rig.doctor.in_effect import in_effect
+from rig.doctor.ports import NO_PORTS, Port, ports_here, serial_port
+from rig.doctor.round_trip import LinkMeasurement, measure_link
+from rig.doctor.walls import Supported, supported_walls, wall_items
 from rig.experiments.admission import admission_checks
 from rig.experiments.trial import prepared_on
 from rig.realtime.scheduling import obtained
 
 if sys.platform == "linux":
-    from rig.bench.doctor.machine import machine_checks
+    from rig.doctor.machine import machine_checks
 else:
-    from rig.bench.doctor.elsewhere import machine_checks
+    from rig.doctor.elsewhere import machine_checks
 
 SECONDS = 4.0  # of measuring: bounds p99.9 from some 750 questions a second on
 

@@ -11,8 +11,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from rig import config, devices
-from rig.bench.doctor.gate import Gate, check_armable
-from rig.bench.doctor.in_effect import in_effect
 from rig.config import Experiment, device_law
 from rig.config.controller import PreparedRun
 from rig.control.law import Law
@@ -27,6 +25,8 @@ from rig.core.same_rig import check_rig
 from rig.core.shown import Shown
 from rig.devices.framed import FramedDevice
 from rig.devices.local import opened
+from rig.doctor.gate import Gate, check_armable
+from rig.doctor.in_effect import in_effect
 from rig.experiments.admission import admission_checks
 from rig.experiments.judgement import Judgement, judge
 from rig.experiments.plan import human_limit_checks
@@ -55,7 +55,7 @@ class HitRequest(RigRequest):
     reference_count
         Count at position zero of a real rig. None: see `rig.experiments.zero.position_zero`.
     arm_anyway
-        See `rig.bench.doctor.gate`; the override is reported and recorded.
+        See `rig.doctor.gate`; the override is reported and recorded.
     measuring
         Called while the link is measured before arming, with the share that is done.
     judged_link

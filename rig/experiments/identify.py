@@ -32,7 +32,6 @@ from rig.analysis.identification.ripple import Ripple, fit_ripple
 from rig.analysis.identification.signs import SignCheck, stiction_warning
 from rig.analysis.identification.sliding import Sliding, Stroke, fit_sliding
 from rig.analysis.impedance.signals import ExcitedRun
-from rig.bench.doctor.pace import SECONDS
 from rig.config import Experiment
 from rig.control.excitation import Multisine
 from rig.core.check import refuse
@@ -46,6 +45,7 @@ from rig.core.sample import RowFlag, unit_of
 from rig.core.shown import Shown
 from rig.devices.device import DeviceUrl
 from rig.devices.framed import FramedDevice
+from rig.doctor.pace import SECONDS
 from rig.experiments.excitation_run import late_ticks
 from rig.experiments.identified_values import identified_values
 from rig.experiments.identify_motions import (

@@ -17,7 +17,6 @@ from rig import config
 from rig.analysis.identification.cogging import SETTLE_S
 from rig.analysis.identification.quality import LEAST_MOTION_COUNTS
 from rig.analysis.identification.sliding import PIECES, UNSTEADY, Stroke
-from rig.bench.doctor.predicted import SPARE, finding, round_up
 from rig.config import Experiment
 from rig.config.homing import holding_effort
 from rig.config.velocity_reading import COUNT_PEAK
@@ -28,6 +27,7 @@ from rig.control.motions import nudging, tracing
 from rig.core.check import Check, Outcome
 from rig.core.errors import ConfigError
 from rig.core.sample import Phase, unit_of
+from rig.doctor.predicted import SPARE, finding, round_up
 from rig.experiments.planned import Plan, Step, limited
 
 Floats = NDArray[np.float64]

@@ -5,15 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from rig import config
-from rig.bench.doctor.gate import LIFETIME_SHARE
-from rig.bench.doctor.pace import SECONDS, pace_of
-from rig.bench.doctor.round_trip import LinkMeasurement, measure_link
 from rig.config import Experiment
 from rig.config.controller import command_lifetime_s
 from rig.core.errors import PlanError
 from rig.devices.device import LINK_SHARE, STATE_BYTES
 from rig.devices.framed import FramedDevice
 from rig.devices.local import host_beside
+from rig.doctor.gate import LIFETIME_SHARE
+from rig.doctor.pace import SECONDS, pace_of
+from rig.doctor.round_trip import LinkMeasurement, measure_link
 from rig.experiments.identify_motions import RATE_STEP, still
 from rig.experiments.motion_run import MOST_LOST_SHARE, SLOWEST_HZ, bearing_rate
 from rig.realtime.scheduling import obtained

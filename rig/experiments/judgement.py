@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from firmware_protocol.faults import Fault
-from rig.bench.bridge.faults import DriveFault
 from rig.config import Experiment, experiment_from_mapping, rig_model, verdict_thresholds
 from rig.control import judging, verdict
 from rig.control.motion_balance import FACTOR, WINDOW_S, MotionBalance, motion_balance
@@ -18,6 +17,7 @@ from rig.core.deferred import pydantic
 from rig.core.errors import ConfigError, RecordingError, UnexpectedVerdictError
 from rig.core.present import Row, written
 from rig.core.sample import Phase, unit_of
+from rig.extras.drives.faults import DriveFault
 from rig.recording.counts import refuse_counts
 from rig.recording.cutting import cut_facts
 from rig.recording.data import Recording

@@ -15,11 +15,11 @@ from functools import partial
 from typing import Any
 
 from rig import config
-from rig.bench.doctor.gate import check_change
 from rig.config import Experiment, controller, device_law
 from rig.config.device_law.walls import BILATERAL
 from rig.core.check import refuse
 from rig.core.errors import ConfigError, PlanError, RigError, RunEndedError
+from rig.doctor.gate import check_change
 from rig.experiments.plan import plan_of
 from rig.realtime import running
 from rig.realtime.ring import LOOP_DONE, PARAMETER_SET, Ring
@@ -85,7 +85,7 @@ def change_wall(
     ConfigError
         No loop runs, a key that may not change, or a value out of its range.
     PlanError
-        A wall that a plan would refuse, or the gate before arming (`rig.bench.doctor.gate`), or a law on the device; or
+        A wall that a plan would refuse, or the gate before arming (`rig.doctor.gate`), or a law on the device; or
         a bilateral wall.
     RunEndedError
         The loop ended before.

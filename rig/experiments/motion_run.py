@@ -15,13 +15,13 @@ from firmware_protocol.faults import Fault
 from rig import config
 from rig.analysis.identification.quality import IdentificationError
 from rig.analysis.identification.signs import SignCheck, check_signs
-from rig.bench.doctor.gate import LIFETIME_SHARE
 from rig.config import Experiment, controller
 from rig.config.controller import LIFETIME_PERIODS, LONGEST_LIFETIME_S, rate_of_lifetime
 from rig.core.errors import ConfigError, DeviceFaultError, PlanError, RigError
 from rig.core.keyword import Keyword
 from rig.core.sample import Phase, RowFlag, unit_of
 from rig.devices.framed import FramedDevice
+from rig.doctor.gate import LIFETIME_SHARE
 from rig.experiments.identify_motions import RATE_STEP, REST_S, IdentificationMotion, coulomb_of, inertia_of
 from rig.experiments.settings import RigRequest
 from rig.experiments.trial import TrialRequest, end_of, prepared_on, run_trial

@@ -15,7 +15,6 @@ from typing import Any, Unpack
 
 from rig import config
 from rig.analysis import theory
-from rig.bench.firmware.tick_budget import INTEGERS, named_budget
 from rig.config import Experiment, amplifiers, controller, homing, motor_push
 from rig.config.data_sheets import DataSheets, check_answers
 from rig.config.files import nest
@@ -28,6 +27,7 @@ from rig.core.errors import ConfigError, PlanError
 from rig.core.present import Item, Row
 from rig.core.shown import Shown
 from rig.experiments.plan import make_plan, plan_of
+from rig.firmware.tick_budget import INTEGERS, named_budget
 from rig.recording.files import whole_file
 
 # Assumed where nothing is known: friction as a share of the nominal effort, and viscous friction that brings a free

@@ -12,17 +12,6 @@ from dataclasses import dataclass, replace
 from firmware_protocol.dictionary import Dictionary
 from firmware_protocol.law_parameters import LAW_PARAMETERS
 from rig.analysis.theory import default_schemes
-from rig.bench.doctor.delay import ticks_late
-from rig.bench.doctor.late_walls import late_wall
-from rig.bench.doctor.predicted import (
-    COUNT_SPEED_SHARE,
-    finding,
-    homing_checks,
-    predicted,
-    quieter_changes,
-    speed_reading,
-)
-from rig.bench.firmware.tick_budget import BOARD, INTEGERS, named_budget
 from rig.config import (
     Experiment,
     controller,
@@ -41,6 +30,16 @@ from rig.config.velocity_reading import highest_reading
 from rig.core.check import Check, Outcome
 from rig.core.sample import unit_of
 from rig.devices.device import LINK_SHARE, STATE_BYTES
+from rig.doctor.delay import ticks_late
+from rig.doctor.late_walls import late_wall
+from rig.doctor.predicted import (
+    COUNT_SPEED_SHARE,
+    finding,
+    homing_checks,
+    predicted,
+    quieter_changes,
+    speed_reading,
+)
 from rig.experiments import on_the_drive
 from rig.experiments.excitation_plan import excitation_plan
 from rig.experiments.identify_motions import RATE_STEP, pushes_checks
@@ -53,6 +52,7 @@ from rig.experiments.planned import (
     limited,
     where_it_runs,
 )
+from rig.firmware.tick_budget import BOARD, INTEGERS, named_budget
 
 STANDS_FOR_DEVICE = (
     "simulated with the law of the host, in float64: it stands for that of the device, which has no more delay and "

@@ -1,1 +1,1 @@
-"""Experiments with people: protocol, engine, log, desk, analysis."""
+"""Experiments with people: protocol, engine, log, desk."""

@@ -1,4 +1,4 @@
-"""Which walls of a study the arming gate refuses on a rig's link, as measured (`rig.bench.doctor.gate`).
+"""Which walls of a study the arming gate refuses on a rig's link, as measured (`rig.doctor.gate`).
 
 A search for the limit asks for walls that do not hold, so on a real rig there are nearly always some. They are found
 before a person touches the handle: a session begins with consent to all of them, or it does not begin.
@@ -9,12 +9,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
-from rig.bench.doctor import gate as gates
 from rig.config import Experiment
 from rig.core.check import Check, Outcome
 from rig.core.errors import ConfigError, PlanError
 from rig.core.sample import Motion, unit_of
 from rig.devices.framed import FramedDevice
+from rig.doctor import gate as gates
 from rig.session.conditions import Walls, own_rates
 from rig.session.protocol import BLINDED
 from rig.session.runner import RefusedWalls, SessionWall, TrialRunner

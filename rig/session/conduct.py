@@ -107,7 +107,7 @@ def _wall(
 
 
 class Marks(Protocol):
-    """Reports events to other programs and never makes a session wait (`rig.session.lsl.session.LslMarks`)."""
+    """Reports events to other programs and never makes a session wait (`rig.extras.lsl.session.LslMarks`)."""
 
     def push(self, mark: str, at_ns: int | None = None, **content: Any) -> None:
         """Say that something happens now."""

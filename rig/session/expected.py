@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 
 from rig.analysis.theory import k_max_curve
 from rig.analysis.theory.loop import NO_OPERATOR
-from rig.bench.doctor.late_loops import LateLoops
 from rig.config import Experiment
 from rig.core.errors import ConfigError
+from rig.doctor.late_loops import LateLoops
 from rig.session.protocol import Protocol, Search
 from rig.session.schedule import Block, asking, levels_of
 from rig.session.search.observer import Observer, run

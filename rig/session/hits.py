@@ -13,8 +13,6 @@ from typing import Any
 import numpy as np
 
 from rig import config, devices
-from rig.bench.doctor.in_effect import in_effect
-from rig.bench.doctor.pace import Pace, measured_pace
 from rig.config import Experiment
 from rig.control.verdict import CRITERIA, Kind
 from rig.core.check import Check
@@ -25,6 +23,8 @@ from rig.core.same_rig import check_rig
 from rig.devices.device import Link
 from rig.devices.framed import FramedDevice
 from rig.devices.local import opened
+from rig.doctor.in_effect import in_effect
+from rig.doctor.pace import Pace, measured_pace
 from rig.experiments.baseline import baseline
 from rig.experiments.hit import HitRequest, Recorded, hit, left_by, vetted
 from rig.experiments.judgement import THREW_OUT, THROWN_OUT

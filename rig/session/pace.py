@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from rig.bench.doctor.gate import LOST_SHARE
-from rig.bench.doctor.pace import Pace
 from rig.core.check import Check, Outcome, refuse
+from rig.doctor.gate import LOST_SHARE
+from rig.doctor.pace import Pace
 from rig.session.conditions import Walls, own_rates
 from rig.session.runner import TrialRunner
 

@@ -15,6 +15,7 @@ from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError, RecordingError
 from rig.core.present import plain
 from rig.core.regular_file import read_regular
+from rig.extras.lsl.session import LslMarks
 from rig.recording.files import plain_errors
 from rig.session.arming import refuse_unarmable
 from rig.session.check import refuse_walls
@@ -35,7 +36,6 @@ from rig.session.disk import refuse_full_disk
 from rig.session.fitting import refuse_misfit
 from rig.session.load import load_walls
 from rig.session.log import Event, read
-from rig.session.lsl.session import LslMarks
 from rig.session.names import normalise
 from rig.session.pace import refuse_lossy
 from rig.session.place import (
@@ -165,7 +165,7 @@ def run_session(
     on_event
         Called with each event once it is written.
     lsl
-        Stream samples and markers (`rig.session.lsl`), without walls where a person is blinded.
+        Stream samples and markers (`rig.extras.lsl`), without walls where a person is blinded.
 
     Raises
     ------

@@ -12,7 +12,7 @@ from rig.core.check import Check
 from rig.session.trial import HitOutcome
 
 if TYPE_CHECKING:
-    from rig.bench.doctor.pace import Pace
+    from rig.doctor.pace import Pace
     from rig.experiments.pulse import Pulse
 
 Watch = Callable[[int, int], None]

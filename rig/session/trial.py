@@ -1,7 +1,7 @@
 """One trial, defined once: what was presented, what the rig returned, and how it was judged.
 
 Everything else that speaks of a trial is a view of this record: the line of the log and the replayed state, the marker
-of a stream, the rows of tables and exports (`rig.session.analysis.rows.TrialRow`), and the sentences of
+of a stream, the rows of tables and exports (`rig.extras.study.rows.TrialRow`), and the sentences of
 `rig.session.telling`. Unit and meaning of a column stand here and nowhere else.
 """
 

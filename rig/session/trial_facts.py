@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from rig.core.quantity import Quantity, quantities
-from rig.session.analysis.rows import TrialRow
+from rig.extras.study.rows import TrialRow
 
 # Name in a file: field. A run is something else in BIDS.
 _FIELDS = {

@@ -57,7 +57,7 @@ HIT_EACH = 8  # visits
 PATIENCE_MS = 120_000.0
 MOST = {"server": 20.0, "heap": 2.0, "nodes": 100.0}  # in ten hours: MB, MB, and their number
 SERVER = """
-from rig.console import live
+from rig.extras.console import live
 from rig.cli import main
 live.FRAME_S, live.STATE_S, live.SEARCH_S = (one / {faster} for one in (live.FRAME_S, live.STATE_S, live.SEARCH_S))
 main()

@@ -7,7 +7,7 @@
 differ by 20 in all, each has 20 of their own in each condition at each damping and 15 in each condition, and repeats
 scatter by 12. Every participant has every cell and order is the same for all, so that the likelihood falls apart into
 four strata (people, people × condition, people × damping, residual) with a closed form. That statsmodels finds the same
-optimum is shown by ``tests/rig/session/test_session_statistics.py``.
+optimum is shown by ``tests/extras/study/test_session_statistics.py``.
 """
 
 from __future__ import annotations

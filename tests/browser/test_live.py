@@ -11,10 +11,10 @@ from typing import Any
 
 import pytest
 
-from rig.console.lease import LOOK_S, LOST_S
-from rig.console.talk import SILENT_S
 from rig.core.sample import Phase
 from rig.experiments.replay import replay
+from rig.extras.console.lease import LOOK_S, LOST_S
+from rig.extras.console.talk import SILENT_S
 from rig.recording.data import Recording
 from rig.recording.reader import open_recording
 from tests.conformance.tolerance import reason_of, too_busy

@@ -13,7 +13,7 @@ from rig.session.console.held import RELEASED_S
 from rig.session.log import Event, read
 from tests.browser.test_reading import check_readable
 from tests.conformance.tolerance import too_busy
-from tests.system.test_session_console import PROTOCOL
+from tests.extras.console.test_session_console import PROTOCOL
 
 PATIENCE_S = 120.0  # a first run compiles
 REACH = (

@@ -15,13 +15,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
-from rig.bench.bridge import moteus, odrive
-from rig.bench.bridge.bus import CanFrame
-from rig.bench.bridge.faults import TEXTS
-from rig.bench.bridge.library import Bridge, FittedDrive
 from rig.core.model import Encoder, RigModel
 from rig.devices.device import DeviceUrl
 from rig.devices.port import LoopPort
+from rig.extras.drives import moteus, odrive
+from rig.extras.drives.bus import CanFrame
+from rig.extras.drives.faults import TEXTS
+from rig.extras.drives.library import Bridge, FittedDrive
 from rig.realtime.callbacks import callback_plugs
 from rig.realtime.clock import VirtualClock
 from sim_backend.drives.bus import DriveModel as Simulated
@@ -66,7 +66,7 @@ def bridged_rig(**changed: Any) -> RigModel:
 
 
 class MemoryBus:
-    """`rig.bench.bridge.bus.Bus` with a simulated drive on it, which answers at once."""
+    """`rig.extras.drives.bus.Bus` with a simulated drive on it, which answers at once."""
 
     place, descriptor, checksum, is_socket, messages = "memory", -1, True, False, ()
 

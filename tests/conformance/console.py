@@ -15,8 +15,8 @@ import pytest
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed
 
-from rig.console.server import ConsoleSettings, run
-from rig.console.terminal import Terminal
+from rig.extras.console.server import ConsoleSettings, run
+from rig.extras.console.terminal import Terminal
 from rig.realtime.memories import LoopMemory, ask_to_stop
 from rig.realtime.running import RunningLoop, running
 
@@ -163,8 +163,8 @@ async def served(place: Path, terminal: Terminal | None = None, **settings: Any)
     task = asyncio.create_task(run(made, terminal or Terminal(), ended))
     first = asyncio.create_task(urls.get())
     patch = pytest.MonkeyPatch()
-    patch.setattr("rig.console.live.ask_to_stop", stop_of_this_test)
-    patch.setattr("rig.console.follow.running", loops_of_this_test)
+    patch.setattr("rig.extras.console.live.ask_to_stop", stop_of_this_test)
+    patch.setattr("rig.extras.console.follow.running", loops_of_this_test)
     try:
         await asyncio.wait([task, first], return_when=asyncio.FIRST_COMPLETED)
         if task.done():

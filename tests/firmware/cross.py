@@ -12,18 +12,18 @@ from typing import Any
 import pytest
 
 from rig import config
-from rig.bench.firmware import boards
-from rig.bench.firmware.build import BuildRequest, BuildResult, build, sources_hash
-from rig.bench.firmware.toolchain import COMPILER, find_compiler
 from rig.config import amplifiers, presets
 from rig.core.model import RigModel
 from rig.core.present import plain
+from rig.firmware import boards
+from rig.firmware.build import BuildRequest, BuildResult, build, sources_hash
+from rig.firmware.toolchain import COMPILER, find_compiler
 from rig.realtime.source_files import source_files
 from tests.firmware.build import FIRMWARE
 from tests.firmware.kept import content, kept
 
 RIG = "koul-rigid"
-PYTHON = ("firmware_protocol", "rig.bench.firmware", "rig.config", "rig.core")  # what configures an image
+PYTHON = ("firmware_protocol", "rig.firmware", "rig.config", "rig.core")  # what configures an image
 
 
 def need_compiler() -> None:

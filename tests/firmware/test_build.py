@@ -15,22 +15,6 @@ import pytest
 from firmware_protocol.dictionary import decode
 from firmware_protocol.parameters import PARAMETERS
 from rig import config
-from rig.bench.firmware import boards
-from rig.bench.firmware.board_config import configure
-from rig.bench.firmware.build import (
-    PORT_CHECK,
-    BuildRequest,
-    build,
-    package_version,
-    shared_sources,
-    sources_hash,
-)
-from rig.bench.firmware.elf import read_segments
-from rig.bench.firmware.flash import read_image
-from rig.bench.firmware.info import info
-from rig.bench.firmware.scales import check_scales
-from rig.bench.firmware.toolchain import COMPILER_VARIABLE, find_compiler
-from rig.bench.firmware.uf2 import read_uf2
 from rig.config import amplifiers, presets
 from rig.core.board import (
     CurrentSensor,
@@ -44,6 +28,22 @@ from rig.core.errors import ConfigError, RecordingError, ToolchainError
 from rig.core.model import RigModel
 from rig.core.present import plain
 from rig.core.same_rig import check_rig
+from rig.firmware import boards
+from rig.firmware.board_config import configure
+from rig.firmware.build import (
+    PORT_CHECK,
+    BuildRequest,
+    build,
+    package_version,
+    shared_sources,
+    sources_hash,
+)
+from rig.firmware.elf import read_segments
+from rig.firmware.flash import read_image
+from rig.firmware.info import info
+from rig.firmware.scales import check_scales
+from rig.firmware.toolchain import COMPILER_VARIABLE, find_compiler
+from rig.firmware.uf2 import read_uf2
 from tests.conformance.tiers import first_by_default
 from tests.firmware import cross
 from tests.firmware.build import CORE, FIRMWARE, compile_c, kept_objects
@@ -104,7 +104,7 @@ def pico(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     directory = shutil.copytree(boards.BOARDS / "rp2040", tmp_path / "rp2040")
     core = kept_objects(find_compiler().path, CORE, *PROCESSORS["cortex-m0plus"])
     assert set(core) == set(shared_sources())
-    monkeypatch.setattr("rig.bench.firmware.build.shared_sources", lambda _application: ())
+    monkeypatch.setattr("rig.firmware.build.shared_sources", lambda _application: ())
     file = directory / "board.toml"
     text = file.read_text()
     for key, words in ("compile", ["-O0", "-g0"]), ("link", ["--specs=nano.specs", *map(str, core.values())]):
@@ -313,7 +313,9 @@ def test_a_board_is_whole(name: Any) -> None:
 
 
 @pytest.mark.parametrize("name", [name for name in boards.names() if boards.load(name).uf2_family])
-@pytest.mark.exhaustive("tests/rig/bench/test_firmware_uf2.py::test_every_byte_comes_back_where_it_belongs")
+@pytest.mark.exhaustive(
+    "tests/rig/firmware/test_firmware_uf2.py::test_every_byte_comes_back_where_it_belongs"
+)
 def test_the_uf2_of_a_board_writes_its_image_and_nothing_else(name: Any) -> None:
     board, made = boards.load(name), cross.image(name)
     written = read_uf2(made.uf2.read_bytes(), "x")

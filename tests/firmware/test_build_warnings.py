@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from rig import config
-from rig.bench.firmware.build import BuildRequest, _warnings
-from rig.bench.firmware.tick_budget import named_budget
 from rig.config import presets
+from rig.firmware.build import BuildRequest, _warnings
+from rig.firmware.tick_budget import named_budget
 
 PICO = named_budget("rp2040")
 

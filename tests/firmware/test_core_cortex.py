@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from rig import config
-from rig.bench.firmware.tick_budget import INTEGERS, TICKS
+from rig.firmware.tick_budget import INTEGERS, TICKS
 from tests.firmware import cortex
 from tests.firmware.cortex_library import CortexLibrary, build
 from tests.firmware.law.law_design import FIXED, FLOAT, parameters_of

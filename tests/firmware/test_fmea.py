@@ -12,7 +12,7 @@ import pytest
 from firmware_protocol.codegen import main
 from firmware_protocol.faults import Fault, LimitFlag
 from firmware_protocol.fmea import FMEA, SingleFault, single_faults
-from rig.bench.bridge.faults import DriveFault
+from rig.extras.drives.faults import DriveFault
 
 ROOT = Path(__file__).parents[2]
 ROWS = single_faults()

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from rig import config
-from rig.bench.firmware.selftest import SelfTestRequest, selftest
 from rig.config import presets
 from rig.devices.framed import FramedDevice
+from rig.firmware.selftest import SelfTestRequest, selftest
 from tests.firmware.mps2.lockstep import Rig, on_this_computer
 
 EXPERIMENT = presets.load("koul-rigid")

@@ -18,7 +18,7 @@ from pathlib import Path
 import pytest
 
 from rig import cli
-from rig.bench.bridge.library import library
+from rig.extras.drives.library import library
 from rig.realtime.kernel import prepare
 from tests.guest.pico import RIG
 from tests.guest.stage import PYTEST

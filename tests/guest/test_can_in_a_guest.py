@@ -14,12 +14,12 @@ from dataclasses import replace
 
 import pytest
 
-from rig.bench.bridge import moteus, odrive
-from rig.bench.bridge.bus import CanBus, open_bus
-from rig.bench.bridge.faults import DriveFault
-from rig.bench.bridge.library import Bridge, FittedDrive
 from rig.core.model import RigModel
 from rig.devices.device import DeviceUrl
+from rig.extras.drives import moteus, odrive
+from rig.extras.drives.bus import CanBus, open_bus
+from rig.extras.drives.faults import DriveFault
+from rig.extras.drives.library import Bridge, FittedDrive
 from sim_backend.drives.can_simple import CanSimpleCommand
 from sim_backend.drives.process import serve
 from tests.conformance.bridged import SAFE, WATCHED, bridged_rig, endpoints

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 from rig import config
-from rig.bench.doctor import gate, ports, round_trip
 from rig.config import presets
 from rig.core.check import Check, Outcome
 from rig.core.errors import RealtimeError
 from rig.devices import port_facts
 from rig.devices.port_facts import PortFacts
+from rig.doctor import gate, ports, round_trip
 from rig.experiments import examine as examining
 from rig.recording.quantiles import Distribution
 from rig.recording.reader import open_recording
@@ -34,7 +34,7 @@ def machine(monkeypatch: pytest.MonkeyPatch) -> None:
     check = Check("governor", Outcome.WARNING, "powersave", "sudo mend it", "clocks that ramp")
     monkeypatch.setattr(examining, "machine_checks", lambda host: [check])
     monkeypatch.setattr(ports, "available_ports", lambda: [])
-    monkeypatch.setattr("rig.bench.doctor.ports.available_devices", lambda: [])
+    monkeypatch.setattr("rig.doctor.ports.available_devices", lambda: [])
     monkeypatch.setattr(gate, "LONGEST_S", 0.3)  # of measuring: a hit at 20 kHz does so for 1 s
 
 

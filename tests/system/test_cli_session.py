@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from rig.bench.doctor import pace
 from rig.cli import run as rig
+from rig.doctor import pace
 from rig.session.directory import LOG
 from rig.session.log import SessionLog, read
 from rig.session.rehearsal import Person

@@ -13,10 +13,11 @@ from pathlib import Path
 
 import pytest
 
+from rig.extras.study import AnalysisOptions, analyse
+from rig.extras.study.report import render
+from rig.extras.study.tables import tables
 from rig.recording.files import sha256_of
 from rig.recording.reader import open_recording
-from rig.session.analysis import AnalysisOptions, analyse
-from rig.session.analysis.tables import tables
 from rig.session.directory import LOG
 from rig.session.hits import DeviceRunner
 from rig.session.log import read
@@ -24,7 +25,6 @@ from rig.session.rehearsal import Person
 from rig.session.run import rehearsal_desk, resume_session, run_session
 from rig.session.state import SessionState
 from rig.session.template_files import DEFAULT, write_template
-from rig.views.report.session import render
 from tests.system.session_study import comparable, written
 
 PERSON = Person(thresholds={"hidden-dual": 65.0, "hidden-uniform": 65.0}, lapse_rate=0.05)

@@ -11,8 +11,8 @@ import pytest
 from rig.config import Experiment
 from rig.devices.fault_script import Direction, FaultKind, FrameFault
 from rig.experiments import hit as one_hit
+from rig.extras.study import AnalysisOptions, analyse
 from rig.recording.reader import open_recording
-from rig.session.analysis import AnalysisOptions, analyse
 from rig.session.desk import Desk, Question, Reply
 from rig.session.directory import LOG
 from rig.session.hits import DeviceRunner

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 from rig import devices
-from rig.bench.doctor.gate import measured_once
-from rig.bench.firmware.tick_budget import BOARD, named_budget
 from rig.config import Experiment, rig_model
 from rig.devices.local import opened
+from rig.doctor.gate import measured_once
 from rig.experiments.design.listing import LawPlace
+from rig.firmware.tick_budget import BOARD, named_budget
 
 
 def places_of(url: str, experiment: Experiment, board: str = BOARD) -> tuple[LawPlace, ...]:

@@ -2,7 +2,7 @@
 
 For each damping the largest K that is stable together with all softer ones of the grid, with delay and lag, in the hand
 that the experiment has. An estimator that is not linear has none of its own: the usual filter (a tenth of the velocity
-rate) stands in for it, as for a rig that is armed (`rig.bench.doctor.late_loops`); noise and fidelity are its own.
+rate) stands in for it, as for a rig that is armed (`rig.doctor.late_loops`); noise and fidelity are its own.
 
 Theory knows no quantum, which takes nearly all of the damping of a fast uniform wall. So a second boundary counts only
 walls whose effort would not be heard if the count toggled at random at rest: √((K·Δ/2)² + (B·noise)²) at most. The one

@@ -21,16 +21,16 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
 
-from rig.bench.doctor.delay import ticks_late
-from rig.bench.firmware.tick_budget import BOARD, named_budget
 from rig.config import Experiment, controller
 from rig.config.schemes import Scheme
 from rig.control import estimators
 from rig.core.check import refused
 from rig.core.errors import ConfigError
+from rig.doctor.delay import ticks_late
 from rig.experiments.design import paths
 from rig.experiments.plan import link_checks
 from rig.experiments.planned import check_positive
+from rig.firmware.tick_budget import BOARD, named_budget
 
 Loop = Literal["host", "device"]
 Settings = dict[str, float | str]

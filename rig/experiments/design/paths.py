@@ -10,7 +10,7 @@ of 29°, or a half too little.
 
 **Cost** is that of the estimator's longest call on the processor of the board, in cycles, over the ticks of a velocity
 period. All else in a tick is the same for all schemes. On a device the longest tick has to fit
-(`rig.bench.firmware.tick_budget`).
+(`rig.firmware.tick_budget`).
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.bench.firmware.tick_budget import named_budget
 from rig.config import Controller
 from rig.control import estimators
+from rig.firmware.tick_budget import named_budget
 
 AMPLITUDE = 32.0  # counts
 SAMPLES = 2048

@@ -22,7 +22,7 @@ from rig.core.this_system import processors
 from rig.realtime.handlers import take_no_signals
 from rig.realtime.source_files import code_version
 
-ELSEWHERE = {"dask": "rig.experiments.sweep.cluster:Cluster"}  # imported when a scheduler is named
+ELSEWHERE = {"dask": "rig.extras.cluster.cluster:Cluster"}  # imported when a scheduler is named
 
 Work = Callable[[Any], Any]
 

@@ -1,7 +1,7 @@
 """A seat at a session's desk, whatever shows it: what stands there, what a key does, and the hand that is moved.
 
-A terminal (`rig.session.console.program`) and a page (`rig.console.sessions`) give it messages and keys, and show what
-it has.
+A terminal (`rig.session.console.program`) and a page (`rig.extras.console.sessions`) give it messages and keys, and
+show what it has.
 """
 
 from __future__ import annotations

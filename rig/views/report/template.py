@@ -26,8 +26,8 @@ def fill(template: str, **values: Any) -> str:
     Parameters
     ----------
     template
-        Name of a file of this folder, or a path below `rig` (``papers/koul/page.html.j2``); it may extend others and
-        import their macros.
+        Name of a file of this folder, or a path below `rig` (``extras/papers/koul/page.html.j2``); it may extend others
+        and import their macros.
     values
         What the template calls for; `css` is there already.
     """

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rig.bench.bridge.library import BIN_US, Bridge, BridgeFacts
+from rig.extras.drives.library import BIN_US, Bridge, BridgeFacts
 from tests.benchmarks.realtime.workbench import CPUS, FULL, PRIORITY, compile_c, print_table, quantiles
 from tests.conformance.bridged import bridged_rig, plain_drive
 

@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 
 from firmware_protocol.connection import State
-from rig.bench.firmware import boards
-from rig.bench.firmware.board_config import configure
-from rig.bench.firmware.build import BuildResult, package_version, sources_hash
 from rig.core.model import RigModel
 from rig.devices.device import DeviceUrl
+from rig.firmware import boards
+from rig.firmware.board_config import configure
+from rig.firmware.build import BuildResult, package_version, sources_hash
 from rig.realtime.clock import VirtualClock
 from sim_backend.hardware import Hardware
 from tests.conformance.started import LEASH

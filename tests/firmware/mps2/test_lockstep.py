@@ -17,10 +17,10 @@ from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import encode_block
 from firmware_protocol.transfer import set_parameters
 from rig import config
-from rig.bench.firmware.flash import read_image
 from rig.config import Experiment, controller, device_law, presets
 from rig.devices import framed
 from rig.devices.framed import FramedDevice
+from rig.firmware.flash import read_image
 from tests.conformance.faults import FarEnd, check_faults
 from tests.firmware import cross
 from tests.firmware.mps2.lockstep import Partner, Rig, in_emulator, on_this_computer

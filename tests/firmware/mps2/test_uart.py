@@ -13,12 +13,12 @@ from collections.abc import Iterator
 import pytest
 
 from firmware_protocol.connection import State
-from rig.bench.firmware.build import BuildResult
-from rig.bench.firmware.info import about
-from rig.bench.firmware.selftest import SelfTestRequest, selftest
 from rig.core.errors import LinkLostError
 from rig.devices import open_device
 from rig.devices.framed import FramedDevice
+from rig.firmware.build import BuildResult
+from rig.firmware.info import about
+from rig.firmware.selftest import SelfTestRequest, selftest
 from tests.conformance.started import started
 from tests.firmware import cross
 

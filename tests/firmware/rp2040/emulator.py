@@ -22,8 +22,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rig.bench.firmware.build import DEVICE, BuildResult
 from rig.core.model import RigModel
+from rig.firmware.build import DEVICE, BuildResult
 from rig.realtime.clock import VirtualClock
 from sim_backend.plant import DiscretePlant
 from tests.firmware import cross

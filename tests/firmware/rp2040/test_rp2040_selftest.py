@@ -6,10 +6,10 @@ from collections.abc import Callable
 
 from firmware_protocol.faults import Fault
 from rig import config
-from rig.bench.firmware import selftest
 from rig.config import presets
 from rig.devices.device import DeviceUrl
 from rig.devices.framed import FramedDevice
+from rig.firmware import selftest
 from tests.firmware.rp2040.emulator import START_US, WATCHDOG_US
 from tests.firmware.rp2040.session import Session
 

@@ -12,7 +12,6 @@ import pytest
 from firmware_protocol import messages as m
 from firmware_protocol.connection import Connection, Received, State
 from firmware_protocol.messages import Message, Role
-from rig.bench.firmware.build import BuildResult
 from rig.config import override
 from rig.config.derive import rig_model
 from rig.config.presets import load
@@ -22,6 +21,7 @@ from rig.experiments.hit import HitRequest, hit
 from rig.experiments.identify_motions import PUSH_COUNTS, inertia_of, slow_rate
 from rig.experiments.motion_run import signs_of
 from rig.experiments.pulse import SAME_SCALE
+from rig.firmware.build import BuildResult
 from tests.firmware.rp2040 import emulator
 from tests.firmware.rp2040.conftest import PRESET
 from tests.firmware.rp2040.session import Session

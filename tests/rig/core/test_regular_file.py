@@ -10,13 +10,13 @@ from typing import Any
 
 import pytest
 
-from rig.bench.bridge.odrive import Endpoints
-from rig.bench.firmware.flash import read_image
 from rig.config import presets
 from rig.core import regular_file
 from rig.core.errors import RigError
 from rig.experiments import maps
 from rig.experiments.sweep.journal import read_on
+from rig.extras.drives.odrive import Endpoints
+from rig.firmware.flash import read_image
 from rig.recording.counts import read_counts
 from rig.recording.reader import open_facts, open_recording
 from rig.session.load import load_protocol

@@ -17,7 +17,6 @@ from typing import Any
 import pytest
 import serial
 
-from rig.bench.doctor.ports import serial_port
 from rig.core.errors import ConfigError, DeviceNotFoundError, LinkLostError
 from rig.devices import port_facts, threaded_serial
 from rig.devices import serial as ports
@@ -27,6 +26,7 @@ from rig.devices.device import DeviceUrl
 from rig.devices.serial import SerialLink, open_link
 from rig.devices.serial_options import DEFAULT_BAUD
 from rig.devices.serial_options import capacity as capacity_of
+from rig.doctor.ports import serial_port
 
 SLACK_S = 5.0  # of a loaded machine: these tests say "bounded", not "quick"
 IFLAG, OFLAG, CFLAG, LFLAG, CC = 0, 1, 2, 3, 6

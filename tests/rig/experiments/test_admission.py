@@ -10,13 +10,13 @@ from typing import Any
 import pytest
 
 from rig import config
-from rig.bench.doctor import gate as gates
-from rig.bench.doctor.gate import check_armable
-from rig.bench.doctor.in_effect import in_effect
 from rig.config import presets
 from rig.core.check import refuse
 from rig.core.errors import PlanError
 from rig.devices.framed import FramedDevice
+from rig.doctor import gate as gates
+from rig.doctor.gate import check_armable
+from rig.doctor.in_effect import in_effect
 from rig.experiments import examine as examining
 from rig.experiments import hit as hits
 from rig.experiments.admission import admission_checks

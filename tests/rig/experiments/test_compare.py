@@ -20,7 +20,7 @@ from rig.core.present import plain
 from rig.experiments import compare as comparing
 from rig.experiments.compare import Entry, Start, compare, default_entries, simulate
 from rig.experiments.impact import mean, measure, second_peak
-from rig.papers.koul.compare import (
+from rig.extras.papers.koul.compare import (
     FIXED,
     FLOAT,
     START,
@@ -30,7 +30,7 @@ from rig.papers.koul.compare import (
     koul_figure_8,
     word_lengths,
 )
-from rig.papers.koul.impact_pictures import draw_figure_7, draw_figure_8
+from rig.extras.papers.koul.impact_pictures import draw_figure_7, draw_figure_8
 from rig.views.plots.compare import draw_comparison
 from sim_backend.plant import DiscretePlant, energy
 from sim_backend.trial import run_trial

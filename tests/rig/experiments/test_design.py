@@ -14,7 +14,6 @@ from scipy.optimize import brentq
 import rig
 from rig import config
 from rig.analysis import theory
-from rig.bench.firmware.tick_budget import CALLS
 from rig.config import presets
 from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError, NoStableWallError
@@ -42,6 +41,7 @@ from rig.experiments.design.search import Round
 from rig.experiments.ranges import search_for
 from rig.experiments.rendering import RENDERED, rendered_damping, rendered_share
 from rig.experiments.zwidth import MapPlan
+from rig.firmware.tick_budget import CALLS
 from tests.conformance.made_links import link
 from tests.conformance.maps import SHORT, short_map
 

@@ -12,15 +12,15 @@ import pytest
 
 from firmware_protocol import dictionary
 from rig import config, devices
-from rig.bench.doctor.gate import gate
-from rig.bench.doctor.in_effect import in_effect
-from rig.bench.doctor.walls import candidate_rates
 from rig.config import device_law, presets
 from rig.config.controller import prepared
 from rig.control import bilateral
 from rig.control.excitation_table import PHASES, ExcitationTable
 from rig.core.check import Outcome
 from rig.core.errors import ConfigError, PlanError
+from rig.doctor.gate import gate
+from rig.doctor.in_effect import in_effect
+from rig.doctor.walls import candidate_rates
 from rig.experiments import excitation_run, live
 from rig.experiments.identify import IdentifyRequest, identify
 from rig.experiments.plan import device_checks, link_checks, make_plan

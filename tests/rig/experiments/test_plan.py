@@ -14,13 +14,13 @@ from firmware_protocol import messages as m
 from firmware_protocol.framing import encode_frame
 from firmware_protocol.packing import pack
 from rig import config
-from rig.bench.doctor.late_loops import LateLoops
 from rig.config import controller, presets
 from rig.config.velocity_reading import highest_reading
 from rig.core.check import Outcome
 from rig.core.errors import ConfigError, PlanError
 from rig.core.present import plain
 from rig.devices.device import LINK_SHARE, STATE_BYTES
+from rig.doctor.late_loops import LateLoops
 from rig.experiments.plan import delay_checks, link_checks, make_plan, predict_impact
 from sim_backend import trial as bare
 from sim_backend.plant import DiscretePlant

@@ -1,7 +1,8 @@
 """A sweep gives the same results to the last bit however it was cut up, and loses nothing that was done.
 
 Contracts of `rig.experiments.sweep.run` on threads: order and bits over workers; the journal under truncation, flipped
-bytes and kill -9; what a person and a failing task do to it. Clusters are in `tests/system/test_sweep_cluster.py`.
+bytes and kill -9; what a person and a failing task do to it. Clusters are in
+`tests/extras/cluster/test_sweep_cluster.py`.
 """
 
 import errno

@@ -19,17 +19,17 @@ from queue import SimpleQueue
 from tempfile import TemporaryDirectory
 from typing import Any, cast
 
-from rig.console.client import Client
-from rig.console.jobs import Job, Jobs
-from rig.console.lease import Lease
-from rig.console.requests import request_of
-from rig.console.service import LATER, ServiceContext
-from rig.console.session_desk import PageDesk
-from rig.console.sessions import JOB, Sessions
-from rig.console.talk import Talk
-from rig.console.terminal import Terminal as Consents
 from rig.core.errors import RigError
 from rig.core.present import plain
+from rig.extras.console.client import Client
+from rig.extras.console.jobs import Job, Jobs
+from rig.extras.console.lease import Lease
+from rig.extras.console.requests import request_of
+from rig.extras.console.service import LATER, ServiceContext
+from rig.extras.console.session_desk import PageDesk
+from rig.extras.console.sessions import JOB, Sessions
+from rig.extras.console.talk import Talk
+from rig.extras.console.terminal import Terminal as Consents
 from rig.realtime.hand import SharedHand
 from rig.session.console.asking import AskingDesk
 from rig.session.console.desk import ConsoleDesk, MovedHand
@@ -37,7 +37,7 @@ from rig.session.console.pointer import HandKind
 from rig.session.console.seat import keymap_for
 from rig.session.protocol import Keys
 from tests.conformance.terminal import PATIENCE_S, Terminal
-from tests.rig.console.console_fakes import Here
+from tests.extras.console.console_fakes import Here
 
 _BYTES = {"space": " ", "enter": "\r", "f5": "\x1b[15~", "end": "\x1b[F", "home": "\x1b[H", "left": "\x1b[D"}
 

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from rig.analysis.identification.signs import check_signs
-from rig.bench.doctor.pace import Pace
 from rig.config import Experiment
 from rig.config.presets import load as preset
 from rig.core.check import Check, Outcome
 from rig.core.errors import RigError
+from rig.doctor.pace import Pace
 from rig.experiments.pulse import Pulse
 from rig.recording.files import whole_file
 from rig.session.conduct import conduct

@@ -11,12 +11,12 @@ from typing import Any
 import pytest
 
 from rig import config, devices
-from rig.bench.doctor import gate as gates
-from rig.bench.doctor.gate import gate, refused_among
 from rig.config import Experiment
 from rig.config.presets import load as preset
 from rig.core.check import Outcome
 from rig.core.errors import ConfigError, PlanError
+from rig.doctor import gate as gates
+from rig.doctor.gate import gate, refused_among
 from rig.experiments.hit import HitRequest
 from rig.session import hits
 from rig.session.arming import arming_checks, refuse_unarmable, walls_of

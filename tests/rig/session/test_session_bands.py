@@ -18,8 +18,9 @@ from rig.config import push_at_rest
 from rig.core.check import Outcome
 from rig.core.present import plain
 from rig.core.sample import Phase
-from rig.session.analysis import analyse
-from rig.session.analysis.tables import tables
+from rig.extras.study import analyse
+from rig.extras.study.report_methods import methods
+from rig.extras.study.tables import tables
 from rig.session.bands import judged, press_of
 from rig.session.check import check
 from rig.session.conditions import Walls
@@ -34,7 +35,6 @@ from rig.session.run import rehearsal_desk, run_session, summary
 from rig.session.simulated_hand import reach_for, simulated
 from rig.session.telling import outcome, whole_line
 from rig.session.trial import HitOutcome
-from rig.views.report.session_methods import methods
 from tests.rig.session.session_fakes import FakeRunner, ScriptedDesk, protocol_of, started, study
 
 BOTH = Trial(impact_speed=(0.2, 0.4), press=(0.15, 0.25))
@@ -237,7 +237,5 @@ def test_the_plan_warns_of_a_band_that_the_simulated_hand_does_not_keep(walls: W
 
 
 def test_who_reads_a_protocol_or_analyses_a_study_does_not_pay_for_the_simulated_hand() -> None:
-    script = (
-        "import sys, rig.session.load, rig.session.analysis; print({'numba', 'scipy'} & set(sys.modules))"
-    )
+    script = "import sys, rig.session.load, rig.extras.study; print({'numba', 'scipy'} & set(sys.modules))"
     assert subprocess.check_output([sys.executable, "-c", script], text=True) == "set()\n"

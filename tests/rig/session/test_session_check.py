@@ -14,12 +14,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.bench.doctor.pace import Pace
 from rig.cli import run
 from rig.config import override
 from rig.core.check import Check, Outcome
 from rig.core.errors import ConfigError
 from rig.core.present import plain
+from rig.doctor.pace import Pace
 from rig.experiments.plan import predict_impact
 from rig.session import disk
 from rig.session.check import check

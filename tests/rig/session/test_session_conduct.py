@@ -22,7 +22,7 @@ from rig.core.errors import (
     StoppedError,
 )
 from rig.core.present import plain
-from rig.session.analysis import analyse
+from rig.extras.study import analyse
 from rig.session.conduct import conduct
 from rig.session.desk import Question, Reply
 from rig.session.directory import LOG, Session, amend, event_of_trial, resume

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rig.bench.doctor.pace import Pace, pace_of
-from rig.bench.doctor.round_trip import LinkMeasurement
 from rig.config import Experiment, VerdictLimits
 from rig.config.presets import load as preset
 from rig.core.errors import PlanError
 from rig.core.present import plain
+from rig.doctor.pace import Pace, pace_of
+from rig.doctor.round_trip import LinkMeasurement
 from rig.recording.quantiles import Distribution
 from rig.session.conditions import Walls
 from rig.session.log import Event

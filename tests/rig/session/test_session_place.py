@@ -12,8 +12,8 @@ from rig.config import Experiment
 from rig.config.presets import load as preset
 from rig.core.errors import ConfigError, StoppedError
 from rig.experiments.pulse import NO_HANDS
+from rig.extras.study import read_study
 from rig.session import run as sessions
-from rig.session.analysis import read_study
 from rig.session.conduct import conduct
 from rig.session.directory import LOG
 from rig.session.hits import DeviceRunner

@@ -15,7 +15,7 @@ import matplotlib
 import numpy as np
 import pytest
 
-import rig.papers
+import rig.extras.papers
 import rig.views.plots
 from rig.core.drawn import Picture
 from rig.core.errors import RecordingError
@@ -90,7 +90,7 @@ def test_whatever_makes_a_figure_draws_in_the_style_of_this_package() -> None:
     """Texts take their settings when they are made: a function that forgets it would draw with those of the user."""
     files = [
         *Path(rig.views.plots.__file__).parent.glob("*.py"),
-        *Path(rig.papers.__file__).parent.rglob("*.py"),
+        *Path(rig.extras.papers.__file__).parent.rglob("*.py"),
     ]
     makers = [
         (path.name, function.name, {ast.unparse(one) for one in function.decorator_list})

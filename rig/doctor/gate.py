@@ -1,0 +1,333 @@
+"""The arming gate: whether a wall may be rendered on a device, as its link was measured.
+
+On a real device it refuses
+
+* a link that in 99.9 % of all cases takes more than half of a command's lifetime there and back: the device would drop
+  the wall in the middle of a contact, again and again;
+* more lost questions than `LOST_SHARE`;
+* a wall that linear theory finds unstable at the loop's rate with the measured delay, in no hand or in any of those
+  that may hold it (`rig.doctor.late_loops`: the spectral radius over one velocity period is 1 or more).
+
+A law that the device runs itself answers within the tick: its delay is the device's own execution time, which is less
+than a tick or the device reports missed ticks, and the amplifier's input, such as the period of a pulse width. Its wall
+is judged without delay, and the result with a whole tick of delay is reported. The link only has to bring a command
+within the lifetime of that loop, which is longer.
+
+Linear theory leaves out Coulomb friction, which stabilises walls that it finds unstable; the gate does not count on it.
+Passivity is reported and not required. A simulated device is never refused.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+from weakref import WeakKeyDictionary
+
+from rig.config import Experiment
+from rig.config.controller import command_lifetime_s, rate_of_lifetime, supervise_lifetime_s
+from rig.config.sections import Host
+from rig.core import check
+from rig.core.answers import ok, question, refused, warning
+from rig.core.check import Check, Outcome
+from rig.core.errors import ConfigError, PlanError
+from rig.core.present import Item, Row, reported
+from rig.devices.framed import FramedDevice
+from rig.devices.local import host_beside
+from rig.doctor.delay import ticks_text
+from rig.doctor.late_loops import LateLoops, hand_text, loop_delay_ticks, unstable_hands
+from rig.doctor.late_walls import late_wall, stability
+from rig.doctor.predicted import homing_checks
+from rig.doctor.round_trip import ENOUGH, LinkMeasurement, Progress, measure_link
+from rig.realtime.scheduling import obtained
+
+LIFETIME_SHARE = 0.5  # of a command's lifetime that the link may take there and back
+LOST_SHARE = 0.001  # of the questions: a loop loses one command in a thousand without effect
+SHORTEST_S, LONGEST_S = 1.0, 4.0  # of a measurement before arming; as long as bounding p99.9 takes
+SIMULATED_S = 0.2  # on a simulated device, which is never refused
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Gate:
+    """What the gate found.
+
+    Attributes
+    ----------
+    checks
+        Delay, losses, stability and what else is worth knowing; one that refuses forbids arming.
+    rate_hz, delay_ticks
+        Rate of the loop, and the delay that the link gives it.
+    travel_s
+        Upper bound of the link's time there and back in 99.9 % of all cases, or the longest one measured (s).
+    lifetime_s
+        Of a command (s).
+    loss_share
+        Share of questions that were lost.
+    stiffness, damping
+        The wall.
+    spectral_radius
+        By hand; empty where nothing is computed.
+    k_max
+        By hand: the largest stable stiffness at this damping and delay.
+    passive_stiffness
+        The largest one that is passive there, or None.
+    simulated, forced
+        The device is a simulated one; the user arms anyway. Neither is refused.
+    """
+
+    checks: tuple[Check, ...]
+    rate_hz: float
+    delay_ticks: int
+    travel_s: float
+    lifetime_s: float
+    loss_share: float
+    stiffness: float
+    damping: float
+    spectral_radius: Mapping[str, float]
+    k_max: Mapping[str, float]
+    passive_stiffness: float | None
+    simulated: bool
+    forced: bool = False
+
+    @reported
+    def armable(self) -> bool:
+        """Whether no check refuses."""
+        return not self.refused
+
+    @property
+    def refused(self) -> tuple[Check, ...]:
+        """The checks that refuse."""
+        return check.refused(self.checks)
+
+    @property
+    def text(self) -> str:
+        """All reasons against arming."""
+        return "; ".join(one.text for one in self.refused)
+
+    @property
+    def remedy(self) -> str:
+        """What to do, all of it."""
+        return "; ".join(dict.fromkeys(one.remedy for one in self.refused))
+
+    def items(self) -> list[Item]:
+        """Return it for people."""
+        verdict = Check("arming", Outcome.OK, "this wall may be armed")
+        if not self.armable:
+            verdict = Check("arming", Outcome.REFUSED, "this wall must not be armed")
+            if self.simulated:
+                verdict = Check(
+                    "arming", Outcome.WARNING, "a real rig would be refused; this one is simulated"
+                )
+        radius = ", ".join(f"{hand_text(hand)} {value:.4g}" for hand, value in self.spectral_radius.items())
+        rows = (
+            [Row("spectral radius", radius, note=f"delay {ticks_text(self.delay_ticks)}")] if radius else []
+        )
+        return [verdict, *self.checks, *rows]
+
+
+def gate(experiment: Experiment, measurement: LinkMeasurement) -> Gate:
+    """Judge one experiment on one measured link."""
+    rate, wall = experiment.controller.position_rate, experiment.wall
+    delay = loop_delay_ticks(experiment, measurement, rate)
+    judged = late_wall(experiment, delay)
+    executed = experiment.controller.loop == "device" and not measurement.virtual and judged.radius
+    return Gate(
+        checks=(
+            *_link_checks(experiment, measurement),
+            *judged.checks,
+            *homing_checks(experiment, delay),
+            *([_execution(experiment)] if executed else []),
+        ),
+        rate_hz=rate,
+        delay_ticks=delay,
+        travel_s=measurement.travel_s.almost_all,
+        lifetime_s=_lifetime_s(experiment),
+        loss_share=measurement.loss_share,
+        stiffness=wall.stiffness,
+        damping=wall.damping,
+        spectral_radius=judged.radius,
+        k_max=judged.k_max,
+        passive_stiffness=judged.passive,
+        simulated=measurement.simulated,
+    )
+
+
+def refused_among(
+    experiment: Experiment, measurement: LinkMeasurement, stiffnesses: Iterable[float]
+) -> tuple[float, ...]:
+    """Which of these stiffnesses `gate` refuses, at the experiment's damping; the same answer in far less time."""
+    walls = tuple(stiffnesses)
+    delay = loop_delay_ticks(experiment, measurement, experiment.controller.position_rate)
+    if check.refused([*_link_checks(experiment, measurement), *homing_checks(experiment, delay)]):
+        return walls
+    damping = experiment.wall.damping
+    try:
+        loops = LateLoops.of(experiment, delay)
+    except ConfigError:
+        return ()
+    return tuple(k for k in walls if unstable_hands(loops.radius(k, damping), k))
+
+
+def check_change(experiment: Experiment, armed: Mapping[str, Any]) -> None:
+    """Refuse a wall for a running loop where it would have been refused before arming.
+
+    Parameters
+    ----------
+    experiment
+        With the new wall.
+    armed
+        Of the JSON of `Gate`, as the loop was armed: ``delay_ticks``, ``simulated`` and ``forced``.
+
+    Raises
+    ------
+    PlanError
+        Linear theory finds it unstable with the delay that was measured then. Nothing is refused on a simulated
+        device, after arming anyway, or for a law that theory does not cover.
+    """
+    if armed["simulated"] or armed["forced"]:
+        return
+    wall, delay = experiment.wall, int(armed["delay_ticks"])
+    try:
+        loops = LateLoops.of(experiment, delay)
+    except ConfigError:
+        return
+    radius = loops.radius(wall.stiffness, wall.damping)
+    if unstable_hands(radius, wall.stiffness):
+        found = stability(experiment, delay, radius, loops.k_max([wall.damping])[0])
+        raise PlanError(f"this wall must not be rendered here: {found.text}", remedy=found.remedy)
+
+
+def _lifetime_s(experiment: Experiment) -> float:
+    on_the_device = experiment.controller.loop == "device"
+    return (supervise_lifetime_s if on_the_device else command_lifetime_s)(experiment)
+
+
+def _link_checks(experiment: Experiment, measurement: LinkMeasurement) -> list[Check]:
+    """Checks of the link, the same for any wall."""
+    found = [_delay(experiment, measurement), _losses(measurement)]
+    times = measurement.travel_s
+    if times.p999.high is None and not measurement.virtual:
+        found.append(_short(times.number, times.bounded))
+    return found
+
+
+@question("delay", "a command that arrives after the lifetime of the one before finds the wall dropped")
+def _delay(experiment: Experiment, measurement: LinkMeasurement) -> Check:
+    travel_s, lifetime_s = measurement.travel_s.almost_all, _lifetime_s(experiment)
+    ticks = measurement.delay_ticks(experiment.controller.position_rate, experiment.host.pacing)
+    text = f"the link takes up to {1e3 * travel_s:.3g} ms both ways ({ticks_text(ticks)})"
+    limit = f"half of a command's lifetime of {1e3 * lifetime_s:.3g} ms"
+    if travel_s <= LIFETIME_SHARE * lifetime_s:
+        return ok(f"{text}, less than {limit}")
+    if experiment.controller.loop == "device":
+        other = "lengthen controller.supervise_lifetime_s"
+    elif experiment.controller.command_lifetime_s is not None:
+        other = (
+            f"set controller.command_lifetime_s to {travel_s / LIFETIME_SHARE:.3g} s or more, where it may"
+        )
+    else:
+        other = f"choose a rate of {rate_of_lifetime(travel_s / LIFETIME_SHARE)} Hz or less"
+    return refused(
+        f"{text}, more than {limit}",
+        f"run `rig doctor --url …`, which names what delays it, grant real-time scheduling, or {other}",
+    )
+
+
+@question("losses", "a lost command is one tick without a new effort")
+def _losses(measurement: LinkMeasurement) -> Check:
+    share = f"{100 * measurement.loss_share:.2g} %, allowed {100 * LOST_SHARE:g} %"
+    text = f"{measurement.lost} of {measurement.sent} questions were lost ({share})"
+    if measurement.loss_share <= LOST_SHARE:
+        return ok(text)
+    return refused(
+        text, "check the cable, its length and the baud rate, and whether another program reads the port"
+    )
+
+
+@question("measurement")
+def _short(number: int, bounded: float) -> Check:
+    return warning(
+        f"{number} answers bound p{100 * bounded:.5g} only: the longest one counts",
+        f"measure longer: bounding p99.9 needs {ENOUGH} answers",
+    )
+
+
+@question("execution")
+def _execution(experiment: Experiment) -> Check:
+    """The wall under a whole tick of delay: at its highest rate the device needs about two thirds of one."""
+    wall = experiment.wall
+    late = LateLoops.of(experiment, 1).radius(wall.stiffness, wall.damping)
+    text = "the law is to run on the device, within the tick; with a whole tick of delay this wall would be"
+    if unstable_hands(late, wall.stiffness):
+        return warning(f"{text} unstable (spectral radius {max(late.values()):.4g})")
+    return ok(f"{text} stable, too")
+
+
+# By device; scheduling is a part of what was measured.
+_MEASURED: WeakKeyDictionary[FramedDevice, dict[tuple[str, int, int | None], LinkMeasurement]] = (
+    WeakKeyDictionary()
+)
+
+
+def measured_once(
+    device: FramedDevice, host: Host, rate: int, progress: Progress | None = None
+) -> LinkMeasurement:
+    """Measure the link of an open device, once for each scheduling: under that which the loop would have.
+
+    Errors as `rig.doctor.round_trip.measure_link`, and `RealtimeError` where scheduling is demanded and not
+    granted.
+    """
+    kept = _MEASURED.setdefault(device, {})
+    found = kept.get(scheduling := (host.realtime, host.priority, host.cpu))
+    if found is None:
+        seconds = min(LONGEST_S, max(SHORTEST_S, 1.05 * ENOUGH / rate))
+        if device.dictionary.simulated:
+            seconds = SIMULATED_S
+        with obtained(host_beside(host, device.link), virtual=device.link.clock.virtual) as realtime:
+            found = measure_link(device, seconds, realtime=realtime, progress=progress)
+        kept[scheduling] = found
+    return found
+
+
+def check_armable(
+    device: FramedDevice,
+    experiment: Experiment,
+    *,
+    anyway: bool = False,
+    progress: Progress | None = None,
+) -> Gate | None:
+    """Measure the link of an open device (once) and refuse a wall that must not be armed on it.
+
+    Parameters
+    ----------
+    device
+        Open device that is not in a run.
+    experiment
+        As it is about to run.
+    anyway
+        The user takes the responsibility: nothing is refused, everything is reported and recorded.
+    progress
+        Called with the share of the measurement that is done.
+
+    Returns
+    -------
+    Gate or None
+        What was found; None in virtual time, where there is no delay and nothing to measure.
+
+    Raises
+    ------
+    PlanError
+        The wall must not be armed: all reasons, all remedies. Nothing has moved.
+    LinkLostError
+        The device does not answer.
+    """
+    if device.link.clock.virtual:
+        return None
+    measurement = measured_once(device, experiment.host, experiment.controller.position_rate, progress)
+    found = replace(gate(experiment, measurement), forced=anyway)
+    if found.armable or found.simulated or anyway:
+        return found
+    raise PlanError(
+        f"this wall must not be armed: {found.text}",
+        remedy=f"{found.remedy}; or accept the risk: `arm_anyway`",
+    )

@@ -1,0 +1,70 @@
+"""What a computer has to do with rigs: backends, ports, USB devices, and rigs that it can simulate."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from rig import devices
+from rig.config import presets
+from rig.core.present import Item, Row
+from rig.devices.port_facts import available_ports
+from rig.devices.usb import UsbDevice, available_devices
+from rig.doctor.ports import Port, serial_port
+
+
+@dataclass(frozen=True, slots=True)
+class Here:
+    """See the module.
+
+    Attributes
+    ----------
+    backends
+        Each with the reason why it does not load; empty where it does.
+    ports, usb
+        That are connected; USB devices that could be no rig too.
+    simulated
+        Names of built-in rigs.
+    """
+
+    backends: tuple[tuple[devices.Backend, str], ...]
+    ports: tuple[Port, ...]
+    usb: tuple[UsbDevice, ...]
+    simulated: tuple[str, ...]
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        return {
+            "backends": [{**asdict(one), "broken": broken} for one, broken in self.backends],
+            "ports": self.ports,
+            "usb": [{"url": device.url, **asdict(device)} for device in self.usb],
+            "simulated": self.simulated,
+        }
+
+    def items(self) -> list[Item]:
+        """Return it for people."""
+        nothing = [Row("none", "")]
+        return [
+            "backends",
+            *(Row(f"{one.scheme}://", _shown(one, broken)) for one, broken in self.backends),
+            "serial ports",
+            *([Row(port.url, port.description) for port in self.ports] or nothing),
+            "USB devices that could be rigs",
+            *([Row(device.url, device.product) for device in self.usb if device.is_rig] or nothing),
+            "simulated rigs",
+            *(Row(f"sim://{name}", "") for name in self.simulated),
+        ]
+
+
+def here() -> Here:
+    """Look; nothing is opened."""
+    return Here(
+        backends=tuple((one, devices.broken(one.scheme)) for one in devices.backends()),
+        ports=tuple(serial_port(name, text)[0] for name, text in available_ports()),
+        usb=tuple(available_devices()),
+        simulated=tuple(presets.names()),
+    )
+
+
+def _shown(backend: devices.Backend, broken: str) -> str:
+    return f"broken: {broken}" if broken else f"{backend.target} ({backend.distribution})"

@@ -1,0 +1,92 @@
+"""What linear theory says of a wall whose commands act late, before any link was measured and after."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+
+from rig.analysis.theory import passivity_bound
+from rig.analysis.theory.loop import NO_OPERATOR
+from rig.config import Experiment
+from rig.core.answers import ok, question, refused, skipped, warning
+from rig.core.check import Check
+from rig.core.errors import ConfigError
+from rig.core.sample import unit_of
+from rig.doctor.delay import ticks_text
+from rig.doctor.late_loops import LateLoops, hand_text, unstable_hands
+
+
+@dataclass(frozen=True, slots=True)
+class LateWall:
+    """What linear theory says of a wall behind a delay: checks, and by hand radius and k_max as `Gate` has them."""
+
+    checks: tuple[Check, ...]
+    radius: Mapping[str, float]
+    k_max: Mapping[str, float]
+    passive: float | None
+
+
+def late_wall(experiment: Experiment, delay: int) -> LateWall:
+    """Judge the wall of an experiment whose commands act so many ticks late."""
+    wall = experiment.wall
+    try:
+        loops = LateLoops.of(experiment, delay)
+        radius = loops.radius(wall.stiffness, wall.damping)
+        (limits,) = loops.k_max([wall.damping])
+        passive = passivity_bound(loops.by_hand[NO_OPERATOR][0], damping=wall.damping).stiffness
+    except ConfigError as error:
+        return LateWall((_not_computed(error),), {}, {}, None)
+    checks = (
+        stability(experiment, delay, radius, limits),
+        *_theory_checks(experiment, loops, passive),
+    )
+    return LateWall(checks, radius, limits, passive)
+
+
+@question("stability")
+def _not_computed(error: ConfigError) -> Check:
+    return skipped(f"not computed: {error.message}")
+
+
+@question("stability")
+def stability(
+    experiment: Experiment, delay: int, radius: Mapping[str, float], limits: Mapping[str, float]
+) -> Check:
+    """Whether any hand makes the wall unstable, by its spectral radius and limits in each."""
+    wall, unit = experiment.wall, unit_of("stiffness", experiment.rig.motion)
+    hands, largest = unstable_hands(radius, wall.stiffness), min(limits.values())
+    what = f"K = {wall.stiffness:g} {unit} with B = {wall.damping:g}"
+    where = f"at {experiment.controller.position_rate} Hz with {ticks_text(delay)} of delay"
+    limit = f"spectral radius {max(radius.values()):.4g}; largest stable K = {largest:.4g}"
+    if not hands:
+        return ok(f"{what} is stable {where} in every hand ({limit})")
+    less = (
+        f"choose `stiffness` below {_rounded_down(largest)}" if largest > 0.0 else "choose another `damping`"
+    )
+    return refused(
+        f"{what} is unstable {where} ({', '.join(map(hand_text, hands))}; {limit})",
+        f"{less}, or a faster link or another rate; `rig doctor --url …` lists the stable walls",
+    )
+
+
+def _rounded_down(value: float) -> str:
+    """Two digits, not above the value."""
+    scale = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return f"{math.floor(value / scale) * scale:.12g}"
+
+
+def _theory_checks(experiment: Experiment, loops: LateLoops, passive: float) -> Iterator[Check]:
+    """Further results of theory: the stand-in for an estimator, homing, passivity."""
+    if loops.stand_in:
+        yield replace(warning(loops.stand_in), name="estimator")
+    homing = loops.radius(experiment.homing.stiffness, experiment.homing.damping)
+    worst = max(homing, key=lambda hand: homing[hand])
+    if homing[worst] >= 1.0:
+        radius = f"spectral radius {homing[worst]:.4g}"
+        text = f"homing would oscillate in {hand_text(worst)} ({radius}), within homing.effort"
+        yield replace(warning(text), name="homing")
+    wall, unit = experiment.wall, unit_of("stiffness", experiment.rig.motion)
+    kind = "passive" if wall.stiffness <= passive else "not passive, which is not required"
+    limit = f"the largest passive K at this damping and delay is {max(0.0, passive):.4g} {unit}"
+    yield replace(ok(f"the wall is {kind}: {limit}"), name="passivity")

@@ -1,0 +1,120 @@
+"""What a link and this computer make of a loop's rate: how many of its samples are lost, and which rate keeps them.
+
+Clock stamps are exchanged at the loop's own rate, in a thread scheduled like the loop. Answers follow each other
+by a period, or by the link's own time where that is longer. A reply that is late by whole periods means that a loop
+would have missed the samples of these periods, or received them late where the device paused as well; the measurement
+does not distinguish the two. The same replies show what a lower rate would lose.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.config import VerdictLimits
+from rig.config.sections import Host
+from rig.devices.framed import FramedDevice
+from rig.devices.local import host_beside
+from rig.doctor.gate import LOST_SHARE
+from rig.doctor.ping import EXCHANGE
+from rig.doctor.round_trip import TIMEOUT_S, LinkMeasurement, measure_link
+from rig.realtime.scheduling import obtained
+
+SECONDS = 2.0
+QUARTERS = 4  # a bad moment is not a bad machine: what counts is what each quarter of the measurement loses
+SLOWEST_HZ = 100  # below this rate no wall feels stiff
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pace:
+    """What was lost at a rate, or late by a period or more.
+
+    Attributes
+    ----------
+    rate_hz
+        Of the loop.
+    lost_share
+        Share of its samples that were lost or late.
+    longest_gap_s
+        Longest time without a sample that should have come (s).
+    hopeless
+        Whether nearly every trial would be invalid: in each quarter of the measurement a hit would have been.
+    kept_hz
+        Highest of the halves of the rate that loses no more than `LOST_SHARE`, by the same answers; None where none
+        above `SLOWEST_HZ` does.
+    """
+
+    rate_hz: int
+    lost_share: float
+    longest_gap_s: float
+    hopeless: bool
+    kept_hz: int | None
+
+    @property
+    def text(self) -> str:
+        """What was measured, where something was lost; empty where nothing was."""
+        if self.lost_share == 0.0:
+            return ""
+        lost = f"{100 * self.lost_share:.2g} % of the samples at {self.rate_hz} Hz, or is late with them"
+        return f"this computer or the link loses {lost}, up to {1e3 * self.longest_gap_s:.3g} ms at a time"
+
+
+def measured_pace(device: FramedDevice, host: Host, rate_hz: int, limits: VerdictLimits) -> Pace | None:
+    """Measure an open device for `SECONDS`; None in virtual time, where nothing is late.
+
+    Parameters
+    ----------
+    device
+        Open, and not in a run. Nothing moves.
+    host
+        Scheduling of the loop.
+    rate_hz
+        Of the loop.
+    limits
+        Of lost samples, beyond which a trial is invalid.
+
+    Raises
+    ------
+    LinkLostError
+        The device does not answer.
+    RealtimeError
+        Scheduling is demanded and not granted.
+    """
+    if device.link.clock.virtual:
+        return None
+    with obtained(host_beside(host, device.link)) as realtime:
+        return pace_of(measure_link(device, SECONDS, rate_hz, realtime=realtime), rate_hz, limits)
+
+
+def pace_of(measurement: LinkMeasurement, rate_hz: int, limits: VerdictLimits) -> Pace:
+    """What a measurement says of a rate."""
+    received_ns = measurement.exchanges[:, EXCHANGE.host_received]
+    apart_ns = np.diff(received_ns)
+    late_ns = np.maximum(apart_ns - int(np.median(apart_ns)), 0)
+    # An answer that never came was waited for, which a loop does not do: it loses one sample.
+    never = np.flatnonzero(late_ns >= 1e9 * TIMEOUT_S)[: max(0, measurement.lost - measurement.late)]
+
+    def missed(rate: int) -> NDArray[np.int64]:
+        samples: NDArray[np.int64] = late_ns * rate // 1_000_000_000
+        samples[never] = 1
+        return samples
+
+    def share(samples: NDArray[np.int64], rate: int) -> float:
+        return min(1.0, float(samples.sum()) / (rate * measurement.duration_s))
+
+    samples = missed(rate_hz)
+    quarter = np.minimum(QUARTERS * (received_ns[1:] - received_ns[0]) // apart_ns.sum(), QUARTERS - 1)
+    lost = np.array([samples[quarter == number].sum() for number in range(QUARTERS)])
+    longest = np.array([samples[quarter == number].max(initial=0) for number in range(QUARTERS)])
+    most = limits.lost_fraction * rate_hz * measurement.duration_s / QUARTERS
+    spoiled = (lost > most) | (longest > limits.longest_gap)
+    slower = (rate_hz >> halvings for halvings in range(1, rate_hz.bit_length()))
+    return Pace(
+        rate_hz=rate_hz,
+        lost_share=share(samples, rate_hz),
+        longest_gap_s=float(samples.max()) / rate_hz,
+        hopeless=bool(spoiled.all()),
+        kept_hz=next((r for r in slower if r >= SLOWEST_HZ and share(missed(r), r) <= LOST_SHARE), None),
+    )

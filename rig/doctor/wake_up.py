@@ -1,0 +1,108 @@
+"""How late a sleeping thread is woken on this machine, measured with the loop's own sleep."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numba import types
+from numpy.typing import NDArray
+
+from rig.core.answers import ok, question, warning
+from rig.core.check import Check
+from rig.realtime.handlers import take_no_signals
+from rig.realtime.kernel import kernel
+from rig.realtime.scheduling import RealtimeRequest, obtained
+from rig.realtime.system import monotonic_now, sleep_until
+
+if sys.platform == "linux":
+    from rig.realtime.scheduling.thread import ThreadState
+
+assert sys.platform == "linux"
+
+RATE_HZ = 1000
+LATE_S = 0.0002  # a fifth of the period
+
+
+@kernel(types.int64(types.int64, types.int64[::1]))
+def wake_ups(period_ns: int, late_ns: NDArray[np.int64]) -> int:
+    """Sleep to a grid of deadlines; each lateness goes into `late_ns`, the periods slept through are returned."""
+    skipped = 0
+    deadline = monotonic_now(0) + period_ns
+    for index in range(late_ns.size):
+        sleep_until(deadline)
+        late = monotonic_now(0) - deadline
+        late_ns[index] = late
+        missed = late // period_ns
+        skipped += missed
+        deadline += (1 + missed) * period_ns
+    return skipped
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WakeUps:
+    """Latenesses in seconds, and how the thread ran."""
+
+    rate_hz: int
+    count: int
+    p50_s: float
+    p99_s: float
+    worst_s: float
+    skipped: int
+    thread: ThreadState
+    refusals: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Trying:
+    """The same request, satisfied with what is granted."""
+
+    priority: int
+    cpu: int | None
+    realtime: str
+
+
+def measure(request: RealtimeRequest, seconds: float = 1.0, rate_hz: int = RATE_HZ) -> WakeUps:
+    """Measure for some seconds, scheduled as the loop would be as far as that is granted."""
+    asked = "try" if request.realtime == "enforce" else request.realtime
+    late = np.zeros(max(round(seconds * rate_hz), 2), np.int64)
+    ran: list[tuple[ThreadState, int]] = []
+    with obtained(_Trying(request.priority, request.cpu, asked)) as realtime:
+        realtime.prefault(late)
+
+        def body() -> None:
+            take_no_signals()
+            state = realtime.enter_thread() or ThreadState.here()
+            ran.append((state, wake_ups(1_000_000_000 // rate_hz, late)))
+
+        thread = threading.Thread(target=body, name="rig-wake-up", daemon=True)
+        thread.start()
+        thread.join()
+    state, skipped = ran[0]
+    p50, p99 = (float(value) * 1e-9 for value in np.quantile(late, (0.5, 0.99)))
+    return WakeUps(
+        rate_hz=rate_hz,
+        count=late.size,
+        p50_s=p50,
+        p99_s=p99,
+        worst_s=float(late.max()) * 1e-9,
+        skipped=skipped,
+        thread=state,
+        refusals=tuple(refusal.text for refusal in realtime.refusals),
+    )
+
+
+@question("wake-ups", "the time that waking takes is missing from each period, and varies from tick to tick")
+def judged(woken: WakeUps) -> Check:
+    """Judge a measurement."""
+    thread = woken.thread
+    policy = f"{thread.name} {thread.priority}" if thread.priority else thread.name
+    p50, p99, worst = (f"{value * 1e6:.0f} µs" for value in (woken.p50_s, woken.p99_s, woken.worst_s))
+    text = f"{woken.count} at {woken.rate_hz / 1000:g} kHz as {policy}: 50 % within {p50}, 99 % within {p99}"
+    text += f", longest {worst}" + (f"; {woken.skipped} periods missed" if woken.skipped else "")
+    text += "".join(f"; {refusal}" for refusal in woken.refusals)
+    found = warning(text) if woken.p99_s > LATE_S or woken.skipped else ok(text)
+    names = ("count", "rate_hz", "p50_s", "p99_s", "worst_s", "skipped")
+    return replace(found, numbers={name: getattr(woken, name) for name in names})

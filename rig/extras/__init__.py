@@ -1,0 +1,1 @@
+"""Extras: each folder stands beside the core, which runs without it."""

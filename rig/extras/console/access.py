@@ -1,0 +1,95 @@
+"""Who may open the page, and what a browser may load with it.
+
+A token is required on loopback too: any page of any site can open a socket to it, and any user of this computer. It
+stands in the fragment of the URL, which no browser sends, and comes back in the head of a request: as the second
+subprotocol that a socket offers, the only header that a page can add there, or as the bearer token of a download. The
+Host is checked as well as the Origin: a foreign DNS name that points at this computer (DNS rebinding) makes the two
+agree. A participant's screen has a token of its own, which opens nothing but that screen.
+"""
+
+from __future__ import annotations
+
+import hmac
+import secrets
+from collections.abc import Iterable
+from urllib.parse import parse_qs
+
+from rig.extras.console.sockets import Headers, HttpRequest
+
+SOCKETS = ("/live", "/hold", "/participant")
+SUBPROTOCOL = "rig"
+SHOWN = "token."  # begins the other subprotocol that a socket offers
+HEADERS = {
+    "Content-Security-Policy": "default-src 'self'; img-src 'self' blob:; style-src 'self'; frame-ancestors 'none'; "
+    "base-uri 'none'; form-action 'none'; object-src 'none'",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "Cache-Control": "no-store",
+}
+
+
+class Access:
+    """The door.
+
+    Parameters
+    ----------
+    port
+        On which the page is served.
+    hosts
+        Further names, NAME:PORT, under which a browser may reach it: the local end of a tunnel.
+
+    Attributes
+    ----------
+    url
+        Of the page, with its token.
+    participants
+        Token of participants' screens.
+    """
+
+    def __init__(self, port: int, hosts: Iterable[str] = ()) -> None:
+        self._token, self.participants = secrets.token_urlsafe(24), secrets.token_urlsafe(24)
+        self._hosts = {f"{name}:{port}" for name in ("127.0.0.1", "localhost")} | set(hosts)
+        self.url = f"http://127.0.0.1:{port}/#{self._token}"
+
+    def host_allowed(self, headers: Headers) -> bool:
+        """Whether a request was meant for this page."""
+        return _only(headers, "Host") in self._hosts
+
+    def origin_allowed(self, headers: Headers) -> bool:
+        """Return True if this page opened the socket: a browser always sends an Origin, so one without is refused."""
+        origin = _only(headers, "Origin")
+        return origin.removeprefix("http://") in self._hosts and origin.startswith("http://")
+
+    def token_right(self, token: object) -> bool:
+        """Whether this is the token, in a time that says nothing of how much of it is right."""
+        return _same(token, self._token)
+
+    def participants_right(self, token: object) -> bool:
+        """Whether this is the token of a participant's screen, likewise."""
+        return _same(token, self.participants)
+
+    def bearer_right(self, headers: Headers) -> bool:
+        """Whether a download shows the token."""
+        kind, _, token = _only(headers, "Authorization").partition(" ")
+        return kind == "Bearer" and self.token_right(token)
+
+    def guest(self, request: HttpRequest) -> str | None:
+        """Return the name of the page that opens a socket with the right token; None for any other request."""
+        path, _, query = request.path.partition("?")
+        token = _only(request.headers, "Sec-WebSocket-Protocol").partition(SHOWN)[2]
+        pages, participants = self.token_right(token), self.participants_right(token)
+        right = {"/live": pages, "/participant": participants, "/hold": pages or participants}[path]
+        name = parse_qs(query).get("client", [""])[0]
+        return name if right and 8 <= len(name) <= 64 else None
+
+
+def _only(headers: Headers, name: str) -> str:
+    """Return a header's value; "" if it is missing, or ambiguous because it was sent twice."""
+    values = headers.get_all(name)
+    return values[0] if len(values) == 1 else ""
+
+
+def _same(said: object, token: str) -> bool:
+    return isinstance(said, str) and hmac.compare_digest(said.encode(errors="replace"), token.encode())

@@ -1,0 +1,116 @@
+"""One page at its socket: what it is still to be sent, in a bounded memory, however slowly it reads.
+
+A page that reads slowly gets the newest state and one long piece of scope, not many short ones, and delays no other.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import traceback
+from collections.abc import Mapping
+from typing import Any
+
+from rig.core.errors import RigError
+from rig.core.present import plain
+from rig.extras.console.bounds import Allowance
+from rig.extras.console.follow import Followed
+from rig.extras.console.sockets import ServerConnection
+from rig.extras.console.view import View, ViewRequest
+
+MOST_REPLIES = 200  # that wait for a page: more, and it is cut off
+
+
+class Client:
+    """A page that has shown the token.
+
+    Attributes
+    ----------
+    name
+        Random, of the page's own choosing: its two sockets say the same.
+    participant
+        Whether it is a participant's screen, which shows and asks only what a participant may know.
+    shown, paused
+        What its scope shows.
+    allowance
+        Of its messages.
+    """
+
+    def __init__(self, socket: ServerConnection, name: str, *, participant: bool = False) -> None:
+        self.name, self.participant = name, participant
+        self.shown, self.paused = ViewRequest(), False
+        self._socket = socket
+        self._view: View | None = None
+        self._replies: list[str | bytes] = []
+        self._newest: dict[str, str] = {}
+        self._wake = asyncio.Event()
+        self.allowance = Allowance()
+
+    def reply(self, number: int, result: Any = None, error: RigError | None = None) -> None:
+        """Answer a request."""
+        told = {"say": "answer", "to": number}
+        told |= {"result": plain(result)} if error is None else {"error": error.as_mapping()}
+        self.put(json.dumps(told))
+
+    def put(self, message: str | bytes) -> None:
+        """Send a message that may not be left out; a page that leaves too many waiting is cut off."""
+        if len(self._replies) < MOST_REPLIES:
+            self._replies.append(message)
+        else:
+            self._socket.transport.abort()
+        self._wake.set()
+
+    def put_newest(self, message: Mapping[str, Any]) -> None:
+        """Send a message unless a newer one of its kind comes before it can leave."""
+        self._newest[str(message["say"])] = json.dumps(plain(message))
+        self._wake.set()
+
+    def compiles(self, busy: bool) -> None:
+        """Machine code that an answer to this page needs is being made, or is made."""
+        self.put_newest({"say": "compiling", "busy": busy})
+
+    def show(
+        self, followed: Followed | None, shown: ViewRequest | None = None, *, paused: bool | None = None
+    ) -> None:
+        """Show something else, or the same of another loop."""
+        self.shown = shown or self.shown
+        self.paused = self.paused if paused is None else paused
+        self._view = None if followed is None else View(followed.history, followed.rate, self.shown)
+
+    def wake(self) -> None:
+        """Rows have come."""
+        self._wake.set()
+
+    async def send(self) -> None:
+        """Send queued replies, states and scope frames as fast as the page reads them, until its socket closes."""
+        while True:
+            await self._wake.wait()
+            self._wake.clear()
+            replies, self._replies = self._replies, []
+            newest, self._newest = self._newest, {}
+            for message in [*replies, *newest.values()]:
+                await self._socket.send(message)
+            for frame in self._frames():
+                await self._socket.send(frame)
+
+    def _frames(self) -> list[bytes]:
+        """What its scope has not seen; a defect of ours costs it the scope."""
+        if self._view is None or self.paused:
+            return []
+        try:
+            return list(self._view.frames())
+        except Exception as error:
+            self._view = None
+            self.put(trouble(defect("the scope", error)))
+            return []
+
+
+def trouble(error: RigError) -> str:
+    """Return the message that reports an error to a page outside of any request."""
+    return json.dumps({"say": "trouble", "message": str(error)})
+
+
+def defect(do: str, error: BaseException) -> RigError:
+    """Return the error that a page shows for a defect of ours; print its traceback where the console runs."""
+    traceback.print_exception(error)
+    return RigError(f"{do}: {error!r}", remedy="report it with what stands where the console runs")

@@ -1,0 +1,63 @@
+"""What a person at the rig agrees to, in lines: the terminal asks with them, and the page that wants it shows the same.
+
+One line is a digest of all that decides what the rig does, so that the person who agrees and the operator can check
+that they mean the same; the job refuses another digest, since a file may change while a person reads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from rig.config import Experiment
+from rig.core.sample import unit_of
+from rig.extras.console.client import Client
+from rig.extras.console.requests import Run
+from rig.extras.console.session_requests import BeginSession
+from rig.extras.console.terminal import Terminal
+
+ENDS = "ends when no page operates any more"
+
+
+def to_run(request: Run, experiment: Experiment, digest: str) -> list[str]:
+    """Lines for a run on a real rig; `experiment` is that in effect."""
+    trial, wall = experiment.trial, experiment.wall
+    stiffness, damping = (unit_of(name, experiment.rig.motion) for name in ("stiffness", "damping"))
+    longest_s = trial.duration_s + trial.hold_s
+    changed = [f"{key} = {value}" for key, value in request.changes.items()]
+    return [
+        f"{request.url} for a {request.job} on {request.rig}",
+        f"changed: {', '.join(changed) or 'nothing'}",
+        f"a {trial.kind} trial of {longest_s:g} s at most",
+        f"wall: K {wall.stiffness:g} {stiffness}, B {wall.damping:g} {damping}, law {wall.law}",
+        f"without a page: {'goes on to its end' if request.goes_on else ENDS}",
+        f"experiment {digest}",
+    ]
+
+
+def to_session(request: BeginSession, url: str, digest: str) -> list[str]:
+    """Lines for a session on a real rig."""
+    whose = f"{request.code} with {request.protocol}"
+    if request.directory:
+        whose = f"{request.directory}, resumed{' at the block' if request.at == 'block' else ''}"
+    although = {
+        "walls that `rig session check` says it refuses": request.arm_anyway,
+        "a computer or link that loses samples": request.lossy_anyway,
+        "another device than before": request.other_device,
+        "another protocol than the study's earlier sessions": request.other_protocol,
+    }
+    return [
+        f"{url} for the session of {whose}",
+        f"although: {', '.join(what for what, said in although.items() if said) or 'nothing'}",
+        "lasts until its protocol is done, or the operator leaves",
+        "without a page: a hit ends, and the session waits",
+        f"protocol and experiment {digest}",
+    ]
+
+
+async def insist(terminal: Terminal, client: Client, url: str, lines: Sequence[str]) -> None:
+    """Show the lines in both places, and raise `ConfigError` unless a person at the terminal agrees."""
+    client.put_newest({"say": "consent", "lines": list(lines)})
+    try:
+        await terminal.insist(url, lines)
+    finally:
+        client.put_newest({"say": "consent", "lines": None})

@@ -1,0 +1,69 @@
+"""The view of devices: what is connected, what a link can do, and what each fault means."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+from annotated_types import Ge, Le
+
+from firmware_protocol.faults import Fault
+from rig.core.present import told
+from rig.doctor.here import here
+from rig.experiments.examine import ExaminationRequest, examine
+from rig.extras.console.client import Client
+from rig.extras.console.hits import experiment_of
+from rig.extras.console.requests import Name, Request
+from rig.extras.console.service import Handler, Service, ServiceContext
+from rig.extras.console.talk import Talk
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class AskDevices(Request):
+    """What is connected, and the faults that a device can report."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Examine(Request):
+    """Examine this machine, and a device if there is a URL; nothing moves."""
+
+    rig: Name = "koul-compliant"
+    url: Name = ""
+    seconds: Annotated[float, Ge(0.1), Le(60.0)] = 4.0
+
+
+class Devices(Service):
+    """See the module."""
+
+    def __init__(self, shared: ServiceContext) -> None:
+        self._shared = shared
+
+    def handlers(self) -> Mapping[str, tuple[type[Request], Handler]]:
+        """See `Service.handlers`."""
+        return {"devices": (AskDevices, self._devices), "examine": (Examine, self._examine)}
+
+    async def _devices(self, client: Client, request: AskDevices) -> Any:
+        found = await asyncio.to_thread(here)
+        faults = [{"name": one.name, "text": one.text, "remedy": one.remedy} for one in Fault if one]
+        return {"items": told(found.items()), "faults": faults}
+
+    async def _examine(self, client: Client, request: Examine) -> Any:
+        self._shared.must_operate(client)
+        content = {"rig": request.rig, "url": request.url, "seconds": request.seconds}
+        job = await self._shared.jobs.start("doctor", content)
+        return {"pid": job.pid}
+
+
+def doctor(content: Mapping[str, Any], talk: Talk) -> Any:
+    """The job: examine, and say what was found."""
+    url = str(content["url"])
+    question = ExaminationRequest(
+        experiment=experiment_of(content),
+        url=url or None,
+        realtime=url.startswith("sim:"),
+        seconds=float(content["seconds"]),
+    )
+    found = examine(question, lambda what, share: talk.progress(stage=what, share=share))
+    return {"items": told(found.items()), "error": None if found.error is None else str(found.error)}

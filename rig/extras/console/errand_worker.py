@@ -1,0 +1,62 @@
+"""The process that errands are done in (`rig.extras.console.errands`).
+
+``python -P -m rig.extras.console errands``: each line of input is an errand; its answer is a line with its result and
+the number of bytes that follow it, or with its error. The end of the input ends the process.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Callable
+from typing import Any, BinaryIO
+
+from rig.core.errors import RigError
+from rig.core.present import plain
+from rig.extras.console import hits, map_errands, recording_errands, regions, session_desk, session_lists
+from rig.realtime import compiling
+
+# Each takes its content by name and returns a result, or one and bytes.
+ERRANDS: dict[str, Callable[..., Any]] = {
+    "experiment": hits.described,
+    "regions": regions.asked,
+    "sessions": session_lists.listed,
+    "resumed": session_lists.resumed,
+    "session digest": session_desk.digest_of,
+    "maps": map_errands.directories,
+    "map": map_errands.described,
+    "map growth": map_errands.growth,
+    "map theory": map_errands.theory,
+    "map hit": map_errands.recorded,
+    "recordings": recording_errands.listed,
+    "recording": recording_errands.described,
+    "cut": recording_errands.cut,
+    "save cut": recording_errands.save_cut,
+    "picture": recording_errands.picture,
+    "export": recording_errands.exported,
+}
+
+
+def main() -> None:
+    """Do errands until standard input ends."""
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what a library prints is no answer
+    compiling.listen(lambda busy: _tell(answers, {"compiling": busy}))
+    for line in sys.stdin.buffer:
+        asked = json.loads(line)
+        try:
+            result = ERRANDS[asked["errand"]](**asked["content"])
+        except RigError as error:
+            _tell(answers, error.as_mapping())
+        except Exception as error:  # a defect of ours: report it to the page, and do the next errand
+            _tell(answers, {"error": f"{asked['errand']}: {error!r}", "remedy": "report it"})
+        else:
+            found, data = result if isinstance(result, tuple) else (result, b"")
+            _tell(answers, {"result": plain(found), "bytes": len(data)}, data)
+
+
+def _tell(answers: BinaryIO, message: dict[str, Any], data: bytes = b"") -> None:
+    answers.write(json.dumps(message).encode() + b"\n")
+    answers.write(data)
+    answers.flush()

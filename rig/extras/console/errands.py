@@ -1,0 +1,95 @@
+"""Errands: what the page's server has read, drawn or computed elsewhere, so that STOP never waits for it.
+
+A few processes (`rig.extras.console.errand_worker`), started when they are needed, each with one errand at a time; what
+they have read stays with them for the next one. They end with the server, also when it is killed: their input ends.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+from rig.core.child import with_this_package
+from rig.core.errors import RigError
+
+MOST = 2  # processes
+LINE_BYTES = 1 << 26  # of an answer
+END_S = 2.0
+
+
+class Errands:
+    """Sends errands out; closed with the server."""
+
+    def __init__(self) -> None:
+        self._room = asyncio.Semaphore(MOST)
+        self._idle: list[asyncio.subprocess.Process] = []
+        self._all: set[asyncio.subprocess.Process] = set()
+
+    async def run(
+        self, errand: str, *, compiling: Callable[[bool], None] = lambda busy: None, **content: Any
+    ) -> tuple[Any, bytes]:
+        """Have an errand done (`rig.extras.console.errand_worker.ERRANDS`); its result, and bytes where it has some.
+
+        `compiling` is called with True when a compilation begins, and with False when it ends. Raises `RigError` if
+        the errand fails or its process dies.
+        """
+        async with self._room:
+            process = self._idle.pop() if self._idle else await self._start()
+            try:
+                answer, data = await _asked(process, {"errand": errand, "content": content}, compiling)
+            except BaseException:  # cancelled, or dead: what it would still say is no answer to the next
+                await self._end(process)
+                raise
+            self._idle.append(process)
+        if "error" in answer:
+            raise RigError(answer["error"], remedy=answer["remedy"])
+        return answer["result"], data
+
+    async def close(self) -> None:
+        """End all processes."""
+        for process in tuple(self._all):
+            await self._end(process)
+
+    async def _start(self) -> asyncio.subprocess.Process:
+        try:
+            process = await asyncio.create_subprocess_exec(
+                *(sys.executable, "-P", "-m", "rig.extras.console", "errands"),
+                stdin=asyncio.subprocess.PIPE,
+                stdout=asyncio.subprocess.PIPE,
+                limit=LINE_BYTES,
+                env=with_this_package(),
+                start_new_session=True,
+            )
+        except OSError as error:
+            raise RigError(
+                f"no process for an errand: {error.strerror}", remedy="free some memory"
+            ) from error
+        self._all.add(process)
+        return process
+
+    async def _end(self, process: asyncio.subprocess.Process) -> None:
+        self._all.discard(process)
+        with suppress(ProcessLookupError):
+            process.kill()  # it holds nothing that could be lost: files appear whole or not at all
+        await process.wait()
+
+
+async def _asked(
+    process: asyncio.subprocess.Process, message: dict[str, Any], compiling: Callable[[bool], None]
+) -> tuple[dict[str, Any], bytes]:
+    assert process.stdin is not None
+    assert process.stdout is not None
+    try:
+        process.stdin.write(json.dumps(message).encode() + b"\n")
+        await process.stdin.drain()
+        while "compiling" in (answer := json.loads(await process.stdout.readuntil(b"\n"))):
+            compiling(answer["compiling"])
+        return answer, await process.stdout.readexactly(answer.get("bytes", 0))
+    except (OSError, asyncio.IncompleteReadError) as error:
+        raise RigError(
+            f"the process for {message['errand']} ended", remedy="its reason stands where the console runs"
+        ) from error

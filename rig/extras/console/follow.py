@@ -1,0 +1,141 @@
+"""The loops of this computer as a console sees them: found, one of them looked at, its rows kept."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping
+from contextlib import suppress
+from typing import Any
+
+from firmware_protocol.faults import Fault
+from rig.core.errors import RigError
+from rig.core.sample import RowFlag, phase_name
+from rig.extras.console.history import History
+from rig.loop.layout import EndReason
+from rig.realtime import ring as words
+from rig.realtime.memories import LAYOUT_VERSION, STOP
+from rig.realtime.ring import Ring
+from rig.realtime.row_reader import RowReader
+from rig.realtime.running import RunningLoop, running
+
+_COUNTERS = {
+    "dropped": words.DROPPED, "lost": words.LOST, "late": words.LATE, "skipped": words.SKIPPED,
+    "bad_frames": words.BAD_FRAMES, "stale": words.STALE, "overruns": words.OVERRUNS,
+}  # fmt: skip
+
+
+class Followed:
+    """One loop that is looked at: only the stop word is ever written.
+
+    Attributes
+    ----------
+    pid, info
+        Process of the loop, and what it says of its run.
+    rate
+        Rows a second (Hz).
+    history
+        Its rows.
+    """
+
+    def __init__(self, loop: RunningLoop, history: History) -> None:
+        self.rate = _rate_of(loop.info)
+        self.pid, self.since = loop.pid, loop.since
+        self._ring = Ring.attach(loop.path)
+        self._reader = RowReader(self._ring)
+        self._info_word = -1
+        self.info: dict[str, Any] = {}
+        self._look_at_info()
+        history.clear()
+        self.history = history
+        self.ended = False
+
+    def poll(self) -> None:
+        """Take over the rows that have come."""
+        done = self._ring.get(words.LOOP_DONE) != 0  # before the rows: what follows is then all
+        self.history.add(self._reader.new())
+        self.ended = done
+
+    def stop(self) -> None:
+        """Set the stop word: zero effort within one tick."""
+        self._ring.put(STOP, -os.getpid())
+
+    def changed(self) -> bool:
+        """Whether its info is another one than at the last call."""
+        return self._look_at_info()
+
+    def state(self) -> dict[str, Any]:
+        """How it stands, as plain values."""
+        ring, newest = self._ring, self.history.raw(self.history.rows - 1, self.history.rows)
+        told = {
+            "pid": self.pid,
+            "phase": phase_name(ring.get(words.PHASE)),
+            "ticks": ring.get(words.TICKS),
+            "set": ring.get(words.PARAMETER_SET),
+            "stopping": ring.get(STOP) != 0,
+            "counters": {name: ring.get(word) for name, word in _COUNTERS.items()},
+            "unseen": self._reader.lost,
+            "ended": _reason(ring.get(words.END_REASON)) if self.ended else None,
+        }
+        if len(newest):
+            row = newest[0]
+            fault = int(row["fault"])
+            told |= {
+                "fault": Fault(fault).name.lower() if fault in set(Fault) else fault,
+                "inside": bool(row["flags"] & RowFlag.INSIDE),
+                "values": {
+                    name: float(row[name]) for name in ("position", "velocity", "effort_sent", "penetration")
+                },
+            }
+        return told
+
+    def about(self) -> dict[str, Any]:
+        """What it runs, as plain values."""
+        return {
+            "pid": self.pid,
+            "since": self.since,
+            "rate": self.rate,
+            **{
+                name: self.info.get(name)
+                for name in ("url", "recording", "experiment", "parameter_sets", "law", "gate")
+            },
+        }
+
+    def close(self) -> None:
+        """Release its shared memory; rows that were read stay in the history."""
+        self._ring.close()
+
+    def _look_at_info(self) -> bool:
+        word = self._ring.get(words.INFO)
+        if word == self._info_word:
+            return False
+        self.info, self._info_word = self._ring.info_and_word()
+        return True
+
+
+def attached(loop: RunningLoop, history: History) -> Followed | None:
+    """Look at a loop; None where it has just ended, or was started by another version of this package."""
+    with suppress(OSError, RigError):
+        return Followed(loop, history) if loop.version == LAYOUT_VERSION else None
+    return None
+
+
+def _rate_of(info: Mapping[str, Any]) -> float:
+    """Rows a second; `RigError` where another program left what is no rate."""
+    try:
+        rate = float(((info.get("experiment") or {}).get("controller") or {}).get("position_rate") or 1000.0)
+    except (AttributeError, TypeError, ValueError):
+        rate = math.nan
+    if not 0.0 < rate < math.inf:
+        raise RigError("a loop says no rate of itself", remedy="stop it: rig stop")
+    return rate
+
+
+def newest(pid: int | None = None) -> RunningLoop | None:
+    """The loop that began last, of all or of one process."""
+    found = [loop for loop in running() if pid in (None, loop.pid)]
+    return found[-1] if found else None
+
+
+def _reason(reason: int) -> str:
+    return EndReason(reason).name.lower().replace("_", " ") if reason in set(EndReason) else str(reason)

@@ -1,0 +1,110 @@
+"""Jobs that hit a wall: the motor does it, or a person who drags the handle of a simulated rig."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from rig import config
+from rig.config import Experiment, presets
+from rig.config.controller import for_experiment
+from rig.core.errors import ConfigError
+from rig.core.sample import phase_name
+from rig.doctor.gate import Gate
+from rig.experiments import hit as hits
+from rig.extras.console.talk import Talk
+from rig.recording.canonical import canonical_json
+
+EVERY_S = 0.05  # between two words on the progress
+PLAY = {  # a person's trial that judges nothing of how the wall is met; a simulated winding does not burn
+    "trial.kind": "human", "trial.hold_s": 0.0, "trial.baseline_s": 0.0, "trial.foreperiod_s": 0.0,
+    "rig.limits.thermal_time_constant_s": 8000.0,
+}  # fmt: skip
+SIMULATED = "sim://"
+
+
+def experiment_of(content: Mapping[str, Any]) -> Experiment:
+    """The experiment that a page names: a built-in rig or a file."""
+    return presets.load_named(str(content.get("rig") or "koul-compliant"))
+
+
+def in_effect(experiment: Experiment, changes: Mapping[str, Any]) -> Experiment:
+    """An experiment in real time with a page's changes: keys checked, and that its estimator can be realised."""
+    found = config.with_realtime(experiment, changes)
+    for_experiment(found, current_quantum_a=found.rig.amplifier.current_quantum_a)
+    return found
+
+
+def described(rig: str, changes: Mapping[str, Any]) -> dict[str, Any]:
+    """An experiment in effect as a mapping, and its digest."""
+    experiment = in_effect(experiment_of({"rig": rig}), changes)
+    return {"experiment": config.as_mapping(experiment), "digest": digest_of(experiment)}
+
+
+def digest_of(experiment: Experiment) -> str:
+    """Short digest of all that decides a hit: two that are equal mean the same experiment."""
+    return short(canonical_json(config.as_mapping(experiment)))
+
+
+def short(data: bytes) -> str:
+    """Digest that two people can compare."""
+    found = hashlib.sha256(data).hexdigest()
+    return f"{found[:4]} {found[4:8]}"
+
+
+def hit(content: Mapping[str, Any], talk: Talk) -> Any:
+    """Run an automated hit in real time, or a person's on a real rig; refuse another experiment than was agreed to."""
+    experiment, changes = experiment_of(content), dict(content.get("changes") or {})
+    agreed = content.get("digest")
+    if agreed is not None and agreed != digest_of(in_effect(experiment, changes)):
+        raise ConfigError(
+            f"the experiment of {content['rig']} is another one than was agreed to", remedy="start it again"
+        )
+    return _run(experiment, content, talk, changes, str(content.get("url") or SIMULATED))
+
+
+def play(content: Mapping[str, Any], talk: Talk) -> Any:
+    """Run a simulated rig whose hand a person drags, through the file `hand` (`rig.realtime.hand`)."""
+    url = str(content.get("url") or SIMULATED)
+    if not url.startswith("sim:"):
+        raise ConfigError(f"{url}: no hand is dragged there", remedy="hold its handle, and start a hit")
+    url += ("&" if "?" in url else "?") + f"hand={content['hand']}"
+    changes = {**PLAY, "trial.duration_s": float(content["duration_s"]), **(content.get("changes") or {})}
+    return _run(experiment_of(content), content, talk, changes, url)
+
+
+def _run(
+    experiment: Experiment, content: Mapping[str, Any], talk: Talk, changes: Mapping[str, Any], url: str
+) -> Any:
+    request = hits.HitRequest(
+        experiment=experiment,
+        url=url,
+        changes=changes,
+        realtime=True,
+        verified=bool(content.get("verified")),
+        output=Path(str(content["output"])),
+        measuring=lambda share: talk.progress(stage="measuring the link", share=share),
+        judged_link=lambda gate: _say(gate, talk),
+        hands_off=lambda text: talk.progress(stage=text),
+    )
+    return list(hits.hit(request, lambda _, __: _watch(talk)))
+
+
+def _watch(talk: Talk) -> Callable[[int, int], None]:
+    said = 0.0
+
+    def told(ticks: int, phase: int) -> None:
+        nonlocal said
+        if time.monotonic() - said >= EVERY_S:
+            said = time.monotonic()
+            talk.progress(stage=phase_name(phase), ticks=ticks)
+
+    return told
+
+
+def _say(gate: Gate, talk: Talk) -> None:
+    if not gate.armable:
+        talk.progress(stage="arming a simulated rig although", why=gate.text)

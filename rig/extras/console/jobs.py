@@ -1,0 +1,217 @@
+"""Jobs of a console: one at a time, each a process of its own (`rig.extras.console.worker`) that ends with it."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import signal
+import sys
+import traceback
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from typing import Any
+
+from rig.core.child import with_this_package
+from rig.core.errors import ConfigError, RigError, StoppedError
+from rig.realtime.running import ask_to_stop
+
+END_S = 10.0  # longest time that a job may take to bring its recording to rest after the request to end
+TAIL_BYTES = 4096
+LINE_BYTES = 1 << 24  # of a message: a result with all its numbers
+
+
+class Job:
+    """One that runs.
+
+    Attributes
+    ----------
+    name, content
+        What it is, and what it was given.
+    goes_on
+        Whether it continues after its operator has left.
+    asks
+        Whether a STOP makes it ask the operator how to continue, instead of ending it.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        content: Mapping[str, Any],
+        process: asyncio.subprocess.Process,
+        *,
+        goes_on: bool,
+        asks: bool = False,
+    ) -> None:
+        self.name, self.content, self.goes_on, self.asks = name, content, goes_on, asks
+        self._process = process
+        self._interrupted = False
+        self._complaint = asyncio.create_task(
+            self._complaints()
+        )  # read at once: a full pipe stops its writer
+
+    @property
+    def pid(self) -> int:
+        """Of its process, whose loops are its own."""
+        return self._process.pid
+
+    def end(self) -> None:
+        """Zero effort by the stop word of its loop, or an interrupt where no loop runs yet. Never waits.
+
+        A job that `asks` gets a stop message instead of the interrupt: it continues as the operator then decides.
+        """
+        loops = ask_to_stop(self.pid)
+        if self.asks:
+            self.answer({"kind": "stop"})
+        elif loops == 0:
+            self._interrupted = True
+            with suppress(ProcessLookupError):
+                self._process.send_signal(signal.SIGINT)
+
+    def answer(self, value: Any) -> None:
+        """Answer what it asks."""
+        assert self._process.stdin is not None
+        if not self._process.stdin.is_closing():
+            self._process.stdin.write(json.dumps(value).encode() + b"\n")
+
+    def beat(self) -> None:
+        """Say that the console is there."""
+        if self._process.stdin is not None and self._process.stdin.transport.get_write_buffer_size() == 0:
+            self._process.stdin.write(b"\n")
+
+    async def follow(self, tell: Callable[[Mapping[str, Any]], None]) -> int:
+        """Hand on its messages until it has ended; its exit code."""
+        assert self._process.stdout is not None
+        concluded = False
+        async for line in self._process.stdout:
+            if (message := _message(line)) is not None:
+                concluded |= message["say"] in ("done", "failed")
+                tell(message)
+        code = await self._process.wait()
+        if not concluded:
+            why = await self._complaint
+            if self._interrupted and code in (-signal.SIGINT, 1, 130):  # Python was still importing
+                error: RigError = StoppedError("stopped before anything moved")
+            else:
+                error = RigError(f"the process of the {self.name} ended with {code}", remedy=why)
+            tell({"say": "failed", **error.as_mapping()})
+        return code
+
+    async def close(self) -> None:
+        """Let it end, or make it."""
+        if self._process.returncode is None:
+            self.end()
+            if self.asks and self._process.stdin is not None:
+                self._process.stdin.close()  # no answer will come any more
+            try:
+                async with asyncio.timeout(END_S):
+                    await self._process.wait()
+            except TimeoutError:
+                self._process.kill()
+                await self._process.wait()
+
+    async def _complaints(self) -> str:
+        """The last line that it leaves on its standard error."""
+        assert self._process.stderr is not None
+        kept = b""
+        while data := await self._process.stderr.read(TAIL_BYTES):
+            kept = (kept + data)[-TAIL_BYTES:]
+        lines = kept.decode(errors="replace").strip().splitlines()
+        return lines[-1] if lines else "it does not say why"
+
+
+def _message(line: bytes) -> dict[str, Any] | None:
+    """What a line says; None for what some library has printed."""
+    try:
+        found = json.loads(line)
+    except (ValueError, RecursionError):
+        return None
+    return found if isinstance(found, dict) and isinstance(found.get("say"), str) else None
+
+
+class Jobs:
+    """Starts jobs; only one runs at a time.
+
+    Parameters
+    ----------
+    tell
+        Called with the job and each of its messages; the last one reports its end.
+    """
+
+    def __init__(self, tell: Callable[[Job, Mapping[str, Any]], None]) -> None:
+        self._tell = tell
+        self._task: asyncio.Task[None] | None = None
+        self._starts = ""  # name of a job whose process is being made
+        self._stops = 0
+        self._closed = False
+        self.running: Job | None = None
+
+    async def start(
+        self, name: str, content: Mapping[str, Any], *, goes_on: bool = False, asks: bool = False
+    ) -> Job:
+        """Start a job, one of `rig.extras.console.worker.JOBS`.
+
+        Raises
+        ------
+        ConfigError
+            Another one runs.
+        RigError
+            No process for it.
+        """
+        busy = self._starts if self.running is None else self.running.name
+        if busy:
+            raise ConfigError(f"a {busy} runs", remedy="stop it first")
+        if self._closed:
+            raise ConfigError("the console ends", remedy="start it again: rig console")
+        self._starts, stops = name, self._stops
+        try:
+            process = await asyncio.create_subprocess_exec(
+                *(sys.executable, "-P", "-m", "rig.extras.console", "job"),
+                stdin=asyncio.subprocess.PIPE,
+                stdout=asyncio.subprocess.PIPE,
+                stderr=asyncio.subprocess.PIPE,
+                limit=LINE_BYTES,
+                env=with_this_package(),
+                start_new_session=True,  # Ctrl-C on the terminal is the console's to answer
+            )
+        except OSError as error:
+            raise RigError(f"no process for a {name}: {error.strerror}", remedy="free some memory") from error
+        finally:
+            self._starts = ""
+        job = self.running = Job(name, content, process, goes_on=goes_on, asks=asks)
+        job.answer({"job": name, "content": content, "goes_on": goes_on})
+        self._task = asyncio.create_task(self._follow(job))
+        if stops != self._stops:
+            job.end()
+        return job
+
+    def end(self) -> None:
+        """End what runs, or what is just being started; as `Job.end`."""
+        self._stops += 1
+        if self.running is not None:
+            self.running.end()
+
+    def beat(self) -> None:
+        """Say to what runs that the console is there."""
+        if self.running is not None:
+            self.running.beat()
+
+    async def close(self) -> None:
+        """End the running job, unless it continues without a console, and start no other."""
+        self._closed = True
+        self._stops += 1
+        if self.running is not None and not self.running.goes_on:
+            await self.running.close()
+            if self._task is not None:
+                await self._task
+
+    async def _follow(self, job: Job) -> None:
+        try:
+            await job.follow(lambda message: self._tell(job, message))
+        except Exception as error:  # a defect of ours: a job whose messages are not read must not move
+            traceback.print_exception(error)
+            told = RigError(f"the {job.name} could not be followed: {error!r}", remedy="report it")
+            self._tell(job, {"say": "failed", **told.as_mapping()})
+            await job.close()
+        finally:
+            self.running = None
+            self._tell(job, {"say": "ended"})

@@ -1,0 +1,78 @@
+"""Who operates: one page, as long as its heartbeats arrive; the others only watch.
+
+The page's heartbeat comes from a worker of its own, since browsers throttle the timers of hidden pages, and says that
+the page itself has answered that worker. A beat is due within `BEAT_S`; a page that is silent for `LOST_S` operates no
+more, and what it moves stops. A server that looks late did not listen either, and beats may wait in its socket: it
+looks once more. So silence lasts for `LOST_S` and two looks at most, however late they are; a server that is later than
+`rig.extras.console.talk.SILENT_S` is taken to hang by the job itself.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+BEAT_S = 0.3
+LOST_S = 1.0
+LOOK_S = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class LeaseState:
+    """State of the lease: the page that has it (None: no page), and whether its heartbeat is overdue."""
+
+    by: str | None
+    overdue: bool
+
+
+class Lease:
+    """One operator at a time.
+
+    Parameters
+    ----------
+    now
+        The time (s, monotonic).
+    """
+
+    def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
+        self._now = now
+        self._by: str | None = None
+        self._heard = 0.0
+        self._looked = now()
+        self._doubted = False  # a late look has found it silent
+
+    def take(self, client: str) -> bool:
+        """Make `client` the operator if there is no other; return True if `client` operates now."""
+        if self._by is None:
+            self._by, self._heard, self._doubted = client, self._now(), False
+        return self._by == client
+
+    def beat(self, client: str) -> None:
+        """Note a heartbeat; only the operator's counts."""
+        if client == self._by:
+            self._heard, self._doubted = self._now(), False
+
+    def release(self, client: str) -> None:
+        """Operate no more."""
+        if client == self._by:
+            self._by = None
+
+    def held(self) -> LeaseState:
+        """How it stands now."""
+        return LeaseState(self._by, self._by is not None and self._now() - self._heard > BEAT_S)
+
+    def expire(self) -> str | None:
+        """Take the lease from a page that was silent for more than `LOST_S`; return that page once, else None.
+
+        Call it every `LOOK_S`: beats that wait in the socket at a late call can be read before the next one.
+        """
+        now = self._now()
+        late, self._looked = now - self._looked > 2.0 * LOOK_S, now
+        if self._by is None or now - self._heard <= LOST_S:
+            return None
+        if late and not self._doubted:
+            self._doubted = True
+            return None
+        gone, self._by = self._by, None
+        return gone

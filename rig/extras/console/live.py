@@ -1,0 +1,254 @@
+"""The live view: the loop that is looked at, and what each page's scope shows of it."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import math
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from rig.core.errors import ConfigError
+from rig.core.present import plain
+from rig.extras.console import requests as asked
+from rig.extras.console.client import Client, defect
+from rig.extras.console.follow import Followed, attached, newest
+from rig.extras.console.history import History
+from rig.extras.console.service import Handler, Service, ServiceContext
+from rig.extras.console.terminal import Terminal
+from rig.extras.console.view import POINTS, ViewRequest, packed
+from rig.realtime.hand import SharedHand
+from rig.realtime.memories import ask_to_stop
+from rig.realtime.running import RunningLoop
+from rig.recording.seal import SEALED_SUFFIX
+
+FRAME_S = 1.0 / 60.0
+STATE_S = 0.1
+SEARCH_S = 0.25
+DEFECT_S = 10.0  # between two words on the same defect
+
+
+class Live(Service):
+    """See the module.
+
+    Parameters
+    ----------
+    own
+        As `rig.extras.console.server.ConsoleSettings`.
+    """
+
+    def __init__(self, shared: ServiceContext, hand: SharedHand, terminal: Terminal, *, own: bool) -> None:
+        self._shared, self._hand, self._terminal, self._own = shared, hand, terminal, own
+        self._history = History()
+        self._followed: Followed | None = None
+        self._pid: int | None = None  # whose loop is wanted while no job runs; None: whichever began last
+        self._withheld = False  # whether no page may show that loop
+        self._unreadable: tuple[int, float] | None = None  # a loop that a defect of ours cannot read
+        self._defects: dict[str, float] = {}  # when each was last reported (s)
+
+    def handlers(self) -> Mapping[str, tuple[type[asked.Request], Handler]]:
+        """See `Service.handlers`."""
+        return {
+            "stop": (asked.Stop, self._stop),
+            "show": (asked.Show, self._show),
+            "zoom": (asked.Zoom, self._zoom),
+            "cut": (asked.Cut, self._cut),
+            "look": (asked.Look, self._look),
+        }
+
+    def greet(self, client: Client) -> None:
+        """See `Service.greet`."""
+        client.show(self._followed)
+        self._tell_loop(client)
+
+    # Requests.
+
+    async def _stop(self, client: Client, request: asked.Stop) -> None:
+        self.stop_all()
+
+    def stop_all(self) -> None:
+        """Set the stop word of every loop of this user, first of the followed loop and the job, without a search."""
+        if self._followed is not None and not self._followed.ended:
+            self._followed.stop()
+        self._shared.jobs.end()
+        self._terminal.withdraw()
+        for memory in ask_to_stop():
+            memory.close()
+
+    async def _show(self, client: Client, request: asked.Show) -> None:
+        shown = ViewRequest(columns=request.columns, window_s=request.window_s, trigger=request.trigger)
+        client.show(self._followed, shown, paused=request.paused)
+
+    async def _zoom(self, client: Client, request: asked.Zoom) -> None:
+        shown = ViewRequest(columns=request.columns)
+        history = self._history
+        first, last = history.row_at(request.first_s), history.row_at(request.last_s)
+        step = max(1, (last - first) // POINTS)
+        client.put(
+            packed(history.cut(shown.columns, first, last, step), shown.columns, kind="zoom", fresh=True)
+        )
+
+    async def _cut(self, client: Client, request: asked.Cut) -> object:
+        """Cut what was recorded, at full rate, of which the history has a part or points."""
+        self._shared.must_operate(client)
+        followed = self._followed
+        recorded = None if followed is None else followed.info.get("recording")
+        if followed is None or not recorded:
+            raise ConfigError("no loop that was recorded is looked at", remedy="start a run first")
+        if not followed.ended:
+            raise ConfigError(
+                "a cut is taken from the recording, which is whole when the run has ended",
+                remedy="stop it, or wait",
+            )
+        path = Path(str(recorded))
+        sealed = path.with_suffix(SEALED_SUFFIX)
+        cut = self._shared.save_cut(
+            sealed if sealed.exists() else path, request.first_s, request.last_s, self._history.start_ns
+        )
+        return self.answer_later(client, request, cut)
+
+    async def _look(self, client: Client, request: asked.Look) -> None:
+        self._pid = request.pid or None
+        await self.search()
+
+    def looked_at(self) -> Followed:
+        """The loop that is looked at; raises `ConfigError` where none runs."""
+        if self._followed is None or self._followed.ended:
+            raise ConfigError("no loop runs", remedy="start a run first")
+        return self._followed
+
+    def look_at_newest(self) -> None:
+        """From now on look at whichever loop begins."""
+        self._pid = None
+
+    # Periodic tasks.
+
+    async def every_frame(self) -> None:
+        """Take over rows and hand them on, sixty times a second."""
+        due = 0.0
+        while True:
+            with self._surviving("the loop that is looked at"):
+                self._take_rows()
+            with self._surviving("what a page is shown"):
+                self._tell_hand()
+                if (now := time.monotonic()) >= due:
+                    due = now + STATE_S
+                    self._tell_state()
+            for client in self._shared.clients:
+                client.wake()
+            await asyncio.sleep(FRAME_S)
+
+    def _take_rows(self) -> None:
+        followed = self._followed
+        if followed is None or followed.ended:
+            return
+        try:
+            followed.poll()
+            if followed.changed():
+                self._tell_loop()
+        except Exception:
+            self._unreadable = (followed.pid, followed.since)
+            self._withhold()
+            raise
+
+    async def every_search(self) -> None:
+        """Look for another loop."""
+        while True:
+            with self._surviving("the search for loops"), suppress(OSError):
+                await self.search()  # out of descriptors, perhaps because of another program: try again
+            await asyncio.sleep(SEARCH_S)
+
+    @contextmanager
+    def _surviving(self, what: str) -> Iterator[None]:
+        """Report a defect of ours once per `DEFECT_S` at most; it must not end the server, which takes a STOP."""
+        try:
+            yield
+        except Exception as error:
+            now = time.monotonic()
+            if now - self._defects.get(what, -math.inf) > DEFECT_S:
+                self._defects[what] = now
+                self._shared.tell_trouble(defect(what, error))
+
+    async def search(self) -> None:
+        """Follow the wanted loop, unless it is followed already; follow none while its operator must be blinded."""
+        if self._shared.blinded:
+            self._withhold()
+            return
+        pid = self._pid
+        if self._shared.jobs.running is not None:
+            pid = self._shared.jobs.running.pid
+        elif self._own:
+            return
+        found = await asyncio.to_thread(newest, pid)
+        if found is None:
+            self._withheld = False
+        if found is None or self._shared.blinded or self._is_looked_at(found):
+            return
+        self._withheld = bool(found.info.get("blinded"))  # a session of another terminal
+        if self._withheld:
+            self._withhold()
+            return
+        if self._unreadable == (found.pid, found.since) or (made := attached(found, self._history)) is None:
+            return
+        if self._followed is not None:
+            self._followed.close()
+        self._followed = made
+        for client in self._shared.clients:
+            client.show(made)
+            self._tell_loop(client)
+
+    def _withhold(self) -> None:
+        if self._followed is not None:
+            self._followed.close()
+            self._followed = None
+            self._history.clear()
+            for client in self._shared.clients:
+                client.show(None)
+
+    def _is_looked_at(self, loop: RunningLoop) -> bool:
+        followed = self._followed
+        return followed is not None and (followed.pid, followed.since) == (loop.pid, loop.since)
+
+    def _tell_state(self) -> None:
+        held = self._shared.lease.held()
+        followed = self._followed
+        state = None if followed is None else followed.state()
+        job = self._shared.jobs.running
+        for client in self._shared.clients:
+            client.put_newest(
+                {
+                    "say": "state",
+                    "operates": held.by == client.name,
+                    "operated": held.by is not None,
+                    "overdue": held.overdue,
+                    "loop": state,
+                    "job": None if job is None else job.name,
+                    "blinded": self._shared.blinded or self._withheld,
+                    "pages": len(self._shared.clients),
+                }
+            )
+
+    def _tell_hand(self) -> None:
+        motions = self._hand.motions()
+        if motions and self._history.rows:
+            told = [
+                [self._history.seconds_of(one.device_time_ns), one.hand, one.handle, one.velocity]
+                for one in motions
+            ]
+            for client in self._shared.clients:
+                client.put_newest({"say": "hand", "motions": told})
+
+    def _tell_loop(self, only: Client | None = None) -> None:
+        if self._followed is not None:
+            told = json.dumps({"say": "loop", **plain(self._followed.about())})
+            for client in self._shared.clients if only is None else {only}:
+                client.put(told)
+
+    async def close(self) -> None:
+        """See `Service.close`."""
+        self._terminal.withdraw()
+        if self._followed is not None:
+            self._followed.close()
+        await super().close()

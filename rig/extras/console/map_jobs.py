@@ -1,0 +1,62 @@
+"""The job that maps a simulated rig, as ``rig zwidth`` does; what it finds, the page reads in the map's directory."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from rig import config
+from rig.config import Experiment
+from rig.config.schemes import Scheme
+from rig.experiments import maps
+from rig.experiments.map_request import MapRequest
+from rig.experiments.ranges import frequency_plan
+from rig.experiments.searches import numbers_of
+from rig.experiments.sweep import Progress
+from rig.experiments.zwidth_frequency import FrequencyPlan
+from rig.extras.console.hits import experiment_of
+from rig.extras.console.talk import Talk
+
+
+def zwidth(content: Mapping[str, Any], talk: Talk) -> Any:
+    """Map hits or impedances (`rig.extras.console.maps.RunMap`); returns the map's name."""
+    experiment = config.override(experiment_of(content), content["changes"], "the page")
+    frequency = content["domain"] == "frequency"
+    plan = _impedances(experiment, content) if frequency else MapRequest(**_fields(content)).plan(experiment)
+    name = "impedance-map" if frequency else "zwidth"
+    place = maps.directory_for(plan, Path(content["output"]), name)
+    said = False
+
+    def watch(progress: Progress) -> None:
+        nonlocal said
+        if not said:  # the directory is there
+            talk.tell("mapping", map=place.name)
+            said = True
+        talk.progress(stage="stopping" if progress.stopping else "mapping", map=place.name)
+
+    maps.map_into(plan, place, watch=watch)
+    return {"map": place.name}
+
+
+def _fields(content: Mapping[str, Any]) -> dict[str, Any]:
+    return {one.name: content[one.name] for one in fields(MapRequest)}
+
+
+def _impedances(experiment: Experiment, content: Mapping[str, Any]) -> FrequencyPlan:
+    return frequency_plan(
+        experiment,
+        _schemes(content),
+        stiffnesses=_numbers(content, "stiffness"),
+        dampings=_numbers(content, "damping"),
+        signal={None: None, "true": "truth", "recorded": "count"}[content["judged"]],
+    )
+
+
+def _schemes(content: Mapping[str, Any]) -> list[Scheme]:
+    return [Scheme.parse(text) for text in content["schemes"]]
+
+
+def _numbers(content: Mapping[str, Any], name: str) -> tuple[float, ...] | None:
+    return numbers_of(content[name], name) if content[name] else None

@@ -1,0 +1,232 @@
+"""The view of maps: each map in the directory of maps, from any program, grows on the page as its journal does.
+
+A map that a page starts is a job like others (`rig.extras.console.map_jobs`); its cells come by the way of all maps,
+from the directory. Nothing here moves a rig: a map on a device is started by its command, where a person agrees to each
+hit.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import time
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from annotated_types import Ge, Le
+
+from rig.core.errors import ConfigError, RigError
+from rig.experiments.map_request import MapRequest
+from rig.extras.console.client import Client, defect, trouble
+from rig.extras.console.place import directory_in
+from rig.extras.console.requests import Changes, Name, Request, refuse_reserved
+from rig.extras.console.service import Handler, Service, ServiceContext
+
+MAPS = "maps"  # beside the directory of the recordings, as the command has it
+POLL_S = 0.5
+JOB = "map"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class AskMaps(Request):
+    """Which maps there are."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RunMap(Request, MapRequest):
+    """Map a simulated rig."""
+
+    domain: Literal["time", "frequency"] = "time"
+    rig: Name = "koul-compliant"
+    changes: Changes = field(default_factory=dict)
+    ratio: Annotated[float, Ge(1.0001), Le(1e6)] = 1.06
+    goes_on: bool = False
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class EndMap(Request):
+    """End the map that runs; what is done stays, and the same map resumes from there."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class WatchMap(Request):
+    """Show a map, and update it as it grows; an empty name shows none."""
+
+    map: Name
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class AskTheory(Request):
+    """What linear theory says of a map's schemes."""
+
+    map: Name
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class AskHit(Request):
+    """The recording of a map's hit: `key` of its series, and its stiffness."""
+
+    map: Name
+    key: Name
+    stiffness: float
+
+
+@dataclass(slots=True)
+class Watched:
+    """A map that some page shows.
+
+    Attributes
+    ----------
+    facts, columns
+        What it maps, and what its journal held when we looked last.
+    place
+        In the journal, where the next line will begin.
+    begun_s, begun_weight
+        When the first column was seen (s), and the work done by then: the remaining time is extrapolated from later
+        work only, so that compilation does not count.
+    """
+
+    path: Path
+    facts: dict[str, Any]
+    clients: set[Client]
+    columns: list[dict[str, Any]] = field(default_factory=list)
+    place: int = 0
+    state: str = ""
+    begun_s: float | None = None
+    begun_weight: float = 0.0
+
+    @property
+    def total(self) -> int:
+        """Columns of all schemes."""
+        return len(self.facts["schemes"]) * len(self.facts["dampings"]) * len(self.facts["stripes"])
+
+    def take(self, grown: Mapping[str, Any], now_s: float) -> None:
+        """Take over what an errand has read."""
+        self.columns += grown["columns"]
+        self.place = grown["place"]
+        self.state = "finished" if len(self.columns) >= self.total else grown["state"]
+        if self.begun_s is None and self.columns:
+            self.begun_s, self.begun_weight = now_s, self._weight()
+
+    def told(self, columns: list[dict[str, Any]], now_s: float, *, anew: bool) -> str:
+        """Some columns as a message, and how far the map is; `anew`: they are all that there are."""
+        return json.dumps(
+            {
+                "say": "cells", "map": self.path.name, "anew": anew, "columns": columns, "state": self.state,
+                "done": len(self.columns), "total": self.total, "left_s": self._left_s(now_s),
+            }
+        )  # fmt: skip
+
+    def _weight(self) -> float:
+        schemes = self.facts["schemes"]
+        return float(sum(schemes[column["scheme"]]["weight"] for column in self.columns))
+
+    def _left_s(self, now_s: float) -> float | None:
+        """At the speed since we first looked; None before anything has come, or where nothing runs."""
+        came, each = (
+            self._weight() - self.begun_weight,
+            len(self.facts["dampings"]) * len(self.facts["stripes"]),
+        )
+        if self.state != "running" or self.begun_s is None or came <= 0.0:
+            return None
+        left = each * sum(scheme["weight"] for scheme in self.facts["schemes"]) - self._weight()
+        return (now_s - self.begun_s) * float(left) / came
+
+
+class MapService(Service):
+    """See the module."""
+
+    def __init__(self, shared: ServiceContext) -> None:
+        self._shared = shared
+        self._directory = shared.output.parent / MAPS
+        self._watched: dict[str, Watched] = {}
+
+    def handlers(self) -> Mapping[str, tuple[type[Request], Handler]]:
+        """See `Service.handlers`."""
+        return {
+            "maps": (AskMaps, self._list),
+            "map-run": (RunMap, self._run),
+            "map-end": (EndMap, self._end),
+            "map-watch": (WatchMap, self._watch),
+            "map-theory": (AskTheory, self._theory),
+            "map-hit": (AskHit, self._hit),
+        }
+
+    async def _list(self, client: Client, request: AskMaps) -> object:
+        return self._errand(client, request, "maps", directory=str(self._directory))
+
+    async def _run(self, client: Client, request: RunMap) -> dict[str, Any]:
+        self._shared.must_operate(client)
+        refuse_reserved(request.changes)
+        content = {**asdict(request), "output": str(self._directory)}
+        job = await self._shared.jobs.start(JOB, content, goes_on=request.goes_on)
+        return {"pid": job.pid}
+
+    async def _end(self, client: Client, request: EndMap) -> None:
+        self._shared.must_operate(client)
+        job = self._shared.jobs.running
+        if job is None or job.name != JOB:
+            raise ConfigError("no map of this console runs", remedy="end another one where it was started")
+        job.end()
+
+    async def _theory(self, client: Client, request: AskTheory) -> object:
+        return self._errand(client, request, "map theory", directory=str(self._named(request.map)))
+
+    async def _hit(self, client: Client, request: AskHit) -> object:
+        return self._errand(
+            client, request, "map hit", directory=str(self._named(request.map)), key=request.key,
+            stiffness=request.stiffness, output=str(self._shared.output),
+        )  # fmt: skip
+
+    async def _watch(self, client: Client, request: WatchMap) -> object:
+        for watched in self._watched.values():
+            watched.clients.discard(client)
+        if not request.map:
+            return None
+        return self.answer_later(client, request, self._show(client, self._named(request.map)))
+
+    async def _show(self, client: Client, path: Path) -> dict[str, Any]:
+        watched = self._watched.get(path.name)
+        if watched is not None:
+            watched.clients.add(client)
+            client.put(watched.told(watched.columns, time.monotonic(), anew=True))
+            return watched.facts
+        facts, _ = await self._shared.errands.run("map", directory=str(path))
+        if path.name in self._watched:  # another page was faster
+            return await self._show(client, path)
+        self._watched[path.name] = watched = Watched(path, facts, {client})
+        self.go_on(self._follow(watched))
+        return watched.facts
+
+    async def _follow(self, watched: Watched) -> None:
+        """Tell the pages that show a map what its journal gains, until it is finished or no page is left."""
+        try:
+            while watched.state != "finished" and watched.clients:
+                anew = not watched.columns
+                grown, _ = await self._shared.errands.run(
+                    "map growth", directory=str(watched.path), place=watched.place
+                )
+                now_s = time.monotonic()
+                watched.take(grown, now_s)
+                for client in watched.clients:
+                    client.put(watched.told(grown["columns"], now_s, anew=anew))
+                await asyncio.sleep(POLL_S)
+                watched.clients &= self._shared.clients
+        except Exception as error:
+            told = trouble(error if isinstance(error, RigError) else defect("the map", error))
+            for client in watched.clients:
+                client.put(told)
+        finally:
+            del self._watched[watched.path.name]
+
+    def _named(self, name: str) -> Path:
+        return directory_in(self._directory, name)
+
+    def _errand(self, client: Client, request: Request, errand: str, **content: Any) -> object:
+        async def done() -> Any:
+            result, _ = await self._shared.errands.run(errand, compiling=client.compiles, **content)
+            return result
+
+        return self.answer_later(client, request, done())

@@ -1,0 +1,85 @@
+"""Open a console, from a program or a command. Without its extra this raises `ConfigError` when it is imported."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Coroutine, Sequence
+from contextlib import suppress
+from pathlib import Path
+
+from rig.core.errors import ConfigError
+from rig.extras.console.server import ConsoleSettings, run
+from rig.extras.console.terminal import Terminal
+
+if sys.platform == "win32":
+    SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGBREAK)
+else:
+    SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+END_S = 4.0  # from a signal
+
+
+def open_console(
+    *,
+    port: int = 0,
+    hosts: Sequence[str] = (),
+    verified: bool = False,
+    own: bool = False,
+    output: str | Path = "recordings",
+    announce: Callable[[str], None] = print,
+) -> None:
+    """Serve the page on loopback until Ctrl-C; arguments as `rig.extras.console.server.ConsoleSettings`.
+
+    Raises
+    ------
+    ConfigError
+        A host is no NAME:PORT, or the port is taken.
+    """
+    for host in hosts:
+        name, colon, number = host.rpartition(":")
+        if not (name and colon and number.isdecimal()):
+            raise ConfigError(
+                f"{host!r} is no NAME:PORT", remedy="write it as the browser's address bar has it"
+            )
+    settings = ConsoleSettings(
+        port=port, hosts=hosts, verified=verified, own=own, output=Path(output).resolve(), announce=announce
+    )
+    end_on_signal(lambda ended: run(settings, Terminal(), ended))
+
+
+def end_on_signal(serve: Callable[[asyncio.Event], Coroutine[None, None, None]]) -> None:
+    """Serve until a signal sets the event; a program that has not ended `END_S` after it is ended at once.
+
+    A thread that waits for a missing disk would keep it running for ever. By then all that moves has received its stop
+    request, and a job's process brings its recording to rest by itself.
+    """
+    late = threading.Timer(END_S, _leave)
+    late.daemon = True
+
+    async def served() -> None:
+        ended, loop = asyncio.Event(), asyncio.get_running_loop()
+
+        def end(*_: object) -> None:
+            with suppress(RuntimeError):  # the second signal
+                late.start()
+            loop.call_soon_threadsafe(ended.set)
+
+        before = {number: signal.signal(number, end) for number in SIGNALS}
+        try:
+            await serve(ended)
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+    try:
+        asyncio.run(served())
+    finally:
+        late.cancel()
+
+
+def _leave() -> None:
+    os.write(2, b"rig: the console has not ended in time, and leaves what it waits for\n")
+    os._exit(1)

@@ -1,0 +1,346 @@
+"""The server of the page: sockets in, the loop that is looked at, jobs and their operator.
+
+It runs in a process of its own: in a loop's process it would delay its ticks. Two sockets belong to a page: ``/live``
+for everything, and ``/hold`` for heartbeats and STOP alone, which so wait behind nothing. A participant's screen has
+``/participant`` in place of the first: nothing goes over it but what that screen shows, and what it may answer.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AsyncExitStack, suppress
+from dataclasses import asdict, dataclass, field
+from http import HTTPStatus
+from importlib.resources import files
+from pathlib import Path, PurePath
+from socket import create_server
+from typing import Any
+
+from rig.config.files import preset_names
+from rig.control import estimators
+from rig.control.estimators.estimator import Choice, Setting
+from rig.core.errors import ConfigError, RigError
+from rig.core.sample import COLUMNS, UNITS, unit_of
+from rig.core.scratch import scratch
+from rig.extras.console import requests as asked
+from rig.extras.console.access import HEADERS, SOCKETS, SUBPROTOCOL, Access
+from rig.extras.console.bounds import Allowance, Places, door, let_in
+from rig.extras.console.client import Client, defect
+from rig.extras.console.devices import Devices
+from rig.extras.console.jobs import Job, Jobs
+from rig.extras.console.lease import Lease
+from rig.extras.console.live import Live
+from rig.extras.console.maps import MapService
+from rig.extras.console.recordings import Recordings
+from rig.extras.console.runs import Runs
+from rig.extras.console.service import LATER, Download, Service, ServiceContext
+from rig.extras.console.sessions import PARTICIPANTS, Sessions
+from rig.extras.console.sockets import (
+    LOGGER,
+    ConnectionClosed,
+    Headers,
+    HttpRequest,
+    Response,
+    ServerConnection,
+    Subprotocol,
+    serve,
+)
+from rig.extras.console.terminal import Terminal
+from rig.realtime.hand import SharedHand
+
+MOST_CLIENTS = 16  # pages, and as many participants' screens
+MOST_AT_ONCE = 1  # connections accepted before the loop looks at its sockets again, STOP's among them
+MOST_WAITING = 128  # connections that the system keeps meanwhile
+MOST_HOLDS = 4 * MOST_CLIENTS  # a worker that connects again leaves one behind, which pings find dead
+CLOSE_S = 1.0  # for a page to answer that it is shut out
+DOWNLOAD_S = 600.0  # a download is part of a connection's opening, and may have to be computed
+TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
+UTF8 = "; charset=utf-8"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ConsoleSettings:
+    """How a console is served.
+
+    Attributes
+    ----------
+    port
+        On loopback; 0: any that is free.
+    hosts
+        Further NAME:PORT under which a browser may reach it.
+    output
+        Directory of the recordings.
+    verified
+        The polarity of encoder and motor of a real rig was checked, and its handle is at position zero.
+    own
+        Look at runs of this console only.
+    announce
+        Called with the URL, once it is served.
+    """
+
+    port: int = 0
+    hosts: Sequence[str] = ()
+    output: Path = Path("recordings")
+    verified: bool = False
+    own: bool = False
+    announce: Callable[[str], None] = field(default=lambda url: None)
+
+
+class Console:
+    """What all pages share."""
+
+    def __init__(self, settings: ConsoleSettings, hand: SharedHand, terminal: Terminal) -> None:
+        self._shared = ServiceContext(set(), Lease(), Jobs(self._job_says), settings.output)
+        self.live = Live(self._shared, hand, terminal, own=settings.own)
+        self.runs = Runs(self._shared, self.live, hand, terminal, verified=settings.verified)
+        self._sessions = Sessions(self._shared, hand, terminal, verified=settings.verified)
+        self.services: tuple[Service, ...] = (
+            self.live,
+            self.runs,
+            self._sessions,
+            MapService(self._shared),
+            Recordings(self._shared),
+            Devices(self._shared),
+        )
+        self._handlers = {do: found for service in self.services for do, found in service.handlers().items()}
+        self._kinds = {do: kind for do, (kind, _) in self._handlers.items()}
+        self._participants_kinds = {do: self._kinds[do] for do in PARTICIPANTS}
+        self._holds = Places[ServerConnection](MOST_HOLDS, lambda socket: socket.transport.abort())
+
+    access: Access
+
+    async def attend(self, socket: ServerConnection) -> None:
+        """Serve one socket until it closes."""
+        assert socket.request is not None
+        path = socket.request.path.partition("?")[0]
+        with suppress(ConnectionClosed):
+            name = self.access.guest(socket.request)
+            if name is None:
+                await socket.close(1008, "the token is missing or wrong")
+                return
+            if path == "/hold":
+                await self._hold(socket, name)
+            else:
+                await self._live(socket, Client(socket, name, participant=path == "/participant"))
+
+    async def _hold(self, socket: ServerConnection, name: str) -> None:
+        """Heartbeats, and STOP before anything else."""
+        allowance = Allowance()
+        try:
+            self._holds.hear(socket)
+            async for text in socket:
+                self._holds.hear(socket)
+                if asked.json_of(text).get("stop") is True:
+                    self.live.stop_all()
+                    await socket.send(json.dumps({"stopped": time.monotonic()}))
+                else:
+                    self._shared.lease.beat(name)
+                if not allowance.take():
+                    await socket.close(1008, "too many messages")
+        finally:
+            self._holds.leave(socket)
+
+    async def _live(self, socket: ServerConnection, client: Client) -> None:
+        pages = self._shared.participants if client.participant else self._shared.clients
+        if len(pages) >= MOST_CLIENTS:
+            await socket.close(1013, "too many pages are open")
+            return
+        pages.add(client)
+        self._greet(client)
+        sender = asyncio.create_task(client.send())
+        try:
+            async for text in socket:
+                if not client.allowance.take():
+                    await socket.close(1008, "too many messages")
+                    return
+                await self._answer(client, text)
+        finally:
+            pages.discard(client)
+            sender.cancel()
+            with suppress(asyncio.CancelledError, ConnectionClosed):
+                await sender
+
+    def _greet(self, client: Client) -> None:
+        if client.participant:
+            self._sessions.greet(client)
+            return
+        client.put(json.dumps({"say": "hello", "participants": self.access.participants, **_facts()}))
+        for service in self.services:
+            service.greet(client)
+
+    async def _answer(self, client: Client, text: str | bytes) -> None:
+        number = asked.number_of(text)
+        try:
+            request = asked.request_of(text, self._participants_kinds if client.participant else self._kinds)
+            result = await self._handlers[request.do][1](client, request)
+        except RigError as error:
+            client.reply(number, error=error)
+        except Exception as error:  # it costs the page an answer, not its socket
+            client.reply(number, error=defect(str(asked.json_of(text).get("do")), error))
+        else:
+            if number and result is not LATER:
+                client.reply(number, result)
+
+    def _job_says(self, job: Job, message: Mapping[str, Any]) -> None:
+        kept = [service.job_says(job, message) for service in self.services]
+        if any(kept):
+            return
+        told = {"say": "job", "job": job.name, "pid": job.pid, "told": message}
+        for client in self._shared.clients:
+            if message["say"] == "progress":
+                client.put_newest({**told, "say": "progress"})
+            else:
+                client.put(json.dumps(told))
+
+    async def download(self, path: str) -> Download | None:
+        """Return the file of a path, of whichever service has it."""
+        for service in self.services:
+            if (found := await service.download(path)) is not None:
+                return found
+        return None
+
+    async def close(self) -> None:
+        """End what runs."""
+        await self._shared.jobs.close()
+        for service in self.services:
+            await service.close()
+        await self._shared.errands.close()
+
+
+def _facts() -> dict[str, Any]:
+    """Constants that a page receives once."""
+    return {
+        "columns": [
+            {
+                "name": column.name,
+                "meaning": column.description,
+                "unit": {motion: unit_of(column.unit, motion) for motion in ("rotary", "linear")},
+            }
+            for column in COLUMNS
+        ],
+        "units": {name: UNITS[name] for name in ("stiffness", "damping", "position")},
+        "rigs": list(preset_names()),
+        "estimators": [_estimator(name) for name in estimators.names()],
+    }
+
+
+def _estimator(name: str) -> dict[str, Any]:
+    """One of the registry with its settings, as it says them itself; `problem` where it cannot be used."""
+    if problem := estimators.broken(name):
+        return {"name": name, "settings": [], "problem": problem}
+    settings = estimators.get(name).settings
+    return {"name": name, "settings": [_setting(one) for one in settings], "problem": ""}
+
+
+def _setting(setting: Setting | Choice) -> dict[str, Any]:
+    whole = isinstance(setting, Setting) and isinstance(setting.default, int)
+    return {**asdict(setting), "whole": whole}
+
+
+async def run(settings: ConsoleSettings, terminal: Terminal, ended: asyncio.Event) -> None:
+    """Serve until `ended` is set.
+
+    Raises
+    ------
+    ConfigError
+        The port is taken.
+    RigError
+        A defect of ours, after what moved was ended.
+    """
+    static = _page()
+    async with AsyncExitStack() as stack:
+        place = stack.enter_context(scratch("console"))
+        hand = stack.enter_context(SharedHand.create(place / "hand"))
+        console = Console(settings, hand, terminal)
+
+        async def respond(socket: ServerConnection, request: HttpRequest) -> Response | None:
+            return await _respond(console, static, socket, request)
+
+        try:
+            listening = stack.enter_context(create_server(("127.0.0.1", settings.port)))
+        except OSError as error:
+            raise ConfigError(
+                f"port {settings.port}: {error.strerror}", remedy="name another one, or none"
+            ) from error
+        served = serve(
+            console.attend,
+            sock=listening,
+            backlog=MOST_AT_ONCE,
+            process_request=respond,
+            max_size=asked.MOST_BYTES,
+            compression=None,
+            logger=LOGGER,
+            subprotocols=[Subprotocol(SUBPROTOCOL)],
+            server_header=None,
+            open_timeout=DOWNLOAD_S,  # of who shows the token; others have what the door gives them
+            close_timeout=CLOSE_S,
+            ping_interval=5.0,
+            ping_timeout=10.0,
+            max_queue=64,
+            create_connection=door(),
+        )
+        await stack.enter_async_context(served)
+        listening.listen(MOST_WAITING)  # asyncio has one number for both
+        stack.push_async_callback(console.close)  # before the server waits for its pages: what moves, ends
+        console.access = Access(listening.getsockname()[1], settings.hosts)
+        settings.announce(console.access.url)
+        tasks = [
+            asyncio.create_task(task())
+            for task in (console.live.every_frame, console.live.every_search, console.runs.every_beat)
+        ]
+        done, _ = await asyncio.wait(
+            [*tasks, asyncio.create_task(ended.wait())], return_when=asyncio.FIRST_COMPLETED
+        )
+        for task in tasks:
+            task.cancel()
+        for one in done:
+            if (failed := one.exception()) is not None:
+                raise defect("the console cannot watch over its runs, and has ended them", failed) from failed
+
+
+def _page() -> dict[str, tuple[str, bytes]]:
+    """Path → type and bytes."""
+    place = files("rig.extras.console") / "page"
+    found = {
+        f"/{one.name}": (TYPES[PurePath(one.name).suffix] + UTF8, one.read_bytes())
+        for one in place.iterdir()
+        if PurePath(one.name).suffix in TYPES
+    }
+    return {**found, "/": found["/index.html"]}
+
+
+async def _respond(
+    console: Console, static: Mapping[str, tuple[str, bytes]], socket: ServerConnection, request: HttpRequest
+) -> Response | None:
+    """What a request gets; None lets it open a socket."""
+    access, headers = console.access, request.headers
+    if not access.host_allowed(headers):
+        return _response(HTTPStatus.MISDIRECTED_REQUEST, "this page is served under another name")
+    path = request.path.partition("?")[0]
+    if path in SOCKETS:
+        if not access.origin_allowed(headers):
+            return _response(HTTPStatus.FORBIDDEN, "a socket is for the page of this server")
+        if access.guest(request) is not None:
+            let_in(socket)
+        return None  # a browser shows its page why a socket was closed, and nothing of why it was not opened
+    found = Download(*static[path]) if path in static else None
+    if found is None and access.bearer_right(headers):
+        let_in(socket)
+        try:
+            found = await console.download(request.path)
+        except RigError as error:
+            return _response(HTTPStatus.BAD_REQUEST, str(error))
+    if found is None:
+        return _response(HTTPStatus.NOT_FOUND, "there is no such page or file")
+    return _response(HTTPStatus.OK, found.body, found.kind)
+
+
+def _response(status: HTTPStatus, body: str | bytes, kind: str = "text/plain" + UTF8) -> Response:
+    data = body.encode() if isinstance(body, str) else body
+    headers = Headers(
+        {**HEADERS, "Content-Type": kind, "Content-Length": str(len(data)), "Connection": "close"}
+    )
+    return Response(status.value, status.phrase, headers, data)

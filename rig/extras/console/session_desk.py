@@ -1,0 +1,162 @@
+"""The job `session`: a participant's session, or a rehearsal of one, whose desk is a page.
+
+The engine and its desk run in the job's process; the seat, all that a page shows and what a key there does, is the
+server's (`rig.extras.console.sessions`). Between them, besides what every job says (`rig.extras.console.worker`):
+
+======  ===========================================================================
+to it   ``setup`` process, keys, hand; ``view``; ``ask`` number, question
+from    ``reply`` number, action, value, shown_s; ``stop``
+======  ===========================================================================
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from rig import config
+from rig.core.errors import ConfigError, StoppedError
+from rig.extras.console.hits import short
+from rig.extras.console.session_lists import protocol_file
+from rig.extras.console.talk import Talk
+from rig.recording.canonical import canonical_json
+from rig.session import run as sessions
+from rig.session.console.asking import SILENCE_S, AskingDesk
+from rig.session.console.pointer import HandKind
+from rig.session.console.seat import full_press, keymap_for, refuse_a_hand
+from rig.session.desk import Desk
+from rig.session.directory import LOG
+from rig.session.hits import DeviceRunner
+from rig.session.keymap import KeyMap
+from rig.session.load import as_mapping, load_walls
+from rig.session.log import read
+from rig.session.protocol import Protocol
+from rig.session.rehearsal import Person, thresholds_of
+from rig.session.runner import TrialRunner
+
+REMEDY = "continue with `rig session resume`, or on the page"
+
+
+class PageDesk(AskingDesk):
+    """A person at a page of the console.
+
+    Parameters
+    ----------
+    talk
+        The line to the console.
+    keymap
+        Of the protocol.
+    hand
+        By what the simulated hand is moved on the page, and its press (N); None where it plays its script.
+    silence_s
+        How long the console may be silent while a hit runs (s).
+    """
+
+    def __init__(
+        self,
+        talk: Talk,
+        keymap: KeyMap,
+        hand: tuple[HandKind, float] | None = None,
+        *,
+        silence_s: float = SILENCE_S,
+    ) -> None:
+        super().__init__()
+        self._talk, self._silence_s = talk, silence_s
+        moved = None if hand is None else {"kind": hand[0], "press": hand[1]}
+        talk.tell("setup", pid=os.getpid(), keys=keymap, hand=moved)
+
+    def _say(self, kind: str, **content: Any) -> None:
+        self._talk.tell(kind, **content)
+
+    def _take(self, patience_s: float) -> Any:
+        return self._talk.hear(patience_s)
+
+    def _check_there(self) -> None:
+        if self._talk.silent_s > self._silence_s:
+            raise StoppedError(
+                f"the console was silent for {self._silence_s:g} s while a hit ran; the effort is zero",
+                remedy=REMEDY,
+            )
+
+
+def digest_of(protocol: str, directory: str) -> str:
+    """Short digest of a session's protocol and the experiment that it stands on, or of those that a log began with."""
+    if directory:
+        began = read(Path(directory) / LOG)[0].content
+        return short(canonical_json([began["protocol"], began["experiment"]]))
+    walls = load_walls(protocol_file(protocol))
+    return short(canonical_json([as_mapping(walls.protocol), config.as_mapping(walls.base)]))
+
+
+def session(content: Mapping[str, Any], talk: Talk) -> dict[str, Any]:
+    """Run or resume a session: `content` as in `rig.extras.console.sessions`, `digest` of what was agreed to."""
+    agreed = content["digest"]
+    if agreed is not None and agreed != digest_of(content["protocol"], content["directory"]):
+        raise ConfigError("the protocol is another one than was agreed to", remedy="begin the session again")
+    given = content["person"]
+    directory = Path(content["directory"]) if content["directory"] else None
+    if directory is not None:
+        person = sessions.rehearsed(directory)
+    else:
+        person = given and Person(**{**given, "thresholds": thresholds_of(given["thresholds"])})
+    runner = DeviceRunner(
+        url=content["url"] or None,
+        realtime=content["realtime"] or person is None,
+        verified=content["verified"],
+        arm_anyway=content["arm_anyway"],
+        lossy_anyway=content["lossy_anyway"],
+    )
+    if person is None:
+        desk: sessions.DeskFor = partial(_at_page, talk, content["hand_kind"], Path(content["hand"]))
+    else:
+        desk = partial(_rehearsed, talk, person)
+    if directory is not None:
+        result = sessions.resume_session(
+            directory,
+            desk,
+            runner=runner,
+            at=content["at"],
+            lsl=content["lsl"],
+            other_device=content["other_device"],
+        )
+    else:
+        result = sessions.run_session(
+            protocol_file(content["protocol"]),
+            content["code"],
+            desk,
+            runner=runner,
+            study=Path(content["study"]) if content["study"] else None,
+            row=content["row"],
+            person=person,
+            again=content["again"],
+            other_protocol=content["other_protocol"],
+            lsl=content["lsl"],
+        )
+    return {"stands": result.stands, "pairs": result.pairs, "over": result.ended is not None}
+
+
+def _at_page(
+    talk: Talk,
+    kind: HandKind | None,
+    path: Path,
+    protocol: Protocol,
+    experiment: Mapping[str, Any],
+    runner: TrialRunner,
+) -> Desk:
+    refuse_a_hand(kind, runner)
+    hand = None if kind is None else (kind, full_press(experiment))
+    desk = PageDesk(talk, keymap_for(protocol.keys, kind), hand)
+    if kind is not None and isinstance(runner, DeviceRunner):
+        runner.hand = path
+    return desk
+
+
+def _rehearsed(
+    talk: Talk, person: Person, protocol: Protocol, experiment: Mapping[str, Any], runner: TrialRunner
+) -> Desk:
+    talk.tell("setup", pid=os.getpid(), keys=KeyMap.of(protocol.keys), hand=None)
+    make = sessions.rehearsal_desk(person, lambda view: talk.tell("view", view=view))
+    return make(protocol, experiment, runner)

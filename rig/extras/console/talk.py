@@ -1,0 +1,86 @@
+"""A job's line to its console; see `rig.extras.console.worker` for the messages."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import threading
+import time
+from queue import Empty, SimpleQueue
+from typing import Any
+
+from rig.core.errors import StoppedError
+from rig.core.present import plain
+
+SILENT_S = 2.0  # after which a console is taken to hang: it beats twenty times a second
+
+
+class Talk:
+    """See the module.
+
+    Parameters
+    ----------
+    goes_on
+        Whether the job continues without its console.
+    """
+
+    def __init__(self, goes_on: bool) -> None:
+        self._goes_on = goes_on
+        self._lock = threading.Lock()
+        self._answers: SimpleQueue[Any] = SimpleQueue()
+        self._gone = threading.Event()
+        self._heard = time.monotonic()
+
+    def tell(self, say: str, /, **content: Any) -> None:
+        """Send a message; without effect if the console is gone."""
+        line = json.dumps({"say": say, **plain(content)}).encode() + b"\n"
+        try:
+            with self._lock:
+                os.write(1, line)
+        except OSError:
+            self._gone.set()
+
+    def progress(self, **content: Any) -> None:
+        """Report how far the job is.
+
+        Raises `StoppedError` when the console is gone and the job does not continue without it.
+        """
+        if time.monotonic() - self._heard > SILENT_S:  # the console hangs: a STOP could not arrive
+            self._gone.set()
+        if self._gone.is_set() and not self._goes_on:
+            raise StoppedError("the console has gone", remedy="start it again: rig console")
+        self.tell("progress", **content)
+
+    def ask(self, **content: Any) -> Any:
+        """Ask the operator, and wait for the answer. Raises `StoppedError` when the console is gone."""
+        self.tell("asks", **content)
+        answer = None if self._gone.is_set() else self._answers.get()
+        if answer is None:
+            raise StoppedError("nobody is there to answer", remedy="start the console again: rig console")
+        return answer
+
+    def hear(self, patience_s: float) -> Any:
+        """Return the console's next message; None after `patience_s` (s). Raises `StoppedError` when it is gone."""
+        try:
+            said = self._answers.get(timeout=patience_s) if patience_s else self._answers.get_nowait()
+        except Empty:
+            return None
+        if said is None:
+            self._answers.put(None)
+            raise StoppedError("the console has gone", remedy="start it again: rig console")
+        return said
+
+    @property
+    def silent_s(self) -> float:
+        """Time since the last line from the console (s)."""
+        return time.monotonic() - self._heard
+
+    def listen(self) -> None:
+        """Read answers until the console is gone; an empty line is its heartbeat."""
+        for line in sys.stdin:
+            self._heard = time.monotonic()
+            if line.strip():
+                self._answers.put(json.loads(line))
+        self._gone.set()
+        self._answers.put(None)

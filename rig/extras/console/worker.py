@@ -1,0 +1,60 @@
+"""The process that a job runs in, so that no loop shares a process with the page's server.
+
+``python -P -m rig.extras.console job``: the first line of standard input is the job; each further one an answer to what
+it asks, or empty; the end of input means that the console is gone, and 2 s of silence that it hangs. Each line of
+standard output is one message:
+
+=========  =======================================================================================
+say        content
+=========  =======================================================================================
+compiling  busy: machine code is being made
+progress   what the job says of itself while it runs
+asks       a question to the operator; the next line of input answers it
+done       its result; the process ends
+failed     why it ended early (`RigError.as_mapping`); the process ends
+=========  =======================================================================================
+
+Without its console a job ends as by its stop word, unless it was started to continue without one.
+"""
+
+from __future__ import annotations
+
+import json
+import signal
+import sys
+import threading
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from rig.core.errors import RigError, StoppedError
+from rig.extras.console import devices, hits, map_jobs, session_desk
+from rig.extras.console.talk import Talk
+from rig.realtime import compiling
+
+Work = Callable[[Mapping[str, Any], Talk], Any]
+JOBS: Mapping[str, Work] = {
+    "doctor": devices.doctor,
+    "hit": hits.hit,
+    "map": map_jobs.zwidth,
+    "play": hits.play,
+    "session": session_desk.session,
+}
+
+
+def main() -> int:
+    """Do the job on standard input."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    job: Mapping[str, Any] = json.loads(sys.stdin.readline())
+    talk = Talk(bool(job.get("goes_on")))
+    threading.Thread(target=talk.listen, name="rig-console", daemon=True).start()
+    compiling.listen(lambda busy: talk.tell("compiling", busy=busy))
+    try:
+        result = JOBS[job["job"]](job["content"], talk)
+    except RigError as error:
+        talk.tell("failed", **error.as_mapping())
+        return error.exit_code
+    except KeyboardInterrupt:
+        talk.tell("failed", **StoppedError("stopped before anything moved").as_mapping())
+        return 130
+    talk.tell("done", result=result)
+    return 0

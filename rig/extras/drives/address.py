@@ -1,0 +1,125 @@
+"""What a URL says of a drive, and how one of that kind is found and compared with a rig."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from typing import Protocol, Self
+
+from rig.core.errors import ConfigError
+from rig.core.model import RigModel
+from rig.devices.device import DeviceUrl
+from rig.extras.drives.fitting import Output
+from rig.extras.drives.library import FittedDrive, Switches
+
+if sys.platform == "linux":
+    from rig.extras.drives import moteus, odrive
+    from rig.extras.drives.bus import OPTIONS, Bus
+
+assert sys.platform == "linux"
+
+SWITCHES = ("hold", "stop")
+_LARGEST_ID, _LARGEST_PREFIX, _LARGEST_NODE = 127, 0x1FFF, 62
+
+
+class DriveFacts(Protocol):
+    """Facts that a drive of any kind reports about itself."""
+
+    @property
+    def id(self) -> int:
+        """On its bus."""
+        ...
+
+    @property
+    def firmware(self) -> str:
+        """Version."""
+        ...
+
+    @property
+    def output(self) -> Output:
+        """Encoder, torque constant, limits."""
+        ...
+
+
+class Address(Protocol):
+    """Where a drive is, and what is known of it before it is asked."""
+
+    def look(self, bus: Bus) -> DriveFacts:
+        """Identify the drive without changing it; raises `RigError` if it would not execute commands as sent."""
+        ...
+
+    def find(self, bus: Bus, model: RigModel) -> FittedDrive:
+        """Ask it, and compare it with a rig; raises `RigError` as `look`, and for one that is another's."""
+        ...
+
+
+def number(url: DeviceUrl, name: str, default: int, largest: int) -> int:
+    """Return a whole number among the options of a URL; `ConfigError` for another."""
+    text = url.options.get(name, str(default))
+    try:
+        value = int(text, 0)
+    except ValueError:
+        value = -1
+    if not 0 <= value <= largest:
+        raise ConfigError(f"{url.text}: {name} = {text!r}", remedy=f"give a whole number, 0 to {largest}")
+    return value
+
+
+@dataclass(frozen=True, slots=True)
+class MoteusAddress:
+    """Its id, the prefix of its bus, and what is wired to its pins."""
+
+    drive: int
+    prefix: int
+    switches: Switches
+
+    @classmethod
+    def of(cls, url: DeviceUrl) -> Self:
+        """Read it; raises `ConfigError`."""
+        url.allow((*OPTIONS, "id", "prefix", *SWITCHES))
+        return cls(
+            number(url, "id", 1, _LARGEST_ID),
+            number(url, "prefix", 0, _LARGEST_PREFIX),
+            moteus.switches_of({name: url.options[name] for name in SWITCHES if name in url.options}),
+        )
+
+    def look(self, bus: Bus) -> moteus.MoteusFacts:
+        """See `Address`."""
+        return moteus.find(moteus.MoteusConversation(bus, self.drive, self.prefix), self.drive)
+
+    def find(self, bus: Bus, model: RigModel) -> FittedDrive:
+        """See `Address`."""
+        return moteus.fit(self.look(bus), model, prefix=self.prefix, switches=self.switches)
+
+
+@dataclass(frozen=True, slots=True)
+class OdriveAddress:
+    """Its node, and the endpoints of its firmware."""
+
+    node: int
+    endpoints: odrive.Endpoints
+
+    @classmethod
+    def of(cls, url: DeviceUrl) -> Self:
+        """Read it; raises `ConfigError`."""
+        url.allow(("id", "endpoints"))
+        place = url.options.get("endpoints")
+        if place is None:
+            raise ConfigError(
+                f"{url.text}: without the numbers of its parameters an ODrive's limits are not known",
+                remedy=odrive.WHERE_TO_GET,
+            )
+        return cls(number(url, "id", 0, _LARGEST_NODE), odrive.Endpoints.load(place))
+
+    def look(self, bus: Bus) -> odrive.OdriveFacts:
+        """See `Address`."""
+        return odrive.find(odrive.OdriveConversation(bus, self.node, self.endpoints))
+
+    def find(self, bus: Bus, model: RigModel) -> FittedDrive:
+        """See `Address`."""
+        return odrive.fit(self.look(bus), model)
+
+
+def address_of(url: DeviceUrl) -> Address:
+    """Read what a URL says; raises `ConfigError`."""
+    return OdriveAddress.of(url) if url.scheme == "odrive" else MoteusAddress.of(url)

@@ -1,0 +1,244 @@
+"""A bus with drives on it: an adapter on a serial port, or a CAN interface of Linux. Frames, before a bridge runs.
+
+Bytes and frames are turned into each other by the bridge's own C code.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import select
+import socket
+import sys
+import time
+from collections import deque
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol, Self
+
+from rig.core.errors import ConfigError, DeviceNotFoundError, LinkLostError
+from rig.devices.device import DeviceUrl
+from rig.extras.drives.library import Adapter, CanFrameBytes, library
+
+if sys.platform == "linux":
+    from rig.devices.serial import SerialLink
+    from rig.devices.serial import open_link as open_serial
+
+assert sys.platform == "linux"
+
+# Which take no checksum until they have been sent one (mjbots/moteus, lib/python/moteus/fdcanusb_device.py).
+WITHOUT_CHECKSUM = ("0483:5740", "1209:2323")
+OPTIONS = ("baud", "checksum")
+READ_BYTES = 4096
+CLASSIC = "bitrate 1000000"
+FD = "bitrate 1000000 dbitrate 5000000 sample-point 0.666 dsample-point 0.666 fd on"
+_CAN_RAW_ERR_FILTER = 2  # linux/can/raw.h
+_FRAME_KIND = 1  # SOCKETCAN_FRAME of socketcan.h
+
+
+@dataclass(frozen=True, slots=True)
+class CanFrame:
+    """An identifier and up to 64 bytes; `classic` has eight at most, and as `remote` asks for such a frame."""
+
+    id: int
+    data: bytes
+    classic: bool = False
+    remote: bool = False
+
+    def as_struct(self) -> CanFrameBytes:
+        """Return it for the C code."""
+        return CanFrameBytes(
+            self.id, len(self.data), (ctypes.c_uint8 * 64)(*self.data), self.classic, self.remote
+        )
+
+
+class Bus(Protocol):
+    """Frames to and from a bus, by Python; a bridge has its descriptor afterwards.
+
+    Attributes
+    ----------
+    place
+        Its name in URLs and messages.
+    descriptor
+        Of the open port or socket; no call on it blocks.
+    checksum, is_socket
+        Whether frames carry a checksum, and whether it is a socket: settings of a bridge.
+    messages
+        What could not be obtained, one sentence each with its remedy.
+    """
+
+    place: str
+    descriptor: int
+    checksum: bool
+    is_socket: bool
+    messages: tuple[str, ...]
+
+    def send(self, frame: CanFrame) -> None:
+        """Send a frame; raises `LinkLostError`."""
+        ...
+
+    def receive(self, timeout_s: float) -> CanFrame | None:
+        """Return the next frame from any sender, None after the timeout; raises `LinkLostError`."""
+        ...
+
+    def close(self) -> None:
+        """Release it."""
+        ...
+
+
+def open_bus(url: DeviceUrl) -> Bus:
+    """Open what a URL names: ``moteus:///dev/fdcanusb?checksum=off``, ``odrive://can0``, or a socket as `_connected`.
+
+    Raises
+    ------
+    ConfigError
+        It names neither, or an option is wrong.
+    DeviceNotFoundError
+        The port or interface does not exist, or another program uses it.
+    """
+    classic = url.scheme == "odrive"
+    if not url.place or (classic and "/" in url.place and not Path(url.place).is_socket()):
+        either = "" if classic else f"{url.scheme}:///dev/fdcanusb or "
+        raise ConfigError(
+            f"{url.text}: no {'' if classic else 'port and no '}CAN interface",
+            remedy=f"name one, like {either}{url.scheme}://can0",
+        )
+    if Path(url.place).is_socket():
+        return CanBus(url.place, _connected(url.place))
+    return (
+        AdapterBus.open(url) if "/" in url.place else CanBus(url.place, bit_rates=CLASSIC if classic else FD)
+    )
+
+
+def _connected(place: str) -> socket.socket:
+    """A Unix socket whose messages are those of a raw CAN socket: a program in the place of a bus."""
+    end = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    try:
+        end.connect(place)
+    except OSError as error:
+        end.close()
+        raise DeviceNotFoundError(
+            f"no program answers at {place}: {error.strerror}", remedy="start it, or name its socket"
+        ) from None
+    return end
+
+
+class AdapterBus:
+    """An fdcanusb, a mjcanfd-usb-1x, or an adapter with the same protocol."""
+
+    is_socket = False
+
+    def __init__(self, link: SerialLink, *, checksum: bool) -> None:
+        self.place = link.url.place
+        self.descriptor = int(link.port().handle)
+        self.checksum = checksum
+        self.messages = tuple(link.messages)
+        self._link = link
+        self._library = library()
+        self._adapter = Adapter(checksum=checksum)
+        self._waiting: deque[CanFrame] = deque()
+
+    @classmethod
+    def open(cls, url: DeviceUrl) -> Self:
+        """Open the serial port of a URL."""
+        baud = {name: text for name, text in url.options.items() if name == "baud"}
+        link = open_serial(DeviceUrl("serial", url.place, baud, url.text))
+        wanted = url.choice(
+            "checksum", ("on", "off"), "off" if link.facts.vid_pid in WITHOUT_CHECKSUM else "on"
+        )
+        return cls(link, checksum=wanted == "on")
+
+    @property
+    def refused(self) -> int:
+        """Lines that the adapter did not take."""
+        return int(self._adapter.refused)
+
+    def send(self, frame: CanFrame) -> None:
+        """See `Bus`."""
+        line = ctypes.create_string_buffer(256)
+        count = self._library.fdcanusb_make(ctypes.byref(self._adapter), frame.as_struct(), line)
+        self._link.write(line.raw[:count])
+
+    def receive(self, timeout_s: float) -> CanFrame | None:
+        """See `Bus`."""
+        deadline = time.monotonic() + timeout_s
+        frame = CanFrameBytes()
+        while not self._waiting and (left := deadline - time.monotonic()) > 0:
+            for byte in self._link.read(left):
+                if self._library.fdcanusb_take(ctypes.byref(self._adapter), byte, ctypes.byref(frame)):
+                    self._waiting.append(CanFrame(frame.id, frame.data))
+        return self._waiting.popleft() if self._waiting else None
+
+    def close(self) -> None:
+        """See `Bus`."""
+        self._link.close()
+
+
+class CanBus:
+    """A CAN interface of Linux, such as can0, by a raw socket."""
+
+    checksum = False
+    is_socket = True
+    messages: tuple[str, ...] = ()
+
+    def __init__(self, place: str, end: socket.socket | None = None, *, bit_rates: str = FD) -> None:
+        self.place = place
+        self._socket = end or self._opened(place, bit_rates)
+        self._socket.setblocking(False)
+        self.descriptor = self._socket.fileno()
+        self._library = library()
+
+    @staticmethod
+    def _opened(place: str, bit_rates: str) -> socket.socket:
+        try:
+            end = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+        except OSError as error:
+            raise DeviceNotFoundError(
+                f"this kernel has no raw CAN sockets: {error.strerror}", remedy="sudo modprobe can-raw"
+            ) from None
+        try:
+            end.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, 1)
+            end.setsockopt(socket.SOL_CAN_RAW, _CAN_RAW_ERR_FILTER, socket.CAN_ERR_MASK)
+            end.bind((place,))
+        except OSError as error:
+            end.close()
+            raise DeviceNotFoundError(
+                f"the CAN interface {place} does not open: {error.strerror}",
+                remedy=f"name one that `ip link show type can` lists, and bring it up: sudo ip link set {place} up "
+                f"type can {bit_rates}",
+            ) from None
+        return end
+
+    def send(self, frame: CanFrame) -> None:
+        """See `Bus`."""
+        packed = ctypes.create_string_buffer(72)
+        count = self._library.socketcan_make(frame.as_struct(), packed)
+        try:
+            self._socket.send(packed.raw[:count])
+        except OSError as error:
+            raise self._lost(error) from None
+
+    def receive(self, timeout_s: float) -> CanFrame | None:
+        """See `Bus`."""
+        deadline = time.monotonic() + timeout_s
+        frame = CanFrameBytes()
+        while (left := deadline - time.monotonic()) > 0:
+            if not select.select([self._socket], [], [], left)[0]:
+                return None
+            try:
+                data = os.read(self.descriptor, READ_BYTES)
+            except OSError as error:
+                raise self._lost(error) from None
+            if self._library.socketcan_take(data, len(data), ctypes.byref(frame)) == _FRAME_KIND:
+                return CanFrame(frame.id, frame.data)
+        return None
+
+    def close(self) -> None:
+        """See `Bus`."""
+        self._socket.close()
+
+    def _lost(self, error: OSError) -> LinkLostError:
+        return LinkLostError(
+            f"the CAN interface {self.place} does not work: {error.strerror}",
+            remedy=f"see `ip -details link show {self.place}`: it must be up and not bus-off",
+        )

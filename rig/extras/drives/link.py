@@ -1,0 +1,113 @@
+"""``moteus://`` and ``odrive://``: a bridge as a process of the run, which begins and ends with its link.
+
+The process uses a pair of sockets: when this end closes, by kill -9 too, it switches the drive off and ends.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import mmap
+import os
+import socket
+import sys
+from contextlib import ExitStack
+from typing import Any
+
+from rig.config import presets, rig_model
+from rig.core.errors import ConfigError
+from rig.core.model import RigModel
+from rig.core.process import announced
+from rig.core.this_system import processors
+from rig.devices.device import DeviceUrl
+from rig.extras.drives.library import BridgeFacts, library
+
+if sys.platform == "linux":
+    from rig.devices.descriptor import CLOSED, DescriptorLink
+    from rig.extras.drives.address import address_of
+    from rig.extras.drives.serve import Found, serve
+
+assert sys.platform == "linux"
+
+
+def open_link(url: DeviceUrl, model: RigModel | None = None) -> BridgeLink:
+    """Open ``moteus:///dev/fdcanusb?id=1&rig=mine.toml``; see `rig.devices.open_link` for what it raises.
+
+    `rig` names the rig, a preset or a file, where no experiment does.
+    """
+    named = url.options.get("rig")
+    plain = {name: text for name, text in url.options.items() if name != "rig"}
+    asked = DeviceUrl(url.scheme, url.place, plain, url.text)
+    address_of(asked)  # raises for a wrong address now, not when the link is opened
+    if named is not None:
+        model = rig_model(presets.load_named(named))
+    if model is None:
+        raise ConfigError(f"{url.text}: a bridge must know its rig", remedy="add ?rig=mine.toml to the URL")
+    return BridgeLink(asked, model)
+
+
+class BridgeLink(DescriptorLink):
+    """`rig.devices.device.Link` to a bridge.
+
+    Attributes
+    ----------
+    drive, process
+        The drive that was found; number of the process.
+    cpu
+        Processor of the bridge, for the loop to share.
+    """
+
+    bytes_per_second: float | None = None
+
+    def __init__(self, url: DeviceUrl, model: RigModel) -> None:
+        library()  # compiled here, not by two processes
+        self.cpu = max(processors())
+        ours, theirs = socket.socketpair()
+        self._running = ExitStack()
+        with theirs, open(os.memfd_create("bridge-facts"), "r+b", buffering=0) as shared:
+            shared.truncate(ctypes.sizeof(BridgeFacts))
+            self.facts = _facts_in(shared.fileno())
+            ends = theirs.fileno(), shared.fileno()
+            try:
+                found: Found = self._running.enter_context(
+                    announced(
+                        _serve, url, model, *ends, self.cpu,
+                        name="rig-bridge", by_hand=f"rig serve {url.scheme}", descriptors=ends,
+                    )
+                )  # fmt: skip
+            except BaseException:
+                ours.close()
+                raise
+        ours.setblocking(False)
+        self.drive, self.messages, self.process = found.drive, found.messages, found.process
+        super().__init__(url, ours.detach())
+
+    def bus_facts(self) -> dict[str, float]:
+        """What happened on the bus so far: replies, lost ones, round trips (µs), the drive's temperature (°C).
+
+        `cycle_us` is the period of the samples that the drive sends unrequested, 0 if the bridge polls them.
+        """
+        return {**self.facts.as_mapping(), "cycle_us": self.drive.cycle_us}
+
+    def close(self) -> None:
+        """End the process; the drive is off then."""
+        if self._descriptor != CLOSED:
+            os.close(self._descriptor)
+            self._descriptor = CLOSED
+            self._running.close()
+
+
+def _facts_in(descriptor: int) -> BridgeFacts:
+    """The facts in a file that both processes have open."""
+    return BridgeFacts.from_buffer(mmap.mmap(descriptor, ctypes.sizeof(BridgeFacts)))
+
+
+def _serve(announce: Any, url: DeviceUrl, model: RigModel, host: int, shared: int, cpu: int) -> None:
+    """Serve in the process of the bridge; `host` and `shared` are descriptors."""
+    serve(
+        url,
+        model,
+        host=socket.socket(fileno=host),
+        announce=lambda place, found: announce(found),
+        facts=_facts_in(shared),
+        cpu=cpu,
+    )

@@ -1,0 +1,407 @@
+"""A moteus: who it is, how it is set up, and what must be true of it before a handle hangs on it.
+
+Source: mjbots/moteus (firmware 1.1.0, register map 5), opened: docs/protocol/{can,registers,diagnostic}.md,
+docs/reference/configuration.md, fw/bldc_servo_structs.h and fw/motor_position.h for names and meaning of settings,
+fw/bldc_servo.cc for the torque constant.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import struct
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+from rig.core.errors import ConfigError, DeviceNotFoundError, DeviceRefusedError, IncompatibleDeviceError
+from rig.core.model import RigModel
+from rig.extras.drives.drive_law import DriveLaw
+from rig.extras.drives.fitting import Difference, Output, refuse
+from rig.extras.drives.library import FittedDrive, Switches
+
+if sys.platform == "linux":
+    from rig.extras.drives.bus import Bus, CanFrame
+
+assert sys.platform == "linux"
+
+SENDER = 0x10  # ours, see moteus.h
+REPLY = 0x8000
+REGISTER_MAP = 5
+LISTEN_S = 0.05  # for others on the bus, before the first frame
+REPLY_S, TRIES = 0.2, 3
+REST_S = 0.1  # a set-point lives for 50 ms at most
+LINE_S = 2.0  # for an answer of the diagnostic channel
+DIAGNOSTIC_BYTES = 48
+TORQUE_FACTOR = 1.5 / math.sqrt(3.0) * 60.0 / (2.0 * math.pi)  # N·m/A times Kv, from fw/bldc_servo.cc
+STEPS_PER_TURN = 65536  # resolution of the reported position, fw/motor_position.h
+SOURCE_KINDS = (
+    "none",
+    "SPI",
+    "UART",
+    "quadrature",
+    "Hall",
+    "index",
+    "sine-cosine",
+    "I2C",
+    "sensorless",
+    "BiSS-C",
+)
+AUX = {1: 0x05E, 2: 0x05F}  # registers of the pins, as inputs
+STOPPED, FAULTED, TIMED_OUT = 0, 1, 11
+MODES = {5: "PWM", 6: "voltage", 7: "voltage FOC", 8: "voltage DQ", 9: "current", 10: "position"} | {
+    2: "preparing", 3: "preparing", 4: "preparing", 12: "zero velocity", 13: "stay within", 15: "brake"
+}  # fmt: skip
+
+
+class Asked(Protocol):
+    """A drive that answers: its registers as whole numbers, its settings as text."""
+
+    def register(self, number: int) -> int:
+        """Value of a register."""
+        ...
+
+    def setting(self, name: str) -> float:
+        """Value of a setting."""
+        ...
+
+
+class MoteusConversation:
+    """Questions to a drive, before a bridge runs.
+
+    Parameters
+    ----------
+    bus
+        With the drive on it.
+    drive, prefix
+        Its id, and ``can.prefix``.
+    """
+
+    def __init__(self, bus: Bus, drive: int, prefix: int = 0) -> None:
+        self._bus, self._drive, self._prefix = bus, drive, prefix
+
+    @property
+    def _name(self) -> str:
+        return f"the moteus {self._drive} at {self._bus.place}"
+
+    def refuse_others(self) -> None:
+        """Listen for `LISTEN_S`; raises `DeviceRefusedError` when another host communicates with the drive."""
+        deadline = time.monotonic() + LISTEN_S
+        while (left := deadline - time.monotonic()) > 0:
+            heard = self._bus.receive(left)
+            if heard is None:
+                return
+            if self._drive in (heard.id & 0x7F, heard.id >> 8 & 0x7F):
+                raise DeviceRefusedError(
+                    f"another program talks to {self._name}: a second master",
+                    remedy="close tview, moteus_tool and other programs on this bus",
+                )
+
+    def stop(self) -> None:
+        """Switch the driver off, which also ends a time-out of its watchdog."""
+        self._send(b"\x01\x00\x00", reply=False)
+
+    def register(self, number: int) -> int:
+        """Value of a register; raises as `asked`."""
+        address = bytes([number]) if number < 0x80 else bytes([number & 0x7F | 0x80, number >> 7])
+        data = self.asked(b"\x19" + address, lambda data: data.startswith(b"\x29" + address))
+        (value,) = struct.unpack_from("<i", data, 1 + len(address))
+        return int(value)
+
+    def setting(self, name: str) -> float:
+        """Read a setting by ``conf get``; raises `IncompatibleDeviceError` if the drive has no setting of this name."""
+        line = f"conf get {name}\n".encode()
+        for at in range(0, len(line), DIAGNOSTIC_BYTES):
+            part = line[at : at + DIAGNOSTIC_BYTES]
+            self._send(bytes([0x40, 1, len(part)]) + part, reply=False)
+        text = self._line()
+        try:
+            return float(text)
+        except ValueError:
+            raise IncompatibleDeviceError(
+                f"{self._name} has no setting {name}: {text!r}",
+                remedy="update its firmware to 1.1 or later: python -m moteus.moteus_tool --flash",
+            ) from None
+
+    def asked(self, request: bytes, is_answer: Callable[[bytes], bool]) -> bytes:
+        """Send a request up to `TRIES` times and return the reply.
+
+        Raises
+        ------
+        DeviceNotFoundError
+            No reply, or replies from other ids only.
+        """
+        others: set[int] = set()
+        for _ in range(TRIES):
+            self._send(request, reply=True)
+            deadline = time.monotonic() + REPLY_S
+            while (left := deadline - time.monotonic()) > 0:
+                heard = self._bus.receive(left)
+                if heard is None:
+                    break
+                source = heard.id >> 8 & 0x7F
+                if heard.id == self._prefix << 16 | self._drive << 8 | SENDER and is_answer(heard.data):
+                    return heard.data
+                if source != self._drive:
+                    others.add(source)
+        found = f"; there is the id {', '.join(map(str, sorted(others)))}" if others else ""
+        raise DeviceNotFoundError(
+            f"{self._name} does not answer{found}",
+            remedy="check its power, the wiring and its id (moteus_tool --info); name it by ?id=NUMBER",
+        )
+
+    def _send(self, data: bytes, *, reply: bool) -> None:
+        sender = self._prefix << 16 | SENDER << 8 | self._drive
+        self._bus.send(CanFrame(sender | (REPLY if reply else 0), data))
+
+    def _line(self) -> str:
+        """The next line of the diagnostic channel."""
+        line, deadline = b"", time.monotonic() + LINE_S
+        while b"\n" not in line and time.monotonic() < deadline:
+            reply = self.asked(bytes([0x42, 1, DIAGNOSTIC_BYTES]), lambda data: data.startswith(b"\x41\x01"))
+            line += reply[3 : 3 + reply[2]]
+        return line.decode("ascii", "replace").strip()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MoteusFacts:
+    """What matters of a moteus.
+
+    Attributes
+    ----------
+    id
+        On its bus.
+    firmware
+        Version, as in 1.1.0.
+    mode, fault
+        Registers 0x000 and 0x00f.
+    counts
+        Of the output's encoder, a turn.
+    source
+        What kind of encoder that is.
+    on_rotor, rotor_to_output
+        Whether it sits on the rotor; turns of the output for one of the rotor.
+    torque_constant
+        Of the rotor (N·m/A); 0 when the motor is not calibrated.
+    most_current, most_speed
+        ``servo.max_current_A`` (A), ``servo.max_velocity`` (turns/s of the output).
+    minimum, maximum
+        ``servopos.position_min`` and ``_max`` (turns of the output), NaN for none.
+    law
+        How it would render a wall itself.
+    """
+
+    id: int
+    firmware: str
+    mode: int
+    fault: int
+    counts: int
+    source: str
+    on_rotor: bool
+    rotor_to_output: float
+    torque_constant: float
+    most_current: float
+    most_speed: float
+    minimum: float
+    maximum: float
+    law: DriveLaw
+
+    @property
+    def counts_per_turn(self) -> float:
+        """Encoder counts for a turn of the output."""
+        return self.counts / self.rotor_to_output if self.on_rotor else float(self.counts)
+
+    @property
+    def output(self) -> Output:
+        """Reported properties of the drive's output."""
+        return Output(
+            kind="moteus",
+            encoder=self.source,
+            counts=self.counts,
+            counts_per_turn=self.counts_per_turn,
+            torque_constant=self.torque_constant / self.rotor_to_output,
+            most_current=self.most_current,
+            most_speed=self.most_speed,
+            minimum=self.minimum,
+            maximum=self.maximum,
+            encoder_setting="motor_position.output.source",
+            scale_setting="motor.Kv",
+            current_setting="servo.max_current_A",
+            scale_remedy="calibrate again",
+        )
+
+
+# Settings that would add a torque of their own, or take some away, and the values that do not.
+REQUIRED: dict[str, tuple[Callable[[float], bool], str, str]] = {
+    "servo.timeout_mode": (
+        lambda value: value == 0,
+        "0",
+        "when this computer falls silent the drive would brake or hold, which is not zero torque",
+    ),
+    "servo.voltage_mode_control": (
+        lambda value: value == 0,
+        "0",
+        "its torque is not the one that it is told",
+    ),
+    "servo.fixed_voltage_mode": (lambda value: value == 0, "0", "its torque is not the one that it is told"),
+    "servo.inertia_feedforward": (lambda value: value == 0, "0", "it would add a torque of its own"),
+    "servo.fault_position_error": (math.isnan, "nan", "it would stop wherever the handle moves"),
+    "servo.fault_velocity_error": (math.isnan, "nan", "it would stop wherever the handle moves"),
+}
+
+
+def find(talk: MoteusConversation, drive: int) -> MoteusFacts:
+    """Read the relevant settings of a moteus, and refuse one that would not execute torque commands as sent.
+
+    Raises
+    ------
+    IncompatibleDeviceError
+        Another generation of its firmware.
+    DeviceRefusedError
+        Another host commands it, it has a fault, or a setting that would give another torque.
+    """
+    talk.refuse_others()
+    version, registers = talk.register(0x101), talk.register(0x102)
+    firmware = f"{version >> 16 & 0xFF}.{version >> 8 & 0xFF}.{version & 0xFF}"
+    if registers != REGISTER_MAP:
+        raise IncompatibleDeviceError(
+            f"the moteus {drive} has firmware {firmware} with register map {registers}, this package speaks "
+            f"{REGISTER_MAP}",
+            remedy="update its firmware (python -m moteus.moteus_tool --flash), or this package",
+        )
+    mode = _mode_at_rest(talk)
+    _refuse_mode(drive, mode, talk.register(0x00F))
+    for name, (right, wanted, why) in REQUIRED.items():
+        value = talk.setting(name)
+        if not right(value):
+            raise DeviceRefusedError(
+                f"the moteus {drive} has {name} = {value:g}: {why}",
+                remedy=f"set it: in tview, conf set {name} {wanted}, then conf write",
+            )
+    return _facts(talk, drive, firmware, mode)
+
+
+def _mode_at_rest(talk: MoteusConversation) -> int:
+    """Mode of the drive, once a bridge that was killed has left it: its watchdog ends it, a stop ends that."""
+    deadline = time.monotonic() + REST_S
+    while (mode := talk.register(0x000)) not in (STOPPED, FAULTED) and time.monotonic() < deadline:
+        if mode == TIMED_OUT:
+            talk.stop()
+        time.sleep(REST_S / 20.0)
+    return mode
+
+
+def _refuse_mode(drive: int, mode: int, fault: int) -> None:
+    if mode == FAULTED:
+        raise DeviceRefusedError(
+            f"the moteus {drive} has stopped with its fault {fault}",
+            remedy="remove its cause (docs/protocol/registers.md of moteus, 0x00f), then power it off and on",
+        )
+    if mode != STOPPED:
+        name = MODES.get(mode, "unknown")
+        raise DeviceRefusedError(
+            f"the moteus {drive} is in mode {mode} ({name}): another program drives it",
+            remedy="end that program; in tview: d stop",
+        )
+
+
+def _facts(talk: Asked, drive: int, firmware: str, mode: int) -> MoteusFacts:
+    source = int(talk.setting("motor_position.output.source"))
+    place = f"motor_position.sources.{source}"
+    kind = int(talk.setting(f"{place}.type"))
+    kv = talk.setting("motor.Kv") if talk.setting("motor.poles") > 0 else 0.0
+    return MoteusFacts(
+        id=drive,
+        firmware=firmware,
+        mode=mode,
+        fault=0,
+        counts=int(talk.setting(f"{place}.cpr")),
+        source=SOURCE_KINDS[kind] if 0 <= kind < len(SOURCE_KINDS) else f"kind {kind}",
+        on_rotor=int(talk.setting(f"{place}.reference")) == 0,
+        rotor_to_output=talk.setting("motor_position.rotor_to_output_ratio"),
+        torque_constant=TORQUE_FACTOR / kv if kv > 0.0 else 0.0,
+        most_current=talk.setting("servo.max_current_A"),
+        most_speed=talk.setting("servo.max_velocity"),
+        minimum=talk.setting("servopos.position_min"),
+        maximum=talk.setting("servopos.position_max"),
+        law=DriveLaw.read(talk.setting, place),
+    )
+
+
+def switches_of(texts: Mapping[str, str]) -> Switches:
+    """Read ``hold = "aux1.2"`` and ``stop = "aux1.3"``: a port of the drive and a bit of its pins.
+
+    Raises `ConfigError` for anything else, and for switches on two ports.
+    """
+    ports, bits = set(), {"hold": 0, "stop": 0}
+    for name, text in texts.items():
+        match = re.fullmatch(r"aux([12])\.([0-4])", text)
+        if match is None:
+            raise ConfigError(
+                f"{name} = {text!r} is no pin", remedy="name it like aux1.2: port and bit, from 0"
+            )
+        ports.add(AUX[int(match[1])])
+        bits[name] = 1 << int(match[2])
+    if len(ports) > 1:
+        raise ConfigError("hold and stop are on two ports", remedy="wire both to pins of aux1, or of aux2")
+    return Switches(ports.pop() if ports else 0, bits["hold"], bits["stop"])
+
+
+def fit(
+    found: MoteusFacts, model: RigModel, *, prefix: int = 0, switches: Switches | None = None
+) -> FittedDrive:
+    """Compare a moteus with the rig of an experiment, and return it as that rig's drive.
+
+    Raises
+    ------
+    DeviceRefusedError
+        It is calibrated, geared or wired otherwise than the experiment says: all that is, in one sentence each.
+    """
+    refuse(_differences(found, model))
+    transmission = found.output.transmission(model)
+    return FittedDrive(
+        kind="moteus",
+        firmware=f"moteus {found.firmware}",
+        id=found.id,
+        prefix=prefix,
+        counts_per_turn=found.counts_per_turn,
+        transmission=transmission,
+        ranges=found.output.ranges(model),
+        settings={
+            "drive": "moteus",
+            "drive_id": found.id,
+            "drive_firmware": found.firmware,
+            "drive_encoder": found.source,
+            "drive_counts": found.counts,
+            "rotor_to_output": found.rotor_to_output,
+            "torque_constant": found.torque_constant,
+            "transmission": transmission,
+            **found.law.describe(transmission),
+        },
+        gains=found.law.gains,
+        switches=switches or Switches(),
+    )
+
+
+def _differences(found: MoteusFacts, model: RigModel) -> Iterator[Difference]:
+    """What the drive has otherwise than the rig."""
+    if found.torque_constant == 0.0:
+        yield "the motor is not calibrated (motor.poles or motor.Kv is 0)", "run moteus_tool --calibrate"
+        return
+    if found.source in ("none", "index", "sensorless", "Hall"):
+        yield (
+            f"the output's encoder is {found.source}, which tells no position for a wall",
+            "set motor_position.output.source to an encoder",
+        )
+    if not found.rotor_to_output > 0.0 or found.counts <= 0:
+        yield "rotor_to_output_ratio or cpr is not above 0", "configure the drive's encoder"
+        return
+    if found.counts_per_turn > STEPS_PER_TURN:
+        yield (
+            f"it tells its position in {STEPS_PER_TURN} steps a turn, its encoder has "
+            f"{found.counts_per_turn:.0f} there",
+            "take an encoder at the output, or a motor without a gear",
+        )
+    yield from found.output.differences(model)

@@ -1,0 +1,407 @@
+"""An ODrive: who it is, how it is set up, and what must be true of it before a handle hangs on it.
+
+CAN Simple reports neither limits nor the watchdog: they are parameters, read by the numbers of their endpoints
+(messages RxSdo and TxSdo). These numbers differ from one firmware to the next; the maker publishes them as
+``flat_endpoints.json``. Without that file every ODrive is refused: settings read from the drive are more reliable than
+settings entered from memory.
+
+Source: the description of the messages of 0.6.10 (DBC) that the package odrive-can carries;
+odriverobotics/ODriveResources, examples/can_param_access.py and can_watchdog.py; names of parameters from odrive
+0.6.11. That its own encoder has 2¹⁴ counts is assumed.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any, Self
+
+from rig.core.errors import ConfigError, DeviceNotFoundError, DeviceRefusedError, IncompatibleDeviceError
+from rig.core.model import RigModel
+from rig.core.regular_file import TABLE_BYTES, read_regular
+from rig.extras.drives.fitting import Difference, Output, refuse
+from rig.extras.drives.library import FittedDrive
+
+if sys.platform == "linux":
+    from rig.extras.drives.bus import Bus, CanFrame
+
+assert sys.platform == "linux"
+
+NODE_BITS = 5
+GENERATION = (0, 6)  # of the firmware
+LISTEN_S = 0.05  # for others on the bus, before the first frame
+REPLY_S, TRIES = 0.2, 3
+REST_S = 0.1  # a set-point lives for 50 ms at most
+LONGEST_WATCHDOG_S = 0.05  # as the firmware of this project has it
+WATCHED_PERIODS = 2.0  # of set-points at least, before the watchdog bites
+LONGEST_CYCLE_MS, LONGEST_BEAT_MS = 20, 10
+FLOAT = 1e-6  # relative tolerance for values sent as float32
+ONBOARD_COUNTS = 16384
+INCREMENTAL, ONBOARD = 1, 13  # odrive.enums.EncoderId
+WHERE_TO_GET = (
+    "take the flat_endpoints.json of your drive's firmware and board from docs.odriverobotics.com/releases/firmware, "
+    "and name it in the URL: ?endpoints=FILE"
+)
+FORMS = {
+    "bool": "?", "uint8": "B", "int8": "b", "uint16": "H", "int16": "h", "uint32": "I", "int32": "i", "float": "f",
+}  # fmt: skip
+
+
+class OdriveCommand(IntEnum):
+    """Of the lower five bits of an identifier: those that are asked here, or heard."""
+
+    GET_VERSION = 0x00
+    HEARTBEAT = 0x01
+    RX_SDO = 0x04
+    TX_SDO = 0x05
+
+
+# Message ids that a host sends to a drive; the same set as `is_command` in odrive.c.
+COMMANDS = {0x02, 0x04, 0x07, *range(0x0B, 0x14), 0x16, *range(0x18, 0x1C)}
+IDLE, CLOSED_LOOP = 1, 8
+WATCHDOG_EXPIRED = 0x01000000
+
+_CONFIG, _CONTROLLER = "axis0.config", "axis0.controller.config"
+ENCODER_MS = f"{_CONFIG}.can.encoder_msg_rate_ms"
+TORQUES_MS = f"{_CONFIG}.can.torques_msg_rate_ms"
+HEARTBEAT_MS = f"{_CONFIG}.can.heartbeat_msg_rate_ms"
+WATCHDOG, WATCHDOG_S = f"{_CONFIG}.enable_watchdog", f"{_CONFIG}.watchdog_timeout"
+VELOCITY_LIMITED = f"{_CONTROLLER}.enable_torque_mode_vel_limit"
+OVERSPEED = f"{_CONTROLLER}.enable_overspeed_error"
+VELOCITY, TOLERANCE = f"{_CONTROLLER}.vel_limit", f"{_CONTROLLER}.vel_limit_tolerance"
+ENCODER, COUNTS, BANDWIDTH = (
+    f"{_CONFIG}.load_encoder",
+    "inc_encoder0.config.cpr",
+    f"{_CONFIG}.encoder_bandwidth",
+)
+TORQUE_CONSTANT = f"{_CONFIG}.motor.torque_constant"
+CURRENT = f"{_CONFIG}.motor.current_soft_max"
+LEAST_TORQUE, MOST_TORQUE = f"{_CONFIG}.torque_soft_min", f"{_CONFIG}.torque_soft_max"
+READ = (
+    *(ENCODER_MS, TORQUES_MS, HEARTBEAT_MS, WATCHDOG, WATCHDOG_S, VELOCITY_LIMITED, OVERSPEED, VELOCITY, TOLERANCE),
+    *(ENCODER, COUNTS, BANDWIDTH, TORQUE_CONSTANT, CURRENT, LEAST_TORQUE, MOST_TORQUE),
+)  # fmt: skip
+# Settings that would leave a torque, or change one, or tell too little, and what they should be.
+REQUIRED: tuple[tuple[str, Callable[[Mapping[str, float]], bool], str, str], ...] = (
+    (WATCHDOG, lambda v: v[WATCHDOG] == 1, "True", "the last torque would stay when this computer falls silent"),
+    (
+        WATCHDOG_S,
+        lambda v: 0.0 < v[WATCHDOG_S] <= LONGEST_WATCHDOG_S * (1.0 + FLOAT),
+        "0.005",
+        f"the last torque would stay for so long; {LONGEST_WATCHDOG_S:g} s at most",
+    ),
+    (VELOCITY_LIMITED, lambda v: v[VELOCITY_LIMITED] == 0, "False", "it takes torque away, and so changes the wall"),
+    (
+        ENCODER_MS,
+        lambda v: 1 <= v[ENCODER_MS] <= LONGEST_CYCLE_MS,
+        "1",
+        f"it tells no position, or too rarely; 1 to {LONGEST_CYCLE_MS} ms",
+    ),
+    (
+        TORQUES_MS,
+        lambda v: v[TORQUES_MS] == v[ENCODER_MS],
+        f"odrv0.{ENCODER_MS}",
+        "a position comes with a measured torque",
+    ),
+    (
+        HEARTBEAT_MS,
+        lambda v: 1 <= v[HEARTBEAT_MS] <= max(LONGEST_BEAT_MS, v[ENCODER_MS]),
+        f"{LONGEST_BEAT_MS}",
+        "by its heartbeat it tells that it has stopped",
+    ),
+    (
+        ENCODER,
+        lambda v: v[ENCODER] in (ONBOARD, INCREMENTAL),
+        f"{ONBOARD}",
+        f"that encoder's counts are not known here: {ONBOARD} is on the board, {INCREMENTAL} incremental",
+    ),
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Endpoints:
+    """Numbers and types of a firmware's parameters, by their paths.
+
+    Attributes
+    ----------
+    place, firmware
+        The file, and the version that it is of.
+    by_path
+        Number and form (`struct`) of each.
+    """
+
+    place: str
+    firmware: str
+    by_path: Mapping[str, tuple[int, struct.Struct]]
+
+    @classmethod
+    def load(cls, place: str) -> Self:
+        """Read the maker's file; raises `ConfigError` if it is not a valid ``flat_endpoints.json``."""
+        try:
+            return cls.of(place, json.loads(read_regular(place, TABLE_BYTES)))
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+            raise ConfigError(
+                f"{place} is no flat_endpoints.json of an ODrive: {error!r}", remedy=WHERE_TO_GET
+            ) from None
+
+    @classmethod
+    def of(cls, place: str, content: Mapping[str, Any]) -> Self:
+        """Take what such a file has."""
+        found = {
+            path: (int(one["id"]), struct.Struct("<" + FORMS[one["type"]]))
+            for path, one in content["endpoints"].items()
+            if one["type"] in FORMS
+        }
+        return cls(place, str(content["fw_version"]), found)
+
+
+class OdriveConversation:
+    """Questions to a drive, before a bridge runs.
+
+    Parameters
+    ----------
+    bus
+        With the drive on it.
+    node
+        Its number.
+    endpoints
+        Of its firmware.
+
+    Attributes
+    ----------
+    quickest_s
+        Shortest time in which a question was answered so far.
+    """
+
+    def __init__(self, bus: Bus, node: int, endpoints: Endpoints) -> None:
+        self._bus, self.node, self.endpoints = bus, node, endpoints
+        self._others: set[int] = set()
+        self.quickest_s = math.inf
+
+    @property
+    def name(self) -> str:
+        """What it is called in messages."""
+        return f"the ODrive {self.node} at {self._bus.place}"
+
+    def refuse_others(self) -> None:
+        """Listen for `LISTEN_S`; raises `DeviceRefusedError` when another host commands the drive."""
+        deadline = time.monotonic() + LISTEN_S
+        while (left := deadline - time.monotonic()) > 0:
+            heard = self._bus.receive(left)
+            if heard is None:
+                return
+            node, command = heard.id >> NODE_BITS, heard.id & (1 << NODE_BITS) - 1
+            if node == self.node and command in COMMANDS:
+                raise DeviceRefusedError(
+                    f"another program commands {self.name}: a second master",
+                    remedy="end the other programs on this bus",
+                )
+            self._others.add(node)
+
+    def request(self, command: OdriveCommand) -> bytes:
+        """Request a message and return its data; errors as `_asked`."""
+        frame = CanFrame(self.node << NODE_BITS | command, b"", classic=True, remote=True)
+        return self._asked(frame, command, lambda data: len(data) == 8)
+
+    def parameter(self, path: str) -> float:
+        """Value of a parameter; raises `IncompatibleDeviceError` where this firmware has none of this name."""
+        found = self.endpoints.by_path.get(path)
+        if found is None:
+            raise IncompatibleDeviceError(
+                f"{self.endpoints.place} has no parameter {path}",
+                remedy="update the drive's firmware to 0.6.10 or later, with the file of that version",
+            )
+        number, form = found
+        question = struct.pack("<BHB", 0, number, 0)
+        frame = CanFrame(self.node << NODE_BITS | OdriveCommand.RX_SDO, question, classic=True)
+        answer = self._asked(
+            frame,
+            OdriveCommand.TX_SDO,
+            lambda data: data[1:3] == question[1:3] and len(data) >= 4 + form.size,
+        )
+        return float(form.unpack_from(answer, 4)[0])
+
+    def _asked(self, question: CanFrame, command: OdriveCommand, is_answer: Callable[[bytes], bool]) -> bytes:
+        """Send a request up to `TRIES` times and return the reply; raises `DeviceNotFoundError` without one."""
+        for _ in range(TRIES):
+            self._bus.send(question)
+            asked = time.monotonic()
+            while (left := asked + REPLY_S - time.monotonic()) > 0:
+                heard = self._bus.receive(left)
+                if heard is None:
+                    break
+                if heard.id == self.node << NODE_BITS | command and is_answer(heard.data):
+                    self.quickest_s = min(self.quickest_s, time.monotonic() - asked)
+                    return heard.data
+                self._others.add(heard.id >> NODE_BITS)
+        others = sorted(self._others - {self.node})
+        found = f"; there is the node {', '.join(map(str, others))}" if others else ""
+        raise DeviceNotFoundError(
+            f"{self.name} does not answer{found}",
+            remedy="check its power, bit rate, wiring, protocol (CAN Simple) and node id; name it by ?id=NUMBER",
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OdriveFacts:
+    """What matters of an ODrive.
+
+    Attributes
+    ----------
+    id
+        Its node.
+    firmware
+        Version, as in 0.6.11.
+    values
+        Its parameters, by path.
+    quickest_s
+        In which it answers, there and back.
+    """
+
+    id: int
+    firmware: str
+    values: Mapping[str, float]
+    quickest_s: float
+
+    @property
+    def output(self) -> Output:
+        """Reported properties of the drive's shaft."""
+        v = self.values
+        onboard = v[ENCODER] == ONBOARD
+        constant = v[TORQUE_CONSTANT]
+        most_torque = min(v[MOST_TORQUE], -v[LEAST_TORQUE], v[CURRENT] * constant)
+        counts = ONBOARD_COUNTS if onboard else int(v[COUNTS])
+        return Output(
+            kind="odrive",
+            encoder="onboard" if onboard else "incremental",
+            counts=counts,
+            counts_per_turn=float(counts),
+            torque_constant=constant,
+            most_current=most_torque / constant,
+            most_speed=v[VELOCITY] * max(v[TOLERANCE], 1.0) if v[OVERSPEED] else math.inf,
+            encoder_setting=ENCODER,
+            scale_setting=TORQUE_CONSTANT,
+            current_setting="current_soft_max and torque_soft_max",
+            scale_remedy=f"correct {TORQUE_CONSTANT} of the drive",
+        )
+
+
+def find(talk: OdriveConversation) -> OdriveFacts:
+    """Read the relevant settings of an ODrive, and refuse one that would not execute torque commands as sent.
+
+    Raises
+    ------
+    IncompatibleDeviceError
+        Another generation of its firmware, or a file of another version.
+    DeviceRefusedError
+        Another host commands it, it has an error, or settings that would drop or change a torque; lists all of them.
+    """
+    talk.refuse_others()
+    version = tuple(talk.request(OdriveCommand.GET_VERSION)[4:7])
+    firmware = ".".join(map(str, version))
+    if version[:2] != GENERATION:
+        raise IncompatibleDeviceError(
+            f"{talk.name} has firmware {firmware}, this package speaks CAN Simple of 0.6",
+            remedy="update its firmware (odrivetool dfu); boards that stay at 0.5 need a port of their own",
+        )
+    if firmware != talk.endpoints.firmware:
+        raise IncompatibleDeviceError(
+            f"{talk.name} has firmware {firmware}, {talk.endpoints.place} is of {talk.endpoints.firmware}: its "
+            "parameters have other numbers",
+            remedy=WHERE_TO_GET,
+        )
+    error = _error_at_rest(talk)
+    values = {path: talk.parameter(path) for path in READ}
+    refuse(
+        (f"{talk.name} has {path} = {values[path]:g}: {why}", f"set odrv0.{path} = {wanted}, then save_configuration()")
+        for path, right, wanted, why in REQUIRED
+        if not right(values)
+    )  # fmt: skip
+    if error & ~WATCHDOG_EXPIRED:
+        raise DeviceRefusedError(
+            f"{talk.name} has stopped with the error 0x{error:08x}",
+            remedy="see dump_errors(odrv0) in odrivetool, remove the cause, then odrv0.clear_errors()",
+        )
+    return OdriveFacts(id=talk.node, firmware=firmware, values=values, quickest_s=talk.quickest_s)
+
+
+def _error_at_rest(talk: OdriveConversation) -> int:
+    """Error of a drive at rest. What a killed bridge has left its watchdog ends, and nothing here."""
+    deadline = time.monotonic() + REST_S
+    while True:
+        error, state, _ = struct.unpack_from("<IBB", talk.request(OdriveCommand.HEARTBEAT))
+        if state == IDLE:
+            return int(error)
+        if time.monotonic() > deadline:
+            break
+        time.sleep(REST_S / 20.0)
+    what = "closed loop: another program drives it" if state == CLOSED_LOOP else "a procedure of its own"
+    raise DeviceRefusedError(
+        f"{talk.name} is in state {state}, {what}",
+        remedy="end that program; with odrivetool: odrv0.axis0.requested_state = AxisState.IDLE",
+    )
+
+
+def fit(found: OdriveFacts, model: RigModel) -> FittedDrive:
+    """Compare an ODrive with the rig of an experiment, and return it as that rig's drive.
+
+    Raises
+    ------
+    DeviceRefusedError
+        It is scaled, wired or limited otherwise than the experiment says: all that is, in one sentence each.
+    """
+    refuse(_differences(found, model))
+    values, output = found.values, found.output
+    cycle_ms, transmission = int(values[ENCODER_MS]), output.transmission(model)
+    fastest = 1000 // cycle_ms
+    slowest = math.ceil(WATCHED_PERIODS / values[WATCHDOG_S] * (1.0 - FLOAT))
+    return FittedDrive(
+        kind="odrive",
+        firmware=f"ODrive {found.firmware}",
+        id=found.id,
+        counts_per_turn=output.counts_per_turn,
+        transmission=transmission,
+        ranges={**output.ranges(model), "position_rate": (min(slowest, fastest), fastest)},
+        settings={
+            "drive": "odrive",
+            "drive_id": found.id,
+            "drive_firmware": found.firmware,
+            "drive_encoder": output.encoder,
+            "drive_counts": output.counts,
+            "drive_cycle_ms": cycle_ms,
+            "drive_watchdog_s": round(values[WATCHDOG_S], 6),
+            "encoder_bandwidth": values[BANDWIDTH],
+            "torque_constant": output.torque_constant,
+            "transmission": transmission,
+        },
+        rate_maximum=fastest,
+        cycle_us=1000 * cycle_ms,
+        beat_us=1000 * int(values[HEARTBEAT_MS]),
+    )
+
+
+def _differences(found: OdriveFacts, model: RigModel) -> Iterator[Difference]:
+    """What the drive has otherwise than the rig."""
+    values = found.values
+    if not values[TORQUE_CONSTANT] > 0.0 or not found.output.counts > 0:
+        yield "the motor is not set up (torque_constant or cpr is not above 0)", "run its calibration"
+        return
+    half_s = 0.5e-3 * values[ENCODER_MS]
+    if found.quickest_s > half_s:
+        yield (
+            f"an answer takes {1e3 * found.quickest_s:.2g} ms there and back, and may take {1e3 * half_s:g} ms, half "
+            "of the time between two of its positions",
+            "set odrv0.can.config.baud_rate = 1000000, and that of the interface; or a longer encoder_msg_rate_ms",
+        )
+    if values[WATCHDOG_S] < WATCHED_PERIODS * 1e-3 * values[ENCODER_MS] * (1.0 - FLOAT):
+        yield (
+            f"its watchdog bites after {1e3 * values[WATCHDOG_S]:g} ms, before two positions have come",
+            f"set odrv0.{WATCHDOG_S} to five times encoder_msg_rate_ms",
+        )
+    yield from found.output.differences(model)

@@ -1,0 +1,127 @@
+"""The process that runs a bridge: it finds the drive, compares it with the rig, and lets the C code have its ends.
+
+The drive is off before and after, whatever ends it: SIGINT, SIGTERM, the host of a socket that goes. Where this process
+cannot see to that any more (kill -9, a computer that stands), the drive's own watchdog does, after five periods.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import socket
+import sys
+import tty
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+from rig.core.model import RigModel
+from rig.devices.device import DeviceUrl
+from rig.extras.drives.library import Bridge, FittedDrive
+from rig.extras.drives.library import BridgeFacts as BusFacts
+from rig.realtime.scheduling import BoardScheduling, obtained
+
+if sys.platform == "linux":
+    from rig.extras.drives.address import DriveFacts, address_of
+    from rig.extras.drives.bus import open_bus
+
+assert sys.platform == "linux"
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """Announcement of a ready bridge: the drive, messages about what could not be obtained, and the process id."""
+
+    drive: FittedDrive
+    messages: tuple[str, ...]
+    process: int
+
+
+def look(url: DeviceUrl) -> DriveFacts:
+    """Ask the drive who it is, and let it be; errors as `serve`."""
+    address = address_of(url)
+    with contextlib.closing(open_bus(url)) as bus:
+        return address.look(bus)
+
+
+def serve(
+    url: DeviceUrl,
+    model: RigModel,
+    *,
+    host: socket.socket | None = None,
+    announce: Callable[[str, Found], object] = lambda place, found: None,
+    facts: BusFacts | None = None,
+    realtime: str = "try",
+    cpu: int | None = None,
+) -> None:
+    """Run a bridge until it is stopped.
+
+    Parameters
+    ----------
+    url
+        Of the drive: ``moteus:///dev/fdcanusb?id=1``, ``moteus://can0``, ``odrive://can0?endpoints=FILE``.
+    model
+        The rig that it moves.
+    host
+        Connected socket to the host, whose end ends the bridge; a pseudo-terminal of its own unless given, which serves
+        one host after the other.
+    announce
+        Called once with the path of the port ("" for a socket), when a host may talk.
+    facts
+        Memory for what happens on the bus.
+    realtime, cpu
+        Scheduling, as ``host.realtime``, and the processor.
+
+    Raises
+    ------
+    RigError
+        There is no drive, it answers wrongly, or it is not as the rig describes it: nothing has moved.
+    """
+    address = address_of(url)
+    bus = open_bus(url)
+    with contextlib.closing(bus), obtained(BoardScheduling(realtime, cpu=cpu)) as granted:
+        found = address.find(bus, model)
+        bridge = Bridge(model, found, checksum=bus.checksum, socket=bus.is_socket, facts=facts)
+        with _end_of(host) as (descriptor, place), _wakes() as wake:
+            granted.enter_thread()
+            try:
+                announce(place, Found(found, (*bus.messages, *granted.messages), os.getpid()))
+                bridge.run(host=descriptor, bus=bus.descriptor, wake=wake, host_stays=host is None)
+            finally:
+                granted.leave_thread()
+
+
+@contextlib.contextmanager
+def _end_of(host: socket.socket | None) -> Iterator[tuple[int, str]]:
+    """The bridge's end of the line to its host, and the path of the other one."""
+    if host is not None:
+        host.setblocking(False)
+        yield host.fileno(), ""
+        return
+    master, slave = os.openpty()
+    try:
+        place = os.ttyname(slave)
+        tty.setraw(slave)
+        os.close(slave)  # from now on a hang-up shows that no host has it open
+        os.set_blocking(master, False)
+        yield master, place
+    finally:
+        os.close(master)
+
+
+@contextlib.contextmanager
+def _wakes() -> Iterator[int]:
+    """Yield a descriptor that becomes readable on SIGINT or SIGTERM: during C code no Python signal handler runs."""
+    ear, mouth = os.pipe()
+    os.set_blocking(mouth, False)
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before = [signal.signal(one, lambda *_: None) for one in numbers]
+    wakes_before = signal.set_wakeup_fd(mouth)
+    try:
+        yield ear
+    finally:
+        signal.set_wakeup_fd(wakes_before)
+        for one, handler in zip(numbers, before, strict=True):
+            signal.signal(one, handler)
+        os.close(ear)
+        os.close(mouth)

@@ -1,0 +1,256 @@
+"""Follow loops, one after another, and send what they do into the network, until interrupted."""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from rig.core.errors import ConfigError, RigError
+from rig.core.sample import Motion
+from rig.extras.lsl import library
+from rig.extras.lsl.follow import Follower, Marker, decimation, without_secrets
+from rig.extras.lsl.session import NAME
+from rig.extras.lsl.streams import MarkerStream, SampleStream
+from rig.realtime import running
+from rig.realtime.ring import Ring
+
+POLL_S = 0.02  # a chunk's length
+LOOK_S, LOOK_EVERYWHERE_S = 0.02, 0.25  # between two looks for the next loop, of a process or of any
+LINGER_S = 0.5  # at the end, before the outlets go: what liblsl has queued still leaves
+DEATH_S = 1.0  # without a row, before it is asked whether the process lives
+
+
+@dataclass(slots=True)
+class Streamed:
+    """What was sent: loops followed, samples and markers, rows that came too late to be seen, and the last rate."""
+
+    name: str
+    loops: int = 0
+    samples: int = 0
+    markers: int = 0
+    lost: int = 0
+    rate: float | None = None
+    offset_s: float = 0.0
+    offset_uncertainty_s: float = 0.0
+
+
+class Markers:
+    """Markers that another program writes, a line of JSON each: ``{"at": host time in ns, "marker": {...}}``.
+
+    Without `at` a marker has the time at which it was read.
+
+    Attributes
+    ----------
+    malformed
+        Lines of another form, which were left out.
+    over
+        Whether no more can come.
+    """
+
+    def __init__(self, descriptor: int) -> None:
+        self.malformed = 0
+        self.over = False
+        self._descriptor = descriptor
+        self._rest = b""
+
+    def take(self) -> list[Marker]:
+        """What has come since the last call; never waits."""
+        while not self.over and select.select([self._descriptor], [], [], 0.0)[0]:
+            data = os.read(self._descriptor, 65536)
+            self._rest += data
+            self.over = not data
+        *lines, self._rest = self._rest.split(b"\n")
+        return [marker for line in lines if (marker := self._marker(line)) is not None]
+
+    def _marker(self, line: bytes) -> Marker | None:
+        try:
+            said = json.loads(line)
+            return Marker(int(said.get("at") or time.monotonic_ns()), dict(said["marker"]))
+        except (ValueError, TypeError, KeyError, AttributeError):
+            self.malformed += 1
+            return None
+
+
+def serve(
+    pid: int | None = None,
+    *,
+    rate: float | None = None,
+    name: str = NAME,
+    blind: bool = False,
+    once: bool = False,
+    markers: int | None = None,
+    expected: tuple[Motion, float] | None = None,
+    report: Callable[[Mapping[str, Any]], None] | None = None,
+) -> Streamed:
+    """Send what loops in real time do, until Ctrl-C or until what is followed is over.
+
+    Parameters
+    ----------
+    pid
+        Process whose loops are followed, and with whose death this ends; None: any process of this user, one loop at
+        a time.
+    rate
+        Samples a second at most: the position rate over the next whole number. None: every row.
+    name
+        First word of the streams' names.
+    blind
+        No marker says anything of the wall.
+    once
+        End with the first loop.
+    markers
+        Descriptor from which further markers are read (`Markers`); this ends when that does.
+    expected
+        Motion and position rate of loops to come, so that the samples' stream is there before the first of them; else
+        it opens with the first loop, and a receiver misses what comes before it has found the stream.
+    report
+        Called with a mapping when something is new: streams that opened, a loop that began or ended.
+
+    Returns
+    -------
+    Served
+        Also when a KeyboardInterrupt ends it.
+
+    Raises
+    ------
+    ConfigError
+        pylsl or liblsl is missing, the rate is not above 0, or there is no such process.
+    """
+    if rate is not None and not rate > 0.0:
+        raise ConfigError(
+            f"a rate of {rate} samples a second", remedy="give one above 0, or none for every row"
+        )
+    if expected is not None and not expected[1] > 0.0:
+        raise ConfigError(f"a position rate of {expected[1]} Hz", remedy="give one above 0")
+    if pid is not None and not _alive(pid):
+        raise ConfigError(f"there is no process {pid} of yours", remedy="rig stop --list shows what runs")
+    pylsl = library.load()
+    server = _Server(pylsl, rate, name, blind, report or (lambda _: None))
+    if expected is not None:
+        server.open_samples(*expected)
+    source = None if markers is None else Markers(markers)
+    with suppress(KeyboardInterrupt):
+        server.run(pid, source, once=once)
+        time.sleep(LINGER_S)
+    return server.served
+
+
+class _Server:
+    """Outlets, the loop that is followed, and what was sent."""
+
+    def __init__(
+        self,
+        pylsl: Any,
+        rate: float | None,
+        name: str,
+        blind: bool,
+        report: Callable[[Mapping[str, Any]], None],
+    ) -> None:
+        self._pylsl, self._rate, self._name, self._blind, self._report = pylsl, rate, name, blind, report
+        self._offset = library.clock_offset(pylsl)
+        with Ring.allocate(1) as ring:
+            Follower(ring).poll()
+        self.served = Streamed(
+            name, offset_s=self._offset.offset_s, offset_uncertainty_s=self._offset.uncertainty_s
+        )
+        self._markers = MarkerStream(pylsl, name, self._offset)
+        self._samples: SampleStream | None = None
+        self._context: dict[str, Any] = {}  # what every marker of a loop says: the session's trial
+        report({"stream": f"{name} markers", **asdict(self._offset)})
+
+    def run(self, pid: int | None, source: Markers | None, *, once: bool) -> None:
+        """Until `pid` is dead, the source of markers is over, or with `once` a loop has ended."""
+        while True:
+            self._pass_on(source)
+            over = source is not None and source.over
+            found = _next_loop(pid)
+            if found is not None:
+                owner, ring = found
+                with ring:
+                    self._follow(owner, ring, source)
+                if once:
+                    return
+            elif over or (pid is not None and not _alive(pid)):
+                return
+            else:
+                time.sleep(LOOK_EVERYWHERE_S if pid is None else LOOK_S)
+
+    def _follow(self, owner: int, ring: Ring, source: Markers | None) -> None:
+        follower = Follower(ring, rate=self._rate, blind=self._blind)
+        rig = (follower.info.get("experiment") or {}).get("rig") or {}
+        self.open_samples("linear" if rig.get("motion") == "linear" else "rotary", follower.position_rate)
+        self._report({"loop": owner, "position_rate": follower.position_rate, "rate": follower.rate})
+        try:
+            self._to_the_end(owner, follower, source)
+        finally:
+            self.served.loops += 1
+            self.served.lost += follower.lost
+            self._report({"ended": owner, "rows": follower.rows, "lost": follower.lost})
+
+    def _to_the_end(self, owner: int, follower: Follower, source: Markers | None) -> None:
+        heard = time.monotonic()
+        while not follower.ended:
+            self._pass_on(source)
+            before = follower.rows
+            self._send(follower)
+            now = time.monotonic()
+            if follower.rows > before:
+                heard = now
+            elif not follower.ended and now - heard > DEATH_S and not _alive(owner):
+                return  # it died without a word
+            if not follower.ended:
+                time.sleep(POLL_S)
+
+    def _send(self, follower: Follower) -> None:
+        chunk = follower.poll()
+        assert self._samples is not None
+        self._samples.push(chunk.rows, chunk.times_ns)
+        self.served.samples += len(chunk.rows)
+        self._mark([Marker(one.time_ns, {**one.content, **self._context}) for one in chunk.markers])
+
+    def open_samples(self, motion: Motion, position_rate: float) -> None:
+        """One outlet as long as rate and units stay."""
+        rate = position_rate / decimation(position_rate, self._rate)
+        known = self._samples
+        if known is not None and (known.rate, known.motion) == (rate, motion):
+            known.begin()
+            return
+        self._samples = SampleStream(self._pylsl, self._name, motion, rate, position_rate, self._offset)
+        self.served.rate = rate
+        self._report({"stream": f"{self._name} samples", "rate": rate})
+
+    def _pass_on(self, source: Markers | None) -> None:
+        """Send what others mark; a `trial` that one names is part of all markers that follow."""
+        for marker in source.take() if source is not None else ():
+            if "trial" in marker.content:
+                self._context = {"trial": marker.content["trial"]}
+            content = without_secrets(marker.content) if self._blind else marker.content
+            self._mark([Marker(marker.time_ns, {**self._context, **content})])
+
+    def _mark(self, markers: list[Marker]) -> None:
+        self._markers.push(markers)
+        self.served.markers += len(markers)
+
+
+def _next_loop(pid: int | None) -> tuple[int, Ring] | None:
+    """A loop that runs, with its process; the newest."""
+    if pid is not None:
+        ring = running.memory_of(pid)
+        return None if ring is None else (pid, ring)
+    for loop in reversed(running.running()):
+        with suppress(OSError, RigError):
+            return loop.pid, Ring.attach(loop.path, writable=False)
+    return None
+
+
+def _alive(pid: int) -> bool:
+    """Return True if a process of ours lives; a zombie, dead but not waited for, has no files and does not count."""
+    try:
+        return bool(os.listdir(f"/proc/{pid}/fd"))
+    except OSError:
+        return False

@@ -1,0 +1,304 @@
+"""Numbers that claims, page and pictures of Chawda et al. take from the results alike."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+
+from rig.config import presets
+from rig.config.schemes import Scheme
+from rig.experiments.searches import connected
+from rig.experiments.table_one import FrequencyWidth, Spread, tuned_numbers
+from rig.extras.papers.chawda import rigs, rules
+from rig.extras.papers.chawda.parts import fidelity_without_wall
+from rig.extras.papers.chawda.readings import Readings
+from rig.extras.papers.chawda.results import Chawda, spread
+from rig.extras.papers.rules import over
+
+# --- wall hits ---------------------------------------------------------------------------------------------------
+
+
+def curve(chawda: Chawda, name: str) -> list[float]:
+    """Mean limits of one scheme of Fig. 3 over the dampings."""
+    return [b.stiffness for b in chawda.hits.curve(chawda.hit_names.index(name), "felt")]
+
+
+def drops(chawda: Chawda) -> dict[str, float]:
+    """Where each Z-width of Fig. 3 drops below half of its peak for good; infinite where it does not."""
+    dampings = chawda.scale.hit_dampings
+    return {name: rules.dropped(dampings, curve(chawda, name)) for name in chawda.hit_names}
+
+
+def over_filtered(chawda: Chawda, name: str, up_to: float = math.inf) -> list[float]:
+    """K over that of the filtered difference at each damping above 0, where not both are only caps."""
+    of, filtered = (chawda.hits.curve(chawda.hit_names.index(one), "felt") for one in (name, rigs.FILTERED))
+    return [
+        over(a.stiffness, b.stiffness)
+        for a, b in zip(of, filtered, strict=True)
+        if 0.0 < a.damping <= up_to and not (a.capped and b.capped)
+    ]
+
+
+def akf_over_fdm(chawda: Chawda) -> dict[str, list[float]]:
+    """K of AKF over K of FDM+filter from `rules.LEAST_DAMPING` on: linear theory and hits at 1 kHz."""
+    akf, fdm = (chawda.linear[name]["stable"] for name in (rigs.AKF, rigs.FDM))
+    linear = [
+        over(a, f)
+        for b, a, f in zip(chawda.linear_dampings, akf, fdm, strict=True)
+        if b >= rules.LEAST_DAMPING
+    ]
+    hits = [
+        over(a.stiffness, f.stiffness)
+        for a, f in zip(
+            *(chawda.slow_hits.curve(rigs.ESTIMATORS.index(name), "felt") for name in (rigs.AKF, rigs.FDM)),
+            strict=True,
+        )
+        if rules.LEAST_DAMPING <= a.damping <= chawda.linear_dampings[-1]
+    ]
+    return {"linear theory, stable": linear, "hits at 1 kHz": hits}
+
+
+# --- Table I and what the band decides ---------------------------------------------------------------------------
+
+
+def by_edge(chawda: Chawda) -> dict[float, list[tuple[bool, bool]]]:
+    """For each upper edge of the band: whether K-widths and errors are near Table I, reading by reading."""
+    fits: dict[float, list[tuple[bool, bool]]] = {high: [] for high in rigs.HIGHEST_HZ}
+    stiffness = {name: printed.stiffness for name, printed in rigs.PRINTED.items()}
+    error = {name: printed.worst_fidelity for name, printed in rigs.PRINTED.items()}
+    for number, of in enumerate(chawda.read):
+        widths = {name: width.stiffness for name, width in of.items()}
+        errors = {name: float(np.nan_to_num(width.worst_fidelity)) for name, width in of.items()}
+        near = rules.near_table(widths, stiffness, chawda.scale.rung), rules.near_table(errors, error)
+        fits[rigs.READINGS[number % len(rigs.READINGS)].high_hz].append(near)
+    return fits
+
+
+def closed_widths(chawda: Chawda, name: str) -> list[float]:
+    """Largest passive stiffness of the closed form over all dampings, by upper edge of the band."""
+    return [max(of) for of in chawda.linear[name]["passive"]]
+
+
+@cache
+def mass_and_damping() -> tuple[float, float]:
+    """Mass and viscous damping of the paper's rig."""
+    mechanics = presets.load(rigs.RIG).rig.mechanics
+    return mechanics.motor_inertia + mechanics.link_inertia, mechanics.motor_damping + mechanics.link_damping
+
+
+def floors() -> dict[float, float]:
+    """Fidelity error without a wall by upper edge of the band: no estimator's maximum can be much below it."""
+    low, _ = rigs.CONTROL_BAND
+    return {high: fidelity_without_wall(*mass_and_damping(), (low, high)) for high in rigs.HIGHEST_HZ}
+
+
+def edge_of(error: float) -> float:
+    """Upper edge (Hz) of the band in which the error without a wall is this large."""
+    edges, (low, _) = np.arange(2.0, 1000.0), rigs.CONTROL_BAND
+    errors = [fidelity_without_wall(*mass_and_damping(), (low, float(edge))) for edge in edges]
+    return float(np.interp(error, errors, edges))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Edge:
+    """What an upper edge of the band decides.
+
+    Attributes
+    ----------
+    closed_fdm, closed_akf
+        K-widths of the closed form (N/m).
+    floor
+        Fidelity error without a wall (N·s/m).
+    widths, errors, both
+        Readings with all K-widths, all errors, and both near Table I, of how many `readings`.
+    """
+
+    high: float
+    closed_fdm: float
+    closed_akf: float
+    floor: float
+    widths: int
+    errors: int
+    both: int
+    readings: int
+
+
+def edges(chawda: Chawda) -> list[Edge]:
+    """Upper edges of the band."""
+    closed = zip(*(closed_widths(chawda, name) for name in (rigs.FDM, rigs.AKF)), strict=True)
+    return [
+        Edge(
+            high=high,
+            closed_fdm=fdm,
+            closed_akf=akf,
+            floor=floors()[high],
+            widths=sum(widths for widths, _ in fits),
+            errors=sum(errors for _, errors in fits),
+            both=sum(widths and errors for widths, errors in fits),
+            readings=len(fits),
+        )
+        for (high, fits), (fdm, akf) in zip(by_edge(chawda).items(), closed, strict=True)
+    ]
+
+
+def common_gains(chawda: Chawda, reading: int = rigs.MAIN) -> dict[str, list[float]]:
+    """By how much FOAW's mean error is lower, at walls passive with all three filters; a share, by measurement."""
+    numbers = {name: rigs.ESTIMATORS.index(name) for name in rigs.FILTERS}
+    common = chawda.map.common(reading, list(numbers.values()))
+    if not common.any():
+        return {}
+    mean = {
+        name: [float(np.mean(of[common])) for of in chawda.map.fidelity[:, reading, number]]
+        for name, number in numbers.items()
+    }
+    return {
+        name: [1.0 - foaw / other for foaw, other in zip(mean[rigs.FOAW], mean[name], strict=True)]
+        for name in (rigs.FDM, rigs.AKF)
+    }
+
+
+def common_gains_by_edge(chawda: Chawda) -> dict[float, dict[str, list[float]]]:
+    """The same for each upper edge of the band (Hz)."""
+    main = rigs.READINGS[rigs.MAIN]
+    return {
+        high: common_gains(chawda, rigs.READINGS.index(replace(main, high_hz=high)))
+        for high in rigs.HIGHEST_HZ
+    }
+
+
+def common_error(chawda: Chawda, name: str) -> Spread:
+    """Mean error of one of three estimators at walls passive with all three, over measurements."""
+    held = chawda.map.common(rigs.MAIN, [rigs.ESTIMATORS.index(one) for one in rigs.FILTERS])
+    of = chawda.map.fidelity[:, rigs.MAIN, rigs.ESTIMATORS.index(name)]
+    return Spread.of([float(one[held].mean()) for one in of] if held.any() and name in rigs.FILTERS else [])
+
+
+def errors_of_quarters(chawda: Chawda) -> dict[str, tuple[float, float]]:
+    """Mean fidelity error of the connected region in its softest and its stiffest quarter of walls."""
+    found = {}
+    for number, name in enumerate(rigs.ESTIMATORS):
+        held = chawda.map.common(rigs.MAIN, [number])
+        if held.sum() < 4:
+            continue
+        errors = np.mean(chawda.map.fidelity[:, rigs.MAIN, number], axis=0)[held]
+        stiffness = np.array(chawda.map.grid.stiffnesses)[np.nonzero(held)[1]]
+        low, high = np.percentile(stiffness, (25.0, 75.0))
+        found[name] = float(errors[stiffness <= low].mean()), float(errors[stiffness >= high].mean())
+    return found
+
+
+def larger_first(found: Readings) -> dict[str, tuple[int, int]]:
+    """By tolerance: how often the first of two schemes has the larger K-width, of how many readings that differ."""
+    counts: dict[str, tuple[int, int]] = {}
+    for number, reading in enumerate(found.grid.readings):
+        above, differ = counts.get(reading.allowed, (0, 0))
+        for m in range(found.grid.measurements):
+            first, second = (found.width(m, number, scheme).stiffness for scheme in (0, 1))
+            above, differ = above + (first > second), differ + (first != second)
+        counts[reading.allowed] = above, differ
+    return counts
+
+
+def at_softest_wall(chawda: Chawda) -> tuple[int, int]:
+    """In how many maps the largest error stands at the softest wall of the grid, and how many maps there are."""
+    worst = [width.worst_stiffness for name in rigs.SCHEMES for width in chawda.widths(name)]
+    return sum(k == chawda.map.grid.stiffnesses[0] for k in worst), len(worst)
+
+
+def tuned(chawda: Chawda, name: str) -> int:
+    """How many numbers of an estimator were chosen."""
+    controller = rigs.SCHEMES[name].applied(chawda.map.grid.experiment).controller
+    return len(tuned_numbers(controller.estimator, controller.parameters))
+
+
+def capped(widths: Sequence[FrequencyWidth], name: str) -> bool:
+    """Whether some width reaches to the end of the grid."""
+    return any(getattr(width, f"{name}_capped") for width in widths)
+
+
+def variant_widths(chawda: Chawda) -> dict[str, FrequencyWidth]:
+    """Levant's differentiator in other forms, by name."""
+    return {name: chawda.variants.width(0, 0, n) for n, name in enumerate(chawda.variant_names)}
+
+
+# --- dual-rate -----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Ranked:
+    """One scheme on one rig by one reading: area of its Z-width, widths, and its error over that of Koul's wall."""
+
+    scheme: Scheme
+    area: Spread
+    stiffness: Spread
+    damping: Spread
+    error: Spread  # ratio of mean errors at walls passive with both; the dual-rate wall of Koul et al. is 1
+    capped: bool  # whether the region reaches the stiffest walls of the grid
+
+
+def ranked(found: Readings, reading: int) -> list[Ranked]:
+    """Every scheme, the widest first."""
+    schemes = found.grid.schemes
+    reference = schemes.index(Scheme.parse(rigs.PAPERS_DUAL))
+    rows = []
+    for number, scheme in enumerate(schemes):
+        widths = found.widths(reading, number)
+        rows.append(
+            Ranked(
+                scheme,
+                found.areas(reading, number),
+                spread(widths, "stiffness"),
+                spread(widths, "damping"),
+                _relative_error(found, reading, number, reference),
+                capped(widths, "stiffness"),
+            )
+        )
+    return sorted(rows, key=lambda row: -row.area.mean)
+
+
+def _relative_error(found: Readings, reading: int, number: int, reference: int) -> Spread:
+    """Mean error over that of the reference at walls passive with both, by measurement."""
+    ratios = []
+    for m in range(found.grid.measurements):
+        held = connected(found.passive[m, reading, number]) & connected(found.passive[m, reading, reference])
+        if held.any():
+            error = found.fidelity[m, reading]
+            ratios.append(float(error[number][held].mean() / error[reference][held].mean()))
+    return Spread.of(ratios)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BestDual:
+    """The widest dual-rate wall, those that are not distinguishable from it, and the most faithful one, if any."""
+
+    best: Ranked
+    near: list[Ranked]
+    faithful: Ranked | None
+    uniform: Ranked
+    ratio: float  # of the areas of the best one and of the best uniform one
+
+    @classmethod
+    def of(cls, rows: Sequence[Ranked]) -> BestDual:
+        """Choose among ranked schemes."""
+        best, *others = (row for row in rows if row.scheme.kind == "dual")
+        judged = [row for row in (best, *others) if row.error.count]
+        uniform = max((row for row in rows if row.scheme.kind == "uniform"), key=lambda row: row.area.mean)
+        return cls(
+            best=best,
+            near=[
+                row
+                for row in others
+                if best.area.mean - row.area.mean <= _deviation(best.area) + _deviation(row.area)
+            ],
+            faithful=min(judged, key=lambda row: row.error.mean) if judged else None,
+            uniform=uniform,
+            ratio=over(best.area.mean, uniform.area.mean),
+        )
+
+
+def _deviation(found: Spread) -> float:
+    return float(np.nan_to_num(found.deviation))

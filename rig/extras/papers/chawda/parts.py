@@ -1,0 +1,159 @@
+"""Parts of the reproduction of Chawda et al. neither excited wall nor hit: theory, C from a hit, controls.
+
+Each function is the work of a task of `rig.extras.papers.parts`: plain data in, plain data out, nothing else decides.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+
+from rig import config
+from rig.analysis import theory
+from rig.analysis.impedance.estimate import periodic
+from rig.analysis.theory.loop import linear_loop
+from rig.config import Experiment
+from rig.config.schemes import Scheme
+from rig.control.estimators.lipschitz import identify_lipschitz
+from rig.experiments.compare import Start, simulate
+from rig.experiments.excitation_run import ExcitedRig
+from rig.experiments.lipschitz import AFTER_CONTACT_S, BEFORE_CONTACT_S
+from rig.experiments.ranges import passive_limit
+from rig.experiments.searches import StiffnessSearch
+from rig.extras.papers.chawda.readings import read
+from rig.extras.papers.chawda.rigs import FIGURE_3_RATE, FILTERED_SCHEME, Reading, pushed_rig
+
+# A rig as linear theory sees it: no friction, next to no quantum.
+IDEAL = {
+    "rig.mechanics.motor_coulomb": 0.0,
+    "rig.encoder.quantum": 1e-12,
+    "rig.amplifier.current_quantum_a": 1e-7,
+    "rig.amplifier.effort_per_ampere": 100.0,
+    "rig.amplifier.effort_limit": 0.3,
+    "rig.limits.effort": 0.3,
+    "rig.limits.nominal_effort": 0.3,
+    "homing.effort": 0.1,
+    "trial.effort": 0.1,
+    "trial.minimum_rest_counts": 0.0,
+    "excitation.rms": 0.02,
+}  # the wire has 16 bits for a current, so that all efforts are small
+LIPSCHITZ_OFFSET = 0.1  # of the encoder
+LIPSCHITZ_S = 0.5  # of the hit: the fit takes the first 60 ms of contact
+CONTROL_SETTLING = 40  # periods
+NOMINAL = (20_000.0, 60.0)  # N/m, N·s/m: the wall of the preset, at which C is identified
+
+
+def linear(payload: Mapping[str, Any]) -> dict[str, Any]:
+    """Largest stable stiffness over some dampings, and the largest passive one at lines of 1 Hz up to some frequencies.
+
+    None for an estimator that is not linear.
+    """
+    experiment = config.restore_experiment(payload["experiment"])
+    scheme, dampings = Scheme.parse(payload["scheme"]), payload["dampings"]
+    stable = [limit.stiffness for limit in theory.k_max_curve(experiment, scheme, dampings)]
+    loop = linear_loop(experiment, scheme)
+    passive = [
+        [
+            passive_limit(loop, b, k, np.arange(payload["low_hz"], high + 1.0))
+            for b, k in zip(dampings, stable, strict=True)
+        ]
+        for high in payload["highest_hz"]
+    ]
+    return {"stable": stable, "passive": passive, "range": theory.b_max(experiment, scheme).damping}
+
+
+def constant(payload: Mapping[str, Any]) -> dict[str, float]:
+    """C of one hit of the paper's rig at 10 kHz, its velocity filtered, by the paper's way; and the true one."""
+    return identified(payload["stiffness"], payload["damping"])
+
+
+def identified(stiffness: float, damping: float) -> dict[str, float]:
+    """Hit one wall with the filtered difference, fit a sum of sines to the counts around the contact.
+
+    Returns
+    -------
+    dict
+        ``lipschitz`` to three digits, ``residual_rms`` of the fit (m), ``true``: the largest acceleration in that
+        stretch, ``impact_velocity``.
+    """
+    changes = {"wall.stiffness": stiffness, "wall.damping": damping, "trial.duration_s": LIPSCHITZ_S}
+    experiment = config.override(FILTERED_SCHEME.applied(pushed_rig(FIGURE_3_RATE)), changes, "a hit")
+    _, plant, trace = simulate(experiment, Start.of(experiment), LIPSCHITZ_OFFSET)
+    position = trace.counts * experiment.rig.encoder.resolution
+    time_s = np.arange(len(position)) / FIGURE_3_RATE
+    contact = int(np.flatnonzero(trace.counts > 0)[0])
+    since = time_s - time_s[contact]
+    chosen = (since >= -BEFORE_CONTACT_S) & (since <= AFTER_CONTACT_S)
+    fitted = identify_lipschitz(time_s[chosen], position[chosen])
+    velocity = trace.states[:, plant.sensed_position + 1]
+    return {
+        "stiffness": stiffness,
+        "damping": damping,
+        "lipschitz": float(f"{fitted.lipschitz:.3g}"),
+        "residual_rms": fitted.residual_rms,
+        "true": float(np.abs(np.diff(velocity[chosen])).max() * FIGURE_3_RATE),
+        "impact_velocity": float(velocity[contact]),
+    }
+
+
+def control(payload: Mapping[str, Any]) -> dict[str, float]:
+    """What theory fixes without friction and quantum, for one scheme: K-width at B = 0, fidelity without a wall.
+
+    Returns
+    -------
+    dict
+        ``stiffness``: largest K at B = 0 that the strict test passes, by bisection; ``fidelity``: rms of |Z| with
+        no wall.
+    """
+    experiment = _ideal(config.restore_experiment(payload["experiment"]))
+    reading = [Reading(low_hz=payload["low_hz"], high_hz=payload["high_hz"], tolerance=0.0)]
+    bench = ExcitedRig(experiment)
+
+    def excited(stiffness: float) -> tuple[bool, float]:
+        run = bench.excite(stiffness, 0.0)
+        if run.record is None:
+            return False, math.nan
+        passes, errors = read(periodic([run.record]), stiffness, 0.0, reading)
+        return bool(passes[0]), float(errors[0])
+
+    rungs = StiffnessSearch(**payload["search"]).rungs
+    low, high = -1, len(rungs)
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (middle, high) if excited(rungs[middle])[0] else (low, middle)
+    return {"stiffness": rungs[low] if low >= 0 else 0.0, "fidelity": excited(0.0)[1]}
+
+
+def control_payload(
+    experiment: Experiment, scheme: Scheme, search: StiffnessSearch, band: tuple[float, float]
+) -> Any:
+    """Payload of `control`."""
+    applied = scheme.applied(config.excited(experiment))
+    return {
+        "experiment": config.as_mapping(applied),
+        "search": asdict(search),
+        "low_hz": band[0],
+        "high_hz": band[1],
+    }
+
+
+def _ideal(experiment: Experiment) -> Experiment:
+    """Without friction and quantum; one realisation, for there is nothing to average, but long settled.
+
+    A wall at 99 % of its passive stiffness leaves a mass of 0.52 kg a damping of 0.13 N·s/m, and 8 s to forget.
+    """
+    ideal = config.override(experiment, IDEAL, "a control")
+    return replace(
+        ideal,
+        excitation=replace(ideal.excitation, realisations=1, settle_periods=CONTROL_SETTLING, periods=2),
+    )
+
+
+def fidelity_without_wall(mass: float, damping: float, band: tuple[float, float]) -> float:
+    """√mean(b² + (2π·m·f)²) over lines of 1 Hz in a band: the rms of |Z| of a bare rig."""
+    lines = np.arange(band[0], band[1] + 1.0)
+    return float(np.sqrt(np.mean(damping**2 + (2.0 * np.pi * mass * lines) ** 2)))

@@ -1,0 +1,206 @@
+"""Walls excited once and read in many ways: the second paper's passivity test with everything it leaves open.
+
+A wall's impedance is measured a few times, each time by some realisations of the excitation. Each measurement is judged
+by every reading (`rig.extras.papers.chawda.rigs.Reading`: a band, a tolerance), so that what a result owes to the
+reading can be counted. The test is that of `rig.analysis.impedance.verdict`: real parts, residual power, coherence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig import config
+from rig.analysis.impedance.estimate import Impedance, periodic
+from rig.analysis.impedance.ideal import ideal_wall
+from rig.analysis.impedance.signals import Floats
+from rig.config import Experiment
+from rig.config.schemes import Scheme
+from rig.experiments.excitation_run import ExcitedRig, RealisationRun, Signal
+from rig.experiments.searches import connected
+from rig.experiments.sweep import Task
+from rig.experiments.table_one import FrequencyWidth, Spread
+from rig.extras.papers.chawda.rigs import COHERENCE, RESIDUAL, Reading
+from rig.extras.papers.parts import Part
+
+Flags = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExcitationGrid:
+    """Walls to excite under some schemes, and how to read the measured impedance."""
+
+    experiment: Experiment  # its excitation has the realisations of all measurements
+    schemes: tuple[Scheme, ...]
+    stiffnesses: tuple[float, ...]
+    dampings: tuple[float, ...]
+    readings: tuple[Reading, ...]
+    measurements: int
+    signal: Signal = "count"
+
+    @property
+    def runs(self) -> int:
+        """How many times a rig is excited, if no guard ends a measurement early."""
+        walls = len(self.schemes) * len(self.stiffnesses) * len(self.dampings)
+        return walls * self.experiment.excitation.realisations
+
+    def part(self, weight: float = 1.0) -> Part:
+        """A task for each scheme and damping; weight is that of one run."""
+        tasks = []
+        for number, scheme in enumerate(self.schemes):
+            applied = scheme.applied(config.excited(self.experiment))
+            for damping in self.dampings:
+                payload = {
+                    "experiment": config.as_mapping(
+                        replace(applied, wall=replace(applied.wall, stiffness=0.0, damping=damping))
+                    ),
+                    "stiffnesses": list(self.stiffnesses),
+                    "readings": [[r.low_hz, r.high_hz, r.tolerance, r.kind] for r in self.readings],
+                    "measurements": self.measurements,
+                    "signal": self.signal,
+                }
+                runs = len(self.stiffnesses) * self.experiment.excitation.realisations
+                tasks.append(Task(f"{number}/{damping!r}", column, payload, weight=weight * runs))
+        return tasks
+
+
+def column(payload: Mapping[str, Any]) -> list[list[dict[str, Any]]]:
+    """Excite the walls of one scheme and damping: for each stiffness and measurement the result of every reading.
+
+    ``passive`` is a string of a digit for each reading, ``fidelity`` the rms of |Z| − |K/(jω) + B| in each of `bands`;
+    a measurement that the guard ended is passive in none and has no fidelity.
+    """
+    experiment = config.restore_experiment(payload["experiment"])
+    readings = [
+        Reading(low_hz=low, high_hz=high, tolerance=t, kind=k) for low, high, t, k in payload["readings"]
+    ]
+    bench = ExcitedRig(experiment, signal=payload["signal"])
+    each = experiment.excitation.realisations // payload["measurements"]
+    damping = experiment.wall.damping
+    rows = []
+    for stiffness in payload["stiffnesses"]:
+        row: list[dict[str, Any]] = []
+        for measurement in range(payload["measurements"]):
+            runs = _excited(bench, stiffness, damping, range(measurement * each, (measurement + 1) * each))
+            records = [run.record for run in runs if run.record is not None]
+            if len(records) < len(runs):
+                row.append({"passive": "0" * len(readings), "fidelity": None, "residual": None})
+                continue
+            impedance = periodic(records)
+            passes, errors = read(impedance, stiffness, damping, readings)
+            row.append(
+                {
+                    "passive": "".join("1" if passed else "0" for passed in passes),
+                    "fidelity": errors.tolist(),
+                    "residual": impedance.residual,
+                }
+            )
+        rows.append(row)
+    return rows
+
+
+def _excited(bench: ExcitedRig, stiffness: float, damping: float, numbers: range) -> list[RealisationRun]:
+    """Realisations of one wall, up to the first that the guard ends."""
+    runs: list[RealisationRun] = []
+    for number in numbers:
+        runs.append(bench.excite(stiffness, damping, number))
+        if runs[-1].record is None:
+            break
+    return runs
+
+
+def read(
+    impedance: Impedance, stiffness: float, damping: float, readings: Sequence[Reading]
+) -> tuple[Flags, Floats]:
+    """What readings make of a measured wall: passive or not; and the rms of |Z| − |K/(jω) + B| over each of `bands`."""
+    lines, z = impedance.lines_hz, impedance.z
+    error = impedance.magnitude - np.abs(ideal_wall(stiffness, damping, lines))
+    seen = ~(impedance.coherence_motion < COHERENCE)  # what is unknown does not count against a wall
+    quiet = not impedance.residual > RESIDUAL
+    fails = {
+        key: ~((z.real + _tolerance(impedance, *key) >= 0.0) & seen)
+        for key in {(reading.tolerance, reading.kind) for reading in readings}
+    }
+    lines_of = {band: _band(lines, *band) for band in bands(readings)}
+    passes = [quiet and not fails[r.tolerance, r.kind][lines_of[r.low_hz, r.high_hz]].any() for r in readings]
+    errors = [float(np.sqrt(np.mean(error[band] ** 2))) for band in lines_of.values()]
+    return np.array(passes, np.bool_), np.array(errors)
+
+
+def bands(readings: Sequence[Reading]) -> list[tuple[float, float]]:
+    """Lowest and highest line of the readings, each pair once, in their order."""
+    return list(dict.fromkeys((reading.low_hz, reading.high_hz) for reading in readings))
+
+
+def _tolerance(impedance: Impedance, tolerance: float, kind: str) -> Floats:
+    """By how much Re Z may be negative at each line."""
+    if tolerance == 0.0:
+        return np.zeros(len(impedance.z))
+    if kind == "deviations":
+        return np.nan_to_num(impedance.spread(tolerance))
+    return np.asarray(impedance.magnitude * np.sin(np.radians(tolerance)))
+
+
+def _band(lines: Floats, low: float, high: float) -> slice:
+    slack = 1e-9
+    return slice(
+        int(np.searchsorted(lines, low * (1.0 - slack))), int(np.searchsorted(lines, high * (1.0 + slack)))
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Readings:
+    """A finished grid.
+
+    Attributes
+    ----------
+    passive, fidelity
+        ``[measurement, reading, scheme, damping, stiffness]``; the fidelity is NaN where a guard ended a measurement.
+    """
+
+    grid: ExcitationGrid
+    passive: Flags
+    fidelity: Floats
+
+    @classmethod
+    def of(cls, grid: ExcitationGrid, columns: Sequence[list[list[dict[str, Any]]]]) -> Readings:
+        """Arrange the results of `ExcitationGrid.part`."""
+        shape = (len(grid.schemes), len(grid.dampings), len(grid.stiffnesses), grid.measurements)
+        cells = [cell for rows in columns for row in rows for cell in row]
+        names = bands(grid.readings)
+        none = [float("nan")] * len(names)
+        passive = np.array([[digit == "1" for digit in cell["passive"]] for cell in cells], np.bool_)
+        fidelity = np.array([none if cell["fidelity"] is None else cell["fidelity"] for cell in cells])
+        of_band = [names.index((reading.low_hz, reading.high_hz)) for reading in grid.readings]
+        order = (3, 4, 0, 1, 2)
+        return cls(
+            grid,
+            passive.reshape(*shape, -1).transpose(order),
+            fidelity.reshape(*shape, -1).transpose(order)[:, of_band].astype(np.float64),
+        )
+
+    def width(self, measurement: int, reading: int, scheme: int) -> FrequencyWidth:
+        """Widths of one scheme by one measurement and reading."""
+        place = measurement, reading, scheme
+        return FrequencyWidth.of(
+            self.passive[place], self.fidelity[place], self.grid.stiffnesses, self.grid.dampings
+        )
+
+    def widths(self, reading: int, scheme: int) -> list[FrequencyWidth]:
+        """Of every measurement."""
+        return [self.width(m, reading, scheme) for m in range(self.grid.measurements)]
+
+    def common(self, reading: int, schemes: Sequence[int] | None = None) -> Flags:
+        """Walls that are passive with all schemes (or these) in every measurement: ``[damping, stiffness]``."""
+        chosen = range(len(self.grid.schemes)) if schemes is None else schemes
+        return np.asarray(connected(self.passive[:, reading])[:, list(chosen)].all(axis=(0, 1)))
+
+    def areas(self, reading: int, scheme: int) -> Spread:
+        """Area of the connected region under the edge, over measurements (N/m × N·s/m or the like)."""
+        k, b = np.array((0.0, *self.grid.stiffnesses)), np.array(self.grid.dampings)
+        held = connected(self.passive[:, reading, scheme]).sum(axis=-1)
+        return Spread.of([float(np.trapezoid(k[row], b)) for row in held])

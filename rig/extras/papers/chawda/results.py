@@ -1,0 +1,255 @@
+"""What the reproduction of Chawda et al. computed, typed, and as plain values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from rig import config
+from rig.config import presets
+from rig.config.schemes import Scheme
+from rig.core.present import plain
+from rig.experiments.impedance import ImpedanceResult
+from rig.experiments.searches import GridSearch, trace_grid
+from rig.experiments.table_one import FrequencyWidth, Spread
+from rig.experiments.zwidth import ZWidth
+from rig.extras.papers.chawda import rigs
+from rig.extras.papers.chawda.readings import Readings
+from rig.realtime.source_files import code_version
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BoundarySearch:
+    """The boundary search in the map of one estimator and measurement.
+
+    Attributes
+    ----------
+    found, width
+        The stiffest wall that it finds (N/m; None for none), and the K-width of the grid.
+    wrong
+        At how many dampings it ends elsewhere than the edge of the connected region.
+    """
+
+    name: str
+    measurement: int
+    search: GridSearch
+    found: float | None
+    width: float
+    wrong: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Chawda:
+    """All computed results, from which claims, sentences and pictures are made.
+
+    Attributes
+    ----------
+    lipschitz
+        C that was identified at the nominal wall (m/s²), which the gains of Fig. 3 use.
+    constants
+        C at some walls, see `rig.extras.papers.chawda.parts.identified`.
+    hits
+        Fig. 3: walls hit at 10 kHz, the schemes named by `hit_names`.
+    adjusted
+        Which of them has the adjusted gains.
+    slow_hits
+        The four estimators, hit at 1 kHz, in the order of `SCHEMES`.
+    read
+        Widths of the four estimators by every reading of every measurement, measurement after measurement.
+    map, frictionless
+        Figs. 5 and 7 and Table I: excited walls under every reading; the same without friction (FDM+filter and FOAW).
+    variants, variant_names
+        Levant's differentiator in other discretisations, outputs and C, on coarser walls.
+    linear
+        Closed forms of the linear estimators over `linear_dampings`, by name.
+    controls
+        What theory fixes without friction and quantum, by name of the estimator.
+    impedances
+        Figs. 4 and 6: the bare rig, then one wall under each of `SCHEMES`.
+    dual
+        Koul's rigs by preset, the schemes of `dual_schemes`.
+    """
+
+    scale: rigs.ChawdaScale
+    lipschitz: float
+    constants: tuple[Mapping[str, float], ...]
+    hits: ZWidth
+    hit_names: tuple[str, ...]
+    adjusted: str
+    slow_hits: ZWidth
+    map: Readings
+    read: Sequence[Mapping[str, FrequencyWidth]]
+    frictionless: Readings
+    variants: Readings
+    variant_names: tuple[str, ...]
+    linear: Mapping[str, Mapping[str, Any]]
+    linear_dampings: tuple[float, ...]
+    controls: Mapping[str, Mapping[str, float]]
+    impedances: tuple[ImpedanceResult, ...]
+    dual: Mapping[str, Readings]
+    dual_schemes: tuple[Scheme, ...]
+
+    def widths(self, name: str, reading: int = rigs.MAIN) -> list[FrequencyWidth]:
+        """Widths of one of the four estimators, one for each measurement."""
+        return [of[name] for of in self.read[reading :: len(rigs.READINGS)]]
+
+    def search(self, name: str, measurement: int = 0) -> GridSearch:
+        """The paper's boundary search in one measurement's map, by the main reading."""
+        grid = self.map.grid
+        passive = self.map.passive[measurement, rigs.MAIN, list(rigs.SCHEMES).index(name)]
+        return trace_grid(passive, grid.dampings, grid.stiffnesses)
+
+    @property
+    def figure_3(self) -> list[str]:
+        """The schemes that the paper has in Fig. 3."""
+        return list(dict.fromkeys((rigs.FILTERED, rigs.HBA_SC, rigs.LFBA, self.adjusted)))
+
+    def searches(self) -> list[BoundarySearch]:
+        """The boundary search in every map of the four estimators."""
+        stiffnesses = self.map.grid.stiffnesses
+        return [
+            BoundarySearch(
+                name=name,
+                measurement=m + 1,
+                search=(search := self.search(name, m)),
+                found=stiffnesses[search.highest] if search.highest >= 0 else None,
+                width=width.stiffness,
+                wrong=search.above + search.below + search.unseen,
+            )
+            for name in rigs.SCHEMES
+            for m, width in enumerate(self.widths(name))
+        ]
+
+    def islands(self, name: str) -> list[int]:
+        """How many islands the map of an estimator has, by measurement."""
+        return [len(width.islands) for width in self.widths(name)]
+
+    @property
+    def runs(self) -> int:
+        """How many times a rig was excited."""
+        grids = (self.map, self.frictionless, self.variants, *self.dual.values())
+        return sum(found.grid.runs for found in grids)
+
+
+def read_all(found: Readings) -> tuple[dict[str, FrequencyWidth], ...]:
+    """Widths of the four estimators by every reading of every measurement."""
+    grid = found.grid
+    return tuple(
+        {name: found.width(m, r, s) for s, name in enumerate(rigs.SCHEMES)}
+        for m in range(grid.measurements)
+        for r in range(len(grid.readings))
+    )
+
+
+def spread(widths: Sequence[FrequencyWidth], name: str) -> Spread:
+    """One number of some widths, over measurements."""
+    return Spread.of([getattr(width, name) for width in widths])
+
+
+def numbers(chawda: Chawda) -> dict[str, Any]:
+    """Every number, in plain values."""
+    return {
+        "identified": list(chawda.constants),
+        "lipschitz": chawda.lipschitz,
+        "hits_10_kHz": {
+            "names": list(chawda.hit_names),
+            "adjusted": chawda.adjusted,
+            **chawda.hits.as_mapping(),
+        },
+        "hits_1_kHz": {"names": list(rigs.SCHEMES), **chawda.slow_hits.as_mapping()},
+        "map": _grid(chawda.map, list(rigs.SCHEMES)),
+        "searches": {
+            name: [plain(chawda.search(name, m)) for m in range(chawda.map.grid.measurements)]
+            for name in rigs.SCHEMES
+        },
+        "readings": {
+            rigs.READINGS[number].text: {
+                name: [_width(width) for width in chawda.widths(name, number)] for name in rigs.SCHEMES
+            }
+            for number in range(len(rigs.READINGS))
+        },
+        "frictionless": _grid(chawda.frictionless, [s.text for s in chawda.frictionless.grid.schemes]),
+        "variants": _grid(chawda.variants, chawda.variant_names),
+        "linear": {"dampings": list(chawda.linear_dampings), **chawda.linear},
+        "controls": chawda.controls,
+        "impedances": [_impedance(result) for result in chawda.impedances],
+        "dual": {
+            preset: {
+                reading.text: _areas(found, number) for number, reading in enumerate(found.grid.readings)
+            }
+            for preset, found in chawda.dual.items()
+        },
+    }
+
+
+def _grid(found: Readings, names: Sequence[str]) -> dict[str, Any]:
+    """A grid by the main reading, measurement by measurement: verdicts as a row of digits for each damping."""
+    reading = _main(found)
+    return {
+        "stiffnesses": list(found.grid.stiffnesses),
+        "dampings": list(found.grid.dampings),
+        "reading": found.grid.readings[reading].text,
+        "schemes": {
+            name: {
+                "widths": [plain(width) for width in found.widths(reading, number)],
+                "passive": [
+                    [
+                        "".join("1" if cell else "0" for cell in row)
+                        for row in found.passive[m, reading, number]
+                    ]
+                    for m in range(found.grid.measurements)
+                ],
+                "fidelity": plain(np.round(_mean(found.fidelity[:, reading, number]), 4)),
+            }
+            for number, name in enumerate(names)
+        },
+    }
+
+
+def _mean(values: Any) -> Any:
+    """Mean over measurements, NaN where any is."""
+    return np.mean(values, axis=0)
+
+
+def _main(found: Readings) -> int:
+    return found.grid.readings.index(rigs.READINGS[rigs.MAIN])
+
+
+def _width(width: FrequencyWidth) -> list[float | None]:
+    """K-width, B-width and worst fidelity."""
+    values = (width.stiffness, width.damping, width.worst_fidelity)
+    return [value if np.isfinite(value) else None for value in values]
+
+
+def _areas(found: Readings, reading: int) -> dict[str, Any]:
+    return {
+        scheme.text: {
+            "area": plain(found.areas(reading, number)),
+            "widths": [_width(width) for width in found.widths(reading, number)],
+        }
+        for number, scheme in enumerate(found.grid.schemes)
+    }
+
+
+def _impedance(result: ImpedanceResult) -> dict[str, Any]:
+    return {key: value for key, value in plain(result).items() if key != "impedance"}
+
+
+def provenance(chawda: Chawda) -> dict[str, Any]:
+    """What the numbers come from, the same on every machine."""
+    x = rigs.excited_rig(chawda.scale)
+    return {
+        "haptic-rig": code_version(),
+        "scale": asdict(chawda.scale),
+        "seed": rigs.SEED,
+        "runs": chawda.runs,
+        "hits": chawda.hits.hits + chawda.slow_hits.hits,
+        "schemes": {name: scheme.text for name, scheme in rigs.SCHEMES.items()},
+        "readings": [reading.text for reading in rigs.READINGS],
+        "excitation": asdict(x.excitation),
+        "push": dict(rigs.PUSH),
+        "presets": {name: config.as_mapping(presets.load(name)) for name in (rigs.RIG, *rigs.KOUL)},
+    }

@@ -1,0 +1,92 @@
+"""Claims of a paper: the words of a template beside the rulings on them.
+
+A paper's ``claims.j2`` has a section for each claim. Every number in it comes from the ruling or the thresholds
+of its rules; what a ruling does not decide is edited there, without touching Python.
+
+::
+
+    [paper]
+    title: …
+    source: …
+
+    [rises]                      the key of the claim
+    claim: what the paper says
+    paper: its number
+    ours: ours
+    only with: a condition       where the cases that held are not one (optional)
+    needs: what the claim depends on, as far as this project knows
+    rule: how the verdict follows from the numbers
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from rig.core.present import reported
+from rig.extras.papers.rules import ClaimStatus, Ruling
+from rig.views.report.template import fill_text
+
+HEAD = re.compile(r"\[([\w-]+)\]")
+BEGIN = re.compile(r"(title|source|claim|paper|ours|only with|needs|rule): *(.*)")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Claim:
+    """A row of the claims table; the words are explained in the head of this file."""
+
+    key: str
+    claim: str
+    paper: str
+    ours: str
+    status: ClaimStatus
+    condition: str
+    needs: str
+    rule: str
+
+    @reported
+    def verdict(self) -> str:
+        """The status with its condition."""
+        return f"{self.status} {self.condition}".rstrip()
+
+
+def read_claims(
+    template: str, rulings: Mapping[str, Ruling], words: Mapping[str, Any]
+) -> tuple[Mapping[str, str], tuple[Claim, ...]]:
+    """Fill a template with rulings; returns the paper's title and source, and its claims in the order of the rulings.
+
+    `KeyError` for a claim without a text, or a text without a claim.
+    """
+    texts = _sections(fill_text(template, rulings=rulings, **words))
+    paper = texts.pop("paper")
+    if extra := set(texts) ^ set(rulings):
+        raise KeyError(f"{template}: a ruling or a text is missing: {', '.join(sorted(extra))}")
+    return paper, tuple(_claim(key, ruling, texts[key]) for key, ruling in rulings.items())
+
+
+def _sections(text: str) -> dict[str, dict[str, str]]:
+    """Sections of named texts; a line that begins neither belongs to the text before it."""
+    found: dict[str, dict[str, str]] = {}
+    key = name = ""
+    for line in text.splitlines():
+        if head := HEAD.fullmatch(line):
+            key = head[1]
+            found[key] = {}
+        elif begin := BEGIN.match(line):
+            name = begin[1]
+            found[key][name] = begin[2]
+        elif line.strip():
+            found[key][name] += f" {line}"
+    return {key: {name: " ".join(of.split()) for name, of in texts.items()} for key, texts in found.items()}
+
+
+def _claim(key: str, ruling: Ruling, texts: Mapping[str, str]) -> Claim:
+    condition = texts.get("only with", ruling.condition) if ruling.status is ClaimStatus.ONLY_WITH else ""
+    return Claim(
+        key=key,
+        status=ruling.status,
+        condition=condition,
+        **{name: texts[name] for name in ("claim", "paper", "ours", "needs", "rule")},
+    )

@@ -1,0 +1,194 @@
+"""The claims of Koul et al.: which numbers of the results go into which rule."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from rig.control.verdict import CRITERIA
+from rig.extras.papers.koul import rigs, rules
+from rig.extras.papers.koul.compare import FLOAT
+from rig.extras.papers.koul.results import Koul, word_name
+from rig.extras.papers.koul.ways import columns
+from rig.extras.papers.rules import Ruling, judge_settable, over, within
+
+RIGS = {rigs.COMPLIANT: "compliant (fitted)", rigs.RIGID: "rigid"}
+CUTOFFS = {rigs.FAST: "2 kHz", rigs.FAST_1K: "1 kHz"}  # of the uniform 20 kHz wall
+NUMBERS = {key: number for number, key in enumerate(rigs.SCHEMES)}
+
+
+def rulings(koul: Koul) -> dict[str, Ruling]:
+    """On every claim, by key."""
+    k_max = {
+        rigs.NAMES[p]: [b.stiffness for b in koul.kmax[p, rigs.WITH_LAG].curve("any")] for p in rigs.PRESETS
+    }
+    at_fast = koul.scale.rates.index(rules.FAST_HZ)
+    panels = {f"{p.position_rate / 1e3:g} kHz, {p.arithmetic}": p.peaks for p in koul.figure_7}
+    return {
+        "rises": rules.rises(k_max, koul.scale.rates, koul.scale.kmax_ratio),
+        "levels-off": rules.levels_off(
+            _saturation(koul, rigs.WITH_LAG), _saturation(koul, rigs.WITHOUT_LAG), koul.scale.kmax_ratio
+        ),
+        "level": rules.near(
+            {name: curve[at_fast] for name, curve in k_max.items()},
+            rules.LEVEL, rules.LEVEL_FACTOR * koul.scale.kmax_ratio, unfitted=rigs.NAMES[rigs.RIGID],
+        ),
+        "same-range": _same_range(koul),
+        "same-range-plants": rules.same_of_plants(_of_plants(koul, rigs.DUAL, rigs.SLOW)),
+        "range": rules.near(_ranges(koul), rules.DAMPING_RANGE, rules.NUMBER * koul.scale.range_ratio),
+        "half": rules.half(_halves(koul), koul.scale.range_ratio),
+        "half-plants": rules.half_of_plants(_of_plants(koul, rigs.FAST, rigs.DUAL)),
+        "fast-loses": rules.loses(_curves_of_fast(koul), koul.scale.ratio),
+        "slow-first-rises": rules.first_rises(_curves_of_slow(koul), koul.scale.ratio),
+        "higher-peak": rules.higher_peak(_peak_ratios(koul), koul.scale.ratio),
+        "peaks": _peaks(koul),
+        "left-at-range": _left_at_range(koul),
+        "penetration": rules.lower_penetration(panels),
+        "like-none": rules.like_none({FLOAT: panels[f"20 kHz, {FLOAT}"], **_peaks_by_word(koul)}),
+        "noisier": rules.noisier(
+            {name: noise for name, noise in koul.noise.items() if name.startswith("20 kHz")},
+            koul.noise["2 kHz"],
+        ),
+        "null-late": _null_late(koul),
+        "null-late-only": _null_late_only(koul),
+    }  # fmt: skip
+
+
+def by_cutoff(names: Sequence[str]) -> list[tuple[str, list[str]]]:
+    """Word lengths of some cases, gathered by cut-off; floating point by itself."""
+    cutoffs: dict[str, list[str]] = {}
+    for name in names:
+        bits, _, cutoff = name.partition(" bits, ")
+        cutoffs.setdefault(cutoff, []).append(bits)
+    return list(cutoffs.items())
+
+
+def _saturation(koul: Koul, lag: str) -> dict[str, float | None]:
+    return {rigs.NAMES[preset]: koul.kmax[preset, lag].saturation("any") for preset in rigs.PRESETS}
+
+
+def _of_plants(koul: Koul, *keys: str) -> list[tuple[float, float]]:
+    first, second = (NUMBERS[key] for key in keys)
+    return [(plant["ranges"][first], plant["ranges"][second]) for plant in koul.plants]
+
+
+def _same_range(koul: Koul) -> Ruling:
+    simulated = {
+        f"{name}, {criterion}": over(of[rigs.DUAL][criterion].damping, of[rigs.SLOW][criterion].damping)
+        for name, of in koul.ranges.items()
+        for criterion in CRITERIA
+    }
+    linear = {name: over(of[rigs.DUAL]["range"], of[rigs.SLOW]["range"]) for name, of in koul.linear.items()}
+    return rules.same(simulated, linear, koul.scale.range_ratio)
+
+
+def _ranges(koul: Koul) -> dict[str, float]:
+    """Of the softest wall, and of any wall: the softest is one of them."""
+    values: dict[str, float] = {}
+    for held in rigs.MAIN:
+        rig, found = RIGS[held.preset], koul.maps[held.name]
+        for criterion in ("felt", "heard"):
+            soft = koul.ranges[held.name][rigs.DUAL][criterion].damping
+            values[f"{rig}, soft wall, {criterion}"] = soft
+            if found.plan.search.way == "grid":
+                damped = [c.damping for c in columns(found, NUMBERS[rigs.DUAL], criterion) if c.highest > 0.0]
+                values[f"{rig}, any wall, {criterion}"] = max(soft, *damped)
+        values[f"{rig}, theory"] = koul.linear[held.name][rigs.DUAL]["range"]
+    return values
+
+
+def _halves(koul: Koul) -> dict[tuple[str, str, str], float]:
+    ratios = {}
+    for held in rigs.MAIN:
+        simulated, linear = koul.ranges[held.name], koul.linear[held.name]
+        for fast, cutoff in CUTOFFS.items():
+            case = RIGS[held.preset], cutoff
+            for criterion in CRITERIA:
+                ranges = (simulated[key][criterion].damping for key in (fast, rigs.DUAL))
+                ratios[*case, criterion] = over(*ranges)
+            ratios[*case, "theory"] = over(linear[fast]["range"], linear[rigs.DUAL]["range"])
+    return ratios
+
+
+def _curves(koul: Koul, held: rigs.HeldRig, key: str) -> dict[str, rules.Curve]:
+    """Largest stiffness over damping, simulated by each criterion and by linear theory."""
+    found = koul.maps[held.name]
+    simulated = {
+        criterion: [(limit.damping, limit.stiffness) for limit in found.curve(NUMBERS[key], criterion)]
+        for criterion in CRITERIA
+    }
+    return {**simulated, "theory": [(b, k) for b, k in koul.linear[held.name][key]["curve"]]}
+
+
+def _curves_of_fast(koul: Koul) -> dict[tuple[str, str, str], rules.Curve]:
+    return {
+        (RIGS[held.preset], cutoff, reading): curve
+        for held in rigs.MAIN
+        for fast, cutoff in CUTOFFS.items()
+        for reading, curve in _curves(koul, held, fast).items()
+    }
+
+
+def _curves_of_slow(koul: Koul) -> dict[tuple[str, str], rules.Curve]:
+    return {
+        (RIGS[held.preset], reading): curve
+        for held in rigs.MAIN
+        for reading, curve in _curves(koul, held, rigs.SLOW).items()
+    }
+
+
+def _peak_ratios(koul: Koul) -> dict[tuple[str, str, str, str], float]:
+    return {
+        (RIGS[held.preset], held.push, CUTOFFS[fast], criterion): over(
+            *(koul.width(held, key, criterion).stiffness_peak for key in (rigs.DUAL, fast))
+        )
+        for held in rigs.HELD
+        for fast in (rigs.FAST, rigs.FAST_1K)
+        for criterion in CRITERIA
+    }
+
+
+def _peaks(koul: Koul) -> Ruling:
+    cases, found = {}, []
+    for held in rigs.MAIN:
+        for fast, cutoff in CUTOFFS.items():
+            wanted = {rigs.DUAL: rules.PEAK_DUAL, fast: rules.LEVEL, rigs.SLOW: rules.PEAK_SLOW}
+            peaks = [koul.width(held, key).stiffness_peak for key in wanted]
+            near = rules.LEVEL_FACTOR * koul.scale.ratio
+            cases[RIGS[held.preset], cutoff] = all(
+                map(lambda k, k0: within(k, k0, near), peaks, wanted.values())
+            )
+            found.append((f"{RIGS[held.preset]}, {cutoff}", *peaks))
+    return judge_settable(cases, [1], found=found)
+
+
+def _left_at_range(koul: Koul) -> Ruling:
+    values = {}
+    for held in rigs.MAIN:
+        curve = koul.maps[held.name].curve(NUMBERS[rigs.DUAL], "any")
+        at = min(curve, key=lambda boundary: abs(boundary.damping - rules.DAMPING_RANGE))
+        values[f"{rigs.NAMES[held.preset]} (B = {at.damping:.2f})"] = at.stiffness
+    return rules.near(values, rules.DUAL_AT_RANGE, rules.LEVEL_FACTOR * koul.scale.ratio)
+
+
+def _peaks_by_word(koul: Koul) -> dict[str, tuple[Any, Any, Any]]:
+    fast = str(rules.FAST_HZ)
+    return {
+        word_name(row): (row["none"][fast], row["uniform"][fast], row["dual"][fast]) for row in koul.words
+    }
+
+
+def _null_late(koul: Koul) -> Ruling:
+    rates, figure = (rules.FAST_HZ, rules.SLOW_HZ), koul.figure_8
+    readings = {FLOAT: tuple(figure[rate, FLOAT].reading_late for rate in rates)}
+    readings |= {word_name(row): tuple(row["read"][str(r)]["late"] for r in rates) for row in koul.words}
+    return rules.null_late(readings)  # type: ignore[arg-type]  # pairs
+
+
+def _null_late_only(koul: Koul) -> Ruling:
+    profile, rate = koul.figure_8[rules.FAST_HZ, FLOAT], str(rules.FAST_HZ)
+    readings = {FLOAT: (profile.reading_early, profile.reading_late)}
+    readings |= {
+        word_name(row): (row["read"][rate]["early"], row["read"][rate]["late"]) for row in koul.words
+    }
+    return rules.null_late_only(readings)

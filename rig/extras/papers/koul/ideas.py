@@ -1,0 +1,241 @@
+"""The ideas that Koul et al. leave open, each as a map of its own on a rig in the normal hand, ranked by what it gains.
+
+Beside those of the paper (adaptive T2, other T2, finer encoders) stand first-order extrapolation, other cut-offs, and
+every other velocity estimator inside the dual-rate scheme. Estimators have their defaults and nothing else: none is
+tuned for this rig, so a low rank is one of its defaults.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field
+from itertools import takewhile
+from typing import Any, Literal
+
+import numpy as np
+
+from rig.config import Experiment
+from rig.config.schemes import Scheme
+from rig.control import estimators
+from rig.control.verdict import CRITERIA
+from rig.experiments.zwidth import Width, ZWidth
+from rig.extras.papers.koul.parts import DampingRange
+from rig.extras.papers.koul.rigs import COMPLIANT, RIGID, HeldRig
+from rig.extras.papers.rules import over
+
+DUAL_RATES = "dual:20k/2k"
+T2_RATES = ("500", "1k", "2k", "4k", "5k", "10k", "20k")
+CUTOFFS_HZ = (50, 100, 200, 400, 800)
+LINES = ((1000, 1), (1000, 4), (2000, 4), (8000, 4), (40_000, 4))
+USUAL_LINES, FINEST_LINES = (1000, 4), (40_000, 4)
+SAME = 0.05  # relative changes of an area up to this count as no change
+REFERENCE = "reference"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Idea:
+    """One thing tried: a scheme on a rig under some changes.
+
+    Attributes
+    ----------
+    key, group, label
+        Its name, which idea it belongs to, and what a table calls it.
+    """
+
+    key: str
+    group: str
+    label: str
+    scheme: Scheme
+    preset: str = COMPLIANT
+    changes: Mapping[str, Any] = field(default_factory=dict)
+
+    def experiment(self) -> Experiment:
+        """The rig in the normal hand under the changes."""
+        return HeldRig(preset=self.preset, grip="normal").experiment(self.changes)
+
+
+@dataclass(frozen=True, slots=True)
+class Tried:
+    """An idea with its map, the largest damping of the softest wall by criterion, and its linear limits, if any."""
+
+    idea: Idea
+    map: ZWidth
+    ranges: Mapping[str, DampingRange]
+    linear: Mapping[str, Any] | None
+
+    def width(self, criterion: str) -> Width:
+        """Summary of its map."""
+        return self.map.width(0, criterion)
+
+    def area(self, criterion: str) -> float:
+        """Area under the limits of the map, closed by the end of the range of the softest wall."""
+        holds = list(takewhile(lambda b: b.stiffness > 0.0, self.map.curve(0, criterion)))
+        corners = [(b.damping, b.stiffness) for b in holds]
+        end = self.ranges[criterion].damping
+        if corners and end > corners[-1][0]:
+            corners.append((end, self.map.plan.search.lowest))
+        if len(corners) < 2:
+            return 0.0
+        dampings, stiffnesses = zip(*corners, strict=True)
+        return float(np.trapezoid(stiffnesses, dampings))
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        found = self.map.as_mapping()["schemes"][0]
+        return {
+            "group": self.idea.group,
+            "label": self.idea.label,
+            "rig": self.idea.preset,
+            "scheme": self.idea.scheme.text,
+            "changes": dict(self.idea.changes),
+            "widths": found["widths"],
+            "curves": found["curves"],
+            "linear": None if self.linear is None else dict(self.linear),
+            "areas": {criterion: self.area(criterion) for criterion in CRITERIA},
+            "ranges": {criterion: asdict(self.ranges[criterion]) for criterion in CRITERIA},
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """What an idea changes against another: ratios of K at B = 0, peak, range and area, criterion any."""
+
+    undamped: float
+    peak: float
+    damping: float
+    area: float
+
+    @classmethod
+    def of(cls, tried: Tried, reference: Tried) -> Change:
+        """Compare two ideas."""
+        new, old = tried.width("any"), reference.width("any")
+        return cls(
+            over(new.stiffness_undamped or 0.0, old.stiffness_undamped or 0.0),
+            over(new.stiffness_peak, old.stiffness_peak),
+            over(tried.ranges["any"].damping, reference.ranges["any"].damping),
+            over(tried.area("any"), reference.area("any")),
+        )
+
+
+def direction(changes: Iterable[Change]) -> Literal["wider", "narrower", "same", "both"]:
+    """What some ideas do to the area, all together."""
+    areas = [change.area for change in changes]
+    if all(area > 1.0 + SAME for area in areas):
+        return "wider"
+    if all(area < 1.0 - SAME for area in areas):
+        return "narrower"
+    return "same" if all(abs(area - 1.0) <= SAME for area in areas) else "both"
+
+
+def encoder_key(preset: str, scheme: str, lines: tuple[int, int]) -> str:
+    """Key of a scheme with an encoder of so many lines and decoding."""
+    if (preset, scheme, lines) == (COMPLIANT, "dual", USUAL_LINES):
+        return REFERENCE
+    return f"encoder-{preset}-{scheme}-{lines[0]}x{lines[1]}"
+
+
+def ideas() -> tuple[Idea, ...]:
+    """Everything that is tried; the first is the dual-rate wall of the paper, with which all others are compared."""
+    return (
+        Idea(key=REFERENCE, group=REFERENCE, label="the paper's dual rate", scheme=Scheme.parse(DUAL_RATES)),
+        *_prediction(),
+        *_adaptive(),
+        *_encoders(),
+        *_velocity_rates(),
+        *_cutoffs(),
+        *_estimators(),
+    )
+
+
+def _prediction() -> list[Idea]:
+    scheme = Scheme.parse(f"{DUAL_RATES},prediction=extrapolate")
+    return [Idea(key="extrapolate", group="extrapolation", label="extrapolated velocity", scheme=scheme)]
+
+
+def _adaptive() -> list[Idea]:
+    """As the paper has it: a high velocity rate while the handle is fast, a low one while it is slow."""
+    return [
+        Idea(
+            key=f"adaptive-{fast}-{slow}",
+            group="adaptive T2",
+            label=f"T2 of {_hertz(fast)}, {slow} Hz below {below} rad/s",
+            scheme=Scheme.parse(f"dual:20k/{fast},slow_velocity_rate={slow},slow_below={below}"),
+        )
+        for fast, slow, below in (("5k", 1000, 0.2), ("2k", 1000, 0.2), ("2k", 500, 0.2))
+    ]
+
+
+def _encoders() -> list[Idea]:
+    tried = []
+    for preset in (COMPLIANT, RIGID):
+        for name, text in (("dual", DUAL_RATES), ("uniform", "uniform:20k")):
+            for lines, decoding in LINES:
+                key = encoder_key(preset, name, (lines, decoding))
+                if key == REFERENCE:
+                    continue
+                if preset == RIGID and (lines, decoding) not in (USUAL_LINES, LINES[-1]):
+                    continue
+                tried.append(
+                    Idea(
+                        key=key,
+                        group="encoder",
+                        label=f"{name}, {lines} × {decoding}",
+                        scheme=Scheme.parse(text),
+                        preset=preset,
+                        changes={
+                            "rig.encoder.counts_per_revolution": lines,
+                            "rig.encoder.decoding": decoding,
+                        },
+                    )
+                )
+    return tried
+
+
+def _velocity_rates() -> list[Idea]:
+    return [
+        Idea(
+            key=f"rate-{rate}",
+            group="T2",
+            label=f"velocity at {_hertz(rate)}",
+            scheme=Scheme.parse(f"uniform:{rate}" if rate == "20k" else f"dual:20k/{rate}"),
+        )
+        for rate in T2_RATES
+        if rate != "2k"
+    ]
+
+
+def _hertz(rate: str) -> str:
+    """A rate in the text form of a scheme, as a text has it: ``5 kHz``."""
+    return f"{rate.removesuffix('k')} {'k' if rate.endswith('k') else ''}Hz"
+
+
+def _cutoffs() -> list[Idea]:
+    return [
+        Idea(
+            key=f"cutoff-{cutoff}",
+            group="cut-off",
+            label=f"cut-off {cutoff} Hz",
+            scheme=Scheme.parse(f"{DUAL_RATES},cutoff_hz={cutoff}"),
+        )
+        for cutoff in CUTOFFS_HZ
+        if cutoff != 200
+    ]
+
+
+def _estimators() -> list[Idea]:
+    return [
+        Idea(
+            key=f"estimator-{name}",
+            group="estimator",
+            label=name,
+            scheme=Scheme.parse(f"{DUAL_RATES},estimator={name}"),
+        )
+        for name in estimators.names()
+        if name != "fdm-butterworth"
+    ]
+
+
+def ranked(tried: Mapping[str, Tried], criterion: str = "any") -> list[Tried]:
+    """Ideas by the area of their Z-width, largest first; those of another rig than the reference's are left out."""
+    on_rig = [one for one in tried.values() if one.idea.preset == tried[REFERENCE].idea.preset]
+    return sorted(on_rig, key=lambda one: (-one.area(criterion), one.idea.key))

@@ -1,0 +1,324 @@
+"""Pieces of the reproduction of Koul et al.: what is neither a series of a map nor a picture.
+
+Each function is the work of a task of `rig.extras.papers.parts`: plain data in, plain data out, nothing else decides.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from rig import config
+from rig.analysis import theory
+from rig.analysis.theory.limits import stiffnesses
+from rig.analysis.theory.passivity import passive_curve
+from rig.config import Experiment, presets
+from rig.config.schemes import Scheme
+from rig.control import estimators
+from rig.control.verdict import CRITERIA
+from rig.core.errors import ConfigError
+from rig.core.model import RigModel
+from rig.core.operators import GRIPS
+from rig.core.present import plain
+from rig.experiments.compare import simulate
+from rig.experiments.hit_simulator import HitSimulator
+from rig.experiments.searches import Outcomes, StiffnessSearch, drive, limit_of
+from rig.experiments.sweep import Task
+from rig.experiments.zwidth import TRUE, MapPlan, run_series
+from rig.extras.papers.koul import compare as compare_koul
+from rig.extras.papers.parts import Part
+
+PASSIVE_POINTS = 12  # of the curve below which walls are passive
+
+# --- a series of a map -----------------------------------------------------------------------------------------
+
+_KEPT = ("stiffness", f"kind{TRUE}", *(f"passes_{criterion}{TRUE}" for criterion in CRITERIA))
+
+
+def series(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """A series as `rig.experiments.zwidth.run_series` has it, without the numbers that no section shows."""
+    return [{name: row[name] for name in _KEPT} for row in run_series(payload)]
+
+
+def map_part(plan: MapPlan) -> Part:
+    """The series of a map, weighed in hits of a 20 kHz rig."""
+    rungs = len(plan.search.rungs)
+    hits = {"grid": rungs, "ladder": 0.6 * rungs, "bisection": 4.0 + 2.0 * np.log2(rungs)}[plan.search.way]
+    return [replace(task, work=series, weight=float(hits) * task.weight / 20_000) for task in plan.tasks]
+
+
+# --- the range of damping of a soft wall, in simulation --------------------------------------------------
+
+
+def range_tasks(
+    experiment: Experiment,
+    schemes: Sequence[Scheme],
+    offsets: Sequence[float],
+    *,
+    stiffness: float,
+    search: StiffnessSearch,
+    weight: float,
+) -> Part:
+    """Plan the search for the largest damping of a wall of one stiffness, for each scheme and encoder offset."""
+    applied = [scheme.applied(experiment) for scheme in schemes]
+    return tuple(
+        Task(
+            f"{number}/{offset!r}",
+            damping_range,
+            {
+                "experiment": config.as_mapping(
+                    config.override(applied[number], {"rig.encoder.offset": offset}, "a range")
+                ),
+                "stiffness": stiffness,
+                "search": asdict(search),
+            },
+            weight=weight * scheme.position_rate / 20_000,
+        )
+        for number, scheme in enumerate(schemes)
+        for offset in offsets
+    )
+
+
+def damping_range(payload: Mapping[str, Any]) -> dict[str, Any]:
+    """Largest damping at one stiffness, by criterion: the same search as through stiffnesses, through dampings."""
+    simulator = HitSimulator(config.restore_experiment(payload["experiment"]))
+    tried: dict[str, dict[float, bool | None]] = {criterion: {} for criterion in CRITERIA}
+
+    def hit(damping: float) -> Outcomes:
+        true = simulator.hit(payload["stiffness"], damping).true
+        outcomes = {criterion: true.passes(criterion) for criterion in CRITERIA}
+        for criterion, passes in outcomes.items():
+            tried[criterion][damping] = passes
+        return outcomes
+
+    drive(StiffnessSearch(**payload["search"]).walk(CRITERIA), hit)
+    limits = {criterion: limit_of(rungs) for criterion, rungs in tried.items()}
+    return {
+        criterion: {"damping": limit.stiffness, "capped": limit.capped} for criterion, limit in limits.items()
+    } | {"hits": len(tried[CRITERIA[0]])}
+
+
+@dataclass(frozen=True, slots=True)
+class DampingRange:
+    """Largest damping of a soft wall under one criterion: mean over offsets, and whether any search hit its cap."""
+
+    damping: float
+    lowest: float
+    highest: float
+    capped: bool
+
+
+def ranges_of(results: Sequence[Mapping[str, Any]], offsets: int) -> list[dict[str, DampingRange]]:
+    """Summarise the results of `range_tasks`: one mapping by criterion for each scheme."""
+    found = []
+    for first in range(0, len(results), offsets):
+        some = results[first : first + offsets]
+        found.append({criterion: _range([one[criterion] for one in some]) for criterion in CRITERIA})
+    return found
+
+
+def _range(limits: Sequence[Mapping[str, Any]]) -> DampingRange:
+    b = [limit["damping"] for limit in limits]
+    return DampingRange(float(np.mean(b)), min(b), max(b), any(limit["capped"] for limit in limits))
+
+
+# --- linear theory -------------------------------------------------------------------------------------------
+
+_GRID, _REFINEMENTS = 60, 3
+_ISLAND_STIFFNESSES, _ISLAND_HIGHEST = 16, 3e3  # N·m/rad
+_ISLAND_DAMPINGS, _ISLAND_REACH = 40, 4.0  # times the connected range
+
+
+def linear_range(lifted: theory.Lifted) -> float:
+    """Largest damping, from zero up, at which the lowest stiffness of a scan is stable; islands are not looked for."""
+    loop = lifted.loop
+    lowest = float(stiffnesses(lifted, 0.0)[0])
+    top = 8.0 * loop.subject.inertia / loop.period_s + loop.subject.damping
+    b = np.geomspace(1e-5 * top, top, _GRID)
+    for _ in range(_REFINEMENTS):
+        unstable = np.flatnonzero(~lifted.stable(lowest, b))
+        if len(unstable) == 0:
+            return float(b[-1])
+        first = int(unstable[0])
+        if first == 0:
+            return 0.0
+        b = np.linspace(b[first - 1], b[first], _GRID)
+    return float(b[0])
+
+
+def range_with_islands(lifted: theory.Lifted, connected: float) -> float:
+    """Largest damping at which some stiffness is stable, as far as a coarse grid sees; at least the connected range."""
+    k = np.geomspace(float(stiffnesses(lifted, 0.0)[0]), _ISLAND_HIGHEST, _ISLAND_STIFFNESSES)
+    b = np.geomspace(1.0, _ISLAND_REACH, _ISLAND_DAMPINGS) * connected
+    some = np.flatnonzero(lifted.stable(k, b[:, None]).any(axis=1))
+    return float(b[some[-1]]) if len(some) else connected
+
+
+def linear_limits(payload: Mapping[str, Any]) -> dict[str, Any]:
+    """Exact theory of a scheme on an experiment: K_max over some dampings, range; with ``passivity`` that, too.
+
+    With ``islands`` the range beyond gaps. With ``rates`` in the payload instead: K_max at B = 0 for each uniform rate.
+    """
+    experiment = config.restore_experiment(payload["experiment"])
+    if "rates" in payload:
+        schemes = [
+            Scheme(position_rate=rate, velocity_rate=rate, estimator="fdm") for rate in payload["rates"]
+        ]
+        return {"stiffness": [theory.k_max(experiment, scheme, 0.0).stiffness for scheme in schemes]}
+    try:
+        lifted = theory.as_lifted(experiment, Scheme.parse(payload["scheme"]))
+    except ConfigError as error:  # an estimator that is not linear, a rate that adapts
+        return {"not_linear": error.message}
+    undamped, *curve = theory.k_max_curve(lifted, None, [0.0, *payload["dampings"]])
+    largest = theory.b_max(lifted) if payload["islands"] else None
+    return {
+        "undamped": undamped.stiffness,
+        "peak": max(limit.stiffness for limit in (undamped, *curve)),
+        "range": linear_range(lifted),
+        "range_with_islands": None if largest is None else largest.with_islands,
+        "frequency_hz": None if largest is None else largest.frequency_hz,
+        "curve": [[limit.damping, limit.stiffness] for limit in curve],
+        "islands": [[limit.damping, i.low, i.high] for limit in curve for i in limit.islands if not i.capped],
+        **(_passivity(lifted) if payload["passivity"] else {}),
+    }
+
+
+def _passivity(lifted: theory.Lifted) -> dict[str, Any]:
+    """Of a wall that any hand may touch: the same whichever holds the rig."""
+    passive = theory.passivity_bound(lifted)
+    dampings = np.linspace(0.0, passive.largest_damping, PASSIVE_POINTS).tolist()
+    return {
+        "beta": passive.beta,
+        "passive_stiffness": passive.stiffness,
+        "passive_damping": passive.largest_damping,
+        "passive_curve": [dampings, passive_curve(lifted, dampings)],
+    }
+
+
+# --- random plants ---------------------------------------------------------------------------------------------
+
+# What is drawn, log-uniformly, at the link; the hand is one of the three grips or none.
+PLANT_RANGES = {
+    "motor_inertia": (1e-4, 3e-4),
+    "link_inertia": (2e-4, 4e-3),
+    "transmission_stiffness": (500.0, 2e4),
+    "transmission_damping_ratio": (0.01, 0.1),
+    "motor_damping": (1e-3, 3e-2),
+    "link_damping": (3e-4, 3e-3),
+}
+LAGS_S = (3e-5, 3e-4)
+
+
+def random_plants(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Linear ranges of damping of schemes on some random plants, held or not: two masses and a lag."""
+    schemes = [Scheme.parse(text) for text in payload["schemes"]]
+    base = config.rig_model(presets.load("koul-compliant").rig)
+    return [_plant(base, schemes, payload, number) for number in payload["numbers"]]
+
+
+def _plant(
+    base: RigModel, schemes: Sequence[Scheme], payload: Mapping[str, Any], number: int
+) -> dict[str, Any]:
+    random = np.random.default_rng([payload["seed"], number])
+    drawn = {name: _log_uniform(random, *ends) for name, ends in PLANT_RANGES.items()}
+    lag_s = _log_uniform(random, *LAGS_S)
+    grip = str(random.choice(["none", *GRIPS]))
+    mechanics = replace(base.mechanics, **drawn)  # type: ignore[arg-type]  # all that is drawn are floats
+    model = replace(base, mechanics=mechanics, amplifier=replace(base.amplifier, lag_s=lag_s))
+    lifted = [theory.as_lifted(model, scheme, grip) for scheme in schemes]
+    ranges = [linear_range(one) for one in lifted]
+    islands = [range_with_islands(lifted[i], ranges[i]) for i in payload["islands"]]
+    return {**drawn, "lag_s": lag_s, "grip": grip, "ranges": ranges, "with_islands": islands}
+
+
+def _log_uniform(random: np.random.Generator, low: float, high: float) -> float:
+    return float(np.exp(random.uniform(np.log(low), np.log(high))))
+
+
+# --- word lengths ----------------------------------------------------------------------------------------------
+
+
+def word_lengths(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Figures 7 and 8 for one number of state bits, at both readings of the uniform cut-off.
+
+    Peaks of figure 7 as `rig.extras.papers.koul.compare.word_lengths` has them, and under ``read`` the share of the
+    true velocity that figure 8 shows: early and late in the impact, at 2 and at 20 kHz.
+    """
+    rows = []
+    for word in compare_koul.word_lengths([payload["bits"]], offsets=payload["offsets"]):
+        profiles = compare_koul.koul_figure_8(state_bits=word.state_bits, uniform_share=word.uniform_share)
+        read = {
+            str(p.velocity_rate): {"early": p.reading_early, "late": p.reading_late}
+            for p in profiles.profiles
+            if p.arithmetic == compare_koul.FIXED
+        }
+        rows.append({**plain(word), "read": read})
+    return rows
+
+
+# --- the noise of a count ----------------------------------------------------------------------------------------
+
+_SHARES = (1 / 20, 1 / 10)  # cut-off over rate: both readings of the paper
+FINER = 1024  # times the encoder's resolution: next to no quantiser
+
+
+def velocity_noise(payload: Mapping[str, Any]) -> dict[str, float]:
+    """What one encoder count adds to the velocity early in the impact of Fig. 8 (rad/s rms), in floating point.
+
+    Each estimator sees the same motion in counts and in counts a thousand times finer. It is linear, so that what is
+    left of the difference is noise and nothing else: neither delay nor the filter's own view of the motion. Mean square
+    over the encoder offsets; by velocity rate, at 20 kHz with its cut-off over the rate.
+    """
+    offsets = payload["offsets"]
+    fast, slow = compare_koul.POSITION_RATES[0], compare_koul.VELOCITY_RATE
+    cutoffs = {"2 kHz": (slow, compare_koul.CUTOFF_HZ)} | {
+        f"20 kHz, fs/{1 / share:g}": (fast, share * fast) for share in _SHARES
+    }
+    motions = [_early_motion(offset) for offset in offsets]
+    return {
+        name: float(np.sqrt(np.mean([_noise(motion, rate, cutoff) ** 2 for motion in motions])))
+        for name, (rate, cutoff) in cutoffs.items()
+    }
+
+
+@dataclass(frozen=True, slots=True)
+class _Motion:
+    """Counts of a motion at 20 kHz, and the same a thousand times finer; which samples are early in the impact."""
+
+    counts: Any
+    fine: Any
+    resolution: float
+    early: slice
+
+
+def _early_motion(offset: float) -> _Motion:
+    rate = compare_koul.POSITION_RATES[0]
+    experiment = compare_koul.koul_entries(rate)[0].applied(compare_koul.koul_experiment())
+    _, plant, trace = simulate(experiment, compare_koul.START, offset)
+    resolution = experiment.rig.encoder.resolution
+    position, velocity = (trace.states[:, plant.sensed_position + i] for i in (0, 1))
+    inside = int(np.flatnonzero(trace.counts > 0)[0])
+    fast = np.flatnonzero(np.abs(velocity) >= compare_koul.EARLY[1] * abs(velocity[inside]))
+    fine = np.floor(position / (resolution / FINER)).astype(np.int64)
+    return _Motion(trace.counts, fine, resolution, slice(inside, int(fast[-1])))
+
+
+def _noise(motion: _Motion, rate_hz: int, cutoff_hz: float) -> float:
+    every = compare_koul.POSITION_RATES[0] // rate_hz
+    early = np.zeros(len(motion.counts), bool)
+    early[motion.early] = True
+
+    def seen(counts: Any, resolution: float) -> Any:
+        return estimators.estimate(
+            compare_koul.ESTIMATORS[compare_koul.FLOAT],
+            counts[::every],
+            1.0 / rate_hz,
+            resolution=resolution,
+            cutoff_hz=cutoff_hz,
+        )
+
+    error = seen(motion.counts, motion.resolution) - seen(motion.fine, motion.resolution / FINER)
+    return float(np.sqrt(np.mean(np.square(error[early[::every]]))))

@@ -1,0 +1,251 @@
+"""How well a person's verdicts and the automatic ones agree: Cohen's kappa, and the tables behind it.
+
+    κ = (p_o − p_e) / (1 − p_e)
+
+p_o is the share on which both agree, p_e the share on which they would by chance, both weighted where classes have an
+order. An automatic limit cycle is a buzz. κ alone misleads where one class is rare, so the agreement on each of the two
+classes stands beside it: of all verdicts "stable" by one or the other, the share that both gave (Cicchetti and
+Feinstein, Journal of Clinical Epidemiology 43, 1990).
+
+The trials of one person are not independent, so the interval is over people, for five or more: Student's, by the
+jackknife that leaves out one person at a time. ``rig/session/README.md`` says how often it holds what it promises.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.core.deferred import stats
+from rig.extras.study.rows import TrialRow
+from rig.session.search.resolution import is_resolved, unresolved_words
+
+Floats = NDArray[np.float64]
+Weights = Literal["none", "linear", "quadratic"]
+
+LEAST_PEOPLE = 5  # for an interval over them
+
+TWO = ("stable", "not stable")
+THREE = ("stable", "buzz", "unstable")
+FOUR = (*THREE, "unsure")
+AUTOMATIC = {"stable": "stable", "limit cycle": "buzz", "unstable": "unstable"}  # automatic verdict → class
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Agreement:
+    """One table of confusions and its kappa.
+
+    Attributes
+    ----------
+    name
+        "two classes", "three classes" or "four classes".
+    condition
+        That the trials are of; empty for all.
+    weights
+        How much a confusion of distant classes counts more.
+    classes
+        Of rows and columns.
+    counts
+        Trials: a row for each class of the person, a column for each of the automatic verdict.
+    trials, left_out
+        In the table; and judged ones that could not be, because one of the two verdicts is missing.
+    people
+        Who judged them.
+    share
+        On which both agree, without weights.
+    positive, negative
+        Agreement on "stable" and on "not stable": of the verdicts that are of this class by one or the other, the share
+        that are by both. None without any, and for tables of more than two classes.
+    kappa
+        None where chance alone would agree on everything.
+    low, high
+        Interval of 95 % over people (jackknife); None where `problem` says why.
+    """
+
+    name: str
+    condition: str
+    weights: Weights
+    classes: tuple[str, ...]
+    counts: tuple[tuple[int, ...], ...]
+    trials: int
+    left_out: int
+    people: int
+    share: float | None
+    positive: float | None
+    negative: float | None
+    kappa: float | None
+    low: float | None
+    high: float | None
+    problem: str
+
+
+def two_classes(trial: TrialRow) -> tuple[str | None, str | None]:
+    """What the search follows: stable or not, by the person and by the study's criterion."""
+    person = {"stable": TWO[0], "buzz": TWO[1], "unstable": TWO[1]}.get(trial.verdict)
+    automatic = None if trial.automatic_stable is None else TWO[0] if trial.automatic_stable else TWO[1]
+    return person, automatic
+
+
+def three_classes(trial: TrialRow) -> tuple[str | None, str | None]:
+    """Stable, buzz, unstable, which have an order; the automatic limit cycle is a buzz."""
+    person = trial.verdict if trial.verdict in THREE else None
+    return person, AUTOMATIC.get(trial.automatic)
+
+
+def four_classes(trial: TrialRow) -> tuple[str | None, str | None]:
+    """The same and unsure: the person's, or a criterion of the automatic verdict that could not be measured."""
+    automatic = "unsure" if trial.automatic_stable is None else AUTOMATIC.get(trial.automatic)
+    return trial.verdict or None, automatic
+
+
+_KINDS: tuple[
+    tuple[str, Callable[[TrialRow], tuple[str | None, str | None]], tuple[str, ...], Weights], ...
+] = (
+    ("two classes", two_classes, TWO, "none"),
+    ("three classes", three_classes, THREE, "linear"),
+    ("three classes", three_classes, THREE, "quadratic"),
+    ("four classes", four_classes, FOUR, "none"),
+)
+
+
+def agreements(trials: Sequence[TrialRow]) -> tuple[Agreement, ...]:
+    """Return all tables, of all trials that count and of each condition; none where no person judged."""
+    judged = [
+        trial for trial in trials if not trial.void and not trial.practice and trial.judged_by in _PEOPLE
+    ]
+    conditions = list(dict.fromkeys(trial.condition for trial in judged))
+    chosen = ["", *conditions] if len(conditions) > 1 else [""]
+    return tuple(
+        _agreement(name, split, classes, weights, condition, judged)
+        for condition in chosen
+        for name, split, classes, weights in _KINDS
+        if judged
+    )
+
+
+_PEOPLE = ("person", "simulated")
+
+
+def _agreement(
+    name: str,
+    split: Callable[[TrialRow], tuple[str | None, str | None]],
+    classes: tuple[str, ...],
+    weights: Weights,
+    condition: str,
+    judged: Sequence[TrialRow],
+) -> Agreement:
+    of = [trial for trial in judged if condition in ("", trial.condition)]
+    people = list(dict.fromkeys(trial.participant for trial in of))
+    tables = np.zeros((len(people), len(classes), len(classes)))
+    for trial in of:
+        person, automatic = split(trial)
+        if person is not None and automatic is not None:
+            tables[people.index(trial.participant), classes.index(person), classes.index(automatic)] += 1
+    counts = tables.sum(axis=0)
+    within = int(counts.sum())
+    value = _number(kappa(counts, weights))
+    ends = _problem(counts, classes, value) or _jackknife(tables, weights)
+    low, high = (None, None) if isinstance(ends, str) else ends
+    positive, negative = (_specific(counts, place) if len(classes) == 2 else None for place in (0, 1))
+    return Agreement(
+        name=name,
+        condition=condition,
+        weights=weights,
+        classes=classes,
+        counts=tuple(tuple(int(count) for count in row) for row in counts),
+        trials=within,
+        left_out=len(of) - within,
+        people=len(people),
+        share=float(np.trace(counts) / within) if within else None,
+        positive=positive,
+        negative=negative,
+        kappa=value,
+        low=None if low is None else max(low, -1.0),
+        high=None if high is None else min(high, 1.0),
+        problem=ends if isinstance(ends, str) else "",
+    )
+
+
+def _problem(counts: Floats, classes: Sequence[str], value: float | None) -> str:
+    """Return why κ of a table of verdicts has no interval; empty when it may have one."""
+    if not counts.any():
+        return "no trial has both verdicts"
+    for who, axis in (("the person's verdict", 1), ("the automatic verdict", 0)):
+        given = np.flatnonzero(counts.sum(axis=axis))
+        if len(given) == 1:
+            of_chance = "not defined" if value is None else "0 in any case"
+            return f"{who} was always “{classes[given[0]]}”, as chance would be too: κ is {of_chance}"
+    if np.trace(counts) == counts.sum():
+        return "there is no confusion, so that the uncertainty of κ = 1 is unknown"
+    return ""
+
+
+def _specific(counts: Floats, place: int) -> float | None:
+    """Agreement on one class."""
+    both = float(counts[place].sum() + counts[:, place].sum())
+    return 2.0 * float(counts[place, place]) / both if both else None
+
+
+def _jackknife(tables: Floats, weights: Weights) -> tuple[float, float] | str:
+    """Return the interval of kappa for other people of the same kind, by leaving out one at a time, or why none."""
+    tables = tables[tables.sum(axis=(1, 2)) > 0.0]
+    people = len(tables)
+    if people < LEAST_PEOPLE:
+        return f"{people} people: an interval over people takes {LEAST_PEOPLE}"
+    counts = tables.sum(axis=0)
+    without = np.array([kappa(counts - one, weights) for one in tables])
+    if not np.isfinite(without).all():
+        return "without one of the people κ is not defined"
+    scatter = float(without.std(ddof=1))
+    if not is_resolved(scatter, magnitude=1.0):
+        return unresolved_words("the verdicts of the people", scatter, 0.0)
+    deviation = (people - 1) * scatter / math.sqrt(people)
+    low, high = stats.t.interval(0.95, people - 1, kappa(counts, weights), deviation)
+    return float(low), float(high)
+
+
+def kappa(counts: Floats | Sequence[Sequence[float]], weights: Weights = "none") -> float:
+    """Return Cohen's kappa of a table of confusions.
+
+    Parameters
+    ----------
+    counts
+        Shape (classes, classes).
+    weights
+        "none": every confusion counts alike; "linear", "quadratic": by the distance of the classes, or its square.
+
+    Returns
+    -------
+    float
+        NaN without trials, or when all of them are in one class for both: then there is nothing to explain.
+    """
+    table = np.asarray(counts, dtype=np.float64)
+    total = table.sum()
+    if total == 0.0:
+        return math.nan
+    share = table / total
+    alike = _alike(len(table), weights)
+    rows, columns = share.sum(axis=1), share.sum(axis=0)
+    observed, chance = float((alike * share).sum()), float(rows @ alike @ columns)
+    if 1.0 - chance < 1e-12:
+        return math.nan
+    return (observed - chance) / (1.0 - chance)
+
+
+def _alike(classes: int, weights: Weights) -> Floats:
+    """How much of an agreement each pair of classes is: 1 on the diagonal."""
+    place = np.arange(classes)
+    distance = np.abs(place[:, None] - place[None, :]).astype(np.float64)
+    if weights == "none":
+        return np.asarray(distance == 0.0, dtype=np.float64)
+    far = distance / max(classes - 1, 1)
+    return np.asarray(1.0 - (far if weights == "linear" else far**2))
+
+
+def _number(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None

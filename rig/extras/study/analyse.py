@@ -1,0 +1,397 @@
+"""From sessions on disk to all results of a study."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from rig.extras.study.agreement import Agreement, agreements
+from rig.extras.study.effects import BlockRow, Slope, blocks, slopes
+from rig.extras.study.kmax import (
+    LEAST_VALUES,
+    Beyond,
+    Cell,
+    OfParticipant,
+    OverParticipants,
+    Paired,
+    observed,
+    of_participants,
+    over_participants,
+    paired,
+)
+from rig.extras.study.mixed import Mixed, mixed
+from rig.extras.study.people import answers_of, fates, participants_of
+from rig.extras.study.psychometric import PsychometricFit, complete_runs, gathered, psychometrics
+from rig.extras.study.rows import (
+    ENDED_BY_MOST,
+    MEASURES,
+    AnswerRow,
+    LimitInterval,
+    Measure,
+    ParticipantRow,
+    RunRow,
+    TrialRow,
+    runs_as_counted,
+)
+from rig.extras.study.study import Study, read_study
+from rig.extras.study.trials import (
+    AMENDED,
+    half_way,
+    levels,
+    levels_by_participant,
+    runs_of,
+    schemes_of,
+    trials_of,
+)
+
+Watch = Callable[[str, int, int], None]
+_VAGUE = 0.4  # of the range of levels: an interval wider than that says little
+_NAMED = 5  # runs in a message
+_JUDGES: dict[Measure, str] = {"rule": "followed", "K50 person": "person", "K50 automatic": "automatic"}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AnalysisOptions:
+    """How to analyse.
+
+    Attributes
+    ----------
+    measure
+        Which comes first in a report; all are computed.
+    hashes
+        Whether recordings are compared with the hashes in the logs.
+    across
+        Keys of the protocol in which sessions may differ although they can decide a result; see `read_study`.
+    seed
+        Of all bootstraps: the same gives the same intervals.
+    include_marked
+        Whether limits count that their verdicts do not show: of searches that ended by `most` before they had their
+        turns, outside of their own interval, or not between a wall judged stable and one that was not.
+    """
+
+    measure: Measure = "rule"
+    hashes: bool = True
+    across: tuple[str, ...] = ()
+    seed: int = 0
+    include_marked: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class StudyAnalysis:
+    """The results of a study.
+
+    Attributes
+    ----------
+    study, options
+        What was analysed, and how.
+    schemes
+        What samples and estimates in each condition, in words.
+    trials, runs
+        The tables behind everything else.
+    participants, answers
+        Who took part, and what they answered.
+    of_participants, over_participants, paired
+        K_max, and differences of conditions, of all measures.
+    mixed
+        A mixed model for each measure that any run has.
+    agreements, psychometrics, slopes, blocks
+        See the modules of these names.
+    """
+
+    study: Study
+    options: AnalysisOptions
+    schemes: Mapping[str, str]
+    trials: tuple[TrialRow, ...]
+    runs: tuple[RunRow, ...]
+    participants: tuple[ParticipantRow, ...]
+    answers: tuple[AnswerRow, ...]
+    of_participants: tuple[OfParticipant, ...]
+    over_participants: tuple[OverParticipants, ...]
+    paired: tuple[Paired, ...]
+    mixed: tuple[Mixed, ...]
+    agreements: tuple[Agreement, ...]
+    psychometrics: tuple[PsychometricFit, ...]
+    slopes: tuple[Slope, ...]
+    blocks: tuple[BlockRow, ...]
+
+    @property
+    def messages(self) -> tuple[str, ...]:
+        """Messages for the reader: about the sessions, and about what was left out."""
+        left = [run for run in self.runs if run.state != "complete"]
+        found = []
+        fast = sum(trial.too_fast and trial.counts for trial in self.trials)
+        if fast:
+            found.append(
+                f"{_plural(fast, 'verdict')} {_was(fast)} given sooner than trial.fastest_verdict_s, "
+                "as by a stuck key or a script: column too_fast of the trials; they count"
+            )
+        for state in ("unfinished", "skipped"):
+            count = sum(run.state == state for run in left)
+            if count:
+                found.append(
+                    f"{_plural(count, 'run')} {_was(count)} {state}: in the table of runs, not in K_max"
+                )
+        found += self._of_marked()
+        noted = sum(run.note == AMENDED for run in self.runs)
+        if noted:
+            found.append(
+                f"of {_plural(noted, 'run')} trials were amended after the rule had followed them: no limit by the "
+                "rule, since its walk would have been another; K50 stands"
+            )
+        vague = sum(
+            one.measure != "rule"
+            and not one.above
+            and not one.below
+            and one.high - one.low > _VAGUE * self._range(one.condition)
+            for one in self.of_participants
+        )
+        if vague:
+            found.append(
+                f"{_plural(vague, 'K50')} {_is(vague)} hardly known from so few verdicts: the interval is wider than "
+                f"{100 * _VAGUE:.0f} % of the range that was searched"
+            )
+        unresolved = sum(bool(one.problem) and not one.withheld for one in self.paired)
+        if unresolved and len(self.study.sessions) >= LEAST_VALUES:
+            found.append(
+                f"{_plural(unresolved, 'paired difference')} {_has(unresolved)} no interval and no p: too few people "
+                "have both conditions, or they scatter by no more than rounding to the levels makes"
+            )
+        mostly = [
+            f"{one.condition} at B = {one.damping:g} ({one.above + one.below} of {one.limits})"
+            for one in self.over_participants
+            if one.measure == self.options.measure and Beyond(one.limits, one.above, one.below).mostly
+        ]
+        if mostly:
+            found.append(
+                "most limits lie beyond the levels, so that their mean is a bound and no difference with it is tested: "
+                + ", ".join(mostly)
+            )
+        return (*self.study.messages, *found)
+
+    def _range(self, condition: str) -> float:
+        grid = levels(self.study.protocol, condition)
+        return grid[-1] - grid[0]
+
+    @property
+    def runs_as_counted(self) -> tuple[RunRow, ...]:
+        """Runs as K_max, models and slopes count them, see `rig.extras.study.rows.runs_as_counted`."""
+        return runs_as_counted(self.runs, include_marked=self.options.include_marked)
+
+    def counts(self) -> dict[str, int]:
+        """Trials by what became of them; "counted" ones made limits."""
+        return {
+            "recorded": len(self.trials),
+            **dict(sorted(fates(self.trials, self.runs_as_counted).items())),
+        }
+
+    def _of_marked(self) -> Iterator[str]:
+        """Runs that ended by `most`, and limits that their verdicts contradict."""
+        taken = (
+            "taken in"
+            if self.options.include_marked
+            else "left out of K_max (`include_marked` takes them in)"
+        )
+        short = [run for run in self.runs if run.state == ENDED_BY_MOST]
+        if short:
+            names = [f"{run.participant}, run {run.run}: {run.note}" for run in short]
+            yield f"{_plural(len(short), 'run')} {_was(len(short))} ended by most, {taken}: {_listed(names)}"
+        names = [
+            f"{run.participant}, run {run.run}: {limit.mark}"
+            for run in self.runs
+            if (limit := run.limits.get("rule")) and limit.mark and run.state == "complete"
+        ]
+        names += [
+            f"{one.participant}, {one.condition} at B = {one.damping:g}, K50 {one.judge}: {one.mark}"
+            for one in self.psychometrics
+            if one.participant and one.mark
+        ]
+        if names:
+            yield f"{_plural(len(names), 'limit')} {_is(len(names))} marked, {taken}: {_listed(names)}"
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Plain values, for JSON; trials are in their table."""
+        study, protocol = self.study, self.study.protocol
+        return {
+            "title": protocol.study.title,
+            "rehearsed": study.rehearsed,
+            "messages": list(self.messages),
+            "units": {name: study.unit(name) for name in ("stiffness", "damping")},
+            "measure": self.options.measure,
+            "seed": self.options.seed,
+            "include_marked": self.options.include_marked,
+            "conditions": [
+                {"name": one.name, "scheme": self.schemes[one.name], "damping": list(one.damping)}
+                for one in protocol.condition
+            ],
+            "participants": [
+                {**asdict(one), "directory": str(session.directory)}
+                for one, session in zip(self.participants, study.sessions, strict=True)
+            ],
+            "answers": [asdict(one) for one in self.answers],
+            "trials": self.counts(),
+            "runs": [asdict(run) for run in self.runs],
+            "of_participants": [asdict(one) for one in self.of_participants],
+            "over_participants": [asdict(one) for one in self.over_participants],
+            "paired": [asdict(one) for one in self.paired],
+            "mixed": [asdict(one) for one in self.mixed],
+            "agreements": [asdict(one) for one in self.agreements],
+            "psychometrics": [asdict(one) for one in self.psychometrics],
+            "slopes": [asdict(one) for one in self.slopes],
+            "blocks": [asdict(one) for one in self.blocks],
+        }
+
+
+def analyse(
+    paths: str | Path | Iterable[str | Path],
+    options: AnalysisOptions | None = None,
+    *,
+    watch: Watch | None = None,
+) -> StudyAnalysis:
+    """Analyse the sessions of a study.
+
+    Parameters
+    ----------
+    paths
+        Directories of sessions or of studies.
+    options
+        How.
+    watch
+        Called with what is being done, how many steps of it are done, and of how many.
+
+    Raises
+    ------
+    RecordingError
+        No session there, or a damaged log.
+    ConfigError
+        Sessions that are not of one study, or that this version cannot read.
+    """
+    options = options or AnalysisOptions()
+    report = watch or (lambda _what, _done, _total: None)
+    study = read_study(
+        paths,
+        hashes=options.hashes,
+        across=options.across,
+        watch=lambda done, total: report("sessions read", done, total),
+    )
+    trials = trials_of(study)
+    runs = runs_of(study, watch=lambda done, total: report("limits estimated", done, total))
+    report("intervals", 0, 4)
+    counted = runs_as_counted(runs, include_marked=options.include_marked)
+    pooled = {
+        key: limit
+        for key, limit in _pooled(study, counted).items()
+        if options.include_marked or not limit.mark
+    }
+    each = of_participants(counted, pooled, options.seed)
+    report("intervals", 1, 4)
+    names = [condition.name for condition in study.protocol.condition]
+    known = [measure for measure in MEASURES if any(measure in run.limits for run in runs)]
+    models = tuple(mixed(observed(counted, measure, pooled), measure, names) for measure in known)
+    report("intervals", 2, 4)
+    functions = psychometrics(study, complete_runs(counted), include_marked=options.include_marked)
+    report("intervals", 3, 4)
+    found = StudyAnalysis(
+        study=study,
+        options=options,
+        schemes=schemes_of(study),
+        trials=trials,
+        runs=runs,
+        participants=participants_of(study, trials, counted),
+        answers=answers_of(study),
+        of_participants=each,
+        over_participants=over_participants(each, names),
+        paired=paired(each, names),
+        mixed=models,
+        agreements=agreements(trials),
+        psychometrics=functions,
+        slopes=slopes(counted, trials),
+        blocks=blocks(trials),
+    )
+    report("intervals", 4, 4)
+    return found
+
+
+def analyse_study(
+    places: str | Path | Iterable[str | Path],
+    *,
+    measure: Measure = "rule",
+    hashes: bool = True,
+    across: Sequence[str] = (),
+    seed: int = 0,
+    include_marked: bool = False,
+    watch: Watch | None = None,
+) -> StudyAnalysis:
+    """Analyse the sessions of a study: limits with intervals, differences, agreement, order and fatigue.
+
+    Parameters
+    ----------
+    places
+        Directories of participants or of studies.
+    measure
+        How limits are defined in what is shown first: by the search's ``"rule"``, or where half of the verdicts are
+        stable, ``"K50 person"`` or ``"K50 automatic"``. All are computed.
+    hashes
+        Compare recordings with their hashes in the logs.
+    across
+        Keys of the protocol in which sessions may differ although they can decide a result.
+    seed
+        Of the bootstraps.
+    include_marked
+        Count limits that their verdicts do not show.
+    watch
+        Called with a step, how much of it is done, and of how much.
+
+    Returns
+    -------
+    StudyAnalysis
+        Rows of trials and runs, K_max by participant and over participants (N·m/rad or N/m), paired differences, mixed
+        models, agreement of person and program, slopes; `write_study_tables` writes them.
+
+    Raises
+    ------
+    RecordingError
+        No session there, or a damaged log.
+    ConfigError
+        Sessions that are not of one study, or that this version cannot read.
+    """
+    options = AnalysisOptions(
+        measure=measure, hashes=hashes, across=tuple(across), seed=seed, include_marked=include_marked
+    )
+    return analyse(places, options, watch=watch)
+
+
+def _pooled(study: Study, runs: Sequence[RunRow]) -> dict[tuple[Measure, str, Cell], LimitInterval]:
+    """The stiffness that each measure aims at, from all verdicts of a participant's complete runs under a condition."""
+    complete = complete_runs(runs)
+    shares = {(run.condition, m): limit.share for run in runs for m, limit in run.limits.items()}
+    grids = levels_by_participant(study)
+    return {
+        (measure, code, cell): half_way(grids[code, cell[0]], verdicts, shares[cell[0], measure])
+        for measure, judge in _JUDGES.items()
+        for cell, each in gathered(study, judge, complete).items()
+        for code, verdicts in each.items()
+        if (cell[0], measure) in shares
+    }
+
+
+def _listed(names: Sequence[str]) -> str:
+    more = len(names) - _NAMED
+    return "; ".join(names[:_NAMED]) + (f"; and {more} more" if more > 0 else "")
+
+
+def _plural(count: int, noun: str) -> str:
+    return f"{count} {noun}" + ("" if count == 1 else "s")
+
+
+def _is(count: int) -> str:
+    return "is" if count == 1 else "are"
+
+
+def _has(count: int) -> str:
+    return "has" if count == 1 else "have"
+
+
+def _was(count: int) -> str:
+    return "was" if count == 1 else "were"

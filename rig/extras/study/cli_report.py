@@ -1,0 +1,41 @@
+"""Pictures and page of a study, as `rig session analyse` writes them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from rig.cli import output
+from rig.extras.study import StudyAnalysis
+from rig.extras.study.plots import draw_session
+from rig.extras.study.report import write_session_report
+from rig.recording.files import plain_errors
+
+PICTURES = "pictures"
+
+
+def write_report(
+    found: StudyAnalysis, directory: Path, ending: str, watch: Callable[[str, int, int], None]
+) -> tuple[dict[str, Path], Path]:
+    """Draw all pictures and write the page; returns the paths of the pictures by name, and that of the page.
+
+    Pictures are PNGs, which the page needs, and beside them files of that ending.
+
+    Raises
+    ------
+    RecordingError
+        The disk refuses.
+    """
+    place = directory / PICTURES
+    with plain_errors("make", place):
+        place.mkdir(parents=True, exist_ok=True)
+    drawn = draw_session(
+        found,
+        place,
+        ("png", ending),
+        watch=lambda done, total: watch("pictures drawn", done, total),
+        on_failure=output.no_picture,
+    )
+    pngs = {path.stem: path.read_bytes() for path in drawn.values() if path.suffix == ".png"}
+    page, _ = write_session_report(found, pngs, directory)
+    return drawn, page

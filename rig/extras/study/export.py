@@ -1,0 +1,86 @@
+"""The recordings of a study for other programs, one file a trial, and a table that says what each was."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rig.core.sample import unit_of
+from rig.extras.study.study import Study
+from rig.extras.study.trials import trials_of
+from rig.recording.export import export
+from rig.recording.files import whole_directory
+from rig.session.names import distinct_names
+from rig.session.trial_facts import FACTS, facts_of, file_name, unusable
+
+INDEX, MEANINGS = "trials.csv", "columns.csv"
+
+Watch = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Exported:
+    """What was written: where, how many recordings, and which trials were left out, as sentences."""
+
+    directory: Path
+    recordings: int
+    left_out: tuple[str, ...]
+
+
+def export_trials(study: Study, directory: Path, kind: str, watch: Watch | None = None) -> Exported:
+    """Write each recording as ``CODE/t0001.…`` in a directory of its own, which appears when all of it is there.
+
+    Parameters
+    ----------
+    study
+        Whose.
+    directory
+        Made; must not exist.
+    kind
+        One of `rig.recording.export.EXPORTERS`.
+    watch
+        Called with how many recordings are done, and of how many.
+
+    Raises
+    ------
+    ConfigError
+        Codes that would share a directory.
+    RecordingError
+        The directory exists, there is no such format, a recording cannot be read, or the disk refuses. What is missing
+        or was changed is left out and named.
+    """
+    trials = [row for row in trials_of(study) if row.recorded != "none"]
+    sources = {session.code: session.directory for session in study.sessions}
+    places = distinct_names(sources, file_name, "directories keep only letters, digits and . _ + -")
+    rows: list[list[Any]] = []
+    left_out: list[str] = []
+    with whole_directory(directory) as draft:
+        for place in places.values():
+            (draft / place).mkdir()
+        for number, row in enumerate(trials, start=1):
+            source, place = sources[row.participant], places[row.participant]
+            problem = unusable(row)
+            if problem is not None:
+                left_out.append(problem)
+            else:
+                name = f"{place}/t{row.trial:04d}.{kind}"
+                export(source / row.recording, draft / name, kind)
+                rows.append([row.participant, name, *map(_cell, facts_of(row).values())])
+            if watch is not None:
+                watch(number, len(trials))
+        _write(draft / INDEX, [["participant", "file", *FACTS], *rows])
+        meanings = [[name, one.meaning, unit_of(one.unit, study.motion)] for name, one in FACTS.items()]
+        _write(draft / MEANINGS, [["column", "meaning", "unit"], *meanings])
+    return Exported(directory=directory, recordings=len(rows), left_out=tuple(left_out))
+
+
+def _cell(value: Any) -> Any:
+    return int(value) if isinstance(value, bool) else value
+
+
+def _write(path: Path, rows: list[list[Any]]) -> None:
+    with open(path, "w", encoding="utf-8", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows(rows)

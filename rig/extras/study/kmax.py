@@ -1,0 +1,519 @@
+"""K_max by condition and damping: of each participant, with an interval over repeats, and over participants.
+
+By the rule, a participant's K_max is the mean over repeats, with Student's interval from three repeats on and a
+bootstrap over them (BCa, Efron 1987) from ten on; the other one stands beside it. With two repeats, or when all came
+out alike, repeats do not show how sure one can be: the interval is then that of all verdicts together (the posterior of
+the stiffness), which need not hold the mean of the limits; that of a single run is its own. K50 is estimated from all
+verdicts together in any case (`Observed` says why), with their interval, which takes it to be one K50 in all repeats:
+of a person whose limit wanders from repeat to repeat it is too narrow. ``rig/session/README.md`` says how often these
+intervals hold what they promise.
+
+A limit beyond the levels is *censored*. It enters with the end of the levels and is counted, so a mean with censored
+limits is a bound, and differences are biased: usually towards zero, but unequal spread can make a difference out of
+nothing. Where most limits of a cell are censored, its mean is little more than the end of the levels, and scatters as
+little: it has no interval, and no difference with it has an interval or p.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.core.deferred import stats
+from rig.extras.study.rows import MEASURES, LimitInterval, Measure, Observed, RunRow
+from rig.session.search.resolution import FLOATING, is_resolved, unresolved_words
+
+Floats = NDArray[np.float64]
+
+LEAST_VALUES = (
+    3  # participants or repeats, for an interval over them: two say next to nothing of their scatter
+)
+RESAMPLES = 9999
+
+ENOUGH_REPEATS = 10  # for a bootstrap
+MOSTLY_CENSORED = "most limits lie beyond the levels, so that the mean is a bound and nothing is tested"
+
+IntervalOf = Literal["Student", "bootstrap", "run", "verdicts", "none"]
+Bound = Literal["", "least", "most", "unknown"]
+Cell = tuple[str, float]  # condition, damping
+
+
+@dataclass(frozen=True, slots=True)
+class Beyond:
+    """How many limits there are, how many lie beyond the stiffest or the softest level, and how many are marked."""
+
+    limits: int = 0
+    above: int = 0
+    below: int = 0
+    marked: int = 0
+
+    def __add__(self, other: Beyond) -> Beyond:
+        return Beyond(
+            self.limits + other.limits,
+            self.above + other.above,
+            self.below + other.below,
+            self.marked + other.marked,
+        )
+
+    @property
+    def count(self) -> int:
+        """Those that are censored."""
+        return self.above + self.below
+
+    @property
+    def mostly(self) -> bool:
+        """Whether most are, so that a mean of them is little more than the end of the levels."""
+        return 2 * self.count > self.limits
+
+
+NONE_BEYOND = Beyond()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OfParticipant:
+    """K_max of one participant under one condition at one damping.
+
+    Attributes
+    ----------
+    repeats
+        Runs behind it; those that are not complete and those without the measure are left out.
+    mean, deviation
+        Over repeats; as K50, the median of the posterior, and no deviation (NaN).
+    low, high, interval
+        95 %, and what it is of: "Student" or "bootstrap" over repeats, the single "run", all "verdicts", or "none"
+        (NaN). That of all verdicts is of the stiffness that they show, and need not hold the mean of the rule's limits.
+        Beyond the levels it is open: from zero, or to infinity.
+    student_low, student_high, bootstrap_low, bootstrap_high
+        Both intervals over repeats; NaN for one, for repeats that came out alike or of which most are censored, and for
+        K50. The bootstrap takes three.
+    limits, above, below
+        Values behind it, and how many of them lie beyond the stiffest or the softest level.
+    rounding
+        Standard deviation of the error of `mean` that rounding to the levels makes.
+    marked
+        How many of the values are marked (`rig.extras.study.rows.LimitInterval`); 0 unless they were asked for.
+    """
+
+    measure: Measure
+    participant: str
+    condition: str
+    damping: float
+    repeats: int
+    mean: float
+    deviation: float
+    low: float
+    high: float
+    interval: IntervalOf
+    student_low: float
+    student_high: float
+    bootstrap_low: float
+    bootstrap_high: float
+    limits: int
+    above: int
+    below: int
+    rounding: float = 0.0
+    marked: int = 0
+
+    @property
+    def beyond(self) -> Beyond:
+        """These counts as one value."""
+        return Beyond(self.limits, self.above, self.below, self.marked)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OverParticipants:
+    """K_max of a condition at one damping: mean over participants, each by the mean of the repeats.
+
+    `low` and `high` are Student's interval for other participants of the same kind; NaN where `problem` says why.
+    `above` and `below` count those of the `limits` that lie beyond the levels.
+    """
+
+    measure: Measure
+    condition: str
+    damping: float
+    participants: int
+    runs: int
+    mean: float
+    deviation: float
+    low: float
+    high: float
+    limits: int
+    above: int
+    below: int
+    problem: str = ""
+    marked: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Paired:
+    """Difference of two conditions within participants: Student's paired test of their means over repeats.
+
+    `damping` None: of the mean over the dampings that both have. `holm` is p after Holm's correction for all
+    differences of the same measure, whatever the damping. `beyond` counts the limits behind it, and `bound` says on
+    which side censored ones leave it open: the difference is at "least" or at "most" this, or "unknown" when they do
+    both. Interval and p are NaN where `problem` says why; `withheld` is True where the reason is that most limits of a
+    cell are censored.
+    """
+
+    measure: Measure
+    condition: str
+    against: str
+    damping: float | None
+    participants: int
+    difference: float
+    low: float
+    high: float
+    p: float
+    holm: float
+    bound: Bound
+    beyond: Beyond
+    withheld: bool
+    problem: str = ""
+
+
+Pooled = Mapping[tuple[Measure, str, Cell], LimitInterval]  # by measure, participant and cell
+
+
+def beyond_of(limits: Iterable[tuple[str, float, LimitInterval]]) -> dict[Cell, Beyond]:
+    """Count limits and censored ones of each condition and damping."""
+    found: dict[Cell, Beyond] = {}
+    for condition, damping, limit in limits:
+        one = Beyond(1, limit.censored == "above", limit.censored == "below", limit.mark != "")
+        found[condition, damping] = found.get((condition, damping), NONE_BEYOND) + one
+    return found
+
+
+def bound_of(beyond: Mapping[Cell, Beyond], condition: str, against: str) -> Bound:
+    """On which side a difference of two conditions is open, by the censored limits of the cells behind it."""
+    sides = {
+        name: sum((b for (of, _), b in beyond.items() if of == name), NONE_BEYOND)
+        for name in (condition, against)
+    }
+    more = sides[condition].above > 0 or sides[against].below > 0
+    less = sides[condition].below > 0 or sides[against].above > 0
+    return "unknown" if more and less else "least" if more else "most" if less else ""
+
+
+def observed(runs: Sequence[RunRow], measure: Measure, pooled: Pooled) -> tuple[Observed, ...]:
+    """What complete runs say by a measure.
+
+    Parameters
+    ----------
+    pooled
+        Limits from all verdicts of a participant under a condition at a damping.
+    """
+    # K50 is of all verdicts together: a run whose own verdicts do not show it adds its own to them
+    counted = [
+        run for run in runs if run.state == "complete" and (measure != "rule" or measure in run.limits)
+    ]
+    if measure == "rule":
+        return tuple(_observed(measure, [run], run.limits[measure]) for run in counted)
+    groups: dict[tuple[str, Cell], list[RunRow]] = {}
+    for run in counted:
+        groups.setdefault((run.participant, (run.condition, run.damping)), []).append(run)
+    return tuple(
+        _observed(measure, of, pooled[measure, code, cell])
+        for (code, cell), of in groups.items()
+        if (measure, code, cell) in pooled
+    )
+
+
+def _observed(measure: Measure, runs: Sequence[RunRow], limit: LimitInterval) -> Observed:
+    return Observed(
+        measure=measure,
+        participant=runs[0].participant,
+        condition=runs[0].condition,
+        damping=runs[0].damping,
+        order=sum(run.order for run in runs) / len(runs),
+        block=sum(run.block for run in runs) / len(runs),
+        runs=len(runs),
+        limit=limit,
+    )
+
+
+def of_participants(runs: Sequence[RunRow], pooled: Pooled, seed: int = 0) -> tuple[OfParticipant, ...]:
+    """K_max of each participant, by measure, condition and damping; `seed` is that of the bootstrap."""
+    found = []
+    for measure in MEASURES:
+        groups: dict[tuple[str, Cell], list[Observed]] = {}
+        for one in observed(runs, measure, pooled):
+            groups.setdefault((one.participant, (one.condition, one.damping)), []).append(one)
+        for (code, cell), of in groups.items():
+            limits = [one.limit for one in of]
+            values = np.array([limit.value for limit in limits])
+            beyond = next(iter(beyond_of((*cell, limit) for limit in limits).values()))
+            by_student, by_bootstrap = (math.nan, math.nan), (math.nan, math.nan)
+            rounding = rounding_of([limit.rounding for limit in limits])
+            if not beyond.mostly:
+                tested = student(values, rounding, of="repeats")
+                by_student = tested.low, tested.high
+                by_bootstrap = (math.nan, math.nan) if tested.problem else bootstrap(values, seed)
+            low, high, interval = _interval(
+                limits, pooled.get((measure, code, cell)), by_student, by_bootstrap
+            )
+            found.append(
+                OfParticipant(
+                    measure=measure,
+                    participant=code,
+                    condition=cell[0],
+                    damping=cell[1],
+                    repeats=sum(one.runs for one in of),
+                    mean=float(values.mean()),
+                    deviation=_deviation(values),
+                    low=low,
+                    high=high,
+                    interval=interval if measure == "rule" else "verdicts",
+                    student_low=by_student[0],
+                    student_high=by_student[1],
+                    bootstrap_low=by_bootstrap[0],
+                    bootstrap_high=by_bootstrap[1],
+                    limits=beyond.limits,
+                    above=beyond.above,
+                    below=beyond.below,
+                    rounding=rounding / math.sqrt(len(limits)),
+                    marked=beyond.marked,
+                )
+            )
+    return tuple(found)
+
+
+def over_participants(
+    each: Sequence[OfParticipant], conditions: Sequence[str]
+) -> tuple[OverParticipants, ...]:
+    """K_max over participants, by measure, then the conditions in this order, then damping."""
+    groups: dict[tuple[Measure, str, float], list[OfParticipant]] = {}
+    for one in each:
+        groups.setdefault((one.measure, one.condition, one.damping), []).append(one)
+    found = []
+    places = {name: place for place, name in enumerate(conditions)}
+    ordered = sorted(groups, key=lambda key: (MEASURES.index(key[0]), places[key[1]], key[2]))
+    for measure, condition, damping in ordered:
+        of = groups[measure, condition, damping]
+        values = np.array([one.mean for one in of])
+        beyond = sum((one.beyond for one in of), NONE_BEYOND)
+        interval = (
+            Student(problem=MOSTLY_CENSORED)
+            if beyond.mostly
+            else student(values, rounding_of([one.rounding for one in of]))
+        )
+        found.append(
+            OverParticipants(
+                measure=measure,
+                condition=condition,
+                damping=damping,
+                participants=len(of),
+                runs=sum(one.repeats for one in of),
+                mean=float(values.mean()),
+                deviation=_deviation(values),
+                low=interval.low,
+                high=interval.high,
+                limits=beyond.limits,
+                above=beyond.above,
+                below=beyond.below,
+                problem=interval.problem,
+                marked=beyond.marked,
+            )
+        )
+    return tuple(found)
+
+
+def paired(each: Sequence[OfParticipant], conditions: Sequence[str]) -> tuple[Paired, ...]:
+    """Differences between all pairs of conditions, at each damping that both have and over all of them."""
+    return tuple(one for measure in MEASURES for one in _corrected(_paired(each, measure, conditions)))
+
+
+def _corrected(family: Sequence[Paired]) -> list[Paired]:
+    corrected = holm([one.p for one in family])
+    return [replace(one, holm=p) for one, p in zip(family, corrected, strict=True)]
+
+
+def _paired(each: Sequence[OfParticipant], measure: Measure, conditions: Sequence[str]) -> list[Paired]:
+    """Differences by one measure, not yet corrected."""
+    of = [one for one in each if one.measure == measure]
+    known = {(one.participant, one.condition, one.damping): (one.mean, one.rounding) for one in of}
+    beyond: dict[Cell, Beyond] = {}
+    for one in of:
+        cell = (one.condition, one.damping)
+        beyond[cell] = beyond.get(cell, NONE_BEYOND) + one.beyond
+    dampings: list[float | None] = [*sorted({one.damping for one in of})]
+    if len(dampings) > 1:
+        dampings.append(None)
+    found: list[Paired] = []
+    for damping in dampings:
+        for against, condition in combinations(conditions, 2):
+            differences, rounding = _differences(known, against, condition, damping)
+            if not len(differences):
+                continue
+            behind = _behind(beyond, against, condition, damping)
+            withheld = any(one.mostly for one in behind.values())
+            tested = (
+                Student(problem=MOSTLY_CENSORED)
+                if withheld
+                else student(differences, rounding, of="participants", what="the differences")
+            )
+            found.append(
+                Paired(
+                    measure=measure,
+                    condition=condition,
+                    against=against,
+                    damping=damping,
+                    participants=len(differences),
+                    difference=float(differences.mean()),
+                    low=tested.low,
+                    high=tested.high,
+                    p=tested.p,
+                    holm=math.nan,
+                    bound=bound_of(behind, condition, against),
+                    beyond=sum(behind.values(), NONE_BEYOND),
+                    withheld=withheld,
+                    problem=tested.problem,
+                )
+            )
+    return found
+
+
+def _behind(
+    beyond: Mapping[Cell, Beyond], against: str, condition: str, damping: float | None
+) -> dict[Cell, Beyond]:
+    """The cells that a difference is of, with their censored limits."""
+    both = {b for name, b in beyond if name == against} & {b for name, b in beyond if name == condition}
+    return {
+        (name, b): one
+        for (name, b), one in beyond.items()
+        if name in (against, condition) and b in both and damping in (None, b)
+    }
+
+
+@dataclass(frozen=True, slots=True)
+class Student:
+    """Student's interval of 95 % for a mean, and two-sided p that it is zero; NaN where `problem` says why."""
+
+    low: float = math.nan
+    high: float = math.nan
+    p: float = math.nan
+    problem: str = ""
+
+
+def student(
+    values: Floats, rounding: float = 0.0, *, of: str = "participants", what: str = "the values"
+) -> Student:
+    """Return Student's interval and test of a mean, by scipy.
+
+    `problem` says why they are missing: fewer than `LEAST_VALUES` values, or scatter no larger than from rounding.
+
+    Parameters
+    ----------
+    values
+        One for each participant or repeat.
+    rounding
+        Standard deviation that rounding to the levels makes, see `rig.session.search.resolution`.
+    of, what
+        Words for the values in `Student.problem`.
+    """
+    if len(values) < LEAST_VALUES:
+        return Student(problem=too_few_words(len(values), of))
+    deviation = float(values.std(ddof=1))
+    if not is_resolved(deviation, rounding, float(np.abs(values).max())):
+        return Student(problem=unresolved_words(f"{what} of the {of}", deviation, rounding))
+    tested = stats.ttest_1samp(values, 0.0)
+    low, high = tested.confidence_interval(0.95)
+    return Student(float(low), float(high), float(tested.pvalue))
+
+
+def too_few_words(count: int, of: str) -> str:
+    """Return the sentence that explains why so few participants or repeats have no interval."""
+    noun = of.replace("participants", "participant").replace("repeats", "repeat") if count == 1 else of
+    return f"{count} {noun}, where an interval and a p value need {LEAST_VALUES} or more"
+
+
+def rounding_of(roundings: Sequence[float]) -> float:
+    """Return the standard deviation that rounding makes in values whose own roundings have these ones."""
+    return math.sqrt(sum(one**2 for one in roundings) / len(roundings))
+
+
+def holm(p: Sequence[float]) -> list[float]:
+    """Correct a family of p (Holm, Scandinavian Journal of Statistics 6, 1979); NaN stays, and counts for none."""
+    known = sorted((value, place) for place, value in enumerate(p) if math.isfinite(value))
+    adjusted, largest = [math.nan] * len(p), 0.0
+    for rank, (value, place) in enumerate(known):
+        largest = max(largest, min(1.0, (len(known) - rank) * value))
+        adjusted[place] = largest
+    return adjusted
+
+
+def bootstrap(values: Floats, seed: int = 0) -> tuple[float, float]:
+    """BCa interval of 95 % for a mean, by scipy; percentiles where BCa has none, NaN where `student` has none."""
+    if student(values).problem:
+        return math.nan, math.nan
+    for method in ("BCa", "percentile"):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # degenerate: then it is NaN, and the next one is taken
+            drawn = np.random.default_rng(seed)
+            found = stats.bootstrap(
+                (values,), np.mean, n_resamples=RESAMPLES, method=method, random_state=drawn
+            )
+        low, high = found.confidence_interval
+        if math.isfinite(low) and math.isfinite(high):
+            break
+    return float(low), float(high)
+
+
+def _interval(
+    limits: Sequence[LimitInterval],
+    pooled: LimitInterval | None,
+    by_student: tuple[float, float],
+    by_bootstrap: tuple[float, float],
+) -> tuple[float, float, IntervalOf]:
+    if len(limits) >= ENOUGH_REPEATS and math.isfinite(by_bootstrap[0]):
+        return (*by_bootstrap, "bootstrap")
+    if len(limits) >= LEAST_VALUES and math.isfinite(by_student[0]):
+        return (*by_student, "Student")
+    if len(limits) == 1 and (limits[0].censored or math.isfinite(limits[0].high - limits[0].low)):
+        return limits[0].low, limits[0].high, "run"
+    if pooled is not None:
+        return pooled.low, pooled.high, "verdicts"
+    return math.nan, math.nan, "none"
+
+
+def _differences(
+    known: Mapping[tuple[str, str, float], tuple[float, float]],
+    against: str,
+    condition: str,
+    damping: float | None,
+) -> tuple[Floats, float]:
+    """Return condition less the other, of each participant who has both (at every damping that both have).
+
+    The second value is the standard deviation that rounding to the levels makes in them.
+    """
+    participants = dict.fromkeys(code for code, _, _ in known)
+    of = {name: {b for _, other, b in known if other == name} for name in (against, condition)}
+    dampings = [damping] if damping is not None else sorted(of[against] & of[condition])
+    if damping is None and len(dampings) < 2:  # it stands under its damping
+        return np.array([]), 0.0
+    values, variances = [], []
+    for code in participants:
+        pairs = [(known.get((code, condition, b)), known.get((code, against, b))) for b in dampings]
+        both = [(one, other) for one, other in pairs if one is not None and other is not None]
+        if both and len(both) == len(pairs):
+            values.append(sum(_less(one[0], other[0]) for one, other in both) / len(both))
+            variances.append(sum(one[1] ** 2 + other[1] ** 2 for one, other in both) / len(both) ** 2)
+    return np.array(values), math.sqrt(sum(variances) / len(variances)) if variances else 0.0
+
+
+def _less(one: float, other: float) -> float:
+    """Return the difference of two means, or 0 where it is floating-point rounding."""
+    return 0.0 if math.isclose(one, other, rel_tol=FLOATING) else one - other
+
+
+def _deviation(values: Floats) -> float:
+    if len(values) < 2:
+        return math.nan
+    deviation = float(values.std(ddof=1))
+    return deviation if is_resolved(deviation, magnitude=float(np.abs(values).max())) else 0.0

@@ -1,0 +1,613 @@
+"""Differences between conditions over participants: a linear mixed model of their limits, by statsmodels.
+
+    limit ~ 0 + condition:damping + order + block
+            + (1 | participant) + (1 | participant:condition) + (1 | participant:damping)
+
+A value is the mean over the repeats of a participant in a cell, a condition at a damping: repeats of one person are no
+more people. Each cell has a mean of its own. *Order* (place in the block) and *block* are straight lines that take out
+what order and fatigue do; one that cannot be separated from conditions and participants is left out. The random parts
+of condition and damping are there where each person has several values of them; else they are the residual. A cell of
+which most limits are censored is left out: its mean is the end of the levels.
+
+Means and differences are REML estimates with Student's intervals, which for two conditions are the paired test. Degrees
+of freedom are participants − 1, or what values leave beside participants and fixed parts where that is less (a
+crossover whose order is taken out leaves participants − 2). Whether a factor matters at all is a likelihood ratio of ML
+fits. `rig/session/README.md` says how often intervals and ratios hold what they promise.
+
+statsmodels comes with the extra ``haptic-rig[report]`` and is imported on use. Without it, or where the model cannot be
+had, `Mixed.problem` says why, and the paired tests of `rig.extras.study.kmax` remain.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.core.deferred import linear_model, mixed_linear_model, optimize, pandas, stats
+from rig.extras.study.kmax import NONE_BEYOND, Beyond, Bound, Cell, beyond_of, bound_of, holm
+from rig.extras.study.rows import Measure, Observed
+from rig.session.search.resolution import is_resolved, unresolved_words
+
+Floats = NDArray[np.float64]
+
+LEAST_PARTICIPANTS = 3
+FEW_PARTICIPANTS = 6
+ENOUGH_PARTICIPANTS = 8  # for likelihood ratios
+PARTS = {  # random: what each person has of their own, as a formula within a person
+    "participant": "1",
+    "participant × condition": "0 + condition",
+    "participant × damping": "0 + damping",
+}
+RESIDUAL = "residual"
+_STARTS = (0.01, 1.0)  # of every variance, in the residual's
+_MOST = 1e7  # of a variance, in the residual's: beyond it nothing is left for the residual
+_ZERO = 1e-4  # of the residual's variance: below it a variance is printed as zero
+_LOST = 1e-3  # of log likelihood, that statsmodels may end below the optimum that was found
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Term:
+    """A number of the model with its interval of 95 %; NaN for terms that are only taken out."""
+
+    name: str
+    value: float
+    low: float = math.nan
+    high: float = math.nan
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Contrast:
+    """`condition` less `against`, at a damping, or over the dampings that both have (None).
+
+    `holm`, `bound` and `beyond` as in `rig.extras.study.kmax.Paired`.
+    """
+
+    condition: str
+    against: str
+    damping: float | None
+    difference: float
+    low: float
+    high: float
+    p: float
+    holm: float
+    bound: Bound
+    beyond: Beyond
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LikelihoodRatio:
+    """Whether a factor matters: twice the log ratio of likelihoods, against χ² with so many degrees of freedom.
+
+    "condition, at any damping" asks for the condition and its interaction at once, and so does damping; "condition ×
+    damping" asks for the interaction alone.
+    """
+
+    factor: str
+    statistic: float
+    degrees: int
+    p: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mixed:
+    """The model of one measure.
+
+    Attributes
+    ----------
+    problem
+        Why there is no model; empty when there is one. All that follows is empty then.
+    notes
+        What must be known beside the numbers.
+    participants, runs, beyond
+        Behind it; and how many of its limits are censored, and enter with the end of the levels.
+    degrees
+        Of freedom, of all intervals.
+    means
+        Of each condition and damping, at the middle of order and block; the name is (condition, damping).
+    slopes
+        Of order and block, in stiffness for each place and each block; taken out, so they have no interval.
+    contrasts
+        Differences.
+    tests
+        Likelihood ratios; none below `ENOUGH_PARTICIPANTS`.
+    deviations
+        Standard deviation of each random part (`PARTS`, as far as they can be estimated; 0 where the estimate is zero),
+        and of the residual.
+    """
+
+    measure: Measure
+    problem: str = ""
+    notes: tuple[str, ...] = ()
+    participants: int = 0
+    runs: int = 0
+    beyond: Beyond = NONE_BEYOND
+    degrees: int = 0
+    means: tuple[tuple[Cell, Term], ...] = ()
+    slopes: tuple[Term, ...] = ()
+    contrasts: tuple[Contrast, ...] = ()
+    tests: tuple[LikelihoodRatio, ...] = ()
+    deviations: tuple[tuple[str, float], ...] = ()
+
+
+def mixed(values: Sequence[Observed], measure: Measure, conditions: Sequence[str]) -> Mixed:
+    """Fit the model to limits by a measure; never raises, says what is in the way.
+
+    `conditions` are in the order in which they are compared: each with those before it.
+    """
+    beyond = beyond_of((one.condition, one.damping, one.limit) for one in values)
+    kept = [one for one in values if not beyond[one.condition, one.damping].mostly]
+    cells = _sorted({(one.condition, one.damping) for one in kept}, conditions)
+    problem = _problem(kept, cells, censored=len(cells) < len(beyond))
+    if problem:
+        return Mixed(measure=measure, problem=problem)
+    design = _Design.of(kept, cells)
+    if design.degrees < 1:
+        return Mixed(
+            measure=measure,
+            problem=f"{len(design.frame)} values are too few for {design.participants} participants and {len(cells)} "
+            "conditions and dampings",
+        )
+    problem = design.unresolved(design.residual_deviation)
+    if problem:
+        return Mixed(measure=measure, problem=problem)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of steps on the way; whether the optimum is reached is looked at
+        try:
+            model = _Model.of(design)
+            tests = _tests(design) if design.participants >= ENOUGH_PARTICIPANTS else ()
+        except np.linalg.LinAlgError:  # a singular covariance: some part leaves nothing for the residual
+            model = None
+    if model is None:
+        return Mixed(measure=measure, problem="the mixed model did not converge; the paired tests remain")
+    problem = design.unresolved(model.deviations[-1][1])
+    if problem:
+        return Mixed(measure=measure, problem=problem)
+    contrasts = _contrasts(design, model, beyond, conditions)
+    notes = _notes(measure, design.participants, beyond, cells, _sorted(beyond, conditions))
+    if not contrasts:
+        notes.append("there are no two conditions to compare at the same damping")
+    return Mixed(
+        measure=measure,
+        notes=(*design.notes, *model.notes, *notes),
+        participants=design.participants,
+        runs=sum(one.runs for one in kept),
+        beyond=sum((beyond[cell] for cell in cells), NONE_BEYOND),
+        degrees=design.degrees,
+        means=tuple((cell, model.term(_name(cell), design.weights({cell: 1.0}))) for cell in cells),
+        slopes=tuple(
+            Term(name=name, value=float(value))
+            for name, value in zip(design.covariates, model.mean[len(cells) :], strict=True)
+        ),
+        contrasts=contrasts,
+        tests=tests,
+        deviations=model.deviations,
+    )
+
+
+def _sorted(cells: Iterable[Cell], conditions: Sequence[str]) -> list[Cell]:
+    return sorted(cells, key=lambda cell: (conditions.index(cell[0]), cell[1]))
+
+
+def _problem(kept: Sequence[Observed], cells: Sequence[Cell], *, censored: bool) -> str:
+    """Why there can be no model; empty when there can."""
+    participants = len({one.participant for one in kept})
+    problem = ""
+    if censored and not cells:
+        problem = "most limits lie beyond the levels"
+    elif participants < LEAST_PARTICIPANTS:
+        problem = (
+            f"{participants} participant{'' if participants == 1 else 's'} with a limit, where differences between "
+            f"people need {LEAST_PARTICIPANTS} or more"
+        )
+    elif len(cells) < 2:
+        problem = "there are no two conditions or dampings to compare"
+        if censored:
+            problem = f"most limits lie beyond the levels, save those of {_name(cells[0])}"
+    elif len({one.limit.value for one in kept}) == 1:
+        problem = "all limits are alike"
+    elif not _installed():
+        problem = "statsmodels is not installed: pip install 'haptic-rig[report]'"
+    return problem
+
+
+def _installed() -> bool:
+    try:
+        return bool(mixed_linear_model.MixedLM)
+    except ImportError:
+        return False
+
+
+# ------------------------------------------------------------------------------------------------ what is modelled
+
+
+@dataclass(frozen=True)
+class _Design:
+    """What is modelled: a row of `frame` for each participant and cell, with limits in units of their deviation.
+
+    Attributes
+    ----------
+    cells
+        In the order of their labels in the frame.
+    middle, scale
+        Mean and standard deviation of the limits, in stiffness.
+    rounding
+        Standard deviation of the error of the limits that rounding to the levels makes, in stiffness.
+    covariates
+        Of order and block, those that can be separated from cells and participants.
+    notes
+        Which could not.
+    """
+
+    frame: Any
+    cells: Sequence[Cell]
+    middle: float
+    scale: float
+    rounding: float
+    covariates: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, values: Sequence[Observed], cells: Sequence[Cell]) -> _Design:
+        """Means over the repeats of each participant in each cell."""
+        where: list[Cell] = [(one.condition, one.damping) for one in values]
+        conditions = list(dict.fromkeys(name for name, _ in cells))
+        dampings = sorted({damping for _, damping in cells})
+        each = pandas.DataFrame(  # factors by number, which keeps their order and any name out of the formula
+            {
+                "participant": [one.participant for one in values],
+                "cell": [f"{cells.index(cell):03}" for cell in where],
+                "condition": [f"{conditions.index(name):03}" for name, _ in where],
+                "damping": [f"{dampings.index(damping):03}" for _, damping in where],
+                "limit": [one.limit.value for one in values],
+                "order": [one.order for one in values],
+                "block": [one.block for one in values],
+                "rounding": [one.limit.rounding**2 for one in values],
+            }
+        )
+        groups = each.groupby(["participant", "cell", "condition", "damping"], as_index=False)
+        frame = groups.mean()
+        rounding = math.sqrt((frame.pop("rounding") / groups.size()["size"]).mean())
+        middle, scale = frame["limit"].mean(), frame["limit"].std(ddof=0) or 1.0
+        frame["limit"] = (frame["limit"] - middle) / scale
+        design = cls(frame, cells, float(middle), float(scale), rounding)
+        for name in ("order", "block"):
+            frame[name] -= frame[name].mean()
+            if np.ptp(frame[name]) == 0.0:
+                continue
+            before = design.rank("cell", "participant", *design.covariates)
+            after = design.rank("cell", "participant", *design.covariates, name)
+            if before < after < len(frame):
+                design.covariates.append(name)
+            else:
+                design.notes.append(
+                    f"{name} cannot be separated from the conditions and participants, and is left out"
+                )
+        return design
+
+    def columns(self, *terms: str) -> Floats:
+        """The columns of ``0 + terms``: one for each value of the first factor, all but the first of another's."""
+        made = [
+            pandas.get_dummies(self.frame[[term]], drop_first=place > 0, dtype=np.float64)
+            for place, term in enumerate(terms)
+        ]
+        return np.hstack(made)
+
+    def rank(self, *terms: str) -> int:
+        """Rank of these columns."""
+        return int(np.linalg.matrix_rank(self.columns(*terms)))
+
+    def by_person(self, values: Floats) -> Floats:
+        """A row for each participant and in it one for each of their values; zeros where one has fewer than others."""
+        of = self.frame.groupby("participant")
+        person, own = of.ngroup().to_numpy(), of.cumcount().to_numpy()
+        rows = np.zeros((person.max() + 1, own.max() + 1, *values.shape[1:]))
+        rows[person, own] = values
+        return rows
+
+    def alike(self, part: str) -> Floats:
+        """1 where two values of a participant have this random part in common, else 0."""
+        groups = self.frame.groupby(["participant", *part.split(" × ")[1:]]).ngroup().to_numpy()
+        number = self.by_person(groups + 1.0)
+        return np.asarray((number[:, :, None] == number[:, None]) & (number[:, :, None] > 0.0), np.float64)
+
+    @cached_property
+    def participants(self) -> int:
+        """How many."""
+        return int(self.frame["participant"].nunique())
+
+    @cached_property
+    def degrees(self) -> int:
+        """Degrees of freedom of a difference within participants: what people leave, or values where that is less."""
+        taken = self.rank("cell", "participant", *self.covariates)
+        return min(self.participants - 1, len(self.frame) - taken)
+
+    @cached_property
+    def residual_deviation(self) -> float:
+        """Standard deviation, in stiffness, that cells, participants and covariates leave by least squares."""
+        columns, limits = self.columns("cell", "participant", *self.covariates), self.frame["limit"]
+        rest = limits - columns @ np.linalg.lstsq(columns, limits, rcond=None)[0]
+        free = len(limits) - int(np.linalg.matrix_rank(columns))
+        return math.sqrt(float(rest @ rest) / free) * self.scale
+
+    def unresolved(self, deviation: float) -> str:
+        """Return why a residual of this deviation gives no interval and no p, or an empty text if it does."""
+        if is_resolved(deviation, self.rounding, abs(self.middle) + self.scale):
+            return ""
+        return unresolved_words("the residuals within participants", deviation, self.rounding)
+
+    @cached_property
+    def parts(self) -> list[str]:
+        """Random parts that can be estimated: of a factor, where each person has several values of it, repeatedly."""
+        found = ["participant"]
+        for part in list(PARTS)[1:]:
+            factor = part.split()[-1]
+            pairs = self.frame.groupby(["participant", factor]).ngroups
+            if self.frame[factor].nunique() > 1 and pairs < len(self.frame):
+                found.append(part)
+        return found
+
+    def weights(self, of: Mapping[Cell, float]) -> Floats:
+        """A linear combination of the fixed effects, by weights of the cells."""
+        return np.array([*(of.get(cell, 0.0) for cell in self.cells), *(0.0 for _ in self.covariates)])
+
+
+# ------------------------------------------------------------------------------------------------ the fit
+
+
+@dataclass(frozen=True)
+class _Optimum:
+    """The largest (log) likelihood, and variances of the random parts there, in units of the residual's."""
+
+    likelihood: float
+    variances: Mapping[str, float]
+
+
+def _minus_log_likelihood(
+    variances: Floats, count: int, limits: Floats, fixed: Floats, parts: Sequence[Floats], reml: bool
+) -> tuple[float, Floats]:
+    """Minus the log likelihood at variances of the random parts, in the residual's, and its gradient.
+
+    Fixed effects and the residual's variance are the likeliest there. All arrays are as `_Design.by_person` has them:
+    `count` values, and zeros that add nothing to any sum.
+    """
+    covariance = np.eye(limits.shape[1]) + sum(v * part for v, part in zip(variances, parts, strict=True))
+    inverse = np.linalg.inv(covariance)
+    seen = inverse @ fixed
+    known = np.einsum("pvi,pvj->ij", fixed, seen)
+    effects = np.linalg.solve(known, np.einsum("pvi,pv->i", seen, limits))
+    residual = np.einsum("pvw,pw->pv", inverse, limits - fixed @ effects)
+    free, unlike = count, float(np.sum(limits * residual))
+    value = float(np.linalg.slogdet(covariance)[1].sum())
+    gradient = np.array([np.sum(inverse * part) for part in parts])
+    if reml:
+        free -= len(known)
+        value += float(np.linalg.slogdet(known)[1])
+        lost = seen @ np.linalg.solve(known, np.swapaxes(seen, 1, 2))
+        gradient -= [np.sum(lost * part) for part in parts]
+    unlike = max(unlike, np.finfo(np.float64).tiny)  # rounding may make it 0 where a random part takes all
+    value += free * (math.log(2.0 * math.pi * unlike / free) + 1.0)
+    gradient -= [free / unlike * np.einsum("pv,pvw,pw", residual, part, residual) for part in parts]
+    return 0.5 * value, 0.5 * gradient
+
+
+def _optimum(design: _Design, fixed: Floats, *, reml: bool = True) -> _Optimum | None:
+    """Search for the largest likelihood with these fixed columns; None where the search does not converge.
+
+    The optimisers of statsmodels work on square roots of the variances, where the likelihood is flat at a variance of
+    zero. Tried on 2026-11-29 (statsmodels 0.15.0, 70 fits to 14 studies): those with gradients stop up to 0.63 short of
+    the largest log likelihood; Powell's method, which needs none, at most 0.0007, but at a variance of zero it ends in
+    a singular matrix whatever its start (one of 16 studies of six people, and people who differ by chance alone). So
+    the variances themselves are varied, within bounds, from two starts.
+    """
+    parts = [design.alike(part) for part in design.parts]
+    limits = design.frame["limit"].to_numpy()
+    data = len(limits), design.by_person(limits), design.by_person(fixed), parts
+    found = [
+        optimize.minimize(
+            _minus_log_likelihood,
+            np.full(len(parts), start),
+            args=(*data, reml),
+            jac=True,
+            method="L-BFGS-B",
+            bounds=[(0.0, _MOST)] * len(parts),
+            options={"ftol": 1e-13, "gtol": 1e-7},
+        )
+        for start in _STARTS
+    ]
+    best = min(found, key=lambda one: float(one.fun))
+    if not math.isfinite(best.fun) or max(best.x) >= _MOST:
+        return None
+    return _Optimum(-float(best.fun), dict(zip(design.parts, best.x.tolist(), strict=True)))
+
+
+@dataclass(frozen=True)
+class _Model:
+    """A fit: fixed effects (cells, then covariates) with their covariance, in units of stiffness."""
+
+    mean: Floats
+    covariance: Floats
+    deviations: tuple[tuple[str, float], ...]
+    degrees: int
+    notes: list[str]
+
+    @classmethod
+    def of(cls, design: _Design) -> _Model | None:
+        """REML estimates of statsmodels at the optimum, without the parts whose variance is zero there."""
+        optimum = _optimum(design, design.columns("cell", *design.covariates))
+        if optimum is None:
+            return None
+        parts = [part for part, variance in optimum.variances.items() if variance >= _ZERO]
+        none = [part for part in design.parts if part not in parts]
+        formula = f"limit ~ 0 + {' + '.join(['cell', *design.covariates])}"
+        if parts:
+            fit = mixed_linear_model.MixedLM.from_formula(
+                formula,
+                design.frame,
+                groups="participant",
+                vc_formula={part: PARTS[part] for part in parts},
+            ).fit(
+                start_params=mixed_linear_model.MixedLMParams.from_components(
+                    np.zeros(0),
+                    cov_re=np.zeros((0, 0)),
+                    vcomp=np.array([optimum.variances[part] for part in parts]),
+                ),
+                method=["bfgs", "lbfgs"],
+            )
+            variances = dict(zip(parts, fit.vcomp.tolist(), strict=True))
+            if not fit.llf > optimum.likelihood - _LOST:
+                return None
+        else:
+            fit = linear_model.OLS.from_formula(formula, design.frame).fit()
+            variances = {}
+        mean = np.array(fit.params[: len(design.cells) + len(design.covariates)]) * design.scale
+        mean[: len(design.cells)] += design.middle
+        covariance = np.asarray(fit.cov_params())[: len(mean), : len(mean)] * design.scale**2
+        deviations = {part: math.sqrt(variances.get(part, 0.0)) * design.scale for part in design.parts}
+        return cls(
+            mean=mean,
+            covariance=covariance,
+            deviations=(*deviations.items(), (RESIDUAL, math.sqrt(fit.scale) * design.scale)),
+            degrees=design.degrees,
+            notes=[f"the variance of {' and of '.join(none)} is estimated as zero"] if none else [],
+        )
+
+    def term(self, name: str, weights: Floats) -> Term:
+        """A linear combination of the fixed effects."""
+        value, deviation = float(weights @ self.mean), self.deviation(weights)
+        low, high = stats.t.interval(0.95, self.degrees, value, deviation)
+        return Term(name=name, value=value, low=float(low), high=float(high))
+
+    def p(self, weights: Floats) -> float:
+        """Two-sided p that a linear combination is zero."""
+        return float(
+            2.0 * stats.t.sf(abs(float(weights @ self.mean)) / self.deviation(weights), self.degrees)
+        )
+
+    def deviation(self, weights: Floats) -> float:
+        """Standard error of a linear combination."""
+        return math.sqrt(float(weights @ self.covariance @ weights))
+
+
+# ------------------------------------------------------------------------------------------------ what it says
+
+
+def _contrasts(
+    design: _Design, model: _Model, beyond: Mapping[Cell, Beyond], conditions: Sequence[str]
+) -> tuple[Contrast, ...]:
+    dampings: list[float | None] = [*sorted({damping for _, damping in design.cells})]
+    if len(dampings) > 1:
+        dampings.append(None)
+    found: list[Contrast] = []
+    for damping in dampings:
+        for against, condition in combinations(conditions, 2):
+            of = _difference(beyond, condition, against, damping)
+            if not of or not set(of) <= set(design.cells):
+                continue
+            weights = design.weights(of)
+            term = model.term("", weights)
+            behind = {cell: beyond[cell] for cell in of}
+            found.append(
+                Contrast(
+                    condition=condition,
+                    against=against,
+                    damping=damping,
+                    difference=term.value,
+                    low=term.low,
+                    high=term.high,
+                    p=model.p(weights),
+                    holm=math.nan,
+                    bound=bound_of(behind, condition, against),
+                    beyond=sum(behind.values(), NONE_BEYOND),
+                )
+            )
+    corrected = holm([one.p for one in found])
+    return tuple(replace(one, holm=p) for one, p in zip(found, corrected, strict=True))
+
+
+def _difference(
+    cells: Iterable[Cell], condition: str, against: str, damping: float | None
+) -> dict[Cell, float]:
+    """Weights of the cells in a difference; empty where there is no such damping, or no two of them for their mean."""
+    of = {name: {b for other, b in cells if other == name} for name in (condition, against)}
+    both = of[condition] & of[against]
+    if damping is not None:
+        both &= {damping}
+    elif len(both) < 2:
+        return {}
+    return {(name, b): (1.0 if name == condition else -1.0) / len(both) for name in of for b in both}
+
+
+def _tests(design: _Design) -> tuple[LikelihoodRatio, ...]:
+    """Likelihood ratios of the full model against those without condition, damping, and their interaction.
+
+    A factor that cannot be separated from the rest has none, and one of which a fit does not converge.
+    """
+    several = design.frame["condition"].nunique() > 1 and design.frame["damping"].nunique() > 1
+    reduced = {
+        "condition" + (", at any damping" if several else ""): ["damping"],
+        "damping" + (", in any condition" if several else ""): ["condition"],
+        "condition × damping": ["condition", "damping"],
+    }
+    whole = _optimum(design, design.columns("cell", *design.covariates), reml=False)
+    found = []
+    for factor, terms in reduced.items():
+        fixed = design.columns(*terms, *design.covariates)
+        rank = int(np.linalg.matrix_rank(fixed))
+        degrees = len(design.cells) + len(design.covariates) - rank
+        if degrees <= 0 or rank < fixed.shape[1]:
+            continue
+        without = _optimum(design, fixed, reml=False)
+        if whole is None or without is None:
+            continue
+        statistic = max(2.0 * (whole.likelihood - without.likelihood), 0.0)
+        p = float(stats.chi2.sf(statistic, degrees))
+        found.append(LikelihoodRatio(factor=factor, statistic=statistic, degrees=degrees, p=p))
+    return tuple(found)
+
+
+def _notes(
+    measure: Measure,
+    participants: int,
+    beyond: Mapping[Cell, Beyond],
+    cells: Sequence[Cell],
+    of_all: Sequence[Cell],
+) -> list[str]:
+    notes = []
+    if measure != "rule":
+        notes.append(
+            "K50 is estimated from all verdicts of a participant under a condition at a damping, one value for each"
+        )
+    if participants < FEW_PARTICIPANTS:
+        notes.append(
+            f"{participants} participants: the variance between people is hardly known, and p and intervals are rough"
+        )
+    if participants < ENOUGH_PARTICIPANTS:
+        notes.append(
+            f"likelihood ratios of factors are left out: with fewer than {ENOUGH_PARTICIPANTS} participants they find "
+            "differences too often"
+        )
+    for cell in of_all:
+        if cell not in cells:
+            one = beyond[cell]
+            notes.append(
+                f"{one.count} of {one.limits} limits of {_name(cell)} lie beyond the levels, and it is left out"
+            )
+    within = sum((beyond[cell] for cell in cells), NONE_BEYOND)
+    if within.count:
+        notes.append(
+            f"{within.count} of {within.limits} limits lie beyond the levels and enter with the end of them: "
+            "differences are biased, usually towards zero; unequal spread can make a difference out of nothing"
+        )
+    return notes
+
+
+def _name(cell: Cell) -> str:
+    return f"{cell[0]}, B = {cell[1]:g}"

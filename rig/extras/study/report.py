@@ -1,0 +1,129 @@
+"""A study as one HTML page: results, what was planned and what happened, and the methods, for print.
+
+Everything is in the file: pictures inline, all numbers as JSON in the element ``numbers``. The words stand in
+``session.html.j2``.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from rig import config
+from rig.config import Experiment
+from rig.core.present import plain
+from rig.extras.study import report_tables as tables
+from rig.extras.study.analyse import StudyAnalysis
+from rig.extras.study.plots import tracks_name
+from rig.extras.study.report_events import deviations, invalid_trials, notes
+from rig.extras.study.report_methods import MEASURES, analysed_with, effective, first_experiment, methods
+from rig.extras.study.study import LOG
+from rig.recording.files import whole_file
+from rig.views.report.template import data_uris, fill, provenance_lines
+
+TEMPLATE = "extras/study/session.html.j2"
+PAGE, NUMBERS = "report.html", "report.json"
+_FIRST = 6  # differences in the summary
+
+
+def render(found: StudyAnalysis, pictures: Mapping[str, bytes]) -> str:
+    """Return the page.
+
+    Parameters
+    ----------
+    found
+        What it reports.
+    pictures
+        PNGs by name (`rig.extras.study.plots.pictures`); the page says where one is missing.
+    """
+    model, _ = tables.first_contrasts(found)
+    searched = {run.participant for run in found.runs}
+    codes = [session.code for session in found.study.sessions if session.code in searched]
+    return fill(
+        TEMPLATE,
+        found=found,
+        tables=tables,
+        measures=MEASURES,
+        bounds=tables.BOUNDS,
+        model=model,
+        summarised=list(islice(tables.summarised(found), _FIRST)),
+        judged=first_experiment(found).verdict,
+        track_names={code: tracks_name(code) for code in codes},
+        deviations=deviations(found.study),
+        invalid=invalid_trials(found.study),
+        notes=notes(found.study),
+        methods=methods(found),
+        pictures=data_uris(pictures),
+        provenance=provenance_lines(provenance(found)),
+        numbers=numbers(found),
+    )
+
+
+def write_session_report(
+    found: StudyAnalysis, pictures: Mapping[str, bytes], directory: Path
+) -> tuple[Path, Path]:
+    """Write the page and its numbers into a directory, which is there; returns both paths.
+
+    Earlier ones are replaced. Raises `rig.core.errors.RecordingError` when the disk refuses.
+    """
+    page = render(found, pictures).encode()
+    data = json.dumps(numbers(found), ensure_ascii=False, allow_nan=False, indent=1).encode()
+    paths = directory / PAGE, directory / NUMBERS
+    for path, content in zip(paths, (page, data), strict=True):
+        with whole_file(path, overwrite=True) as file:
+            file.write(content)
+    return paths
+
+
+def numbers(found: StudyAnalysis) -> dict[str, Any]:
+    """Return everything that the page reports as plain values; numbers that are not finite become None."""
+    told: dict[str, Any] = plain(
+        {
+            **found.as_mapping(),
+            "methods": methods(found),
+            "deviations": deviations(found.study),
+            "invalid_trials": invalid_trials(found.study),
+            "notes": notes(found.study),
+            "provenance": provenance(found),
+        }
+    )
+    return told
+
+
+def provenance(found: StudyAnalysis) -> dict[str, Any]:
+    """Where the numbers come from: logs with their hashes, devices, versions, seeds."""
+    sessions = found.study.sessions
+    return {
+        "logs": {
+            session.code: {
+                "events": len(session.events),
+                "sha256": _sha256(session.directory / LOG),
+                "protocol_sha256": session.began.get("protocol_sha256"),
+            }
+            for session in sessions
+        },
+        "devices": {
+            session.code: [dict(event.content) for event in session.of_kind("opened")] for session in sessions
+        },
+        "versions of the sessions": {session.code: session.began.get("versions") for session in sessions},
+        "versions of the analysis": analysed_with(),
+        "seed of the study": found.study.protocol.study.seed,
+        "seed of the bootstraps": found.options.seed,
+        "protocol": sessions[0].began.get("protocol"),
+        "experiment that the study changes": sessions[0].began.get("experiment"),
+        "experiments": {
+            name: config.as_mapping(x) if isinstance(x, Experiment) else {"not available here": x.message}
+            for name, x in effective(found).items()
+        },
+    }
+
+
+def _sha256(path: Path) -> str | None:
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError:
+        return None

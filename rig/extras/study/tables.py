@@ -1,0 +1,571 @@
+"""Tables on disk: CSV for people and any program, Parquet with types and units, and a dictionary of every column.
+
+A column's name ends in its unit (``stiffness_n_m_per_rad``); the dictionary (``tables.json``) has the unit as it is
+written, the type and the meaning, and the columns of the Parquet files carry both. What is not known is an empty field
+in CSV and null in Parquet.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from operator import attrgetter
+from pathlib import Path
+from types import UnionType
+from typing import Any, get_args, get_type_hints
+
+from rig.core.deferred import parquet, pyarrow
+from rig.core.quantity import quantities
+from rig.experiments.results import make_directory, write_document
+from rig.extras.study.analyse import StudyAnalysis
+from rig.extras.study.kmax import Paired
+from rig.extras.study.rows import (
+    MEASURES,
+    AnswerRow,
+    LimitInterval,
+    Measure,
+    ParticipantRow,
+    RunRow,
+    TrialRow,
+)
+from rig.extras.study.trials import NUMBERS
+from rig.recording.files import whole_file
+from rig.session.search.psychometric import LAPSE_RATES
+
+DICTIONARY = "tables.json"
+PRIOR_LAPSE_RATE = sum(LAPSE_RATES) / len(LAPSE_RATES)
+
+
+@dataclass(frozen=True, slots=True)
+class DataColumn:
+    """One column: its name without the unit, its type, the quantity (or unit) it is of, its meaning, and its value."""
+
+    name: str
+    kind: type
+    quantity: str
+    meaning: str
+    of: Callable[[Any], Any]
+
+
+@dataclass(frozen=True, slots=True)
+class DataTable:
+    """A table: its file's name, what a row is, its columns, and the objects behind its rows."""
+
+    name: str
+    row: str
+    columns: tuple[DataColumn, ...]
+    rows: Sequence[Any]
+
+
+def write_study_tables(found: StudyAnalysis, directory: str | Path) -> dict[str, Path]:
+    """Write all tables into a directory, made when it is not there; tables of an earlier analysis are replaced.
+
+    Returns
+    -------
+    dict
+        Path of each file by its name.
+
+    Raises
+    ------
+    RecordingError
+        The disk refuses.
+    """
+    place = Path(directory)
+    make_directory(place)
+    written: dict[str, Path] = {}
+    described = {}
+    for table in tables(found):
+        names = [column_name(column, found) for column in table.columns]
+        rows = [[_plain(column.of(row)) for column in table.columns] for row in table.rows]
+        for suffix, write in ((".csv", _write_csv), (".parquet", _write_parquet)):
+            path = place / f"{table.name}{suffix}"
+            write(path, table, names, rows, found)
+            written[path.name] = path
+        described[table.name] = {
+            "row": table.row,
+            "rows": len(rows),
+            "columns": {
+                name: {"unit": _unit(column, found), "type": column.kind.__name__, "meaning": column.meaning}
+                for name, column in zip(names, table.columns, strict=True)
+            },
+        }
+    path = place / DICTIONARY
+    write_document(path, {"study": found.study.protocol.study.title, "tables": described})
+    written[path.name] = path
+    return written
+
+
+def column_name(column: DataColumn, found: StudyAnalysis) -> str:
+    """Name of a column with its unit; one without a unit, or that says it already, is left as it is."""
+    unit = _unit(column, found)
+    slug = unit.lower().replace("·", "_").replace("/", "_per_").replace("²", "2")
+    return column.name if unit in ("", "1") or column.name.endswith(f"_{slug}") else f"{column.name}_{slug}"
+
+
+def _unit(column: DataColumn, found: StudyAnalysis) -> str:
+    return found.study.unit(column.quantity) if column.quantity else ""
+
+
+def _plain(value: Any) -> Any:
+    """None for what is not known; numpy's scalars as Python's."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def _write_csv(
+    path: Path, table: DataTable, names: Sequence[str], rows: Sequence[Sequence[Any]], found: StudyAnalysis
+) -> None:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(names)
+    for row in rows:
+        writer.writerow(
+            [
+                "" if cell is None else str(cell).lower() if cell is True or cell is False else cell
+                for cell in row
+            ]
+        )
+    with whole_file(path, overwrite=True) as file:
+        file.write(text.getvalue().encode("utf-8"))
+
+
+def _write_parquet(
+    path: Path, table: DataTable, names: Sequence[str], rows: Sequence[Sequence[Any]], found: StudyAnalysis
+) -> None:
+
+    types = {str: pyarrow.string(), int: pyarrow.int64(), float: pyarrow.float64(), bool: pyarrow.bool_()}
+    schema = pyarrow.schema(
+        [
+            pyarrow.field(
+                name,
+                types[column.kind],
+                metadata={"unit": _unit(column, found), "description": column.meaning},
+            )
+            for name, column in zip(names, table.columns, strict=True)
+        ],
+        metadata={"rig.study": json.dumps({"title": found.study.protocol.study.title, "row": table.row})},
+    )
+    columns = [
+        pyarrow.array([row[place] for row in rows], type=types[column.kind])
+        for place, column in enumerate(table.columns)
+    ]
+    with whole_file(path, overwrite=True) as file:
+        parquet.write_table(pyarrow.Table.from_arrays(columns, schema=schema), file, compression="zstd")
+
+
+# ------------------------------------------------------------------------------------------------ the tables
+
+
+def tables(found: StudyAnalysis) -> tuple[DataTable, ...]:
+    """All tables of an analysis."""
+    return (
+        DataTable("participants", "a participant", (*_PARTICIPANTS, *_items(found)), found.participants),
+        DataTable("answers", "an answer to the questionnaire", _ANSWERS, found.answers),
+        DataTable("trials", "one recorded hit", _TRIALS, found.trials),
+        DataTable("runs", "one search: a condition, a damping, a repeat", _RUNS, found.runs),
+        DataTable("kmax", "a participant under a condition at a damping", _KMAX, found.of_participants),
+        DataTable("kmax_over_participants", "a condition at a damping", _OVER, found.over_participants),
+        DataTable("differences", "a difference of two conditions", _DIFFERENCES, _differences(found)),
+        DataTable("agreement", "a cell of a table of confusions", _AGREEMENT, _confusions(found)),
+        DataTable("psychometric", _FUNCTION, _PSYCHOMETRIC, found.psychometrics),
+        DataTable("effects", "a slope along the session", _EFFECTS, found.slopes),
+        DataTable("blocks", "a block of a participant", _BLOCKS, found.blocks),
+    )
+
+
+def _own(name: str, kind: type, quantity: str, meaning: str, field: str = "") -> DataColumn:
+    """A column that is a field of its row, of the same name or another one."""
+    return DataColumn(name, kind, quantity, meaning, lambda row: getattr(row, field or name))
+
+
+def columns_of(described: type, *names: str) -> tuple[DataColumn, ...]:
+    """Columns of a row's annotated fields, or of those named, in that order; type, unit and meaning are the field's."""
+    known, hints = quantities(described), get_type_hints(described)
+    return tuple(
+        DataColumn(
+            name.removesuffix("_s") if known[name].unit == "s" else name,
+            _kind(hints[name]),
+            known[name].unit,
+            known[name].meaning,
+            attrgetter(name),
+        )
+        for name in names or known
+    )
+
+
+def _kind(hint: Any) -> type:
+    """The type of a field, whether or not it may be None."""
+    kinds = (
+        [one for one in get_args(hint) if one is not type(None)] if isinstance(hint, UnionType) else [hint]
+    )
+    return next((kind for kind in (bool, int, float) if kind in kinds), str)
+
+
+_CONDITION = _own("condition", str, "", "name in the protocol")
+_DAMPING = _own("damping", float, "damping", "B of the wall")
+_PARTICIPANT = _own("participant", str, "", "code")
+_CATCHES = (
+    DataColumn(
+        "soft_catches",
+        int,
+        "",
+        "judged catch trials of the softest wall; none where the limit lies below it",
+        lambda row: row.caught.soft,
+    ),
+    DataColumn("false_unstable", int, "", "of them not stable", lambda row: row.caught.false_unstable),
+    DataColumn(
+        "stiff_catches",
+        int,
+        "",
+        "judged catch trials of the stiffest wall; none where the limit lies above it",
+        lambda row: row.caught.stiff,
+    ),
+    DataColumn("false_stable", int, "", "of them stable", lambda row: row.caught.false_stable),
+)
+_PARTICIPANTS = (*columns_of(ParticipantRow), *_CATCHES)
+_ANSWERS = columns_of(AnswerRow)
+_OUTSIDE = DataColumn(
+    "outside", str, "", quantities(TrialRow)["outside"].meaning, lambda row: "; ".join(row.outside)
+)
+_TRIALS = (*columns_of(
+    TrialRow,
+    "participant", "row", "block", "run", "place", "trial", "attempt", "condition", "scheme", "damping", "repeat",
+    "stiffness", "track", "catch", "practice", "void", "automatic", "automatic_stable", "verdict", "judged_by",
+    "amended", "response_time_s", "ended", "aborted", "since_begin_s", "heat", *NUMBERS, "baseline_velocity",
+    "baseline_effort", "recording", "recorded",
+), _OUTSIDE)  # fmt: skip
+
+
+def _limit(measure: Measure, field: str) -> Callable[[RunRow], Any]:
+    def of(run: RunRow) -> Any:
+        limit: LimitInterval | None = run.limits.get(measure)
+        return None if limit is None else getattr(limit, field)
+
+    return of
+
+
+def _limit_columns(measure: Measure) -> tuple[DataColumn, ...]:
+    name = measure.lower().replace(" ", "_")
+    meaning = {
+        "rule": "limit by the rule that asked, from the verdicts that it followed",
+        "K50 person": "stiffness that is stable half of the time by the person's verdicts",
+        "K50 automatic": "stiffness that is stable half of the time by the automatic verdicts",
+    }[measure]
+    return (
+        DataColumn(f"limit_{name}", float, "stiffness", meaning, _limit(measure, "value")),
+        DataColumn(
+            f"limit_{name}_low",
+            float,
+            "stiffness",
+            "lower end of its interval of 95 %",
+            _limit(measure, "low"),
+        ),
+        DataColumn(
+            f"limit_{name}_high", float, "stiffness", "upper end; empty: open", _limit(measure, "high")
+        ),
+        DataColumn(
+            f"limit_{name}_beyond",
+            str,
+            "",
+            "above or below: it lies beyond the levels",
+            _limit(measure, "censored"),
+        ),
+        DataColumn(
+            f"limit_{name}_mark",
+            str,
+            "",
+            "why the verdicts do not show it, so that it is left out of K_max unless asked for; empty: they do",
+            _limit(measure, "mark"),
+        ),
+    )
+
+
+_SEARCH = columns_of(RunRow)
+_SPLIT = next(place for place, column in enumerate(_SEARCH) if column.name == "trials")
+_RUNS = (
+    *_SEARCH[:_SPLIT],
+    *(column for measure in MEASURES for column in _limit_columns(measure)),
+    *_SEARCH[_SPLIT:],
+    *_CATCHES,
+)
+_MEASURE = _own("measure", str, "", "how limits are told: rule, K50 person, K50 automatic")
+_BEYOND = (
+    _own("limits", int, "", "values behind it: runs by the rule, one for each participant as K50"),
+    _own("above", int, "", "of them lie above the stiffest level"),
+    _own("below", int, "", "of them lie below the softest level"),
+    _own("marked", int, "", "of them are not shown by their verdicts; 0 unless such limits were asked for"),
+)
+_MEAN = (
+    _own("kmax", float, "stiffness", "mean", "mean"),
+    _own("kmax_low", float, "stiffness", "lower end of the interval of 95 %", "low"),
+    _own("kmax_high", float, "stiffness", "upper end", "high"),
+    _own("deviation", float, "stiffness", "standard deviation of what the mean is of"),
+)
+_KMAX = (
+    _MEASURE,
+    _PARTICIPANT,
+    _CONDITION,
+    _DAMPING,
+    _own("repeats", int, "", "runs that it is the mean of"),
+    *_MEAN,
+    _own(
+        "interval",
+        str,
+        "",
+        "what kmax_low and kmax_high are of: Student or bootstrap over repeats; the single run; all verdicts together, "
+        "whose interval is of the stiffness that they tell and, by the rule, need not hold the mean in kmax; none",
+    ),
+    _own(
+        "student_low",
+        float,
+        "stiffness",
+        "lower end of Student's interval over repeats; empty below three, and where they scatter by rounding alone",
+    ),
+    _own("student_high", float, "stiffness", "upper end"),
+    _own(
+        "bootstrap_low",
+        float,
+        "stiffness",
+        "lower end of the bootstrap's interval, empty below three repeats",
+    ),
+    _own("bootstrap_high", float, "stiffness", "upper end"),
+    *_BEYOND,
+)
+_OVER = (
+    _MEASURE,
+    _CONDITION,
+    _DAMPING,
+    _own("participants", int, "", "that it is the mean of"),
+    _own("runs", int, "", "of all of them"),
+    *_MEAN,
+    _own("problem", str, "", "why there is no interval"),
+    *_BEYOND,
+)
+_DIFFERENCES = (
+    DataColumn("measure", str, "", "how limits are told", lambda row: row["measure"]),
+    DataColumn(
+        "method",
+        str,
+        "",
+        "paired: Student's test within participants; mixed: the mixed model",
+        lambda row: row["method"],
+    ),
+    DataColumn("condition", str, "", "name in the protocol", lambda row: row["condition"]),
+    DataColumn("against", str, "", "condition that is taken from it", lambda row: row["against"]),
+    DataColumn(
+        "damping",
+        float,
+        "damping",
+        "B of the wall; empty: mean over all dampings",
+        lambda row: row["damping"],
+    ),
+    DataColumn("participants", int, "", "who have both", lambda row: row["participants"]),
+    DataColumn("difference", float, "stiffness", "condition less against", lambda row: row["difference"]),
+    DataColumn(
+        "difference_low",
+        float,
+        "stiffness",
+        "lower end of the interval of 95 %; empty where problem says why",
+        lambda row: row["low"],
+    ),
+    DataColumn("difference_high", float, "stiffness", "upper end", lambda row: row["high"]),
+    DataColumn("p", float, "1", "two-sided, that there is none", lambda row: row["p"]),
+    DataColumn(
+        "p_holm",
+        float,
+        "1",
+        "corrected (Holm) for all differences by the same measure and method",
+        lambda row: row["holm"],
+    ),
+    DataColumn(
+        "bound",
+        str,
+        "",
+        "limits beyond the levels leave it open: the difference is at least, or at most, this; unknown: both; empty: "
+        "there are none",
+        lambda row: row["bound"],
+    ),
+    DataColumn("problem", str, "", "why there is no interval and no p", lambda row: row["problem"]),
+    DataColumn("limits", int, "", "behind it", lambda row: row["beyond"].limits),
+    DataColumn("beyond", int, "", "of them lie beyond the levels", lambda row: row["beyond"].count),
+    DataColumn(
+        "marked",
+        int,
+        "",
+        "of them are not shown by their verdicts; 0 unless asked for",
+        lambda row: row["beyond"].marked,
+    ),
+)
+_AGREEMENT = (
+    DataColumn("table", str, "", "two, three or four classes", lambda row: row["name"]),
+    DataColumn("condition", str, "", "of the trials; empty: all", lambda row: row["condition"]),
+    DataColumn("weights", str, "", "of confusions in kappa", lambda row: row["weights"]),
+    DataColumn("person", str, "", "class of the person's verdict", lambda row: row["person"]),
+    DataColumn("automatic", str, "", "class of the automatic verdict", lambda row: row["automatic"]),
+    DataColumn("trials", int, "", "judged so by both", lambda row: row["trials"]),
+    DataColumn("kappa", float, "1", "of the whole table", lambda row: row["kappa"]),
+    DataColumn(
+        "kappa_low",
+        float,
+        "1",
+        "lower end of its interval of 95 % over people (jackknife)",
+        lambda row: row["low"],
+    ),
+    DataColumn("kappa_high", float, "1", "upper end", lambda row: row["high"]),
+    DataColumn("problem", str, "", "why there is no interval", lambda row: row["problem"]),
+    DataColumn("same", float, "1", "share on which both say the same", lambda row: row["share"]),
+    DataColumn(
+        "positive",
+        float,
+        "1",
+        "agreement on stable: of the verdicts that are so by one or the other, the share that are by both; two classes",
+        lambda row: row["positive"],
+    ),
+    DataColumn("negative", float, "1", "agreement on not stable, likewise", lambda row: row["negative"]),
+    DataColumn("people", int, "", "who judged the trials of the whole table", lambda row: row["people"]),
+    DataColumn(
+        "left_out",
+        int,
+        "",
+        "judged trials that are not in the whole table, because one of the two gave no verdict",
+        lambda row: row["left_out"],
+    ),
+)
+_FUNCTION = (
+    f"a psychometric function; a lapse rate near {PRIOR_LAPSE_RATE:g}, the mean of the prior, is "
+    "not known from the verdicts"
+)
+_PSYCHOMETRIC = (
+    _own("participant", str, "", "code; empty: all participants together"),
+    _CONDITION,
+    _DAMPING,
+    _own("judge", str, "", "whose verdicts"),
+    _own("participants", int, "", "that it is of"),
+    DataColumn("verdicts", int, "", "that it is of", lambda row: sum(row.verdicts)),
+    DataColumn(
+        "k50",
+        float,
+        "stiffness",
+        "stable half of the time: median of the posterior, or the end of the levels where it lies beyond; of all "
+        "participants the mean of theirs",
+        lambda row: row.threshold.mean,
+    ),
+    DataColumn(
+        "k50_low",
+        float,
+        "stiffness",
+        "lower end of the interval of 95 %: of the posterior, for one K50 in all repeats; of all participants "
+        "Student's over three or more of them",
+        lambda row: row.threshold.low,
+    ),
+    DataColumn(
+        "k50_high", float, "stiffness", "upper end; empty: open, or none", lambda row: row.threshold.high
+    ),
+    _own(
+        "mark",
+        str,
+        "",
+        "why the verdicts do not show K50; of all participants, how many of theirs; empty: they do",
+    ),
+    _own("above", int, "", "participants whose K50 lies above the stiffest level"),
+    _own("below", int, "", "participants whose K50 lies below the softest level"),
+    DataColumn("spread", float, "stiffness", "how gradually verdicts change", lambda row: row.spread.mean),
+    DataColumn(
+        "spread_low", float, "stiffness", "lower end; none of all participants", lambda row: row.spread.low
+    ),
+    DataColumn("spread_high", float, "stiffness", "upper end", lambda row: row.spread.high),
+    DataColumn("lapse_rate", float, "1", "share of verdicts turned round", lambda row: row.lapse_rate.mean),
+    DataColumn(
+        "lapse_rate_low", float, "1", "lower end; none of all participants", lambda row: row.lapse_rate.low
+    ),
+    DataColumn("lapse_rate_high", float, "1", "upper end", lambda row: row.lapse_rate.high),
+)
+_EFFECTS = (
+    _own("of", str, "", "limit (stiffness), response time (natural logarithm), invalid (0 or 1)"),
+    _own("along", str, "", "order (place in the block), block, or trial (number in the session)"),
+    _own("measure", str, "", "of the limit; empty for others"),
+    _own("values", int, "", "that it is estimated from", "count"),
+    _own("participants", int, "", "who have a slope of their own"),
+    _own(
+        "slope",
+        float,
+        "",
+        "mean of the participants' slopes for each place, block or trial, conditions taken out",
+    ),
+    _own("slope_low", float, "", "lower end of Student's interval of 95 % over participants", "low"),
+    _own("slope_high", float, "", "upper end", "high"),
+    _own("p", float, "1", "two-sided, that it is zero; nobody planned these slopes"),
+    _own("p_holm", float, "1", "corrected (Holm) for the slopes of the same quantity", "holm"),
+    _own("problem", str, "", "why there is none"),
+)
+_BLOCKS = (
+    _PARTICIPANT,
+    _own("block", int, "", "number, from 1"),
+    _own("trials", int, "", "recorded hits"),
+    _own("invalid", int, "", "invalid ones"),
+    _own("redone", int, "", "that somebody had repeated"),
+    _own("aborted", int, "", "cut off for safety"),
+    _own("unsure", int, "", "verdicts"),
+    _own("response_time", float, "s", "median time to a verdict", "response_s"),
+)
+
+
+def _items(found: StudyAnalysis) -> tuple[DataColumn, ...]:
+    """A column for each question that was asked once: whole numbers of a scale, or text."""
+    return tuple(
+        DataColumn(
+            f"answer_{item.name}", int if item.kind == "scale" else str, "", item.text, _answer(item.name)
+        )
+        for item in found.study.protocol.question
+        if item.when != "block"
+    )
+
+
+def _answer(item: str) -> Callable[[ParticipantRow], Any]:
+    return lambda row: row.answers.get(item)
+
+
+def _differences(found: StudyAnalysis) -> list[Mapping[str, Any]]:
+    """Differences by all methods, as one list."""
+    rows: list[Mapping[str, Any]] = [
+        _difference(one, one.measure, "paired", one.participants) for one in found.paired
+    ]
+    rows += [
+        _difference(one, model.measure, "mixed", model.participants)
+        for model in found.mixed
+        for one in model.contrasts
+    ]
+    return rows
+
+
+def _difference(one: Any, measure: Measure, method: str, participants: int) -> Mapping[str, Any]:
+    fields = ("condition", "against", "damping", "difference", "low", "high", "p", "holm", "bound", "beyond")
+    values = {name: getattr(one, name) for name in fields}
+    values["problem"] = one.problem if isinstance(one, Paired) else ""
+    return {"measure": measure, "method": method, "participants": participants, **values}
+
+
+_OF_TABLE = ("kappa", "low", "high", "problem", "share", "positive", "negative", "people", "left_out")
+
+
+def _confusions(found: StudyAnalysis) -> list[Mapping[str, Any]]:
+    """A row for each cell of each table of confusions."""
+    return [
+        {
+            "name": table.name,
+            "condition": table.condition,
+            "weights": table.weights,
+            "person": person,
+            "automatic": automatic,
+            "trials": table.counts[i][j],
+            **{name: getattr(table, name) for name in _OF_TABLE},
+        }
+        for table in found.agreements
+        for i, person in enumerate(table.classes)
+        for j, automatic in enumerate(table.classes)
+    ]

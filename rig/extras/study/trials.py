@@ -1,0 +1,313 @@
+"""The two tables behind everything else: all trials of a study, and its runs with the limits that they show."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
+from typing import Any
+
+from rig.config.schemes import Scheme
+from rig.extras.study.rows import ENDED_BY_MOST, LimitInterval, Measure, RunRow, TrialRow
+from rig.extras.study.study import Study, StudySession
+from rig.session.protocol import Condition, Protocol
+from rig.session.schedule import SearchRun, levels_of
+from rig.session.search import Estimate, JudgedProbe, psychometric
+from rig.session.search.ascending import Ascending
+from rig.session.search.catching import CatchTrials
+from rig.session.search.resolution import step_at
+from rig.session.search.rule import Censored, contradiction, verdicts_of
+from rig.session.state import WALKING, SessionState
+from rig.session.trial import RecordedTrial
+
+PEOPLE = ("person", "simulated")  # who may have judged, besides the automatic verdict
+NUMBERS = (
+    "felt",
+    "heard",
+    "moved",
+    "peak_penetration",
+    "peak_effort",
+    "impact_velocity",
+    "press",
+    "saturated_fraction",
+)  # of the automatic verdict, in tables
+
+AMENDED = "the rule would have asked for other walls after these trials, as they were amended since"
+
+Watch = Callable[[int, int], None]
+
+
+def trials_of(study: Study) -> tuple[TrialRow, ...]:
+    """All recorded hits, participant by participant, also those that do not count (`TrialRow.void`)."""
+    schemes = schemes_of(study)
+    rows: list[TrialRow] = []
+    for session in study.sessions:
+        places = {run.number: place for place, (_, _, run) in enumerate(_ordered(session.state), start=1)}
+        logged = {event.content["trial"]: event.at for event in session.of_kind("trial")}
+        rows += [
+            _trial_row(session, trial, schemes, places.get(trial.run, 0), logged[trial.trial])
+            for trial in session.state.trials
+        ]
+    return tuple(rows)
+
+
+def runs_of(study: Study, *, watch: Watch | None = None) -> tuple[RunRow, ...]:
+    """All runs that were begun, in the order of the sessions."""
+    schemes = schemes_of(study)
+    rows: list[RunRow] = []
+    for number, session in enumerate(study.sessions):
+        if watch is not None:
+            watch(number, len(study.sessions))
+        for place, (block, order, run) in enumerate(_ordered(session.state), start=1):
+            if any(trial.run == run.number for trial in session.state.trials):
+                rows.append(_run_row(session, block, order, place, run, schemes))
+    if watch is not None:
+        watch(len(study.sessions), len(study.sessions))
+    return tuple(rows)
+
+
+def schemes_of(study: Study) -> dict[str, str]:
+    """What samples and estimates in each condition, and what else it changes, in words, by name."""
+    base = study.sessions[0].state.experiment["controller"]
+    prefix = "controller."
+
+    def own(condition: Condition) -> dict[str, Any]:
+        changes = {**study.protocol.study.changes, **condition.changes}
+        given = {key.removeprefix(prefix): value for key, value in changes.items() if key.startswith(prefix)}
+        return {**base, **given}
+
+    return {
+        condition.name: ", ".join(
+            [
+                _scheme_words(condition.scheme, own(condition)),
+                *(f"{key} = {value}" for key, value in condition.changes.items()),
+            ]
+        )
+        for condition in study.protocol.condition
+    }
+
+
+def _scheme_words(text: str | None, own: Mapping[str, Any]) -> str:
+    """Rates, estimator and its settings, as far as scheme and experiment say them: no estimator is looked up."""
+    if text is None:
+        rates = own["position_rate"], own["velocity_rate"]
+        settings, estimator = dict(own["parameters"]), own["estimator"]
+    else:
+        scheme = Scheme.parse(text)
+        rates = scheme.position_rate, scheme.velocity_rate
+        estimator = scheme.estimator or own["estimator"]
+        settings = dict(own["parameters"]) if estimator == own["estimator"] else {}
+        if isinstance(settings.get("cutoff_hz"), int | float):  # keeps its share of the rate
+            settings["cutoff_hz"] *= scheme.velocity_rate / own["velocity_rate"]
+        settings |= scheme.parameters
+        extra = {
+            "prediction": scheme.prediction,
+            "slow_velocity_rate": scheme.slow_velocity_rate,
+            "slow_below": scheme.slow_below,
+        }
+        settings |= {key: value for key, value in extra.items() if value is not None}
+    fast, slow = (f"{rate / 1e3:g}" for rate in rates)
+    said = [f"uniform {fast} kHz" if fast == slow else f"dual {fast}/{slow} kHz", str(estimator)]
+    if isinstance(settings.get("cutoff_hz"), int | float):
+        said[-1] += f" {settings.pop('cutoff_hz'):g} Hz"
+    return ", ".join([*said, *(f"{key} {value}" for key, value in settings.items())])
+
+
+def levels(protocol: Protocol, condition: str) -> tuple[float, ...]:
+    """Stiffnesses that a condition's search may ask for."""
+    return tuple(levels_of(protocol.search_of(protocol.condition_named(condition))))
+
+
+def levels_by_participant(study: Study) -> dict[tuple[str, str], tuple[float, ...]]:
+    """The `levels` of each participant's own protocol, by code and condition."""
+    return {
+        (session.code, condition.name): levels(session.state.protocol, condition.name)
+        for session in study.sessions
+        for condition in session.state.protocol.condition
+    }
+
+
+def half_way(
+    grid: Sequence[float], verdicts: Sequence[tuple[float, bool]], share: float | None = None
+) -> LimitInterval:
+    """The stiffness with this share of stable verdicts (None: a half), as the median of its posterior.
+
+    Verdicts of several runs are taken for those of one limit: where it wanders from run to run, the interval is too
+    narrow. Beyond the levels it is their end, see `rig.session.search.psychometric.Located`.
+
+    Parameters
+    ----------
+    grid
+        Levels of the search.
+    verdicts
+        Stiffness, and whether it was stable; at least one.
+    """
+    share = share or 0.5
+    found = psychometric.locate(tuple(grid), verdicts, share)
+    return LimitInterval(
+        value=found.value,
+        low=found.low,
+        high=found.high,
+        censored=found.censored,
+        share=share,
+        step=step_at(grid, found.value),
+        mark="" if found.censored else contradiction(found.value, found.low, found.high, verdicts),
+    )
+
+
+def answers(state: SessionState, run: SearchRun, judge: str) -> list[JudgedProbe]:
+    """Return the answers of a run's trials by one judge.
+
+    Parameters
+    ----------
+    judge
+        "followed": the answers that the rule received. "person": the same, or none if no person judged any.
+        "automatic": whether each wall holds under the study's criterion.
+    """
+    if judge == "followed":
+        return state.heard(run)
+    counted = [t for t in state.trials_of(run) if t.judged]
+    if judge == "automatic":
+        criterion = state.protocol.study.criterion
+        return [JudgedProbe(trial.probe, trial.passes[criterion]) for trial in counted]
+    return state.heard(run) if any(trial.judged_by in PEOPLE for trial in counted) else []
+
+
+def _ordered(state: SessionState) -> Iterable[tuple[int, int, SearchRun]]:
+    """Block, place in it, and run, in the order of the plan; practice aside."""
+    for block in state.blocks:
+        if not block.practice:
+            for order, run in enumerate(block.runs, start=1):
+                yield block.number, order, run
+
+
+def _trial_row(
+    session: StudySession, trial: RecordedTrial, schemes: dict[str, str], place: int, logged_at: float
+) -> TrialRow:
+    numbers, baseline = trial.numbers, trial.baseline or {}
+    undecided = "invalid" if trial.invalid else "" if trial.verdict else "not judged"
+    logged: dict[str, Any] = {**vars(trial), "void": trial.void or undecided}
+    return TrialRow(
+        **logged,
+        **dict[str, Any]({name: numbers.get(name) for name in NUMBERS}),
+        participant=session.code,
+        row=session.state.row,
+        place=place,
+        scheme=schemes.get(trial.condition, ""),
+        automatic_stable=trial.passes[session.state.protocol.study.criterion],
+        amended=trial.trial in session.amended,
+        since_begin_s=logged_at - session.began_at,
+        baseline_velocity=baseline.get("velocity_rms"),
+        baseline_effort=baseline.get("effort_rms"),
+        recorded=session.recordings.get(trial.trial, "none"),
+    )
+
+
+def _run_row(
+    session: StudySession, block: int, order: int, place: int, run: SearchRun, schemes: dict[str, str]
+) -> RunRow:
+    state = session.state
+    search = state.protocol.search_of(state.protocol.condition_named(run.condition))
+    trials = [trial for trial in state.trials if trial.run == run.number]
+    counted = [trial for trial in trials if not trial.void]
+    judged = [trial for trial in counted if trial.judged]
+    limits, note = _limits(state, run, search.rule)
+    followed = f"K50 {state.protocol.study.judge}"
+    sides = {limit.censored for measure, limit in limits.items() if measure in ("rule", followed)}
+    return RunRow(
+        participant=session.code,
+        row=state.row,
+        block=block,
+        order=order,
+        run=run.number,
+        place=place,
+        condition=run.condition,
+        scheme=schemes[run.condition],
+        damping=run.damping,
+        repeat=run.repeat,
+        rule=search.rule,
+        followed=state.protocol.study.judge,
+        limits=limits,
+        state=_state(state, run),
+        trials=len(judged),
+        invalid=sum(trial.invalid for trial in counted),
+        voided=len(trials) - len(counted),
+        hits=len(state.heard(run)),
+        caught=_caught(judged, levels(state.protocol, run.condition), sides),
+        middle_trial=sum(t.trial for t in judged) / len(judged) if judged else math.nan,
+        note=note,
+    )
+
+
+def _state(state: SessionState, run: SearchRun) -> str:
+    if run.number in state.skipped:
+        return "skipped"
+    # What was found complete stays so when a correction afterwards would have the rule ask once more.
+    done = state.asks(run) is None or (run.number in state.corrected and state.ended == "complete")
+    if not done:
+        return "unfinished"
+    return ENDED_BY_MOST if state.rule(run).estimate(state.answers(run)).ended_by_most else "complete"
+
+
+def _caught(
+    judged: Sequence[RecordedTrial], levels: Sequence[float], sides: Container[Censored]
+) -> CatchTrials:
+    answers = [
+        JudgedProbe(trial.probe, None if trial.verdict == "unsure" else trial.verdict == "stable")
+        for trial in judged
+    ]
+    return CatchTrials.of(answers, levels, sides)
+
+
+def _limits(state: SessionState, run: SearchRun, rule: str) -> tuple[dict[Measure, LimitInterval], str]:
+    """The limits of a run by each measure that there is, and what must be known of them."""
+    found: dict[Measure, LimitInterval] = {}
+    grid = levels(state.protocol, run.condition)
+    heard, note = answers(state, run, "followed"), ""
+    if _follows(state, run, rule, heard, grid):
+        asked = state.rule(run)
+        estimate = asked.estimate(heard)
+        _add(found, "rule", estimate)
+        series = _of_series(asked, heard) if isinstance(asked, Ascending) else ""
+        note = "; ".join(filter(None, (estimate.mark, series)))
+    else:
+        note = AMENDED
+    for measure, judge in (("K50 person", "person"), ("K50 automatic", "automatic")):
+        verdicts = verdicts_of(answers(state, run, judge))
+        if verdicts:
+            found[measure] = half_way(grid, verdicts)  # type: ignore[index]
+    return found, note
+
+
+def _of_series(rule: Ascending, heard: Sequence[JudgedProbe]) -> str:
+    """How many series failed at the softest wall already, where that is not the limit of all of them."""
+    series = rule.series(heard)
+    failed = sum(one.censored == "below" for one in series)
+    if failed in (0, len(series)):
+        return ""
+    enters = "enters" if failed == 1 else "enter"
+    return f"{failed} of {len(series)} series failed at the softest wall and {enters} with it"
+
+
+def _add(found: dict[Measure, LimitInterval], measure: Measure, estimate: Estimate) -> None:
+    if math.isfinite(estimate.value):
+        found[measure] = LimitInterval(
+            value=estimate.value,
+            low=estimate.low,
+            high=estimate.high,
+            censored=estimate.censored,
+            share=estimate.share if math.isfinite(estimate.share) else None,
+            step=estimate.step,
+            mark=estimate.mark,
+        )
+
+
+def _follows(
+    state: SessionState, run: SearchRun, name: str, heard: Sequence[JudgedProbe], grid: Sequence[float]
+) -> bool:
+    """Whether a rule would have asked for these walls after these answers."""
+    if name not in WALKING:
+        return all(answer.probe.level in grid for answer in heard)
+    rule = state.rule(run)
+    return all(
+        answer.probe.catch or rule.next(heard[:place]) == answer.probe for place, answer in enumerate(heard)
+    )

@@ -1,0 +1,100 @@
+"""What one call of an estimator in C costs on a microcontroller: instructions, cycles, code and memory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from rig.control.estimators.estimator import Ints
+from rig.core.scratch import scratch
+from rig.firmware.cortex import CORES, Simulator, build
+from rig.firmware.estimator_c import EstimatorC
+
+REPORTED = ("M0+", "M4F", "M33F")
+_ENTRIES = ("begin", "velocity")
+
+
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """Of one call, on one processor with code and data in memory without wait states (`rig.firmware.cortex`).
+
+    Attributes
+    ----------
+    core
+        The processor.
+    instructions, most_instructions
+        Median and most, exact.
+    cycles, most_cycles
+        The same, estimated; None where the cost of its instructions is not known.
+    code_bytes, memory_bytes
+        Of its functions, those of the compiler's library included; and of what it remembers.
+    """
+
+    core: str
+    instructions: int
+    most_instructions: int
+    cycles: int | None
+    most_cycles: int | None
+    code_bytes: int
+    memory_bytes: int
+
+
+def cost_of(
+    estimator: EstimatorC,
+    counts: Ints,
+    elapsed: Ints,
+    on_progress: Callable[[str, float], None] = lambda what, share: None,
+) -> tuple[Cost, ...]:
+    """Run an estimator over samples on each of `REPORTED`.
+
+    Raises `ToolchainError` where cross compiler or simulator is not installed.
+    """
+    costs = []
+    for number, name in enumerate(REPORTED):
+        on_progress("counting instructions", number / len(REPORTED))
+        costs.append(_cost(name, estimator, counts, elapsed))
+    return tuple(costs)
+
+
+def _cost(name: str, estimator: EstimatorC, counts: Ints, elapsed: Ints) -> Cost:
+    core = CORES[name]
+    with scratch("cycles") as place:
+        source = place / "called.c"
+        source.write_text(estimator.code + _called(estimator), encoding="utf-8")
+        image = build(core, place, [source], _ENTRIES)
+    simulator = Simulator(image)
+    simulator.call("begin")
+    spent = []
+    for count, periods in zip(counts.astype(np.int32).tolist(), elapsed.tolist(), strict=True):
+        simulator.call("velocity", count, periods)
+        spent.append((simulator.instructions, simulator.cycles))
+    instructions, cycles = zip(*spent, strict=True)
+    return Cost(
+        core=name,
+        instructions=int(np.median(instructions)),
+        most_instructions=max(instructions),
+        cycles=int(np.median(cycles)) if core.cycles_known else None,
+        most_cycles=max(cycles) if core.cycles_known else None,
+        code_bytes=len(image.code),
+        memory_bytes=image.sizes["memory"],
+    )
+
+
+def _called(estimator: EstimatorC) -> str:
+    """Functions that the simulator can call, and the memory that they share."""
+    prefix = estimator.prefix
+    return f"""
+static {prefix}_estimator memory;
+void begin(void);
+void begin(void)
+{{
+    {prefix}_begin(&memory);
+}}
+{estimator.returns} velocity(int32_t count, uint32_t elapsed);
+{estimator.returns} velocity(int32_t count, uint32_t elapsed)
+{{
+    return {prefix}_velocity(&memory, count, elapsed);
+}}
+"""

@@ -1,0 +1,56 @@
+"""The samples that a law on the device sends: whether they are complete, and agree with its STATE frames."""
+
+from __future__ import annotations
+
+from firmware_protocol import messages as m
+from firmware_protocol.dictionary import Dictionary
+from firmware_protocol.packing import unpack_batch_samples
+from rig.core.answers import ok, question, refused
+from rig.core.check import Check
+
+STREAM_SHARE = 0.9  # of the ticks must be received: the rest is beginning and end
+LOAD_LIMIT = 0.8  # of a period: a tick that takes longer leaves nothing for what the check does not run
+
+
+@question("stream")
+def judge_stream(received: list[m.Message], ticks: float, rate: int, dictionary: Dictionary) -> Check:
+    """Judge what a supervised device has sent in so many ticks at a rate (Hz), while its current limit was zero."""
+    batches = [message for message in received if isinstance(message, m.Batch)]
+    states = {message.sample_index: message for message in received if isinstance(message, m.State)}
+    rows, gaps = _rows(batches)
+    remedy = "flash the device again; keep motor power off"
+    faults = [dictionary.explain_fault(code) for code in {state.fault for state in states.values()} if code]
+    if faults:
+        return refused("; ".join(fault.text for fault in faults), faults[0].remedy)
+    if any(current for _, current in rows.values()):
+        return refused("it drove a current although the limit was zero", remedy)
+    differ = [index for index, state in states.items() if index in rows and rows[index][0] != state.count]
+    if differ:
+        return refused(f"BATCH and STATE have different counts in {len(differ)} ticks", remedy)
+    text = f"{len(rows)} samples in {len(batches)} frames, {gaps} gaps"
+    worst = max((state.execution_time for state in states.values()), default=0)
+    load = worst * dictionary.time_unit_ns * 1e-9 * rate
+    timed = f"the longest tick took {100 * load:.2g} % of a period (homing only: no contact, no release)"
+    if gaps or len(rows) < STREAM_SHARE * ticks:
+        slower = (
+            "choose a lower rate or a faster link, or free the computer: rig doctor measures what it can do"
+        )
+        return refused(f"{text}, where {ticks:.0f} ticks passed", slower)
+    if load > LOAD_LIMIT:
+        slower = "choose a lower position_rate, or a law in integers (estimator fdm-butterworth-fixed)"
+        return refused(f"{text}; {timed}", slower)
+    return ok(f"{text}; no current; {timed}")
+
+
+def _rows(batches: list[m.Batch]) -> tuple[dict[int, tuple[int, int]], int]:
+    """Return count and current by sample index, and the number of gaps."""
+    rows: dict[int, tuple[int, int]] = {}
+    gaps = 0
+    for number, batch in enumerate(batches):
+        if number and (batch.first_index - 1) % 2**32 not in rows:
+            gaps += 1
+        count = batch.base_count
+        for offset, (difference, current, *_) in enumerate(unpack_batch_samples(batch)):
+            count += difference
+            rows[(batch.first_index + offset) % 2**32] = (count, current)
+    return rows, gaps

@@ -1,0 +1,111 @@
+"""Whether a board's processor has the time for a law: cycles of a whole tick, by processor and estimator.
+
+A tick takes at most `SHARE` of its period, so that link and host have the rest. The cycles are those of
+`rig.firmware.cortex`: estimates for memory without wait states, not a measurement on a board.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from firmware_protocol.dictionary import SettingValue
+from rig.core.errors import ConfigError
+from rig.firmware.boards import Board, load, settings_of
+from rig.firmware.cortex import CORES, CortexCore
+
+BOARD = "rp2040"  # where no board is named: the one that this package has firmware for
+SHARE = 0.4  # of a period
+INTEGERS = "fdm-butterworth-fixed"
+
+# Most cycles of a call of the estimator, and of the whole tick of a hit at uniform sampling, with that call. Measured
+# with gcc 12.2 on 2026-11-26 (calls, M4F) and 2026-11-29: rig estimators export NAME --json, and the harness of
+# tests/firmware/test_core_cortex.py. Both windowings with 16 periods, the longest of a design's listed set.
+CALLS: Mapping[str, Mapping[str, int]] = {
+    "M0+": {
+        "fdm": 245, "fdm-butterworth": 1644, INTEGERS: 197, "foaw-end": 8888, "foaw-best": 43_183, "levant": 2790,
+        "kalman": 1560,
+    },
+    "M4F": {
+        "fdm": 26, "fdm-butterworth": 57, INTEGERS: 118, "foaw-end": 2410, "foaw-best": 7471, "levant": 108,
+        "kalman": 57,
+    },
+}  # fmt: skip
+TICKS: Mapping[str, Mapping[str, int]] = {
+    "M0+": {
+        "fdm": 5401, "fdm-butterworth": 6920, INTEGERS: 2693, "foaw-end": 14_186, "foaw-best": 50_623, "levant": 8146,
+        "kalman": 6970,
+    },
+    "M4F": {
+        "fdm": 1625, "fdm-butterworth": 1677, INTEGERS: 1716, "foaw-end": 4389, "foaw-best": 12_252, "levant": 1726,
+        "kalman": 1671,
+    },
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class TickBudget:
+    """A board's processor and its clock.
+
+    Attributes
+    ----------
+    board
+        Name of the board.
+    core
+        Its processor.
+    clock_hz
+        As the board is set.
+    """
+
+    board: str
+    core: CortexCore
+    clock_hz: float
+
+    def call_cycles(self, estimator: str) -> int | None:
+        """Most cycles of one call of an estimator; None for one that no board runs."""
+        return CALLS[self.core.name].get(estimator)
+
+    def rate_maximum(self, estimator: str) -> float:
+        """Highest rate (Hz) at which a tick of the law with this estimator fits; 0 for one that no board runs."""
+        cycles = TICKS[self.core.name].get(estimator)
+        return 0.0 if cycles is None else SHARE * self.clock_hz / cycles
+
+    @property
+    def has_float_unit(self) -> bool:
+        """Whether float32 is computed in hardware."""
+        return "-mfloat-abi=hard" in self.core.flags
+
+    def text(self, estimator: str) -> str:
+        """Say what a tick costs and which rate it allows."""
+        unit = "" if self.has_float_unit or estimator == INTEGERS else ", no floating-point unit"
+        cycles = TICKS[self.core.name].get(estimator)
+        if cycles is None:
+            return f"no board runs {estimator}"
+        return (
+            f"{cycles} cycles a tick on {self.board} (Cortex-{self.core.name}, "
+            f"{self.clock_hz / 1e6:g} MHz{unit}): at most {self.rate_maximum(estimator) / 1e3:.3g} kHz"
+        )
+
+
+def tick_budget(board: Board, settings: Mapping[str, SettingValue] | None = None) -> TickBudget | None:
+    """Return the budget of a board with its `settings`, or its defaults; None where its cycles are not known."""
+    known = [
+        core for core in CORES.values() if core.name in TICKS and set(core.flags) <= set(board.processor)
+    ]
+    if not known:
+        return None
+    clock = (settings_of(board, {}) if settings is None else settings).get("clock", "")
+    mhz = re.fullmatch(r"(\d+)mhz", str(clock))
+    return TickBudget(board.name, known[0], 1e6 * float(mhz[1]) if mhz else known[0].clock_hz)
+
+
+def named_budget(name: str) -> TickBudget:
+    """Return the budget of a board by its name; `ConfigError` if the board is unknown or its cycles are not known."""
+    found = tick_budget(load(name))
+    if found is None:
+        raise ConfigError(
+            f"the cycles of board {name} are not known: they are of Cortex-{' and Cortex-'.join(TICKS)}",
+            remedy=f"name a board with one of these processors, such as {BOARD}",
+        )
+    return found

@@ -1,0 +1,300 @@
+"""A sweep on a Dask cluster: the same bits as in one process, and a worker that dies takes nothing with it.
+
+Scheduler and workers are processes of their own, as on a real cluster; this one is only a client.
+"""
+
+import itertools
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rig.core.errors import ConfigError, RigError
+from rig.experiments import sweep
+from rig.experiments.sweep import SweepStoppedError, Task, TaskError, code_version
+from rig.extras.cluster import cluster as clusters
+from tests.conformance import sweep_work
+from tests.conformance.started import LEASH
+from tests.conformance.sweep_work import keys_in, sines_of, text
+
+ROOT = Path(__file__).parents[3]
+START_S = 30.0
+
+
+needs_distributed = pytest.mark.skipif(not find_spec("distributed"), reason="distributed is not installed")
+
+
+class Cluster:
+    """A scheduler and workers with one thread each, all on this machine; they end with the block.
+
+    All tests share it, and many kill some of it: each asks for as many workers as it needs (`have`). They stand in the
+    order in which the fewest have to be started.
+    """
+
+    def __init__(self, directory: Any) -> None:
+        self._directory = directory
+        self._numbers = itertools.count()
+        self.scheduler = None
+        self.workers = []
+
+    def __enter__(self) -> Any:
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        for process in (*self.workers, self.scheduler):
+            if process is not None:
+                _end(process)
+
+    def have(self, number: int) -> None:
+        """Return when the scheduler knows so many workers."""
+        self._have_a_scheduler()
+        alive = [worker for worker in self.workers if worker.poll() is None]
+        for worker in alive[number:]:
+            _end(worker)
+        self.workers = alive[:number]
+        while len(self.workers) < number:
+            self.add_worker()
+        until = time.monotonic() + START_S
+        while self.ask(lambda dask_scheduler: len(dask_scheduler.workers)) != number:
+            assert time.monotonic() < until, "the workers did not come, or did not go"
+            time.sleep(0.02)
+
+    def ask(self, question: Any) -> Any:
+        """What a function says that the scheduler runs."""
+        from distributed import Client  # noqa: PLC0415
+
+        with Client(self.address, set_as_default=False) as client:
+            return client.run_on_scheduler(question)
+
+    def add_worker(self) -> None:
+        options = ["--nthreads", "1", "--local-directory", str(self._directory), "--no-nanny"]
+        self.workers.append(self._start("dask_worker", self.address, *options))
+
+    def _have_a_scheduler(self) -> None:
+        if self.scheduler is not None and self.scheduler.poll() is None:
+            return
+        while self.workers:
+            _end(self.workers.pop())
+        facts = self._directory / f"scheduler-{next(self._numbers)}.json"
+        self.scheduler = self._start(
+            "dask_scheduler", "--port", "0", "--scheduler-file", str(facts), "--no-jupyter"
+        )
+        until = time.monotonic() + START_S
+        while not facts.exists() or not facts.read_text().endswith("}"):
+            assert time.monotonic() < until, "the scheduler did not start"
+            time.sleep(0.02)
+        self.address = json.loads(facts.read_text())["address"]
+
+    def _start(self, command: Any, *arguments: Any) -> Any:
+        with (self._directory / f"log-{next(self._numbers)}").open("wb") as log:
+            return subprocess.Popen(
+                [
+                    *LEASH,
+                    sys.executable,
+                    "-m",
+                    f"distributed.cli.{command}",
+                    "--host",
+                    "127.0.0.1",
+                    "--no-dashboard",
+                    *arguments,
+                ],
+                cwd=self._directory,
+                env={**os.environ, "PYTHONPATH": str(ROOT)},
+                stdout=log,
+                stderr=log,
+            )
+
+
+def _end(process: Any) -> None:
+    process.kill()
+    process.wait()
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    with Cluster(tmp_path_factory.mktemp("cluster")) as started:
+        yield started
+
+
+def assert_nothing_lost_and_nothing_twice(results: Any, journal: Any, tasks: Any) -> None:
+    at_once = [Task(task.key, sweep_work.sines, {"seed": task.payload["seed"]}) for task in tasks]
+    assert text(results) == text(sweep.run(at_once, workers=1))
+    assert sorted(keys_in(journal)) == sorted(task.key for task in tasks)
+
+
+@needs_distributed
+def test_two_workers_give_the_bits_of_one_process(cluster: Any, tmp_path: Path) -> None:
+    cluster.have(2)
+    tasks, seen = sines_of(100), []
+    options: Any = {"scheduler": cluster.address, "unit": "trials", "watch": seen.append}
+    results = sweep.run(tasks, journal=tmp_path / "j", **options)
+    assert_nothing_lost_and_nothing_twice(results, tmp_path / "j", tasks)
+    assert [seen[-1].workers, seen[-1].units] == [2, 1000]
+
+
+@needs_distributed
+@pytest.mark.signals
+def test_ctrl_c_on_a_cluster_and_the_rest_in_this_process(cluster: Any, tmp_path: Path) -> None:
+    cluster.have(2)
+    tasks = sines_of(60, wait_s=0.02)
+
+    def watch(progress: Any) -> None:
+        if progress.done >= 6 and not progress.stopping:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    with pytest.raises(SweepStoppedError) as caught:
+        sweep.run(tasks, journal=tmp_path / "j", scheduler=cluster.address, watch=watch)
+    assert 6 <= caught.value.done < 60
+    seen = []
+    results = sweep.run(tasks, journal=tmp_path / "j", workers=2, watch=seen.append)
+    assert seen[-1].kept == caught.value.done
+    assert_nothing_lost_and_nothing_twice(results, tmp_path / "j", tasks)
+
+
+@needs_distributed
+def test_a_task_that_fails_there_is_named_here(cluster: Any) -> None:
+    cluster.have(2)
+    tasks = [Task(f"number {i}", sweep_work.raise_as_given, {"number": i}) for i in range(20)]
+    tasks[7] = replace(tasks[7], payload={"number": 7, "raises": "ours"})
+    with pytest.raises(TaskError, match="task number 7 failed: this wall is out of reach") as caught:
+        sweep.run(tasks, scheduler=cluster.address)
+    assert caught.value.remedy == "lower the stiffness"
+    assert "sweep_work.py" in caught.value.__notes__[0]
+    assert 7 not in list(caught.value.results)
+
+
+@needs_distributed
+def test_another_haptic_rig_on_the_workers_is_refused_with_both_versions(
+    cluster: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cluster.have(2)
+    ours = code_version()
+    monkeypatch.setattr("rig.experiments.sweep.coordinator.code_version", lambda: "9.9.9+0123456789ab")
+    with pytest.raises(ConfigError) as caught:
+        sweep.run(sines_of(4), scheduler=cluster.address)
+    assert f"runs haptic-rig {ours}, this is 9.9.9+0123456789ab" in caught.value.message
+
+
+@needs_distributed
+def test_work_that_the_workers_do_not_have_is_refused(
+    cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cluster.have(2)
+    (tmp_path / "only_here.py").write_text("def work(payload):\n    return 1\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    task = Task("all", import_module("only_here").work, {})
+    with pytest.raises(ConfigError, match=r"cannot run this .*install this version of haptic-rig"):
+        sweep.run([task], scheduler=cluster.address)
+
+
+@needs_distributed
+def test_a_worker_killed_in_the_middle_loses_nothing_and_duplicates_nothing(
+    cluster: Any, tmp_path: Path
+) -> None:
+    cluster.have(2)
+    tasks = sines_of(40, wait_s=0.03)
+
+    def watch(progress: Any) -> None:
+        if progress.done >= 10 and cluster.workers[0].poll() is None:
+            assert progress.workers == 2
+            cluster.workers[0].kill()
+
+    results = sweep.run(tasks, journal=tmp_path / "j", scheduler=cluster.address, watch=watch)
+    assert cluster.workers[0].wait() == -signal.SIGKILL
+    assert_nothing_lost_and_nothing_twice(results, tmp_path / "j", tasks)
+
+
+@needs_distributed
+def test_a_result_that_died_with_its_worker_before_it_was_fetched_is_computed_again(
+    cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from distributed import cfexecutor  # noqa: PLC0415
+
+    cluster.have(1)
+    fetch, killed = cfexecutor._cascade_future, threading.Event()
+
+    async def kill_before_the_first(future: Any, of_caller: Any) -> None:
+        await future._state.wait()
+        if not killed.is_set():
+            cluster.workers[0].kill()
+            cluster.workers[0].wait()
+            killed.set()
+        await fetch(future, of_caller)
+
+    def watch(progress: Any) -> None:
+        """In the main thread: its leash ends a worker with the thread that started it."""
+        if len(cluster.workers) == 1 and killed.is_set():
+            cluster.add_worker()
+
+    monkeypatch.setattr(cfexecutor, "_cascade_future", kill_before_the_first)
+    tasks = sines_of(20)
+    results = sweep.run(tasks, journal=tmp_path / "j", scheduler=cluster.address, watch=watch)
+    assert killed.is_set()
+    assert_nothing_lost_and_nothing_twice(results, tmp_path / "j", tasks)
+
+
+@needs_distributed
+def test_a_task_that_kills_every_worker_is_named(cluster: Any, tmp_path: Path) -> None:
+    cluster.have(1)
+    allowed = cluster.ask(lambda dask_scheduler: dask_scheduler.allowed_failures)
+    cluster.ask(lambda dask_scheduler: setattr(dask_scheduler, "allowed_failures", 0))
+    tasks = [Task("murder", sweep_work.always_kill_the_worker, {})]
+    try:
+        with pytest.raises(TaskError, match="murder failed: it ended every worker that tried it, 1 in all"):
+            sweep.run(tasks, scheduler=cluster.address, journal=tmp_path / "j")
+    finally:
+        cluster.ask(lambda dask_scheduler: setattr(dask_scheduler, "allowed_failures", allowed))
+    assert keys_in(tmp_path / "j") == []
+
+
+@needs_distributed
+def test_a_sweep_waits_for_workers_and_says_so(cluster: Any, tmp_path: Path) -> None:
+    cluster.have(0)
+    tasks, waited = sines_of(4), []
+
+    def watch(progress: Any) -> None:
+        if not progress.workers and not cluster.workers:
+            waited.append(progress)
+            cluster.add_worker()
+
+    results = sweep.run(tasks, journal=tmp_path / "j", scheduler=cluster.address, watch=watch)
+    assert waited
+    assert_nothing_lost_and_nothing_twice(results, tmp_path / "j", tasks)
+
+
+@needs_distributed
+def test_a_scheduler_that_dies_ends_the_sweep_with_what_is_done(cluster: Any, tmp_path: Path) -> None:
+    cluster.have(1)
+
+    def watch(progress: Any) -> None:
+        if progress.done >= 3:
+            cluster.scheduler.kill()
+
+    with pytest.raises(RigError, match=f"the Dask scheduler at {cluster.address} is gone"):
+        sweep.run(sines_of(200, wait_s=0.05), journal=tmp_path / "j", scheduler=cluster.address, watch=watch)
+    assert 3 <= len(keys_in(tmp_path / "j")) < 200
+
+
+@needs_distributed
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nonsense://x"])
+def test_no_scheduler_there_is_said_with_the_remedy(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(clusters, "CONNECT_S", 0.1)
+    with pytest.raises(ConfigError, match=r"no Dask scheduler answers at .*start one with `dask scheduler`"):
+        sweep.run(sines_of(2), scheduler=address)
+
+
+def test_without_distributed_the_remedy_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(ConfigError, match=r"install it: pip install 'haptic-rig\[cluster\]'"):
+        sweep.run(sines_of(2), scheduler="tcp://127.0.0.1:1")

@@ -1,0 +1,54 @@
+"""Errands in processes of their own: answers and errors come back, and nothing is left of them."""
+
+import asyncio
+import os
+from pathlib import Path
+
+import pytest
+
+from rig.core.errors import RigError
+from rig.extras.console import errands as sent
+from rig.extras.console.errands import Errands
+
+
+def test_answers_and_errors_come_back_from_one_process_and_none_is_left(tmp_path: Path) -> None:
+    async def body() -> None:
+        errands = Errands()
+        try:
+            asked = {"directory": str(tmp_path), "search": "", "first": 0}
+            assert await errands.run("recordings", **asked) == ({"recordings": [], "more": False}, b"")
+            with pytest.raises(RigError, match="no export 'exe'"):
+                await errands.run("export", path="nowhere", form="exe")
+            (process,) = errands._all
+            os.kill(process.pid, 9)
+            with pytest.raises(RigError, match="the process for recordings ended"):
+                await errands.run("recordings", **asked)
+            assert (errands._idle, errands._all) == ([], set())  # the next one gets another
+        finally:
+            await errands.close()
+        assert process.returncode is not None
+
+    asyncio.run(body())
+
+
+def test_no_more_processes_than_there_is_room_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    started: list[object] = []
+
+    async def start(errands: Errands) -> object:
+        started.append(object())
+        return started[-1]
+
+    async def asked(process: object, message: object, compiling: object) -> object:
+        await asyncio.sleep(0.01)
+        return {"result": process}, b""
+
+    monkeypatch.setattr(Errands, "_start", start)
+    monkeypatch.setattr(sent, "_asked", asked)
+
+    async def body() -> None:
+        errands = Errands()
+        done = await asyncio.gather(*(errands.run("map") for _ in range(3 * sent.MOST)))
+        assert {id(process) for process, _ in done} == {id(process) for process in started}
+
+    asyncio.run(body())
+    assert len(started) == sent.MOST

@@ -1,0 +1,269 @@
+"""The view of maps: what a page is told of a directory that grows, and a map that it starts is the command's."""
+
+import json
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+
+import rig.cli
+from rig.core.errors import ConfigError, RecordingError, RigError
+from rig.experiments import maps
+from rig.experiments.sweep import run_here
+from rig.experiments.sweep.journal import Journal, read_on
+from rig.extras.console import map_errands, map_jobs
+from rig.extras.console.maps import MapService, Watched
+from rig.extras.console.requests import request_of
+from rig.recording.reader import open_recording
+from tests.conformance.maps import SHORT, short_map
+from tests.extras.console.console_fakes import Page, ask, run, shared
+
+PLAN = short_map(0.1, 0.6)
+NAME = "zwidth-of-a-test"
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A directory of a console: a finished map in it."""
+    root = tmp_path_factory.mktemp("console")
+    maps.map_into(PLAN, root / "maps" / NAME)
+    return root
+
+
+class Told:
+    """In place of a job's line to its console."""
+
+    def __init__(self) -> None:
+        self.said: list[tuple[str, dict[str, Any]]] = []
+
+    def tell(self, say: str, **content: Any) -> None:
+        self.said.append((say, content))
+
+    def progress(self, **content: Any) -> None:
+        self.said.append(("progress", content))
+
+
+def started(**fields: Any) -> dict[str, Any]:
+    """Content of the job that a page's request makes."""
+    request = request_of(
+        json.dumps({"do": "map-run", **fields}),
+        {"map-run": MapService(shared(Path("out"))).handlers()["map-run"][0]},
+    )
+    return asdict(request)
+
+
+def test_a_page_is_told_the_plan_then_every_cell_by_criterion(root: Path) -> None:
+    page = Page()
+
+    async def body() -> Any:
+        service = MapService(shared(root / "recordings"))
+        facts = await ask(service, page, "map-watch", map=NAME)
+        while not page.told:
+            await ask(service, page, "maps")
+        await service.close()
+        return facts
+
+    facts = run(body)
+    assert (facts["dampings"], facts["ratio"], facts["stripes"]) == (
+        [0.0, 0.3], 3.0, ["zero at 0.1 count", "zero at 0.6 count"],
+    )  # fmt: skip
+    assert facts["units"] == {"stiffness": "N·m/rad", "damping": "N·m·s/rad"}
+    (cells,) = page.told
+    assert (cells["say"], cells["map"], cells["anew"]) == ("cells", NAME, True)
+    assert (cells["state"], cells["done"], cells["total"]) == ("finished", 4, 4)
+    found = maps.map_into(PLAN, root / "maps" / NAME)
+    by_key = {series.key: (series, rows) for series, rows in zip(PLAN.series(), found.series, strict=True)}
+    for column in cells["columns"]:  # in the order in which they were done
+        series, rows = by_key.pop(column["key"])
+        place = PLAN.dampings[column["damping"]], PLAN.offsets[column["stripe"]]
+        assert place == (series.damping, series.offset)
+        for cell, row in zip(column["cells"], rows, strict=True):
+            assert cell[0] == row["stiffness"]
+            assert map_errands.KINDS[cell[1]] == row["kind_true"]
+            passes = {True: 0, None: 3, False: 2 if row["kind_true"] == "unstable" else 1}
+            assert cell[2:] == [passes[row[f"passes_{name}_true"]] for name in facts["criteria"]]
+
+
+def test_what_a_journal_gains_is_told_once_and_who_writes_it_makes_it_running(
+    root: Path, tmp_path: Path
+) -> None:
+    there, growing = root / "maps" / NAME, tmp_path / "growing"
+    growing.mkdir()
+    (growing / maps.PLAN).write_bytes((there / maps.PLAN).read_bytes())
+    lines = (there / maps.JOURNAL).read_bytes().splitlines(keepends=True)
+    first = map_errands.growth(str(growing), 0)
+    assert (first["columns"], first["place"], first["state"]) == ([], 0, "stopped")
+    (growing / maps.JOURNAL).write_bytes(b"".join(lines[:2]))
+    one = map_errands.growth(str(growing), first["place"])
+    assert [column["key"] for column in one["columns"]] == [json.loads(lines[1][9:])["key"]]
+    (growing / maps.JOURNAL).write_bytes(b"".join(lines))
+    tasks = PLAN.tasks
+    plan = json.loads(lines[0][9:])
+    held = Journal(
+        growing / maps.JOURNAL, {k: v for k, v in plan.items() if k != "sweep"}, [t.key for t in tasks]
+    )
+    try:
+        rest = map_errands.growth(str(growing), one["place"])
+    finally:
+        held.close()
+    assert (len(rest["columns"]), rest["state"]) == (3, "running")
+    assert map_errands.growth(str(growing), rest["place"])["state"] == "stopped"
+
+
+def test_time_left_is_told_by_weight_from_what_came_since_the_first_column() -> None:
+    facts = {"schemes": [{"weight": 20_000}, {"weight": 1000}], "dampings": [0.0, 0.1], "stripes": [""]}
+    watched = Watched(Path("a map"), facts, set())
+    told = [
+        {"columns": [], "place": 0, "state": "running"},
+        {"columns": [{"scheme": 0}], "place": 1, "state": "running"},
+        {"columns": [{"scheme": 0}], "place": 2, "state": "running"},
+    ]
+    left = []
+    for now_s, grown in zip((0.0, 100.0, 110.0), told, strict=True):
+        watched.take(grown, now_s)
+        left.append(json.loads(watched.told([], now_s, anew=False))["left_s"])
+    assert left == [None, None, pytest.approx(10.0 * 2000 / 20_000)]
+
+
+def test_theory_is_told_along_the_dampings_of_the_map(root: Path) -> None:
+    (curve,) = map_errands.theory(str(root / "maps" / NAME))
+    assert (curve["damping"][0], curve["damping"][-1]) == (0.0, 0.3)
+    assert min(curve["stiffness"]) > 0.0
+
+
+def test_a_click_on_a_cell_makes_that_hit_a_recording_where_the_others_are(root: Path) -> None:
+    ((key, rows), *_), _ = read_on(root / "maps" / NAME / maps.JOURNAL)
+
+    async def body() -> Any:
+        service = MapService(shared(root / "recordings"))
+        return await ask(service, Page(), "map-hit", map=NAME, key=key, stiffness=rows[-1]["stiffness"])
+
+    which = run(body)
+    assert which["map"] == ""
+    opened = open_recording(root / "recordings" / which["name"])
+    assert (opened.trailer or {})["verdict"]["peak_penetration"] == rows[-1]["peak_penetration"]
+
+
+def test_a_hit_of_a_device_is_the_recording_that_it_left(tmp_path: Path) -> None:
+    place, series = tmp_path / "maps" / "of-a-rig", PLAN.series()[0]
+    maps._write_plan(PLAN, place, "serial:///dev/rig")
+    row = {"stiffness": 10.0, "recording": "koul-1.parquet", "kind": "stable"}
+    task = replace(PLAN.tasks[0], key=series.key)
+    run_here("serial:///dev/rig", lambda task: [row], [task], journal=place / maps.JOURNAL)
+    with pytest.raises(RecordingError, match=r"koul-1\.parquet is no longer there"):
+        map_errands.recorded(str(place), series.key, 10.0, str(tmp_path / "out"))
+    (place / maps.RECORDINGS).mkdir()
+    (place / maps.RECORDINGS / "koul-1.parquet").touch()
+    found = map_errands.recorded(str(place), series.key, 10.0, str(tmp_path / "out"))
+    assert found == {"name": "koul-1.parquet", "map": "of-a-rig"}
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(("key", "stiffness"), [("9/0.0/0.1/0", 10.0), ("0/0.0/0.1/0", 10.5), ("../x", 10.0)])
+def test_a_hit_that_the_map_does_not_have_is_refused(root: Path, key: str, stiffness: float) -> None:
+    with pytest.raises(ConfigError, match="no hit"):
+        map_errands.recorded(str(root / "maps" / NAME), key, stiffness, str(root / "nowhere"))
+    assert not (root / "nowhere").exists()
+
+
+@pytest.mark.parametrize("name", ["..", "../maps", "/etc", "", ".", f"{NAME}/..", "a\0b", "<script>", "link"])
+@pytest.mark.parametrize("do", ["map-watch", "map-theory"])
+def test_a_map_is_named_inside_its_directory_or_not_at_all(root: Path, do: str, name: str) -> None:
+    link = root / "maps" / "link"
+    if not link.is_symlink():
+        link.symlink_to(root / "maps" / NAME)
+    if (do, name) == ("map-watch", ""):
+        return  # shows none
+    with pytest.raises(ConfigError, match="is no directory here"):
+        run(lambda: ask(MapService(shared(root / "recordings")), Page(), do, map=name))
+
+
+def test_a_damaged_plan_is_listed_with_its_reason(root: Path) -> None:
+    broken = root / "maps" / "<b>broken"
+    broken.mkdir()
+    (broken / maps.PLAN).write_text("{")
+    told = {one["name"]: one for one in map_errands.directories(str(root / "maps"))}
+    assert "is damaged" in told["<b>broken"]["problem"]
+    assert (told[NAME]["problem"], told[NAME]["state"]) == (None, "finished")
+
+
+@pytest.mark.parametrize(
+    ("options", "fields"),
+    [
+        (["zwidth", "-B", "0"], {"damping": "0"}),
+        (["zwidth", "-B", "0,0.3", "--scheme", "uniform:20k"], {"damping": "0,0.3", "schemes": ["uniform:20k"]}),
+        (
+            ["zwidth", "-B", "0:1:3", "--scheme", "dual:20k/2k", "-K", "20:200", "--search", "grid", "--ratio", "1.5",
+             "--offsets", "0.2", "--repeats", "2", "--judge", "recorded", "--set", "trial.seed=3"],
+            {"damping": "0:1:3", "schemes": ["dual:20k/2k"], "stiffness": "20:200", "way": "grid", "ratio": 1.5,
+             "offsets": "0.2", "repeats": 2, "judged": "recorded", "changes": {"trial.seed": 3}},
+        ),
+        (
+            ["impedance", "map", "-K", "500:5000:4", "-B", "0:4:3", "--realisations", "1"],
+            {"domain": "frequency", "rig": "chawda-linear", "stiffness": "500:5000:4", "damping": "0:4:3",
+             "changes": {"excitation.realisations": 1}},
+        ),
+    ],
+)  # fmt: skip
+def test_the_page_starts_the_map_that_the_command_starts(
+    options: list[str], fields: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[tuple[Any, Path]] = []
+
+    def map_into(plan: Any, place: Path, **_: Any) -> Any:
+        asked.append((plan, place))
+        raise ConfigError("not in this test")
+
+    monkeypatch.setattr(maps, "map_into", map_into)
+    CliRunner().invoke(rig.cli.rig, [*options, "-o", str(tmp_path)])
+    held = (
+        {} if fields.get("domain") else {"trial.kind": "human", "operator.grip": "normal"}
+    )  # the page's choice
+    content = started(**{**fields, "changes": {**held, **fields.get("changes", {})}})
+    with pytest.raises(ConfigError, match="not in this test"):
+        map_jobs.zwidth({**content, "output": str(tmp_path)}, Told())
+    (by_command, there), (by_page, here) = asked
+    assert by_page == by_command
+    assert here == there
+
+
+def test_a_job_names_its_directory_once_it_is_there_and_ends_with_it(tmp_path: Path) -> None:
+    fields = {
+        "damping": "0",
+        "schemes": ["uniform:20k"],
+        "stiffness": "10:20",
+        "ratio": 3.0,
+        "offsets": "0.1",
+    }
+    told = Told()
+    done = map_jobs.zwidth({**started(**fields, changes=SHORT), "output": str(tmp_path)}, told)
+    (named,) = [content["map"] for say, content in told.said if say == "mapping"]
+    assert done == {"map": named}
+    assert map_errands.growth(str(tmp_path / named), 0)["state"] == "finished"
+
+
+def test_only_who_operates_starts_and_ends_maps_and_no_page_chooses_a_program(root: Path) -> None:
+    async def body() -> None:
+        common = shared(root / "recordings")
+        service = MapService(common)
+        with pytest.raises(ConfigError, match=r"wall\.law is not changed from a page"):
+            await ask(service, Page("operator"), "map-run", changes={"wall.law": "x"})
+        with pytest.raises(ConfigError, match="no map of this console runs"):
+            await ask(service, Page("operator"), "map-end")
+        for do in ("map-run", "map-end"):
+            with pytest.raises(ConfigError, match="another page operates"):
+                await ask(service, Page("somebody"), do)
+        assert common.jobs.running is None
+
+    run(body)
+
+
+@pytest.mark.parametrize(
+    "field",
+    [{"ratio": 0.5}, {"repeats": 0}, {"way": "x"}, {"domain": "x"}, {"schemes": ["x"] * 40}, {"odd": 1}],
+)
+def test_what_is_no_plan_is_refused_before_a_process_starts(field: dict[str, Any]) -> None:
+    with pytest.raises(RigError, match="map-run"):
+        started(**field)

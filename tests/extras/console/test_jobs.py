@@ -1,0 +1,202 @@
+"""Jobs and who answers for them: STOP in every phase, an operator who goes, and processes that say what is no message.
+
+A job here is a small program in place of `rig.extras.console.worker`.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import sys
+from collections.abc import Awaitable, Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rig.core.errors import ConfigError
+from rig.extras.console.jobs import Job, Jobs
+from rig.extras.console.lease import Lease
+from rig.extras.console.live import Live
+from rig.extras.console.runs import Runs
+from rig.extras.console.service import ServiceContext
+from rig.extras.console.terminal import Terminal
+from rig.realtime.hand import SharedHand
+
+PATIENCE_S = 30.0
+WAITS = "import time; time.sleep(60)"
+
+
+class Here:
+    """Jobs of this test's program, and what they said."""
+
+    def __init__(self, program: str, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.told: list[dict[str, Any]] = []
+        self.jobs = Jobs(lambda job, message: self.told.append(dict(message)))
+        self.begun = asyncio.Event()
+        start = asyncio.create_subprocess_exec
+
+        async def ours(*_: str, **options: Any) -> Any:
+            self.begun.set()
+            return await start(sys.executable, "-c", program, **options)
+
+        monkeypatch.setattr(asyncio, "create_subprocess_exec", ours)
+
+    async def ended(self) -> None:
+        async with asyncio.timeout(PATIENCE_S):
+            while {"say": "ended"} not in self.told:
+                await asyncio.sleep(0.01)
+
+
+def play(program: str, monkeypatch: pytest.MonkeyPatch, body: Callable[[Here], Awaitable[None]]) -> None:
+    async def whole() -> None:
+        here = Here(program, monkeypatch)
+        try:
+            await body(here)
+        finally:
+            await here.jobs.close()
+
+    asyncio.run(whole())
+
+
+def runs(shared: ServiceContext, hand: SharedHand) -> Runs:
+    terminal = Terminal()
+    return Runs(shared, Live(shared, hand, terminal, own=True), hand, terminal, verified=False)
+
+
+def test_a_stop_that_comes_while_a_job_starts_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def body(here: Here) -> None:
+        starting = asyncio.create_task(here.jobs.start("hit", {}))
+        await here.begun.wait()
+        here.jobs.end()
+        await starting
+        await here.ended()
+        assert here.jobs.running is None
+
+    play(WAITS, monkeypatch, body)
+
+
+def test_a_stop_ends_our_job_also_where_no_other_loop_can_be_looked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def no_descriptor_left() -> list[Any]:
+        raise OSError(errno.EMFILE, "Too many open files")
+
+    async def body(here: Here) -> None:
+        monkeypatch.setattr("rig.extras.console.live.ask_to_stop", no_descriptor_left)
+        await here.jobs.start("hit", {})
+        with SharedHand.create(tmp_path / "hand") as hand:
+            shared = ServiceContext(set(), Lease(), here.jobs, tmp_path)
+            live = Live(shared, hand, Terminal(), own=True)
+            with pytest.raises(OSError, match="Too many"):
+                live.stop_all()
+        await here.ended()
+
+    play(WAITS, monkeypatch, body)
+
+
+def test_of_two_jobs_at_once_one_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def body(here: Here) -> None:
+        first = asyncio.create_task(here.jobs.start("hit", {}))
+        await here.begun.wait()
+        with pytest.raises(ConfigError, match="a hit runs"):
+            await here.jobs.start("play", {})
+        job = await first
+        assert here.jobs.running is job
+
+    play(WAITS, monkeypatch, body)
+
+
+def test_a_job_without_an_operator_ends_unless_it_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def body(here: Here) -> None:
+        shared = ServiceContext(set(), Lease(), here.jobs, tmp_path)
+        with SharedHand.create(tmp_path / "hand") as hand:
+            beats = asyncio.create_task(runs(shared, hand).every_beat())
+            shared.lease.take("a-page-here")
+            await here.jobs.start("play", {})
+            shared.lease.release("a-page-here")  # whoever then closes the page answers for nothing
+            await here.ended()
+            here.told.clear()
+            going = await here.jobs.start("hit", {}, goes_on=True)
+            await asyncio.sleep(0.3)
+            assert here.jobs.running is going
+            going.end()
+            await here.ended()
+            beats.cancel()
+
+    play(WAITS, monkeypatch, body)
+
+
+def test_a_console_that_cannot_watch_ends_what_it_moves_also_what_would_go_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def body(here: Here) -> None:
+        monkeypatch.setattr(Lease, "expire", lambda _: {}["a defect"])
+        await here.jobs.start("hit", {}, goes_on=True)
+        with SharedHand.create(tmp_path / "hand") as hand:
+            shared = ServiceContext(set(), Lease(), here.jobs, tmp_path)
+            with pytest.raises(KeyError):
+                await runs(shared, hand).every_beat()
+        await here.ended()
+
+    play(WAITS, monkeypatch, body)
+
+
+def test_what_is_no_message_is_not_heard(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever a library prints, on either stream and however much of it, the job is followed to its end."""
+    noise = "print('42'); print('null'); print('[]'); print('{}'); print('{\"say\": 1}')"
+    program = (
+        f"import sys; {noise}; sys.stderr.write('x' * 1_000_000 + '\\nthe last word\\n');"
+        'print(\'{"say": "up"}\', flush=True)'
+    )
+
+    async def body(here: Here) -> None:
+        await here.jobs.start("hit", {})
+        await here.ended()
+        up, failed, ended = here.told
+        assert (up, ended) == ({"say": "up"}, {"say": "ended"})
+        assert failed["remedy"] == "the last word"
+
+    play(program, monkeypatch, body)
+
+
+def test_a_job_that_cannot_be_followed_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def body(here: Here) -> None:
+        def tell(job: Job, message: Mapping[str, Any]) -> None:
+            here.told.append(dict(message))
+            if message["say"] == "up":
+                raise KeyError("a defect")
+
+        here.jobs = Jobs(tell)
+        job = await here.jobs.start("hit", {}, goes_on=True)
+        await here.ended()
+        assert [one["say"] for one in here.told] == ["up", "failed", "ended"]
+        assert "a defect" in here.told[1]["error"]
+        assert not Path(f"/proc/{job.pid}").exists()
+
+    play('import time; print(\'{"say": "up"}\', flush=True); time.sleep(60)', monkeypatch, body)
+
+
+IMPORTS = 'print(\'{"say": "progress"}\', flush=True)\nimport time\ntime.sleep(60)'
+
+
+def test_a_job_that_is_stopped_while_it_imports_was_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As one that answers an interrupt itself: no exit code, and no line of a traceback."""
+
+    told: list[dict[str, Any]] = []
+
+    async def body(here: Here) -> None:
+        await here.jobs.start("hit", {})
+        async with asyncio.timeout(PATIENCE_S):
+            while {"say": "progress"} not in here.told:
+                await asyncio.sleep(0.01)
+        here.jobs.end()
+        await here.ended()
+        told.extend(one for one in here.told if one["say"] == "failed")
+
+    play(IMPORTS, monkeypatch, body)
+    assert [(one["kind"], one["error"]) for one in told] == [
+        ("StoppedError", "stopped before anything moved")
+    ]

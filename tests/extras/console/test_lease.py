@@ -1,0 +1,104 @@
+"""One page operates, as long as it is heard of."""
+
+from __future__ import annotations
+
+import pytest
+
+from rig.extras.console.lease import BEAT_S, LOOK_S, LOST_S, Lease
+
+
+class Clock:
+    now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def test_the_first_operates_and_the_others_look_on() -> None:
+    lease = Lease(Clock())
+    assert lease.take("one")
+    assert lease.take("one")
+    assert not lease.take("two")
+    lease.release("two")
+    assert lease.held().by == "one"
+    lease.release("one")
+    assert lease.take("two")
+
+
+def test_a_page_that_is_silent_loses_it_once() -> None:
+    clock = Clock()
+    lease = Lease(clock)
+    lease.take("one")
+    gone, silent_s = None, 0.0
+    while gone is None:
+        lease.beat("two")  # says nothing of the operator
+        clock.now += LOOK_S
+        silent_s += LOOK_S
+        assert lease.held().overdue == (silent_s > BEAT_S)
+        gone = lease.expire()
+    assert gone == "one"
+    assert LOST_S < silent_s < LOST_S + 2 * LOOK_S
+    assert lease.expire() is None
+    assert lease.held().by is None
+
+
+def test_beats_keep_it() -> None:
+    clock = Clock()
+    lease = Lease(clock)
+    lease.take("one")
+    for _ in range(100):
+        clock.now += 0.1
+        lease.beat("one")
+        assert not lease.held().overdue
+        assert lease.expire() is None
+
+
+def test_a_server_that_did_not_listen_counts_no_silence() -> None:
+    clock = Clock()
+    lease = Lease(clock)
+    lease.take("one")
+    clock.now += 10.0  # a computer that had no time for it: beats wait in the socket
+    assert lease.expire() is None
+    lease.beat("one")
+    clock.now += LOOK_S
+    assert lease.expire() is None
+    assert lease.held().by == "one"
+
+
+@pytest.mark.parametrize("each_s", [LOOK_S, 0.11, 0.35, 0.8, 1.5])
+def test_a_server_that_is_late_at_every_look_lengthens_the_lease_by_one_of_them(each_s: float) -> None:
+    clock = Clock()
+    lease = Lease(clock)
+    lease.take("one")
+    begun = clock.now
+    while lease.expire() is None:
+        assert clock.now - begun <= LOST_S + each_s, "two looks after it was lost"
+        clock.now += each_s
+    assert clock.now - begun > LOST_S
+
+
+def test_a_server_that_is_always_late_hears_who_is_there() -> None:
+    clock = Clock()
+    lease = Lease(clock)
+    lease.take("one")
+    for _ in range(50):
+        clock.now += 1.2
+        assert lease.expire() is None
+        lease.beat("one")  # what waited in the socket
+
+
+def test_a_beat_before_the_server_listened_again_buys_no_silence() -> None:
+    clock = Clock()
+    lease = Lease(clock)
+    lease.take("one")
+    clock.now += (
+        60.0  # stopped, as with SIGSTOP; then a beat that waited is heard before the lease is looked at
+    )
+    lease.beat("one")
+    assert lease.expire() is None
+    silent_s = 0.0
+    while lease.expire() is None:
+        clock.now += LOOK_S
+        silent_s += LOOK_S
+        assert silent_s < LOST_S + 2 * LOOK_S
+    assert lease.held().by is None

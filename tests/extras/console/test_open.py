@@ -1,0 +1,48 @@
+"""A console ends after a signal, whatever it waits for."""
+
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from tests.conformance.tiers import first_by_default
+
+HANGS = {
+    "in a thread": "await asyncio.to_thread(threading.Event().wait)",
+    "in its loop": "threading.Event().wait()",
+    "at its end": "asyncio.create_task(asyncio.to_thread(threading.Event().wait)); await ended.wait()",
+}
+PROGRAM = """
+import asyncio, threading
+from rig.extras.console import open
+open.END_S = 0.2
+
+async def serve(ended):
+    print("serves", flush=True)
+    {hang}
+
+open.end_on_signal(serve)
+"""
+PATIENCE_S = 60.0  # ends a test that would hang
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no signal is sent to another process there")
+@pytest.mark.parametrize(
+    ("number", "hang"),
+    first_by_default(
+        (number, hang) for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP) for hang in HANGS
+    ),
+)
+def test_a_console_that_waits_for_ever_ends_after_a_signal(hang: str, number: signal.Signals) -> None:
+    program = [sys.executable, "-P", "-c", PROGRAM.format(hang=HANGS[hang])]
+    with subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as console:
+        try:
+            assert console.stdout is not None
+            assert console.stdout.readline() == "serves\n"
+            console.send_signal(number)
+            _, complaint = console.communicate(timeout=PATIENCE_S)
+        finally:
+            console.kill()
+    assert console.returncode == 1
+    assert "has not ended in time" in complaint

@@ -1,0 +1,680 @@
+"""A console and its pages, without a browser: who is let in, what they are told, who operates, and STOP."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import os
+import socket
+import urllib.error
+import urllib.request
+from collections.abc import Awaitable, Callable
+from contextlib import suppress
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import pytest
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.frames import Frame
+from websockets.server import ServerProtocol
+
+from rig.control import estimators
+from rig.core.errors import ConfigError, RigError
+from rig.core.sample import Phase, RowFlag
+from rig.extras.console.access import SOCKETS
+from rig.extras.console.bounds import MOST_AT_DOOR, MOST_HEAD_BYTES
+from rig.extras.console.client import MOST_REPLIES, Client
+from rig.extras.console.errands import Errands
+from rig.extras.console.follow import Followed
+from rig.extras.console.lease import Lease
+from rig.extras.console.live import Live
+from rig.realtime import ring as words
+from tests.conformance.console import Served, served
+from tests.conformance.lsl_loop import INFO, HandTurnedLoop
+from tests.extras.console.console_fakes import Here
+
+UPGRADE = (
+    b"GET /live HTTP/1.1\r\nHost: ADDRESS\r\nOrigin: http://ADDRESS\r\nConnection: Upgrade\r\n"
+    b"Upgrade: websocket\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n"
+    b"Sec-WebSocket-Protocol: rig, token.wrong\r\n\r\n"
+)
+Scenario = Callable[[Served], Awaitable[None]]
+Searched = Callable[[int], Awaitable[None]]
+
+
+def play(place: Path, scenario: Scenario, **settings: Any) -> None:
+    async def whole() -> None:
+        async with asyncio.timeout(60), served(place, **settings) as console:
+            await scenario(console)
+
+    asyncio.run(whole())
+
+
+@pytest.fixture
+def searched(monkeypatch: pytest.MonkeyPatch) -> Searched:
+    """Waits until the console has looked for loops so many times more, which it does without a pause."""
+    begun, search = 0, Live.search
+
+    async def counted(live: Live) -> None:
+        nonlocal begun
+        begun += 1
+        await search(live)
+
+    async def wait(times: int) -> None:
+        enough = begun + times + 1  # the last of them is over when the next one begins
+        while begun < enough:
+            await asyncio.sleep(0.001)
+
+    monkeypatch.setattr(Live, "search", counted)
+    monkeypatch.setattr("rig.extras.console.live.SEARCH_S", 0.001)
+    return wait
+
+
+def status_of(console: Served, path: str = "/", **headers: str) -> int:
+    request = urllib.request.Request(f"http://{console.address}{path}", headers=headers)
+    try:
+        with urllib.request.urlopen(request) as response:
+            policy = response.headers["Content-Security-Policy"]
+            assert policy.startswith("default-src 'self';"), "no other host is asked for anything"
+            return int(response.status)
+    except urllib.error.HTTPError as error:
+        return error.code
+
+
+def test_the_page_is_served_to_its_own_name_alone(tmp_path: Path) -> None:
+    async def scenario(console: Served) -> None:
+        assert await asyncio.to_thread(status_of, console) == 200
+        assert await asyncio.to_thread(status_of, console, "/main.js") == 200
+        assert await asyncio.to_thread(status_of, console, "/", Host="evil.example") == 421
+        assert await asyncio.to_thread(status_of, console, "/", Host=f"localhost:{console.port}") == 200
+        assert await asyncio.to_thread(status_of, console, "/", Host="tunnel:9000") == 200
+        for path in ("/../server.py", "/server.py", "//main.js", "/live", "/uPlot.LICENSE"):
+            assert await asyncio.to_thread(status_of, console, path) >= 400
+
+    play(tmp_path, scenario, hosts=("tunnel:9000",))
+
+
+@pytest.mark.parametrize("path", SOCKETS)
+def test_a_socket_of_another_site_is_refused(path: str, tmp_path: Path) -> None:
+    async def scenario(console: Served) -> None:
+        for origin in ("http://evil.example", f"https://{console.address}", "null"):
+            with pytest.raises(InvalidStatus) as refused:
+                await console.socket(path, origin=origin)
+            assert refused.value.response.status_code == 403
+        with pytest.raises(InvalidStatus) as refused:
+            await console.socket(path, host="evil.example")
+        assert refused.value.response.status_code == 421
+
+    play(tmp_path, scenario)
+
+
+@pytest.mark.parametrize(
+    "shown", [{"token": "wrong"}, {"token": ""}, {"client": ""}, {"client": "short"}, {"client": 65 * "a"}]
+)
+def test_without_the_token_a_socket_is_closed(shown: dict[str, str], tmp_path: Path) -> None:
+    async def scenario(console: Served) -> None:
+        for path in SOCKETS:
+            async with console.socket(path, **shown) as socket:
+                with pytest.raises(ConnectionClosed) as closed:
+                    await socket.recv()
+                assert closed.value.rcvd is not None
+                assert closed.value.rcvd.code == 1008
+
+    play(tmp_path, scenario)
+
+
+def test_a_running_loop_is_found_followed_and_told(tmp_path: Path) -> None:
+    loop = HandTurnedLoop(4096, shared=True)
+    loop.ring.put(words.PHASE, int(Phase.TRIAL))
+
+    async def scenario(console: Served) -> None:
+        async with console.page() as page:
+            await page.ask("look", pid=os.getpid())
+            told = await page.until(lambda page: page.newest("loop"))
+            assert told["experiment"] == INFO["experiment"]
+            for _ in range(20):
+                loop.leave(100, flags=int(RowFlag.INSIDE))
+                await asyncio.sleep(0.005)
+            await page.until(lambda page: sum(f["points"] * f["step"] for f in page.frames) >= 2000)
+            state = await page.until(lambda page: (page.newest("state") or {}).get("loop"))
+            assert (state["phase"], state["unseen"], state["ended"]) == ("trial", 0, None)
+            loop.end(reason=1)
+            await page.until(lambda page: (page.newest("state") or {})["loop"]["ended"])
+            rows = sum(frame["points"] * frame["step"] for frame in page.frames if frame["kind"] == "live")
+            assert rows == 2000, "each row once"
+
+    with loop.ring:
+        play(tmp_path, scenario)
+
+
+@pytest.mark.parametrize(
+    "experiment", [["x"], {"controller": ["x"]}, {"controller": {"position_rate": "fast"}},
+                   {"controller": {"position_rate": 1e999}}, {"controller": {"position_rate": -1}}],
+)  # fmt: skip
+def test_a_loop_that_says_nonsense_of_itself_ends_no_console(
+    experiment: Any, tmp_path: Path, searched: Searched
+) -> None:
+    async def scenario(console: Served) -> None:
+        async with console.page() as page:
+            for _ in range(2):
+                assert "result" in await page.ask("look", pid=os.getpid())
+                await searched(2)
+            assert page.newest("loop") is None
+            await page.ask("stop")
+            assert loop.ring.get(words.STOP) == -os.getpid()
+
+    loop = HandTurnedLoop(64, shared=True, info={"experiment": experiment})
+    with loop.ring:
+        play(tmp_path, scenario)
+
+
+def test_a_search_that_finds_no_descriptor_left_is_tried_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, searched: Searched
+) -> None:
+    def no_descriptor_left(pid: int | None) -> None:
+        raise OSError(errno.EMFILE, "Too many open files")
+
+    monkeypatch.setattr("rig.extras.console.live.newest", no_descriptor_left)
+
+    async def scenario(console: Served) -> None:
+        async with console.page() as page:
+            await searched(2)
+            assert "result" in await page.ask("operate", take=True)
+
+    play(tmp_path, scenario)
+
+
+def test_a_loop_that_cannot_be_read_costs_its_scope_and_no_server(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, searched: Searched
+) -> None:
+    polled = 0
+
+    def broken(_: Followed) -> None:
+        nonlocal polled
+        polled += 1
+        raise KeyError("a defect")
+
+    async def scenario(console: Served) -> None:
+        async with console.page() as page:
+            monkeypatch.setattr(Followed, "poll", broken)  # told to whoever is there
+            await page.ask("look", pid=os.getpid())
+            told = await page.until(lambda page: page.newest("trouble"))
+            assert "a defect" in told["message"]
+            await searched(2)
+            assert polled == 1, "it is not looked at again"
+            assert (await page.ask("operate", take=True))["result"] == {"operates": True}
+            await page.ask("stop")
+            assert loop.ring.get(words.STOP) == -os.getpid()
+
+    loop = HandTurnedLoop(64, shared=True)
+    with loop.ring:
+        play(tmp_path, scenario)
+
+
+@pytest.mark.parametrize(
+    "where", ["rig.extras.console.live.Live._tell_state", "rig.extras.console.view.View.frames"]
+)
+def test_a_defect_in_what_is_shown_is_told_and_ends_no_server(
+    where: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(where, lambda *_: {}["a defect"])
+    monkeypatch.setattr("rig.extras.console.live.DEFECT_S", 0.1)
+
+    async def scenario(console: Served) -> None:
+        async with console.page() as page:
+            await page.ask("look", pid=os.getpid())
+            told = await page.until(lambda page: page.newest("trouble"))
+            assert "a defect" in told["message"]
+            assert "result" in await page.ask("operate", take=True)
+
+    with HandTurnedLoop(64, shared=True).ring:
+        play(tmp_path, scenario)
+
+
+def test_a_console_that_cannot_watch_over_its_runs_ends_aloud(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def scenario(console: Served) -> None:
+        async with console.page() as page:
+            monkeypatch.setattr(Lease, "expire", lambda _: {}["a defect"])
+            with pytest.raises(ConnectionClosed):
+                await page.until(lambda _: False)
+
+    with pytest.raises(RigError, match="cannot watch over its runs, and has ended them: KeyError"):
+        play(tmp_path, scenario)
+
+
+def test_stop_reaches_the_loop_by_either_socket(tmp_path: Path) -> None:
+    async def scenario(console: Served) -> None:
+        for by in ("hold", "live"):
+            with HandTurnedLoop(64, shared=True).ring as ring:
+                async with console.page() as page, console.hold("the-second-page") as hold:
+                    await page.ask("look", pid=os.getpid())
+                    await page.until(lambda page: page.newest("loop"))
+                    if by == "hold":  # of a page that only looks on
+                        await hold.send('{"stop":true}')
+                    else:
+                        await page.ask("stop")
+                    while ring.get(words.STOP) == 0:
+                        await asyncio.sleep(0.001)
+                ring.put(words.LOOP_DONE, 1)
+
+    play(tmp_path, scenario)
+
+
+def test_stop_reaches_loops_that_nobody_looks_at(tmp_path: Path) -> None:
+    async def scenario(console: Served) -> None:
+        async with console.hold() as hold:
+            with HandTurnedLoop(64, shared=True).ring as ring:
+                await hold.send('{"stop":true}')
+                while ring.get(words.STOP) == 0:
+                    await asyncio.sleep(0.001)
+
+    play(tmp_path, scenario, own=True)
+
+
+@pytest.mark.parametrize("say", [b"", b"GET / HTTP/1.1\r\n", UPGRADE], ids=["nothing", "half", "no token"])
+def test_who_has_no_token_holds_no_place_and_keeps_no_page_out(
+    say: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rig.extras.console.bounds.DOOR_S", 60.0)
+
+    async def scenario(console: Served) -> None:
+        async with console.page("a-page-of-before") as before, console.hold("a-page-of-before") as hold:
+            knocking = [await knock(console, say) for _ in range(2 * MOST_AT_DOOR)]
+            async with asyncio.timeout(10.0):
+                for reader, _ in knocking[:MOST_AT_DOOR]:  # the newest have the places
+                    await left(reader)
+            async with console.page("a-page-that-comes") as page:
+                assert "result" in await page.ask("operate", take=True)
+            assert "result" in await before.ask("stop")
+            await hold.send('{"stop":true}')
+            assert "stopped" in await hold.recv()
+            monkeypatch.setattr("rig.extras.console.bounds.DOOR_S", 0.01)
+            late = [await knock(console, say) for _ in range(4)]
+            async with asyncio.timeout(10.0):
+                for reader, _ in late:  # nor do those keep theirs
+                    await left(reader)
+            for _, writer in knocking + late:
+                writer.close()
+
+    play(tmp_path, scenario)
+
+
+MASKED = b"\x80\x00\x00\x00\x00"  # an empty frame's length and mask
+FRAMES = {
+    "continuations": b"\x01" + MASKED + 4000 * (b"\x00" + MASKED),
+    "pings": 4000 * (b"\x89" + MASKED),
+    "messages": 4000 * (b"\x81" + MASKED),
+}
+
+
+@pytest.mark.parametrize(
+    "say",
+    [
+        *(UPGRADE + frames for frames in FRAMES.values()),
+        b"GET /" + 40_000 * b"a",
+        UPGRADE[:-2] + 2000 * b"A-Header: of a long head\r\n",
+        UPGRADE[:-2] + 100 * (b"A-Header: " + 200 * b"a" + b"\r\n") + b"\r\n",
+        UPGRADE + b"\r\n\r\n",
+        40_000 * b"\r\n",
+    ],
+    ids=[*FRAMES, "an endless line", "an endless head", "a long head", "two ends", "empty lines"],
+)
+@pytest.mark.parametrize("piece", [1 << 20, 700], ids=["at once", "in pieces"])
+def test_before_the_token_the_server_parses_one_bounded_head_and_no_frame(
+    say: bytes, piece: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Anything more is cut off at once: no reply, no closing handshake."""
+    parsed: dict[ServerProtocol, int] = {}
+    frames: list[Frame] = []
+    receive, take = ServerProtocol.receive_data, ServerProtocol.recv_frame
+
+    def count(protocol: ServerProtocol, data: bytes) -> None:
+        parsed[protocol] = parsed.get(protocol, 0) + len(data)
+        receive(protocol, data)
+
+    def keep(protocol: ServerProtocol, frame: Frame) -> None:
+        frames.append(frame)
+        take(protocol, frame)
+
+    monkeypatch.setattr(ServerProtocol, "receive_data", count)
+    monkeypatch.setattr(ServerProtocol, "recv_frame", keep)
+
+    async def scenario(console: Served) -> None:
+        reader, writer = await knock(console, b"")
+        said = say.replace(b"ADDRESS", console.address.encode())
+        with suppress(ConnectionError):
+            for first in range(0, len(said), piece):
+                writer.write(said[first : first + piece])
+                await writer.drain()
+                await asyncio.sleep(0)
+        await left(reader)
+        writer.close()
+
+    play(tmp_path, scenario)
+    assert not frames
+    assert sum(parsed.values()) <= MOST_HEAD_BYTES
+
+
+@pytest.mark.parametrize(
+    ("path", "twice", "status"),
+    [
+        ("/", b"Host: ADDRESS", 421),
+        ("/live", b"Origin: http://ADDRESS", 403),
+        ("/download", b"Authorization: Bearer TOKEN", 404),
+    ],
+)
+def test_a_header_that_is_sent_twice_is_as_a_missing_one(
+    path: str, twice: bytes, status: int, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def scenario(console: Served) -> None:
+        head = UPGRADE.partition(b"\r\n")[2].replace(twice + b"\r\n", b"")
+        said = f"GET {path} HTTP/1.1\r\n".encode() + 2 * (twice + b"\r\n") + head
+        reader, writer = await knock(console, said.replace(b"TOKEN", console.token.encode()))
+        assert (await reader.readline()).split()[1] == str(status).encode()
+        writer.close()
+
+    play(tmp_path, scenario)
+    assert not caplog.messages
+
+
+async def knock(console: Served, say: bytes) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+    reader, writer = await asyncio.open_connection("127.0.0.1", console.port)
+    writer.write(say.replace(b"ADDRESS", console.address.encode()))
+    return reader, writer
+
+
+async def left(reader: asyncio.StreamReader) -> None:
+    with suppress(ConnectionResetError):
+        await reader.read()
+
+
+def test_of_too_many_hold_sockets_the_silent_one_goes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rig.extras.console.server.MOST_HOLDS", 2)
+
+    async def scenario(console: Served) -> None:
+        async with console.hold("the-first-page") as one, console.hold("the-second-page") as two:
+            await one.send('{"stop":true}')
+            assert "stopped" in await one.recv()
+            async with console.hold("the-third-page") as three:
+                await three.send('{"stop":true}')
+                assert "stopped" in await three.recv()
+                with pytest.raises(ConnectionClosed):
+                    await two.recv()
+                await one.send('{"stop":true}')
+                assert "stopped" in await one.recv()
+
+    play(tmp_path, scenario)
+
+
+def test_a_flood_of_beats_is_cut_off_and_stops_all_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rig.extras.console.server.CLOSE_S", 0.05)
+
+    async def scenario(console: Served) -> None:
+        with HandTurnedLoop(64, shared=True).ring as ring:
+            async with console.hold() as hold:
+                with suppress(ConnectionClosed):
+                    for _ in range(1000):
+                        await hold.send('{"beat":true}')
+                with pytest.raises(ConnectionClosed):
+                    await hold.recv()
+            async with console.hold() as hold:
+                await hold.send('{"stop":true}')
+                while ring.get(words.STOP) == 0:
+                    await asyncio.sleep(0.001)
+
+    play(tmp_path, scenario)
+
+
+def test_a_participants_screen_is_told_what_it_shows_and_nothing_else(tmp_path: Path) -> None:
+    """At the wire, while a loop runs whose wall every page may see."""
+    loop = HandTurnedLoop(4096, shared=True)
+
+    async def scenario(console: Served) -> None:
+        async with console.page() as page:
+            await page.ask("look", pid=os.getpid())
+            hello = await page.until(lambda page: page.newest("hello"))
+            await page.until(lambda page: page.newest("loop"))
+            async with console.screen(hello["participants"]) as screen:
+                for do, content in (
+                    ("stop", {}), ("session_key", {"key": "1"}), ("session_line", {"text": "x"}),
+                ):  # fmt: skip
+                    assert "result" in await screen.ask(do, **content)
+                for do in ("operate", "run", "experiment", "recordings", "session", "show", "set"):
+                    assert "no such request" in (await screen.ask(do))["error"]["error"]
+                for _ in range(20):
+                    loop.leave(100)
+                    await asyncio.sleep(0.01)
+                await page.until(lambda page: sum(f["points"] * f["step"] for f in page.frames) >= 2000 - 2)
+                assert {one["say"] for one in screen.told} == {"participant", "answer"}
+                assert screen.frames == []
+                assert screen.newest("participant") == {"say": "participant", "runs": False}
+            for path in ("/live", "/live?x", "/participant", "/participant?x"):
+                token = console.token if path.startswith("/participant") else hello["participants"]
+                async with console.socket(path, token=token) as socket:  # neither opens what is the other's
+                    with pytest.raises(ConnectionClosed):
+                        await socket.recv()
+
+    with loop.ring:
+        play(tmp_path, scenario)
+
+
+def test_a_handle_is_dragged_by_nobody_while_something_else_moves_the_hand(tmp_path: Path) -> None:
+    """A session's hand is in the same file."""
+
+    async def scenario(console: Served) -> None:
+        async with console.page() as page:
+            refused = await page.ask("hand", position=0.1)
+            assert "no handle is dragged" in refused["error"]["error"]
+
+    play(tmp_path, scenario)
+
+
+def test_one_page_operates_and_the_others_look_on(tmp_path: Path) -> None:
+    async def scenario(console: Served) -> None:
+        async with console.page("page-number-one") as one, console.page("page-number-two") as two:
+            assert (await one.ask("operate", take=True))["result"] == {"operates": True}
+            assert (await two.ask("operate", take=True))["result"] == {"operates": False}
+            refused = await two.ask("hand", position=0.1)
+            assert "another page operates" in refused["error"]["error"]
+            refused = await two.ask("run", job="hit")
+            assert "another page operates" in refused["error"]["error"]
+            await one.ask("operate", take=False)
+            assert (await two.ask("operate", take=True))["result"] == {"operates": True}
+
+    play(tmp_path, scenario)
+
+
+def test_a_real_rig_is_armed_from_no_page_alone(tmp_path: Path) -> None:
+    async def scenario(console: Served) -> None:
+        async with console.page() as page:
+            refused = await page.ask("run", job="hit", url="serial:///dev/ttyACM0")
+            assert "runs in no terminal" in refused["error"]["error"]
+            assert "rig console" in refused["error"]["remedy"]
+
+    play(tmp_path, scenario)
+
+
+def test_what_is_no_request_is_answered_and_too_much_is_cut_off(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rig.extras.console.server.CLOSE_S", 0.05)
+
+    async def scenario(console: Served) -> None:
+        async with console.page() as page:
+            await page.socket.send("no json")
+            await page.socket.send(b"\xff\xfe")
+            answer = await page.ask("regions", damping=-1.0)
+            assert "damping" in answer["error"]["error"]
+            answer = await page.ask("experiment", rig="no-such-rig")
+            assert "no-such-rig" in answer["error"]["error"]
+            answer = await page.ask("experiment", changes={"wall.law": "rm"})
+            assert "wall.law" in answer["error"]["error"]
+            for _ in range(1000):
+                await page.say("")
+            with pytest.raises(ConnectionClosed):
+                await page.until(lambda _: False)
+        async with console.page() as page:
+            await page.socket.send("x" * (1 << 17))
+            with pytest.raises(ConnectionClosed):
+                await page.until(lambda _: False)
+
+    play(tmp_path, scenario)
+
+
+def test_a_defect_costs_an_answer_and_no_socket(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def broken(*_: object, **content: object) -> None:
+        raise KeyError("a defect")
+
+    monkeypatch.setattr(Lease, "take", lambda *_: 1 / 0)
+    monkeypatch.setattr(Errands, "run", broken)
+
+    async def scenario(console: Served) -> None:
+        async with console.page() as page:
+            for do, content, told in (("operate", {"take": True}, "ZeroDivision"), ("maps", {}, "a defect")):
+                answer = await page.ask(do, **content)  # at once, and later
+                assert told in answer["error"]["error"]
+                assert "report it" in answer["error"]["remedy"]
+
+    play(tmp_path, scenario)
+
+
+def test_a_page_that_reads_nothing_delays_nobody(tmp_path: Path) -> None:
+    loop = HandTurnedLoop(1 << 12, shared=True)
+
+    async def scenario(console: Served) -> None:
+        async with (
+            console.page("a-page-that-reads") as page,
+            console.socket(client="a-stalled-page") as stalled,
+        ):
+            await page.ask("look", pid=os.getpid())
+            await page.until(lambda page: page.newest("loop"))
+            for _ in range(30):
+                loop.leave(100)
+                await asyncio.sleep(0.01)
+            await page.until(lambda page: sum(f["points"] * f["step"] for f in page.frames) >= 3000 - 2)
+            assert (page.newest("state") or {})["loop"]["unseen"] == 0
+            stalled.transport.abort()  # it would not hear that its closing is agreed to
+
+    with loop.ring:
+        play(tmp_path, scenario)
+
+
+def test_a_page_that_reads_nothing_takes_no_more_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clients: list[Client] = []
+    monkeypatch.setattr(Live, "greet", lambda _, client: clients.append(client))
+
+    async def scenario(console: Served) -> None:
+        async with console.page():
+            (client,) = clients
+            for _ in range(MOST_REPLIES + 100):  # before anything can leave
+                client.put("x" * 10_000)
+            assert len(client._replies) <= MOST_REPLIES
+        async with console.page("a-page-that-reads") as page:
+            clients[1].put_newest({"say": "state", "loop": {"values": {"velocity": float("nan")}}})
+            state = await page.until(lambda page: next((one for one in page.told if one.get("loop")), None))
+            assert state["loop"]["values"]["velocity"] is None, "what a browser reads"
+
+    play(tmp_path, scenario)
+
+
+def test_what_theory_says_of_a_wall(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Errands, "run", Here.run)
+
+    async def scenario(console: Served) -> None:
+        async with console.page() as page:
+            soft = (await page.ask("regions", damping=0.2, delay_ticks=1))["result"]
+            late = (await page.ask("regions", damping=0.2, delay_ticks=4))["result"]
+            assert soft["stable"] > late["stable"] > 0.0, "delay takes stiffness away"
+            nothing = (await page.ask("regions", damping=0.2, rig="koul-rigid", delay_ticks=0))["result"]
+            assert nothing["passive"] is None or nothing["passive"] < nothing["stable"]
+            experiment = (await page.ask("experiment", changes={"wall.stiffness": 33}))["result"]
+            assert experiment["wall"]["stiffness"] == 33
+
+    play(tmp_path, scenario)
+
+
+def test_settings_of_an_estimator_are_those_of_the_registry_and_checked_as_overrides_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Errands, "run", Here.run)
+
+    async def scenario(console: Served) -> None:
+        async with console.page() as page:
+            told = {one["name"]: one for one in (page.newest("hello") or {})["estimators"]}
+            assert list(told) == estimators.names()
+            cutoff, order = told["fdm-butterworth"]["settings"]
+            known = estimators.get("fdm-butterworth").settings
+            assert [{**asdict(one)} for one in known] == [
+                {name: value for name, value in one.items() if name != "whole"} for one in (cutoff, order)
+            ]
+            assert (cutoff["whole"], order["whole"]) == (False, True)
+            assert told["kalman"]["settings"][0]["choices"] == ["triple", "double"]
+            changes = {"controller.estimator": "fdm-butterworth", "controller.parameters.cutoff_hz": 90}
+            made = (await page.ask("experiment", changes=changes))["result"]
+            assert made["controller"]["parameters"] == {"cutoff_hz": 90}
+            for key, value, told_of in (
+                ("cutoff_hz", 1e9, "out of range"),
+                ("cutoff_hz", "many", "not a number"),
+                ("noise", 1.0, "no parameter 'noise'"),
+            ):
+                wrong = {**changes, f"controller.parameters.{key}": value}
+                for do in ("experiment", "regions"):
+                    more = {"damping": 0.1} if do == "regions" else {}
+                    answer = await page.ask(do, changes=wrong, **more)
+                    assert told_of in answer["error"]["error"], answer
+
+    play(tmp_path, scenario)
+
+
+def test_a_blinded_session_of_another_terminal_shows_nothing_and_is_stopped(tmp_path: Path) -> None:
+    loop = HandTurnedLoop(64, shared=True, info={**INFO, "blinded": True})
+
+    async def scenario(console: Served) -> None:
+        async with console.page() as page:
+            await page.ask("look", pid=os.getpid())
+            loop.leave(50)
+            state = await page.until(
+                lambda page: (page.newest("state") or {}).get("blinded") and page.newest("state")
+            )
+            assert state["loop"] is None
+            assert page.newest("loop") is None
+            assert not [frame for frame in page.frames if frame["points"]]
+            await page.ask("stop")
+            assert loop.ring.get(words.STOP) == -os.getpid()
+
+    with loop.ring:
+        play(tmp_path, scenario)
+
+
+def test_a_port_that_is_taken_is_an_error_that_names_it(tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        with pytest.raises(ConfigError, match=str(port)):
+            play(tmp_path, lambda console: asyncio.sleep(0), port=port)
+
+
+def test_a_console_of_a_test_neither_looks_at_a_loop_of_another_process_nor_stops_it(
+    tmp_path: Path, searched: Searched, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its STOP ended runs of whoever else worked on the machine."""
+
+    async def scenario(console: Served) -> None:
+        async with console.page() as page:
+            await searched(2)
+            assert page.newest("loop") is None
+            await page.ask("stop")
+            assert loop.ring.get(words.STOP) == 0
+
+    monkeypatch.setattr("tests.conformance.console.processes_of_this_test", list)
+    loop = HandTurnedLoop(64, shared=True)
+    with loop.ring:
+        play(tmp_path, scenario)

@@ -1,0 +1,393 @@
+"""A session with a console, as an operator has it: in a terminal, on a simulated rig, in real and in virtual time.
+
+A machine without time for a loop ends hits in real time early; the session asks then, and goes on. Where every hit ends
+so, there is nothing to see, and the test says so.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rig.core.sample import Phase
+from rig.experiments import trial as running_trial
+from rig.realtime import running
+from rig.recording.files import sha256_of
+from rig.recording.reader import open_recording
+from rig.session.console.asking import SILENCE_S
+from rig.session.console.desk import ConsoleDesk, at_console
+from rig.session.console.held import RELEASED_S
+from rig.session.console.live import snapshot_of
+from rig.session.desk import Desk
+from rig.session.hits import DeviceRunner
+from rig.session.log import Event, read
+from rig.session.run import DeskFor, SessionResult, run_session
+from tests.conformance.terminal import PATIENCE_S, Program, Terminal
+
+ROOT = Path(__file__).parents[3]
+RATE = 250  # Hz: a loop that a loaded machine has time for
+REACH, LET_GO = "\x1b[F", "\x1b[H"  # end and home: the hand of the keyboard
+START_S = 90.0  # that program, console and simulated device may take to start on a loaded machine
+BY_KEYS_S = 15.0  # from the beginning of a trial to the wall; the script would take longer
+HITS = 8  # that may end early, before this machine has no time for a loop
+
+PROTOCOL = """
+[study]
+title = "console"
+preset = "koul-compliant"
+seed = 3
+[study.changes]
+"controller.position_rate" = {rate}
+"controller.velocity_rate" = {rate}
+"controller.parameters.cutoff_hz" = 50.0
+"controller.command_lifetime_s" = 0.02
+"homing.settle_s" = 0.05
+"operator.reach_s" = {reach_s}
+"operator.press" = 2.0
+"trial.release_s" = 0.05
+"verdict.tail_s" = 0.1
+"verdict.lowpass_hz" = 100.0
+[trial]
+duration_s = {duration_s}
+[search]
+rule = "grid"
+lowest = 10
+highest = 20
+step = 10
+settings = {{ repeats = 1 }}
+[order]
+kind = "fixed"
+[stop]
+machine = 1000
+[[condition]]
+name = "hidden-name"
+[[question]]
+name = "tired"
+text = "How tired?"
+"""
+
+
+# `rig session run` as a user starts it, in real time, where keys move the hand; the simulated device is asked for its
+# current when a run is over.
+PROGRAM = """
+from rig.core import program; program.begin()
+import sys
+from rig.doctor import pace
+from rig.cli import run as rig
+from rig.experiments import trial
+from rig.session.console import child
+
+pace.SECONDS = 0.1
+child.END_S = 0.2  # of a console that is stopped
+conclude = trial._conclude
+
+
+def witness(device, *rest):
+    error = conclude(device, *rest)
+    print("current afterwards:", device.states(0.1)[-1].current_commanded, file=sys.stderr)
+    return error
+
+
+trial._conclude = witness
+sys.exit(rig(["session", "run", *sys.argv[1:], "--hand", "keyboard", "--lossy-anyway"]))
+"""
+AT_REST = "current afterwards: 0"
+
+
+@pytest.fixture
+def terminal() -> Iterator[Terminal]:
+    with Terminal() as one:
+        yield one
+
+
+READ_S = 0.5  # within which the console has read a key
+
+
+class Operator:
+    """Somebody at the terminal of a session in virtual time, which runs in this process, beside the test."""
+
+    def __init__(
+        self, terminal: Terminal, directory: Path, session: Callable[[DeskFor], SessionResult]
+    ) -> None:
+        self.terminal, self.directory = terminal, directory / "study" / "P01"
+        self._pressed_s: dict[str, float] = {}
+        self._begin(session)
+
+    def _begin(self, session: Any) -> None:
+        self._thread, self.pid = ThreadPoolExecutor(1), os.getpid()
+        self._result = self._thread.submit(session, self._sit_down)
+
+    def _sit_down(self, *about: Any) -> Desk:
+        self.desk = at_console(place=Path(self.terminal.path))(*about)
+        return self.desk
+
+    @property
+    def over(self) -> bool:
+        """Whether the session has ended."""
+        return self._result.done()
+
+    def result(self) -> SessionResult:
+        """How the session stands, which must be over or about to."""
+        return self._result.result(PATIENCE_S)
+
+    def close(self) -> None:
+        """Leave nothing of it: without a terminal a console says so, and the session ends."""
+        self.terminal.close()
+        self._thread.shutdown()
+
+    def sees(self, *texts: str) -> str:
+        """Wait until one of them was printed since the last key, or the program has ended; returns which."""
+
+        def found() -> str:
+            printed = self.terminal.fresh
+            return next((text for text in texts if text in printed), "")
+
+        self.terminal.until(lambda: bool(found()) or self.over, str(texts), START_S)
+        return found()
+
+    def press(self, keys: str) -> None:
+        """Press keys as a person does, who releases each before they press it again."""
+        released_s = max(self._pressed_s.get(key, 0.0) for key in keys) + RELEASED_S + READ_S
+        threading.Event().wait(max(0.0, released_s - time.monotonic()))
+        self.terminal.type(keys)
+        self._pressed_s |= dict.fromkeys(keys, time.monotonic())
+
+    @property
+    def events(self) -> list[Event]:
+        return read(self.directory / "session.log")
+
+    def of_kind(self, kind: str) -> list[dict[str, Any]]:
+        return [dict(event.content) for event in self.events if event.kind == kind]
+
+
+class OperatorOfProgram(Operator):
+    """Somebody at the terminal of ``rig session run``."""
+
+    rested = 0  # hits after which the device had no current
+
+    def _begin(self, session: Any) -> None:
+        self._program: Program = self.terminal.run(sys.executable, "-c", PROGRAM, *session, cwd=ROOT)
+        self.pid = self._program.pid
+
+    @property
+    def over(self) -> bool:
+        return not alive(self.pid)
+
+    def result(self) -> Any:
+        """Exit code and standard error of the program; the device was at rest after each hit."""
+        code, err = self._program.wait()
+        lines = err.splitlines()
+        said = [line for line in lines if line != AT_REST]
+        self.rested += len(lines) - len(said)
+        return code, "\n".join(said)
+
+    def close(self) -> None:
+        self._program.end()
+
+
+Start = Callable[..., Operator]
+
+
+@pytest.fixture
+def start(terminal: Terminal, tmp_path: Path) -> Iterator[Start]:
+    path, study = tmp_path / "console.toml", tmp_path / "study"
+    started: list[Operator] = []
+
+    def begin(what: str, duration_s: float = 0.7) -> Operator:
+        # In real time the keys move the hand, and the one of the script would be far too slow.
+        reach_s = 60.0 if what == "real" else 0.3
+        path.write_text(PROTOCOL.format(duration_s=duration_s, reach_s=reach_s, rate=RATE))
+        if what == "real":
+            words = (str(path), "P01", "--study", str(study))
+            started.append(OperatorOfProgram(terminal, tmp_path, words))
+            return started[-1]
+        runner = DeviceRunner(
+            url="sim://?firmware=0"
+        )  # whose hits last long enough for somebody to act in them
+        session = partial(run_session, path, "P01", study=study, runner=runner)
+        started.append(Operator(terminal, tmp_path, session))
+        return started[-1]
+
+    yield begin
+    for operator in started:
+        operator.close()
+
+
+@pytest.fixture
+def currents(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """Of the simulated devices in this process, each when its run was over."""
+    conclude, found = running_trial._conclude, []
+
+    def witness(device: Any, *rest: Any) -> Any:
+        error = conclude(device, *rest)
+        found.append(device.link.device.current)
+        return error
+
+    monkeypatch.setattr(running_trial, "_conclude", witness)
+    return found
+
+
+def alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def child_of(pid: int) -> int:
+    """The console of a session's program."""
+    for line in Path("/proc").iterdir():
+        if line.name.isdecimal():
+            try:
+                words = (line / "cmdline").read_bytes().split(b"\0")
+                parent = int((line / "stat").read_text().rpartition(")")[2].split()[1])
+            except OSError:
+                continue
+            if parent == pid and b"rig.session.console" in words:
+                return int(line.name)
+    raise AssertionError(f"process {pid} has no console")
+
+
+def eventually(condition: Callable[[], Any], what: str) -> Any:
+    """What the condition gives, once it gives something."""
+    pause, deadline = threading.Event(), time.monotonic() + PATIENCE_S
+    while time.monotonic() < deadline:
+        if found := condition():
+            return found
+        pause.wait(0.01)
+    raise AssertionError(f"it never came: {what}")
+
+
+def pressing(pid: int) -> bool:
+    """Whether the loop of a process renders its wall to a hand that presses."""
+    ring = running.memory_of(pid)
+    if ring is None:
+        return False
+    with ring:
+        live = snapshot_of(ring)
+    return live is not None and live.phase == "trial" and live.penetration > 0.0 and live.effort != 0.0
+
+
+def begin_to_press(operator: Operator, *, by_keys: bool) -> None:
+    """Say go until a hand presses against the wall."""
+    engine, terminal = operator.pid, operator.terminal
+    for _ in range(HITS):
+        asked = operator.sees("hit ended early:", "were invalid:", "ready?")
+        assert asked, operator.result()
+        operator.press("g")
+        if asked != "ready?":
+            continue
+        assert operator.sees("state: free space", "state: go", "state: hold", "[g] go"), operator.result()
+        if not by_keys:
+            return
+        terminal.type(REACH)
+        eventually(
+            lambda: pressing(engine) or "[g] go" in terminal.fresh or operator.over,
+            "a hand on the wall",
+        )
+        if pressing(engine):
+            return
+        terminal.type(LET_GO)
+    operator.close()
+    pytest.fail("every hit ended early")
+
+
+@pytest.mark.quiet
+def test_a_hit_is_stopped_while_the_console_is(terminal: Terminal, start: Start) -> None:
+    """By `rig stop`, and the next one by ^C; and long before the console's silence would have ended it."""
+    operator = start("real", duration_s=600.0)
+    assert isinstance(operator, OperatorOfProgram)
+    engine = operator.pid
+    for _ in range(HITS):
+        begin_to_press(operator, by_keys=True)
+        console, before = child_of(engine), len(operator.of_kind("trial"))
+        os.kill(console, signal.SIGSTOP)
+        running.stop(engine, patience_s=PATIENCE_S)
+        trial = eventually(lambda n=before: operator.of_kind("trial")[n:], "the trial in the log")[0]
+        os.kill(console, signal.SIGCONT)
+        terminal.type(LET_GO)
+        if trial["ended"] == "stopped":  # a machine that has no time for a loop may have been faster
+            break
+    else:
+        pytest.fail("every hit ended early")
+    stopped = f"stopped by process {os.getpid()} (`rig stop`, or STOP of a console); the effort is zero"
+    assert check_stopped(operator, trial) == stopped
+    rows = open_recording(operator.directory / trial["recording"]).rows
+    led = rows[rows["phase"] == Phase.TRIAL]
+    assert np.argmax(led["penetration"] > 0.0) < BY_KEYS_S * RATE
+
+    begin_to_press(operator, by_keys=True)
+    before = len(operator.of_kind("trial"))
+    os.kill(child_of(engine), signal.SIGSTOP)
+    terminal.type("\x03")
+    code, err = operator.result()
+    assert terminal.attributes_are_back()
+    assert operator.of_kind("stopped")
+    trials = operator.of_kind("trial")
+    assert len(trials) == before + 1
+    assert trials[-1]["ended"] == "stopped"
+    assert code == 130, err
+    assert check_stopped(operator, trials[-1]) == "stopped by SIGINT; the effort is zero"
+    assert operator.rested >= 2
+
+
+@pytest.mark.quiet
+def test_space_stops_a_hit_and_so_does_a_console_that_says_nothing(
+    terminal: Terminal, start: Start, currents: list[float]
+) -> None:
+    operator = start("run", duration_s=600.0)
+    begin_to_press(operator, by_keys=False)
+    terminal.type(" ")
+    terminal.wait("hit ended early: stopped at the console")
+    first = operator.of_kind("trial")[-1]
+    assert "stopped at the console" in check_stopped(operator, first)
+    begin_to_press(operator, by_keys=False)
+    console = child_of(operator.pid)
+    os.kill(console, signal.SIGSTOP)
+    assert isinstance(operator.desk, ConsoleDesk)
+    assert operator.desk._silence_s == SILENCE_S
+    operator.desk._silence_s = 0.2  # until then a loop in virtual time computes for nothing
+    eventually(lambda: len(operator.of_kind("trial")) == 2, "the trial in the log")
+    os.kill(console, signal.SIGCONT)
+    leave(operator)
+    assert currents == [0.0] * 2
+    second = operator.of_kind("trial")[-1]
+    assert "the console was silent for 0.2 s while a hit ran" in check_stopped(operator, second)
+
+
+def leave(operator: Operator) -> None:
+    """Leave the session at the next question."""
+    assert operator.sees("hit ended early:", "[1] stable")
+    operator.terminal.type("a")
+    operator.terminal.wait("leave the session")
+    operator.terminal.type("y")
+    assert operator.result().stopped == "the operator left"
+
+
+def check_stopped(operator: Operator, trial: dict[str, Any]) -> str:
+    """The recording of a stopped hit is whole and hashed, says that it was stopped, and counts what was lost.
+
+    Its last row is that of the last sample; what the loop says afterwards, STOP, answers none. That no current flows
+    then is the device's to say (`PROGRAM`, `Operator.rested`). Returns why it ended.
+    """
+    recording = open_recording(operator.directory / trial["recording"])
+    assert recording.complete
+    assert sha256_of(operator.directory / trial["recording"]) == trial["sha256"]
+    assert recording.trailer is not None
+    assert recording.trailer["reason"] == trial["ended"] == "stopped"
+    assert {"lost", "late", "skipped"} <= set(recording.trailer["counters"])
+    rows = recording.rows
+    assert np.any(rows["effort_sent"] != 0.0)
+    assert rows["phase"][-1] == Phase.TRIAL
+    return str(recording.trailer["error"])

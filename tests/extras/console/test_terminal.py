@@ -1,0 +1,218 @@
+"""What the person at the rig is shown, and what counts as their answer."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import pty
+import sys
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from rig.core.errors import ConfigError
+from rig.extras.console import consent, hits, session_desk
+from rig.extras.console.jobs import Jobs
+from rig.extras.console.lease import Lease
+from rig.extras.console.live import Live
+from rig.extras.console.runs import Runs
+from rig.extras.console.service import ServiceContext
+from rig.extras.console.session_requests import BeginSession
+from rig.extras.console.talk import Talk
+from rig.extras.console.terminal import LONGEST, Terminal
+from rig.realtime.hand import SharedHand
+from rig.session.template_files import write_template
+from tests.conformance.console import served, stop_of_this_test
+from tests.extras.console.console_fakes import CONTENT, Here, Page, ask
+from tests.rig.session.session_fakes import FakeRunner
+
+REAL = "serial:///dev/ttyACM0"
+
+
+def at_a_terminal(monkeypatch: pytest.MonkeyPatch, body: Callable[[Terminal, int], Awaitable[None]]) -> None:
+    """Run with a terminal, whose person types into the descriptor."""
+    person, ours = pty.openpty()
+    try:
+        with open(ours, encoding="utf-8", closefd=False) as stdin, monkeypatch.context() as patched:
+            patched.setattr(sys, "stdin", stdin)
+
+            async def whole() -> None:
+                async with asyncio.timeout(30):
+                    await body(Terminal(), person)
+
+            asyncio.run(whole())
+    finally:
+        os.close(person)
+        os.close(ours)
+
+
+async def agrees(terminal: Terminal, *lines: str) -> bool:
+    told = await asyncio.gather(terminal.insist(REAL, lines), return_exceptions=True)
+    assert told == [None] or "nobody at the terminal typed arm" in str(told[0])
+    return told == [None]
+
+
+async def asks(terminal: Terminal, *lines: str) -> asyncio.Task[bool]:
+    task = asyncio.create_task(agrees(terminal, *lines))
+    while terminal._asked is None:
+        await asyncio.sleep(0)
+    return task
+
+
+def test_the_word_lets_it_be_armed_and_nothing_else_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def body(terminal: Terminal, person: int) -> None:
+        for typed, lets in ((b"arm\n", True), (b"\n", False), (b"army\n", False), (b"ar\x04", False)):
+            answer = await asks(terminal, "it")
+            os.write(person, typed)
+            assert await answer == lets, typed
+
+    at_a_terminal(monkeypatch, body)
+
+
+def test_what_was_typed_before_is_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def body(terminal: Terminal, person: int) -> None:
+        os.write(person, b"arm\narm\n")
+        await asyncio.sleep(0.05)
+        answer = await asks(terminal, "another rig")
+        await asyncio.sleep(0.05)
+        assert not answer.done()
+        with pytest.raises(
+            ConfigError, match="asks about something else just now; let that be answered first"
+        ):
+            await terminal.insist(REAL, ["a third one, meanwhile"])
+        os.write(person, b"\n")
+        assert not await answer
+
+    at_a_terminal(monkeypatch, body)
+
+
+def test_a_terminal_obeys_no_page(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    async def body(terminal: Terminal, person: int) -> None:
+        answer = await asks(terminal, "serial:///é\x1b[2J\r\nrig: all is well\x9b\u202e", "and more\n")
+        terminal.withdraw()
+        assert not await answer
+        with pytest.raises(ConfigError, match="too long"):
+            await terminal.insist(REAL, ["x" * LONGEST, "y"])
+
+    at_a_terminal(monkeypatch, body)
+    shown = capsys.readouterr().out
+    assert "serial:///é�[2J��rig: all is well��\nrig:   and more�\nrig: is everybody clear" in shown
+    assert "xxx" not in shown
+
+
+@pytest.mark.parametrize("event", ["stop", "gone", "another"])
+def test_a_word_arms_nothing_for_a_page_that_stopped_or_went(
+    event: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def body(terminal: Terminal, person: int) -> None:
+        page = Page()
+        shared = ServiceContext(set(), Lease(), Jobs(lambda *_: None), tmp_path, Here())
+        with SharedHand.create(tmp_path / "hand") as hand:
+            live = Live(shared, hand, terminal, own=True)
+            runs = Runs(shared, live, hand, terminal, verified=True)
+            wanted = asyncio.create_task(ask(runs, page, "run", job="hit", url=REAL))
+            while terminal._asked is None:
+                await asyncio.sleep(0.001)
+            if event == "stop":
+                monkeypatch.setattr("rig.extras.console.live.ask_to_stop", stop_of_this_test)
+                live.stop_all()
+            elif event == "another":
+                shared.lease.release(page.name)
+                shared.lease.take("another-page")
+                os.write(person, b"arm\n")
+            else:
+                shared.lease.release(page.name)
+                beats = asyncio.create_task(runs.every_beat())
+                await asyncio.sleep(0)
+                beats.cancel()
+            with pytest.raises(ConfigError, match=r"real rig|another page operates"):
+                await wanted
+            assert shared.jobs.running is None
+
+    at_a_terminal(monkeypatch, body)
+
+
+def test_terminal_and_page_show_what_is_agreed_to_and_nothing_else_is_armed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The rig, its changes, how long, whether it goes on without a page, and one digest in both places."""
+
+    async def body(terminal: Terminal, person: int) -> None:
+        page, started = Page(), list[dict[str, Any]]()
+
+        class Starts(Jobs):
+            async def start(self, name: str, content: Any, **_: Any) -> Any:
+                started.append(dict(content))
+                return SimpleNamespace(pid=1)
+
+        shared = ServiceContext(set(), Lease(), Starts(lambda *_: None), tmp_path, Here())
+        with SharedHand.create(tmp_path / "hand") as hand:
+            live = Live(shared, hand, terminal, own=True)
+            runs = Runs(shared, live, hand, terminal, verified=True)
+            wanted = {"job": "hit", "url": REAL, "changes": {"wall.stiffness": 55}, "goes_on": True}
+            running = asyncio.create_task(ask(runs, page, "run", **wanted))
+            while terminal._asked is None:
+                await asyncio.sleep(0.001)
+            (told,) = page.told
+            os.write(person, b"arm\n")
+            await running
+        assert page.told[-1] == {"say": "consent", "lines": None}
+        shown = capsys.readouterr().out
+        for line in told["lines"]:
+            assert line in shown
+        text = "\n".join(told["lines"])
+        for part in (REAL, "koul-compliant", "wall.stiffness = 55", " s at most", "goes on to its end"):
+            assert part in text
+        (content,) = started
+        assert f"experiment {content['digest']}" in text
+        with pytest.raises(ConfigError, match="another one than was agreed to"):
+            hits.hit({**content, "changes": {"wall.stiffness": 56}}, Talk(goes_on=False))
+
+    at_a_terminal(monkeypatch, body)
+
+
+def test_a_resumed_session_has_the_digest_that_it_began_with(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_template("first-steps", tmp_path / "mine.toml")
+    monkeypatch.setattr(session_desk, "DeviceRunner", lambda **_: FakeRunner())
+    talk = Talk(goes_on=False)
+    monkeypatch.setattr(talk, "tell", lambda say, **content: None)
+    monkeypatch.setattr(talk, "hear", lambda _: {"kind": "reply", "number": 1, "action": "abort"})
+    session_desk.session(CONTENT, talk)
+    (log,) = tmp_path.glob("sessions/*/P01/session.log")
+    agreed = session_desk.digest_of("mine.toml", "")
+    assert session_desk.digest_of("", str(log.parent)) == agreed
+    text = (tmp_path / "mine.toml").read_text()
+    (tmp_path / "mine.toml").write_text(text.replace("seed = ", "seed = 1"))
+    with pytest.raises(ConfigError, match="another one than was agreed to"):
+        session_desk.session({**CONTENT, "digest": agreed}, talk)
+
+
+def test_what_a_session_does_although_something_speaks_against_it_is_agreed_to() -> None:
+    begun = BeginSession(do="session", protocol="a.toml", code="P01", arm_anyway=True, lossy_anyway=True)
+    lines = consent.to_session(begun, REAL, "1234 5678")
+    assert lines[0] == f"{REAL} for the session of P01 with a.toml"
+    assert "refuses, a computer or link that loses samples" in lines[1]
+    assert "another device" not in lines[1]
+    resumed = BeginSession(do="session", directory="sessions/a/P01", at="block", other_device=True)
+    lines = consent.to_session(resumed, REAL, "1234 5678")
+    assert "sessions/a/P01, resumed at the block" in lines[0]
+    assert lines[1] == "although: another device than before"
+
+
+def test_a_console_ends_though_it_waits_for_a_word(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def body(terminal: Terminal, person: int) -> None:
+        async with served(tmp_path, terminal, own=True) as console, console.page() as page:
+            await page.say("run", job="hit", url=REAL)
+            while terminal._asked is None:
+                await asyncio.sleep(0.01)
+            assert "result" in await page.ask("operate", take=True), "it is heard meanwhile"
+
+    at_a_terminal(monkeypatch, body)

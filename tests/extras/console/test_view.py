@@ -1,0 +1,132 @@
+"""What a scope is sent: each point once, sweeps from their trigger on, and nothing of what it did not ask for."""
+
+from __future__ import annotations
+
+import json
+import struct
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rig.core.errors import ConfigError
+from rig.core.sample import ROW, RowFlag
+from rig.extras.console.history import History
+from rig.extras.console.trigger import Trigger
+from rig.extras.console.view import POINTS, View, ViewRequest
+
+RATE = 1000.0
+
+
+def unpacked(frame: bytes) -> dict[str, Any]:
+    (length,) = struct.unpack_from("<I", frame)
+    header = json.loads(frame[4 : 4 + length])
+    assert (4 + length) % 8 == 0, "a browser reads float64 at multiples of 8"
+    numbers = np.frombuffer(frame[4 + length :], "<f8")
+    points, columns = header["points"], header["columns"]
+    parts = numbers.reshape(-1, points) if points else np.zeros((1 + 2 * len(columns), 0))
+    low = dict(zip(columns, parts[1:], strict=False))
+    high = low if header["step"] == 1 else dict(zip(columns, parts[1 + len(columns) :], strict=False))
+    return {**header, "times": parts[0], "low": low, "high": high}
+
+
+class Told:
+    """A history that a test fills, of a ramp that enters the wall at each thousandth row for 100 rows."""
+
+    def __init__(self) -> None:
+        self.history = History(1 << 14, 1 << 10)
+
+    def tell(self, count: int) -> None:
+        rows = np.zeros(count, ROW)
+        number = self.history.rows + np.arange(count)
+        rows["tick"], rows["device_time"] = number, 1_000_000 * number
+        rows["position"] = number % 1000
+        rows["flags"] = np.where(number % 1000 < 100, int(RowFlag.INSIDE), 0)
+        self.history.add(rows)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    pieces=st.lists(st.integers(0, 500), min_size=1, max_size=12),
+    window_s=st.sampled_from([0.01, 0.5, 2.0, 5.0, 10.0]),
+    slow=st.integers(1, 4),
+)
+def test_each_point_is_sent_once_however_seldom_a_page_reads(
+    pieces: list[int], window_s: float, slow: int
+) -> None:
+    told = Told()
+    view = View(told.history, RATE, ViewRequest(columns=("tick",), window_s=window_s))
+    seen: list[float] = []
+    for number, count in enumerate(pieces):
+        told.tell(count)
+        if number % slow == 0:
+            for frame in map(unpacked, view.frames()):
+                step = frame["step"]
+                assert step == max(1, round(window_s * RATE) // POINTS)
+                for first, last in zip(frame["low"]["tick"], frame["high"]["tick"], strict=True):
+                    seen += np.arange(first, last + 1).tolist()
+    assert seen == list(range(len(seen)))
+
+
+def test_another_window_begins_with_what_is_there() -> None:
+    told = Told()
+    told.tell(5000)
+    (frame,) = map(unpacked, View(told.history, RATE, ViewRequest(columns=("tick",), window_s=2.0)).frames())
+    assert frame["fresh"]
+    assert (frame["low"]["tick"][0], frame["high"]["tick"][-1]) == (3000, 4999)
+
+
+@pytest.mark.parametrize(
+    ("trigger", "at"),
+    [
+        (Trigger(), 1000),
+        (Trigger(edge="falling"), 100),
+        (Trigger(on="position", level=499.5), 500),
+        (Trigger(on="position", level=499.5, edge="falling"), 1000),
+    ],
+)
+def test_a_sweep_begins_where_its_trigger_says(trigger: Trigger, at: int) -> None:
+    told = Told()
+    told.tell(50)
+    view = View(told.history, RATE, ViewRequest(columns=("tick", "position"), window_s=0.2, trigger=trigger))
+    sweeps = []
+    for _ in range(40):  # in pieces that no sweep fits
+        told.tell(70)
+        sweeps += [unpacked(frame) for frame in view.frames()]
+    before = round(trigger.before * 200)
+    assert len(sweeps) == 2 or len(sweeps) == 3
+    for number, sweep in enumerate(sweeps):
+        crossing = at + 1000 * number
+        assert sweep["at"] == pytest.approx(crossing / RATE, abs=1e-12)
+        assert (sweep["low"]["tick"] == np.arange(crossing - before, crossing - before + 200)).all()
+
+
+def test_a_single_sweep_is_the_only_one() -> None:
+    told = Told()
+    told.tell(150)
+    view = View(told.history, RATE, ViewRequest(window_s=0.1, trigger=Trigger(single=True)))
+    sweeps = []
+    for _ in range(30):
+        told.tell(200)
+        sweeps += list(view.frames())
+    assert len(sweeps) == 1
+
+
+@pytest.mark.parametrize(
+    ("shown", "named"),
+    [
+        ({"columns": ("nothing",)}, "'nothing'"),
+        ({"columns": ()}, "0 columns"),
+        ({"columns": ("position",) * 13}, "13 columns"),
+        ({"window_s": 0.001}, "0.001 s"),
+        ({"window_s": 61.0}, "61 s"),
+        ({"trigger": Trigger(on="nothing")}, "'nothing'"),
+        ({"trigger": Trigger(before=1.5)}, "1.5"),
+    ],
+)
+def test_what_cannot_be_shown_is_named(shown: dict[str, Any], named: str) -> None:
+    with pytest.raises(ConfigError, match=named) as error:
+        ViewRequest(**shown)
+    assert error.value.remedy

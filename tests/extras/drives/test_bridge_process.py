@@ -1,0 +1,185 @@
+"""A bridge as a process, in real time: the link that starts it, the command, and what is left when either is killed."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from firmware_protocol.connection import State
+from rig import devices
+from rig.core.errors import ConfigError, DeviceRefusedError, LinkLostError
+from rig.devices.device import DeviceUrl
+from rig.devices.framed import FramedDevice
+from rig.extras.drives import describe, odrive
+from rig.extras.drives.bus import CanBus, _connected
+from rig.extras.drives.library import Bridge
+from rig.extras.drives.link import BridgeLink
+from rig.extras.drives.serve import look
+from sim_backend.drives import simulated_drive
+from sim_backend.drives.process import serve as serve_drive
+from tests.conformance.bridged import SAFE, SLOW, WATCHED, bridged_rig, plain_drive, write_endpoints
+from tests.conformance.firmware import need_compiler
+
+PATIENCE_S = 5.0
+
+
+@pytest.fixture(scope="module")
+def port() -> Iterator[str]:
+    """A simulated moteus behind a port, for all tests."""
+    need_compiler()
+    with simulated_drive("moteus", bridged_rig(), settings=SAFE) as served:
+        yield served.path
+
+
+def opened(port: str, options: str = "") -> FramedDevice:
+    return devices.open_device(f"moteus://{port}{options}", bridged_rig())
+
+
+def test_a_link_starts_a_bridge_and_ends_it_and_one_that_is_killed_is_a_lost_link(port: str) -> None:
+    """The drive's own watchdog ends the torque then; the next bridge takes the drive as it is."""
+    with opened(port) as device:
+        assert isinstance(device.link, BridgeLink)
+        device.configure(SLOW)
+        device.arm()
+        os.kill(device.link.process, signal.SIGKILL)
+        with pytest.raises(LinkLostError):
+            device.states(PATIENCE_S)
+    with ThreadPoolExecutor() as threads:  # the thread that opens it ends here
+        device = threads.submit(opened, port).result()
+    with device:
+        assert isinstance(device.link, BridgeLink)
+        bridge = device.link.process
+        assert device.dictionary.firmware == "bridge to moteus 1.0.0"
+        assert not device.dictionary.simulated
+        device.configure(SLOW)
+        device.arm()
+        assert len(device.states(0.3)) > 5
+        assert device.link.bus_facts()["replies"] > 20
+        device.disarm()
+    assert not Path(f"/proc/{bridge}").exists()
+
+
+def test_a_drive_on_a_can_bus_is_asked_by_its_frames(tmp_path: Path) -> None:
+    need_compiler()
+    there, stop, bus = threading.Event(), threading.Event(), str(tmp_path / "bus")
+    options = {"place": bus, "settings": SAFE, "stop": stop, "announce": lambda _: there.set()}
+    drive = threading.Thread(target=serve_drive, args=("moteus", bridged_rig()), kwargs=options)
+    drive.start()
+    try:
+        assert there.wait(PATIENCE_S)
+        found = look(DeviceUrl("moteus", bus, {}, f"moteus://{bus}"))
+    finally:
+        stop.set()
+        drive.join(PATIENCE_S)
+    assert (found.counts, found.source) == (4 * 4096, "SPI")
+
+
+@pytest.mark.exhaustive(
+    "tests/extras/drives/test_bridge_core.py::test_a_bridge_that_is_killed_leaves_it_to_the_watchdog_of_the_drive"
+)
+def test_an_odrive_gets_no_torque_when_its_bridge_is_killed(tmp_path: Path) -> None:
+    """A link starts its bridge on a bus; the drive's own watchdog ends the torque."""
+    need_compiler()
+    there, stop, bus = threading.Event(), threading.Event(), str(tmp_path / "bus")
+    slow = {odrive.WATCHDOG_S: "0.05", odrive.ENCODER_MS: "10", odrive.TORQUES_MS: "10"}
+    options = {"place": bus, "settings": WATCHED | slow, "stop": stop, "announce": lambda _: there.set()}
+    drive = threading.Thread(target=serve_drive, args=("odrive", bridged_rig()), kwargs=options)
+    drive.start()
+    try:
+        assert there.wait(PATIENCE_S)
+        file = write_endpoints(tmp_path / "flat_endpoints.json")
+        with devices.open_device(f"odrive://{bus}?endpoints={file}", bridged_rig()) as device:
+            assert isinstance(device.link, BridgeLink)
+            assert device.dictionary.firmware == "bridge to ODrive 0.6.11"
+            device.configure(SLOW)
+            device.arm()
+            assert len(device.states(0.3)) > 5
+            facts = device.link.bus_facts()
+            assert (facts["cycle_us"], facts["temperature"]) == (10_000, 25)
+            watching = CanBus(bus, _connected(bus))
+            os.kill(device.link.process, signal.SIGKILL)
+            until, state = time.monotonic() + PATIENCE_S, 8
+            while state != 1 and time.monotonic() < until:
+                heard = watching.receive(PATIENCE_S)
+                state = (
+                    heard.data[4]
+                    if heard is not None and heard.id == odrive.OdriveCommand.HEARTBEAT
+                    else state
+                )
+            assert state == 1
+            watching.close()
+            with pytest.raises(LinkLostError):
+                device.states(PATIENCE_S)
+    finally:
+        stop.set()
+        drive.join(PATIENCE_S)
+
+
+def test_a_host_that_goes_ends_its_bridge_and_the_drive_is_told_to_stop() -> None:
+    """However it goes: the kernel closes the socket of one that is killed."""
+    need_compiler()
+    bus, drive = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    near, host = socket.socketpair()
+    ear, mouth = os.pipe()
+    for end in (bus, near):
+        end.setblocking(False)
+    bridge = Bridge(bridged_rig(), plain_drive(), socket=True)
+    ends = {"host": near.fileno(), "bus": bus.fileno(), "wake": ear, "host_stays": False}
+    running = threading.Thread(target=bridge.run, kwargs=ends)
+    running.start()
+    assert drive.recv(100)[8:10] == b"\x11\x00"  # it is asked, and told nothing
+    host.close()
+    running.join(PATIENCE_S)
+    assert not running.is_alive()
+    bus.close()
+    frames = list(iter(lambda: drive.recv(100), b""))
+    assert [frame[8:11] for frame in frames[-3:]] == [b"\x01\x00\x00"] * 3  # mode: stopped
+    for end in (near, drive):
+        end.close()
+    os.close(ear)
+    os.close(mouth)
+
+
+def test_what_is_wrong_with_the_drive_is_said_by_the_link(port: str) -> None:
+    model = bridged_rig()
+    other = replace(model, amplifier=replace(model.amplifier, effort_per_ampere=1.0))
+    with pytest.raises(DeviceRefusedError, match="the experiment says 1"):
+        devices.open_device(f"moteus://{port}", other)
+    with pytest.raises(ConfigError, match="must know its rig"):
+        devices.open_device(f"moteus://{port}")
+    with pytest.raises(ConfigError, match="whole number"):
+        opened(port, "?id=nine")
+
+
+@pytest.mark.exhaustive("::test_a_link_starts_a_bridge_and_ends_it_and_one_that_is_killed_is_a_lost_link")
+def test_the_command_serves_one_host_after_the_other(port: str, tmp_path: Path) -> None:
+    mine = tmp_path / "mine.toml"
+    mine.write_text(describe.text(look(DeviceUrl("moteus", port, {}, port)), f"moteus://{port}"))
+    bridge = subprocess.Popen(
+        [sys.executable, "-m", "rig", "serve", "moteus", port, "--rig", str(mine)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    )
+    assert bridge.stdout is not None
+    try:
+        url = bridge.stdout.readline().strip()
+        for _ in range(2):
+            with devices.open_device(url) as device:
+                assert device.dictionary.device == "moteus-1"
+                assert device.connection.state >= State.IDENTIFIED
+    finally:
+        bridge.send_signal(signal.SIGINT)
+        bridge.stdout.close()
+        assert bridge.wait(PATIENCE_S) == 0

@@ -1,0 +1,87 @@
+"""`rig reproduce koul --quick` as a person meets it: one report with everything, the same when asked for again."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import rig.cli
+
+SECTIONS = (
+    "figure-5", "figure-6-koul-compliant", "figure-6-koul-rigid", "hands", "ways", "figure-7", "figure-8", "theory",
+    "effects", "plants", "ideas",
+)  # fmt: skip
+CHAWDA_SECTIONS = (
+    "figure-1", "figure-3", "hits", "figure-4", "figure-5", "figure-6", "figure-7", "table-1", "readings", "theory",
+    "variants", "dual",
+)  # fmt: skip
+# Two that share an interpreter cost a tenth more, and other tests need the other core.
+ALONE = ("--workers", "1")
+VERDICTS = ("reproduced", "reproduced only with", "not reproduced")
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    return tmp_path_factory.mktemp("reproduction")
+
+
+@pytest.mark.usefixtures("coarse")
+@pytest.mark.timeout(300)  # compiles everything when it is cold
+@pytest.mark.exhaustive(
+    "tests/extras/papers/test_reproduction.py::test_the_command_writes_one_report_and_resumes_from_its_journal"
+)
+def test_quick_reproduces_the_paper_in_one_report_and_goes_on_from_its_journal(
+    place: Any, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert rig.cli.run(["reproduce", "koul", "--quick", *ALONE, "-o", str(place)]) == 0
+    out, err = capfd.readouterr()
+    assert "Traceback" not in err
+    assert str(place / "koul.html") in out
+    first = json.loads((place / "koul.json").read_text(encoding="utf-8"))
+    for claim in first["claims"]:
+        assert claim["claim"] in out
+        assert claim["verdict"].startswith(VERDICTS)
+    page = (place / "koul.html").read_text(encoding="utf-8")
+    for section in SECTIONS:
+        assert f'id="{section}"' in page
+    assert page.count("data:image/png;base64,") == 12
+    assert "(no picture)" not in page
+
+    # Facts of the reproduction that no grid is too coarse for.
+    by_key = {claim["key"]: claim["verdict"] for claim in first["claims"]}
+    assert by_key["rises"] == by_key["noisier"] == by_key["same-range-plants"] == "reproduced"
+    assert by_key["levels-off"] == "reproduced only with the electrical lag"
+    assert by_key["penetration"] == "reproduced only with fixed point"
+
+    monkeypatch.setattr(
+        "rig.extras.papers.reproduction.draw", lambda found, on_failure: {}
+    )  # of the same results: the same pictures
+    assert rig.cli.run(["reproduce", "koul", "--quick", "--json", "-o", str(place)]) == 0
+    again = json.loads(capfd.readouterr().out)
+    assert again["kept"] > 0  # nothing was computed twice
+    assert {name: again[name] for name in ("claims", "numbers", "provenance")} == {
+        name: first[name] for name in ("claims", "numbers", "provenance")
+    }
+
+
+@pytest.mark.usefixtures("coarse")
+@pytest.mark.timeout(300)
+@pytest.mark.exhaustive(
+    "tests/extras/papers/test_reproduction.py::test_the_command_writes_one_report_and_resumes_from_its_journal"
+)
+def test_quick_reproduces_the_second_paper_too(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert rig.cli.run(["reproduce", "chawda", "--quick", "--json", *ALONE, "-o", str(tmp_path)]) == 0
+    found = json.loads(capfd.readouterr().out)
+    page = (tmp_path / "chawda.html").read_text(encoding="utf-8")
+    for section in CHAWDA_SECTIONS:
+        assert f'id="{section}"' in page
+    assert page.count("data:image/png;base64,") == 11
+    assert "(no picture)" not in page
+
+    # Facts of the reproduction that no grid is too coarse for.
+    by_key = {claim["key"]: claim["verdict"] for claim in found["claims"]}
+    for key in ("regions", "filter-holds", "levant-limited", "control-undamped", "control-bare"):
+        assert by_key[key] == "reproduced", key
+    for key in ("order", "levant-stiffest", "both", "widths"):
+        assert by_key[key] == "not reproduced", key

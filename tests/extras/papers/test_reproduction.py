@@ -1,0 +1,342 @@
+"""Reproductions: words come from templates and numbers from results; a page is complete, self-contained and safe."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from jinja2 import UndefinedError
+
+import rig.cli
+from rig.experiments.sweep import Task
+from rig.extras.papers import reproduction
+from rig.extras.papers.chawda.reproduction import CHAWDA
+from rig.extras.papers.claims import read_claims
+from rig.extras.papers.cli import PAPERS
+from rig.extras.papers.koul.reproduction import KOUL
+from rig.extras.papers.parts import Part, Parts
+from rig.extras.papers.reproduction import Paper, Reproduction, draw_into, render, write_report
+from rig.extras.papers.rules import ClaimStatus, Ruling
+from rig.views.report import template, writing
+from tests.conformance.sweep_work import raise_as_given
+
+NASTY = "</script><script>alert('K < B & \"C\"')</script>"
+PNG = b"\x89PNG\r\n\x1a\nnot a picture"
+CLAIMS = """[paper]
+title: A paper
+source: someone
+{% for key in rulings if key != "c7" %}
+[{{ key }}]
+claim: claim {{ key }} {{ nasty }}
+paper: 560
+ours: {{ rulings[key].ours|n }}
+{% if key == "c1" %}
+only with: luck,
+and nothing else
+{% endif %}
+needs: nothing
+rule: a rule
+{% endfor %}
+"""
+PAGE = """{% extends "extras/papers/page.html.j2" %}
+{% from "extras/papers/macros.html.j2" import section, picture, table, row, conditions with context %}
+{% block summary %}<p>a summary</p>{% endblock %}
+{% block body %}
+{% call section("figure-5", "Fig. 5 & more") %}
+<p>{{ nasty }}</p>
+{{ picture("drawn", "a picture") }}
+{{ picture("failed", nasty) }}
+{% call table("counts", ["a", nasty]) %}
+{{ row("x", nasty, [1.0, none]) }}
+{% endcall %}
+{% call conditions() %}<li>by hand</li>{% endcall %}
+{% endcall %}
+{% endblock %}
+"""
+
+
+class _Page(HTMLParser):
+    """Collects what a test asks of a page, and checks that what opens closes."""
+
+    VOID = ("meta", "img", "br")
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.ids: list[str] = []
+        self.sources: list[str] = []
+        self.texts: list[str] = []
+        self.scripts = 0
+        self._open: list[str] = []
+        self.feed(page)
+        assert not self._open
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        values = dict(attrs)
+        self.ids += [v] if (v := values.get("id")) else []
+        self.sources += [v for name in ("src", "href") if (v := values.get(name))]
+        self.scripts += tag == "script"
+        if tag not in self.VOID:
+            self._open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self._open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.texts.append(data)
+
+
+@pytest.fixture
+def templates(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Two templates of a paper that is made up, beside the real ones."""
+    made_up = {"extras/papers/made-up/claims.j2": CLAIMS, "extras/papers/made-up/page.html.j2": PAGE}
+    real = template._text
+    template._environment.cache_clear()
+    monkeypatch.setattr(template, "_text", lambda name: made_up.get(name) or real(name))
+    yield
+    template._environment.cache_clear()
+
+
+def paper(**words: Any) -> Paper:
+    return Paper(
+        name="made-up",
+        quick=None,
+        full=None,
+        plan=lambda _: pytest.fail("nothing is computed"),
+        rulings=lambda _: {
+            f"c{number}": Ruling(status=status, cases={"a": True}, numbers={"ours": 1.5})
+            for number, status in enumerate(ClaimStatus)
+        },
+        words=lambda _: {"nasty": NASTY, **words},
+        numbers=lambda _: {"a": float("nan"), "b": [1.5, NASTY]},
+        provenance=lambda _: {"seed": 0, "version": "1"},
+        pictures={},
+    )
+
+
+def made_up() -> Reproduction:
+    made = paper()
+    head, claims = read_claims(made.template(reproduction.CLAIMS), made.rulings(None), made.words(None))
+    return Reproduction(
+        paper=made,
+        title=head["title"],
+        source=head["source"],
+        claims=claims,
+        numbers=made.numbers(None),
+        provenance=made.provenance(None),
+        seconds=1.25,
+    )
+
+
+# --- claims ----------------------------------------------------------------------------------------------------
+
+
+def test_a_claim_has_the_words_of_its_template_and_the_verdict_of_its_rule(templates: None) -> None:
+    first, second, third = made_up().claims
+    assert (first.verdict, second.verdict, third.verdict) == (
+        "reproduced",
+        "reproduced only with luck, and nothing else",
+        "not reproduced",
+    )
+    assert (first.ours, first.claim) == ("1.50", f"claim c0 {NASTY}")
+
+
+def test_a_ruling_without_words_and_words_without_a_number_are_errors(templates: None) -> None:
+    made = paper()
+    name, words = made.template(reproduction.CLAIMS), made.words(None)
+    nothing = Ruling(status=ClaimStatus.NOT, cases={}, numbers={})
+    with pytest.raises(UndefinedError, match="ours"):
+        read_claims(name, {"c0": nothing}, words)
+    with pytest.raises(KeyError, match="c7"):
+        read_claims(name, {"c7": Ruling(status=ClaimStatus.NOT, cases={}, numbers={"ours": 1.0})}, words)
+
+
+# --- what stands in templates ----------------------------------------------------------------------------------------
+
+ROOM = Path(reproduction.__file__).parent
+# Names of figures, rates and quantities, and what a paper itself says: no result is among them.
+CONSTANTS = (
+    "Fig. 8a and 8b together", "Fig. 8a", "Fig. 8b", "Figs. 3 and 7", "Figs. 7 and 8", "Fig. 1", "Fig. 3", "Fig. 4",
+    "Fig. 5", "Fig. 6", "Fig. 7", "Fig. 8", "equations (10) and (14)", "2013", "50 kHz", "20 kHz",
+    "10 kHz", "2 kHz", "1 kHz", "200 Hz", "1 Hz", "from 20 to", "fs/", "20k/2k", "0 < B", "B > 0", "B = 0", "K = 0",
+    "T1/2", "1/T1", "T1", "T2", "μ1", "μ2", "×4", "× 4", "10⁴", "±90°", "2b/T", "2π", "b²", ")²", "m/s²", "g·m²",
+    "1.17·α·T", "70 g", "1 µm",
+)  # fmt: skip
+# What other studies of this project found, of which a reproduction computes nothing.
+KNOWN = ("1.5 to 2 g·m²", "2 to 3 kN·m/rad", "0.8 g·m²")
+
+
+KEY = re.compile(r'"(u2|u20|u20/1k|(figure|table)-.*|extras/papers/.*)"')  # keys in expressions
+
+
+def names() -> list[str]:
+    return sorted(f"extras/papers/{path.relative_to(ROOM)}" for path in ROOM.rglob("*.j2"))
+
+
+@pytest.mark.parametrize("name", names())
+def test_no_number_in_the_words_of_a_template_is_a_result(name: str) -> None:
+    """Digits in what a template says by itself are names or constants of the paper, each listed here."""
+    found = []
+    for line, kind, text in template._environment(html=True).lex(template._text(name)):
+        words = re.sub(r"<[^>]*>|%\.\df", " ", text) if kind in ("data", "string") else ""
+        for known in (*KNOWN, *CONSTANTS):
+            words = words.replace(known, " ")
+        if re.search(r"\d", words) and not KEY.fullmatch(text):
+            found.append((line, words.strip()))
+    assert found == []
+
+
+@pytest.mark.parametrize("paper", [KOUL, CHAWDA], ids=lambda paper: paper.name)
+def test_every_picture_is_shown_and_every_one_shown_is_drawn(paper: Paper) -> None:
+    page = template._text(paper.template(reproduction.PAGE))
+    shown = re.findall(r'picture\("([\w-]+)"( ~)?', page)
+    assert {name for name, begins in shown if not begins} == {
+        name for name in paper.pictures if not any(begins and name.startswith(of) for of, begins in shown)
+    }
+
+
+def test_every_template_is_part_of_the_package() -> None:
+    """What is read at run time lies beside the code, in a folder that the wheel takes as a whole."""
+    project = (ROOM.parents[2] / "pyproject.toml").read_text(encoding="utf-8")
+    wheel = project.partition("[tool.hatch.build.targets.wheel]")[2].partition("\n[")[0]
+    assert '"rig"' in wheel
+    assert "exclude" not in wheel
+    assert len(names()) == 6
+    assert all(template._text(name) for name in names())
+
+
+# --- numbers in words ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(0.0, "0"), (9.996, "10.00"), (560.4, "560"), (1.234, "1.23"), (0.04567, "0.0457")]
+)
+def test_numbers_are_shown_with_three_digits(value: float, text: str) -> None:
+    assert writing.three(value) == text
+    assert float(writing.three(value)) == pytest.approx(value, rel=5e-3)
+
+
+def test_what_is_not_finite_is_said_to_be_missing() -> None:
+    assert writing.three(None) == writing.three(float("nan")) == "–"
+    assert writing.three(float("inf")) == "∞"
+
+
+def test_lists_in_a_sentence_are_joined_and_equal_texts_gathered() -> None:
+    def caller(*values: float) -> str:
+        return f" {'/'.join(map(str, values))} "
+
+    assert writing.each([(1, 2), (3, 4)], caller=caller) == "1/2; 3/4"
+    assert writing.each([], caller=caller) == ""
+    assert writing.gathered({"a": (1, 2), "b": (3, 4), "c": (1, 2)}, caller=caller) == "a, c: 1/2; b: 3/4"
+
+
+# --- pages -----------------------------------------------------------------------------------------------------------
+
+
+def test_a_page_has_every_section_and_verdict_and_needs_nothing_from_elsewhere(templates: None) -> None:
+    page = _Page(render(made_up(), {"drawn": PNG}))
+    assert {"claims", "figure-5", "provenance", "numbers"} <= set(page.ids)
+    assert "#figure-5" in page.sources  # the navigation knows it
+    said = " ".join(page.texts)
+    for verdict in ("reproduced", "reproduced only with luck", "not reproduced"):
+        assert verdict in said
+    assert "(no picture)" in said  # of the one that failed
+    assert all(source.startswith(("data:image/png;base64,", "#")) for source in page.sources)
+
+
+def test_text_is_escaped_wherever_it_stands(templates: None) -> None:
+    page = render(made_up(), {})
+    assert NASTY not in page
+    assert _Page(page).scripts == 1
+    assert "alert" in page
+
+
+def test_numbers_are_attached_as_json_that_any_reader_takes(templates: None, tmp_path: Path) -> None:
+    made = made_up()
+    html, numbers = write_report(made, tmp_path)
+
+    def refuse(constant: str) -> None:
+        raise AssertionError(constant)
+
+    alone = json.loads(numbers.read_text(encoding="utf-8"), parse_constant=refuse)
+    (attached,) = re.findall(
+        r'<script type="application/json" id="numbers">(.*?)</script>',
+        html.read_text(encoding="utf-8"),
+        re.DOTALL,
+    )
+    assert json.loads(attached, parse_constant=refuse) == alone
+    assert alone["numbers"] == {"a": None, "b": [1.5, NASTY]}
+    assert [claim["verdict"] for claim in alone["claims"]] == [claim.verdict for claim in made.claims]
+
+
+def test_the_same_reproduction_gives_the_same_bytes(templates: None) -> None:
+    assert render(made_up(), {"drawn": PNG}) == render(made_up(), {"drawn": PNG})
+
+
+def test_pictures_lie_beside_the_report_by_paper_and_name(templates: None, tmp_path: Path) -> None:
+    drawn = {name: lambda _, path: path.write_bytes(PNG) for name in ("one", "two")}
+    made = replace(made_up(), paper=replace(paper(), pictures=drawn))
+    assert draw_into(made, tmp_path, "svg") == {name: tmp_path / f"made-up-{name}.svg" for name in drawn}
+    assert {path.name for path in tmp_path.iterdir()} == {"made-up-one.svg", "made-up-two.svg"}
+
+
+class Sums:
+    """A plan of three tasks."""
+
+    def parts(self) -> dict[str, Part]:
+        return {"sums": [Task(str(n), raise_as_given, {"number": n}, 1.0) for n in range(3)]}
+
+    def results(self, done: Parts) -> int:
+        return sum(done.results["sums"])
+
+
+def test_the_command_writes_one_report_and_resumes_from_its_journal(
+    templates: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    known = replace(
+        paper(),
+        quick=SimpleNamespace(name="quick"),
+        plan=lambda _: Sums(),
+        numbers=lambda found: {"sum": found},
+        pictures={"drawn": lambda _, path: path.write_bytes(PNG), "failed": lambda _, path: 1 / 0},
+    )
+    monkeypatch.setitem(PAPERS, "koul", known)
+    command = ["reproduce", "koul", "--quick", "--json", "--workers", "1", "-o", str(tmp_path)]
+    told = []
+    for kept in (0, 3):
+        assert rig.cli.run(command) == 0
+        out, err = capfd.readouterr()
+        told.append(json.loads(out))
+        assert (told[-1]["kept"], told[-1]["numbers"]) == (kept, {"sum": 3})
+        assert "no picture" in err
+    assert told[0]["claims"] == told[1]["claims"]
+    page = _Page(Path(told[0]["report"]).read_text(encoding="utf-8"))
+    assert "figure-5" in page.ids
+    assert sum(source.startswith("data:image/png;base64,") for source in page.sources) == 1
+    assert rig.cli.run([*command[:3], "-o", str(tmp_path)]) == 0
+    printed = capfd.readouterr().out
+    assert all(claim["claim"] in printed for claim in told[0]["claims"])
+
+
+def test_a_page_that_calls_for_what_it_does_not_get_is_an_error(templates: None) -> None:
+    made = made_up()
+    without = SimpleNamespace(template=made.paper.template, words=lambda _: {}, name="made-up", pictures={})
+    with pytest.raises(UndefinedError, match="nasty"):
+        render(
+            Reproduction(
+                paper=without,  # type: ignore[arg-type]
+                title="",
+                source="",
+                claims=(),
+                numbers={},
+                provenance={},
+                seconds=0.0,
+            ),
+            {},
+        )

@@ -1,0 +1,134 @@
+"""Studies in which a variance is zero or nearly so: tables and report are written, and rounding gives no p value."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from rig.cli import rig
+from rig.extras.study import analyse, write_study_tables
+from rig.extras.study.report import NUMBERS, PAGE, render
+from tests.conformance.studies import Person, protocol, write_study
+from tests.conformance.tiers import first_by_default
+
+LADDER = {"rule": "ascending", "lowest": 50.0, "highest": 200.0, "step": 10.0, "settings": {"repeats": 1}}
+RULES: Mapping[str, Mapping[str, Any]] = {
+    "ascending": {"repeats": 2},
+    "staircase": {"turns": 4},
+    "interleaved": {"turns": 4},
+    "psi": {"hits": 10},
+    "grid": {"repeats": 1},
+}
+
+
+def people(*limits: tuple[float, float], **settings: Any) -> dict[str, Person]:
+    """Return people by code, with their limits under the two conditions and verdicts without doubt."""
+    return {
+        f"P{number:02d}": Person(
+            threshold=lambda condition, _, pair=pair: pair[condition == "dual"],
+            **{"spread": 0.01, **settings},
+        )
+        for number, pair in enumerate(limits, 1)
+    }
+
+
+def command(place: Path, *options: str) -> Any:
+    """Run `rig session analyse` and return what it prints as JSON; it must write every table and the report."""
+    told = CliRunner().invoke(rig, ["session", "analyse", str(place), "--json", *options])
+    assert told.exit_code == 0, told.output
+    out = place / "analysis"
+    assert {"runs.csv", "differences.csv", "tables.json"} <= {path.name for path in out.iterdir()}
+    if "--no-report" not in options:
+        assert (out / PAGE).is_file()
+        assert (out / NUMBERS).is_file()
+    return json.loads(told.stdout)
+
+
+def inferred(told: Any) -> list[Any]:
+    """Return every p value and interval of differences that an analysis reports."""
+    rows = [*told["paired"], *(one for model in told["mixed"] for one in model["contrasts"])]
+    return [row[name] for row in rows for name in ("low", "high", "p", "holm") if row[name] is not None]
+
+
+def test_a_residual_at_the_resolution_of_the_levels_gives_no_p_and_no_interval(tmp_path: Path) -> None:
+    """Each person's limits are three rungs apart, which says where they lie on the ladder, not how people differ."""
+    mapping = protocol(search=LADDER, order={"repeats": 1})
+    write_study(tmp_path, mapping, people((85.0, 115.0), (105.0, 135.0), (125.0, 155.0)))
+    told = command(tmp_path)
+    assert inferred(told) == []
+    (rule,) = [one for one in told["paired"] if one["measure"] == "rule"]
+    assert rule["difference"] == pytest.approx(30.0)
+    assert "no more than rounding to the levels makes" in rule["problem"]
+    (model,) = [one for one in told["mixed"] if one["measure"] == "rule"]
+    assert "no more than rounding to the levels makes" in model["problem"]
+    page = (tmp_path / "analysis" / PAGE).read_text(encoding="utf-8")
+    assert "p (Holm) = " not in page
+    assert "p (Holm) &lt;" not in page
+    with open(tmp_path / "analysis" / "differences.csv", encoding="utf-8") as file:
+        assert all(row["p"] == "" and row["problem"] for row in csv.DictReader(file))
+
+
+CASES: Mapping[str, tuple[Mapping[str, Any], Mapping[str, Person]]] = {
+    "equal": ({"search": {"rule": "psi", "settings": {"hits": 10}}}, people(*[(410.0, 460.0)] * 3)),
+    "equal, many": ({"search": {"rule": "psi", "settings": {"hits": 10}}}, people(*[(410.0, 410.0)] * 9)),
+    "one": ({}, people((400.0, 460.0))),
+    "two": ({}, people((400.0, 460.0), (430.0, 430.0))),
+    "above": ({}, people(*[(1e5, 1e5)] * 3)),
+    "below": ({}, people(*[(1.0, 1.0)] * 3)),
+    "one condition": (
+        {"condition": [{"name": "dual", "scheme": "dual:20k/2k", "damping": [0.0, 0.5]}]},
+        people((400.0, 460.0), (420.0, 480.0), (440.0, 470.0)),
+    ),
+    "always unsure": ({}, people((400.0, 460.0), (420.0, 440.0), (400.0, 400.0), unsure=1.0)),
+    "judged by the machine": ({"study": {"judge": "automatic"}}, people(*[(410.0, 460.0)] * 3)),
+}
+
+
+@pytest.mark.parametrize("name", first_by_default(sorted(CASES, key="equal, many".__eq__)))
+def test_a_degenerate_study_has_its_tables_and_its_report(name: str, tmp_path: Path) -> None:
+    sections, of = CASES[name]
+    mapping = protocol(**{"search": {"step": 50.0}, "order": {"repeats": 1}, **sections})
+    write_study(tmp_path, mapping, of)
+    told = command(tmp_path)
+    assert len(told["participants"]) == len(of)
+    if len(of) < 3 or len({one.threshold("dual", 0.0) for one in of.values()}) == 1:
+        assert inferred(told) == []
+
+
+@settings(max_examples=12, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
+@given(data=st.data())
+def test_any_small_study_has_its_tables_and_its_page(
+    data: Any, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """Few people whose limits, doubts and slips are drawn: no interval is empty, none lies about its ends."""
+    place = tmp_path_factory.mktemp("study")
+    rule = data.draw(st.sampled_from(sorted(RULES)), "rule")
+    limit = st.sampled_from([1.0, 95.0, 100.0, 105.0, 125.0, 175.0, 1e5])
+    count = data.draw(st.integers(1, 4), "people")
+    of = people(
+        *[(data.draw(limit, "uniform"), data.draw(limit, "dual")) for _ in range(count)],
+        spread=data.draw(st.sampled_from([0.01, 10.0]), "spread"),
+        unsure=data.draw(st.sampled_from([0.0, 0.3]), "unsure"),
+        invalid=data.draw(st.sampled_from([0.0, 0.2]), "invalid"),
+    )
+    mapping = protocol(
+        search={**LADDER, "rule": rule, "step": 25.0, "settings": dict(RULES[rule])},
+        order={"repeats": data.draw(st.sampled_from([1, 3]), "repeats")},
+    )
+    write_study(place, mapping, of)
+    found = analyse([place])
+    write_study_tables(found, place / "out")
+    assert render(found, {})
+    for one in (*found.paired, *found.over_participants, *found.slopes):
+        assert math.isfinite(one.low) == math.isfinite(one.high) == (one.problem == "")
+        assert one.low != one.high
+        assert one.participants >= 3 or one.problem

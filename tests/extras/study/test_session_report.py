@@ -1,0 +1,688 @@
+"""The page and the pictures of a study: complete, self-contained, safe against texts, every deviation listed."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from html import escape
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import matplotlib.image
+import pytest
+from click.testing import CliRunner
+
+from rig.cli import rig
+from rig.config.table import parameters
+from rig.core.oscillation import OSCILLATIONS
+from rig.core.present import Table
+from rig.extras.study import AnalysisOptions, analyse, cli_report
+from rig.extras.study.plots import draw_session, pictures, tracks_name, zwidth_figure
+from rig.extras.study.report import (
+    NUMBERS,
+    PAGE,
+    numbers,
+    render,
+    write_session_report,
+)
+from rig.extras.study.report_events import _with_units, deviations, invalid_trials, notes
+from rig.extras.study.report_methods import effective, methods
+from rig.extras.study.report_tables import filled, psychometric, summarised
+from rig.session.search.psychometric import LAPSE_RATES
+from rig.session.state import SessionState
+from rig.views.plots import style
+from rig.views.report.writing import interval
+from tests.conformance.studies import Person, protocol, sitting, without_sync, write_study
+
+NASTY = "</script><script>alert('K < B & \"C\"')</script> $\\frac$ http://evil"
+CONDITIONS = [
+    {"name": "uniform <i>", "scheme": "uniform:2k", "damping": [0.0, 0.5]},
+    {"name": "_dual $x", "scheme": "dual:20k/2k", "damping": [0.0, 0.5]},
+]
+SECTIONS = (
+    "results", "kmax", "differences", "psychometric", "agreement", "effects", "plan", "participants", "tracks",
+    "questionnaire", "deviations", "methods", "provenance",
+)  # fmt: skip
+
+
+def person(offset: float = 0.0, **settings: Any) -> Any:
+    return Person(
+        threshold=lambda condition, damping: (
+            (500.0 + 2.0 * offset if "dual" in condition else 400.0 + offset) + 100.0 * damping
+        ),
+        **settings,
+    )
+
+
+def mapping_of(**sections: Any) -> Any:
+    chosen = {
+        "study": {"title": f"Two schemes {NASTY}", "participants": 3, "changes": {"operator.press": 2.0}},
+        "search": {"step": 20.0, "settings": {"turns": 2, "most": 40}},
+        "order": {"repeats": 2},
+        "condition": CONDITIONS,
+        "practice": {"stiffness": [100.0]},
+        "question": [{"name": "tired", "text": f"Tired? {NASTY}", "when": "end", "kind": "text"}],
+    }
+    return protocol(**{**chosen, **sections})
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """Three people, to whom everything happens that can."""
+    where = tmp_path_factory.mktemp("study")
+    mapping = mapping_of()
+    with without_sync():
+        with sitting(where / "P01", mapping, person(), row=0, recorded=True) as one:
+            one.run(5)
+            one.record("note", text=NASTY, trial=5)
+            one.record("redone", trial=one.state.newest)
+            one.run(4)
+            one.record("paused", reason="the operator asked for it")
+            one.now[0] += 90.0
+            one.record("continued")
+            one.run()
+        with sitting(where / "P02", mapping, person(20.0, invalid=0.1), code="P02", row=1, seed=2) as one:
+            one.run(12)
+            one.record("stopped", reason="the operator left")
+            one.now[0] += 4000.0
+            one.record("resumed", where="block", abandoned=[{"file": "trials/t0013.parquet", "sha256": "ab"}])
+            one.record("restarted", block=one.state.begun[-1])
+            one.run()
+        with sitting(where / "P03", mapping, person(-20.0, unsure=0.05), code="P03", row=2, seed=3) as one:
+            one.run(6)
+            judged = [event.number for event in one.log.events if event.kind == "judged"][-1]
+            one.log.append("amended", number=judged, field="verdict", value="unsure", why="the wrong key")
+            one.state = SessionState.of(one.log.events)
+            one.record("skipped", run=one.state.next().presented.run)
+            one.run(20)
+            one.record("ended", reason="60 minutes")
+    (where / "P01/trials/t0002.parquet").unlink()
+    return where
+
+
+@pytest.fixture(scope="module")
+def found(study: Any) -> Any:
+    return analyse([study])
+
+
+@pytest.fixture(scope="module")
+def drawn(found: Any, tmp_path_factory: pytest.TempPathFactory) -> Any:
+    return draw_session(found, tmp_path_factory.mktemp("pictures"))
+
+
+@pytest.fixture(scope="module")
+def page(found: Any, drawn: Any) -> Any:
+    return render(found, {path.stem: path.read_bytes() for path in drawn.values() if path.suffix == ".png"})
+
+
+def _flat(page: Any) -> Any:
+    """The text of a page in one line."""
+    return " ".join(_Page(page).text.split())
+
+
+class _Page(HTMLParser):
+    """Collects what a test asks of a page, and checks that what opens closes."""
+
+    VOID = ("meta", "img", "br")
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.ids: list[str] = []
+        self.sources: list[str] = []
+        self.text = ""
+        self.numbers = ""
+        self.scripts = 0
+        self.tables: list[list[list[str]]] = []
+        self._open: list[str] = []
+        self.feed(page)
+        assert not self._open
+
+    def handle_starttag(self, tag: Any, attrs: Any) -> None:
+        values = dict(attrs)
+        self.ids += [v] if (v := values.get("id")) else []
+        self.sources += [v for name in ("src", "href") if (v := values.get(name))]
+        self.scripts += tag == "script"
+        if tag == "table":
+            self.tables.append([])
+        elif tag == "tr":
+            self.tables[-1].append([])
+        elif tag in ("td", "th"):
+            self.tables[-1][-1].append("")
+        if tag not in self.VOID:
+            self._open.append(tag)
+
+    def handle_endtag(self, tag: Any) -> None:
+        assert self._open.pop() == tag
+
+    def handle_data(self, data: Any) -> None:
+        if self._open[-1:] in (["td"], ["th"]):
+            self.tables[-1][-1][-1] += data
+        if self._open[-1:] == ["script"]:
+            self.numbers += data
+        elif self._open[-1:] != ["style"]:
+            self.text += data
+
+
+def test_the_page_is_whole_and_needs_nothing_else(page: Any) -> None:
+    read = _Page(page)
+    assert page.startswith("<!DOCTYPE html>")
+    assert set(SECTIONS) <= set(read.ids)
+    assert len(set(read.ids)) == len(read.ids)
+    assert all(source.startswith(("data:image/png;base64,", "#")) for source in read.sources)
+    assert {source[1:] for source in read.sources if source.startswith("#")} <= set(read.ids)
+    assert "(no picture)" not in read.text
+    assert "@media print" in page
+    for name in ("Uniform", "nan", "None", "Traceback"):
+        assert not re.search(rf"\b{name}\b", read.text)
+
+
+def test_the_first_page_has_the_results_alone(page: Any, found: Any) -> None:
+    """A summary, the picture, the means and what must be known of them; in print the rest begins on a new page."""
+    first, rest = page.split('<section id="kmax">')
+    assert _Page(page).ids[0] == "results"
+    assert first.count("<table>") == 1
+    assert first.count("<img ") == 1
+    assert all(message in " ".join(first.split()) for message in map(escape, found.messages))
+    assert "p (Holm)" in first
+    assert rest.count("<table>") > 10
+    assert "#results { break-after: page; }" in page
+
+
+@pytest.mark.parametrize(("people", "why"), [(1, "1 participant, where"), (2, "2 participants, where")])
+def test_below_three_participants_there_is_no_p_no_interval_over_them_and_one_sentence_why(
+    people: int, why: str, tmp_path: Path
+) -> None:
+    mapping = protocol(search={"step": 50.0, "settings": {"turns": 2}}, order={"repeats": 2})
+    with without_sync():
+        write_study(tmp_path, mapping, {f"P{n:02d}": person(40.0 * n) for n in range(people)})
+    found = analyse([tmp_path])
+    read = _Page(render(found, {}))
+    assert not [
+        head for head, *_ in read.tables if any(name.startswith("p") and "Holm" in name for name in head)
+    ]
+    assert not re.search(r"p \(Holm\) (=|<)", read.text)
+    over = [dict(zip(head, row, strict=True)) for head, *rows in read.tables if "SD" in head for row in rows]
+    assert all("participant" in row or "95 %" not in row for row in over)
+    text = " ".join(read.text.split())
+    (sentence,) = re.findall(r"No interval and no p value for [^;]*?: ([^.]*)", text)
+    assert sentence.startswith(why)
+    for one in (*found.paired, *found.over_participants, *found.slopes):
+        assert all(math.isnan(value) for value in (one.low, one.high))
+        assert one.problem
+
+
+def test_texts_of_users_are_text(page: Any) -> None:
+    read = _Page(page)
+    assert read.scripts == 1  # the numbers
+    assert read.text.count(NASTY) >= 3  # title, question, note
+    assert "uniform <i>" in read.text
+    printed = json.loads(read.numbers)
+    assert printed["title"].endswith(NASTY)
+    assert printed["notes"][0]["detail"] == NASTY
+
+
+def test_the_numbers_are_those_of_the_analysis(page: Any, found: Any, tmp_path: Path) -> None:
+    printed = json.loads(_Page(page).numbers)
+    assert printed == json.loads(json.dumps(numbers(found), allow_nan=False))
+    assert len(printed["runs"]) == len(found.runs)
+    paths = write_session_report(found, {}, tmp_path)
+    assert [path.name for path in paths] == [PAGE, NUMBERS]
+    assert json.loads(paths[1].read_text(encoding="utf-8")) == printed
+    assert "(no picture)" in paths[0].read_text(encoding="utf-8")
+
+
+def test_pictures_that_fail_cost_the_page_nothing_else(
+    found: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fails(figure: Any, path: Path) -> Path:
+        raise RuntimeError("no fonts")
+
+    monkeypatch.setattr(style, "save", fails)
+    drawn, page = cli_report.write_report(found, tmp_path, "svg", lambda *_: None)
+    assert drawn == {}
+    assert "(no picture)" in page.read_text(encoding="utf-8")
+    assert ": no fonts" in capsys.readouterr().err
+
+
+def test_every_limit_of_the_main_table_is_printed(page: Any, found: Any) -> None:
+    text = _Page(page).text
+    for one in found.over_participants:
+        assert f"{one.mean:.4g}" in text
+    for session in found.study.sessions:
+        assert session.code in text
+
+
+def test_numbers_have_units_and_the_experiment_is_the_one_in_effect(found: Any) -> None:
+    assert all("N·m/rad" in one.detail and "N·m·s/rad" in one.detail for one in invalid_trials(found.study))
+    effective = numbers(found)["provenance"]["experiments"]
+    assert effective["_dual $x"]["operator"]["press"] == 2.0
+    assert effective["_dual $x"]["controller"]["position_rate"] == 20_000
+    said = _with_units(found.study.sessions[0], "heard 0.113 above 0.1; felt 2e-05 above 1e-05; it moved")
+    assert said == "heard 0.113 above 0.1 N·m; felt 2e-05 above 1e-05 rad/s; it moved"
+
+
+def test_every_deviation_is_listed(found: Any, page: Any) -> None:
+    told = [(one.participant, one.what, one.detail) for one in deviations(found.study)]
+    kinds = [(code, what) for code, what, _ in told]
+    assert kinds == [
+        ("P01", "redone"),
+        ("P01", "continued"),
+        ("P01", "recording missing"),
+        ("P02", "stopped"),
+        ("P02", "resumed"),
+        ("P02", "restarted"),
+        ("P03", "amended"),
+        ("P03", "skipped"),
+        ("P03", "ended"),
+    ]
+    details = {what: detail for _, what, detail in told}
+    holds = {
+        "continued": ("1 min 30 s",),
+        "stopped": ("the operator left",),
+        "resumed": ("1 h 6 min", "trials/t0013.parquet"),
+        "restarted": ("block 1", "11 trials"),
+        "amended": ("“stable” → “unsure”", "the wrong key"),
+        "skipped": ("uniform <i>, B = 0.5 N·m·s/rad",),
+        "ended": ("60 minutes",),
+    }
+    for what, parts in holds.items():
+        assert all(part in details[what] for part in parts), details[what]
+    assert not any("  " in detail or detail.endswith(".") for detail in details.values())
+    useless = invalid_trials(found.study)
+    assert len(useless) == sum(trial.void == "invalid" for trial in found.trials) + sum(
+        trial.automatic == "invalid" and trial.void in ("redone", "restarted") for trial in found.trials
+    )
+    text = _Page(page).text
+    for one in (*deviations(found.study), *useless, *notes(found.study)):
+        assert one.detail in text
+
+
+def test_a_difference_that_is_the_same_for_all_is_told_without_an_interval(found: Any) -> None:
+    told = [
+        replace(
+            one,
+            difference=25.0,
+            low=math.nan,
+            high=math.nan,
+            p=math.nan,
+            holm=math.nan,
+            problem="they are alike",
+        )
+        for one in found.paired
+        if one.measure == "rule"
+    ]
+    text = _flat(render(replace(found, paired=tuple(told), mixed=()), {}))
+    assert "+25 N·m/rad without interval and p value: they are alike." in text
+    assert "p = –" not in text
+
+
+def test_methods_have_every_number_of_protocol_experiment_and_result_and_no_key_of_ours(found: Any) -> None:
+    told = {paragraph.heading: paragraph.text for paragraph in methods(found)}
+    study, counts = found.study, found.counts()
+    x = effective(found)["uniform <i>"]
+    limits, judged = x.rig.limits, x.verdict
+    parts = {
+        "Participants": ["Three participants", "3 planned", "2 completed"],
+        "Apparatus": [f"{x.rig.encoder.resolution:.4g}", f"{limits.effort:g} N·m"],
+        "Conditions": ["20 kHz", "2 kHz", "200 Hz", "2 N", "0 and 0.5 N·m·s/rad"],
+        "Task": [f"{x.homing.speed:g} rad/s", "K = 100 N·m/rad", study.protocol.trial.say],
+        "Automatic verdict": [
+            f"{judged.felt_velocity:g} m/s",
+            f"{judged.heard_force:g} N",
+            f"{judged.moved:g} m",
+        ],
+        "Search": ["41 stiffnesses from 100 to 900 N·m/rad, 20 N·m/rad apart", "2 reversals", "40 verdicts"],
+        "Order and blinding": ["seed 7", "3 of the 4 rows", "row 2: 1 participant", "not balanced"],
+        "Safety and rests": [f"{limits.speed:g} rad/s", OSCILLATIONS, f"{1000 * limits.oscillation_s:g} ms"],
+        "Limits": [
+            f"Of {counts['recorded']} recorded trials {counts['counted']}",
+            *(f"{n} {name}" for name, n in counts.items() if name not in ("recorded", "counted")),
+        ],
+        "Comparisons": [
+            f"{next(one.runs for one in found.mixed if one.measure == 'rule')} runs",
+            "2 degrees of freedom",
+        ],
+        "Psychometric functions and agreement": [
+            ", ".join(f"{100 * rate:g}" for rate in LAPSE_RATES[:-1]) + f" and {100 * LAPSE_RATES[-1]:g} %",
+        ],
+        "Software": ["haptic-rig 0.1.0"],
+    }
+    assert list(told) == list(parts)
+    for heading, some in parts.items():
+        for part in some:
+            assert str(part) in told[heading], (heading, part)
+    whole = " ".join(told.values())
+    assert {"of skipped searches", "of unfinished searches", "practice", "redone", "restarted"} <= set(counts)
+    assert not re.search(r"\bnan\b|None|\{|\}|  |\.\.| [.,;:)]|\( ", whole)
+    keys = {*parameters(), *(f"{section}.{key}" for section, key in protocol_keys())}
+    assert not [key for key in keys if re.search(rf"\b{re.escape(key)}\b", whole)]
+
+
+def protocol_keys() -> Iterator[Any]:
+    """Keys of a protocol file, by section."""
+    for section, values in mapping_of().items():
+        for one in values if isinstance(values, list) else [values]:
+            yield from ((section, key) for key in one)
+
+
+@pytest.mark.parametrize(
+    ("rule", "settings", "words"),
+    [
+        (
+            "ascending",
+            {"repeats": 4},
+            "Each of 4 ascending series began at the softest level",
+        ),
+        (
+            "staircase",
+            {"stable_to_rise": 2, "start": 400.0},
+            "began at 400 N·m/rad: 2 stable verdicts in a row",
+        ),
+        ("interleaved", {}, "20 % of the trials were catch trials"),
+        ("psi", {"hits": 30, "enough": 0.05}, "for 30 verdicts, or until K50 was known within 5 %"),
+        ("grid", {"repeats": 1}, "Every level was presented 1 time, in a new random order"),
+    ],
+)
+def test_each_rule_is_told_with_the_settings_in_force(
+    rule: str, settings: Any, words: str, tmp_path: Path
+) -> None:
+    mapping = protocol(
+        search={
+            "rule": rule,
+            "settings": settings,
+            "step": None,
+            "ratio": 1.1,
+            "lowest": 200.0,
+            "highest": 800.0,
+        }
+        if rule == "psi"
+        else {"rule": rule, "settings": settings, "step": 100.0, "catch_share": 0.2}
+    )
+    with without_sync(), sitting(tmp_path / "P01", mapping, person()) as one:
+        one.run(2)
+    (text,) = [p.text for p in methods(analyse([tmp_path])) if p.heading == "Search"]
+    assert words in text
+    assert ("catch trials" in text) == (rule != "psi")
+    assert ("each 1.1 times the one before" if rule == "psi" else "100 N·m/rad apart") in text
+
+
+def test_pictures_are_drawn_with_units_in_their_labels(found: Any, drawn: Any) -> None:
+    expected = {"zwidth", "psychometric", "agreement", "effects"}
+    assert {path.stem for path in drawn.values()} == expected | {tracks_name(f"P0{n}") for n in (1, 2, 3)}
+    assert {f"{path.stem}.svg" for path in drawn.values()} <= {path.name for path in drawn.values()}
+    for path in drawn.values():
+        if path.suffix == ".png":
+            image = matplotlib.image.imread(path)
+            assert image.shape[0] > 200
+            assert image[..., :3].std() > 0.02  # something is there
+        else:
+            assert "N·m" in path.read_text(encoding="utf-8") or path.stem == "agreement"
+    for name, draw in pictures(found).items():
+        if name in ("zwidth", "psychometric"):
+            axes = draw(found).axes
+            assert "N·m/rad" in axes[0].get_ylabel() + axes[-1].get_xlabel()
+
+
+def test_the_same_study_gives_the_same_pictures(found: Any, drawn: Any, tmp_path: Path) -> None:
+    figure = zwidth_figure(found, found.options.measure)
+    for ending in ("png", "svg"):
+        again = style.save(figure, tmp_path / f"again.{ending}").read_bytes()
+        assert again == drawn[f"zwidth.{ending}"].read_bytes()
+        figure.set_layout_engine("none")  # it is laid out once
+
+
+def key(figure: Any) -> list[str]:
+    return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
+
+
+def one_person(where: Path, trials: int = 10_000, *, invalid: float = 0.0, repeats: int = 1) -> Any:
+    mapping = protocol(
+        search={"step": 50.0, "settings": {"turns": 2, "most": 10}},
+        order={"repeats": repeats},
+        condition=[{"name": "dual", "scheme": "dual:20k/2k"}],
+    )
+    with without_sync(), sitting(where / "P01", mapping, person(invalid=invalid)) as one:
+        one.run(trials)
+    return analyse([where])
+
+
+def test_what_is_rounding_is_no_effect(tmp_path: Path) -> None:
+    """One run less its own mean is zero, and stands on an axis of its own size, not of the rounding's."""
+    figure = pictures(found := one_person(tmp_path))["effects"](found)
+    limit = found.runs[0].limits["rule"].value
+    for axes in (*figure.axes[:3], figure.axes[5]):
+        low, high = axes.get_ylim()
+        assert 0.09 * limit <= high - low <= 0.5 * limit
+    assert all(list(axes.lines[0].get_ydata()) == [0.0] for axes in figure.axes[:3])
+
+
+@pytest.mark.parametrize("trials", [1, 3, 10_000])
+def test_axes_that_count_have_whole_ticks(trials: int, tmp_path: Path) -> None:
+    found = one_person(tmp_path, trials)
+    panels = [*pictures(found)["effects"](found).axes, *pictures(found)[tracks_name("P01")](found).axes]
+    for axes in (axes for axes in panels if axes.get_xlabel()):
+        low, high = axes.get_xlim()
+        ticks = [tick for tick in axes.get_xticks() if low <= tick <= high]
+        assert all(tick == round(tick) for tick in ticks), axes.get_xlabel()
+        assert ticks or axes.texts, axes.get_xlabel()  # a panel without ticks says why it is empty
+
+
+def test_a_panel_without_data_says_so(tmp_path: Path) -> None:
+    figure = pictures(found := one_person(tmp_path, 1))["effects"](found)
+    said = [[text.get_text() for text in axes.texts] for axes in figure.axes]
+    empty, useless = ["no run is complete"], ["no trial was invalid, redone or aborted"]
+    assert said == [empty, empty, empty, [], useless, empty]
+
+
+def test_a_circle_has_the_area_of_its_verdicts(found: Any) -> None:
+    """In all panels alike."""
+    figure = pictures(found)["psychometric"](found)
+    shown = {
+        round(float(size), 6) for axes in figure.axes for c in axes.collections for size in c.get_sizes()
+    }
+    counts = {count for one in found.psychometrics if not one.participant for count in one.verdicts}
+    area = max(shown) / max(count for one in found.psychometrics for count in one.verdicts)
+    assert shown <= {round(area * count, 6) for count in counts | {1}}
+
+
+def test_legends_lie_within_their_picture(found: Any, tmp_path: Path) -> None:
+    for some in (found, one_person(tmp_path)):
+        for name in ("psychometric", tracks_name("P01")):
+            figure = pictures(some)[name](some)
+            figure.get_layout_engine().execute(figure)
+            (legend,) = figure.legends
+            box = legend.get_window_extent()
+            assert box.x0 >= 0.0
+            assert box.x1 <= figure.bbox.width
+            assert all(box.y1 <= axes.get_tightbbox().y0 for axes in figure.axes if axes.axison)
+
+
+def test_a_single_damping_is_no_z_width(found: Any, tmp_path: Path) -> None:
+    assert zwidth_figure(found, "rule")._suptitle.get_text().startswith("Z-width, limit by the search rule")
+    assert "Z-width" not in zwidth_figure(one_person(tmp_path), "rule")._suptitle.get_text()
+
+
+def test_no_column_is_dashes_only(found: Any, tmp_path: Path) -> None:
+    for some in (found, one_person(tmp_path / "one"), one_person(tmp_path / "two", repeats=2)):
+        read = _Page(render(some, {}))
+        for head, *rows in read.tables:
+            for number, name in enumerate(head):
+                assert not rows or any(row[number] != "–" for row in rows), (name, head)
+
+
+def test_a_slope_that_is_not_there_is_a_sentence_and_no_row(tmp_path: Path) -> None:
+    read = _Page(render(some := one_person(tmp_path), {}))
+    assert all(one.problem for one in some.slopes)
+    assert "No slope of limit (rule) per place in the block" in " ".join(read.text.split())
+    assert not any("slope" in head or head[0] == "of" for head, *_ in read.tables)
+
+
+def test_a_table_keeps_its_columns_where_a_single_cell_says_something() -> None:
+    table = Table(("who", "when", "a", "b"), [("P01", "–", "–", "–"), ("P02", "–", "1", "–")], "c", words=2)
+    assert filled(table) == Table(["who", "a"], [["P01", "–"], ["P02", "1"]], "c", words=1)
+    empty = Table(("who", "a"), [], "c")
+    assert filled(empty).head == ["who", "a"]
+
+
+def test_limits_beyond_the_levels_are_marked(tmp_path: Path) -> None:
+    mapping = protocol(
+        search={"highest": 300.0, "settings": {"turns": 2, "most": 8}},
+        condition=[{"name": "dual", "scheme": "dual:20k/2k"}],
+        order={"repeats": 1},
+    )
+    with without_sync():
+        write_study(tmp_path, mapping, {"P01": person(), "P02": person(10.0)})
+    found = analyse([tmp_path])
+    figure = zwidth_figure(found, "rule")
+    triangles = [
+        c for c in figure.axes[0].collections if c.get_paths() and len(c.get_paths()[0].vertices) == 4
+    ]
+    assert len(triangles) == 3  # two people and their mean
+    page = render(found, {})
+    assert "≥ 300" in _Page(page).text
+    assert "2 of 2 limits are censored" in _flat(page)
+
+
+@pytest.mark.parametrize("trials", [0, 1])
+def test_a_session_that_has_hardly_begun_has_a_page(trials: int, tmp_path: Path) -> None:
+    with without_sync(), sitting(tmp_path / "P01", mapping_of(), person()) as one:
+        one.run(trials)
+    found = analyse([tmp_path], AnalysisOptions(measure="K50 person"))
+    read = _Page(render(found, {}))
+    assert "no limit" in read.text.lower()
+    for draw in pictures(found).values():
+        figure = draw(found)
+        figure.get_layout_engine().execute(figure)
+
+
+def test_a_study_beyond_the_levels_has_bounds_and_no_tests(tmp_path: Path) -> None:
+    """Five people for whom every wall of one condition holds: no interval, however alike the ends of the levels are."""
+    mapping = protocol(
+        search={"highest": 450.0, "step": 50.0, "settings": {"turns": 2, "most": 30}}, order={"repeats": 1}
+    )
+    people = {
+        f"P0{n}": Person(
+            threshold=lambda condition, _, n=n: 900.0 if condition == "dual" else 250.0 + 20.0 * n
+        )
+        for n in range(1, 6)
+    }
+    write_study(tmp_path, mapping, people)
+    found = analyse([tmp_path])
+    ((one, _),) = summarised(found)
+    assert (one.bound, one.beyond.count, one.beyond.limits, math.isnan(one.p)) == ("least", 5, 10, True)
+    text = _flat(render(found, {}))
+    assert re.search(r"dual − uniform, at B = 0: ≥ \+\d\S* N·m/rad with 5 of 10 limits censored", text)
+    assert "p (Holm) =" not in text
+    assert "5 above of 5" in text
+    assert "No model for censored values (Tobit) was used" in text
+    for draw in pictures(found).values():
+        figure = draw(found)
+        figure.get_layout_engine().execute(figure)
+
+
+def test_where_the_mean_over_dampings_is_a_bound_the_summary_tells_each_damping(found: Any) -> None:
+    """One damping beyond the levels takes the difference over all of them with it, and not those of the others."""
+    rule = [one for one in found.paired if one.measure == "rule"]
+    assert [one.damping for one in rule] == [0.0, 0.5, None]
+
+    def dampings(paired: Any) -> Any:
+        return [one.damping for one, _ in summarised(replace(found, paired=tuple(paired), mixed=()))]
+
+    nothing = dict.fromkeys(("low", "high", "p", "holm"), math.nan)
+    assert dampings(rule) == [None]
+    withheld = [rule[0], *(replace(one, withheld=True, **nothing) for one in rule[1:])]
+    assert dampings(withheld) == [0.0, 0.5, None]
+
+
+@pytest.mark.parametrize(
+    ("people", "told"),
+    [
+        (1, "1 of the 2 rows was used (row 0: 1 participant), so the order was not balanced"),
+        (2, "Each row was that of 1 participant, so the order was balanced over them"),
+        (3, "All 2 rows were used, but not equally often (row 0: 2 participants, row 1: 1 participant)"),
+    ],
+)
+def test_an_order_is_balanced_where_each_row_is_there_equally_often(
+    people: int, told: str, tmp_path: Path
+) -> None:
+    sessions = {f"P0{n}": person() for n in range(1, people + 1)}
+    write_study(tmp_path, protocol(order={"repeats": 1}, search={"step": 200.0}), sessions)
+    texts = {paragraph.heading: paragraph.text for paragraph in methods(analyse([tmp_path]))}
+    assert told in texts["Order and blinding"]
+
+
+@pytest.mark.parametrize(("drive", "told"), [("voltage", True), ("current", False)])
+def test_a_voltage_drive_is_told(drive: str, told: bool, tmp_path: Path) -> None:
+    changes = {"rig.amplifier.drive": drive, "operator.press": 2.0}
+    write_study(tmp_path, protocol(study={"changes": changes}, search={"step": 200.0}), {"P01": person()})
+    texts = {paragraph.heading: paragraph.text for paragraph in methods(analyse([tmp_path]))}
+    assert ("back-EMF damped the handle by 0.0253 N·m·s/rad" in texts["Apparatus"]) is told
+
+
+def test_lapse_rates_that_no_verdict_shows_and_intervals_that_are_absent_are_dashes(found: Any) -> None:
+    functions = [
+        replace(
+            one,
+            lapse_rate=replace(one.lapse_rate, mean=mean),
+            threshold=replace(one.threshold, low=math.nan, high=math.nan),
+        )
+        for one, mean in zip(found.psychometrics, (0.0, 0.027, 0.06, math.nan), strict=False)
+    ]
+    changed = replace(found, psychometrics=tuple(functions))
+    rows = psychometric(changed, changed.psychometrics, "").rows
+    assert sorted(row[8] for row in rows) == ["0.0 %", "6.0 %", "–", "–"]
+    assert {row[5] for row in rows} == {"–"}
+    pictures(changed)["psychometric"](changed).draw_without_rendering()
+    assert not re.search(r"\bnan\b", _Page(render(changed, {})).text)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "text"),
+    [
+        (400.0, 500.0, "400 … 500"),
+        (400.0, math.inf, "400 … ∞"),
+        (0.0, 500.0, "0 … 500"),
+        (0.0, math.inf, "–"),
+        (math.nan, math.nan, "–"),
+        (None, None, "–"),
+        (400.0, math.nan, "–"),
+    ],
+)
+def test_an_interval_that_is_open_on_a_side_says_its_end(low: Any, high: Any, text: str) -> None:
+    assert interval(low, high) == text
+
+
+def test_the_command_writes_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    mapping = protocol(search={"settings": {"turns": 2, "most": 4}, "step": 100.0}, order={"repeats": 1})
+    with without_sync(), sitting(tmp_path / "P01", mapping, person()) as one:
+        one.run()
+    png = tmp_path / "zwidth.png"
+    png.write_bytes(b"made up")
+    asked: list[Any] = []
+
+    def draws(found: Any, place: Path, endings: Any, **_: Any) -> dict[str, Path]:  # told above
+        asked.append(endings)
+        return {png.name: png}
+
+    monkeypatch.setattr(cli_report, "draw_session", draws)
+    words = [
+        "session",
+        "analyse",
+        str(tmp_path),
+        "--json",
+        "-o",
+        str(tmp_path / "out"),
+        "--format",
+        "pdf",
+    ]
+    told = CliRunner().invoke(rig, words)
+    assert told.exit_code == 0, told.output
+    assert asked == [("png", "pdf")]
+    answer = json.loads(told.stdout)
+    assert answer["report"] == str(tmp_path / "out" / PAGE)
+    assert answer["pictures"] == {"zwidth.png": str(png)}
+    assert "data:image/png;base64,bWFkZSB1cA==" in (tmp_path / "out" / PAGE).read_text(encoding="utf-8")

@@ -1,0 +1,323 @@
+"""The arming gate and the table of walls, on links whose times are made up, against theory's own limits."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from rig import config
+from rig.analysis import theory
+from rig.config import controller, presets
+from rig.core.check import Outcome
+from rig.core.errors import PlanError
+from rig.core.present import plain
+from rig.doctor import gate as gates
+from rig.doctor.gate import LIFETIME_SHARE, check_armable, gate
+from rig.doctor.in_effect import in_effect
+from rig.doctor.late_loops import LARGEST_DELAY, LateLoops, hands_of, late_by
+from rig.doctor.walls import candidate_rates, dampings_of, supported_walls
+from rig.realtime.clock import MonotonicClock, VirtualClock
+from tests.conformance.guides import ROOT, blocks
+from tests.conformance.made_links import link
+
+KOUL = presets.load("koul-compliant")
+BY_HAND = config.override(
+    KOUL, {"controller.velocity_rate": 20_000, "wall.damping": 0.0, "wall.stiffness": 100.0}
+)
+CALM = config.override(config.with_realtime(KOUL), {"controller.position_rate": 1000})
+
+
+def outcomes(found: Any) -> Any:
+    """Outcome of each check of a gate, by name."""
+    return {one.name: one.outcome for one in found.checks}
+
+
+def texts(found: Any) -> Any:
+    return {one.name: one.text for one in found.checks}
+
+
+def refused(found: Any) -> Any:
+    """Text of each check that refuses, by name."""
+    return {one.name: one.text for one in found.checks if one.outcome is Outcome.REFUSED}
+
+
+def test_delay_is_the_ticks_that_the_way_takes_and_one_at_least() -> None:
+    assert [link(30e-6).delay_ticks(rate) for rate in (1000, 20_000, 33_000, 34_000)] == [1, 1, 1, 2]
+    assert link(0.0, virtual=True).delay_ticks(20_000) == 0
+    assert link(30e-6).delay_ticks(20_000, "host") == 2  # a sample waits for the host's own tick
+    assert link(1e-3).loop_rate_hz == pytest.approx(1000.0)
+
+
+def test_koul_by_hand_at_20_khz_is_refused_from_359_on_with_one_tick_of_delay() -> None:
+    """The limit of test_theory_limits, 359 N·m/rad in a normal hand: the gate stands on either side of it."""
+    with_limits = gate(BY_HAND, link(30e-6))
+    assert with_limits.delay_ticks == 1
+    limit = with_limits.k_max["normal"]
+    assert limit == pytest.approx(359, rel=0.01)
+    late = late_by(BY_HAND, 1)
+    assert limit == pytest.approx(theory.k_max(late, None, 0.0, operator="normal").stiffness, rel=1e-6)
+    for factor, stable in ((0.99, True), (1.01, False)):
+        found = gate(config.override(BY_HAND, {"wall.stiffness": factor * limit}), link(30e-6))
+        assert (found.spectral_radius["normal"] < 1.0) is stable
+    assert not found.armable
+    assert "unstable at 20000 Hz with 1 tick of delay" in found.text
+
+
+def test_the_file_of_the_first_power_on_is_armed_as_it_stands(tmp_path: Path) -> None:
+    """Its list forbids --arm-anyway, and none of its commands names another wall."""
+    page = ROOT / "firmware_protocol" / "firmware" / "BENCH.md"
+    path = tmp_path / "mine.toml"
+    path.write_text(next(block.text for block in blocks(page) if block.language == "toml"))
+    found = gate(config.load_experiment(path), link(0.5e-3))
+    assert found.armable, found.text
+    assert max(found.spectral_radius.values()) < 1.0
+    hits = [line for block in blocks(page) for line in block.commands() if line.startswith("rig hit")]
+    assert hits
+    assert not [line for line in hits if " -K " in line or " -B " in line or "--arm-anyway" in line]
+
+
+@pytest.mark.parametrize("delay", [1, 2, 3])
+def test_the_radius_is_the_theorys_own_in_every_hand(delay: int) -> None:
+    found = gate(CALM, link((delay - 0.5) * 1e-3))
+    assert found.delay_ticks == delay
+    assert set(found.spectral_radius) == {"none", "relaxed", "normal", "firm"}
+    for hand, value in found.spectral_radius.items():
+        late = late_by(CALM, delay)
+        wall = CALM.wall
+        assert value == pytest.approx(
+            float(theory.spectral_radius(late, None, wall.stiffness, wall.damping, operator=hand))
+        )
+    unstable = max(found.spectral_radius.values()) >= 1.0
+    assert unstable is (delay >= 3)  # as the preset's text says: a softer wall, one or two ticks late
+    assert ("stability" in refused(found)) is unstable
+
+
+def test_a_loop_that_the_host_paces_is_judged_one_tick_later() -> None:
+    paced = config.override(CALM, {"host.pacing": "host"})
+    one, two = gate(paced, link(0.5e-3)), gate(CALM, link(1.5e-3))
+    assert one.delay_ticks == two.delay_ticks == 2
+    assert one.spectral_radius == pytest.approx(two.spectral_radius)
+
+
+def test_a_calm_wall_on_a_quick_link_is_armed() -> None:
+    found = gate(CALM, link(0.5e-3))
+    assert found.armable
+    assert refused(found) == {}
+    assert found.remedy == ""
+    assert {"delay", "losses", "stability", "passivity", "homing stability"} <= outcomes(found).keys()
+    assert set(outcomes(found).values()) == {Outcome.OK}
+    assert json.loads(json.dumps(plain(found)))["spectral_radius"]["none"] < 1.0
+
+
+def test_a_way_of_more_than_half_a_lifetime_is_refused() -> None:
+    half = LIFETIME_SHARE * controller.command_lifetime_s(CALM)
+    assert half == pytest.approx(2.5e-3)
+    for travel_s, too_slow in ((0.99 * half, False), (1.01 * half, True)):
+        found = gate(CALM, link(travel_s))
+        assert ("delay" in refused(found)) is too_slow
+
+
+@pytest.mark.parametrize(("lost", "too_many"), [(0, False), (4, False), (5, True)])
+def test_losing_more_than_one_in_a_thousand_is_refused(lost: int, too_many: bool) -> None:
+    found = gate(CALM, link(lost=lost))
+    assert ("losses" in refused(found)) is too_many
+
+
+def test_too_few_exchanges_are_told_and_the_longest_counts() -> None:
+    found = gate(CALM, link(number=100))
+    assert "bound p97.049 only" in texts(found)["measurement"]
+    assert found.travel_s == pytest.approx(30e-6)
+
+
+def test_the_usual_filter_stands_in_for_an_estimator_that_is_not_linear() -> None:
+    adaptive = config.override(CALM, {"controller.estimator": "foaw-end"})
+    found = gate(adaptive, link())
+    assert "foaw-end is not linear" in texts(found)["estimator"]
+    assert "fdm-butterworth stands in" in texts(found)["estimator"]
+    same = config.override(CALM, {"controller.parameters": {"cutoff_hz": 100.0}})
+    assert found.spectral_radius == pytest.approx(gate(same, link()).spectral_radius)
+
+
+def test_two_velocity_rates_are_both_looked_at() -> None:
+    rates = {"controller.position_rate": 20_000, "controller.velocity_rate": 2_000, "wall.stiffness": 100.0}
+    fixed = config.override(KOUL, rates)
+    slow = config.override(
+        KOUL, {**rates, "controller.velocity_rate": 500, "controller.parameters": {"cutoff_hz": 50.0}}
+    )
+    both = config.override(fixed, {"controller.slow_velocity_rate": 500, "controller.slow_below": 0.1})
+    found = gate(both, link())
+    a, b = gate(fixed, link()), gate(slow, link())
+    for hand, value in found.spectral_radius.items():
+        assert value == pytest.approx(max(a.spectral_radius[hand], b.spectral_radius[hand]))
+
+
+def test_what_theory_does_not_speak_of_is_said_and_the_round_trip_gates_alone() -> None:
+    law = replace(CALM, wall=replace(CALM.wall, law="my-own", stiffness=1e6))
+    found = gate(law, link())
+    assert found.armable
+    assert found.spectral_radius == {}
+    assert outcomes(found)["stability"] is Outcome.SKIPPED
+    assert "my-own is not a spring and damper" in texts(found)["stability"]
+    slow = gate(CALM, link((LARGEST_DELAY + 2) * 1e-3))
+    assert slow.spectral_radius == {}
+    assert not slow.armable
+
+
+def test_a_hand_of_ones_own_is_looked_at_too() -> None:
+    changes = {"trial.kind": "human", "operator.hand_stiffness": 111.0, "operator.press": 1.0}
+    own = config.override(CALM, changes)
+    assert list(hands_of(own)) == ["none", "relaxed", "normal", "firm", "the experiment's own"]
+    assert len(LateLoops.of(own, 1).radius(60.0, 0.2)) == 5
+
+
+# ---------------------------------------------------------------------- before arming
+
+
+def device(*, simulated: bool = False, virtual: bool = False) -> Any:
+    class Device:
+        dictionary = SimpleNamespace(simulated=simulated)
+        link = SimpleNamespace(clock=VirtualClock() if virtual else MonotonicClock())
+
+    return Device()
+
+
+@pytest.fixture
+def measures(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Links are not measured but made up; returns the list of measurements and what was asked."""
+    asked = []
+
+    def measure(device: Any, seconds: Any, **_: Any) -> Any:
+        asked.append(seconds)
+        return link(2.6e-3, lost=1000, simulated=device.dictionary.simulated)
+
+    monkeypatch.setattr(gates, "measure_link", measure)
+    return asked
+
+
+def test_a_real_device_is_refused_with_every_reason_and_every_remedy(measures: Any) -> None:
+    with pytest.raises(PlanError) as caught:
+        check_armable(device(), CALM)
+    for text in ("lifetime", "were lost", "unstable", "must not be armed"):
+        assert text in caught.value.message
+    for text in ("rig doctor", "cable", "`stiffness` below", "`arm_anyway`"):
+        assert text in caught.value.remedy
+    assert caught.value.exit_code == 2
+
+
+def test_anyway_and_a_simulated_device_are_told_and_not_refused(measures: Any) -> None:
+    forced = check_armable(device(), CALM, anyway=True)
+    assert forced.forced
+    assert not forced.armable
+    simulated = check_armable(device(simulated=True), CALM)
+    assert simulated.simulated
+    assert not simulated.armable
+
+
+def test_a_device_is_measured_once_and_in_virtual_time_never(measures: Any) -> None:
+    one, other = device(simulated=True), device(simulated=True)
+    for _ in range(3):
+        check_armable(one, CALM)
+    assert len(measures) == 1
+    check_armable(other, CALM)
+    assert len(measures) == 2
+    assert check_armable(device(virtual=True), CALM) is None
+    assert len(measures) == 2
+
+
+def test_a_real_device_is_measured_as_long_as_p999_takes(measures: Any) -> None:
+    for rate, seconds in ((1000, 3.1), (5000, 1.0), (100, 4.0)):
+        experiment = config.override(
+            CALM,
+            {
+                "controller.position_rate": rate,
+                "controller.velocity_rate": rate,
+                "controller.parameters": {"cutoff_hz": rate / 10},
+                "verdict.lowpass_hz": 45.0,
+            },
+        )
+        check_armable(device(), experiment, anyway=True)
+        assert measures[-1] == pytest.approx(seconds, abs=0.1)
+
+
+def test_in_real_time_the_device_names_the_rate_and_the_file_the_wall_unless_the_user_does() -> None:
+    real = device()
+    real.dictionary.position_rate_default = 800
+
+    def chosen(**changes: float) -> tuple[int, int, float]:
+        x = in_effect(KOUL, real, {key.replace("__", "."): value for key, value in changes.items()})
+        return x.controller.position_rate, x.controller.velocity_rate, x.wall.stiffness
+
+    assert chosen() == (800, 800, KOUL.realtime["wall.stiffness"])
+    rates = {"controller__position_rate": 1000, "controller__velocity_rate": 500}
+    assert chosen(**rates, wall__stiffness=77.0, verdict__lowpass_hz=200.0) == (1000, 500, 77.0)
+
+
+# ---------------------------------------------------------------------- the table of walls
+
+
+def test_rates_worth_looking_at() -> None:
+    def found(measurement: Any, maximum: Any) -> Any:
+        return [(rate.hertz, rate.because) for rate in candidate_rates(CALM, measurement, maximum)]
+
+    assert found(link(30e-6), 4000) == [(1000, "the experiment's"), (4000, "the device's largest")]
+    assert found(link(0.4e-3), 4000) == [
+        (1000, "the experiment's"), (2500, "one tick of delay"), (4000, "the device's largest"),
+    ]  # fmt: skip
+    assert found(link(30e-6, capacity=92_160.0), 4000) == [
+        (1000, "the experiment's"), (1200, "what the link carries"),
+    ]  # fmt: skip
+    assert found(link(1e-3), 1000) == [(1000, "the experiment's, the device's largest")]
+    assert found(link(0.0, virtual=True), 20_000) == [
+        (1000, "the experiment's"), (20_000, "the device's largest"),
+    ]  # fmt: skip
+
+
+def test_the_table_holds_what_theory_says_of_each_scheme_with_its_delay() -> None:
+    told = []
+    rows = supported_walls(CALM, link(0.4e-3), 4000, told.append)
+    assert told == sorted(told)
+    assert told[-1] == 1.0
+    assert [(row.position_rate, row.velocity_rate, row.delay_ticks) for row in rows] == [
+        (1000, 1000, 1), (1000, 100, 1), (2500, 2500, 1), (2500, 250, 1), (4000, 4000, 2), (4000, 400, 2),
+    ]  # fmt: skip
+    dampings = dampings_of(CALM)
+    assert dampings == (0.0, 0.2, 0.4)
+    for row in rows:
+        late = late_by(CALM, row.delay_ticks)
+        for damping, largest in zip(dampings, row.k_max, strict=True):
+            assert largest.damping == damping
+            for hand in ("none", "firm"):
+                limit = theory.k_max(late, row.scheme, damping, operator=hand)
+                assert largest.by_hand[hand] == pytest.approx(limit.stiffness)
+            assert largest.least[1] == min(largest.by_hand.values())
+        assert json.loads(json.dumps(plain(row)))["k_max"][0]["by_hand"].keys() == row.k_max[0].by_hand.keys()
+
+
+def test_a_dual_rate_experiment_keeps_its_ratio() -> None:
+    rows = supported_walls(KOUL, link(40e-6), 20_000)
+    assert [(row.position_rate, row.velocity_rate) for row in rows] == [(20_000, 20_000), (20_000, 2_000)]
+
+
+def test_a_scheme_that_cannot_be_says_why() -> None:
+    kalman = config.override(CALM, {"controller.estimator": "levant"})
+    rows = supported_walls(kalman, link(30e-6), 1000)
+    assert all("levant" in row.reason for row in rows)
+
+
+def test_the_way_to_a_drive_behind_a_bridge_is_delay_too() -> None:
+    """Its reply, the link and the law share a period: 0.4 ms there and 0.5 ms here leave one tick at 1 kHz."""
+    replies = {"replies": 999.0, "lost": 1.0, "median_us": 300.0, "longest_us": 900.0, "temperature": 31.0}
+    near = link(0.5e-3, drive={**replies, "p999_us": 400.0})
+    far = link(0.5e-3, drive={**replies, "p999_us": 600.0})
+    assert [one.delay_ticks(1000) for one in (link(0.5e-3), near, far)] == [1, 1, 2]
+    assert near.loop_rate_hz == pytest.approx(1 / 0.9e-3)
+    by_itself = link(0.5e-3, drive={**replies, "p999_us": 600.0, "cycle_us": 1000.0})
+    assert (by_itself.loop_rate_hz, by_itself.delay_ticks(500)) == (pytest.approx(500.0), 1)
+    (row,) = (row for row in near.rows() if row.label == "drive")
+    assert "p99.9 0.4 ms" in row.value
+    assert "1 of 1000 replies lost; 31 °C" in row.value

@@ -1,0 +1,444 @@
+"""What is found out about a machine, on trees of /proc, /sys, /dev and /etc made up for each case."""
+
+from __future__ import annotations
+
+import errno
+import gzip
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rig.cli.doctor import doctor
+from rig.config.sections import Host
+from rig.core.check import Check, Outcome
+from rig.core.present import plain
+from rig.doctor import access, kernel, limits, wake_up
+from rig.doctor.machine import CHECKS, machine_checks
+from rig.doctor.subject import Machine
+from rig.doctor.udev import RIGS, udev_rules
+from rig.realtime.scheduling import Rights, facts, refusals
+from rig.realtime.scheduling.rights import name_of_group
+from rig.realtime.scheduling.thread import ThreadState
+
+OK, WARNING, REFUSED = Outcome.OK, Outcome.WARNING, Outcome.REFUSED
+CPU = "sys/devices/system/cpu"
+CLOCKS = "sys/devices/system/clocksource/clocksource0"
+ORDINARY = Rights(user="ada", groups=frozenset({"ada"}), priority_limit=0, locked_limit=8 * 2**20)
+ALLOWED = Rights(user="ada", groups=frozenset({"ada", "dialout"}), priority_limit=98, locked_limit=None)
+
+
+class Tree:
+    """A made-up machine: files by path, and what its user may do."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self.refusals: list[Check] = []
+
+    def with_files(self, files: dict[str, str]) -> Tree:
+        for name, text in files.items():
+            path = self.root / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text)
+        return self
+
+    def machine(self, rights: Rights = ALLOWED, *, may_open: bool = True, **host: object) -> Machine:
+        return Machine(
+            request=Host(**host),
+            root=self.root,
+            rights=rights,
+            openable=lambda path: path.exists() and may_open,
+            tried=lambda priority, cpu: (None, self.refusals),
+        )
+
+
+@pytest.fixture
+def tree(tmp_path: Path) -> Tree:
+    return Tree(tmp_path)
+
+
+def group_of(path: Path) -> str:
+    return name_of_group(path.stat().st_gid)
+
+
+# ---------------------------------------------------------------------- all of them
+
+
+def test_a_machine_of_which_nothing_can_be_read_gives_findings_and_no_traceback(tree: Tree) -> None:
+    findings = machine_checks(machine=tree.machine(ORDINARY), seconds=0)
+    assert len(findings) == len(CHECKS)
+    assert len({finding.name for finding in findings}) == len(CHECKS)
+    for finding in findings:
+        assert finding.text
+        assert finding.why
+        assert isinstance(json.dumps(plain(finding)), str)
+
+
+@given(st.text(max_size=200))
+def test_any_text_in_any_file_gives_findings(tmp_path_factory: pytest.TempPathFactory, text: str) -> None:
+    names = [
+        *(
+            "proc/swaps",
+            "proc/self/cgroup",
+            "proc/self/status",
+            "proc/timer_list",
+            "proc/cpuinfo",
+            "etc/group",
+        ),
+        *("proc/sys/kernel/sched_rt_runtime_us", "proc/sys/kernel/version", "proc/cmdline", "proc/1/comm"),
+        *(f"{CPU}/online", f"{CPU}/isolated", f"{CPU}/cpu0/cpufreq/scaling_governor", "proc/config.gz"),
+        *(f"{CLOCKS}/current_clocksource", "sys/kernel/debug/sched/preempt"),
+    ]
+    tree = Tree(tmp_path_factory.mktemp("machine"))
+    for name in names:
+        path = tree.root / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(text.replace("-", " ").encode(errors="surrogatepass"))
+    assert len(machine_checks(machine=tree.machine(ORDINARY), seconds=0)) == len(CHECKS)
+
+
+def test_every_problem_of_an_ordinary_user_has_its_command(tree: Tree) -> None:
+    tree.with_files({"dev/ttyACM0": "", "dev/cpu_dma_latency": "", f"{CPU}/online": "0-1"})
+    for finding in machine_checks(
+        machine=tree.machine(ORDINARY, may_open=False, realtime="enforce"), seconds=0
+    ):
+        if finding.outcome == REFUSED:
+            assert finding.remedy
+            assert "\n" not in finding.remedy
+
+
+def test_this_machine_is_looked_at_without_a_change() -> None:
+    before = facts.status_kilobytes("VmLck"), ThreadState.here()
+    assert len(machine_checks(seconds=0)) == len(CHECKS)
+    assert (facts.status_kilobytes("VmLck"), ThreadState.here()) == before
+
+
+# ---------------------------------------------------------------------- what the process may have
+
+
+@pytest.mark.parametrize(("realtime", "outcome"), [("enforce", REFUSED), ("try", WARNING), ("off", WARNING)])
+def test_a_refusal_is_as_bad_as_the_experiment_takes_it(tree: Tree, realtime: str, outcome: Any) -> None:
+    machine = tree.machine(ORDINARY, realtime=realtime)
+    for check in (limits.priority, limits.memory):
+        finding = check(machine)
+        assert finding.outcome == outcome
+        assert finding.remedy == f"{refusals.LOG_IN_AGAIN}{refusals.LIMITS_COMMAND}"
+
+
+def test_limits_that_suffice_are_well(tree: Tree) -> None:
+    assert limits.priority(tree.machine()).outcome == OK
+    assert limits.memory(tree.machine()).outcome == OK
+    assert limits.priority(tree.machine(priority=98)).outcome == OK
+
+
+GROUP = {"proc/self/cgroup": "8:cpu,cpuacct:/user.slice\n0::/\n"}
+SHARE = "sys/fs/cgroup/cpu,cpuacct/user.slice/cpu.rt_runtime_us"
+
+
+@pytest.mark.parametrize(
+    ("files", "outcome"),
+    [
+        ({SHARE: "0\n"}, WARNING),
+        ({SHARE: "100000\n"}, OK),
+        ({SHARE: "0\n", "proc/sys/kernel/sched_rt_runtime_us": "-1"}, OK),  # then groups have no shares
+        ({}, OK),
+    ],
+)
+def test_a_control_group_needs_a_share_of_real_time(tree: Tree, files: Any, outcome: Any) -> None:
+    finding = limits.priority(tree.with_files(GROUP | files).machine())
+    assert finding.outcome == outcome
+    assert finding.remedy == (f"run: echo 100000 | sudo tee /{SHARE}" if outcome == WARNING else "")
+
+
+def test_what_neither_limits_nor_groups_explain_is_found_by_trying(tree: Tree) -> None:
+    tree.refusals = [refusals.of_policy(80, ALLOWED, errno.EPERM, tree.root)]
+    finding = limits.priority(tree.machine())
+    assert finding.outcome == WARNING
+    assert "a container or a control group" in finding.text
+    assert finding.remedy
+
+
+def test_the_group_of_a_container_is_the_root_of_its_mount(tree: Tree) -> None:
+    tree.with_files({"proc/self/cgroup": "4:cpu:/docker/0123\n", "sys/fs/cgroup/cpu/cpu.rt_runtime_us": "0"})
+    assert limits.priority(tree.machine()).remedy.endswith("/sys/fs/cgroup/cpu/cpu.rt_runtime_us")
+
+
+def test_deep_sleep_of_processors(tree: Tree) -> None:
+    assert limits.idle_states(tree.machine()).outcome == OK
+    tree.with_files({f"{CPU}/cpuidle/current_driver": "intel_idle"})
+    assert limits.idle_states(tree.machine()).outcome == WARNING
+    tree.with_files({"dev/cpu_dma_latency": ""})
+    assert limits.idle_states(tree.machine()).outcome == OK
+    refused = limits.idle_states(tree.machine(may_open=False))
+    assert (refused.outcome, refused.remedy) == (WARNING, refusals.LOG_IN_AGAIN + refusals.RULES_COMMAND)
+
+
+SWAPS = "Filename Type Size Used Priority\n/dev/sda2 partition 2097148 20480 -2\n/swap file 1024 2048 -3\n"
+
+
+def test_swap_matters_to_memory_that_is_not_locked(tree: Tree) -> None:
+    assert limits.swap(tree.machine(ORDINARY)).text == "there is none"
+    tree.with_files({"proc/swaps": SWAPS})
+    assert limits.swap(tree.machine()).outcome == OK
+    finding = limits.swap(tree.machine(ORDINARY))
+    assert (finding.outcome, finding.remedy) == (WARNING, "sudo swapoff -a")
+    assert finding.text.startswith("22 MiB")
+
+
+@pytest.mark.parametrize(("runtime", "outcome"), [("950000", OK), ("-1", WARNING), ("0", WARNING), ("", OK)])
+def test_the_share_of_real_time(tree: Tree, runtime: str, outcome: Any) -> None:
+    finding = limits.real_time_share(
+        tree.with_files({"proc/sys/kernel/sched_rt_runtime_us": runtime}).machine()
+    )
+    assert finding.outcome == outcome
+    assert bool(finding.remedy) == (outcome != OK)
+    if runtime == "950000":
+        assert "95% of each 1 s" in finding.text
+
+
+# ---------------------------------------------------------------------- kernel and processors
+
+
+@pytest.mark.parametrize(
+    ("version", "config", "outcome"),
+    [
+        ("#1 SMP PREEMPT_RT", "", OK),
+        ("#1 SMP PREEMPT", "", OK),
+        ("#1 SMP PREEMPT_DYNAMIC", "", OK),
+        ("#1 SMP PREEMPT_DYNAMIC", "CONFIG_PREEMPT=y", OK),
+        ("#1 SMP PREEMPT_DYNAMIC", "CONFIG_PREEMPT_NONE=y", WARNING),
+        ("#1 SMP PREEMPT_DYNAMIC", "CONFIG_PREEMPT_VOLUNTARY=y", WARNING),
+        ("#1 SMP", "", WARNING),
+    ],
+)
+def test_kernels_and_how_they_give_way(tree: Tree, version: str, config: str, outcome: Any) -> None:
+    tree.with_files({"proc/sys/kernel/version": version})
+    (tree.root / "proc/config.gz").write_bytes(gzip.compress(f"{config}\nCONFIG_X=m\n".encode()))
+    finding = kernel.preemption(tree.machine())
+    assert finding.outcome == outcome
+    assert bool(finding.remedy) == (outcome != OK)
+
+
+def test_coarse_timers_are_a_problem(tree: Tree) -> None:
+    assert (
+        kernel.timer(tree.with_files({"proc/timer_list": "  .resolution: 1 nsecs\n"}).machine()).outcome == OK
+    )
+    finding = kernel.timer(tree.with_files({"proc/timer_list": "  .resolution: 4000000 nsecs\n"}).machine())
+    assert finding.outcome == REFUSED
+    assert "4 ms" in finding.text
+
+
+@pytest.mark.parametrize(
+    ("current", "available", "outcome", "command"),
+    [
+        ("tsc", "tsc hpet acpi_pm", OK, ""),
+        ("arch_sys_counter", "arch_sys_counter", OK, ""),
+        ("kvm-clock", "kvm-clock tsc", OK, ""),
+        ("hpet", "tsc hpet acpi_pm", WARNING, f"echo tsc | sudo tee {kernel.CLOCK_FILE}"),
+        ("acpi_pm", "hpet acpi_pm", WARNING, ""),
+    ],
+)
+def test_slow_clocks(tree: Tree, current: str, available: str, outcome: Any, command: Any) -> None:
+    tree.with_files({f"{CLOCKS}/current_clocksource": current, f"{CLOCKS}/available_clocksource": available})
+    finding = kernel.clock(tree.machine())
+    assert (finding.outcome, finding.remedy) == (outcome, command)
+
+
+def test_processors_that_change_their_frequency(tree: Tree) -> None:
+    assert kernel.governor(tree.machine()).outcome == OK
+    tree.with_files({f"{CPU}/cpu{n}/cpufreq/scaling_governor": "performance\n" for n in range(4)})
+    assert kernel.governor(tree.machine()).outcome == OK
+    tree.with_files({f"{CPU}/cpu{n}/cpufreq/scaling_governor": "powersave\n" for n in (1, 3)})
+    finding = kernel.governor(tree.machine())
+    assert finding.outcome == WARNING
+    assert finding.text == "powersave on 2 of 4 processors"
+
+
+@pytest.mark.parametrize(
+    ("cpu", "outcome", "text"),
+    [
+        (None, OK, "host.cpu could be an isolated one: 3"),
+        (3, OK, "is isolated"),
+        (2, WARNING, "not isolated"),
+        (7, REFUSED, "this machine has 0, 1, 2, 3"),
+    ],
+)
+def test_the_loop_s_own_processor(tree: Tree, cpu: int | None, outcome: Any, text: str) -> None:
+    finding = kernel.isolation(
+        tree.with_files({f"{CPU}/online": "0-3", f"{CPU}/isolated": "3"}).machine(cpu=cpu)
+    )
+    assert finding.outcome == outcome
+    assert text in finding.text
+    if outcome == WARNING:
+        assert f"isolcpus={cpu}" in finding.remedy
+
+
+@pytest.mark.parametrize(
+    ("files", "outcome"),
+    [
+        ({}, OK),
+        ({"proc/cpuinfo": "processor : 0\nflags\t\t: fpu vme sse hypervisor lahf_lm\n"}, WARNING),
+        ({"proc/cpuinfo": "processor : 0\nflags\t\t: fpu vme sse\nbugs\t: no_hypervisor hypervisor_x\n"}, OK),
+        ({"sys/hypervisor/type": "xen\n"}, WARNING),
+        ({"sys/class/dmi/id/sys_vendor": "QEMU\n"}, WARNING),
+        ({"sys/class/dmi/id/sys_vendor": "LENOVO\n", "sys/class/dmi/id/product_name": "20XW"}, OK),
+        ({"proc/device-tree/hypervisor/compatible": "linux,kvm\0"}, WARNING),
+    ],
+)
+def test_a_machine_below_the_machine(tree: Tree, files: Any, outcome: Any) -> None:
+    assert kernel.virtual_machine(tree.with_files(files).machine()).outcome == outcome
+
+
+# ---------------------------------------------------------------------- ports
+
+
+def test_ports_that_do_not_open_name_the_group_that_owns_them(tree: Tree) -> None:
+    tree.with_files({"dev/ttyACM0": "", "dev/ttyUSB1": "", "dev/ttyS0": ""})
+    assert access.serial_ports(tree.machine()).text == "ttyACM0, ttyUSB1 may be opened"
+    finding = access.serial_ports(tree.machine(may_open=False))
+    assert finding.outcome == REFUSED
+    group = group_of(tree.root / "dev/ttyACM0")
+    assert finding.remedy.endswith(
+        refusals.RULES_COMMAND if group == "root" else f": sudo usermod -aG {group} ada"
+    )
+
+
+def test_a_port_of_a_group(tree: Tree, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(access, "name_of_group", lambda number: "uucp")
+    tree.with_files({"dev/ttyACM0": "", "etc/group": "uucp:x:14:bob\n"})
+    finding = access.serial_ports(tree.machine(ORDINARY, may_open=False))
+    assert (finding.outcome, finding.remedy) == (REFUSED, f"{refusals.LOG_IN_AGAIN}sudo usermod -aG uucp ada")
+    tree.with_files({"etc/group": "uucp:x:14:bob,ada\n"})
+    finding = access.serial_ports(tree.machine(ORDINARY, may_open=False))
+    assert finding.remedy == "log in again"
+
+
+@pytest.mark.parametrize(
+    ("rights", "groups", "outcome"),
+    [
+        (ORDINARY, "dialout:x:20:\n", WARNING),
+        (ORDINARY, "wheel:x:10:\n", OK),
+        (ALLOWED, "dialout:x:20:ada\n", OK),
+    ],
+)
+def test_the_group_is_told_before_a_port_is_there(tree: Tree, rights: Any, groups: str, outcome: Any) -> None:
+    finding = access.serial_ports(tree.with_files({"etc/group": groups}).machine(rights))
+    assert finding.outcome == outcome
+    assert finding.remedy == (
+        f"{refusals.LOG_IN_AGAIN}sudo usermod -aG dialout ada" if outcome == WARNING else ""
+    )
+
+
+def test_modem_manager_is_harmless_once_the_rules_are_there(tree: Tree) -> None:
+    assert access.modem_manager(tree.machine()).outcome == OK
+    tree.with_files({"proc/17/comm": "ModemManager\n", "proc/self/comm": "rig\n"})
+    finding = access.modem_manager(tree.machine())
+    assert (finding.outcome, finding.remedy) == (WARNING, refusals.RULES_COMMAND)
+    assert access.udev_rules_present(tree.machine()).outcome == WARNING
+    tree.with_files({refusals.RULES_FILE.lstrip("/"): udev_rules()})
+    assert access.modem_manager(tree.machine()).outcome == OK
+    assert access.udev_rules_present(tree.machine()).outcome == OK
+
+
+def test_brltty_is_found_running_or_waiting_for_an_adapter(tree: Tree) -> None:
+    assert access.brltty(tree.machine()).outcome == OK
+    rules = tree.root / "usr/lib/udev/rules.d/85-brltty.rules"
+    tree.with_files({"usr/lib/udev/rules.d/85-brltty.rules": ""})
+    assert access.brltty(tree.machine()).outcome == WARNING
+    rules.unlink()
+    rules.symlink_to("/dev/null")  # masked
+    assert access.brltty(tree.machine()).outcome == OK
+    tree.with_files({"proc/99/comm": "brltty\n"})
+    assert access.brltty(tree.machine()).outcome == WARNING
+
+
+# ---------------------------------------------------------------------- rules
+
+RULE = re.compile(r'[A-Z]+(\{[A-Za-z_]+\})?(==|\+=|=)"[^"]*"')
+
+
+@given(st.lists(st.tuples(st.integers(0, 0xFFFF), st.integers(0, 0xFFFF)), max_size=5))
+def test_rules_are_well_formed_and_match_before_they_assign(rigs: Any) -> None:
+    text = udev_rules(rigs)
+    for line in text.splitlines():
+        if line and not line.startswith("#"):
+            parts = line.split(", ")
+            assert all(RULE.fullmatch(part) for part in parts), line
+            matches = ["==" in part for part in parts]
+            assert matches == sorted(matches, reverse=True)
+            assert True in matches
+    for vendor, product in rigs:
+        assert f'"{vendor:04x}", ATTR{{idProduct}}=="{product:04x}"' in text
+    assert text.count("haptic-rig-$env{ID_SERIAL_SHORT}") == len(set(rigs))
+
+
+def test_rules_do_what_rigs_want() -> None:
+    text = udev_rules()
+    for part in ('ID_MM_DEVICE_IGNORE}="1"', 'TAG+="uaccess"', 'ATTR{latency_timer}="1"', "cpu_dma_latency"):
+        assert part in text
+    assert udev_rules([*RIGS, *RIGS]) == text
+
+
+# ---------------------------------------------------------------------- wake-ups
+
+
+@pytest.mark.parametrize("realtime", ["enforce", "try", "off"])
+def test_wake_ups_are_measured_as_far_as_granted(realtime: str) -> None:
+    before = facts.status_kilobytes("VmLck"), ThreadState.here()
+    woken = wake_up.measure(Host(realtime=realtime), 0.05)
+    assert (facts.status_kilobytes("VmLck"), ThreadState.here()) == before
+    assert woken.count == 50
+    assert 0 < woken.p50_s <= woken.p99_s <= woken.worst_s
+    assert woken.skipped >= 0
+    assert woken.thread.is_fifo == (
+        realtime != "off" and not any("SCHED_FIFO" in text for text in woken.refusals)
+    )
+    finding = wake_up.judged(woken)
+    assert "50 at 1 kHz as SCHED_" in finding.text
+    assert finding.numbers["worst_s"] == woken.worst_s
+
+
+def test_the_kernel_sleeps_to_a_grid_and_skips_what_it_missed() -> None:
+    late = np.full(20, -1, np.int64)
+    assert wake_up.wake_ups(200_000, late) >= 0
+    assert (late >= 0).all()
+
+
+def test_late_wake_ups_are_a_warning_with_what_was_refused() -> None:
+    thread = ThreadState(policy=0, priority=0, cpus=(0,), timer_slack_ns=1)
+    woken = wake_up.WakeUps(
+        rate_hz=1000,
+        count=1000,
+        p50_s=25e-6,
+        p99_s=2.5e-3,
+        worst_s=8e-3,
+        skipped=3,
+        thread=thread,
+        refusals=("SCHED_FIFO 80 is refused",),
+    )
+    finding = wake_up.judged(woken)
+    assert isinstance(finding, Check)
+    assert finding.outcome == WARNING
+    assert finding.text == (
+        "1000 at 1 kHz as SCHED_OTHER: 50 % within 25 µs, 99 % within 2500 µs, longest 8000 µs"
+        "; 3 periods missed; SCHED_FIFO 80 is refused"
+    )
+
+
+# ---------------------------------------------------------------------- the command
+
+
+def test_the_command_prints_the_rules_and_nothing_else() -> None:
+    result = CliRunner().invoke(doctor, ["--print-udev"])
+    assert result.exit_code == 0
+    assert result.stdout == udev_rules()
+
+
+def test_the_checks_take_what_the_experiment_asks() -> None:
+    assert machine_checks(Host(cpu=4095), seconds=0) != machine_checks(Host(), seconds=0)
