@@ -1,6 +1,6 @@
 """The physics of a rig as data: mechanics, amplifier, encoder, and the continuous matrices that follow.
 
-No time stepping here; `sim_backend.plant` discretises and steps what this file describes, and theory reads
+No time stepping here; `sim_backend.mechanics.plant` discretises and steps what this file describes, and theory reads
 the same matrices. Everything is reflected to the link (the moving side that a person holds), in SI units; for
 a linear rig read mass for inertia and force for effort.
 

@@ -24,7 +24,7 @@ from rig.devices.framed import FramedDevice
 from rig.devices.simulated import OpenExcitedSimulation, OpenRig, OpenWatchedLink, WatchedLink
 
 BUILT_IN = {
-    "sim": "sim_backend.link:open_link",
+    "sim": "sim_backend.ends.link:open_link",
     "serial": "rig.devices.threaded_serial:open_link",
     "usb": "rig.devices.usb:open_link",
 }
@@ -38,9 +38,9 @@ if sys.platform == "linux":
 MADE_FOR_A_RIG = ("sim", "moteus", "odrive")  # schemes whose far end is built from the experiment's rig
 FIRMWARE = "firmware"  # option of sim://: 1 is the compiled firmware in place of its mirror in Python
 # What the simulation offers beside its link (`rig.devices.simulated`), and its server (`rig.devices.local`).
-HITS, EXCITED = "sim_backend.hits:RigOfHits", "sim_backend.excited:ExcitedPlant"
-PLANT, TRIAL = "sim_backend.plant:DiscretePlant", "sim_backend.trial:run_trial"
-SERVER = "sim_backend.pty:serve"
+HITS, EXCITED = "sim_backend.bare.hits:RigOfHits", "sim_backend.bare.excited:ExcitedPlant"
+PLANT, TRIAL = "sim_backend.mechanics.plant:DiscretePlant", "sim_backend.bare.trial:run_trial"
+SERVER = "sim_backend.ends.pty:serve"
 DISTRIBUTION = "haptic-rig"
 
 

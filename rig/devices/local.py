@@ -36,7 +36,7 @@ def serve(
     announce: Callable[[str], None] = print,
     **options: Any,
 ) -> None:
-    """Serve a simulated rig in this process until stopped (see `sim_backend.pty.serve`).
+    """Serve a simulated rig in this process until stopped (see `sim_backend.ends.pty.serve`).
 
     The calling thread gets real-time scheduling and its processor while it serves, where that is granted, and
     `scheduled` is called with them; ``realtime="off"`` requests none. It has them from the announcement on: loading and

@@ -331,8 +331,8 @@ def simulate(experiment: Experiment, start: Start, offset: float) -> tuple[Contr
     Returns
     -------
     tuple
-        A fresh controller like the one that ran, the plant (`sim_backend.plant.DiscretePlant`), and what happened in
-        each tick (`sim_backend.trial.Trace`).
+        A fresh controller like the one that ran, the plant (`sim_backend.mechanics.plant.DiscretePlant`), and what
+        happened in each tick (`sim_backend.bare.trial.Trace`).
     """
     rig = replace(experiment.rig, encoder=replace(experiment.rig.encoder, offset=offset))
     placed = replace(experiment, rig=rig)

@@ -1,4 +1,4 @@
-"""The rig behind a drive: the plant of `sim_backend.plant`, turned by what the drive's law asks for, tick by tick.
+"""The rig behind a drive: `sim_backend.mechanics.plant`, moved by what the drive's law requests, tick by tick.
 
 A drive knows its own shaft: revolutions of its encoder, N·m at it. The rig's model knows the link. Between them lies
 the encoder's ratio: a shaft that turns `ratio` times for one turn of the link puts `ratio` times its torque there. A
@@ -24,9 +24,9 @@ from rig.core.errors import ConfigError
 from rig.core.model import RigModel
 from rig.realtime.groups import Float, Floats, Int, Ints, group, group_at, group_bytes, type_of
 from rig.realtime.kernel import kernel, prepare
-from sim_backend.coupled_hand import want
-from sim_backend.operator import OperatorScript
-from sim_backend.plant import DiscretePlant, PlantArguments, advance
+from sim_backend.mechanics.coupled_hand import want
+from sim_backend.mechanics.operator import OperatorScript
+from sim_backend.mechanics.plant import DiscretePlant, PlantArguments, advance
 
 Words = NDArray[np.float64]
 

@@ -21,10 +21,10 @@ from typing import Self
 
 from rig.core.errors import ConfigError, DeviceNotFoundError
 from sim_backend.drives.socket_can import FD_BYTES, Frames, from_wire, to_wire
-from sim_backend.real_time import sleep_until
+from sim_backend.ends.real_time import sleep_until
 
 if sys.platform == "linux":
-    from sim_backend.line import PseudoTerminal as RawTerminal
+    from sim_backend.ends.line import PseudoTerminal as RawTerminal
 
 assert sys.platform == "linux"
 
@@ -42,7 +42,7 @@ class UnpluggableTerminal(RawTerminal):
         os.close(self.descriptor)
 
     def read(self, deadline_ns: int) -> bytes:
-        """Return what the host sent; see `sim_backend.line.Line.read`."""
+        """Return what the host sent; see `sim_backend.ends.line.Line.read`."""
         if self._pulled:
             sleep_until(deadline_ns)
             return b""

@@ -21,7 +21,7 @@ from sim_backend.drives.multiplex import NOP
 from sim_backend.drives.odrive import OdriveOptions, SimulatedOdrive
 from sim_backend.drives.serving import Serving
 from sim_backend.drives.socket_can import SocketCan
-from sim_backend.stopping import stopped_by_signals
+from sim_backend.ends.stopping import stopped_by_signals
 
 if sys.platform == "linux":
     from sim_backend.drives.outlets import DriveSockets, UnpluggableTerminal

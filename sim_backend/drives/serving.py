@@ -14,10 +14,10 @@ from collections.abc import Callable
 from typing import Protocol
 
 from rig.devices.fault_script import Direction
-from sim_backend.channel import ScriptedLine as FailingLine
 from sim_backend.drives.bus import DriveModel, Frame, SimulatedAdapter
 from sim_backend.drives.faults import HOST_BUS_OFF, STALE, DriveEvent, DriveScript
 from sim_backend.drives.socket_can import BUS_OFF
+from sim_backend.ends.channel import ScriptedLine as FailingLine
 
 IDLE_NS = 5_000_000  # without a unit
 LONGEST_STEP_NS = 15_000_000  # beyond it, this process was held up

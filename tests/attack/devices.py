@@ -18,8 +18,8 @@ from firmware_protocol.faults import Fault
 from firmware_protocol.framing import ENCODED_LIMIT
 from firmware_protocol.messages import DisarmFlag
 from firmware_protocol.packing import LAYOUT_OF, LAYOUTS
-from sim_backend import firmware_library
-from sim_backend.safety import IDLE_LIFETIME_S
+from sim_backend.board import firmware_library
+from sim_backend.board.safety import IDLE_LIFETIME_S
 from tests.attack.area import Outcome, require
 from tests.attack.frames import any_message, frame_of, mangled
 from tests.attack.protocol import raw_frames

@@ -31,9 +31,9 @@ from rig.devices import framed
 from rig.devices.fault_script import Direction, FaultKind, Faults, FrameFault
 from rig.devices.framed import FramedDevice
 from rig.experiments.hit import HitRequest, hit
-from sim_backend.device import SimulatedDevice
-from sim_backend.link import MemoryLink
-from sim_backend.safety import IDLE_LIFETIME_S
+from sim_backend.board.device import SimulatedDevice
+from sim_backend.board.safety import IDLE_LIFETIME_S
+from sim_backend.ends.link import MemoryLink
 from tests.attack.area import Outcome, require
 from tests.attack.frames import any_value
 from tests.attack.protocol import raw_frames

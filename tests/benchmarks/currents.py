@@ -46,8 +46,8 @@ from rig.core.sample import Phase, RowFlag
 from rig.devices.fault_script import Faults, Happening
 from rig.devices.framed import FramedDevice
 from rig.recording.reader import open_recording
-from sim_backend.device import SimulatedDevice
-from sim_backend.link import MemoryLink
+from sim_backend.board.device import SimulatedDevice
+from sim_backend.ends.link import MemoryLink
 from tests.conformance.trials import trial_on
 
 NOISES = (0.0, 0.003, 0.01)  # of the peak current

@@ -66,9 +66,9 @@ from rig.control.step import DONE, THROWN_OUT, TRIAL
 from rig.control.verdict import Measured
 from rig.core.sample import Phase
 from rig.experiments.searches import StiffnessSearch, drive, limit_of
-from sim_backend.operator import OperatorScript
-from sim_backend.plant import DiscretePlant
-from sim_backend.trial import Trace, run_arguments, run_ticks
+from sim_backend.bare.trial import Trace, run_arguments, run_ticks
+from sim_backend.mechanics.operator import OperatorScript
+from sim_backend.mechanics.plant import DiscretePlant
 from tests.conformance.late_samples import LOST, ages
 
 Ints = NDArray[np.int64]

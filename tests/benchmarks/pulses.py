@@ -33,11 +33,11 @@ from rig.devices.fault_script import Faults
 from rig.devices.framed import FramedDevice
 from rig.experiments.identify_motions import still
 from rig.experiments.pulse import Pulse, pulse
-from sim_backend import device as simulated
-from sim_backend.device import SimulatedDevice
-from sim_backend.firmware import FirmwareDevice
-from sim_backend.hardware import Hardware
-from sim_backend.link import MemoryLink
+from sim_backend.board import device as simulated
+from sim_backend.board.device import SimulatedDevice
+from sim_backend.board.firmware import FirmwareDevice
+from sim_backend.board.hardware import Hardware
+from sim_backend.ends.link import MemoryLink
 
 Change = Callable[[RigModel], RigModel]
 

@@ -20,8 +20,8 @@ from rig.core.sample import ROW, Phase
 from rig.realtime import codec
 from rig.recording.timing import ledger
 from rig.recording.timing_summary import summarise
-from sim_backend import trial
-from sim_backend.plant import DiscretePlant
+from sim_backend.bare import trial
+from sim_backend.mechanics.plant import DiscretePlant
 
 
 def per_call(function: Any, calls: Any, repeats: int = 5) -> Any:
@@ -69,7 +69,7 @@ def test_the_compiled_crc_keeps_up_with_zlib_within_a_factor_of_ten() -> None:
 
 def test_a_trial_without_bytes_is_far_quicker_than_one_over_the_link() -> None:
     from rig.devices.device import DeviceUrl  # noqa: PLC0415
-    from sim_backend.link import open_link  # noqa: PLC0415
+    from sim_backend.ends.link import open_link  # noqa: PLC0415
 
     experiment = presets.load("koul-compliant")
     model = config.rig_model(experiment)

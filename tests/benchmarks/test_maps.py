@@ -19,7 +19,7 @@ from rig.experiments import hit_simulator, ranges
 from rig.experiments.maps import zwidth
 from rig.experiments.searches import StiffnessSearch
 from rig.experiments.zwidth import MapPlan, run_series
-from sim_backend import hits
+from sim_backend.bare import hits
 
 HELD = config.override(presets.load("koul-compliant"), {"trial.kind": "human", "operator.grip": "normal"})
 

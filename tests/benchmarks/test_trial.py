@@ -26,10 +26,10 @@ from rig.config import controller, presets
 from rig.control import step, wall
 from rig.control.estimators import estimator, fdm_butterworth
 from rig.realtime.kernel import kernel
-from sim_backend import plant as plants
-from sim_backend.operator import OperatorScript
-from sim_backend.plant import PLANT_TYPE, DiscretePlant, advance
-from sim_backend.trial import Trace, run_arguments, run_ticks
+from sim_backend.bare.trial import Trace, run_arguments, run_ticks
+from sim_backend.mechanics import plant as plants
+from sim_backend.mechanics.operator import OperatorScript
+from sim_backend.mechanics.plant import PLANT_TYPE, DiscretePlant, advance
 
 SOURCE = Path(__file__).with_name("trial.c")
 OPTIONS = ["-std=c99", "-O3", "-fPIC", "-shared", "-Wall", "-Wextra", "-Werror"]  # c99: no contraction to FMA

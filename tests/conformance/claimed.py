@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-import sim_backend.device
-import sim_backend.firmware
-from sim_backend.configuration import describe
+import sim_backend.board.device
+import sim_backend.board.firmware
+from sim_backend.board.configuration import describe
 
 
 def claim_to_be_real(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -18,5 +18,5 @@ def claim_to_be_real(monkeypatch: pytest.MonkeyPatch) -> None:
     def claimed(*arguments: Any) -> Any:
         return replace(describe(*arguments), simulated=False)
 
-    for module in (sim_backend.device, sim_backend.firmware):
+    for module in (sim_backend.board.device, sim_backend.board.firmware):
         monkeypatch.setattr(module, "describe", claimed)

@@ -39,15 +39,15 @@ from rig.devices.port import LoopPort
 from rig.experiments import trial
 from rig.realtime.callbacks import callback_plugs
 from rig.realtime.plugs import NOW_SIGNATURE, WAIT_SIGNATURE, NativeFunction
-from sim_backend import line, pty, real_time
-from sim_backend.board_time import BoardTime
-from sim_backend.channel import ScriptedLine
-from sim_backend.device import SimulatedDevice
-from sim_backend.firmware import FirmwareDevice
-from sim_backend.hardware import World
-from sim_backend.line import PseudoTerminal
-from sim_backend.real_time import DevicePort, RealTime, sleep_until
-from sim_backend.safety import AT
+from sim_backend.board.device import SimulatedDevice
+from sim_backend.board.firmware import FirmwareDevice
+from sim_backend.board.hardware import World
+from sim_backend.board.safety import AT
+from sim_backend.ends import line, pty, real_time
+from sim_backend.ends.board_time import BoardTime
+from sim_backend.ends.channel import ScriptedLine
+from sim_backend.ends.line import PseudoTerminal
+from sim_backend.ends.real_time import DevicePort, RealTime, sleep_until
 from tests.conformance.started import die_with_parent
 from tests.conformance.trials import trial_on
 

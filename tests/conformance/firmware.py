@@ -6,7 +6,7 @@ import pytest
 
 from rig.core.errors import ConfigError
 from rig.realtime import c_library
-from sim_backend import firmware_library, make_device
+from sim_backend.board import firmware_library, make_device
 
 
 def need_compiler() -> None:

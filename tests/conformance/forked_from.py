@@ -5,9 +5,9 @@ Each of them would load the same machine code again: a third of a second, where 
 
 import threading
 
-from sim_backend.device import SimulatedDevice
-from sim_backend.line import PseudoTerminal
-from sim_backend.real_time import RealTime
+from sim_backend.board.device import SimulatedDevice
+from sim_backend.ends.line import PseudoTerminal
+from sim_backend.ends.real_time import RealTime
 from tests.conformance import far_end  # noqa: F401
 from tests.conformance.rigs import rotary_rig
 

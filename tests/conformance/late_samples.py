@@ -9,7 +9,7 @@ LOST = -1
 
 
 def ages(delays: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Ages of the newest sample in each tick, as `sim_backend.trial.run_ticks` takes them.
+    """Ages of the newest sample in each tick, as `sim_backend.bare.trial.run_ticks` takes them.
 
     Parameters
     ----------

@@ -9,7 +9,7 @@ from queue import Queue
 from typing import Any
 
 from rig.core.model import RigModel
-from sim_backend import pty
+from sim_backend.ends import pty
 from tests.conformance.rigs import rotary_rig
 
 WAIT_S = 20.0
@@ -17,7 +17,7 @@ WAIT_S = 20.0
 
 @contextmanager
 def served_rig(model: RigModel | None = None, **options: Any) -> Iterator[str]:
-    """Serve a rig (`sim_backend.pty.serve`) and yield the path of its port; raise at the end what the server raised."""
+    """Serve a rig (`sim_backend.ends.pty.serve`), yield the path of its port, and raise what the server raised."""
     announced: Queue[str] = Queue()
     stop, errors = threading.Event(), []
 

@@ -14,8 +14,8 @@ from rig.devices.fault_script import Faults
 from rig.devices.framed import FramedDevice
 from rig.experiments.replay import replay
 from rig.recording.reader import open_recording
-from sim_backend.link import MemoryLink
-from sim_backend.safety import IDLE_LIFETIME_S
+from sim_backend.board.safety import IDLE_LIFETIME_S
+from sim_backend.ends.link import MemoryLink
 from tests.conformance.trials import trial_on
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from sim_backend import firmware_library
+from sim_backend.board import firmware_library
 from tests.firmware.kept import content, identity, kept
 
 SOURCES = firmware_library.FIRMWARE.sources()

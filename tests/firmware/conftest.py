@@ -6,7 +6,7 @@ import ctypes
 
 import pytest
 
-from sim_backend import firmware_library
+from sim_backend.board import firmware_library
 from tests.firmware import build
 from tests.firmware.law.law_library import LawLibrary
 

@@ -1,7 +1,7 @@
 """The host port built for a Cortex-M, behind the functions of the shared library: what drives one drives the other.
 
-`CortexLibrary` offers what `sim_backend.firmware_library.load` gives; addresses of this computer stand for the one
-device that it has. Each `host_tick` leaves what it cost.
+`CortexLibrary` offers what `sim_backend.board.firmware_library.load` gives; addresses of this computer stand for the
+one device that it has. Each `host_tick` leaves what it cost.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import struct
 from collections import Counter
 from typing import Any
 
-from sim_backend.firmware_library import HostStatus
+from sim_backend.board.firmware_library import HostStatus
 from tests.firmware import cortex
 from tests.firmware.build import FIRMWARE, SOURCES
 from tests.firmware.cortex import RAM, Image, Simulator

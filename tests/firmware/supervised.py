@@ -17,8 +17,8 @@ from firmware_protocol.parameters import encode_block
 from firmware_protocol.transfer import set_parameters
 from firmware_protocol.wire import FORMATS
 from rig.core.model import RigModel
-from sim_backend.firmware import Core, FirmwareDevice
-from sim_backend.safety import UNITS_PER_SECOND
+from sim_backend.board.firmware import Core, FirmwareDevice
+from sim_backend.board.safety import UNITS_PER_SECOND
 from tests.conformance.host import RUN_PARAMETERS
 from tests.conformance.rigs import rotary_rig, unmeasured
 

@@ -18,7 +18,7 @@ from firmware_protocol.header import CORE, FILES
 from firmware_protocol.messages import Message, Mode
 from firmware_protocol.parameters import BY_NAME
 from rig.core.model import RigModel
-from sim_backend.safety import BUDGET, HEAT, configure_heat, flat, warm
+from sim_backend.board.safety import BUDGET, HEAT, configure_heat, flat, warm
 from tests.conformance.rigs import rotary_rig
 from tests.firmware import supervised
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from firmware_protocol.faults import Fault
 from firmware_protocol.framing import RAW_LIMIT
 from firmware_protocol.messages import Mode
-from sim_backend.firmware import OUTPUT_BYTES
+from sim_backend.board.firmware import OUTPUT_BYTES
 from tests.conformance.rigs import rotary_rig
 from tests.firmware.supervised import Board, Sample
 from tests.firmware.test_core_law import push, told_to_run

@@ -31,10 +31,10 @@ from firmware_protocol.parameters import PARAMETERS, block_crc, encode_block
 from firmware_protocol.transfer import set_parameters
 from firmware_protocol.wire import wire_fields
 from rig.core.model import Reference, RigModel
-from sim_backend.device import SimulatedDevice
-from sim_backend.firmware import FirmwareDevice
-from sim_backend.hardware import Hardware
-from sim_backend.lockstep import INDEX_EDGES
+from sim_backend.board.device import SimulatedDevice
+from sim_backend.board.firmware import FirmwareDevice
+from sim_backend.board.hardware import Hardware
+from sim_backend.board.lockstep import INDEX_EDGES
 from tests.conformance.host import RUN_PARAMETERS
 from tests.conformance.rigs import linear_rig, rotary_rig, unmeasured
 from tests.conformance.tiers import first_by_default

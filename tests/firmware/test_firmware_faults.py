@@ -25,13 +25,13 @@ from rig import config
 from rig.config import controller, presets
 from rig.core.model import RigModel
 from rig.core.sample import Phase
-from sim_backend import firmware_library
-from sim_backend.device import SimulatedDevice
-from sim_backend.firmware import FirmwareDevice
-from sim_backend.hardware import Hardware
-from sim_backend.inner import COULOMB, COULOMB_LINK
-from sim_backend.link import MemoryLink
-from sim_backend.plant import PlantArguments
+from sim_backend.board import firmware_library
+from sim_backend.board.device import SimulatedDevice
+from sim_backend.board.firmware import FirmwareDevice
+from sim_backend.board.hardware import Hardware
+from sim_backend.ends.link import MemoryLink
+from sim_backend.mechanics.inner import COULOMB, COULOMB_LINK
+from sim_backend.mechanics.plant import PlantArguments
 from tests.conformance.faults import FarEnd, check_fault, faults_of
 from tests.conformance.host import Host
 from tests.conformance.rigs import rotary_rig

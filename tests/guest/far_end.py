@@ -17,8 +17,8 @@ from typing import Any
 
 from firmware_protocol.connection import State
 from rig.core.model import RigModel
-from sim_backend.device import SimulatedDevice
-from sim_backend.real_time import DevicePort, RealTime
+from sim_backend.board.device import SimulatedDevice
+from sim_backend.ends.real_time import DevicePort, RealTime
 
 RATE = 500  # Hz; an emulated machine keeps little more, and homing needs as much
 RATE_MAXIMUM = 4_000

@@ -16,7 +16,7 @@ import tty
 from collections.abc import Iterator
 from pathlib import Path
 
-from sim_backend.real_time import sleep_until
+from sim_backend.ends.real_time import sleep_until
 
 CONFIGFS = Path("/sys/kernel/config")
 CONTROLLERS = Path("/sys/class/udc")
@@ -79,7 +79,7 @@ def acm_gadget(serial: str, name: str = "simulated rig") -> Iterator[AcmGadget]:
 
 
 class GadgetPort:
-    """The device's end of the gadget's line, as a `sim_backend.real_time.DevicePort`; opened anew after an unplug."""
+    """The device's end of the gadget's line, as a `ends.real_time.DevicePort`; opened anew after an unplug."""
 
     def __init__(self) -> None:
         self._descriptor = -1

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from firmware_protocol.messages import USB_PRODUCT, USB_VENDOR
 from rig.core.model import RigModel
-from sim_backend.usb import UsbPort, UsbShape
+from sim_backend.ends.usb import UsbPort, UsbShape
 from tests.guest import vhci
 from tests.guest.far_end import RATE, FarEnd, far_end
 from tests.guest.usbip import Bus

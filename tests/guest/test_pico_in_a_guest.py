@@ -27,7 +27,7 @@ from rig.devices import open_device, open_link
 from rig.devices.usb import available_devices
 from rig.experiments import trial
 from rig.recording.reader import open_recording
-from sim_backend.usb import VENDOR_CLASS
+from sim_backend.ends.usb import VENDOR_CLASS
 from tests.conformance.host import Host
 from tests.guest import pico, vhci
 from tests.guest.hits import check_recorded, whole_hit

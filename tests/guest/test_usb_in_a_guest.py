@@ -27,7 +27,7 @@ from rig.core.errors import (
 )
 from rig.devices import open_link
 from rig.devices.usb import available_devices
-from sim_backend.usb import ENDPOINT_IN, ENDPOINT_OUT, VENDOR_CLASS
+from sim_backend.ends.usb import ENDPOINT_IN, ENDPOINT_OUT, VENDOR_CLASS
 from tests.guest import vhci
 from tests.guest.hits import MODEL, check_ended_safely, struck_trial, whole_hit
 from tests.guest.plugged import plugged, plugged_rig

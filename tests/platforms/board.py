@@ -12,8 +12,9 @@ from unittest.mock import patch
 from rig import config
 from rig.config import presets
 from rig.devices.local import serve
-from sim_backend import firmware, pty
-from sim_backend.make_device import make_device
+from sim_backend.board import firmware
+from sim_backend.board.make_device import make_device
+from sim_backend.ends import pty
 
 
 def main() -> None:

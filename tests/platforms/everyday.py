@@ -98,7 +98,7 @@ def main(platform: str, url: str = "") -> int:
 
 def _has_compiler() -> bool:
     from rig.core.errors import ConfigError  # noqa: PLC0415
-    from sim_backend.firmware_library import FIRMWARE  # noqa: PLC0415
+    from sim_backend.board.firmware_library import FIRMWARE  # noqa: PLC0415
 
     try:
         return bool(FIRMWARE.compiler())

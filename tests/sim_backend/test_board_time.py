@@ -23,10 +23,10 @@ from firmware_protocol.packing import unpack
 from rig.devices.port import PORT_TYPE, LoopPort
 from rig.realtime.callbacks import callback_plugs
 from rig.realtime.clock import VirtualClock
-from sim_backend.board_time import LONGEST_PAUSE_NS, PENDING_BYTES, BoardTime, keep_time
-from sim_backend.device import SimulatedDevice
-from sim_backend.firmware import FirmwareDevice
-from sim_backend.link import MemoryLink
+from sim_backend.board.device import SimulatedDevice
+from sim_backend.board.firmware import FirmwareDevice
+from sim_backend.ends.board_time import LONGEST_PAUSE_NS, PENDING_BYTES, BoardTime, keep_time
+from sim_backend.ends.link import MemoryLink
 from tests.conformance.firmware import need_compiler
 from tests.conformance.host import Host
 from tests.conformance.link import COMPILED
@@ -233,7 +233,7 @@ import sys
 from rig import config
 from rig.config import presets
 from rig.realtime.kernel import Kernel
-from sim_backend.pty import serve
+from sim_backend.ends.pty import serve
 
 announced, late, prepare = [], [], Kernel.prepare
 

@@ -14,7 +14,7 @@ from scipy.special import ellipk
 
 from rig.core.model import Cogging, Operator, RigModel
 from rig.core.operators import GRIPS
-from sim_backend.plant import DiscretePlant, advance, energy
+from sim_backend.mechanics.plant import DiscretePlant, advance, energy
 from tests.sim_backend.test_physics import CAPSTAN
 from tests.sim_backend.test_plant import LINEAR, run
 

@@ -11,7 +11,7 @@ from firmware_protocol.faults import LimitFlag
 from firmware_protocol.parameters import DEFAULTS
 from rig import config
 from rig.config import presets
-from sim_backend.safety import AT, FADES_A_SECOND, Safety, check, limited
+from sim_backend.board.safety import AT, FADES_A_SECOND, Safety, check, limited
 
 RATE, CONFIRM_MS = 1_000, 200
 LIMIT = 5_000

@@ -22,10 +22,8 @@ from firmware_protocol.parameters import BY_NAME, DEFAULTS
 from rig.core.errors import ConfigError
 from rig.core.model import RigModel
 from rig.core.sample import TRUTH
-from sim_backend.device import SimulatedDevice
-from sim_backend.link import MemoryLink
-from sim_backend.plant import DiscretePlant, advance
-from sim_backend.safety import (
+from sim_backend.board.device import SimulatedDevice
+from sim_backend.board.safety import (
     AT,
     IDLE_LIFETIME_S,
     LARGEST_SHARE,
@@ -39,6 +37,8 @@ from sim_backend.safety import (
     wanted,
     warm,
 )
+from sim_backend.ends.link import MemoryLink
+from sim_backend.mechanics.plant import DiscretePlant, advance
 from tests.conformance.device import check_device
 from tests.conformance.host import RUN_PARAMETERS, Host
 from tests.conformance.rigs import linear_rig, rotary_rig

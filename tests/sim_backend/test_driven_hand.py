@@ -16,7 +16,8 @@ from rig.config import presets
 from rig.core.errors import ConfigError
 from rig.core.operators import GRIPS
 from rig.realtime.hand import Wish
-from sim_backend.driven_hand import (
+from sim_backend.board.hardware import Hardware
+from sim_backend.mechanics.driven_hand import (
     AHEAD_M,
     AHEAD_N,
     BACK_M,
@@ -28,7 +29,6 @@ from sim_backend.driven_hand import (
     DrivenHand,
     follow,
 )
-from sim_backend.hardware import Hardware
 
 AHEAD = min(AHEAD_M, AHEAD_N / GRIPS["normal"].hand_stiffness)
 RATE = 1000

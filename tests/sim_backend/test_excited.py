@@ -17,8 +17,8 @@ from rig.core.errors import LawError
 from rig.core.sample import Phase
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import LAW_SIGNATURE
-from sim_backend.excited import ExcitedPlant
-from sim_backend.plant import DiscretePlant, advance
+from sim_backend.bare.excited import ExcitedPlant
+from sim_backend.mechanics.plant import DiscretePlant, advance
 
 COGS = {
     "rig.cogging.period": 0.02,

@@ -17,11 +17,11 @@ from firmware_protocol.faults import Fault
 from firmware_protocol.messages import Mode
 from rig.devices.device import DeviceUrl
 from rig.devices.fault_script import Faults
-from sim_backend import far_end
-from sim_backend import link as links
-from sim_backend.device import SimulatedDevice
-from sim_backend.firmware import FirmwareDevice
-from sim_backend.link import BUFFER_BYTES, MemoryLink
+from sim_backend.board.device import SimulatedDevice
+from sim_backend.board.firmware import FirmwareDevice
+from sim_backend.ends import far_end
+from sim_backend.ends import link as links
+from sim_backend.ends.link import BUFFER_BYTES, MemoryLink
 from tests.conformance import host as hosts
 from tests.conformance.firmware import hide_compiler, need_compiler
 from tests.conformance.host import RUN_PARAMETERS, Host

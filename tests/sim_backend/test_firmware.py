@@ -29,11 +29,11 @@ from rig.devices.device import DeviceUrl
 from rig.devices.fault_script import DeviceFault, Faults, Happening
 from rig.realtime import c_library
 from rig.realtime.c_library import CLibrary
-from sim_backend import firmware_library
-from sim_backend.device import SimulatedDevice
-from sim_backend.firmware import FirmwareDevice
-from sim_backend.firmware_library import FIRMWARE
-from sim_backend.link import MemoryLink, open_link
+from sim_backend.board import firmware_library, lockstep
+from sim_backend.board.device import SimulatedDevice
+from sim_backend.board.firmware import FirmwareDevice
+from sim_backend.board.firmware_library import FIRMWARE
+from sim_backend.ends.link import MemoryLink, open_link
 from tests.conformance.device import check_device
 from tests.conformance.firmware import need_compiler
 from tests.conformance.host import Host
@@ -173,8 +173,6 @@ def test_a_compiler_is_named_with_its_options(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_the_words_are_those_of_the_header() -> None:
-    from sim_backend import lockstep  # noqa: PLC0415
-
     header = (FIRMWARE.root / "host" / "lockstep.h").read_text()
     inside = header[header.index("struct lockstep {") : header.index("};")]
     names = [

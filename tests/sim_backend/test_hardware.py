@@ -2,7 +2,7 @@
 
 import pytest
 
-from sim_backend.hardware import Hardware
+from sim_backend.board.hardware import Hardware
 from tests.conformance.rigs import rotary_rig
 
 

@@ -19,10 +19,10 @@ from rig.devices.fault_script import Direction, FaultKind, Faults, FrameFault
 from rig.devices.framed import FramedDevice
 from rig.loop import exchange
 from rig.recording.reader import open_recording
-from sim_backend.device import SimulatedDevice
-from sim_backend.link import MemoryLink
-from sim_backend.plant import DiscretePlant
-from sim_backend.trial import UNSEEN, run_trial
+from sim_backend.bare.trial import UNSEEN, run_trial
+from sim_backend.board.device import SimulatedDevice
+from sim_backend.ends.link import MemoryLink
+from sim_backend.mechanics.plant import DiscretePlant
 from tests.conformance.late_samples import LOST, ages
 from tests.conformance.trials import CURRENTS, trial_on
 

@@ -17,10 +17,10 @@ from firmware_protocol.connection import Connection, State
 from rig.core.errors import ConfigError
 from rig.devices.device import DeviceUrl
 from rig.devices.fault_script import Direction, FaultKind, Faults, FrameFault
-from sim_backend.channel import ScriptedLine
-from sim_backend.device import SimulatedDevice
-from sim_backend.firmware import FirmwareDevice
-from sim_backend.link import BUFFER_BYTES, MemoryLink, open_link
+from sim_backend.board.device import SimulatedDevice
+from sim_backend.board.firmware import FirmwareDevice
+from sim_backend.ends.channel import ScriptedLine
+from sim_backend.ends.link import BUFFER_BYTES, MemoryLink, open_link
 from tests.conformance.host import Host
 from tests.conformance.link import COMPILED, check_link, listen
 from tests.conformance.rigs import rotary_rig

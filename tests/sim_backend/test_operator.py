@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 from rig.core.model import Mechanics, Operator, OperatorReach, RigModel
 from rig.core.operators import GRIPS
-from sim_backend.hardware import Hardware
-from sim_backend.operator import PRESS_HZ, REPEAT_S, TREMOR_HZ, OperatorScript
-from sim_backend.plant import DiscretePlant, advance
+from sim_backend.board.hardware import Hardware
+from sim_backend.mechanics.operator import PRESS_HZ, REPEAT_S, TREMOR_HZ, OperatorScript
+from sim_backend.mechanics.plant import DiscretePlant, advance
 from tests.conformance.rigs import linear_rig, rotary_rig
 from tests.sim_backend.test_plant import ROTARY
 

@@ -18,7 +18,7 @@ from scipy.linalg import expm
 
 from rig.core.model import RigModel, Simulation, state_space
 from rig.core.operators import GRIPS
-from sim_backend.plant import DiscretePlant, advance, energy
+from sim_backend.mechanics.plant import DiscretePlant, advance, energy
 from tests.sim_backend.test_plant import FRICTIONLESS, LINEAR, ROTARY, run, with_mechanics
 
 Rows = NDArray[np.float64]

@@ -20,8 +20,8 @@ from scipy.integrate import solve_ivp
 from rig.core.errors import ConfigError
 from rig.core.model import Amplifier, Encoder, Mechanics, Operator, RigModel, Simulation, state_space
 from rig.core.operators import GRIPS
-from sim_backend.inner import STEP_S, STEPS, rub_both
-from sim_backend.plant import DiscretePlant, advance, energy
+from sim_backend.mechanics.inner import STEP_S, STEPS, rub_both
+from sim_backend.mechanics.plant import DiscretePlant, advance, energy
 
 Trajectory = NDArray[np.float64]
 

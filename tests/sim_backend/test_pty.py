@@ -25,7 +25,7 @@ from firmware_protocol.packing import unpack
 from rig.core.errors import ConfigError
 from rig.devices.device import DeviceUrl
 from rig.devices.serial import SerialLink, open_link
-from sim_backend import pty
+from sim_backend.ends import pty
 from tests.conformance.device import check_device
 from tests.conformance.firmware import need_compiler
 from tests.conformance.host import Host
@@ -38,7 +38,7 @@ WAIT_S = 20.0
 SLACK_S = 5.0  # of a loaded machine
 PROGRAM = """
 from rig.core import program; program.begin()
-from sim_backend.pty import serve
+from sim_backend.ends.pty import serve
 from tests.conformance.rigs import rotary_rig
 serve(rotary_rig(), announce=lambda path: print(path, flush=True), link_path={link_path!r}, firmware={firmware})
 """

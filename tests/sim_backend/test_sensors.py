@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.control.guard import current_quanta as command_quanta
-from sim_backend.lockstep import INDEX_COUNT, INDEX_EDGES, INPUTS, WORDS, Wires, sense
-from sim_backend.sensors import cell, current_quanta, encoder_count
+from sim_backend.board.lockstep import INDEX_COUNT, INDEX_EDGES, INPUTS, WORDS, Wires, sense
+from sim_backend.mechanics.sensors import cell, current_quanta, encoder_count
 
 RESOLUTION = 2.0 * math.pi / 40_000.0
 

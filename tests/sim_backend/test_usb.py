@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 from firmware_protocol import messages as m
 from firmware_protocol.connection import Connection
 from rig.core.errors import ConfigError
-from sim_backend import usb
-from sim_backend.usb import HIGH_SPEED_PACKET, UsbPort, UsbShape
+from sim_backend.ends import usb
+from sim_backend.ends.usb import HIGH_SPEED_PACKET, UsbPort, UsbShape
 from tests.conformance.rigs import rotary_rig
 
 WAIT_S = 20.0

@@ -13,11 +13,11 @@ from rig.devices.device import DeviceUrl
 from rig.devices.framed import FramedDevice
 from rig.recording.header import repeatable
 from rig.recording.reader import open_recording
-from sim_backend import trial as bare
-from sim_backend.device import SimulatedDevice
-from sim_backend.link import open_link
-from sim_backend.operator import OperatorScript
-from sim_backend.plant import DiscretePlant
+from sim_backend.bare import trial as bare
+from sim_backend.board.device import SimulatedDevice
+from sim_backend.ends.link import open_link
+from sim_backend.mechanics.operator import OperatorScript
+from sim_backend.mechanics.plant import DiscretePlant
 from tests.conformance.firmware import hide_compiler, need_compiler
 from tests.conformance.rigs import rotary_rig
 from tests.conformance.tiers import first_by_default

@@ -19,8 +19,8 @@ from rig.devices.framed import FramedDevice
 from rig.experiments.timing import timing
 from rig.recording.capture import write_capture
 from rig.recording.reader import open_recording
-from sim_backend.device import SimulatedDevice
-from sim_backend.link import MemoryLink
+from sim_backend.board.device import SimulatedDevice
+from sim_backend.ends.link import MemoryLink
 from tests.conformance.rigs import rotary_rig
 from tests.conformance.tiers import first_by_default
 from tests.conformance.trials import trial_on

@@ -18,9 +18,9 @@ from rig.devices.fault_script import Direction, FaultKind, Faults, FrameFault, H
 from rig.devices.framed import FramedDevice
 from rig.recording.reader import open_recording
 from rig.recording.seal import seal
-from sim_backend.device import SimulatedDevice
-from sim_backend.firmware import FirmwareDevice
-from sim_backend.link import MemoryLink
+from sim_backend.board.device import SimulatedDevice
+from sim_backend.board.firmware import FirmwareDevice
+from sim_backend.ends.link import MemoryLink
 from tests.conformance.far_end import patient_host
 from tests.conformance.firmware import need_compiler
 from tests.conformance.trials import trial_on

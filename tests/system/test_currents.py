@@ -24,9 +24,9 @@ from rig.devices.fault_script import Faults, Happening
 from rig.devices.framed import FramedDevice
 from rig.experiments.judgement import judge
 from rig.recording.reader import open_recording
-from sim_backend.device import SimulatedDevice
-from sim_backend.firmware import FirmwareDevice
-from sim_backend.link import MemoryLink
+from sim_backend.board.device import SimulatedDevice
+from sim_backend.board.firmware import FirmwareDevice
+from sim_backend.ends.link import MemoryLink
 from tests.conformance.struck import InMemory, StruckTrial
 from tests.conformance.tiers import first_by_default
 from tests.conformance.trials import trial_on

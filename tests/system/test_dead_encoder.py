@@ -20,9 +20,9 @@ from rig.devices.framed import FramedDevice
 from rig.experiments.hit import HitRequest, hit
 from rig.experiments.identify_motions import still
 from rig.experiments.pulse import pulse
-from sim_backend.device import SimulatedDevice
-from sim_backend.hardware import Hardware
-from sim_backend.link import MemoryLink
+from sim_backend.board.device import SimulatedDevice
+from sim_backend.board.hardware import Hardware
+from sim_backend.ends.link import MemoryLink
 from tests.benchmarks.pulses import Counting, TickByTick
 from tests.conformance.tiers import first_by_default
 

@@ -22,10 +22,10 @@ from rig.devices.fault_script import Direction, FaultKind, Faults, FrameFault
 from rig.devices.framed import FramedDevice
 from rig.experiments.hit import HitRequest, hit, left_by
 from rig.recording.reader import open_recording
-from sim_backend import device as readable
-from sim_backend.device import SimulatedDevice
-from sim_backend.firmware import FirmwareDevice
-from sim_backend.link import MemoryLink
+from sim_backend.board import device as readable
+from sim_backend.board.device import SimulatedDevice
+from sim_backend.board.firmware import FirmwareDevice
+from sim_backend.ends.link import MemoryLink
 from tests.attack.protocol import raw_frames
 from tests.conformance.tiers import first_by_default
 from tests.conformance.trials import trial_on

@@ -18,7 +18,7 @@ from rig.core.errors import LinkLostError, StoppedError
 from rig.core.sample import Phase
 from rig.devices.fault_script import Direction, FaultKind, Faults, FrameFault
 from rig.recording.seal import seal
-from sim_backend.firmware import FirmwareDevice
+from sim_backend.board.firmware import FirmwareDevice
 from tests.conformance.firmware import need_compiler
 from tests.conformance.struck import InMemory, StruckTrial
 from tests.conformance.tiers import first_by_default

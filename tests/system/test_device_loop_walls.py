@@ -22,9 +22,9 @@ from rig.loop.run import LoopSettings
 from rig.loop.supervised import BOUNDS, SupervisedThread
 from rig.realtime import ring
 from rig.realtime.ring import Ring
-from sim_backend.firmware import FirmwareDevice
-from sim_backend.firmware_library import FIRMWARE
-from sim_backend.link import MemoryLink
+from sim_backend.board.firmware import FirmwareDevice
+from sim_backend.board.firmware_library import FIRMWARE
+from sim_backend.ends.link import MemoryLink
 from tests.conformance.tiers import first_by_default
 
 RATE = 10_000

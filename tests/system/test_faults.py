@@ -40,8 +40,8 @@ from rig.devices.local import serve_locally
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import LAW_SIGNATURE
 from rig.recording.reader import open_recording
-from sim_backend.device import SimulatedDevice
-from sim_backend.firmware import FirmwareDevice
+from sim_backend.board.device import SimulatedDevice
+from sim_backend.board.firmware import FirmwareDevice
 from tests.conformance.census import children
 from tests.conformance.firmware import need_compiler
 from tests.conformance.struck import InMemory, StruckTrial

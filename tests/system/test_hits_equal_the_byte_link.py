@@ -13,7 +13,7 @@ from rig.devices.device import DeviceUrl
 from rig.devices.framed import FramedDevice
 from rig.experiments.hit_simulator import HitSimulator
 from rig.recording.reader import open_recording
-from sim_backend.link import open_link
+from sim_backend.ends.link import open_link
 from tests.conformance.trials import CURRENTS, trial_on
 
 SHORT = {"trial.duration_s": 0.4, "verdict.tail_s": 0.1, "homing.settle_s": 0.02}

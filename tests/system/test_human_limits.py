@@ -16,7 +16,7 @@ from rig.core.oscillation import OSCILLATIONS
 from rig.devices.fault_script import Faults, Happening
 from rig.experiments.hit import HitRequest, hit
 from rig.experiments.plan import make_plan
-from sim_backend.make_device import make_device
+from sim_backend.board.make_device import make_device
 from tests.conformance.claimed import claim_to_be_real
 from tests.conformance.struck import InMemory, StruckTrial
 from tests.conformance.tiers import first_by_default

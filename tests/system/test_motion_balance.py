@@ -16,8 +16,8 @@ from rig.devices.fault_script import Faults, Happening
 from rig.devices.framed import FramedDevice
 from rig.experiments.judgement import Judgement, judge
 from rig.recording.reader import open_recording
-from sim_backend.link import MemoryLink
-from sim_backend.make_device import make_device
+from sim_backend.board.make_device import make_device
+from sim_backend.ends.link import MemoryLink
 from tests.conformance.tiers import first_by_default
 from tests.conformance.trials import trial_on
 

@@ -36,8 +36,8 @@ from rig.devices import open_device
 from rig.devices.fault_script import DeviceFault, Direction, FaultKind, Faults, FrameFault
 from rig.devices.framed import FramedDevice
 from rig.recording.reader import open_recording
-from sim_backend.device import SimulatedDevice
-from sim_backend.link import MemoryLink
+from sim_backend.board.device import SimulatedDevice
+from sim_backend.ends.link import MemoryLink
 from tests.conformance.census import MARK, Census, marked, nothing_left, still_there
 from tests.conformance.far_end import FarEnd, Script, patient_host
 from tests.conformance.started import started

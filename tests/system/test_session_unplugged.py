@@ -21,7 +21,7 @@ from rig.session.rehearsal import Day, Person, RehearsalDesk
 from rig.session.run import rehearsal_desk, resume_session, run_session
 from rig.session.runner import TrialDone
 from rig.session.state import RecordedTrial, SessionState
-from sim_backend.channel import ScriptedLine
+from sim_backend.ends.channel import ScriptedLine
 from tests.system.session_study import written
 
 PERSON = Person(thresholds={"hidden-dual": 65.0, "hidden-uniform": 65.0}, spread=0.5)

@@ -18,9 +18,9 @@ from rig.control.watch import UNMOVED_SPEED
 from rig.core.board import moved_mechanics
 from rig.core.model import RigModel
 from rig.core.sample import Phase, RowFlag
-from sim_backend.operator import OperatorScript
-from sim_backend.plant import DiscretePlant, advance
-from sim_backend.trial import Trace, run_arguments, run_ticks
+from sim_backend.bare.trial import Trace, run_arguments, run_ticks
+from sim_backend.mechanics.operator import OperatorScript
+from sim_backend.mechanics.plant import DiscretePlant, advance
 from tests.system.test_dead_encoder import DEAD
 
 Count = Callable[[int], int]

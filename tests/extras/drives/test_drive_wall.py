@@ -26,7 +26,7 @@ from rig.experiments.hit import HitRequest, hit
 from rig.experiments.plan import device_checks, plan_of
 from rig.experiments.replay import replay
 from rig.extras.drives.faults import DriveFault
-from sim_backend.configuration import describe
+from sim_backend.board.configuration import describe
 from tests.conformance.bridged import Bridged
 from tests.conformance.firmware import need_compiler
 from tests.conformance.host import Host

@@ -29,8 +29,8 @@ from rig.extras.study.bids_motion import TYPES, channels, spans
 from rig.extras.study.export import Exported, export_trials
 from rig.extras.study.study import Study
 from rig.recording.reader import open_recording
-from sim_backend.device import SimulatedDevice
-from sim_backend.link import MemoryLink
+from sim_backend.board.device import SimulatedDevice
+from sim_backend.ends.link import MemoryLink
 from tests.conformance.started import LEASH
 from tests.conformance.studies import Person, protocol, sitting, without_sync
 from tests.conformance.trials import trial_on

@@ -13,8 +13,8 @@ from rig.control.judging import TrialSignals, judge
 from rig.control.step import ControllerState
 from rig.control.verdict import Verdict
 from rig.core.sample import Phase, RowFlag
-from sim_backend import trial
-from sim_backend.plant import DiscretePlant, advance
+from sim_backend.bare import trial
+from sim_backend.mechanics.plant import DiscretePlant, advance
 from tests.firmware.law.law_library import LawLibrary
 
 START = -0.015

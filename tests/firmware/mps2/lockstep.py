@@ -24,7 +24,7 @@ from rig.firmware import boards
 from rig.firmware.board_config import configure
 from rig.firmware.build import BuildResult, package_version, sources_hash
 from rig.realtime.clock import VirtualClock
-from sim_backend.hardware import Hardware
+from sim_backend.board.hardware import Hardware
 from tests.conformance.started import LEASH
 from tests.firmware import cross
 from tests.firmware.build import FIRMWARE, SOURCES, UNDEFINED, compile_c, library

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from rig.core.model import RigModel
 from rig.firmware.build import DEVICE, BuildResult
 from rig.realtime.clock import VirtualClock
-from sim_backend.plant import DiscretePlant
+from sim_backend.mechanics.plant import DiscretePlant
 from tests.firmware import cross
 
 HERE = Path(__file__).parent

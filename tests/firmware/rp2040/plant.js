@@ -1,5 +1,5 @@
 'use strict';
-/* One rigid body as sim_backend.plant moves it, the same operations in the same order and so to the same bits; its matrices
+/* One rigid body as sim_backend.mechanics.plant moves it, the same operations in the same order and so to the same bits; its matrices
  * come from there. `edges` tells when within a step the encoder's cell changes. */
 const X = 0, V = 1, EFFORT = 2;
 const STEP_S = 0, EFFORT_LIMIT = 2, COULOMB = 4, RESOLUTION = 6, OFFSET = 7, SIGN = 8;

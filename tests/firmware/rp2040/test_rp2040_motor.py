@@ -13,7 +13,7 @@ from firmware_protocol.messages import Sync
 from rig.config import override
 from rig.config.derive import rig_model
 from rig.config.presets import load
-from sim_backend.plant import DiscretePlant, advance
+from sim_backend.mechanics.plant import DiscretePlant, advance
 from tests.firmware.rp2040 import emulator
 from tests.firmware.rp2040.session import Session
 

@@ -6,8 +6,8 @@ import numpy as np
 
 from rig.devices.device import DeviceUrl
 from rig.realtime.clock import VirtualClock
-from sim_backend.far_end import ARRIVED, PROGRESS
-from sim_backend.link import BUFFER_BYTES, MemoryLink
+from sim_backend.ends.far_end import ARRIVED, PROGRESS
+from sim_backend.ends.link import BUFFER_BYTES, MemoryLink
 from tests.firmware.rp2040.usb_line import UsbLine
 
 URL = DeviceUrl("usb", "1209:0001", {}, "usb://1209:0001")

@@ -19,9 +19,9 @@ from rig.control.law import Law
 from rig.core.check import Outcome
 from rig.core.errors import ConfigError, PlanError
 from rig.devices.framed import FramedDevice
-from sim_backend.configuration import describe
-from sim_backend.device import SimulatedDevice
-from sim_backend.link import MemoryLink
+from sim_backend.board.configuration import describe
+from sim_backend.board.device import SimulatedDevice
+from sim_backend.ends.link import MemoryLink
 
 COMPLIANT = presets.load("koul-compliant")
 ALL = presets.names()

@@ -20,7 +20,7 @@ from rig.control.estimators import estimate, estimate_with_window, quantise
 from rig.control.estimators.arrays import OLDEST_EDGE_S, inputs
 from rig.control.estimators.estimator import WINDOW
 from rig.core.errors import ConfigError
-from sim_backend.sensors import encoder_count
+from sim_backend.mechanics.sensors import encoder_count
 
 GUIDE = Path(estimators.__file__).with_name("README.md")
 DT, DELTA = 5e-4, 1e-5

@@ -22,7 +22,7 @@ from rig.realtime.groups import group_at, group_bytes
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import LAW_SIGNATURE
 from rig.testing import Hits
-from sim_backend.plant import PLANT_TYPE, DiscretePlant, PlantArguments, advance
+from sim_backend.mechanics.plant import PLANT_TYPE, DiscretePlant, PlantArguments, advance
 
 LEVEL = 0.02  # of koul-rigid (N·m)
 FREE = config.override(

@@ -25,8 +25,8 @@ from rig.devices import framed
 from rig.devices.device import DeviceUrl
 from rig.devices.fault_script import DeviceFault, Direction, FaultKind, Faults, FrameFault
 from rig.devices.framed import FAULT_LOG_S, READY_AGAIN_S, FramedDevice
-from sim_backend.device import SimulatedDevice
-from sim_backend.link import MemoryLink
+from sim_backend.board.device import SimulatedDevice
+from sim_backend.ends.link import MemoryLink
 from tests.conformance.claimed import claim_to_be_real
 from tests.conformance.host import RUN_PARAMETERS
 from tests.conformance.rigs import linear_rig, rotary_rig

@@ -23,9 +23,9 @@ from rig.experiments.admission import admission_checks
 from rig.experiments.examine import Examination, ExaminationRequest
 from rig.experiments.hit import HitRequest
 from rig.experiments.trial import prepared_on
-from sim_backend.link import MemoryLink
-from sim_backend.make_device import make_device
-from sim_backend.pty import FIRMWARE_RATE_MAXIMUM, POSITION_RATE_MAXIMUM
+from sim_backend.board.make_device import make_device
+from sim_backend.ends.link import MemoryLink
+from sim_backend.ends.pty import FIRMWARE_RATE_MAXIMUM, POSITION_RATE_MAXIMUM
 from tests.conformance.claimed import claim_to_be_real
 from tests.conformance.firmware import need_compiler
 from tests.conformance.made_links import link as made_link

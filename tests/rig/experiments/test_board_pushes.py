@@ -25,7 +25,7 @@ from rig.experiments.identify_motions import PUSH_COUNTS, PUSH_S, REST_S, most_p
 from rig.experiments.pulse import PUSHES, pulse
 from rig.experiments.replay import replay
 from rig.recording.reader import open_recording
-from sim_backend.link import MemoryLink
+from sim_backend.ends.link import MemoryLink
 from tests.benchmarks.pulses import TickByTick
 from tests.conformance.firmware import need_compiler
 from tests.conformance.tiers import first_by_default

@@ -22,8 +22,8 @@ from rig.experiments.judgement import judge
 from rig.recording.data import Recording
 from rig.recording.marks import marks
 from rig.recording.reader import open_recording
-from sim_backend.link import MemoryLink
-from sim_backend.make_device import make_device
+from sim_backend.board.make_device import make_device
+from sim_backend.ends.link import MemoryLink
 from tests.conformance.trials import trial_on
 
 HELD = config.override(

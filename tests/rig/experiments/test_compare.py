@@ -32,8 +32,8 @@ from rig.extras.papers.koul.compare import (
 )
 from rig.extras.papers.koul.impact_pictures import draw_figure_7, draw_figure_8
 from rig.views.plots.compare import draw_comparison
-from sim_backend.plant import DiscretePlant, energy
-from sim_backend.trial import run_trial
+from sim_backend.bare.trial import run_trial
+from sim_backend.mechanics.plant import DiscretePlant, energy
 from tests.conformance.rigs import rotary_rig
 
 SHORT = {"trial.duration_s": 0.2, "verdict.tail_s": 0.05}

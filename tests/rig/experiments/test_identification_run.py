@@ -31,13 +31,13 @@ from rig.experiments.identified_values import identified_values
 from rig.experiments.identify import IdentifyRequest
 from rig.experiments.motion_run import LONGEST_FILLED, MOST_LOST_SHARE, TimingError, trial_rows, whole
 from rig.recording.reader import open_recording
-from sim_backend import device as simulated
-from sim_backend.device import SimulatedDevice
-from sim_backend.hardware import Hardware
-from sim_backend.link import MemoryLink
-from sim_backend.make_device import make_device
-from sim_backend.plant import DiscretePlant
-from sim_backend.trial import run_trial
+from sim_backend.bare.trial import run_trial
+from sim_backend.board import device as simulated
+from sim_backend.board.device import SimulatedDevice
+from sim_backend.board.hardware import Hardware
+from sim_backend.board.make_device import make_device
+from sim_backend.ends.link import MemoryLink
+from sim_backend.mechanics.plant import DiscretePlant
 from tests.conformance.tiers import first_by_default
 from tests.rig.analysis.test_identification_cogging import fitted
 

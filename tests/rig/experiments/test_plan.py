@@ -22,8 +22,8 @@ from rig.core.present import plain
 from rig.devices.device import LINK_SHARE, STATE_BYTES
 from rig.doctor.late_loops import LateLoops
 from rig.experiments.plan import delay_checks, link_checks, make_plan, predict_impact
-from sim_backend import trial as bare
-from sim_backend.plant import DiscretePlant
+from sim_backend.bare import trial as bare
+from sim_backend.mechanics.plant import DiscretePlant
 
 COMPLIANT, RIGID = presets.load("koul-compliant"), presets.load("koul-rigid")
 SLOW = presets.load("moteus-knob")  # 1 kHz

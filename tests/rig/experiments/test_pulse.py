@@ -29,10 +29,10 @@ from rig.experiments.on_device import OnDevice, Trials
 from rig.experiments.plan import make_plan
 from rig.experiments.pulse import NO_HANDS, PUSHES, Pulse, check_rig_moves, energy_of, judged, pulse
 from rig.recording.reader import open_recording
-from sim_backend.firmware import FirmwareDevice
-from sim_backend.hardware import World
-from sim_backend.link import MemoryLink
-from sim_backend.lockstep import Lockstep
+from sim_backend.board.firmware import FirmwareDevice
+from sim_backend.board.hardware import World
+from sim_backend.board.lockstep import Lockstep
+from sim_backend.ends.link import MemoryLink
 from tests.benchmarks.pulses import FAULTS, pulsed
 from tests.conformance.claimed import claim_to_be_real
 from tests.conformance.firmware import need_compiler

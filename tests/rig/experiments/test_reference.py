@@ -21,8 +21,8 @@ from rig.experiments.identify_motions import still
 from rig.experiments.reference import FoundReference, reference
 from rig.experiments.zero import position_zero
 from rig.recording.reader import open_recording
-from sim_backend.hardware import Hardware
-from sim_backend.plant import COULOMB
+from sim_backend.board.hardware import Hardware
+from sim_backend.mechanics.plant import COULOMB
 from tests.conformance.claimed import claim_to_be_real
 from tests.conformance.firmware import need_compiler
 from tests.conformance.tiers import first_by_default

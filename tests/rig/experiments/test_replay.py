@@ -26,8 +26,8 @@ from rig.realtime.plugs import LAW_SIGNATURE
 from rig.realtime.ring import Ring
 from rig.recording.capture import BLOCK_ROWS
 from rig.recording.reader import open_recording
-from sim_backend.link import MemoryLink
-from sim_backend.make_device import make_device
+from sim_backend.board.make_device import make_device
+from sim_backend.ends.link import MemoryLink
 from tests.conformance.trials import trial_on
 
 START = -0.015

@@ -47,8 +47,8 @@ from rig.realtime.kernel import kernel
 from rig.realtime.plugs import LAW_SIGNATURE
 from rig.recording.files import free_name
 from rig.recording.reader import open_recording
-from sim_backend.device import SimulatedDevice
-from sim_backend.link import MemoryLink
+from sim_backend.board.device import SimulatedDevice
+from sim_backend.ends.link import MemoryLink
 from tests.conformance.claimed import claim_to_be_real
 from tests.conformance.trials import trial_on
 

@@ -18,8 +18,8 @@ from rig.realtime.groups import Address, Floats, Int, group, type_of
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import LAW_SIGNATURE, LawPlug
 from rig.realtime.source_files import source_files
-from sim_backend.device import SimulatedDevice
-from sim_backend.link import MemoryLink
+from sim_backend.board.device import SimulatedDevice
+from sim_backend.ends.link import MemoryLink
 from tests.conformance.rigs import rotary_rig
 
 

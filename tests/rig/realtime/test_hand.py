@@ -16,7 +16,7 @@ from rig.core.errors import ConfigError
 from rig.devices.device import DeviceUrl
 from rig.devices.local import serve_locally
 from rig.realtime.hand import MAGIC, MOTIONS, SIZE, WISH_END, HandMotion, SharedHand, Wish
-from sim_backend.link import open_link
+from sim_backend.ends.link import open_link
 from tests.conformance.rigs import rotary_rig
 
 FLOATS = st.floats(allow_nan=False, allow_infinity=False)

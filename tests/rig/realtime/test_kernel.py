@@ -502,7 +502,7 @@ import sys
 from rig.core import program
 program.begin()
 import numpy as np
-import rig.cli.device, rig.cli.hit, sim_backend.link  # declare kernels, and compile none
+import rig.cli.device, rig.cli.hit, sim_backend.ends.link  # declare kernels, and compile none
 from rig.realtime.kernel import kernel
 
 @kernel("f8(f8)", cache=False)

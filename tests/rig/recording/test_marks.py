@@ -29,7 +29,7 @@ from rig.recording.data import Recording
 from rig.recording.ledger import period_ns_of
 from rig.recording.marks import EDGES_KEY, marks, sync_edges
 from rig.recording.reader import open_recording
-from sim_backend.link import open_link
+from sim_backend.ends.link import open_link
 from tests.conformance.recording import example_header, example_rows
 from tests.conformance.rigs import rotary_rig
 from tests.conformance.trials import trial_on

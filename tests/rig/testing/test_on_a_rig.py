@@ -22,8 +22,8 @@ from rig.config import presets
 from rig.devices.framed import FramedDevice
 from rig.realtime import running
 from rig.testing import SerialRig, serve_rig
-from sim_backend.link import MemoryLink
-from sim_backend.make_device import make_device
+from sim_backend.board.make_device import make_device
+from sim_backend.ends.link import MemoryLink
 from tests.conformance.claimed import claim_to_be_real
 
 URL = "serial:///dev/ttyRIG"

@@ -22,8 +22,8 @@ from rig.recording.reader import open_recording
 from rig.views.plots import style
 from rig.views.plots.hit import BEFORE_CONTACT_S, draw_hit, hit_figure
 from rig.views.plots.replay import draw_replay, replay_figure
-from sim_backend.link import MemoryLink
-from sim_backend.make_device import make_device
+from sim_backend.board.make_device import make_device
+from sim_backend.ends.link import MemoryLink
 from tests.conformance.trials import trial_on
 from tests.rig.views.conftest import scaled
 

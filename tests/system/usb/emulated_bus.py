@@ -18,7 +18,7 @@ from typing import Any
 
 import pytest
 
-from sim_backend.usb import UsbShape, serve
+from sim_backend.ends.usb import UsbShape, serve
 from tests.conformance.rigs import rotary_rig
 
 ROOT = Path(__file__).parents[3]

@@ -16,7 +16,7 @@ import pytest
 from rig import config
 from rig.config import presets
 from rig.recording.reader import open_recording
-from sim_backend.usb import HIGH_SPEED_PACKET, UsbShape
+from sim_backend.ends.usb import HIGH_SPEED_PACKET, UsbShape
 from tests.system.usb import checks
 from tests.system.usb.emulated_bus import Bus, Child, build
 

@@ -16,7 +16,7 @@ from firmware_protocol.faults import Fault, Input, LimitFlag
 from firmware_protocol.messages import Mode, Sync
 from rig.realtime.codec import STATE
 from rig.realtime.groups import Floats, Ints
-from sim_backend.lockstep import (
+from sim_backend.board.lockstep import (
     COUNT,
     CUTS,
     DUE,
@@ -28,7 +28,7 @@ from sim_backend.lockstep import (
     TIME,
     WORDS,
 )
-from sim_backend.safety import (
+from sim_backend.board.safety import (
     AT,
     UNITS_PER_SECOND,
     UNITS_PER_US,
@@ -81,9 +81,9 @@ class DeviceMemory(NamedTuple):
     words
         Those of `lockstep`, and behind them `OWN`.
     rules, heat, counts, currents
-        Of `sim_backend.safety.Safety`.
+        Of `sim_backend.board.safety.Safety`.
     ring
-        Of `sim_backend.safety.FaultMemory`.
+        Of `sim_backend.board.safety.FaultMemory`.
     state
         Fields of the STATE that is due, by `rig.realtime.codec.STATE`.
     """

@@ -28,10 +28,10 @@ from rig.core.sample import Phase, RowFlag
 from rig.devices.simulated import ExcitedMotion
 from rig.realtime.groups import Floats, Ints, group, type_of
 from rig.realtime.kernel import kernel
-from sim_backend.inner import Vector
-from sim_backend.plant import PLANT_TYPE, DiscretePlant, PlantArguments, advance
-from sim_backend.safety import UNITS_PER_SECOND
-from sim_backend.trial import NS_DENOMINATOR, NS_NUMERATOR
+from sim_backend.bare.trial import NS_DENOMINATOR, NS_NUMERATOR
+from sim_backend.board.safety import UNITS_PER_SECOND
+from sim_backend.mechanics.inner import Vector
+from sim_backend.mechanics.plant import PLANT_TYPE, DiscretePlant, PlantArguments, advance
 
 SLOWEST_INNER_HZ = 16_000.0  # an excitation of some 100 Hz is well sampled
 

@@ -31,8 +31,8 @@ from rig.devices.port import PORT_TYPE, LoopPort
 from rig.realtime.groups import group_at, group_bytes, type_of
 from rig.realtime.kernel import kernel, prepare
 from rig.realtime.native import native_call
-from sim_backend.hardware import NO_END, Hardware, World
-from sim_backend.lockstep import (
+from sim_backend.board.hardware import NO_END, Hardware, World
+from sim_backend.board.lockstep import (
     BYTE_COUNT,
     BYTES,
     CUTS,
@@ -47,8 +47,8 @@ from sim_backend.lockstep import (
     cut,
     run_ticks,
 )
-from sim_backend.operator import OperatorScript
-from sim_backend.plant import PLANT_TYPE, PlantArguments
+from sim_backend.mechanics.operator import OperatorScript
+from sim_backend.mechanics.plant import PLANT_TYPE, PlantArguments
 
 SLICE_NS = 10_000_000  # in which a signal or a wish to stop is heard
 LONGEST_PAUSE_NS = 1_000_000_000
@@ -187,7 +187,7 @@ def keep_time(
 
 
 class TickedDevice(Protocol):
-    """A device that compiled ticks can run (`sim_backend.lockstep`)."""
+    """A device that compiled ticks can run (`sim_backend.board.lockstep`)."""
 
     hardware: Hardware
 

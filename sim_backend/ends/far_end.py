@@ -4,7 +4,7 @@ A tick of the loop then runs no Python: `wait` lets ticks pass until the device 
 host's bytes to it, `read` takes its output. Python is called (`serve`) where a supply is used up, where the device
 changed its rate or was armed, and before the first tick after Python itself had the device.
 
-It mirrors `sim_backend.link.MemoryLink`, whose callbacks do the same where frames or the device fail on command.
+It mirrors `sim_backend.ends.link.MemoryLink`, whose callbacks do the same where frames or the device fail on command.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from rig.realtime.groups import Bytes, Int, Ints, group, group_at, group_bytes, 
 from rig.realtime.kernel import kernel, prepare
 from rig.realtime.native import native_call
 from rig.realtime.plugs import TRANSFER_SIGNATURE, WAIT_SIGNATURE
-from sim_backend.firmware import FirmwareDevice
-from sim_backend.lockstep import (
+from sim_backend.board.firmware import FirmwareDevice
+from sim_backend.board.lockstep import (
     BYTE_COUNT,
     BYTES,
     CUTS,
@@ -41,8 +41,8 @@ from sim_backend.lockstep import (
     cut,
     run_ticks,
 )
-from sim_backend.operator import OperatorScript
-from sim_backend.plant import PlantArguments
+from sim_backend.mechanics.operator import OperatorScript
+from sim_backend.mechanics.plant import PlantArguments
 
 # What changes: whether Python had the device last; nothing moves any more; bytes that wait for the host, and those
 # that found no room; ticks that have passed, and how many may before Python is asked.
@@ -67,7 +67,7 @@ class FarEnd(NamedTuple):
     Attributes
     ----------
     software, plant, script, wires, supplies
-        Of `sim_backend.lockstep.run_ticks`.
+        Of `sim_backend.board.lockstep.run_ticks`.
     progress
         By the constants of this file.
     arrived

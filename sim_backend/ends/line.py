@@ -21,7 +21,7 @@ from typing import Self
 from rig.devices.port import LoopPort
 from rig.realtime import system
 from rig.realtime.clock import MonotonicClock
-from sim_backend.real_time import READ_BYTES, sleep_until
+from sim_backend.ends.real_time import READ_BYTES, sleep_until
 
 assert sys.platform == "linux"
 

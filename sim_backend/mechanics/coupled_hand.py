@@ -1,12 +1,12 @@
-"""A rig in a person's hand, stepped exactly: `sim_backend.plant` with a hand mass and its intention.
+"""A rig in a person's hand, stepped exactly: `sim_backend.mechanics.plant` with a hand mass and its intention.
 
 States in order (see `rig.core.model.state_space`): those of the rig, hand position and velocity, then intended
 position, intended velocity and press. The last three keep their values until a script writes others into them
-(`sim_backend.operator`); so the hand needs no other argument.
+(`sim_backend.mechanics.operator`); so the hand needs no other argument.
 
 A position acts on a body only through its distance from that body: moving all of them alike changes nothing
 else, and without an intention nothing moves, to the last bit. Friction and edges are those of the other
-plants (`sim_backend.inner`).
+plants (`sim_backend.mechanics.inner`).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from numba import types
 
 from rig.core.model import Matrix
 from rig.realtime.kernel import kernel
-from sim_backend.inner import (
+from sim_backend.mechanics.inner import (
     ADVANCE,
     COULOMB,
     COULOMB_LINK,
@@ -30,7 +30,7 @@ from sim_backend.inner import (
     rub_both,
     rub_one,
 )
-from sim_backend.sensors import cell
+from sim_backend.mechanics.sensors import cell
 
 INTENTIONS = 3  # intended position, intended velocity, press
 HAND_ORDER = 2 + INTENTIONS  # states that a hand adds: its position, its velocity, and these
@@ -74,7 +74,7 @@ def _carried(phi: Matrix, row: int, v: float, w: float, effort: float, g: float)
 def advance_rigid(
     state: Vector, phi: Matrix, gamma: Matrix, parameters: Vector, command: float, external: float
 ) -> int:
-    """Move a held plant whose capstan is rigid by one tick under an active effort; see `sim_backend.plant.advance`."""
+    """Move a held plant with a rigid capstan by one tick under an active effort; see `mechanics.plant.advance`."""
     x, v, effort, h, g = state[0], state[1], state[2], state[3], state[4]  # link, motor effort, hand
     goal, goal_velocity, press, age = state[5], state[6], state[7], state[8]
     step_s, coulomb = parameters[STEP_S], parameters[COULOMB]
@@ -112,7 +112,7 @@ def advance_rigid(
 def advance_two_mass(
     state: Vector, phi: Matrix, gamma: Matrix, parameters: Vector, command: float, external: float
 ) -> int:
-    """Move a held plant of two masses by one tick under an active effort; see `sim_backend.plant.advance`."""
+    """Move a held plant of two masses by one tick under an active effort; see `sim_backend.mechanics.plant.advance`."""
     x, v, y, w, effort = state[0], state[1], state[2], state[3], state[4]  # motor, link, motor effort
     h, g, goal, goal_velocity, press, age = state[5], state[6], state[7], state[8], state[9], state[10]
     step_s, coulomb_v, coulomb_w = parameters[STEP_S], parameters[COULOMB], parameters[COULOMB_LINK]

@@ -37,9 +37,9 @@ from firmware_protocol.replies import Replies
 from rig.core.errors import ConfigError
 from rig.core.model import RigModel
 from rig.realtime.codec import STATE
-from sim_backend.configuration import Configuration, describe
-from sim_backend.hardware import Hardware
-from sim_backend.lockstep import (
+from sim_backend.board.configuration import Configuration, describe
+from sim_backend.board.hardware import Hardware
+from sim_backend.board.lockstep import (
     COUNT,
     CUTS,
     DUE,
@@ -52,7 +52,7 @@ from sim_backend.lockstep import (
     SESSION,
     TIME,
 )
-from sim_backend.safety import (
+from sim_backend.board.safety import (
     AT,
     UNITS_PER_SECOND,
     UNITS_PER_US,
@@ -63,7 +63,17 @@ from sim_backend.safety import (
     in_window,
     overheated,
 )
-from sim_backend.ticks import BOARD_WORDS, OWN, DeviceMemory, drive, is_too_old, obey, report, sample, time_of
+from sim_backend.board.ticks import (
+    BOARD_WORDS,
+    OWN,
+    DeviceMemory,
+    drive,
+    is_too_old,
+    obey,
+    report,
+    sample,
+    time_of,
+)
 
 _U32 = 0xFFFFFFFF
 _NS_NUMERATOR, _NS_DENOMINATOR = 125, 2  # a unit of device time is 62.5 ns

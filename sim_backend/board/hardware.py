@@ -14,9 +14,7 @@ from numba import types
 from rig.core.model import RigModel
 from rig.realtime.groups import group_at, group_bytes
 from rig.realtime.kernel import kernel, prepare
-from sim_backend.driven_hand import DrivenHand
-from sim_backend.inner import Vector
-from sim_backend.lockstep import (
+from sim_backend.board.lockstep import (
     COUNT,
     INDEX_COUNT,
     INDEX_EDGES,
@@ -33,10 +31,12 @@ from sim_backend.lockstep import (
     run_ticks,
     sense,
 )
-from sim_backend.operator import OperatorScript
-from sim_backend.plant import PLANT_TYPE, DiscretePlant, PlantArguments, advance
-from sim_backend.sensors import CURRENT_QUANTA_LIMIT, current_quanta, encoder_count
-from sim_backend.truth import TruthLog
+from sim_backend.mechanics.driven_hand import DrivenHand
+from sim_backend.mechanics.inner import Vector
+from sim_backend.mechanics.operator import OperatorScript
+from sim_backend.mechanics.plant import PLANT_TYPE, DiscretePlant, PlantArguments, advance
+from sim_backend.mechanics.sensors import CURRENT_QUANTA_LIMIT, current_quanta, encoder_count
+from sim_backend.mechanics.truth import TruthLog
 
 _NOISE_BLOCK = 4096
 _PEAK = int(CURRENT_QUANTA_LIMIT)
@@ -56,7 +56,7 @@ def _keep(handle: int, plant: PlantArguments) -> None:
 
 @kernel(types.int64(types.int64, types.float64, types.float64), no_refcount=True)
 def _advance(handle: int, command_effort: float, external_effort: float) -> int:
-    """Move the plant behind a handle by one tick; see `sim_backend.plant.advance`."""
+    """Move the plant behind a handle by one tick; see `sim_backend.mechanics.plant.advance`."""
     return int(advance(_at(handle), command_effort, external_effort))
 
 
@@ -88,7 +88,7 @@ class Hardware:
     leak
         Current that the sensor shows beside the motor's (quanta): a short circuit, a drifted sensor.
     marks
-        Where index and limit switch are, by the fields of `sim_backend.lockstep.Wires`.
+        Where index and limit switch are, by the fields of `sim_backend.board.lockstep.Wires`.
     drive, gain
         What the amplifier makes of a command, and the sensor of the motor's current, as a share: 0 for a lead that came
         off or a sensor that is dead, negative for one that is reversed. With both at −1 the motor's leads are swapped.
@@ -185,7 +185,7 @@ class Hardware:
             self.measured = max(-_PEAK, min(_PEAK, self.measured + self.leak))
 
     def run(self, software: Lockstep, until: int, most: int, enough: int, truth: TruthLog | None) -> int:
-        """Let many ticks pass under the current that some software asks for; see `sim_backend.lockstep.run_ticks`.
+        """Run many ticks under the current that some software requests; see `sim_backend.board.lockstep.run_ticks`.
 
         It stops early where noise, room for the truth or the wishes of a driven hand are used up: for more ticks, call
         it again.

@@ -1,7 +1,7 @@
 """Many ticks of a device that is compiled too, in one compiled call: plant and sensors here, the device by address.
 
-The order of a tick is that of `sim_backend.device`: the current, the plant, the sample. A law that runs on the device
-needs nothing of the host in between, so that ticks pass until the device has something to say.
+The order of a tick is that of `sim_backend.board.device`: the current, the plant, the sample. A law that runs on the
+device needs nothing of the host in between, so that ticks pass until the device has something to say.
 
 It mirrors the wires between a board and its rig, and knows neither frames nor states of the protocol.
 """
@@ -18,11 +18,11 @@ from firmware_protocol.faults import Input
 from rig.realtime.groups import Float, FloatRows, Floats, Int, Ints, group, type_of
 from rig.realtime.kernel import kernel, rule
 from rig.realtime.native import native_call
-from sim_backend.coupled_hand import want
-from sim_backend.operator import OperatorScript
-from sim_backend.plant import PLANT_TYPE, PlantArguments, advance
-from sim_backend.safety import UNITS_PER_SECOND
-from sim_backend.sensors import CURRENT_QUANTA_LIMIT, current_quanta
+from sim_backend.board.safety import UNITS_PER_SECOND
+from sim_backend.mechanics.coupled_hand import want
+from sim_backend.mechanics.operator import OperatorScript
+from sim_backend.mechanics.plant import PLANT_TYPE, PlantArguments, advance
+from sim_backend.mechanics.sensors import CURRENT_QUANTA_LIMIT, current_quanta
 
 # Words of struct lockstep in firmware/host/lockstep.h.
 COUNT, EDGE_AGE, MEASURED, INPUTS, CUTS, DUE, SAMPLE_INDEX, SESSION, TIME = range(9)
@@ -64,7 +64,7 @@ class Wires(NamedTuple):
     effort_quantum, ampere_per_effort, quantum_a
         Scales of command (N·m or N), sensor (A for one of them) and its quanta (A).
     external_effort, slip, leak
-        Of `sim_backend.hardware.Hardware`.
+        Of `sim_backend.board.hardware.Hardware`.
     index_first, index_counts
         True count of an index, and counts to the next one; 0: no index.
     switch_count, switch_way

@@ -1,4 +1,4 @@
-"""A rig whose motor cogs, stepped: `sim_backend.plant` with an effort that the motor's position decides.
+"""A rig whose motor cogs, stepped: `sim_backend.mechanics.plant` with an effort that the motor's position decides.
 
 One kernel serves all structures, held or not, because a plant is first written in the states of the largest
 (`in_full`): motor, link, motor effort, hand, and what the hand wants. What a rig does not have moves nothing.
@@ -26,7 +26,7 @@ from numba import types
 from rig.control.cogging import effort_at
 from rig.core.model import Matrix, StateSpace
 from rig.realtime.kernel import kernel
-from sim_backend.inner import (
+from sim_backend.mechanics.inner import (
     ADVANCE,
     COULOMB,
     COULOMB_LINK,
@@ -41,7 +41,7 @@ from sim_backend.inner import (
     encoded,
     rub_both,
 )
-from sim_backend.sensors import cell
+from sim_backend.mechanics.sensors import cell
 
 # States of a rig written in full; then what the hand wants, and the age of the last edge.
 MOTOR, LINK, EFFORT, HAND, WANTED, EDGE_AGE = 0, 2, 4, 5, 7, 10
@@ -118,7 +118,7 @@ def _rubbed(gamma: Matrix, row: int, motor: float, link: float) -> float:
 def advance(
     state: Vector, phi: Matrix, gamma: Matrix, parameters: Any, command: float, external: float
 ) -> int:
-    """Move a plant written in full by one tick under an active effort; see `sim_backend.plant.advance`."""
+    """Move a plant written in full by one tick under an active effort; see `sim_backend.mechanics.plant.advance`."""
     x, v, y, w, effort = state[0], state[1], state[2], state[3], state[4]  # motor, link, motor effort
     h, g, goal, velocity, press, age = state[5], state[6], state[7], state[8], state[9], state[10]
     begins = int(parameters[RIPPLE])

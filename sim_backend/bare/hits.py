@@ -22,9 +22,9 @@ from rig.core.model import RigModel
 from rig.core.sample import Phase, RowFlag
 from rig.devices.simulated import SimulatedHit
 from rig.realtime.kernel import kernel
-from sim_backend.operator import OperatorScript
-from sim_backend.plant import DiscretePlant, PlantArguments
-from sim_backend.trial import RUN_TYPES, Trace, run_arguments, run_ticks
+from sim_backend.bare.trial import RUN_TYPES, Trace, run_arguments, run_ticks
+from sim_backend.mechanics.operator import OperatorScript
+from sim_backend.mechanics.plant import DiscretePlant, PlantArguments
 
 _NONFINITE = int(RowFlag.NONFINITE)
 
@@ -50,8 +50,8 @@ def hit(
 ) -> int:
     """Run one trial and measure its trial phase; returns its number of ticks.
 
-    The arguments of `sim_backend.trial.run_ticks` with every sample in time, room for `SIGNALS` signals, the meter, and
-    a record of `rig.control.measure.NUMBERS` for what the rig records and for what is true.
+    The arguments of `sim_backend.bare.trial.run_ticks` with every sample in time, room for `SIGNALS` signals, the
+    meter, and a record of `rig.control.measure.NUMBERS` for what the rig records and for what is true.
     """
     ticks = run_ticks(controller, plant, script, ages, external_effort, start_units, tick_units, trace)
     states, counts, phases, flags = trace.states, trace.counts, trace.phases, trace.flags

@@ -7,10 +7,10 @@ same arrays and so to the same bits.
 
 **State.** Everything that changes lives in one flat array, so that copying it copies the plant: the states of
 `rig.core.model.state_space`, what a person who holds the handle wants (position, velocity, press; see
-`sim_backend.coupled_hand`), then the age of the last encoder edge (s), then the commands still on their way, oldest
-first.
+`sim_backend.mechanics.coupled_hand`), then the age of the last encoder edge (s), then the commands still on their way,
+oldest first.
 
-**Cogging** is a matter of `sim_backend.cogging`: its effort depends on the position, which no matrix holds.
+**Cogging** is a matter of `sim_backend.mechanics.cogging`: its effort depends on the position, which no matrix holds.
 
 **Friction.** In each inner step a friction effort is held, like the inputs, at the value that brings its mass
 to rest by the end of the step, clipped to the Coulomb level. Two masses are coupled through the capstan;
@@ -41,9 +41,9 @@ from rig.core.model import Matrix, RigModel, StateSpace, state_space
 from rig.realtime.groups import FloatRows, Floats, Int, group, type_of
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import NativeFunction
-from sim_backend import cogging, coupled_hand
-from sim_backend.coupled_hand import HAND_ORDER, INTENTIONS
-from sim_backend.inner import (
+from sim_backend.mechanics import cogging, coupled_hand
+from sim_backend.mechanics.coupled_hand import HAND_ORDER, INTENTIONS
+from sim_backend.mechanics.inner import (
     ADVANCE,
     COULOMB,
     COULOMB_LINK,
@@ -63,7 +63,7 @@ from sim_backend.inner import (
     rub_both,
     rub_one,
 )
-from sim_backend.sensors import cell, encoder_count
+from sim_backend.mechanics.sensors import cell, encoder_count
 
 RIGID_ORDER, TWO_MASS_ORDER = 3, 5  # states of a rig without a hand
 
@@ -176,7 +176,7 @@ class DiscretePlant:
 
     @property
     def cogs(self) -> bool:
-        """Whether the motor cogs: the plant is written in full then (`sim_backend.cogging`)."""
+        """Whether the motor cogs: the plant is written in full then (`sim_backend.mechanics.cogging`)."""
         return len(self.parameters) > PARAMETERS
 
     def count(self, state: Vector) -> int:

@@ -23,8 +23,8 @@ from dataclasses import dataclass
 from firmware_protocol.messages import USB_PRODUCT, USB_VENDOR
 from rig.core.errors import ConfigError
 from rig.core.model import RigModel
-from sim_backend.device import SimulatedDevice
-from sim_backend.real_time import RealTime, sleep_until
+from sim_backend.board.device import SimulatedDevice
+from sim_backend.ends.real_time import RealTime, sleep_until
 
 VENDOR_CLASS = 0xFF
 ENDPOINT_IN, ENDPOINT_OUT = 0x81, 0x01

@@ -10,9 +10,9 @@ from typing import Any
 
 from rig.core.errors import ConfigError
 from rig.core.model import RigModel
-from sim_backend.device import SimulatedDevice
-from sim_backend.firmware import LAWS, FirmwareDevice
-from sim_backend.firmware_library import library
+from sim_backend.board.device import SimulatedDevice
+from sim_backend.board.firmware import LAWS, FirmwareDevice
+from sim_backend.board.firmware_library import library
 
 
 def make_device(

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.core.sample import TRUTH
-from sim_backend.inner import Vector
-from sim_backend.plant import DiscretePlant
+from sim_backend.mechanics.inner import Vector
+from sim_backend.mechanics.plant import DiscretePlant
 
 _FIRST_ROWS = 4096
 

@@ -25,11 +25,11 @@ from rig.core.errors import ConfigError
 from rig.core.model import RigModel
 from rig.realtime.c_board import BoardSetup
 from rig.realtime.kernel import prepare
-from sim_backend import firmware_library
-from sim_backend.configuration import describe
-from sim_backend.firmware_library import HostStatus
-from sim_backend.hardware import Hardware, World
-from sim_backend.lockstep import (
+from sim_backend.board import firmware_library
+from sim_backend.board.configuration import describe
+from sim_backend.board.firmware_library import HostStatus
+from sim_backend.board.hardware import Hardware, World
+from sim_backend.board.lockstep import (
     DUE,
     INDEX_COUNT,
     INDEX_EDGES,
@@ -41,7 +41,7 @@ from sim_backend.lockstep import (
     Lockstep,
     run_ticks,
 )
-from sim_backend.safety import UNITS_PER_SECOND
+from sim_backend.board.safety import UNITS_PER_SECOND
 
 OUTPUT_BYTES = 65536
 LAWS = 2  # fixed point and float32, parameter `law`

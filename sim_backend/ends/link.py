@@ -27,10 +27,10 @@ from rig.devices.fault_script import DeviceFault, Direction, Faults
 from rig.devices.port import LoopPort
 from rig.realtime.callbacks import callback_plugs
 from rig.realtime.clock import VirtualClock
-from sim_backend.channel import ScriptedLine
-from sim_backend.far_end import ARRIVED, CLOSED, DISCARDED, OUTPUT_BYTES, PROGRESS, TICKS, CompiledPort
-from sim_backend.firmware import FirmwareDevice
-from sim_backend.make_device import make_device
+from sim_backend.board.firmware import FirmwareDevice
+from sim_backend.board.make_device import make_device
+from sim_backend.ends.channel import ScriptedLine
+from sim_backend.ends.far_end import ARRIVED, CLOSED, DISCARDED, OUTPUT_BYTES, PROGRESS, TICKS, CompiledPort
 
 
 def _times(text: str) -> tuple[float, ...]:
@@ -117,8 +117,8 @@ def open_link(url: DeviceUrl, model: RigModel | None = None, faults: Faults | No
     device that can run the law, the firmware itself, compiled for this machine.
 
     Unless `firmware` is given the device runs no law: it is the firmware too where this machine can compile it, whose
-    ticks pass no Python, else the readable device (`sim_backend.device`, `firmware` = 0), which says the same and is
-    slower. Where something goes wrong on command (`faults`), bytes pass Python.
+    ticks pass no Python, else the readable device (`sim_backend.board.device`, `firmware` = 0), which says the same and
+    is slower. Where something goes wrong on command (`faults`), bytes pass Python.
 
     Raises
     ------

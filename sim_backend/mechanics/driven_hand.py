@@ -1,7 +1,8 @@
 """A simulated hand that is driven interactively during a run: by a mouse, by keys, by a program.
 
-While the rig homes, the hand goes along as the scripted one does (`sim_backend.operator`), whatever is wished: a hand
-that pulls elsewhere would keep the handle from its start. From the beginning of the trial on it follows the wishes.
+While the rig homes, the hand goes along as the scripted one does (`sim_backend.mechanics.operator`), whatever is
+wished: a hand that pulls elsewhere would keep the handle from its start. From the beginning of the trial on it follows
+the wishes.
 
 A mouse moves in jerks and an arrow key in steps, a hand does not: it follows as a critically damped system of
 `FOLLOW_HZ`, without overshoot, and stays within what a person can reach and press. What it follows moves at
@@ -22,8 +23,8 @@ import numpy as np
 from rig.core.errors import ConfigError
 from rig.core.model import RigModel
 from rig.realtime.hand import Wish
-from sim_backend.coupled_hand import INTENTIONS
-from sim_backend.operator import PRESS_HZ, REPEAT_S, OperatorScript, Rows, tremor
+from sim_backend.mechanics.coupled_hand import INTENTIONS
+from sim_backend.mechanics.operator import PRESS_HZ, REPEAT_S, OperatorScript, Rows, tremor
 
 FOLLOW_HZ = 3.0  # chosen: a step of 10 mm then goes at 7 cm/s at most, about as fast as the scripted reach
 BLOCK_S = 0.002  # a wish acts after this time at most

@@ -19,16 +19,16 @@ from pathlib import Path
 from rig.core.errors import ConfigError
 from rig.core.model import RigModel
 from rig.realtime.hand import HandMotion, SharedHand
-from sim_backend.board_time import BoardTime
-from sim_backend.device import SimulatedDevice
-from sim_backend.driven_hand import DrivenHand
-from sim_backend.firmware import FirmwareDevice
-from sim_backend.make_device import make_device
-from sim_backend.real_time import RealTime
-from sim_backend.stopping import stopped_by_signals
+from sim_backend.board.device import SimulatedDevice
+from sim_backend.board.firmware import FirmwareDevice
+from sim_backend.board.make_device import make_device
+from sim_backend.ends.board_time import BoardTime
+from sim_backend.ends.real_time import RealTime
+from sim_backend.ends.stopping import stopped_by_signals
+from sim_backend.mechanics.driven_hand import DrivenHand
 
 if sys.platform == "linux":
-    from sim_backend.line import PseudoTerminal, Socket
+    from sim_backend.ends.line import PseudoTerminal, Socket
 
 assert sys.platform == "linux"
 

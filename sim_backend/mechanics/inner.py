@@ -9,7 +9,7 @@ from numba import types
 from numpy.typing import NDArray
 
 from rig.realtime.kernel import kernel
-from sim_backend.sensors import cell
+from sim_backend.mechanics.sensors import cell
 
 Vector = NDArray[np.float64]
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from rig.core.model import Operator, OperatorReach, RigModel
 from rig.realtime.groups import FloatRows, Int, group
-from sim_backend.coupled_hand import INTENTIONS
+from sim_backend.mechanics.coupled_hand import INTENTIONS
 
 Rows = NDArray[np.float64]
 

@@ -18,8 +18,8 @@ import threading
 import time
 from typing import Protocol
 
-from sim_backend.device import SimulatedDevice
-from sim_backend.safety import UNITS_PER_SECOND
+from sim_backend.board.device import SimulatedDevice
+from sim_backend.board.safety import UNITS_PER_SECOND
 
 CATCH_UP_TICKS = 4  # late ticks that are run at once, each with its STATE
 LONGEST_PAUSE_S = 1.0

@@ -23,11 +23,11 @@ from rig.control.step import CONTROLLER_TYPE, DONE, ControllerArguments, Control
 from rig.core.sample import RowFlag
 from rig.realtime.groups import FloatRows, Ints, group, type_of
 from rig.realtime.kernel import kernel
-from sim_backend.coupled_hand import want
-from sim_backend.inner import Vector
-from sim_backend.operator import OperatorScript
-from sim_backend.plant import PLANT_TYPE, DiscretePlant, PlantArguments, advance
-from sim_backend.safety import UNITS_PER_SECOND
+from sim_backend.board.safety import UNITS_PER_SECOND
+from sim_backend.mechanics.coupled_hand import want
+from sim_backend.mechanics.inner import Vector
+from sim_backend.mechanics.operator import OperatorScript
+from sim_backend.mechanics.plant import PLANT_TYPE, DiscretePlant, PlantArguments, advance
 
 NS_NUMERATOR, NS_DENOMINATOR = TIME_UNIT_NS.as_integer_ratio()
 UNSEEN = -1  # phase of a sample that the law never saw

@@ -1,0 +1,1 @@
+"""What moves: motor, handle, hand, cogging and encoder, and the truth about them."""
