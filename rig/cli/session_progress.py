@@ -8,9 +8,9 @@ from collections.abc import Callable
 
 import click
 
-from rig.session.desk import DeskView
-from rig.session.log import Event
-from rig.session.telling import line_of_event
+from rig.session.engine.desk import DeskView
+from rig.session.engine.log import Event
+from rig.session.engine.telling import line_of_event
 
 _SURE = 2  # trials that are timed before the remaining time is shown
 

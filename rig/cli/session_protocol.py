@@ -18,16 +18,18 @@ from rig.cli.command import command
 from rig.core.errors import PlanError
 from rig.core.present import plain
 from rig.core.sample import unit_of
-from rig.session import check as checking
-from rig.session import template_files as templates
-from rig.session.directory import study_directory
-from rig.session.disk import in_words
-from rig.session.expected import ExpectedRange
-from rig.session.load import json_schema, load_protocol
-from rig.session.plan import CellPlan, StudyPlan
+from rig.session.engine import check as checking
+from rig.session.engine.directory import study_directory
+from rig.session.planning import template_files as templates
+from rig.session.planning.disk import in_words
+from rig.session.planning.expected import ExpectedRange
+from rig.session.planning.load import json_schema, load_protocol
+from rig.session.planning.plan import CellPlan, StudyPlan
 
 _MARKS = {"ok": ("ok", "green"), "warning": ("!!", "yellow"), "refused": ("no", "red")}
-DEVICE_CHECKS = "rig.session.device_checks:device_checks"  # nobody who checks without --url waits for a loop
+DEVICE_CHECKS = (
+    "rig.session.engine.device_checks:device_checks"  # nobody who checks without --url waits for a loop
+)
 MOST_ORDERS = 24  # participants whose order is printed; --json has all
 
 

@@ -14,24 +14,24 @@ from rig.cli.command import DEVICE, command, option
 from rig.cli.session_progress import Rehearsed
 from rig.core.errors import ConfigError
 from rig.core.present import plain
-from rig.session import rehearsal
-from rig.session import run as sessions
-from rig.session.desk import Desk
-from rig.session.directory import LOG, event_of_trial
-from rig.session.directory import amend as amend_event
-from rig.session.hits import DeviceRunner
-from rig.session.load import load_walls
-from rig.session.log import DamagedLineError, set_damaged_line_aside
-from rig.session.place import last_opened
-from rig.session.protocol_changes import ChangedProtocolError
-from rig.session.rehearsal import Person
-from rig.session.run import DeskFor, SessionResult, rehearsal_desk, session_state, summary
-from rig.session.runner import TrialRunner
-from rig.session.state import SessionState
-from rig.session.telling import line_of_event, lost_samples, whole_line
+from rig.session.engine import rehearsal
+from rig.session.engine import run as sessions
+from rig.session.engine.desk import Desk
+from rig.session.engine.directory import LOG, event_of_trial
+from rig.session.engine.directory import amend as amend_event
+from rig.session.engine.hits import DeviceRunner
+from rig.session.engine.log import DamagedLineError, set_damaged_line_aside
+from rig.session.engine.place import last_opened
+from rig.session.engine.protocol_changes import ChangedProtocolError
+from rig.session.engine.rehearsal import Person
+from rig.session.engine.run import DeskFor, SessionResult, rehearsal_desk, session_state, summary
+from rig.session.engine.runner import TrialRunner
+from rig.session.engine.state import SessionState
+from rig.session.engine.telling import line_of_event, lost_samples, whole_line
+from rig.session.planning.load import load_walls
 
 if sys.platform != "win32":
-    from rig.session.console.desk import at_console
+    from rig.session.terminal.desk import at_console
 
 _VIRTUAL_S = 1e8  # since 1970: no participant sat then
 

@@ -14,12 +14,12 @@ import numpy as np
 
 from rig.config import as_mapping, presets
 from rig.recording.lines import LineFile
-from rig.session.load import as_mapping as protocol_as_mapping
-from rig.session.load import protocol_from_mapping
-from rig.session.log import SessionLog
+from rig.session.engine.log import SessionLog
+from rig.session.engine.state import DoAsk, DoBlock, DoEnd, DoJudge, DoRest, DoTrial, SessionState
+from rig.session.planning.load import as_mapping as protocol_as_mapping
+from rig.session.planning.load import protocol_from_mapping
+from rig.session.planning.trial import HitOutcome, Presented, event_of
 from rig.session.search.observer import Observer
-from rig.session.state import DoAsk, DoBlock, DoEnd, DoJudge, DoRest, DoTrial, SessionState
-from rig.session.trial import HitOutcome, Presented, event_of
 
 PRESET = "koul-compliant"
 VERSIONS = {

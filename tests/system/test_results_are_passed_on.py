@@ -18,11 +18,11 @@ from rig.core.present import plain
 from rig.experiments import judgement, plan
 from rig.experiments.hit import HitRequest, hit
 from rig.recording import reader
-from rig.session.directory import LOG
-from rig.session.hits import DeviceRunner
-from rig.session.log import read
-from rig.session.rehearsal import Person
-from rig.session.run import rehearsal_desk, run_session
+from rig.session.engine.directory import LOG
+from rig.session.engine.hits import DeviceRunner
+from rig.session.engine.log import read
+from rig.session.engine.rehearsal import Person
+from rig.session.engine.run import rehearsal_desk, run_session
 from tests.system.session_study import PROTOCOL
 
 COUNTED: dict[str, Callable[..., Any]] = {

@@ -23,19 +23,19 @@ from rig.extras.console.hits import short
 from rig.extras.console.session_lists import protocol_file
 from rig.extras.console.talk import Talk
 from rig.recording.canonical import canonical_json
-from rig.session import run as sessions
-from rig.session.console.asking import SILENCE_S, AskingDesk
-from rig.session.console.pointer import HandKind
-from rig.session.console.seat import full_press, keymap_for, refuse_a_hand
-from rig.session.desk import Desk
-from rig.session.directory import LOG
-from rig.session.hits import DeviceRunner
-from rig.session.keymap import KeyMap
-from rig.session.load import as_mapping, load_walls
-from rig.session.log import read
-from rig.session.protocol import Protocol
-from rig.session.rehearsal import Person, thresholds_of
-from rig.session.runner import TrialRunner
+from rig.session.engine import run as sessions
+from rig.session.engine.desk import Desk
+from rig.session.engine.directory import LOG
+from rig.session.engine.hits import DeviceRunner
+from rig.session.engine.log import read
+from rig.session.engine.rehearsal import Person, thresholds_of
+from rig.session.engine.runner import TrialRunner
+from rig.session.planning.keymap import KeyMap
+from rig.session.planning.load import as_mapping, load_walls
+from rig.session.planning.protocol import Protocol
+from rig.session.terminal.asking import SILENCE_S, AskingDesk
+from rig.session.terminal.pointer import HandKind
+from rig.session.terminal.seat import full_press, keymap_for, refuse_a_hand
 
 REMEDY = "continue with `rig session resume`, or on the page"
 

@@ -1,6 +1,6 @@
 """The sessions' view: begins and resumes sessions, and is the seat of a session's operator, as a terminal is.
 
-What a page shows comes as texts (`rig.session.console.words`), and what it sends are keys and lines, so that a page is
+What a page shows comes as texts (`rig.session.terminal.words`), and what it sends are keys and lines, so that a page is
 a terminal of another kind: one conversation, one set of rules. A key names the question that was open when it was
 pressed; a key for an earlier question answers nothing. A participant's screen shows what a participant may see, and
 answers verdicts and items alone.
@@ -25,11 +25,11 @@ from rig.extras.console.service import Handler, Service, ServiceContext
 from rig.extras.console.session_requests import BeginSession, ListSessions, PressKey, Reach, TypeLine
 from rig.extras.console.terminal import Terminal
 from rig.realtime.hand import SharedHand
-from rig.session.console import words
-from rig.session.console.conversation import LATER, Conversation
-from rig.session.console.pointer import START_SHARE, WALL_SHARE
-from rig.session.console.seat import Seat, SeatHand
-from rig.session.keymap import STOP, VERDICTS
+from rig.session.planning.keymap import STOP, VERDICTS
+from rig.session.terminal import words
+from rig.session.terminal.conversation import LATER, Conversation
+from rig.session.terminal.pointer import START_SHARE, WALL_SHARE
+from rig.session.terminal.seat import Seat, SeatHand
 
 JOB = "session"
 PARTICIPANTS = ("session_key", "session_line", "stop")  # what a participant's screen may ask for

@@ -23,14 +23,14 @@ from rig.extras.study import bids_motion
 from rig.extras.study.bids_motion import EVENTS, MISSING, TASK, TRACKSYS, Channel
 from rig.extras.study.rows import TrialRow
 from rig.extras.study.study import Study, StudySession
+from rig.extras.study.trial_facts import FACTS, facts_of, unusable
 from rig.extras.study.trials import trials_of
 from rig.recording.data import Recording
 from rig.recording.files import whole_directory
 from rig.recording.header import checkout
 from rig.recording.reader import open_recording
-from rig.session.names import distinct_names
-from rig.session.state import END
-from rig.session.trial_facts import FACTS, facts_of, unusable
+from rig.session.engine.state import END
+from rig.session.planning.names import distinct_names
 
 BIDS_VERSION = "1.10.0"
 SHIFTED_TO = datetime(1925, 1, 1, tzinfo=UTC)  # what the standard asks of shifted dates

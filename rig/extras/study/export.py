@@ -10,11 +10,11 @@ from typing import Any
 
 from rig.core.sample import unit_of
 from rig.extras.study.study import Study
+from rig.extras.study.trial_facts import FACTS, facts_of, file_name, unusable
 from rig.extras.study.trials import trials_of
 from rig.recording.export import export
 from rig.recording.files import whole_directory
-from rig.session.names import distinct_names
-from rig.session.trial_facts import FACTS, facts_of, file_name, unusable
+from rig.session.planning.names import distinct_names
 
 INDEX, MEANINGS = "trials.csv", "columns.csv"
 

@@ -20,7 +20,7 @@ from rig.extras.study.effects import less_means
 from rig.extras.study.kmax import OfParticipant, OverParticipants
 from rig.extras.study.psychometric import PsychometricFit
 from rig.extras.study.rows import Measure, RunRow, TrialRow
-from rig.session.trial_facts import file_name
+from rig.extras.study.trial_facts import file_name
 from rig.views.plots import style
 
 MEASURES: Mapping[Measure, str] = {

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from rig.control.verdict import Kind
 from rig.core.sample import unit_of
 from rig.extras.study.study import Study, StudySession
-from rig.session.log import Event
-from rig.session.protocol_changes import value_words
-from rig.session.telling import lost, lost_samples
+from rig.session.engine.log import Event
+from rig.session.engine.protocol_changes import value_words
+from rig.session.engine.telling import lost, lost_samples
 from rig.views.report.template import fill_text
 
 TEMPLATE = "extras/study/session_events.j2"

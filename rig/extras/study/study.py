@@ -18,13 +18,13 @@ from rig.core.errors import ConfigError, RecordingError
 from rig.core.regular_file import open_regular
 from rig.core.sample import unit_of
 from rig.recording.files import plain_errors
-from rig.session.log import Event, read
-from rig.session.place import device_words, differences
-from rig.session.protocol import Protocol
-from rig.session.protocol_changes import Difference, is_within, listed, settings_of
-from rig.session.protocol_changes import differences as protocol_differences
-from rig.session.state import SessionState
-from rig.session.trial import RecordedTrial
+from rig.session.engine.log import Event, read
+from rig.session.engine.place import device_words, differences
+from rig.session.engine.protocol_changes import Difference, is_within, listed, settings_of
+from rig.session.engine.protocol_changes import differences as protocol_differences
+from rig.session.engine.state import SessionState
+from rig.session.planning.protocol import Protocol
+from rig.session.planning.trial import RecordedTrial
 
 LOG = "session.log"
 PROTOCOL = "protocol.toml"

@@ -28,10 +28,10 @@ from rig.extras.console.terminal import Terminal
 from rig.realtime import ring as words
 from rig.realtime.hand import SharedHand
 from rig.realtime.ring import STOP, Ring
-from rig.session.desk import DeskView, Question, Reply
-from rig.session.place import Place
-from rig.session.protocol import Keys
-from rig.session.template_files import template_names, write_template
+from rig.session.engine.desk import DeskView, Question, Reply
+from rig.session.engine.place import Place
+from rig.session.planning.protocol import Keys
+from rig.session.planning.template_files import template_names, write_template
 from tests.conformance.terminal import PATIENCE_S
 from tests.extras.console.console_fakes import CONTENT
 from tests.rig.session.session_desks import AtPage, FakeClient, until

@@ -25,14 +25,14 @@ from rig.experiments import trial as running_trial
 from rig.realtime import running
 from rig.recording.files import sha256_of
 from rig.recording.reader import open_recording
-from rig.session.console.asking import SILENCE_S
-from rig.session.console.desk import ConsoleDesk, at_console
-from rig.session.console.held import RELEASED_S
-from rig.session.console.live import snapshot_of
-from rig.session.desk import Desk
-from rig.session.hits import DeviceRunner
-from rig.session.log import Event, read
-from rig.session.run import DeskFor, SessionResult, run_session
+from rig.session.engine.desk import Desk
+from rig.session.engine.hits import DeviceRunner
+from rig.session.engine.log import Event, read
+from rig.session.engine.run import DeskFor, SessionResult, run_session
+from rig.session.terminal.asking import SILENCE_S
+from rig.session.terminal.desk import ConsoleDesk, at_console
+from rig.session.terminal.held import RELEASED_S
+from rig.session.terminal.live import snapshot_of
 from tests.conformance.terminal import PATIENCE_S, Program, Terminal
 
 ROOT = Path(__file__).parents[3]
@@ -86,7 +86,7 @@ import sys
 from rig.doctor import pace
 from rig.cli import run as rig
 from rig.experiments import trial
-from rig.session.console import child
+from rig.session.terminal import child
 
 pace.SECONDS = 0.1
 child.END_S = 0.2  # of a console that is stopped
@@ -254,7 +254,7 @@ def child_of(pid: int) -> int:
                 parent = int((line / "stat").read_text().rpartition(")")[2].split()[1])
             except OSError:
                 continue
-            if parent == pid and b"rig.session.console" in words:
+            if parent == pid and b"rig.session.terminal" in words:
                 return int(line.name)
     raise AssertionError(f"process {pid} has no console")
 

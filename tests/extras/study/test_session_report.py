@@ -32,8 +32,8 @@ from rig.extras.study.report import (
 from rig.extras.study.report_events import _with_units, deviations, invalid_trials, notes
 from rig.extras.study.report_methods import effective, methods
 from rig.extras.study.report_tables import filled, psychometric, summarised
+from rig.session.engine.state import SessionState
 from rig.session.search.psychometric import LAPSE_RATES
-from rig.session.state import SessionState
 from rig.views.plots import style
 from rig.views.report.writing import interval
 from tests.conformance.studies import Person, protocol, sitting, without_sync, write_study

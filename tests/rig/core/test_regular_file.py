@@ -19,7 +19,7 @@ from rig.extras.drives.odrive import Endpoints
 from rig.firmware.flash import read_image
 from rig.recording.counts import read_counts
 from rig.recording.reader import open_facts, open_recording
-from rig.session.load import load_protocol
+from rig.session.planning.load import load_protocol
 
 if sys.platform == "win32":
     pytest.skip("no file there is a FIFO or a device", allow_module_level=True)

@@ -293,7 +293,7 @@ def copied(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("rig/control/step.py", "def step(", "def step_(", True),
         ("rig/cli/hit.py", "def ", "def x_", False),
         ("rig/experiments/hit.py", '"""', '"""Edited. ', False),
-        ("rig/session/conduct.py", "def ", "def x_", False),
+        ("rig/session/engine/conduct.py", "def ", "def x_", False),
     ],
 )
 def test_the_key_follows_what_kernels_depend_on_and_nothing_else(

@@ -17,16 +17,16 @@ from rig.core.errors import RigError
 from rig.doctor.pace import Pace
 from rig.experiments.pulse import Pulse
 from rig.recording.files import whole_file
-from rig.session.conduct import conduct
-from rig.session.desk import Desk, DeskView, Question, Reply
-from rig.session.directory import Session, begin
-from rig.session.load import protocol_from_mapping
-from rig.session.log import Event
-from rig.session.protocol import Protocol
-from rig.session.rehearsal import Day, Person, RehearsalDesk
-from rig.session.runner import RefusedWalls, SessionWall, TrialDone
-from rig.session.state import BOOKKEEPING, SessionState
-from rig.session.trial import HitOutcome
+from rig.session.engine.conduct import conduct
+from rig.session.engine.desk import Desk, DeskView, Question, Reply
+from rig.session.engine.directory import Session, begin
+from rig.session.engine.log import Event
+from rig.session.engine.rehearsal import Day, Person, RehearsalDesk
+from rig.session.engine.runner import RefusedWalls, SessionWall, TrialDone
+from rig.session.engine.state import BOOKKEEPING, SessionState
+from rig.session.planning.load import protocol_from_mapping
+from rig.session.planning.protocol import Protocol
+from rig.session.planning.trial import HitOutcome
 
 TRUE_LIMIT = 430.0
 TEXT = b"# as it was\n"  # of the protocol's file

@@ -13,17 +13,17 @@ from rig import config
 from rig.core.errors import ConfigError, LawError, LinkLostError, PlanError, RigError, StoppedError
 from rig.experiments.trial import TrialEnd
 from rig.loop.layout import EndReason
-from rig.session import hits
-from rig.session.clock import WallClock
-from rig.session.conduct import conduct
-from rig.session.desk import Desk, DeskView, Question, Reply
-from rig.session.directory import LOG, Session, resume
-from rig.session.hits import DeviceRunner
-from rig.session.log import Event, read
-from rig.session.protocol import Protocol
-from rig.session.rehearsal import Day
-from rig.session.state import DoTrial
-from rig.session.telling import line_of_event
+from rig.session.engine import hits
+from rig.session.engine.clock import WallClock
+from rig.session.engine.conduct import conduct
+from rig.session.engine.desk import Desk, DeskView, Question, Reply
+from rig.session.engine.directory import LOG, Session, resume
+from rig.session.engine.hits import DeviceRunner
+from rig.session.engine.log import Event, read
+from rig.session.engine.rehearsal import Day
+from rig.session.engine.state import DoTrial
+from rig.session.engine.telling import line_of_event
+from rig.session.planning.protocol import Protocol
 from tests.rig.session.session_fakes import INVALID, FakeRunner, ScriptedDesk, protocol_of, started, study
 
 

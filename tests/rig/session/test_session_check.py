@@ -21,21 +21,21 @@ from rig.core.errors import ConfigError
 from rig.core.present import plain
 from rig.doctor.pace import Pace
 from rig.experiments.plan import predict_impact
-from rig.session import disk
-from rig.session.check import check
-from rig.session.conditions import Walls, base_of
-from rig.session.device_checks import device_checks
-from rig.session.directory import LOG
-from rig.session.disk import refuse_full_disk
-from rig.session.expected import ExpectedRange, expected_trials
-from rig.session.hits import DeviceRunner
-from rig.session.load import as_mapping, load_protocol
-from rig.session.pace import pace_checks
-from rig.session.plan import StudyPlan
-from rig.session.protocol import Caps, Condition, Practice, Protocol, Rest, Search, Stop
-from rig.session.schedule import levels_of
-from rig.session.template_files import DEFAULT, template_names, write_template
-from rig.session.times import QUESTION_S, REHEARSED_TICK_S, heat_of, trial_times
+from rig.session.engine.check import check
+from rig.session.engine.device_checks import device_checks
+from rig.session.engine.directory import LOG
+from rig.session.engine.hits import DeviceRunner
+from rig.session.engine.pace import pace_checks
+from rig.session.planning import disk
+from rig.session.planning.conditions import Walls, base_of
+from rig.session.planning.disk import refuse_full_disk
+from rig.session.planning.expected import ExpectedRange, expected_trials
+from rig.session.planning.load import as_mapping, load_protocol
+from rig.session.planning.plan import StudyPlan
+from rig.session.planning.protocol import Caps, Condition, Practice, Protocol, Rest, Search, Stop
+from rig.session.planning.schedule import levels_of
+from rig.session.planning.template_files import DEFAULT, template_names, write_template
+from rig.session.planning.times import QUESTION_S, REHEARSED_TICK_S, heat_of, trial_times
 from tests.conformance.studies import Person, sitting, without_sync, write_study
 from tests.conformance.tiers import first_by_default
 

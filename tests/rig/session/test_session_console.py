@@ -19,17 +19,17 @@ from rig.core.present import plain
 from rig.core.sample import ROW, Phase, RowFlag
 from rig.realtime import ring as ring_words
 from rig.realtime.ring import Ring
-from rig.session.console import words
-from rig.session.console.conversation import Answer, Conversation, StopPressed
-from rig.session.console.held import RELEASED_S
-from rig.session.console.keyboard import Keyboard
-from rig.session.console.live import LiveLoop, Snapshot, snapshot_of
-from rig.session.console.messages import MessageReader, line_of
-from rig.session.console.plain import PlainLines
-from rig.session.console.pointer import HandKind, Pointer
-from rig.session.desk import Action, DeskView, Question
-from rig.session.keymap import KeyMap
-from rig.session.protocol import Keys
+from rig.session.engine.desk import Action, DeskView, Question
+from rig.session.planning.keymap import KeyMap
+from rig.session.planning.protocol import Keys
+from rig.session.terminal import words
+from rig.session.terminal.conversation import Answer, Conversation, StopPressed
+from rig.session.terminal.held import RELEASED_S
+from rig.session.terminal.keyboard import Keyboard
+from rig.session.terminal.live import LiveLoop, Snapshot, snapshot_of
+from rig.session.terminal.messages import MessageReader, line_of
+from rig.session.terminal.plain import PlainLines
+from rig.session.terminal.pointer import HandKind, Pointer
 
 KEYMAP = KeyMap.of(Keys())
 READY: tuple[Action, ...] = ("go", "pause", "skip", "redo", "note", "abort")
@@ -597,6 +597,6 @@ def test_only_messages_come_through(parts: list[bytes]) -> None:
 
 
 def test_a_console_that_is_started_anew_within_a_hit_loads_no_loop() -> None:
-    modules = "rig.session.console.__main__, rig.session.console.desk"
+    modules = "rig.session.terminal.__main__, rig.session.terminal.desk"
     script = f"import sys, {modules}; assert not {{'numba', 'scipy', 'pydantic'}} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", script], check=True)

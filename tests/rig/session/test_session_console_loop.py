@@ -14,12 +14,12 @@ import pytest
 
 from rig.core.present import plain
 from rig.realtime.ring import STOP, Ring
-from rig.session.console import program
-from rig.session.console.conversation import StopPressed
-from rig.session.console.messages import line_of
-from rig.session.desk import DeskView, Question
-from rig.session.keymap import KeyMap
-from rig.session.protocol import Keys
+from rig.session.engine.desk import DeskView, Question
+from rig.session.planning.keymap import KeyMap
+from rig.session.planning.protocol import Keys
+from rig.session.terminal import program
+from rig.session.terminal.conversation import StopPressed
+from rig.session.terminal.messages import line_of
 
 
 @dataclass

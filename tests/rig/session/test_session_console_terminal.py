@@ -20,8 +20,8 @@ from typing import Any
 import pytest
 
 from rig.core.errors import ConfigError, RigError, StoppedError
-from rig.session.console.desk import ConsoleDesk, at_console
-from rig.session.desk import DeskView, Question, Reply
+from rig.session.engine.desk import DeskView, Question, Reply
+from rig.session.terminal.desk import ConsoleDesk, at_console
 from tests.conformance.terminal import PATIENCE_S, Program, Terminal
 from tests.rig.session.session_fakes import FakeRunner, protocol_of
 
@@ -152,7 +152,7 @@ def test_a_console_that_dies_is_started_anew_with_the_same_question(terminal: Te
 def test_a_console_that_dies_again_and_again_ends_the_session(
     terminal: Terminal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rig.session.console.desk.RESTARTS", 1)
+    monkeypatch.setattr("rig.session.terminal.desk.RESTARTS", 1)
     with console(terminal) as (desk, asker):
         reply = asking(desk, asker, VERDICT)
         for number in (1, 2):
@@ -167,7 +167,7 @@ def test_a_console_that_dies_again_and_again_ends_the_session(
 def test_closing_on_a_stopped_console_gives_the_terminal_back(
     terminal: Terminal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rig.session.console.child.END_S", 0.2)
+    monkeypatch.setattr("rig.session.terminal.child.END_S", 0.2)
     with console(terminal) as (desk, _):
         terminal.wait("[SPACE] STOP")
         os.kill(desk.pid, signal.SIGSTOP)
@@ -187,9 +187,9 @@ def test_a_session_without_a_terminal_is_refused(place: str, tmp_path: Path) -> 
 PROGRAM = """
 import sys
 from rig.core.errors import RigError
-from rig.session.console import child
-from rig.session.console.desk import ConsoleDesk
-from rig.session.desk import DeskView, Question
+from rig.session.terminal import child
+from rig.session.terminal.desk import ConsoleDesk
+from rig.session.engine.desk import DeskView, Question
 
 child.END_S = 0.2  # of one that is stopped
 with ConsoleDesk() as desk:
@@ -260,7 +260,7 @@ def test_a_console_that_does_not_start_leaves_nothing(
     def second() -> Any:
         return next(answers)()
 
-    module = "rig.session.console.child"
+    module = "rig.session.terminal.child"
     match refused:
         case "Popen":
             monkeypatch.setattr(f"{module}.subprocess.Popen", refuse)
@@ -287,7 +287,7 @@ def test_a_hand_of_a_console_that_is_refused_leaves_no_file(
         raise RigError("the console does not start")
 
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    monkeypatch.setattr("rig.session.console.desk.Child", refuse)
+    monkeypatch.setattr("rig.session.terminal.desk.Child", refuse)
     runner = FakeRunner()
     with pytest.raises(RigError, match="does not start"):
         at_console(hand="keyboard", place=Path(terminal.path))(protocol_of(), {}, runner)

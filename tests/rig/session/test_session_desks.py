@@ -13,11 +13,11 @@ import pytest
 
 from rig.core.errors import ConfigError, StoppedError
 from rig.realtime.hand import SharedHand, Wish
-from rig.session.conduct import conduct
-from rig.session.console.held import RELEASED_S
-from rig.session.console.pointer import HandKind
-from rig.session.desk import Action, DeskView, Question, Reply
-from rig.session.protocol import Keys
+from rig.session.engine.conduct import conduct
+from rig.session.engine.desk import Action, DeskView, Question, Reply
+from rig.session.planning.protocol import Keys
+from rig.session.terminal.held import RELEASED_S
+from rig.session.terminal.pointer import HandKind
 from tests.conformance.terminal import PATIENCE_S
 from tests.rig.session.session_desks import PLACES, Place, until
 from tests.rig.session.session_fakes import INVALID, LOST, FakeRunner, protocol_of, started

@@ -9,12 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.core.present import plain
-from rig.session.console import words
-from rig.session.console.conversation import Answer, Conversation
-from rig.session.desk import Question
-from rig.session.items import asked, parse_answer, wanted
-from rig.session.keymap import KeyMap
-from rig.session.protocol import Item, Keys
+from rig.session.engine.desk import Question
+from rig.session.planning.items import asked, parse_answer, wanted
+from rig.session.planning.keymap import KeyMap
+from rig.session.planning.protocol import Item, Keys
+from rig.session.terminal import words
+from rig.session.terminal.conversation import Answer, Conversation
 
 SCALE = asked(Item(name="tired", text="How tired?", lowest=-2, highest=7))
 CHOICE = asked(Item(name="hand", text="Which hand?", kind="choice", choices=("left", "right", "3", "1")))

@@ -19,8 +19,8 @@ from hypothesis import strategies as st
 
 from rig.core.errors import RecordingError
 from rig.recording import files, lines
-from rig.session import log as log_module
-from rig.session.log import (
+from rig.session.engine import log as log_module
+from rig.session.engine.log import (
     VERSION,
     DamagedLineError,
     SessionLog,

@@ -17,11 +17,11 @@ from rig.core.present import plain
 from rig.doctor.pace import Pace, pace_of
 from rig.doctor.round_trip import LinkMeasurement
 from rig.recording.quantiles import Distribution
-from rig.session.conditions import Walls
-from rig.session.log import Event
-from rig.session.pace import refuse_lossy, sentence
-from rig.session.place import resume_command
-from rig.session.telling import line_of_event
+from rig.session.engine.log import Event
+from rig.session.engine.pace import refuse_lossy, sentence
+from rig.session.engine.place import resume_command
+from rig.session.engine.telling import line_of_event
+from rig.session.planning.conditions import Walls
 from tests.rig.session.session_fakes import FakeRunner, protocol_of
 
 LIMITS = VerdictLimits(longest_gap=2, lost_fraction=0.01)

@@ -13,12 +13,12 @@ from rig.config.presets import load as preset
 from rig.core.errors import ConfigError, StoppedError
 from rig.experiments.pulse import NO_HANDS
 from rig.extras.study import read_study
-from rig.session import run as sessions
-from rig.session.conduct import conduct
-from rig.session.directory import LOG
-from rig.session.hits import DeviceRunner
-from rig.session.log import read
-from rig.session.place import Place, resume_command
+from rig.session.engine import run as sessions
+from rig.session.engine.conduct import conduct
+from rig.session.engine.directory import LOG
+from rig.session.engine.hits import DeviceRunner
+from rig.session.engine.log import read
+from rig.session.engine.place import Place, resume_command
 from tests.rig.session.session_fakes import FakeRunner, ScriptedDesk, started
 
 REAL = {

@@ -8,8 +8,8 @@ import pytest
 
 from rig.cli import session_progress
 from rig.cli.session_progress import Rehearsed
-from rig.session.desk import DeskView
-from rig.session.log import Event
+from rig.session.engine.desk import DeskView
+from rig.session.engine.log import Event
 
 
 class Terminal:

@@ -14,12 +14,18 @@ from hypothesis import strategies as st
 from rig.config.files import parse_toml
 from rig.config.table import parameters_of
 from rig.core.errors import ConfigError, RecordingError
-from rig.session.conditions import Walls, base_of
-from rig.session.load import as_mapping, check_code, json_schema, load_protocol, protocol_from_mapping
-from rig.session.protocol import Protocol
-from rig.session.rules import settings_schema
+from rig.session.planning.conditions import Walls, base_of
+from rig.session.planning.load import (
+    as_mapping,
+    check_code,
+    json_schema,
+    load_protocol,
+    protocol_from_mapping,
+)
+from rig.session.planning.protocol import Protocol
+from rig.session.planning.rules import settings_schema
+from rig.session.planning.template_files import SCHEMA, template_names, write_template
 from rig.session.search import RULES
-from rig.session.template_files import SCHEMA, template_names, write_template
 
 TEXT = """
 [study]

@@ -16,12 +16,12 @@ from rig.core.errors import ConfigError
 from rig.extras.study import AnalysisOptions, analyse
 from rig.extras.study.report_events import deviations
 from rig.extras.study.study import read_study
-from rig.session.check import check
-from rig.session.load import load_walls, protocol_from_mapping
-from rig.session.log import read
-from rig.session.protocol_changes import ChangedProtocolError
-from rig.session.rehearsal import Person
-from rig.session.run import rehearsal_desk, run_session
+from rig.session.engine.check import check
+from rig.session.engine.log import read
+from rig.session.engine.protocol_changes import ChangedProtocolError
+from rig.session.engine.rehearsal import Person
+from rig.session.engine.run import rehearsal_desk, run_session
+from rig.session.planning.load import load_walls, protocol_from_mapping
 from tests.conformance.studies import Person as SimulatedPerson
 from tests.conformance.studies import protocol, sitting, without_sync
 from tests.rig.session.session_fakes import FakeRunner

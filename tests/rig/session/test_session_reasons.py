@@ -18,12 +18,12 @@ from rig.control.verdict import INVALID as MAKES_INVALID
 from rig.control.verdict import TOGGLES, Objection
 from rig.core.errors import GuardError
 from rig.core.present import plain
-from rig.session.conduct import conduct
-from rig.session.desk import DeskView
-from rig.session.log import Event
-from rig.session.reasons import HIDDEN, RIG_LIMIT, told
-from rig.session.run import summary
-from rig.session.telling import line_of_event, whole_line
+from rig.session.engine.conduct import conduct
+from rig.session.engine.desk import DeskView
+from rig.session.engine.log import Event
+from rig.session.engine.run import summary
+from rig.session.engine.telling import line_of_event, whole_line
+from rig.session.planning.reasons import HIDDEN, RIG_LIMIT, told
 from tests.rig.session.session_fakes import (
     INVALID,
     SPOILED,

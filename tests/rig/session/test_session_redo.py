@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 
-from rig.session.conduct import conduct
-from rig.session.desk import Question, Reply
-from rig.session.directory import LOG
-from rig.session.log import read
-from rig.session.state import SessionState
+from rig.session.engine.conduct import conduct
+from rig.session.engine.desk import Question, Reply
+from rig.session.engine.directory import LOG
+from rig.session.engine.log import read
+from rig.session.engine.state import SessionState
 from tests.rig.session.session_fakes import INVALID, FakeRunner, ScriptedDesk, protocol_of, started
 
 STOPS: list[dict[str, Any]] = [{}, {"trials": 3}, {"minutes": 0.001}, {"aborts": 2}]

@@ -1,0 +1,154 @@
+"""Sentences about a session: blinded ones, without conditions and walls, and complete ones."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from rig.control.verdict import Kind
+from rig.core.sample import Motion, unit_of
+from rig.experiments.judgement import FINISHED
+from rig.session.engine.log import Event
+from rig.session.engine.place import device_words
+from rig.session.planning.reasons import told
+from rig.session.planning.trial import RecordedTrial, trial_of
+
+_LINES: dict[str, str] = {
+    "judged": "trial {trial}: {verdict}",
+    "redone": "trial {trial} does not count",
+    "skipped": "run {run} is left without a limit",
+    "retried": "run {run} continues after invalid trials",
+    "block": "block {block} begins",
+    "restarted": "block {block} starts over",
+    "note": "note: {text}",
+    "rested": "rested {seconds:g} s",
+    "answered": "{item}: {answer}",
+    "paused": "paused: {reason}",
+    "ended": "ended: {reason}",
+    "pulse": "torque pulse: {said}",
+    "amended": "event {number} corrected: {value} ({why})",
+}
+
+
+def line_of_event(event: Event) -> str:
+    """Return an event as a line that a blinded person may read: nothing of conditions and walls in it."""
+    if event.kind == "trial":
+        content = event.content
+        invalid = content["automatic"] == Kind.INVALID
+        return (
+            _invalid(content["trial"], content["reasons"], blind=True)
+            if invalid
+            else f"trial {content['trial']}"
+        )
+    if event.kind == "opened":
+        opened = ["opened"]
+        if walls := sum(len(one["stiffness"]) for one in event.content.get("armed_anyway", ())):
+            opened.append(
+                f"the arming gate refuses {walls} walls, and they are armed with the operator's consent"
+            )
+        return "; ".join([*opened, *lost_samples(event.content)])
+    if event.kind == "amended" and "trial" in event.content:
+        value = event.content["value"]
+        said = {True: "does not count", False: "counts after all"}.get(value, f"corrected: {value}")
+        return f"trial {event.content['trial']} {said} ({event.content['why']})"
+    if event.kind == "stopped":  # many a reason begins with that word
+        return f"stopped: {event.content['reason']}".replace("stopped: stopped", "stopped", 1)
+    if event.kind == "resumed":
+        return "; ".join(["resumed", *lost(event)])
+    return _LINES.get(event.kind, event.kind).format(**event.content)
+
+
+def whole_line(event: Event, motion: Motion) -> str:
+    """An event as a line for those who are not blinded: with condition and wall, and reasons in full."""
+    content, said = event.content, [line_of_event(event)]
+    if event.kind == "trial":
+        return _whole(trial_of(content), motion)
+    if event.kind == "began":
+        said.append(f"{content['protocol']['study']['title']}, row {content['row']} of the order")
+    elif event.kind == "opened":
+        said.append(device_words(content))
+        said += [
+            f"armed anyway: {one['condition']}, B = {one['damping']:g}, "
+            f"K = {', '.join(f'{stiffness:g}' for stiffness in one['stiffness'])}"
+            for one in content.get("armed_anyway", ())
+        ]
+    elif event.kind == "pulse":
+        said += content["checks"]
+    elif event.kind == "stopped" and "detail" in content:
+        said.append(" ".join(content["detail"].split()))
+    return "; ".join(said)
+
+
+def _whole(trial: RecordedTrial, motion: Motion) -> str:
+    wall = ", ".join(
+        f"{symbol} = {value:g} {unit_of(quantity, motion)}"
+        for symbol, value, quantity in (("K", trial.stiffness, "stiffness"), ("B", trial.damping, "damping"))
+    )
+    kind = [name for name in ("practice", "catch") if getattr(trial, name)]
+    attempt = [f"attempt {trial.attempt}"] if trial.attempt > 1 else []
+    ended = trial.aborted or trial.ended.replace(FINISHED, "")
+    said = [
+        ", ".join([f"trial {trial.trial}", *kind, trial.condition, wall, *attempt]),
+        ": ".join(["the program says " + trial.automatic, *filter(None, ["; ".join(trial.reasons)])]),
+        *([] if trial.invalid else _kept(trial.outside, blind=False)),
+        *([f"ended early: {ended.replace('_', ' ')}"] if ended else []),
+    ]
+    return "; ".join(said)
+
+
+def lost_samples(opened: Mapping[str, Any]) -> list[str]:
+    """What was measured to be lost when the rig was opened (content of that event), in one sentence or none."""
+    pace = opened.get("pace") or {}
+    if not pace.get("said"):
+        return []
+    anyway = "; nearly every trial will be invalid, as the operator knows" if pace["hopeless"] else ""
+    return [pace["said"] + anyway]
+
+
+def lost(event: Event) -> list[str]:
+    """What a log had lost when the session was resumed, as sentences without a full stop."""
+    losses = []
+    if torn := event.content.get("torn"):
+        losses.append(
+            f"its log ended in the middle of a line, as when a computer dies: {torn} bytes were dropped"
+        )
+    damaged = [one["file"] for one in event.content.get("damaged", ())]
+    if damaged:
+        losses.append(f"a damaged line of its log was set aside: {', '.join(damaged)}")
+    return losses
+
+
+def outcome(trial: RecordedTrial, *, blind: bool) -> str:
+    """The result of a trial, without its wall, and without anything that could influence a verdict."""
+    if trial.invalid:
+        return _invalid(trial.trial, trial.reasons, blind=blind)
+    if not trial.verdict:
+        return f"trial {trial.trial}: over"
+    aborted = ["cut off for safety"] if trial.aborted else []
+    return ", ".join(
+        [f"trial {trial.trial}: done", *_too_fast(trial), *aborted, *_kept(trial.outside, blind=blind)]
+    )
+
+
+def _too_fast(trial: RecordedTrial) -> list[str]:
+    """A verdict that no person gives so soon, in one phrase or none."""
+    if not trial.too_fast or trial.response_time_s is None:
+        return []
+    after_ms = 1e3 * trial.response_time_s
+    return [
+        f"judged {after_ms:.0f} ms after the question, sooner than trial.fastest_verdict_s: free the key and redo it"
+    ]
+
+
+def _kept(outside: Sequence[str], *, blind: bool) -> list[str]:
+    """How a trial that counts lay outside the protocol's bands, in one phrase or none.
+
+    Not shown before the verdict: that a press was judged reveals that the wall was not unstable.
+    """
+    return [f"kept, but {told(outside, blind=blind)}"] if outside else []
+
+
+def _invalid(trial: int, reasons: Sequence[str], *, blind: bool) -> str:
+    return ": ".join(
+        [f"trial {trial}", "invalid, it is repeated", *filter(None, [told(reasons, blind=blind)])]
+    )

@@ -1,0 +1,236 @@
+"""A person at a terminal: the session's side of the console."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from typing import TYPE_CHECKING, Any, Literal
+
+from rig.core.errors import ConfigError, StoppedError
+from rig.core.present import plain as plain_of
+from rig.core.scratch import scratch
+from rig.realtime.hand import SharedHand
+from rig.session.engine.desk import Desk
+from rig.session.planning.protocol import Keys, Protocol
+from rig.session.terminal import terminal
+from rig.session.terminal.asking import SILENCE_S, AskingDesk
+from rig.session.terminal.seat import full_press, keymap_for, refuse_a_hand
+
+if TYPE_CHECKING:  # a desk asks, and loads no loop
+    from rig.session.engine.runner import TrialRunner
+
+if sys.platform != "win32":
+    import termios
+
+    from rig.session.terminal.child import Child, Message
+
+assert sys.platform != "win32"
+
+HUNG_S = 10.0  # of a console while nothing moves; then it is started anew
+START_S = 30.0  # that a console may take to come up on a loaded machine
+RESTARTS = 3  # of the console in one session
+TERMINAL = Path("/dev/tty")
+REMEDY = "continue with `rig session resume`"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MovedHand:
+    """The simulated hand that arrow keys move at the console: through which file, and how hard it can press (N).
+
+    The file has a directory of its own, which `close` removes.
+    """
+
+    path: Path
+    press: float
+    close: Callable[[], None] = lambda: None
+
+
+class ConsoleDesk(AskingDesk):
+    """A console in the terminal, with what happens when it hangs, dies, or loses its terminal.
+
+    Parameters
+    ----------
+    keys
+        Of the protocol.
+    hand
+        The simulated hand that the console moves; None where a participant or a script does.
+    place
+        The terminal.
+    silence_s
+        How long the console may be silent while a hit runs (s).
+    hung_s
+        And while nothing moves.
+
+    Raises
+    ------
+    ConfigError
+        Invalid keys, no terminal, or one that belongs to another job.
+    RigError
+        The console does not start.
+    """
+
+    def __init__(
+        self,
+        keys: Keys | None = None,
+        *,
+        hand: MovedHand | None = None,
+        place: Path = TERMINAL,
+        silence_s: float = SILENCE_S,
+        hung_s: float = HUNG_S,
+    ) -> None:
+        super().__init__()
+        self._keymap = keymap_for(keys or Keys(), None if hand is None else "keyboard")
+        self._silence_s, self._hung_s = silence_s, hung_s
+        with ExitStack() as opened:
+            self._place, self._before = _open_terminal(place)
+            opened.callback(os.close, self._place)
+            self._start(hand)
+            opened.pop_all()
+
+    def _start(self, hand: MovedHand | None) -> None:
+        self._setup: Message = {
+            "pid": os.getpid(),
+            "keys": plain_of(self._keymap),
+            "attributes": terminal.as_plain(self._before),
+            "hand": None if hand is None else {"path": str(hand.path), "press": hand.press},
+        }
+        self._hand = hand
+        self._inbox: SimpleQueue[tuple[Child, Message]] = SimpleQueue()
+        self._restarts = 0
+        self._closed = False
+        self._child = self._started()
+
+    @property
+    def pid(self) -> int:
+        """Of the console's process."""
+        return self._child.pid
+
+    def close(self) -> None:
+        """Give the terminal back as it was."""
+        if not self._closed:
+            self._closed = True
+            self._child.close()
+            os.close(self._place)
+            if self._hand is not None:
+                self._hand.close()
+
+    def _say(self, kind: str, **content: Any) -> None:
+        self._child.say(kind, **content)
+
+    def _take(self, patience_s: float) -> Message | None:
+        """Return the next message of the current console; None for one of an earlier console, or without a message."""
+        try:
+            child, message = self._inbox.get(timeout=patience_s) if patience_s else self._inbox.get_nowait()
+        except Empty:
+            return None
+        if child is not self._child:
+            return None
+        if message["kind"] == "gone":
+            raise StoppedError(str(message.get("why", "the console is gone")), remedy=REMEDY)
+        return message
+
+    def _check_there(self) -> None:
+        if self._child.dead:
+            heard_s = self._child.heard_s
+            self._restart()
+            self._child.heard_s = heard_s  # the hit does not wait for a new one
+        limit_s = self._silence_s if self._child.greeted or self._restarts else START_S
+        if time.monotonic() - self._child.heard_s > limit_s:
+            raise StoppedError(
+                f"the console was silent for {limit_s:g} s while a hit ran; the effort is zero",
+                remedy=REMEDY,
+            )
+
+    def _renewed(self) -> bool:
+        """Start a console anew that died, or hangs."""
+        self._child.flush()
+        renewed = self._child.dead or self._child.silent_s > (
+            self._hung_s if self._child.greeted else START_S
+        )
+        if renewed:
+            self._restart()
+        return renewed
+
+    def _started(self) -> Child:
+        return Child(self._place, self._before, self._setup, self._inbox)
+
+    def _restart(self) -> None:
+        """Start a new console in the place of one that died or hangs, and send it the current view."""
+        if not self._child.dead:
+            self._child.kill()
+        why = self._child.complaint()
+        self._child.close(last=self._restarts >= RESTARTS)
+        if self._restarts >= RESTARTS:
+            raise StoppedError(
+                f"the console ended {self._restarts + 1} times" + (f": {why}" if why else ""), remedy=REMEDY
+            )
+        self._restarts += 1
+        self._child = self._started()
+        if self._view is not None:
+            self._child.say("view", view=plain_of(self._view))
+
+
+def at_console(
+    *, hand: Literal["keyboard"] | None = None, place: Path = TERMINAL
+) -> Callable[[Protocol, Mapping[str, Any], TrialRunner], Desk]:
+    """A console for `rig.session.engine.run.run_session`.
+
+    Parameters
+    ----------
+    hand
+        By what the handle of a simulated rig is moved here; None: its simulated hand plays its script.
+    place
+        As of `ConsoleDesk`.
+
+    Raises
+    ------
+    ConfigError
+        A hand for a rig that is not simulated.
+    """
+
+    def make(protocol: Protocol, experiment: Mapping[str, Any], runner: TrialRunner) -> Desk:
+        moved: MovedHand | None = None
+        refuse_a_hand(hand, runner)
+        with ExitStack() as made:
+            if hand is not None:
+                kept = made.enter_context(ExitStack())
+                path = kept.enter_context(scratch("hand")) / "hand"
+                SharedHand.create(path).close()  # before a device looks for it
+                moved = MovedHand(path=path, press=full_press(experiment), close=kept.close)
+            desk = ConsoleDesk(protocol.keys, hand=moved, place=place)
+            made.pop_all()
+        runner.hand = runner.hand if moved is None else moved.path
+        return desk
+
+    return make
+
+
+def _open_terminal(place: Path) -> tuple[int, list[Any]]:
+    """Open the terminal, and read how it is set.
+
+    Raises `ConfigError` if it is missing, or belongs to another job now: the kernel would stop a process that reads it.
+    """
+    with ExitStack() as opened:
+        try:
+            descriptor = os.open(place, os.O_RDWR | os.O_NOCTTY)
+            opened.callback(os.close, descriptor)
+            before = termios.tcgetattr(descriptor)
+        except (OSError, termios.error) as error:
+            raise ConfigError(
+                f"a session with a person needs a terminal for its operator ({place}: {error.args[-1]})",
+                remedy="run it in a terminal or on a page (`rig console`), or rehearse it: --rehearse",
+            ) from error
+        try:
+            ours = os.tcgetpgrp(descriptor) == os.getpgrp()
+        except OSError:
+            ours = True  # a terminal that controls no session has no foreground process group
+        if not ours:
+            raise ConfigError("the session runs in the background, where nobody can answer", remedy="fg")
+        opened.pop_all()
+    return descriptor, before
