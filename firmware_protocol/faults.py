@@ -133,6 +133,10 @@ class Fault(Described):
 # there is no bit for one that comes later.
 PORT_FAULTS = range(20, 32)
 
+# Names of faults that a moment without processor or link makes: another time the same run may end as usual. The last
+# is a port's own: what is behind it did not answer.
+OUT_OF_TIME = frozenset({Fault.TICK_OVERRUN.name, Fault.LINK_LOST.name, "DRIVE_SILENT"})
+
 
 class LimitFlag(DescribedFlag):
     """Limits that changed the effort of a tick. Not faults: the device continues."""

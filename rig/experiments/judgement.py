@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from firmware_protocol.faults import Fault
+from firmware_protocol.faults import OUT_OF_TIME, Fault
 from rig.config import Experiment, experiment_from_mapping, rig_model, verdict_thresholds
 from rig.control import judging, verdict
 from rig.control.motion_balance import FACTOR, WINDOW_S, MotionBalance, motion_balance
@@ -35,7 +35,6 @@ THREW_OUT = {  # reasons of a trailer: what the wall did to the handle
     "violent": "the wall oscillated: the effort alternated between nothing and its limit",
 }
 THROWN_OUT = {Fault.POSITION_WINDOW.name, Fault.OVER_SPEED.name, Fault.RUNAWAY.name}
-OUT_OF_TIME = {Fault.TICK_OVERRUN.name, Fault.LINK_LOST.name, DriveFault.DRIVE_SILENT.name}
 
 
 def experiment_of(recording: Recording) -> Experiment:

@@ -8,7 +8,7 @@ import pytest
 
 from firmware_protocol import messages as m
 from firmware_protocol.connection import State
-from firmware_protocol.faults import Fault, Input
+from firmware_protocol.faults import OUT_OF_TIME, Fault, Input
 from rig.core.errors import DeviceRefusedError
 from rig.devices.framed import FramedDevice
 from rig.extras.drives import library, odrive
@@ -307,6 +307,10 @@ def test_a_drive_that_stops_by_itself_or_for_somebody_else(what: str) -> None:
     assert world.drive.motor.torque == pytest.approx(0.0, abs=1e-3)
     text = FramedDevice(world).dictionary.explain_fault(fault).text
     assert text == world.far.texts[DriveFault(fault)][0]
+
+
+def test_the_silence_of_a_drive_is_known_as_want_of_time() -> None:
+    assert DriveFault.DRIVE_SILENT.name in OUT_OF_TIME
 
 
 @both

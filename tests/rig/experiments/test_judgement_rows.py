@@ -12,14 +12,15 @@ from rig.config import override, presets, verdict_thresholds
 from rig.control.verdict import Kind
 from rig.core.present import Row, plain
 from rig.core.sample import unit_of
+from rig.experiments.admission import admit
 from rig.experiments.hit import HitRequest, HitResult, hit
-from rig.experiments.judgement import Verdicts, judge, verdicts_of
+from rig.experiments.judgement import Verdicts, judge, out_of_time, verdicts_of
 
 
 @pytest.fixture(scope="module")
 def result(tmp_path_factory: pytest.TempPathFactory) -> HitResult:
     experiment = override(presets.load("koul-compliant"), {"trial.duration_s": 0.5})
-    (found,) = hit(HitRequest(experiment=experiment, output=tmp_path_factory.mktemp("hits")))
+    (found,) = hit(HitRequest(experiment=experiment, output=tmp_path_factory.mktemp("hits")), admit)
     return found
 
 
@@ -98,7 +99,7 @@ def test_a_handle_that_friction_held_away_from_its_start_is_told(coulomb: float,
         for name in ("motor_coulomb", "link_coulomb")
     }
     experiment = override(preset, {"trial.duration_s": 0.05, "verdict.tail_s": 0.02, **mechanics})
-    (found,) = hit(HitRequest(experiment=experiment, output=tmp_path))
+    (found,) = hit(HitRequest(experiment=experiment, output=tmp_path), admit)
     rows = rows_of(found)
     if coulomb == 0.0:
         assert "start" not in rows
@@ -106,3 +107,14 @@ def test_a_handle_that_friction_held_away_from_its_start_is_told(coulomb: float,
     assert rows["start"].value == pytest.approx(experiment.trial.start + 0.9e-3, abs=0.1e-3)
     assert "friction held the handle 0.00086 rad from trial.start" in rows["start"].note
     assert plain(found.as_mapping())["began"] == rows["start"].value
+
+
+@pytest.mark.parametrize(("fault", "expected"), [
+    ("TICK_OVERRUN", True), ("LINK_LOST", True), ("DRIVE_SILENT", True), ("OVER_SPEED", False), (None, False),
+])  # fmt: skip
+def test_a_fault_for_want_of_time_is_known_by_its_name(
+    fault: str | None, expected: bool, result: HitResult
+) -> None:
+    """Also that of a drive behind a bridge, in a tree that has no bridge."""
+    trailer = {"reason": "device_fault", "fault": None if fault is None else {"name": fault}}
+    assert out_of_time(replace(result.recorded.recording, trailer=trailer)) is expected
