@@ -18,8 +18,9 @@ from rig.control.verdict import Verdict
 from rig.core.errors import RigError
 from rig.core.present import Row, plain
 from rig.devices import load_backend
-from rig.doctor.gate import Gate
+from rig.doctor.gate_result import Gate
 from rig.experiments import hit as hits
+from rig.experiments.admission import admit
 from rig.experiments.judgement import unexpected
 
 
@@ -52,7 +53,7 @@ def hit(request: hits.HitRequest, plot: str, expected: tuple[str, ...], as_json:
     verdicts: list[Verdict] = []
     with Artist(plot) as artist, hit_output.ProgressBars(quiet=as_json) as bars:
         try:
-            for result in hits.hit(request, bars.watch):
+            for result in hits.hit(request, admit, bars.watch):
                 bars.stop()
                 verdicts.append(result.verdict)
                 picture = artist.draw(result.path)

@@ -19,6 +19,8 @@ _TASK = {
     "reach_s": 0.3,  # chosen: with the press arriving, hits Koul's wall at about half a radian a second
 }
 
+NO_OPERATOR = "none"  # in place of a grip: no hand at the handle
+
 GRIPS: dict[str, Operator] = {
     operator.grip: operator
     for operator in (
@@ -60,3 +62,8 @@ GRIPS: dict[str, Operator] = {
         ),
     )
 }
+
+
+def hand_text(name: str) -> str:
+    """``no hand``, ``relaxed hand``."""
+    return "no hand" if name == NO_OPERATOR else f"{name} hand"

@@ -15,12 +15,11 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 from rig.analysis.theory import Lifted, LinearLoop, NotLinearError, k_max_curve, linear_loop
-from rig.analysis.theory.loop import NO_OPERATOR
 from rig.config import Experiment
 from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError
 from rig.core.model import Operator
-from rig.core.operators import GRIPS
+from rig.core.operators import GRIPS, NO_OPERATOR
 
 if TYPE_CHECKING:
     from rig.doctor.round_trip import LinkMeasurement
@@ -37,11 +36,6 @@ def hands_of(experiment: Experiment) -> dict[str, str | Operator]:
     if experiment.trial.kind == "human" and GRIPS.get(own.grip) != own:
         hands["the experiment's own"] = own
     return hands
-
-
-def hand_text(name: str) -> str:
-    """``no hand``, ``relaxed hand``."""
-    return "no hand" if name == NO_OPERATOR else f"{name} hand"
 
 
 def late_by(experiment: Experiment, ticks: int) -> Experiment:

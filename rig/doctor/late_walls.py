@@ -7,14 +7,14 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 from rig.analysis.theory import passivity_bound
-from rig.analysis.theory.loop import NO_OPERATOR
 from rig.config import Experiment
 from rig.core.answers import ok, question, refused, skipped, warning
 from rig.core.check import Check
 from rig.core.errors import ConfigError
+from rig.core.operators import NO_OPERATOR, hand_text
 from rig.core.sample import unit_of
 from rig.doctor.delay import ticks_text
-from rig.doctor.late_loops import LateLoops, hand_text, unstable_hands
+from rig.doctor.late_loops import LateLoops, unstable_hands
 
 
 @dataclass(frozen=True, slots=True)

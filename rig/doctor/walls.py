@@ -14,10 +14,11 @@ from dataclasses import dataclass
 from rig.config import Experiment
 from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError
+from rig.core.operators import hand_text
 from rig.core.present import Item, Table
 from rig.core.sample import unit_of
 from rig.devices.device import LINK_SHARE, STATE_BYTES
-from rig.doctor.late_loops import LateLoops, hand_text, loop_delay_ticks
+from rig.doctor.late_loops import LateLoops, loop_delay_ticks
 from rig.doctor.round_trip import LinkMeasurement
 
 DIVIDER = 10  # position samples for one of velocity, where the experiment is uniform

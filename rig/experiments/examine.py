@@ -22,7 +22,8 @@ from rig.core.sample import unit_of
 from rig.devices.device_facts import DeviceFacts
 from rig.devices.framed import FramedDevice
 from rig.devices.local import host_beside, opened
-from rig.doctor.gate import Gate, gate
+from rig.doctor.gate import gate
+from rig.doctor.gate_result import Gate
 from rig.doctor.in_effect import in_effect
 from rig.doctor.ports import NO_PORTS, Port, ports_here, serial_port
 from rig.doctor.round_trip import LinkMeasurement, measure_link

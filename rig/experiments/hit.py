@@ -1,4 +1,7 @@
-"""The main job: an automated wall hit with a constant effort, on a rig or on its simulation, recorded and judged."""
+"""The main job: an automated wall hit with a constant effort, on a rig or on its simulation, recorded and judged.
+
+Whether a device may be armed is decided before, by what the caller must pass: `rig.experiments.admission.admit`.
+"""
 
 from __future__ import annotations
 
@@ -15,28 +18,21 @@ from rig.config import Experiment, device_law
 from rig.config.controller import PreparedRun
 from rig.control.law import Law
 from rig.control.verdict import Verdict
-from rig.core.check import Outcome, refuse
 from rig.core.drawn import Drawn
-from rig.core.errors import ConfigError
 from rig.core.keyword import Keyword
 from rig.core.model import RigModel
 from rig.core.present import Item, Row, plain
-from rig.core.same_rig import check_rig
 from rig.core.shown import Shown
 from rig.devices.framed import FramedDevice
 from rig.devices.local import opened
-from rig.doctor.gate import Gate, check_armable
+from rig.doctor.gate_result import Gate
 from rig.doctor.in_effect import in_effect
-from rig.experiments.admission import admission_checks
 from rig.experiments.judgement import Judgement, judge
-from rig.experiments.plan import human_limit_checks
-from rig.experiments.pulse import NO_HANDS, pulse
 from rig.experiments.settings import RigRequest
-from rig.experiments.trial import TrialEnd, TrialRequest, end_of, prepared_on, run_trial
-from rig.experiments.zero import position_zero
+from rig.experiments.trial import TrialEnd, TrialRequest, end_of, run_trial
 from rig.realtime import stop_requests
 from rig.recording.data import Recording
-from rig.recording.files import free_name, plain_errors, reserved_name
+from rig.recording.files import plain_errors, reserved_name
 from rig.recording.reader import open_recording
 
 
@@ -185,16 +181,39 @@ class HitResult(Shown, Drawn):
         return device_law.arithmetic_of(rates) if rates.loop == "device" else None
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Admitted:
+    """A run that may start on an open device.
+
+    Attributes
+    ----------
+    run
+        Prepared for the device.
+    gate
+        Assessment of arming on its link; None in virtual time, which has no delay.
+    warnings
+        Limits for people that do not hold, each with its remedy.
+    """
+
+    run: PreparedRun
+    gate: Gate | None
+    warnings: tuple[str, ...]
+
+
+Admit = Callable[[HitRequest, FramedDevice, Experiment], Admitted]
 Watch = Callable[[int, Experiment], Callable[[int, int], None] | None]
 
 
-def hit(request: HitRequest, watch: Watch | None = None) -> Iterator[HitResult]:
+def hit(request: HitRequest, admit: Admit, watch: Watch | None = None) -> Iterator[HitResult]:
     """Run the hits of a request, one after another, and yield each result as it comes.
 
     Parameters
     ----------
     request
         What to do.
+    admit
+        Given the request, the open device and the experiment in effect there, prepares the run, or raises what forbids
+        it: `rig.experiments.admission.admit`.
     watch
         Called before each repeat with its number and the experiment in effect; may return a function that
         is called with (ticks, phase) while the trial runs.
@@ -207,22 +226,17 @@ def hit(request: HitRequest, watch: Watch | None = None) -> Iterator[HitResult]:
         Whatever ended a trial early (see `rig.experiments.trial.run_trial`); the effort is zero.
     """
     with stop_requests.listening() as series, _opened(request) as (device, effective):
-        run = vetted(request, device, effective)
-        experiment = run.experiment
-        gate = _gate(request, device, experiment)
-        warnings = tuple(
-            one.sentence for one in human_limit_checks(experiment) if one.outcome is not Outcome.OK
-        )
+        with series:
+            admitted = admit(request, device, effective)
+        gate, warnings, experiment = admitted.gate, admitted.warnings, admitted.run.experiment
         output = Path(request.output)
         with plain_errors("make", output):
             output.mkdir(parents=True, exist_ok=True)
-        with series:
-            _check_it_moves(request, device, run)
         stem = f"{experiment.rig.name}-{datetime.now():%Y%m%d-%H%M%S}"
         for repeat in range(experiment.trial.repeats):
             with reserved_name(output, request.name or f"{stem}-{repeat + 1}") as recording:
                 trial = TrialRequest(
-                    run=run,
+                    run=admitted.run,
                     recording=recording,
                     seed=experiment.trial.seed,
                     progress=watch(repeat, experiment) if watch else None,
@@ -235,7 +249,7 @@ def hit(request: HitRequest, watch: Watch | None = None) -> Iterator[HitResult]:
                     },
                 )
                 with series:  # not while the caller has the result
-                    result = _one(device, trial, gate, warnings)
+                    result = _one(device, trial, admitted)
             yield result
 
 
@@ -252,54 +266,15 @@ def _recorded(end: TrialEnd) -> Recorded:
     return Recorded(end.experiment, recording, judge(recording, end.experiment))
 
 
-def vetted(request: HitRequest, device: FramedDevice, experiment: Experiment) -> PreparedRun:
-    """The run of an experiment in effect on an open device. The link is not measured, and nothing moves.
-
-    Raises
-    ------
-    PlanError
-        Something that must not run, or a device that was built for another rig.
-    ConfigError
-        A real rig whose polarity is not verified.
-    """
-    config.check_plugins(experiment, experiment.rig.name)
-    refuse([check_rig(config.rig_model(experiment), device.dictionary)])
-    law = request.law
-    if law is not None and not isinstance(law, Law):
-        law = law(device.dictionary.current_quantum_a)
-    run = prepared_on(
-        device,
-        experiment,
-        verified=request.verified or device.dictionary.simulated,
-        reference_count=_reference_count(request, device, experiment),
-        law=law,
-    )
-    refuse(admission_checks(run, device))
-    _check_verified(request, device)
-    return run
-
-
-def _gate(request: HitRequest, device: FramedDevice, experiment: Experiment) -> Gate | None:
-    """Refuse what the link makes dangerous; None in virtual time, which has no delay."""
-    if device.link.clock.virtual:
-        return None
-    found = check_armable(device, experiment, anyway=request.arm_anyway, progress=request.measuring)
-    if found is not None and request.judged_link is not None:
-        request.judged_link(found)
-    return found
-
-
-def _one(
-    device: FramedDevice, trial: TrialRequest, gate: Gate | None, warnings: tuple[str, ...]
-) -> HitResult:
+def _one(device: FramedDevice, trial: TrialRequest, admitted: Admitted) -> HitResult:
     end = run_trial(device, trial)
     fault, device.cleared_fault = device.cleared_fault, None
     return HitResult(
         recorded=_recorded(end),
         counters=end.counters,
         cleared_fault=None if fault is None else fault.text,
-        gate=gate,
-        messages=(*warnings, *device.link.messages, *end.messages),
+        gate=admitted.gate,
+        messages=(*admitted.warnings, *device.link.messages, *end.messages),
     )
 
 
@@ -337,38 +312,3 @@ def _rig_behind(url: str, request: HitRequest) -> RigModel | None:
     if not devices.is_made_for_a_rig(url):
         return None
     return config.rig_model(config.with_realtime(request.experiment, request.changes))
-
-
-def _reference_count(request: HitRequest, device: FramedDevice, experiment: Experiment) -> int:
-    simulated = device.dictionary.simulated
-    if not simulated and not request.verified:  # then nothing moves
-        return 0
-    if simulated or request.reference_count is None:
-        return position_zero(device, experiment)
-    return request.reference_count
-
-
-def _check_it_moves(request: HitRequest, device: FramedDevice, run: PreparedRun) -> None:
-    """Require a real rig to have moved as described, with its handle free, before it is armed for a person."""
-    experiment = run.experiment
-    if experiment.trial.kind != "human" or device.dictionary.simulated or device.moved_as_described:
-        return
-    if request.hands_off is not None:
-        request.hands_off(NO_HANDS)
-    pulse(
-        device,
-        experiment,
-        recording=free_name(Path(request.output), f"{experiment.rig.name}-pulse"),
-        verified=request.verified,
-        reference_count=run.reference_count,
-    ).insist()
-
-
-def _check_verified(request: HitRequest, device: FramedDevice) -> None:
-    if device.dictionary.simulated or request.verified:
-        return
-    raise ConfigError(
-        f"the polarity of motor and encoder of {device.dictionary.device} is not verified",
-        remedy="check them with the power stage limited (push the handle: position must rise; a positive effort must "
-        "move it the same way), put the handle at position zero, and say `verified`: the count there becomes zero",
-    )

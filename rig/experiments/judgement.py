@@ -17,7 +17,6 @@ from rig.core.deferred import pydantic
 from rig.core.errors import ConfigError, RecordingError, UnexpectedVerdictError
 from rig.core.present import Row, written
 from rig.core.sample import Phase, unit_of
-from rig.extras.drives.faults import DriveFault
 from rig.recording.counts import refuse_counts
 from rig.recording.cutting import cut_facts
 from rig.recording.data import Recording

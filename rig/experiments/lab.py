@@ -28,6 +28,7 @@ from rig.experiments import hit as one_hit
 from rig.experiments import maps, sweep
 from rig.experiments import plan as planning
 from rig.experiments import replay as replaying
+from rig.experiments.admission import admit
 from rig.experiments.compare import OFFSETS, SchemeComparison, entries_of, refuse_unused
 from rig.experiments.hit import HitRequest, HitResult, Watch
 from rig.experiments.planned import Plan
@@ -117,7 +118,7 @@ def hit(
     own = {one.name: given[one.name] for one in fields(HitRequest) if one.name in given}
     request = HitRequest(**{**own, "experiment": loaded, "changes": changes, "law": law})
     with _registered(law, estimator):
-        (result,) = one_hit.hit(request, watch)
+        (result,) = one_hit.hit(request, admit, watch)
     return result
 
 

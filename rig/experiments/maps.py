@@ -20,6 +20,7 @@ from rig.core.errors import RecordingError, RigError
 from rig.core.present import plain
 from rig.core.regular_file import TABLE_BYTES, read_regular
 from rig.experiments import sweep
+from rig.experiments.admission import admit
 from rig.experiments.disagreement import Disagreement, DisagreementPlan
 from rig.experiments.hit import HitRequest, Recorded, hit, left_by
 from rig.experiments.hit_simulator import start_of
@@ -225,7 +226,7 @@ def recorded_hit(plan: MapPlan, series: Series, stiffness: float, output: Path) 
         return there
     request = HitRequest(experiment=experiment, output=output, name=name, changes={"trial.repeats": 1})
     try:
-        (result,) = hit(request)
+        (result,) = hit(request, admit)
     except RigError as error:
         left: Recorded | None = left_by(error)  # thrown out by the wall: that is what the map has found
         if left is None:

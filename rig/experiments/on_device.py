@@ -18,6 +18,7 @@ from rig.control.law import Law
 from rig.core.errors import DeviceFaultError, GuardError
 from rig.devices.framed import FramedDevice
 from rig.devices.local import opened
+from rig.experiments.admission import admit
 from rig.experiments.hit import HitRequest, Recorded, hit, left_by
 from rig.experiments.zero import position_zero
 from rig.realtime import stop_requests
@@ -95,7 +96,7 @@ class Trials:
         )
         try:
             with self.series:
-                (result,) = hit(request)
+                (result,) = hit(request, admit)
         except (GuardError, DeviceFaultError) as error:
             left = left_by(error)
             if left is None:

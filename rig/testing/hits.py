@@ -23,6 +23,7 @@ from rig.core.errors import ConfigError, RigError, StoppedError
 from rig.devices.fault_script import Faults
 from rig.devices.framed import FramedDevice
 from rig.devices.simulated import WatchedLink
+from rig.experiments.admission import admit
 from rig.experiments.hit import HitRequest, Recorded, hit, left_by
 from rig.experiments.zero import position_zero
 from rig.recording.data import Recording
@@ -272,7 +273,7 @@ def _ended(request: HitRequest, device: FramedDevice, *, may_end: bool) -> Hit:
     """Run a hit and watch how its device comes to rest. A person's stop ends the whole run of tests."""
     recorded, counters, error = None, {}, None
     try:
-        (result,) = hit(request)
+        (result,) = hit(request, admit)
         recorded, counters = result.recorded, result.counters
     except StoppedError as stopped:
         end_all(stopped)

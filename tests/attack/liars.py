@@ -30,6 +30,7 @@ from rig.core.errors import RigError
 from rig.devices import framed
 from rig.devices.fault_script import Direction, FaultKind, Faults, FrameFault
 from rig.devices.framed import FramedDevice
+from rig.experiments.admission import admit
 from rig.experiments.hit import HitRequest, hit
 from sim_backend.board.device import SimulatedDevice
 from sim_backend.board.safety import IDLE_LIFETIME_S
@@ -318,7 +319,7 @@ class Liars:
             liar.inject_fault(chance.choice((Fault.OVER_SPEED, Fault.ENCODER)))
         try:
             with FramedDevice(link) as device:
-                (result,) = hit(HitRequest(experiment=EXPERIMENT, device=device, output=output))
+                (result,) = hit(HitRequest(experiment=EXPERIMENT, device=device, output=output), admit)
             kind, reasons = str(result.verdict.kind), result.verdict.reasons
         except RigError as error:
             kind, reasons = type(error).__name__, (str(error),)

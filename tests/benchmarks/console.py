@@ -101,12 +101,13 @@ def hit(changes: dict[str, Any], seconds: float, place: Path) -> dict[str, float
     import numpy as np  # noqa: PLC0415
 
     from rig.config import presets  # noqa: PLC0415
+    from rig.experiments.admission import admit  # noqa: PLC0415
     from rig.experiments.hit import HitRequest  # noqa: PLC0415
     from rig.experiments.hit import hit as run  # noqa: PLC0415
 
     wanted = {"trial.duration_s": seconds, "wall.stiffness": 10.0, "wall.damping": 0.02, **changes}
     request = HitRequest(experiment=presets.load("koul-rigid"), realtime=True, changes=wanted, output=place)
-    (result,) = run(request)
+    (result,) = run(request, admit)
     rows = result.recording.rows
     result.path.unlink()
     lost = sum(result.counters[name] for name in ("lost", "skipped", "dropped") if name in result.counters)

@@ -38,6 +38,7 @@ from scipy.stats import theilslopes
 from rig.config import presets
 from rig.core.sample import ROW, Phase
 from rig.experiments import maps
+from rig.experiments.admission import admit
 from rig.experiments.hit import HitRequest, hit
 from rig.realtime import ring as words
 from rig.realtime.hand import HandMotion, SharedHand
@@ -169,7 +170,10 @@ class Visits:
         self._page, self._recordings, self._maps = page, place / "recordings", place / "maps"
         self.made = self.hits = 0
         list(
-            hit(HitRequest(experiment=presets.load("koul-compliant"), output=self._recordings, name="hit-0"))
+            hit(
+                HitRequest(experiment=presets.load("koul-compliant"), output=self._recordings, name="hit-0"),
+                admit,
+            )
         )
         maps.map_into(short_map(0.1, 0.6), self._maps / "map-0")
         while self.made < KEPT:

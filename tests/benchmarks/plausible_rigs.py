@@ -47,6 +47,7 @@ from rig.config import Experiment, load, presets
 from rig.core.check import Check, refused
 from rig.core.errors import ConfigError, RigError
 from rig.core.sample import Phase
+from rig.experiments.admission import admit
 from rig.experiments.hit import HitRequest, hit, left_by
 from rig.experiments.plan import make_plan
 
@@ -138,7 +139,7 @@ def reaches(experiment: Experiment, seed: int) -> tuple[bool, str]:
     with TemporaryDirectory() as directory:
         message = ""
         try:
-            (result,) = hit(HitRequest(experiment=seeded, output=Path(directory)))
+            (result,) = hit(HitRequest(experiment=seeded, output=Path(directory)), admit)
             recorded = result.recorded
         except RigError as error:
             message = error.message

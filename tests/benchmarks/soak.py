@@ -276,6 +276,7 @@ def device_run(options: argparse.Namespace, directory: Path, watch: Watch) -> di
     from rig import config  # noqa: PLC0415
     from rig.config import presets  # noqa: PLC0415
     from rig.core.errors import RigError  # noqa: PLC0415
+    from rig.experiments.admission import admit  # noqa: PLC0415
     from rig.experiments.hit import HitRequest, hit  # noqa: PLC0415
     from tests.benchmarks.realtime import workbench  # noqa: PLC0415
 
@@ -326,7 +327,7 @@ def device_run(options: argparse.Namespace, directory: Path, watch: Watch) -> di
     found: dict[str, Any] = {"end": "FINISHED"}
     with contextlib.ExitStack() as load:
         try:
-            for result in hit(request, watched):
+            for result in hit(request, admit, watched):
                 found["verdict"] = result.verdict.kind
         except RigError as error:
             found |= {"end": type(error).__name__, "error": str(error)}

@@ -10,6 +10,7 @@ import pytest
 
 from rig import config
 from rig.config import presets
+from rig.experiments.admission import admit
 from rig.experiments.hit import HitRequest, hit
 from rig.loop.run import LoopThread
 from rig.realtime import ring as words
@@ -31,7 +32,7 @@ def loops_tick_us(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, url: str) -> 
     with monkeypatch.context() as patch:
         patch.setattr(LoopThread, "_run", timed)
         for _ in range(3):
-            list(hit(HitRequest(experiment=EXPERIMENT, url=url, output=tmp_path)))
+            list(hit(HitRequest(experiment=EXPERIMENT, url=url, output=tmp_path), admit))
     return min(found)
 
 

@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 
 from rig.config import presets
+from rig.experiments.admission import admit
 from rig.experiments.hit import HitRequest, hit
 from tests.browser.test_live import until
 
@@ -17,7 +18,7 @@ NAME = "<img src=x onerror=alert(1)>.parquet"
 def recordings(tmp_path: Path) -> Path:
     """A hit, and a file with a name that would be markup."""
     place = tmp_path / "recordings"
-    list(hit(HitRequest(experiment=presets.load("koul-compliant"), output=place, name="one")))
+    list(hit(HitRequest(experiment=presets.load("koul-compliant"), output=place, name="one"), admit))
     (place / NAME).write_bytes(b"no recording")
     return place
 

@@ -17,6 +17,7 @@ from rig import config
 from rig.config import Experiment, presets
 from rig.core.errors import DeviceFaultError, GuardError, LinkLostError, RigError
 from rig.devices import open_device
+from rig.experiments.admission import admit
 from rig.experiments.hit import HitRequest, hit
 from rig.recording.reader import open_recording
 from tests.conformance.tolerance import too_busy
@@ -71,7 +72,7 @@ def whole_hit(
             verified=verified,
             arm_anyway=True,
         )
-        (result,) = hit(request)
+        (result,) = hit(request, admit)
         return result.path
 
     return _ended(run)

@@ -17,6 +17,7 @@ from rig.core.errors import DeviceFaultError, GuardError
 from rig.core.model import RigModel
 from rig.devices.fault_script import Faults, Happening
 from rig.devices.framed import FramedDevice
+from rig.experiments.admission import admit
 from rig.experiments.hit import HitRequest, hit
 from rig.experiments.identify_motions import still
 from rig.experiments.pulse import pulse
@@ -47,7 +48,7 @@ def test_a_homing_servo_without_an_encoder_is_a_runaway_before_the_handle_is_fas
 
     link = MemoryLink(device, Faults(device=(Happening(5, die),)))
     with FramedDevice(link) as framed, pytest.raises(DeviceFaultError, match=Fault.RUNAWAY.text) as caught:
-        tuple(hit(HitRequest(experiment=x, device=framed, output=tmp_path)))
+        tuple(hit(HitRequest(experiment=x, device=framed, output=tmp_path), admit))
     truth = device.truth()
     assert np.abs(truth["velocity_true"]).max() < x.rig.limits.speed
     assert np.abs(truth["position_true"]).max() < x.rig.limits.position_maximum
@@ -93,7 +94,7 @@ def test_a_servo_that_pushes_less_than_the_device_minds_is_stopped_by_the_host(
         FramedDevice(link) as framed,
         pytest.raises(GuardError, match="encoder is dead or the rig is blocked"),
     ):
-        tuple(hit(HitRequest(experiment=x, device=framed, output=tmp_path)))
+        tuple(hit(HitRequest(experiment=x, device=framed, output=tmp_path), admit))
     assert 0.0 < device.hardware.fastest < x.rig.limits.speed
     assert device.current == 0
 

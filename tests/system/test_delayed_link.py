@@ -20,6 +20,7 @@ from rig.control.verdict import Kind as Verdict
 from rig.core.errors import DeviceFaultError, LinkLostError, RigError
 from rig.devices.fault_script import Direction, FaultKind, Faults, FrameFault
 from rig.devices.framed import FramedDevice
+from rig.experiments.admission import admit
 from rig.experiments.hit import HitRequest, hit, left_by
 from rig.recording.reader import open_recording
 from sim_backend.board import device as readable
@@ -259,7 +260,7 @@ def test_a_silence_long_after_a_late_command_is_a_silence(tmp_path: Path) -> Non
 def test_its_verdict_is_invalid(tmp_path: Path) -> None:
     run = behind(steady(8))
     with FramedDevice(run.link) as device, pytest.raises(LinkLostError) as caught:
-        list(hit(HitRequest(experiment=EXPERIMENT, device=device, output=tmp_path)))
+        list(hit(HitRequest(experiment=EXPERIMENT, device=device, output=tmp_path), admit))
     left = left_by(caught.value)
     assert left is not None
     assert left.judgement.verdict.kind is Verdict.INVALID

@@ -16,6 +16,7 @@ from rig.core.errors import PlanError
 from rig.core.present import plain
 from rig.core.sample import Phase
 from rig.experiments import impedance, live, trial
+from rig.experiments.admission import admit
 from rig.experiments.hit import HitRequest, hit
 from rig.experiments.on_device import OnDevice
 from rig.experiments.replay import replay
@@ -79,7 +80,7 @@ def test_a_wall_that_changes_while_the_device_runs_it_replays_at_its_tick(
         return told
 
     patient = config.override(BOARD, {"homing.settle_s": 4.0})  # virtual time flies
-    (result,) = hit(HitRequest(experiment=patient, output=tmp_path), watch)
+    (result,) = hit(HitRequest(experiment=patient, output=tmp_path), admit, watch)
     assert [number for number, _ in posted] == [1]
     recording = result.recording
     (taken,) = recording.trailer["parameter_sets"]

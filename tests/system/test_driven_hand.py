@@ -9,6 +9,7 @@ import pytest
 
 from rig.config import override, presets
 from rig.core.sample import Phase
+from rig.experiments.admission import admit
 from rig.experiments.hit import HitRequest, hit
 from rig.realtime.hand import SharedHand
 from tests.conformance.firmware import need_compiler
@@ -48,7 +49,7 @@ def test_the_hand_goes_where_somebody_leads_it(firmware: bool, tmp_path: Path) -
 
         url = f"sim://?hand={hand.path}" + ("&firmware=1" if firmware else "")
         request = HitRequest(experiment=DRIVEN, url=url, realtime=True, output=tmp_path, changes=SOFT)
-        (result,) = hit(request, watch)
+        (result,) = hit(request, admit, watch)
     rows = result.recording.rows
     same = [row for row in rows if int(row["device_time"]) in moved]
     assert same, "what the hand did is in the recording"

@@ -14,6 +14,7 @@ from rig.core.check import Check, Outcome
 from rig.core.errors import ConfigError, PlanError
 from rig.core.oscillation import OSCILLATIONS
 from rig.devices.fault_script import Faults, Happening
+from rig.experiments.admission import admit
 from rig.experiments.hit import HitRequest, hit
 from rig.experiments.plan import make_plan
 from sim_backend.board.make_device import make_device
@@ -105,13 +106,13 @@ def test_a_file_that_says_otherwise_is_reported_on_a_simulated_rig_and_refused_o
     experiment = held("koul-rigid", **{"wall.damping": 0.05, **changes})
     check = human_limits(experiment)
     assert (check.outcome, says in check.text) == (Outcome.WARNING, True), check.text
-    (result,) = hit(HitRequest(experiment=experiment, output=tmp_path))
+    (result,) = hit(HitRequest(experiment=experiment, output=tmp_path), admit)
     assert says in result.messages[0]
     assert says in result.as_mapping()["messages"][0]
     assert says in result.recording.header["extra"]["warnings"][0]
     claim_to_be_real(monkeypatch)
     with pytest.raises(PlanError, match="human limits: a person holds the handle"):
-        next(hit(HitRequest(experiment=experiment, output=tmp_path, verified=True)))
+        next(hit(HitRequest(experiment=experiment, output=tmp_path, verified=True), admit))
 
 
 def test_an_override_for_stall_is_allowed_and_seen(tmp_path: Path) -> None:

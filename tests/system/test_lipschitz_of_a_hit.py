@@ -10,6 +10,7 @@ import pytest
 from rig.config import presets
 from rig.core.errors import RecordingError
 from rig.core.sample import Phase
+from rig.experiments.admission import admit
 from rig.experiments.hit import HitRequest, hit
 from rig.experiments.lipschitz import lipschitz_of
 
@@ -23,7 +24,7 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> Any:
         request = HitRequest(
             experiment=presets.load("chawda-linear"), changes=changes, output=tmp_path_factory.mktemp("hits")
         )
-        found += [result.recording for result in hit(request)]
+        found += [result.recording for result in hit(request, admit)]
     return found
 
 

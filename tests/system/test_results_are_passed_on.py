@@ -16,6 +16,7 @@ from rig.config import controller, load, override, presets
 from rig.control import judging
 from rig.core.present import plain
 from rig.experiments import judgement, plan
+from rig.experiments.admission import admit
 from rig.experiments.hit import HitRequest, hit
 from rig.recording import reader
 from rig.session.engine.directory import LOG
@@ -64,7 +65,9 @@ def test_a_hit_validates_designs_judges_and_reads_back_once(
     loop: str, seen: Counter[str], tmp_path: Path
 ) -> None:
     experiment = presets.load("koul-rigid")
-    (result,) = hit(HitRequest(experiment=experiment, changes={"controller.loop": loop}, output=tmp_path))
+    (result,) = hit(
+        HitRequest(experiment=experiment, changes={"controller.loop": loop}, output=tmp_path), admit
+    )
     assert result.recorded.recording.trailer is not None
     assert plain(result.verdict) == result.recorded.recording.trailer["verdict"]
     assert result.experiment.controller.loop == loop
@@ -85,7 +88,7 @@ def test_what_is_planned_is_what_runs(loop: str, tmp_path: Path) -> None:
     experiment = override(presets.load("koul-rigid"), {"controller.loop": loop})
     run = plan.make_plan(experiment).run
     assert run is not None
-    (result,) = hit(HitRequest(experiment=experiment, output=tmp_path))
+    (result,) = hit(HitRequest(experiment=experiment, output=tmp_path), admit)
     header = result.recorded.recording.header
     assert header["initial_state"] == json.loads(json.dumps(run.controller.as_mapping()))
     told = header["identity"]["parameters"]

@@ -18,6 +18,7 @@ import pytest
 
 import rig
 from rig.core.errors import StoppedError
+from rig.experiments.admission import admit
 from rig.experiments.hit import HitRequest, hit
 from rig.recording.reader import open_recording
 from tests.conformance.started import started
@@ -127,7 +128,7 @@ def test_rig_stop_stops_every_run_of_the_program_and_what_would_follow(tmp_path:
     twice = rig.load("koul-compliant", duration_s=600.0, changes={"trial.repeats": 2})
 
     def hits(name: str) -> None:
-        list(hit(HitRequest(experiment=twice, output=tmp_path / name), begun))
+        list(hit(HitRequest(experiment=twice, output=tmp_path / name), admit, begun))
 
     with ThreadPoolExecutor() as threads:
         both = [threads.submit(hits, name) for name in "ab"]

@@ -28,13 +28,12 @@ from rig.config.schemes import Scheme, usual_settings
 from rig.core.errors import ConfigError
 from rig.core.exponential import expm
 from rig.core.model import Matrix, Operator, RigModel, StateSpace, state_space
-from rig.core.operators import GRIPS
+from rig.core.operators import GRIPS, NO_OPERATOR
 
 RigLike = str | Path | Experiment | RigModel
 SchemeLike = str | Scheme
 Vector = NDArray[np.float64]
 
-NO_OPERATOR = "none"
 SLOPES = 64  # places in a wave of the highest harmonic of cogging at which its slope is looked at
 
 

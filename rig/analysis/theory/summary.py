@@ -13,7 +13,6 @@ from rig.analysis.theory.lifted import Lifted
 from rig.analysis.theory.limits import DampingLimit, Limit, b_max, k_max, k_max_curve
 from rig.analysis.theory.linear import NotLinearError
 from rig.analysis.theory.loop import (
-    NO_OPERATOR,
     LinearLoop,
     RigLike,
     SchemeLike,
@@ -26,6 +25,7 @@ from rig.config import Experiment
 from rig.config.schemes import Scheme, describe_cutoffs
 from rig.core.drawn import Drawn
 from rig.core.model import Operator
+from rig.core.operators import NO_OPERATOR
 from rig.core.present import Item, Row, reported, written
 from rig.core.sample import Motion, unit_of
 from rig.core.shown import Shown

@@ -13,8 +13,9 @@ from rig.config import Experiment, presets
 from rig.config.controller import for_experiment
 from rig.core.errors import ConfigError
 from rig.core.sample import phase_name
-from rig.doctor.gate import Gate
+from rig.doctor.gate_result import Gate
 from rig.experiments import hit as hits
+from rig.experiments.admission import admit
 from rig.extras.console.talk import Talk
 from rig.recording.canonical import canonical_json
 
@@ -90,7 +91,7 @@ def _run(
         judged_link=lambda gate: _say(gate, talk),
         hands_off=lambda text: talk.progress(stage=text),
     )
-    return list(hits.hit(request, lambda _, __: _watch(talk)))
+    return list(hits.hit(request, admit, lambda _, __: _watch(talk)))
 
 
 def _watch(talk: Talk) -> Callable[[int, int], None]:

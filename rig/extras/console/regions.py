@@ -9,7 +9,8 @@ from typing import Any
 from rig.analysis.theory.passivity import passive_curve
 from rig.config import Experiment
 from rig.core.errors import RigError
-from rig.doctor.late_loops import LateLoops, hand_text
+from rig.core.operators import hand_text
+from rig.doctor.late_loops import LateLoops
 from rig.extras.console.hits import experiment_of, in_effect
 
 

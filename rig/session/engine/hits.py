@@ -25,8 +25,9 @@ from rig.devices.framed import FramedDevice
 from rig.devices.local import opened
 from rig.doctor.in_effect import in_effect
 from rig.doctor.pace import Pace, measured_pace
+from rig.experiments.admission import admit, vetted
 from rig.experiments.baseline import baseline
-from rig.experiments.hit import HitRequest, Recorded, hit, left_by, vetted
+from rig.experiments.hit import HitRequest, Recorded, hit, left_by
 from rig.experiments.judgement import THREW_OUT, THROWN_OUT
 from rig.experiments.plan import device_checks, link_checks
 from rig.experiments.pulse import Pulse, pulse
@@ -260,7 +261,7 @@ class DeviceRunner:
         )
         error: Exception | None = None
         try:
-            (result,) = hit(request, lambda _, effective: watch(effective))
+            (result,) = hit(request, admit, lambda _, effective: watch(effective))
             left = result.recorded
             self.messages += [text for text in result.messages if text not in self.messages]
         except Exception as survived:

@@ -13,9 +13,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 from rig.analysis.theory import k_max_curve
-from rig.analysis.theory.loop import NO_OPERATOR
 from rig.config import Experiment
 from rig.core.errors import ConfigError
+from rig.core.operators import NO_OPERATOR
 from rig.doctor.late_loops import LateLoops
 from rig.session.planning.protocol import Protocol, Search
 from rig.session.planning.schedule import Block, asking, levels_of

@@ -15,6 +15,7 @@ import pytest
 from rig import config
 from rig.config import presets
 from rig.core.errors import ConfigError, RecordingError
+from rig.experiments.admission import admit
 from rig.experiments.hit import HitRequest, hit
 from rig.experiments.replay import replay
 from rig.extras.console import recording_errands
@@ -49,7 +50,7 @@ HOSTILE = [
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A hit in virtual time."""
     experiment = config.override(presets.load("koul-compliant"), SHORT)
-    (done,) = hit(HitRequest(experiment=experiment, output=tmp_path_factory.mktemp("hit"), name="one"))
+    (done,) = hit(HitRequest(experiment=experiment, output=tmp_path_factory.mktemp("hit"), name="one"), admit)
     return done.path
 
 

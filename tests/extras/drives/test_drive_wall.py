@@ -22,6 +22,7 @@ from rig.core.sample import Phase
 from rig.devices.framed import FramedDevice
 from rig.doctor.late_loops import LateLoops
 from rig.experiments import on_the_drive
+from rig.experiments.admission import admit
 from rig.experiments.hit import HitRequest, hit
 from rig.experiments.plan import device_checks, plan_of
 from rig.experiments.replay import replay
@@ -374,7 +375,9 @@ def test_a_recording_has_the_effort_of_the_drive_and_what_it_was_set_to(tmp_path
 
     world.bridge.hear_bus = noted  # type: ignore[method-assign]
     device = FramedDevice(world)
-    (result,) = hit(HitRequest(experiment=x, url="moteus://", device=device, verified=True, output=tmp_path))
+    (result,) = hit(
+        HitRequest(experiment=x, url="moteus://", device=device, verified=True, output=tmp_path), admit
+    )
     recording, judgement = result.recorded.recording, result.recorded.judgement
     trial = recording.rows[recording.rows["phase"] == Phase.TRIAL]
     told = np.array(sorted(rendered.values()))

@@ -16,6 +16,7 @@ from rig.config import override
 from rig.config.derive import rig_model
 from rig.config.presets import load
 from rig.devices.framed import FramedDevice
+from rig.experiments.admission import admit
 from rig.experiments.board_pushes import board_pushes
 from rig.experiments.hit import HitRequest, hit
 from rig.experiments.identify_motions import PUSH_COUNTS, inertia_of, slow_rate
@@ -196,7 +197,8 @@ def test_a_whole_hit_by_rig_itself(built: BuildResult, tmp_path: Path) -> None:
             (result,) = hit(
                 HitRequest(
                     experiment=load(PRESET), changes=ON_DEVICE, device=device, verified=True, output=tmp_path
-                )
+                ),
+                admit,
             )
         look = pico.look()
         assert line.look()["errors"] == []

@@ -25,6 +25,7 @@ from rig.core.sample import Phase
 from rig.devices import threaded_serial
 from rig.devices.device import DeviceUrl
 from rig.devices.threaded_serial import ThreadedSerialLink, open_link
+from rig.experiments.admission import admit
 from rig.experiments.hit import HitRequest, hit
 from rig.recording.reader import open_recording
 from tests.conformance.device import check_device
@@ -143,10 +144,10 @@ def test_a_law_on_the_board_runs_through_it_and_a_stop_is_sent_not_awaited(
         if phase == Phase.TRIAL:
             raise StoppedError("enough")
 
-    (result,) = hit(request)
+    (result,) = hit(request, admit)
     sent.clear()
     with pytest.raises(StoppedError) as caught:
-        list(hit(request, lambda repeat, running: stop_it))
+        list(hit(request, admit, lambda repeat, running: stop_it))
     assert result.verdict.kind == "stable"
     assert result.experiment.controller.supervise_lifetime_s == 0.1
     recording = open_recording(caught.value.recording)  # type: ignore[arg-type]
@@ -167,7 +168,7 @@ def test_a_law_of_this_computer_is_refused_off_linux_before_anything_moves(
     experiment = presets.load("koul-rigid")
     url = f"serial://{board(config.rig_model(experiment))}"
     with pytest.raises(PlanError) as caught:
-        list(hit(HitRequest(experiment=experiment, url=url, output=tmp_path)))
+        list(hit(HitRequest(experiment=experiment, url=url, output=tmp_path), admit))
     assert str(caught.value) == (
         'controller.loop = "host" needs Linux to run in real time; let the board run the law: set '
         'controller.loop = "device"'

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
+import rig
 from rig import config
+from rig.cli.hit import hit as command
 from rig.config import presets
 from rig.core.check import refuse
 from rig.core.errors import PlanError
@@ -19,15 +21,19 @@ from rig.doctor.gate import check_armable
 from rig.doctor.in_effect import in_effect
 from rig.experiments import examine as examining
 from rig.experiments import hit as hits
-from rig.experiments.admission import admission_checks
+from rig.experiments.admission import admission_checks, admit
 from rig.experiments.examine import Examination, ExaminationRequest
 from rig.experiments.hit import HitRequest
+from rig.experiments.on_device import OnDevice, Trials
 from rig.experiments.trial import prepared_on
+from rig.session.engine.hits import DeviceRunner
+from rig.testing import hits as hits_of_tests
 from sim_backend.board.make_device import make_device
 from sim_backend.ends.link import MemoryLink
 from sim_backend.ends.pty import FIRMWARE_RATE_MAXIMUM, POSITION_RATE_MAXIMUM
 from tests.conformance.claimed import claim_to_be_real
 from tests.conformance.firmware import need_compiler
+from tests.conformance.gated import REFUSED, Started, open_behind_a_slow_link
 from tests.conformance.made_links import link as made_link
 from tests.conformance.tiers import first_by_default
 
@@ -42,10 +48,6 @@ SERVED = {  # `rig serve rig`, with and without --firmware, over a fast and a sl
     "rig serve rig --firmware, slow port": (True, FIRMWARE_RATE_MAXIMUM, SLOW_PORT),
     "without a compiler": (False, POSITION_RATE_MAXIMUM, None),
 }
-
-
-class Started(Exception):  # noqa: N818  (it is no error)
-    """A hit that was allowed: its trial would begin."""
 
 
 def served(
@@ -102,7 +104,7 @@ def by_hit(x: config.Experiment, changes: dict[str, Any], device: FramedDevice, 
         experiment=x, changes=changes, device=device, verified=True, reference_count=0, output=output
     )
     try:
-        next(hits.hit(request))
+        next(hits.hit(request, admit))
     except Started:
         return True
     except PlanError:
@@ -165,3 +167,47 @@ def test_a_rate_that_a_served_board_does_not_run_is_refused_by_doctor_too(made_u
     assert "let the host run it" in found.remedy
     shown = [item for item in found.items() if getattr(item, "name", "") == "arming"]
     assert [check.outcome for check in shown] == ["refused"]
+
+
+URL = "serial:///dev/rig"
+SHORT = {"host.realtime": "off", "trial.minimum_rest_counts": 0.0}
+
+
+def by_command(output: Path) -> None:
+    arguments = ["--url", URL, "--verified", "--output", str(output), "--no-plot"]
+    command.main(
+        [*arguments, *(f"--set={key}={value}" for key, value in SHORT.items())], standalone_mode=False
+    )
+
+
+def by_name(output: Path) -> None:
+    rig.hit(url=URL, verified=True, output=output, changes=SHORT)
+
+
+def by_session(output: Path) -> None:
+    runner = DeviceRunner(url=URL, verified=True)
+    runner.hit(presets.load("koul-compliant"), SHORT, output, "t0001", lambda _: None, 0.0)
+
+
+def by_measurement(output: Path) -> None:
+    """As maps on a rig and impedance do."""
+    where = OnDevice(url=URL, recordings=output, verified=True)
+    Trials(where, None, None).run(presets.load("koul-compliant"), SHORT)
+
+
+def by_test(output: Path) -> None:
+    """As ``rig_hit`` does."""
+    request = HitRequest(
+        experiment=presets.load("koul-compliant"), url=URL, verified=True, output=output, changes=SHORT
+    )
+    hits_of_tests._ended(request, cast(FramedDevice, None), may_end=False)
+
+
+@pytest.mark.parametrize("entry", [by_command, by_name, by_session, by_measurement, by_test])
+def test_every_entry_asks_the_gate(
+    entry: Callable[[Path], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    open_behind_a_slow_link(monkeypatch)
+    monkeypatch.setattr(DeviceRunner, "_device", lambda *_: None)
+    with pytest.raises(PlanError, match=REFUSED):
+        entry(tmp_path)

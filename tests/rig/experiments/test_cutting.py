@@ -20,6 +20,7 @@ from rig.config import presets
 from rig.control.verdict import Kind
 from rig.core.errors import RecordingError
 from rig.core.sample import Phase
+from rig.experiments.admission import admit
 from rig.experiments.cutting import cut_recording
 from rig.experiments.hit import HitRequest, hit
 from rig.experiments.judgement import experiment_of, judge
@@ -35,7 +36,9 @@ SHORT = {"trial.duration_s": 0.2, "trial.release_s": 0.02, "homing.settle_s": 0.
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Recording:
     experiment = config.override(presets.load("koul-compliant"), SHORT)
-    (done,) = hit(HitRequest(experiment=experiment, output=tmp_path_factory.mktemp("whole"), name="one"))
+    (done,) = hit(
+        HitRequest(experiment=experiment, output=tmp_path_factory.mktemp("whole"), name="one"), admit
+    )
     return done.recording
 
 

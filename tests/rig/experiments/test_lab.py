@@ -14,6 +14,7 @@ import rig
 from rig import config
 from rig.core import plugins
 from rig.core.errors import ConfigError, PlanError, RecordingError
+from rig.experiments.admission import admit
 from rig.experiments.hit import HitRequest
 from rig.experiments.hit import hit as run
 from rig.experiments.plan import delay_checks
@@ -63,7 +64,7 @@ def test_a_preset_a_file_and_an_experiment_give_the_same_hit(tmp_path: Path) -> 
     subjects = ("koul-compliant", str(file), file, rig.load(file))
     results = [rig.hit(one, stiffness=200.0, output=tmp_path, name="a", **SHORT) for one in subjects]
     changes = {"wall.stiffness": 200.0, "trial.duration_s": 0.25, "verdict.tail_s": 0.1}
-    results += run(HitRequest(experiment=rig.load("koul-compliant"), changes=changes, output=tmp_path))
+    results += run(HitRequest(experiment=rig.load("koul-compliant"), changes=changes, output=tmp_path), admit)
     assert all(result.experiment == results[0].experiment for result in results)
     assert len({result.recording.rows.tobytes() for result in results}) == 1
     assert len({result.path for result in results}) == 5, "none is overwritten"

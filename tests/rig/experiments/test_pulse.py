@@ -22,6 +22,7 @@ from rig.config import presets
 from rig.core.check import Outcome
 from rig.core.errors import ConfigError, DeviceFaultError, PlanError, RigError
 from rig.devices.framed import FramedDevice
+from rig.experiments.admission import admit
 from rig.experiments.hit import HitRequest, hit
 from rig.experiments.identify_motions import coulomb_of, inertia_of, most_push, push_growth, push_way
 from rig.experiments.motion_run import FreeRigRequest
@@ -204,7 +205,7 @@ def test_a_real_rig_is_pushed_before_a_person_is_armed_and_once(real: None, tmp_
             experiment=PERSON, device=device, verified=True, output=tmp_path, hands_off=said.append
         )
         for _ in range(2):
-            tuple(hit(request))
+            tuple(hit(request, admit))
     assert said == [NO_HANDS]
     assert len(list(tmp_path.glob("*pulse*.parquet"))) == 1
     assert len(list(tmp_path.glob("*.parquet"))) == 3
@@ -222,7 +223,7 @@ def test_a_real_board_that_runs_the_law_pushes_before_a_person_is_armed(real: No
             experiment=person, device=device, verified=True, output=tmp_path, hands_off=said.append
         )
         for _ in range(2):
-            tuple(hit(request))
+            tuple(hit(request, admit))
     assert said == [NO_HANDS]
     assert len(list(tmp_path.glob("*pulse*.parquet"))) == PUSHES
     assert len(list(tmp_path.glob("*.parquet"))) == PUSHES + 2
@@ -246,7 +247,7 @@ def test_a_real_rig_whose_motor_is_dead_is_not_armed_for_a_person(real: None, tm
     with framed(drive=0.0) as device:
         # The device's own check of a large effort without an edge may come first.
         with pytest.raises((IdentificationError, DeviceFaultError), match=r"motor is dead|no encoder edge"):
-            tuple(hit(HitRequest(experiment=PERSON, device=device, verified=True, output=tmp_path)))
+            tuple(hit(HitRequest(experiment=PERSON, device=device, verified=True, output=tmp_path), admit))
         assert not device.moved_as_described
         assert device.connection.state != State.RUNNING
     (only,) = tmp_path.glob("*.parquet")
@@ -261,11 +262,11 @@ def test_a_rig_that_a_run_left_in_doubt_is_pushed_again_before_a_person_is_armed
         person = HitRequest(
             experiment=PERSON, device=device, verified=True, output=tmp_path, hands_off=said.append
         )
-        tuple(hit(person))
+        tuple(hit(person, admit))
         device.link.device.fails = True  # type: ignore[attr-defined]
         with pytest.raises(DeviceFaultError, match="measured current above"):
-            tuple(hit(dataclasses.replace(person, name="faulty")))
-        tuple(hit(person))
+            tuple(hit(dataclasses.replace(person, name="faulty"), admit))
+        tuple(hit(person, admit))
     assert said == [NO_HANDS] * 2
 
 
@@ -280,7 +281,7 @@ def test_a_map_with_a_person_tells_to_let_go_before_its_pulse(real: None, tmp_pa
 def test_an_automated_trial_needs_no_pulse(real: None, tmp_path: Path) -> None:
     short = config.override(PERSON, BARE)
     with framed() as device:
-        tuple(hit(HitRequest(experiment=short, device=device, verified=True, output=tmp_path)))
+        tuple(hit(HitRequest(experiment=short, device=device, verified=True, output=tmp_path), admit))
     assert not list(tmp_path.glob("*pulse*"))
 
 

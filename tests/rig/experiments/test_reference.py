@@ -16,6 +16,7 @@ from rig.cli import run
 from rig.config import Experiment, presets
 from rig.core.errors import ConfigError, DeviceFaultError, DeviceRefusedError, GuardError, RigError
 from rig.devices.framed import FramedDevice
+from rig.experiments.admission import admit
 from rig.experiments.hit import HitRequest, hit
 from rig.experiments.identify_motions import still
 from rig.experiments.reference import FoundReference, reference
@@ -114,7 +115,7 @@ def test_zero_is_at_the_same_place_wherever_the_handle_was_at_power_up(
 def test_a_run_behind_it_has_its_wall_in_the_mechanism_and_names_the_reference(tmp_path: Path) -> None:
     with powered_up(MARKED) as device:
         find(device, MARKED, tmp_path)
-        (result,) = hit(HitRequest(experiment=MARKED, device=device, output=tmp_path))
+        (result,) = hit(HitRequest(experiment=MARKED, device=device, output=tmp_path), admit)
         recording = result.recorded.recording
         assert recording.header["identity"]["reference"] == "an index of the encoder"
         assert recording.header["identity"]["parameters"]["reference"] == 1
@@ -122,7 +123,7 @@ def test_a_run_behind_it_has_its_wall_in_the_mechanism_and_names_the_reference(t
         resolution = MARKED.rig.encoder.resolution
         assert np.abs(rows["position"] - rows["position_true"]).max() < 1.5 * resolution
         plain = config.override(MARKED, {"rig.reference.index": False, "rig.reference.limit_switch": "none"})
-        (other,) = hit(HitRequest(experiment=plain, device=device, output=tmp_path))
+        (other,) = hit(HitRequest(experiment=plain, device=device, output=tmp_path), admit)
         assert other.recorded.recording.header["identity"]["reference"] == "where the handle was put"
 
 
@@ -249,7 +250,7 @@ def test_the_switch_ends_a_run_when_it_is_reached_and_when_its_wire_is_broken(
     with devices.open_device("sim://", config.rig_model(MARKED)) as device:
         hardware_of(device).marks |= {"switch_count": round(at / MARKED.rig.encoder.resolution)}
         with pytest.raises(GuardError, match="limit switch") as error:
-            list(hit(HitRequest(experiment=MARKED, device=device, output=tmp_path)))
+            list(hit(HitRequest(experiment=MARKED, device=device, output=tmp_path), admit))
         seen = open_recording(error.value.recording).rows  # type: ignore[attr-defined]
         assert len(seen) in rows
         pressed = (seen["inputs"] & int(Input.LIMIT_SWITCH)) != 0
@@ -269,7 +270,7 @@ def test_the_switch_ends_a_law_on_the_device_too(tmp_path: Path) -> None:
     with devices.open_device("sim://?firmware=1", config.rig_model(x)) as device:
         hardware_of(device).marks |= {"switch_count": round(-0.005 / x.rig.encoder.resolution)}
         with pytest.raises(GuardError, match="limit switch") as error:
-            list(hit(HitRequest(experiment=x, device=device, output=tmp_path)))
+            list(hit(HitRequest(experiment=x, device=device, output=tmp_path), admit))
         seen = open_recording(error.value.recording).rows  # type: ignore[attr-defined]
         pressed = (seen["inputs"] & int(Input.LIMIT_SWITCH)) != 0
         assert pressed[-1]

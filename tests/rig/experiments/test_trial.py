@@ -37,6 +37,7 @@ from rig.core.sample import ROW, Phase
 from rig.devices.fault_script import DeviceFault, Direction, FaultKind, Faults, FrameFault, Happening
 from rig.devices.framed import FaultReport, FramedDevice
 from rig.experiments import trial as trials
+from rig.experiments.admission import admit
 from rig.experiments.endings import ENDINGS, error_of
 from rig.experiments.hit import HitRequest, hit
 from rig.experiments.judgement import experiment_of, judge
@@ -622,7 +623,9 @@ def test_a_hit_gives_result_verdicts_and_plain_values(tmp_path: Path) -> None:
         seen.append(repeat)
 
     virtual = config.override(SHORT, {"trial.repeats": 2})
-    results = list(hit(requested(tmp_path, experiment=virtual, changes={"wall.stiffness": 50.0}), watch))
+    results = list(
+        hit(requested(tmp_path, experiment=virtual, changes={"wall.stiffness": 50.0}), admit, watch)
+    )
     assert seen == [0, 1]
     assert len({result.path for result in results}) == 2
     for result in results:
@@ -636,20 +639,20 @@ def test_a_hit_gives_result_verdicts_and_plain_values(tmp_path: Path) -> None:
 
 def test_what_must_not_run_is_refused_before_a_directory_is_made(tmp_path: Path) -> None:
     with pytest.raises(PlanError, match="peak penetration"):
-        list(hit(requested(tmp_path, changes={"rig.limits.position_maximum": 0.0001})))
+        list(hit(requested(tmp_path, changes={"rig.limits.position_maximum": 0.0001}), admit))
     with pytest.raises(PlanError, match="device rate"):
         list(hit(requested(tmp_path, url="sim://?position_rate_maximum=500&position_rate_default=400", changes={
-            "rig.limits.slew": 1e5})))  # fmt: skip
+            "rig.limits.slew": 1e5}), admit))  # fmt: skip
     assert files(tmp_path) == []
 
 
 def test_an_output_that_is_no_directory_is_a_recording_error(tmp_path: Path) -> None:
     (tmp_path / "recordings").write_text("in the way")
     with pytest.raises(RecordingError, match="recordings") as caught:
-        list(hit(requested(tmp_path)))
+        list(hit(requested(tmp_path), admit))
     assert caught.value.remedy
     with pytest.raises(RecordingError):
-        list(hit(requested(tmp_path, output=tmp_path / "recordings" / "deeper")))
+        list(hit(requested(tmp_path, output=tmp_path / "recordings" / "deeper"), admit))
 
 
 def test_a_consumer_that_stops_early_closes_the_device(
@@ -663,7 +666,7 @@ def test_a_consumer_that_stops_early_closes_the_device(
         return opened[-1]
 
     monkeypatch.setattr(rig.devices, "open_device", remember)
-    results = hit(requested(tmp_path, changes={"trial.repeats": 5}))
+    results = hit(requested(tmp_path, changes={"trial.repeats": 5}), admit)
     next(results)
     results.close()
     with pytest.raises(LinkLostError):
@@ -679,10 +682,10 @@ def real(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_real_device_moves_only_when_its_polarity_is_verified(tmp_path: Path, real: None) -> None:
     with pytest.raises(ConfigError, match="is not verified") as caught:
-        list(hit(requested(tmp_path)))
+        list(hit(requested(tmp_path), admit))
     assert "`verified`" in caught.value.remedy
     assert files(tmp_path) == []
-    (result,) = hit(requested(tmp_path, verified=True))
+    (result,) = hit(requested(tmp_path, verified=True), admit)
     assert result.recording.header["identity"]["simulated"] is False
 
 

@@ -161,7 +161,7 @@ def test_a_wall_that_throws_the_handle_out_fails_and_the_session_goes_on(tmp_pat
 def test_a_guard_that_trips_before_the_wall_ends_the_session(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def tripped(request: Any) -> None:
+    def tripped(request: Any, admit: Any) -> None:
         raise GuardError("the start was not reached in time")
 
     monkeypatch.setattr(on_device, "hit", tripped)
@@ -181,13 +181,13 @@ def test_a_hit_that_ended_for_want_of_time_is_repeated(
     late = Faults(device=(DeviceFault(middle, Fault.TICK_OVERRUN),))
     hit, scripts = on_device.hit, [late]
 
-    def disturbed(request: Any) -> Iterator[HitResult]:
+    def disturbed(request: Any, admit: Any) -> Iterator[HitResult]:
         if not scripts:
-            yield from hit(request)
+            yield from hit(request, admit)
             return
         model = config.rig_model(request.experiment)
         with FramedDevice(devices.open_watched("sim://", model, scripts.pop())) as device:
-            yield from hit(replace(request, device=device, reference_count=0))
+            yield from hit(replace(request, device=device, reference_count=0), admit)
 
     monkeypatch.setattr(on_device, "hit", disturbed)
     person = Person()
@@ -199,7 +199,7 @@ def test_a_hit_that_ended_for_want_of_time_is_repeated(
 
 
 def test_a_lost_link_ends_the_session(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def lost(request: Any) -> None:
+    def lost(request: Any, admit: Any) -> None:
         raise LinkLostError("gone")
 
     monkeypatch.setattr(on_device, "hit", lost)

@@ -15,6 +15,7 @@ import rig.cli
 from rig import config
 from rig.config import presets
 from rig.core.errors import RecordingError
+from rig.experiments.admission import admit
 from rig.experiments.hit import HitRequest, hit
 from rig.recording import parquet
 from rig.recording.canonical import canonical_json
@@ -77,7 +78,7 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> Recording:
             "verdict.tail_s": 0.01,
         },
     )
-    (result,) = hit(HitRequest(experiment=experiment, output=tmp_path_factory.mktemp("good")))
+    (result,) = hit(HitRequest(experiment=experiment, output=tmp_path_factory.mktemp("good")), admit)
     return open_recording(result.path)
 
 

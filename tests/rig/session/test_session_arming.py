@@ -218,7 +218,7 @@ def test_the_check_of_a_study_asks_the_device(real: None, tmp_path: Path) -> Non
 def test_consent_reaches_every_hit(consent: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[bool] = []
 
-    def hit(request: HitRequest, watch: Any) -> Any:
+    def hit(request: HitRequest, admit: Any, watch: Any) -> Any:
         asked.append(request.arm_anyway)
         raise PlanError("enough")
 

@@ -115,8 +115,8 @@ def test_a_law_that_ends_a_hit_is_survived_with_its_recording(
 ) -> None:
     ran = hits.hit
 
-    def broken(request: Any, watch: Any) -> Any:
-        (result,) = ran(request, watch)
+    def broken(request: Any, admit: Any, watch: Any) -> Any:
+        (result,) = ran(request, admit, watch)
         error = LawError("the law gave a value that is not finite")
         left = result.recorded
         error.recording = left.path

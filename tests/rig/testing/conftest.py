@@ -17,6 +17,7 @@ import rig.testing.every_frame
 import rig.testing.golden
 import rig.testing.maps
 import rig.testing.served  # noqa: F401
+from rig.experiments.admission import admit
 from rig.experiments.hit import HitRequest, hit
 from rig.testing import Experiments
 
@@ -27,7 +28,7 @@ def _loaded(tmp_path_factory: pytest.TempPathFactory) -> None:
     if numba.config.DISABLE_JIT:
         return
     short = Experiments(None, Path()).short()
-    assert len(list(hit(HitRequest(experiment=short, output=tmp_path_factory.mktemp("loaded"))))) == 1
+    assert len(list(hit(HitRequest(experiment=short, output=tmp_path_factory.mktemp("loaded")), admit))) == 1
     gc.collect()
     gc.freeze()
 

@@ -1,0 +1,53 @@
+"""A real rig behind a link that makes any wall dangerous: whatever arms a device must refuse it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import pytest
+
+from rig import config
+from rig.config import Experiment
+from rig.devices.framed import FramedDevice
+from rig.doctor import gate
+from rig.doctor.in_effect import in_effect
+from rig.experiments import hit as hits
+from rig.experiments.hit import HitRequest
+from sim_backend.board.make_device import make_device
+from sim_backend.ends.link import MemoryLink
+from tests.conformance.claimed import claim_to_be_real
+from tests.conformance.made_links import link
+
+TRAVEL_S = 0.05  # there and back: longer than any command lives
+REFUSED = "this wall must not be armed"
+
+
+class Started(Exception):  # noqa: N818  (it is no error)
+    """A hit that was allowed: its trial would begin."""
+
+
+def open_behind_a_slow_link(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let each hit open such a rig whatever its URL; a trial that begins raises `Started`."""
+    claim_to_be_real(monkeypatch)
+
+    @contextmanager
+    def opened(request: HitRequest) -> Iterator[tuple[FramedDevice, Experiment]]:
+        device, _ = make_device(
+            config.rig_model(request.experiment),
+            False,
+            position_rate_default=1000,
+            position_rate_maximum=20_000,
+        )
+        memory = MemoryLink(device)
+        memory.clock.virtual = False  # type: ignore[attr-defined]
+        with FramedDevice(memory) as framed:
+            yield framed, in_effect(request.experiment, framed, request.changes)
+
+    def started(*_: Any) -> Any:
+        raise Started
+
+    monkeypatch.setattr(hits, "_opened", opened)
+    monkeypatch.setattr(hits, "run_trial", started)
+    monkeypatch.setattr(gate, "measure_link", lambda *_, **__: link(TRAVEL_S))
