@@ -23,7 +23,6 @@ REGISTRIES = {
     "rig/control/laws.py": "rig.control.",
     "rig/control/estimators/family.py": "rig.control.estimators.",
     "rig/control/estimators/__init__.py": "rig.control.estimators.",
-    "rig/experiments/sweep/executors.py": "rig.extras.cluster.",
 }
 
 
@@ -132,10 +131,11 @@ def test_modules_are_imported_by_name_in_few_places() -> None:
         if re.search(r"import_module\(|resolve_name\(", path.read_text())
     }
     assert found == {
-        "rig/core/lazy.py", "rig/cli/lazy.py", "rig/cli/session_protocol.py", "rig/core/deferred.py",
+        "rig/core/lazy.py", "rig/core/extras.py", "rig/core/deferred.py",
+        "rig/cli/lazy.py", "rig/cli/session_protocol.py",
         "rig/control/laws.py", "rig/control/estimators/__init__.py", "rig/control/estimators/family.py",
         "rig/devices/__init__.py", "rig/realtime/parts.py",
-        "rig/experiments/sweep/executors.py", "rig/extras/cluster/cluster.py", "rig/extras/lsl/library.py",
+        "rig/extras/cluster/cluster.py", "rig/extras/lsl/library.py",
     }  # fmt: skip
 
 

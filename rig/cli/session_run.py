@@ -161,7 +161,7 @@ def run(
             again=again,
             other_protocol=other_protocol,
             on_event=seen.on_event,
-            lsl=lsl,
+            marks="lsl" if lsl else None,
         )
     _print(result, as_json=as_json)
 
@@ -216,7 +216,13 @@ def resume(
     with Rehearsed(quiet=as_json or person is None) as seen:
         desk = _desk(person, seen, hand=hand)
         result = sessions.resume_session(
-            directory, desk, runner=runner, at=at, on_event=seen.on_event, lsl=lsl, other_device=other_device
+            directory,
+            desk,
+            runner=runner,
+            at=at,
+            on_event=seen.on_event,
+            marks="lsl" if lsl else None,
+            other_device=other_device,
         )
     _print(result, as_json=as_json)
 

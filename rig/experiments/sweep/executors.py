@@ -14,15 +14,13 @@ import traceback
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass
-from pkgutil import resolve_name
 from typing import Any, Protocol
 
+from rig.core import extras
 from rig.core.errors import ConfigError, RigError
 from rig.core.this_system import processors
 from rig.realtime.handlers import take_no_signals
 from rig.realtime.source_files import code_version
-
-ELSEWHERE = {"dask": "rig.extras.cluster.cluster:Cluster"}  # imported when a scheduler is named
 
 Work = Callable[[Any], Any]
 
@@ -76,7 +74,7 @@ def executor_for(scheduler: str | None, workers: int | None) -> Executor:
             "a scheduler decides on its workers itself",
             remedy="give either a scheduler or a number of workers",
         )
-    found: Executor = resolve_name(ELSEWHERE["dask"])(scheduler)
+    found: Executor = extras.load("executors", "dask")(scheduler)
     return found
 
 

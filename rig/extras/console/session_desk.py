@@ -119,7 +119,7 @@ def session(content: Mapping[str, Any], talk: Talk) -> dict[str, Any]:
             desk,
             runner=runner,
             at=content["at"],
-            lsl=content["lsl"],
+            marks="lsl" if content["lsl"] else None,
             other_device=content["other_device"],
         )
     else:
@@ -133,7 +133,7 @@ def session(content: Mapping[str, Any], talk: Talk) -> dict[str, Any]:
             person=person,
             again=content["again"],
             other_protocol=content["other_protocol"],
-            lsl=content["lsl"],
+            marks="lsl" if content["lsl"] else None,
         )
     return {"stands": result.stands, "pairs": result.pairs, "over": result.ended is not None}
 

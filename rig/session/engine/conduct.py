@@ -107,10 +107,27 @@ def _wall(
 
 
 class Marks(Protocol):
-    """Reports events to other programs and never makes a session wait (`rig.extras.lsl.session.LslMarks`)."""
+    """Reports events to other programs and never makes a session wait."""
 
     def push(self, mark: str, at_ns: int | None = None, **content: Any) -> None:
         """Say that something happens now."""
+        ...
+
+
+class Streams(Marks, Protocol):
+    """Marks that a session opens and closes itself: what a row "marks" of an extra's table makes."""
+
+    @property
+    def lost(self) -> int:
+        """How many marks could not be sent."""
+        ...
+
+    def wait(self) -> None:
+        """Return once other programs can receive; `RigError` when that fails."""
+        ...
+
+    def close(self) -> Mapping[str, Any] | None:
+        """End, and return what was sent for the log; None if that is not known."""
         ...
 
 

@@ -5,22 +5,22 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager, suppress
+from contextlib import AbstractContextManager, closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from rig import config
 from rig.config.schemes import Scheme
+from rig.core import extras
 from rig.core.errors import ConfigError, RecordingError
 from rig.core.present import plain
 from rig.core.regular_file import read_regular
-from rig.extras.lsl.session import LslMarks
 from rig.recording.files import plain_errors
 from rig.session.engine.arming import refuse_unarmable
 from rig.session.engine.check import refuse_walls
 from rig.session.engine.clock import SessionClock, WallClock
-from rig.session.engine.conduct import conduct, first_wall, walls_in
+from rig.session.engine.conduct import Streams, conduct, first_wall, walls_in
 from rig.session.engine.desk import Desk, DeskView
 from rig.session.engine.directory import (
     LOG,
@@ -137,7 +137,7 @@ def run_session(
     again: bool = False,
     other_protocol: bool = False,
     on_event: OnEvent | None = None,
-    lsl: bool = False,
+    marks: str | None = None,
 ) -> SessionResult:
     """Run a participant's session from its beginning.
 
@@ -164,8 +164,8 @@ def run_session(
         Begin although the protocol differs from that of the study's earlier sessions in what can decide a result.
     on_event
         Called with each event once it is written.
-    lsl
-        Stream samples and markers (`rig.extras.lsl`), without walls where a person is blinded.
+    marks
+        Stream samples and markers by that extra (`rig.core.extras`), without walls where a person is blinded.
 
     Raises
     ------
@@ -203,7 +203,7 @@ def run_session(
         refuse_lossy(walls, runner)
         with (
             desk(protocol, mapping, runner) as somebody,
-            _streams(protocol, mapping, wanted=lsl) as marks,
+            _streams(protocol, mapping, marks) as streams,
             begin(
                 place,
                 protocol,
@@ -218,7 +218,7 @@ def run_session(
                 clock=_clock(person, runner),
             ) as session,
         ):
-            return _conducted(session, runner, somebody, walls, on_event, marks)
+            return _conducted(session, runner, somebody, walls, on_event, streams)
 
 
 def compare_with_study(walls: Walls, code: str, study: Path | None, person: Person | None) -> None:
@@ -234,7 +234,7 @@ def resume_session(
     runner: TrialRunner,
     at: str = "trial",
     on_event: OnEvent | None = None,
-    lsl: bool = False,
+    marks: str | None = None,
     other_device: bool = False,
 ) -> SessionResult:
     """Resume a session; see `rig.session.engine.directory.resume` and `run_session`.
@@ -251,7 +251,7 @@ def resume_session(
             _refuse_another_device(state, events, runner, walls)
         refuse_unarmable(walls, runner)
         refuse_lossy(walls, runner)
-        return _resumed(directory, desk, state, person, runner, walls, at, on_event, lsl=lsl)
+        return _resumed(directory, desk, state, person, runner, walls, at, on_event, marks)
 
 
 def _refuse_another_device(
@@ -279,15 +279,14 @@ def _resumed(
     walls: Walls,
     at: str,
     on_event: OnEvent | None,
-    *,
-    lsl: bool,
+    marks: str | None,
 ) -> SessionResult:
     with (
         desk(state.protocol, state.experiment, runner) as somebody,
-        _streams(state.protocol, state.experiment, wanted=lsl) as marks,
+        _streams(state.protocol, state.experiment, marks) as streams,
         resume(directory, at=at, clock=_clock(person, runner)) as session,
     ):
-        return _conducted(session, runner, somebody, walls, on_event, marks)
+        return _conducted(session, runner, somebody, walls, on_event, streams)
 
 
 def rehearsed(directory: Path) -> Person | None:
@@ -400,32 +399,35 @@ def _conducted(
     somebody: Desk,
     walls: Walls,
     on_event: OnEvent | None,
-    marks: LslMarks | None,
+    streams: Streams | None,
 ) -> SessionResult:
     try:
-        conduct(session, runner, somebody, walls=walls, on_event=on_event, marks=marks)
+        conduct(session, runner, somebody, walls=walls, on_event=on_event, marks=streams)
     finally:
-        if marks is not None:
-            sent = marks.close()
+        if streams is not None:
+            sent = streams.close()
             with suppress(RecordingError):
-                session.record("streamed", sent=sent, lost_markers=marks.lost)
+                session.record("streamed", sent=sent, lost_markers=streams.lost)
     resumed = [event for event in session.log.events if event.kind == "resumed"][-1:]
     messages = [text for event in resumed for text in lost(event)] + list(runner.messages)
     return summary(session.directory, session.state, session.log.events, tuple(messages))
 
 
 @contextmanager
-def _streams(protocol: Protocol, experiment: Mapping[str, Any], *, wanted: bool) -> Iterator[LslMarks | None]:
-    """Yield the streams of a session, once they are open; None if not `wanted`."""
-    if not wanted:
+def _streams(
+    protocol: Protocol, experiment: Mapping[str, Any], marks: str | None
+) -> Iterator[Streams | None]:
+    """Yield the streams of a session, once they are open; None without a name of `marks`."""
+    if marks is None:
         yield None
         return
     rates = {one.scheme and Scheme.parse(one.scheme).position_rate for one in protocol.condition}
     rate = rates.pop() if len(rates) == 1 else None
-    with LslMarks(
+    opened: AbstractContextManager[Streams] = extras.load("marks", marks)(
         blind=protocol.study.blind != "none",
         # One rate known beforehand: then the stream of samples is there before the first trial.
         expected=(experiment["rig"]["motion"], float(rate)) if rate else None,
-    ) as marks:
-        marks.wait()
-        yield marks
+    )
+    with opened as streams:
+        streams.wait()
+        yield streams

@@ -44,7 +44,7 @@ def test_markers_of_a_session_are_its_log_and_tell_no_wall(
         return Recording(PERSON, Day())
 
     result = run_session(
-        protocol, "P01", somebody, runner=DeviceRunner(), study=tmp_path, person=PERSON, lsl=True
+        protocol, "P01", somebody, runner=DeviceRunner(), study=tmp_path, person=PERSON, marks="lsl"
     )
     assert result.trials == 1
     events = read(tmp_path / "P01" / LOG)

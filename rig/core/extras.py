@@ -1,0 +1,137 @@
+"""Find what the extras of this distribution add to the core, by listing the folder ``rig/extras``.
+
+An extra is a package there with a ``table.json``: its commands, URL schemes and so on by their names, each with a
+target ``module:attribute`` that is imported on use. A room can have such a table for those below it. The rooms that can
+be extended look names up here; this file must not import an extra, or contain the name of one.
+
+An extra whose table cannot be read is broken: a name that it may have added is refused with the reason, and nothing of
+the core or of another package takes its place.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Mapping
+from functools import cache
+from pkgutil import resolve_name
+from typing import Any, NamedTuple
+
+from rig.core.errors import ConfigError, RigError
+
+ROOMS = os.path.dirname(os.path.dirname(__file__))  # pathlib takes longer to import than this to read
+TABLE = "table.json"  # data, not code: no extra can delay or end a command that does not use it
+KINDS = {
+    "commands": "command",
+    "schemes": "URL scheme",
+    "executors": "executor of sweeps",
+    "marks": "stream of a session's marks",
+    "pictures": "picture of",
+    "writers": "writer of pictures",
+}
+_REMEDY = "install haptic-rig again"
+
+
+class Row(NamedTuple):
+    """What an extra adds under a name, with the other keys of its row."""
+
+    name: str
+    target: str
+    extra: str
+    more: Mapping[str, Any]
+
+
+class Table(NamedTuple):
+    """The rows of an extra or a room by kind and name, or the reason why they cannot be read."""
+
+    owner: str
+    folder: str
+    rows: Mapping[str, Mapping[str, Row]] = {}
+    broken: str = ""
+
+
+@cache
+def tables() -> tuple[Table, ...]:
+    """Return the tables of rooms and of all extras, broken ones included."""
+    found: list[Table] = []
+    for folder in _folders():
+        table = _read(folder)
+        twice = [
+            f"{other.owner} has the {KINDS[kind]} {name!r}, too"
+            for other in found
+            for kind, rows in table.rows.items()
+            for name in rows
+            if name in other.rows.get(kind, ())
+        ]
+        found.append(Table(table.owner, folder, broken=twice[0]) if twice else table)
+    return tuple(found)
+
+
+def added(kind: str) -> dict[str, Row]:
+    """Return all rows of a kind by their names; those of broken extras are missing."""
+    return {name: row for table in tables() for name, row in table.rows.get(kind, {}).items()}
+
+
+def broken() -> dict[str, str]:
+    """Return the reason of each extra whose table cannot be read."""
+    return {table.owner: table.broken for table in tables() if table.broken}
+
+
+def find(kind: str, name: str, extra: str = "") -> Row:
+    """Return the row of a name; raise `ConfigError` when no extra has it, with `extra` as the one that should."""
+    rows = added(kind)
+    if name in rows:
+        return rows[name]
+    reasons = {owner: why for owner, why in broken().items() if extra in ("", owner)}
+    problem = "; ".join(f"the extra {owner} is broken: {why}" for owner, why in reasons.items())
+    missing = f"the extra {extra} is not installed" if extra else "no installed extra has it"
+    raise ConfigError(f"{KINDS[kind]} {name}: {problem or missing}", remedy=_REMEDY)
+
+
+def load(kind: str, name: str) -> Any:
+    """Import the target of a name; raise `ConfigError` when no extra has the name, or its target does not load."""
+    row = find(kind, name)
+    try:
+        return resolve_name(row.target)
+    except RigError:  # the extra itself reports what it needs
+        raise
+    except Exception as error:
+        raise ConfigError(
+            f"{KINDS[kind]} {name}: the extra {row.extra} does not load ({row.target}): {error}",
+            remedy=_REMEDY,
+        ) from error
+
+
+def _folders() -> Iterator[str]:
+    of_extras = os.path.join(ROOMS, "extras")
+    for place in (ROOMS, of_extras):
+        for name in sorted(os.listdir(place)) if os.path.isdir(place) else []:
+            folder = os.path.join(place, name)
+            package = place == of_extras and os.path.exists(os.path.join(folder, "__init__.py"))
+            if package or os.path.exists(os.path.join(folder, TABLE)):
+                yield folder
+
+
+def _read(folder: str) -> Table:
+    owner, path = os.path.basename(folder), os.path.join(folder, TABLE)
+    if not os.path.isfile(path):  # nor is a pipe opened, which would wait for a writer
+        return Table(owner, folder, broken=f"{path} is missing")
+    try:
+        with open(path, encoding="utf-8") as file:
+            content = json.load(file)
+        return Table(owner, folder, {kind: _rows(kind, rows, owner) for kind, rows in content.items()})
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        return Table(owner, folder, broken=f"{path}: {error!r}")
+
+
+def _rows(kind: str, rows: Mapping[str, Any], owner: str) -> dict[str, Row]:
+    if kind not in KINDS:
+        raise ValueError(f"unknown kind {kind!r}, known are {', '.join(KINDS)}")
+    found = {}
+    for name, row in rows.items():
+        more = dict(row)
+        target = more.pop("target")
+        if not isinstance(target, str) or ":" not in target:
+            raise ValueError(f"the target of {name!r} is {target!r}, not module:attribute")
+        found[name] = Row(name, target, owner, more)
+    return found

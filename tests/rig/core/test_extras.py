@@ -1,0 +1,102 @@
+"""What an extra adds is found by listing; one that is missing or broken is refused by name, and nothing replaces it."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rig.core import extras
+from rig.core.errors import ConfigError
+from rig.experiments.sweep.executors import executor_for
+
+Install = Callable[..., Path]
+
+
+@pytest.fixture
+def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Install]:
+    """A tree without extras; installs some by their tables, a text or what becomes JSON."""
+
+    def folder(name: str, table: Any = None) -> Path:
+        place = tmp_path / "extras" / name
+        place.mkdir(parents=True)
+        (place / "__init__.py").touch()
+        if table is not None:
+            (place / "table.json").write_text(table if isinstance(table, str) else json.dumps(table))
+        extras.tables.cache_clear()
+        return place
+
+    monkeypatch.setattr(extras, "ROOMS", str(tmp_path))
+    extras.tables.cache_clear()
+    yield folder
+    extras.tables.cache_clear()
+
+
+def row(target: str = "json:dumps", **more: Any) -> dict[str, Any]:
+    return {"target": target, **more}
+
+
+BROKEN = {
+    "no table": None,
+    "no JSON": "{",
+    "no table of tables": "[]",
+    "no rows": {"schemes": 1},
+    "an unknown kind": {"scheme": {"moteus": row()}},
+    "no target": {"schemes": {"moteus": {}}},
+    "a target that is no name": {"schemes": {"moteus": row("json")}},
+    "a target that is no text": {"schemes": {"moteus": row(3)}},  # type: ignore[arg-type]
+    "a name that another extra has": {"executors": {"dask": row()}},
+}
+
+
+@pytest.mark.parametrize("table", BROKEN.values(), ids=BROKEN)
+def test_a_broken_extra_is_refused_by_name_and_the_others_work(table: Any, install: Install) -> None:
+    install("cluster", {"executors": {"dask": row()}})
+    install("drives", table)
+    assert extras.load("executors", "dask") is json.dumps
+    assert list(extras.broken()) == ["drives"]
+    with pytest.raises(ConfigError, match=r"the extra drives is broken: .") as caught:
+        extras.load("schemes", "moteus")
+    assert caught.value.remedy
+
+
+def test_a_table_that_would_wait_for_a_writer_is_not_read(install: Install) -> None:
+    os.mkfifo(install("drives") / "table.json")
+    assert list(extras.broken()) == ["drives"]
+
+
+def test_a_folder_that_a_deleted_extra_left_is_none(install: Install) -> None:
+    (install("drives") / "__init__.py").unlink()
+    extras.tables.cache_clear()
+    assert extras.tables() == ()
+
+
+def test_a_scheduler_is_refused_without_its_extra(install: Install) -> None:
+    with pytest.raises(ConfigError, match="executor of sweeps dask: no installed extra has it"):
+        executor_for("tcp://127.0.0.1:1", None)
+
+
+def test_a_target_that_does_not_load_is_refused_with_its_extra(install: Install, tmp_path: Path) -> None:
+    install("cluster", {"executors": {"dask": row("no_such_module_here:Cluster")}})
+    with pytest.raises(ConfigError, match=r"the extra cluster does not load \(no_such_module_here:Cluster\)"):
+        executor_for("tcp://127.0.0.1:1", None)
+
+
+# ---------------------------------------------------------------------- the tables of this tree
+
+
+def rows() -> list[tuple[str, extras.Row]]:
+    return [
+        (kind, one) for table in extras.tables() for kind in table.rows for one in table.rows[kind].values()
+    ]
+
+
+def test_every_table_of_this_tree_is_whole() -> None:
+    assert extras.broken() == {}
+    for kind, one in rows():
+        assert callable(extras.load(kind, one.name)), one
+        assert one.target.startswith((f"rig.extras.{one.extra}.", f"rig.{one.extra}.")), one
