@@ -18,15 +18,13 @@ import click
 from rig.cli.compiling import EXPECTED, CompilingNotice
 from rig.cli.lazy import LazyGroup
 from rig.cli.output import error_facts, for_terminal, print_json
-from rig.cli.table import COMMANDS, TITLES
+from rig.cli.table import TITLES
 from rig.core.errors import ConfigError, RigError
 from rig.core.namesakes import explain_failure, wrong_package
 from rig.realtime import compiling
 
 
-@click.group(
-    cls=LazyGroup, table=COMMANDS, titles=TITLES, context_settings={"help_option_names": ["-h", "--help"]}
-)
+@click.group(cls=LazyGroup, titles=TITLES, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="haptic-rig", prog_name="rig")
 def rig() -> None:
     """Run 1-DOF haptic rigs: dual-rate virtual walls, velocity estimators, wall-hit experiments.

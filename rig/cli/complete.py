@@ -1,8 +1,8 @@
 """What a shell asks at each Tab.
 
 A shell must not wait, and most commands import numpy and a compiler. So their names, options and kinds of values stand
-in ``completion.json``, beside this file (`rig.cli.completion_table` writes it), and of that table a tree of empty
-commands is made, on which click completes.
+in files named ``completion.json`` (`rig.cli.completion_table` writes them), and of these a tree of empty commands is
+made, on which click completes.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import click
 from click.shell_completion import BashComplete, FishComplete, ShellComplete, ZshComplete, split_arg_string
 
 from rig.cli import values
-from rig.cli.listing import listing
+from rig.cli.listing import commands
 
 ASKED = "_RIG_COMPLETE"  # variable by which a shell's script asks
 
@@ -68,15 +68,15 @@ def answer(instruction: str) -> int:
     known = SHELLS.get(shell)
     if known is None or what not in ("source", "complete"):
         return 1
-    asked = known(tree(listing()), {}, "rig", ASKED)
+    asked = known(tree(commands()), {}, "rig", ASKED)
     click.echo(asked.source_template % asked.source_vars() if what == "source" else asked.complete())
     return 0
 
 
-def tree(table: Mapping[str, Any]) -> click.Group:
-    """Empty commands with the options of the table."""
+def tree(rows: Mapping[str, Any]) -> click.Group:
+    """Empty commands with the options of their rows."""
     groups = {"": click.Group("rig")}
-    for name, row in table["commands"].items():
+    for name, row in rows.items():
         above, _, last = name.rpartition(" ")
         if "options" in row:
             groups[above].add_command(_command(last, row))

@@ -1,9 +1,12 @@
-"""Makes ``completion.json`` of the commands: ``python -m rig.cli.completion_table``. A test finds it stale."""
+"""Makes ``completion.json`` of the core's commands and of each extra's: ``python -m rig.cli.completion_table``.
+
+A test finds them stale.
+"""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,15 +15,33 @@ import click
 from rig import cli
 from rig.cli import listing, values
 from rig.control import estimators
+from rig.core import extras
 from rig.core.signals import SIGNALS
 
 
-def made() -> str:
-    """The text of the table, as it is to be: a line for each command."""
-    rows = [f"{_json(name)}: {_json(row)}" for name, row in _rows(cli.rig, "")]
+def made() -> dict[Path, str]:
+    """Return the text of each file as it is to be, a line for each command."""
+    added = extras.added("commands")
+    rows = dict(command_rows())
+    core = {name: row for name, row in rows.items() if name not in added}
     parts = [("estimators", _json(list(estimators.BUILT_IN))), ("signals", _json(list(SIGNALS)))]
-    parts.append(("commands", "{\n" + ",\n".join(rows) + "\n}"))
-    return "{\n" + ",\n".join(f"{_json(name)}: {part}" for name, part in parts) + "\n}\n"
+    parts.append(("commands", _lines(core)))
+    texts = {
+        Path(listing.FILE): "{\n" + ",\n".join(f"{_json(name)}: {part}" for name, part in parts) + "\n}\n"
+    }
+    for table in extras.tables():
+        if own := {name: row for name, row in rows.items() if name in table.rows.get("commands", ())}:
+            texts[Path(table.folder, listing.NAME)] = _lines(own) + "\n"
+    return texts
+
+
+def command_rows() -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield each command by its words, and what is listed of it, in the order of ``--help``."""
+    yield from _rows(cli.rig, "")
+
+
+def _lines(rows: Mapping[str, Any]) -> str:
+    return "{\n" + ",\n".join(f"{_json(name)}: {_json(row)}" for name, row in rows.items()) + "\n}"
 
 
 def _json(part: Any) -> str:
@@ -61,4 +82,5 @@ def _kind(parameter: click.Parameter) -> Any:
 
 
 if __name__ == "__main__":
-    Path(listing.FILE).write_text(made(), encoding="utf-8")
+    for path, text in made().items():
+        path.write_text(text, encoding="utf-8")

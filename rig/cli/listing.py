@@ -7,14 +7,34 @@ import os
 from functools import cache
 from typing import Any
 
-FILE = os.path.join(
-    os.path.dirname(__file__), "completion.json"
-)  # pathlib takes longer to import than this to read
+from rig.core import extras
+
+NAME = "completion.json"
+FILE = os.path.join(os.path.dirname(__file__), NAME)  # pathlib takes longer to import than this to read
 
 
 @cache
 def listing() -> dict[str, Any]:
-    """Return commands by their words, and names of built-in parts, as they were when the file was written."""
+    """Return the core's commands by their words, and names of built-in parts, as they were when it was written."""
     with open(FILE, encoding="utf-8") as file:
         read: dict[str, Any] = json.load(file)
     return read
+
+
+@cache
+def commands() -> dict[str, Any]:
+    """Return the commands by their words, those of extras from the file beside each table, if it can be read."""
+    found = dict(listing()["commands"])
+    for table in extras.tables():
+        if "commands" in table.rows:
+            try:
+                with open(os.path.join(table.folder, NAME), encoding="utf-8") as file:
+                    found |= json.load(file)
+            except (OSError, ValueError, TypeError):
+                continue  # the command still runs; it is listed without its line
+    return found
+
+
+def help_line(words: str) -> str:
+    """Return the first sentence of a command's help, "" when its extra's file cannot be read."""
+    return str(commands().get(words, {}).get("help", ""))

@@ -1,13 +1,14 @@
-"""Where each command of ``rig`` is, by the titles of ``rig --help``: daily verbs alone, the rest in groups.
+"""Where each command of the core is, by the titles of ``rig --help``: daily verbs alone, the rest in groups.
 
-`rig.cli.completion_table` writes what shells and ``--help`` show of them.
+Commands of extras stand in their tables (`rig.core.extras`). `rig.cli.completion_table` writes what shells and
+``--help`` show of all of them.
 """
 
 from __future__ import annotations
 
 from rig.cli.lazy import Table
 
-TITLES: dict[str, dict[str, str | tuple[str, Table]]] = {
+TITLES: dict[str, Table] = {
     "Run": {
         "experiment": (
             "Write an experiment file, check what it will do, list the built-in rigs.",
@@ -50,7 +51,6 @@ TITLES: dict[str, dict[str, str | tuple[str, Table]]] = {
                 "lipschitz": "rig.cli.estimators:lipschitz",
             },
         ),
-        "reproduce": "rig.extras.papers.cli:reproduce",
     },
     "People": {
         "session": (
@@ -63,8 +63,6 @@ TITLES: dict[str, dict[str, str | tuple[str, Table]]] = {
                 "resume": "rig.cli.session_run:resume",
                 "show": "rig.cli.session_run:show",
                 "amend": "rig.cli.session_run:amend",
-                "analyse": "rig.extras.study.cli_analyse:analyse",
-                "export": "rig.extras.study.cli_export:export",
                 "schema": "rig.cli.session_protocol:schema",
             },
         ),
@@ -111,17 +109,12 @@ TITLES: dict[str, dict[str, str | tuple[str, Table]]] = {
             "Serve a simulated rig, a bridge to a drive, streams for Lab Streaming Layer, or these documents.",
             {
                 "rig": "rig.cli.serve_rig:serve",
-                "moteus": "rig.extras.drives.cli:moteus",
-                "odrive": "rig.extras.drives.cli:odrive",
-                "lsl": "rig.extras.lsl.cli:lsl",
                 "docs": "rig.cli.docs:docs",
             },
         ),
     },
     "Live": {
-        "console": "rig.extras.console.cli:console",
         "stop": "rig.cli.stop:stop",
         "set": "rig.cli.set:set_",
     },
 }
-COMMANDS: Table = {name: entry for titled in TITLES.values() for name, entry in titled.items()}

@@ -25,7 +25,7 @@ from firmware_protocol.faults import Described, DescribedFlag, Fault, Input, Lim
 from firmware_protocol.fmea import SingleFault, single_faults
 from rig import cli
 from rig.cli.command import RESULT, Option
-from rig.cli.listing import listing
+from rig.cli.completion_table import command_rows
 from rig.config import presets
 from rig.config.table import ConfigKey, parameters, parameters_of, shown
 from rig.control import estimators
@@ -173,7 +173,7 @@ def further() -> str:
 
 def command_list() -> str:
     """Every command with its line."""
-    known = {name: row for name, row in listing()["commands"].items() if "options" in row}
+    known = {name: row for name, row in command_rows() if "options" in row}
     rows = (
         (f"[`rig {name}`](commands/{name.split()[0]}.md)", _prose(row["help"])) for name, row in known.items()
     )

@@ -15,7 +15,7 @@ import pytest
 
 import rig
 import rig.cli
-from rig.cli.listing import listing
+from rig.cli.listing import commands
 from rig.cli.next_step import NEXT
 from rig.views import site
 from tests.conformance.commands import parse_line, resolve
@@ -152,7 +152,7 @@ def test_the_next_command_has_the_rig_and_the_device_of_this_one(run: Any) -> No
 
 def test_what_moves_the_motor_says_so_first(run: Any) -> None:
     assert run("experiment", "plan")[1].startswith("checked, nothing moves: ")
-    known = listing()["commands"]
+    known = commands()
     assert "nothing moves" in known["experiment plan"]["help"]
     assert known["device check"]["help"].startswith("MOVE THE MOTOR")
     assert run("device", "check", "--rig", "koul-rigid")[2].startswith(

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 import os
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from rig.cli import listing
 from rig.core import extras
 from rig.core.errors import ConfigError
 from rig.experiments.sweep.executors import executor_for
@@ -28,12 +31,15 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Install
         if table is not None:
             (place / "table.json").write_text(table if isinstance(table, str) else json.dumps(table))
         extras.tables.cache_clear()
+        listing.commands.cache_clear()
         return place
 
     monkeypatch.setattr(extras, "ROOMS", str(tmp_path))
     extras.tables.cache_clear()
+    listing.commands.cache_clear()
     yield folder
     extras.tables.cache_clear()
+    listing.commands.cache_clear()
 
 
 def row(target: str = "json:dumps", **more: Any) -> dict[str, Any]:
@@ -84,6 +90,41 @@ def test_a_target_that_does_not_load_is_refused_with_its_extra(install: Install,
     install("cluster", {"executors": {"dask": row("no_such_module_here:Cluster")}})
     with pytest.raises(ConfigError, match=r"the extra cluster does not load \(no_such_module_here:Cluster\)"):
         executor_for("tcp://127.0.0.1:1", None)
+
+
+# ---------------------------------------------------------------------- commands, each in a process of its own
+
+
+def run(rooms: Path, *words: str, before: str = "") -> subprocess.CompletedProcess[str]:
+    """``rig`` with the extras of another tree."""
+    other = f"from rig.core import extras; extras.ROOMS = {str(rooms)!r}"
+    code = f"{other}\n{before}\nfrom rig.__main__ import main; main()"
+    return subprocess.run(
+        [sys.executable, "-P", "-c", code, *words], capture_output=True, text=True, timeout=60, check=False
+    )
+
+
+def test_help_works_beside_broken_extras_and_names_them(install: Install, tmp_path: Path) -> None:
+    install("console", "{")
+    install("lsl", {"commands": {"serve lsl": row("no_such_module_here:lsl", before="docs")}})
+    shown = run(tmp_path, "--help")
+    assert shown.returncode == 0, shown.stderr
+    assert "Broken extras:\n  console" in shown.stdout
+    assert run(tmp_path, "serve", "--help").stdout.index("  lsl") > 0
+    refused = run(tmp_path, "console")
+    assert (refused.returncode, refused.stdout) == (2, "")
+    assert "rig: command console: the extra console is broken" in refused.stderr
+    refused = run(tmp_path, "serve", "lsl")
+    assert (refused.returncode, refused.stdout) == (2, "")
+    assert "the extra lsl does not load" in refused.stderr
+
+
+def test_stop_waits_for_no_extra(install: Install, tmp_path: Path) -> None:
+    """Not for its table, should that take forever to read, and not for its modules."""
+    hang = "import time; extras.tables = lambda: time.sleep(1e9)"
+    stopped = run(tmp_path, "stop", "--json", before=hang)
+    assert stopped.returncode == 0, stopped.stderr
+    assert json.loads(stopped.stdout)["loops"] == []
 
 
 # ---------------------------------------------------------------------- the tables of this tree
