@@ -1,7 +1,7 @@
 """Links and framed devices, by URL.
 
-A backend is a function ``open_link(url: DeviceUrl, model: RigModel | None) -> Link``. Third parties add a scheme by
-the entry-point group ``rig.devices``; they cannot replace a built-in one.
+A backend is a function ``open_link(url: DeviceUrl, model: RigModel | None) -> Link``. Extras add schemes by their
+tables (`rig.core.extras`), third parties by the entry-point group ``rig.devices``; neither can replace a built-in one.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any, cast
 
 from rig import config
 from rig.config import presets
-from rig.core import plugins
+from rig.core import extras, plugins
 from rig.core.errors import ConfigError, DeviceNotFoundError
 from rig.core.model import RigModel
 from rig.core.namesakes import NEEDED, explain_failure, wrong_package
@@ -32,10 +32,10 @@ if sys.platform == "linux":
     BUILT_IN |= {
         "serial": "rig.devices.serial:open_link",
         "unix": "rig.devices.local_socket:open_link",
-        "moteus": "rig.extras.drives.link:open_link",
-        "odrive": "rig.extras.drives.link:open_link",
     }
-MADE_FOR_A_RIG = ("sim", "moteus", "odrive")  # schemes whose far end is built from the experiment's rig
+# Schemes that stay reserved for an extra of this distribution while it is missing or broken: another package's backend
+# would drive the motor in its place.
+RESERVED = {"moteus": "drives", "odrive": "drives"}
 FIRMWARE = "firmware"  # option of sim://: 1 is the compiled firmware in place of its mirror in Python
 # What the simulation offers beside its link (`rig.devices.simulated`), and its server (`rig.devices.local`).
 HITS, EXCITED = "sim_backend.bare.hits:RigOfHits", "sim_backend.bare.excited:ExcitedPlant"
@@ -54,11 +54,13 @@ class Backend:
 
 
 def backends() -> list[Backend]:
-    """Every scheme that can be opened here, built-in ones first."""
-    table = [Backend(scheme, target, DISTRIBUTION) for scheme, target in BUILT_IN.items()]
+    """Every scheme that can be opened here, built-in ones first, then those of extras."""
+    ours = {row.name: row.target for row in extras.added("schemes").values() if _is_of_this_system(row)}
+    own = BUILT_IN | {scheme: target for scheme, target in ours.items() if scheme not in BUILT_IN}
+    table = [Backend(scheme, target, DISTRIBUTION) for scheme, target in own.items()]
     return table + [
         Backend(point.name, point.value, point.dist.name if point.dist else "?")
-        for point in plugins.found("rig.devices", BUILT_IN)
+        for point in plugins.found("rig.devices", {*own, *RESERVED})
     ]
 
 
@@ -76,12 +78,27 @@ def broken(scheme: str) -> str:
 def load_backend(url: str) -> Callable[[DeviceUrl, RigModel | None], Link]:
     """Import the backend of a URL and return its opener; errors as `open_link`."""
     scheme = DeviceUrl.parse(url).scheme
-    target = BUILT_IN.get(scheme)
-    opener = loaded(target, scheme) if target else plugins.load("rig.devices", "backend", scheme, callable)
+    if scheme in BUILT_IN:
+        opener = loaded(BUILT_IN[scheme], scheme)
+    elif (row := _row_of_extra(scheme)) is not None:
+        opener = loaded(row.target, scheme) if _is_of_this_system(row) else None
+    else:
+        opener = plugins.load("rig.devices", "backend", scheme, callable)
     if opener is None:
         schemes = ", ".join(f"{backend.scheme}://" for backend in backends())
         raise ConfigError(f"no backend for {scheme}:// (in {url!r})", remedy=f"known schemes: {schemes}")
     return cast("Callable[[DeviceUrl, RigModel | None], Link]", opener)
+
+
+def _row_of_extra(scheme: str) -> extras.Row | None:
+    """Return the row of a scheme that an extra has; raise `ConfigError` where it should have it but does not."""
+    if scheme in RESERVED or scheme in extras.added("schemes"):
+        return extras.find("schemes", scheme, RESERVED.get(scheme, ""))
+    return None
+
+
+def _is_of_this_system(row: extras.Row) -> bool:
+    return bool(row.more.get("platform", sys.platform) == sys.platform)
 
 
 def loaded(target: str, scheme: str = "sim") -> Any:
@@ -147,8 +164,12 @@ def simulated_model(url: DeviceUrl, model: RigModel | None) -> RigModel | None:
 
 
 def is_made_for_a_rig(url: str) -> bool:
-    """Whether what opens this URL must know the rig of the experiment; others ignore it."""
-    return url.partition(":")[0] in MADE_FOR_A_RIG
+    """Return True if the far end is built from the experiment's rig; errors as `open_link` for an extra's scheme."""
+    scheme = url.partition(":")[0]
+    if scheme in BUILT_IN:
+        return scheme == "sim"
+    row = _row_of_extra(scheme)
+    return row is not None and bool(row.more.get("made_for_a_rig"))
 
 
 def url_for(url: str, loop: str) -> str:

@@ -12,8 +12,10 @@ from typing import Any
 
 import pytest
 
+import rig.cli
+from rig import devices
 from rig.cli import listing
-from rig.core import extras
+from rig.core import extras, plugins
 from rig.core.errors import ConfigError
 from rig.experiments.sweep.executors import executor_for
 
@@ -81,6 +83,49 @@ def test_a_folder_that_a_deleted_extra_left_is_none(install: Install) -> None:
     assert extras.tables() == ()
 
 
+@pytest.mark.parametrize("table", [None, "{"], ids=["missing", "broken"])
+def test_a_drive_whose_extra_is_gone_is_refused_and_never_another_rig(
+    table: str | None, install: Install, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if table is not None:
+        install("drives", table)
+
+    def entry(name: str) -> Any:
+        return type(
+            "Point", (), {"name": name, "value": "json:dumps", "dist": None, "load": lambda _: json.dumps}
+        )()
+
+    monkeypatch.setattr(plugins, "entry_points", lambda group: (entry("moteus"), entry("odrive")))
+    assert {backend.scheme for backend in devices.backends()} == set(devices.BUILT_IN)
+    for scheme in devices.RESERVED:
+        for opens in (devices.open_link, devices.is_made_for_a_rig):
+            with pytest.raises(ConfigError, match=rf"URL scheme {scheme}: the extra drives is "):
+                opens(f"{scheme}://can0")
+    assert rig.cli.run(["hit", "--url", "moteus:///dev/fdcanusb", "--verified"]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert "the extra drives is" in said.err
+    assert "install haptic-rig" in said.err
+
+
+def test_no_table_replaces_a_built_in_scheme(install: Install) -> None:
+    install("drives", {"schemes": {"sim": row(), "serial": row()}})
+    assert {one.scheme: one.target for one in devices.backends()} == devices.BUILT_IN
+    assert devices.load_backend("sim://") is devices.loaded(devices.BUILT_IN["sim"])
+    assert devices.is_made_for_a_rig("sim://")
+    assert not devices.is_made_for_a_rig("serial:///dev/ttyACM0")
+
+
+def test_a_scheme_says_whether_it_is_made_for_a_rig_and_for_which_system(install: Install) -> None:
+    rows = {"odrive": row(platform="plan9", made_for_a_rig=True), "can": row(platform=sys.platform)}
+    install("drives", {"schemes": rows})
+    assert {backend.scheme for backend in devices.backends()} == {*devices.BUILT_IN, "can"}
+    assert devices.is_made_for_a_rig("odrive://can0")
+    assert not devices.is_made_for_a_rig("can://0")
+    with pytest.raises(ConfigError, match="no backend for odrive://"):
+        devices.open_link("odrive://can0")
+
+
 def test_a_scheduler_is_refused_without_its_extra(install: Install) -> None:
     with pytest.raises(ConfigError, match="executor of sweeps dask: no installed extra has it"):
         executor_for("tcp://127.0.0.1:1", None)
@@ -141,3 +186,4 @@ def test_every_table_of_this_tree_is_whole() -> None:
     for kind, one in rows():
         assert callable(extras.load(kind, one.name)), one
         assert one.target.startswith((f"rig.extras.{one.extra}.", f"rig.{one.extra}.")), one
+    assert set(extras.added("schemes")) <= set(devices.RESERVED)
