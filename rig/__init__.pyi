@@ -16,6 +16,7 @@ from rig.control.plain_law import law as law
 from rig.control.verdict import Verdict as Verdict
 from rig.core import errors as errors
 from rig.core.drawn import Picture as Picture
+from rig.core.drawn import plot as plot
 from rig.core.errors import RigError as RigError
 from rig.core.version import __version__ as __version__
 from rig.devices import open_device as open_device
@@ -66,4 +67,3 @@ from rig.recording.data import Column as Column
 from rig.recording.data import Recording as Recording
 from rig.recording.export import export as export
 from rig.recording.reader import open_recording as open_recording
-from rig.views.plots.picture import plot as plot

@@ -16,7 +16,8 @@ import rig.cli
 from rig import devices
 from rig.cli import listing
 from rig.core import extras, plugins
-from rig.core.errors import ConfigError
+from rig.core.drawn import Drawn, plot
+from rig.core.errors import ConfigError, RigError
 from rig.experiments.sweep.executors import executor_for
 
 Install = Callable[..., Path]
@@ -187,3 +188,13 @@ def test_every_table_of_this_tree_is_whole() -> None:
         assert callable(extras.load(kind, one.name)), one
         assert one.target.startswith((f"rig.extras.{one.extra}.", f"rig.{one.extra}.")), one
     assert set(extras.added("schemes")) <= set(devices.RESERVED)
+
+
+def test_every_result_that_can_be_drawn_has_a_picture() -> None:
+    def kinds(kind: type) -> set[str]:
+        return {kind.__name__}.union(*map(kinds, kind.__subclasses__()))
+
+    assert kinds(Drawn) - {"Drawn"} == set(extras.added("pictures"))
+    with pytest.raises(ConfigError, match="a dict has no picture"):
+        plot({})
+    assert issubclass(ConfigError, RigError)

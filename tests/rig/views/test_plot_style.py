@@ -76,7 +76,7 @@ def test_style_latex_and_backend_of_others_change_no_byte_and_stay_as_they_were(
     with matplotlib.rc_context({"font.size": 31.0, "text.usetex": True, "axes.grid": True}):
         before = dict(matplotlib.rcParams)
         assert style.save(a_figure(), tmp_path / "here.svg").read_bytes() == plain
-        assert Picture(a_figure(), style.save, style.png)._repr_png_().startswith(BEGINS["png"])
+        assert Picture(a_figure())._repr_png_().startswith(BEGINS["png"])
         assert dict(matplotlib.rcParams) == before
 
 
