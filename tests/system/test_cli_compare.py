@@ -1,7 +1,6 @@
 """`rig compare` as a person meets it: the table, the picture, JSON, and what it refuses."""
 
 import json
-import re
 from pathlib import Path
 from typing import Any
 
@@ -48,19 +47,3 @@ def test_json_has_every_number_of_every_scheme_and_offset(run: Any, tmp_path: Pa
     assert len(dual["impacts"]) == 4
     assert facts["picture"] is None
     assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.exhaustive("tests/system/test_commands.py::test_a_good_run_ends_with_0_as_json_and_as_text")
-def test_the_conditions_of_the_paper_give_figures_7_and_8(run: Any, tmp_path: Path) -> None:
-    code, out, _ = run("--as-in-the-paper", "-o", "figures")
-    assert code == 0
-    for words in ("57.00 (57…57)", "39.75 (35…45)", "29.00 (29…29)", "fs/20", "figure 8"):
-        assert words in out
-    assert len(re.findall(r"^ +\d+ \*", out, re.MULTILINE)) == 2
-    assert {p.name for p in (tmp_path / "figures").iterdir()} == {"koul-figure-7.png", "koul-figure-8.png"}
-    code, out, _ = run("--as-in-the-paper", "--json", "--no-plot")
-    facts = json.loads(out)
-    assert code == 0
-    assert [panel["position_rate"] for panel in facts["figure_7"]] == [20000, 10000] * 2
-    assert len(facts["word_lengths"]) == 18
-    assert [p["velocity_rate"] for p in facts["figure_8"]["profiles"]] == [2000, 20000] * 2

@@ -111,7 +111,7 @@ ROWS = (
     ), "maps/*/walls.parquet"),
     Row("compare", "--rig koul-rigid --duration 0.2 --set verdict.tail_s=0.05",
         "start outcomes rig motion wall cutoffs picture", "encoder offsets", (
-        ("--scheme none --scheme none", 2, "named twice"), ("--as-in-the-paper -K 100", 2, "has its own rig"),
+        ("--scheme none --scheme none", 2, "named twice"),
         ("--set trial.repeats=3", 2, "has no noise"), ("--scheme triple:20k", 2, "no such kind of sampling"),
     ), "recordings/*.png"),
     Row("zwidth", f"{TINY} --search bisection --ratio 3",
@@ -171,7 +171,8 @@ ROWS = (
         ((NO_FILE, 9, NO_FILE),)),
     Row("reproduce",
         "tests/extras/papers/test_reproduction.py::test_the_command_writes_one_report_and_resumes_from_its_journal", "",
-        "", (("nobody", 2, "koul"), ("koul --quick -o mine.toml/below", 9, "cannot make"))),
+        "", (("nobody", 2, "koul"), ("koul --quick -o mine.toml/below", 9, "cannot make"),
+        ("chawda --impacts", 2, "figures of chawda"))),
     Row("session new", "new.toml", "file template schema", "rig session check",
         (("mine.toml", 9, "exist"), ("--template koul-fig5", 2, "did you mean koul-fig6")), "new.toml"),
     Row("session check", "quick.toml",

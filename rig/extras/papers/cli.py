@@ -10,8 +10,10 @@ import click
 from rig.cli import options, output
 from rig.cli.command import command, option
 from rig.cli.progress import SweepBar
+from rig.core.errors import ConfigError
 from rig.extras.papers import reproduction
 from rig.extras.papers.chawda.reproduction import CHAWDA
+from rig.extras.papers.cli_impacts import show_impacts
 from rig.extras.papers.koul.reproduction import KOUL
 from rig.extras.papers.reproduction import Reproduction, draw_into, write_report
 from rig.extras.papers.rules import ClaimStatus
@@ -31,6 +33,11 @@ PAPERS = {paper.name: paper for paper in (KOUL, CHAWDA)}
 @command()
 @click.argument("paper", type=click.Choice(tuple(PAPERS)))
 @option("--quick", is_flag=True, help="Coarse grids: every section and claim, in a fraction of the time.")
+@option(
+    "--impacts",
+    is_flag=True,
+    help="Only figures 7 and 8 of Koul et al.: single impacts, in floating and in fixed point, in a few seconds.",
+)
 @options.workers_option
 @options.output_option(
     "reproductions", "Directory of the report, and of the journal to resume from.", "directory"
@@ -38,13 +45,21 @@ PAPERS = {paper.name: paper for paper in (KOUL, CHAWDA)}
 @options.plot_options("Write the pictures beside the report, too.", default=False)
 @options.json_option
 def reproduce(
-    paper: str, quick: bool, directory: Path, workers: int | None, plot: str, as_json: bool
+    paper: str, quick: bool, impacts: bool, directory: Path, workers: int | None, plot: str, as_json: bool
 ) -> None:
     """Reproduce a paper: every figure, a verdict on every claim, its open ideas, as one HTML report.
 
     koul: dual-rate sampling and Z-width (Koul et al. 2013), in about two minutes. chawda: velocity estimators,
     passivity and fidelity (Chawda et al.), in about three. The same command resumes one that was stopped.
     """
+    if impacts:
+        if paper != KOUL.name or quick:
+            raise ConfigError(
+                f"--impacts has no {'coarse grid' if paper == KOUL.name else f'figures of {paper}'}",
+                remedy="rig reproduce koul --impacts",
+            )
+        show_impacts(directory, plot=plot, as_json=as_json)
+        return
     with plain_errors("make", directory):
         directory.mkdir(parents=True, exist_ok=True)
     known = PAPERS[paper]

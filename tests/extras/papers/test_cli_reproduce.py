@@ -1,6 +1,7 @@
 """`rig reproduce koul --quick` as a person meets it: one report with everything, the same when asked for again."""
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -85,3 +86,22 @@ def test_quick_reproduces_the_second_paper_too(tmp_path: Path, capfd: pytest.Cap
         assert by_key[key] == "reproduced", key
     for key in ("order", "levant-stiffest", "both", "widths"):
         assert by_key[key] == "not reproduced", key
+
+
+@pytest.mark.exhaustive("tests/system/test_commands.py::test_a_good_run_ends_with_0_as_json_and_as_text")
+def test_the_conditions_of_the_paper_give_figures_7_and_8(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    command = ["reproduce", "koul", "--impacts"]
+    monkeypatch.chdir(tmp_path)
+    assert rig.cli.run([*command, "--plot", "-o", "figures"]) == 0
+    out = capfd.readouterr().out
+    for words in ("57.00 (57…57)", "39.75 (35…45)", "29.00 (29…29)", "fs/20", "figure 8"):
+        assert words in out
+    assert len(re.findall(r"^ +\d+ \*", out, re.MULTILINE)) == 2
+    assert {p.name for p in (tmp_path / "figures").iterdir()} == {"koul-figure-7.png", "koul-figure-8.png"}
+    assert rig.cli.run([*command, "--json"]) == 0
+    facts = json.loads(capfd.readouterr().out)
+    assert [panel["position_rate"] for panel in facts["figure_7"]] == [20000, 10000] * 2
+    assert len(facts["word_lengths"]) == 18
+    assert [p["velocity_rate"] for p in facts["figure_8"]["profiles"]] == [2000, 20000] * 2
