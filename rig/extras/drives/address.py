@@ -61,7 +61,9 @@ def number(url: DeviceUrl, name: str, default: int, largest: int) -> int:
     except ValueError:
         value = -1
     if not 0 <= value <= largest:
-        raise ConfigError(f"{url.text}: {name} = {text!r}", remedy=f"give a whole number, 0 to {largest}")
+        raise ConfigError(
+            f"{url.text}: {name} = {text!r} is not valid", remedy=f"give a whole number from 0 to {largest}"
+        )
     return value
 
 
@@ -106,7 +108,7 @@ class OdriveAddress:
         place = url.options.get("endpoints")
         if place is None:
             raise ConfigError(
-                f"{url.text}: without the numbers of its parameters an ODrive's limits are not known",
+                f"{url.text}: the URL has no endpoints file, which is needed to read the ODrive's limits",
                 remedy=odrive.WHERE_TO_GET,
             )
         return cls(number(url, "id", 0, _LARGEST_NODE), odrive.Endpoints.load(place))

@@ -100,8 +100,8 @@ def open_bus(url: DeviceUrl) -> Bus:
     if not url.place or (classic and "/" in url.place and not Path(url.place).is_socket()):
         either = "" if classic else f"{url.scheme}:///dev/fdcanusb or "
         raise ConfigError(
-            f"{url.text}: no {'' if classic else 'port and no '}CAN interface",
-            remedy=f"name one, like {either}{url.scheme}://can0",
+            f"{url.text}: the URL names no {'' if classic else 'serial port and no '}CAN interface",
+            remedy=f"name one, for example {either}{url.scheme}://can0",
         )
     if Path(url.place).is_socket():
         return CanBus(url.place, _connected(url.place))
@@ -118,7 +118,8 @@ def _connected(place: str) -> socket.socket:
     except OSError as error:
         end.close()
         raise DeviceNotFoundError(
-            f"no program answers at {place}: {error.strerror}", remedy="start it, or name its socket"
+            f"no program accepts connections at the socket {place}: {error.strerror}",
+            remedy="start the program, or correct the path of its socket in the URL",
         ) from None
     return end
 
@@ -194,7 +195,8 @@ class CanBus:
             end = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
         except OSError as error:
             raise DeviceNotFoundError(
-                f"this kernel has no raw CAN sockets: {error.strerror}", remedy="sudo modprobe can-raw"
+                f"this kernel has no raw CAN sockets: {error.strerror}",
+                remedy="load the module: sudo modprobe can-raw",
             ) from None
         try:
             end.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, 1)
@@ -203,7 +205,7 @@ class CanBus:
         except OSError as error:
             end.close()
             raise DeviceNotFoundError(
-                f"the CAN interface {place} does not open: {error.strerror}",
+                f"the CAN interface {place} cannot be opened: {error.strerror}",
                 remedy=f"name one that `ip link show type can` lists, and bring it up: sudo ip link set {place} up "
                 f"type can {bit_rates}",
             ) from None
@@ -239,6 +241,6 @@ class CanBus:
 
     def _lost(self, error: OSError) -> LinkLostError:
         return LinkLostError(
-            f"the CAN interface {self.place} does not work: {error.strerror}",
-            remedy=f"see `ip -details link show {self.place}`: it must be up and not bus-off",
+            f"the CAN interface {self.place} has failed: {error.strerror}",
+            remedy=f"check its state with `ip -details link show {self.place}`: it must be up and not bus-off",
         )

@@ -18,7 +18,7 @@ DECODING = 4
 EFFORT = 0.3  # N·m that is given at most, to start with
 SPEED = 20.0  # rad/s that ends a run, to start with
 TEXT = Template("""\
-# A handle on the shaft of the $name. [drive] as it told, [assumed] to be replaced by what you know, or by
+# A handle on the shaft of the $name. [drive]: read from the drive; [assumed]: replace by known values, or measure with
 #   rig identify FILE --url '$url' --verified -o identified.toml
 preset = "koul-rigid"
 
@@ -37,9 +37,9 @@ end_mass = 0.0                       # [assumed] kg
 [rig.amplifier]
 effort_per_ampere = $per_ampere      # [drive] N·m/A, by $scale
 effort_limit = $most                 # [drive] N·m at $bound
-lag_s = 1.0e-3                       # [assumed] s, of the current loop and of the reply that tells the torque
+lag_s = 1.0e-3                       # [assumed] s, of the current loop and of the reply that contains the torque
 current_quantum_a = $quantum         # [chosen] A
-current_noise_a = $noise             # [assumed] A rms, of the torque that the drive tells
+current_noise_a = $noise             # [assumed] A rms, of the torque that the drive reports
 
 [rig.encoder]
 counts_per_revolution = $lines       # [drive] its $source encoder, without the decoding

@@ -73,17 +73,15 @@ class DriveLaw:
     def objection(self) -> str:
         """Reason why the drive would render another wall than the commanded one; empty if it renders that wall."""
         if not (self.kp > 0.0 and self.kd > 0.0):
-            return "servo.pid_position.kp or kd is 0, and a share of it too"
+            return "servo.pid_position.kp or kd is 0: a wall is rendered as a fraction of these gains"
         if self.sign != 1:
             return "servo.pid_position.sign is not 1"
         if not self.filter_hz > 0.0:
             return "pll_filter_hz is 0: its encoder gives no velocity"
         if self.threshold != 0.0:
-            return "servo.velocity_threshold is not 0: below it nothing is damped"
+            return "servo.velocity_threshold is not 0: velocities below it are not damped"
         if not (math.isnan(self.position_slip) and math.isnan(self.velocity_slip)):
-            return (
-                "servo.max_position_slip or max_velocity_slip is not nan: its bound would follow the handle"
-            )
+            return "servo.max_position_slip or max_velocity_slip is not nan: the wall's surface would follow the handle"
         return ""
 
     @property

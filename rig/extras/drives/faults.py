@@ -33,20 +33,20 @@ class DriveFault(IntEnum):
 
 MOTEUS = {
     DriveFault.DRIVE_SILENT: (
-        "the drive did not answer for four periods, or for 20 ms",
+        "no reply from the drive for four periods, or for 20 ms",
         f"check its power, the bus and its termination, and that this computer is not too busy; {AGAIN}",
     ),
     DriveFault.OTHER_MASTER: (
-        "another program commands the drive, or asks it: a second master",
+        "another program sends commands or requests to the drive: a second bus master",
         f"close tview, moteus_tool and other programs on this bus; {AGAIN}",
     ),
     DriveFault.DRIVE_LEFT: (
-        "the drive left the mode that it was told: its watchdog ended it, its power was gone, or somebody stopped it",
+        "the drive left the commanded mode: its watchdog expired, its power failed, or another program stopped it",
         f"look for a busy computer, a loose supply or a second program on the bus; {AGAIN}",
     ),
     DriveFault.OVER_VOLTAGE: (
         "the drive stopped with its fault 34, over voltage: the bus voltage exceeded servo.max_voltage",
-        f"give it a supply that takes energy back, or set up flux braking; {AGAIN}",
+        f"use a supply that absorbs regenerated energy, or set up flux braking; {AGAIN}",
     ),
     DriveFault.UNDER_VOLTAGE: (
         "the drive stopped with its fault 40, under voltage: the voltage was too low",
@@ -74,11 +74,11 @@ MOTEUS = {
         f"set both to nan; {AGAIN}",
     ),
     DriveFault.DRIVE_INTERNAL: (
-        "the drive stopped with an internal fault of its own",
+        "the drive stopped with an internal fault",
         f"read register 0x00f with moteus_tool; {AGAIN}",
     ),
     DriveFault.BUS_LOST: (
-        "the adapter is gone, or its bus is off after too many errors",
+        "the CAN adapter is disconnected, or bus-off after too many errors",
         "plug it in, check bit rate, wiring and termination, and start again",
     ),
 }
@@ -86,21 +86,21 @@ MOTEUS = {
 
 ODRIVE = {
     DriveFault.DRIVE_SILENT: (
-        "the drive told no position or no torque for four periods or 20 ms, or no heartbeat for five of its own",
+        "no position or no torque from the drive for four periods or 20 ms, or no heartbeat for five heartbeat periods",
         f"check its power, the bus and its termination, and that this computer is not too busy; {AGAIN}",
     ),
     DriveFault.OTHER_MASTER: (
-        "another program commands the drive on this bus: a second master",
+        "another program sends commands to the drive on this bus: a second bus master",
         f"end that program; {AGAIN}",
     ),
     DriveFault.DRIVE_LEFT: (
-        "the drive left closed loop, or works with a torque that it was not told: its watchdog ended it "
-        "(WATCHDOG_TIMER_EXPIRED), its power was gone, or somebody stopped or commands it, by USB too",
+        "the drive left closed loop, or applies a torque that was not commanded: its watchdog expired "
+        "(WATCHDOG_TIMER_EXPIRED), its power failed, or another program stopped or commands it (possibly over USB)",
         f"look for a busy computer, a loose supply, odrivetool or a second program on the bus; {AGAIN}",
     ),
     DriveFault.OVER_VOLTAGE: (
         "the drive stopped with DC_BUS_OVER_VOLTAGE or BRAKE_RESISTOR_DISARMED",
-        f"give it a supply that takes energy back, or a brake resistor; {AGAIN}",
+        f"use a supply that absorbs regenerated energy, or a brake resistor; {AGAIN}",
     ),
     DriveFault.UNDER_VOLTAGE: (
         "the drive stopped with DC_BUS_UNDER_VOLTAGE: the voltage was too low",
@@ -124,14 +124,14 @@ ODRIVE = {
     ),
     DriveFault.CONTROL_ERROR: (
         "the drive stopped with TIMING_ERROR or MISSING_INPUT",
-        f"update its firmware, and let it do nothing else; {AGAIN}",
+        f"update the drive's firmware, and disable its other features; {AGAIN}",
     ),
     DriveFault.DRIVE_INTERNAL: (
-        "the drive stopped with an error of its own",
+        "the drive stopped with another error",
         f"read it with odrivetool: dump_errors(odrv0); {AGAIN}",
     ),
     DriveFault.BUS_LOST: (
-        "the CAN interface is gone, or off the bus after too many errors",
+        "the CAN interface is disconnected, or bus-off after too many errors",
         "plug it in, check bit rate, wiring and termination, and start again",
     ),
 }

@@ -86,30 +86,34 @@ class Output:
             counts = encoder.counts_per_revolution * encoder.decoding
             if counts != self.counts:
                 yield (
-                    f"its {self.encoder} encoder has {self.counts} counts a turn, the experiment says {counts}",
+                    f"the drive's {self.encoder} encoder has {self.counts} counts per turn, but the experiment has "
+                    f"{counts}",
                     f"set encoder.counts_per_revolution = {self.counts // encoder.decoding} with decoding "
-                    f"{encoder.decoding}, or {self.encoder_setting} of the drive",
+                    f"{encoder.decoding}, or change {self.encoder_setting} of the drive",
                 )
                 return
         per_ampere = self.torque_constant * self.transmission(model)
         if not math.isclose(per_ampere, amplifier.effort_per_ampere, rel_tol=TORQUE_TOLERANCE):
             unit = unit_of("effort/A", model.motion)
             yield (
-                f"by its calibration the motor gives {per_ampere:.4g} {unit} at the handle, the experiment says "
+                f"by its calibration the motor gives {per_ampere:.4g} {unit} at the handle, but the experiment has "
                 f"{amplifier.effort_per_ampere:.4g}",
-                f"set amplifier.effort_per_ampere = {per_ampere:.4g} (and encoder.ratio: turns of the encoder for one "
-                f"of the handle), or {self.scale_remedy}",
+                f"set amplifier.effort_per_ampere = {per_ampere:.4g} (and check encoder.ratio, the turns of the "
+                f"encoder per turn of the handle), or {self.scale_remedy}",
             )
         if amplifier.drive != "current":
-            yield "it controls the current, the experiment says voltage", 'set amplifier.drive = "current"'
+            yield (
+                f'the drive controls the current, but the experiment has amplifier.drive = "{amplifier.drive}"',
+                'set amplifier.drive = "current"',
+            )
         if model.reference.index or model.reference.limit_switch != "none":
             yield (
-                "it tells no encoder index and no limit switch",
-                "leave rig.reference out: position zero is where the handle was put",
+                "the drive reports neither an encoder index nor a limit switch, but rig.reference uses one",
+                "remove rig.reference; put the handle at position zero before each start",
             )
         if not amplifier.current_monitor:
             yield (
-                "it measures its current, the experiment says that nobody does",
+                "the drive measures its current, but the experiment has amplifier.current_monitor = false",
                 "set amplifier.current_monitor = true",
             )
 

@@ -41,7 +41,9 @@ def open_link(url: DeviceUrl, model: RigModel | None = None) -> BridgeLink:
     if named is not None:
         model = rig_model(presets.load_named(named))
     if model is None:
-        raise ConfigError(f"{url.text}: a bridge must know its rig", remedy="add ?rig=mine.toml to the URL")
+        raise ConfigError(
+            f"{url.text}: the URL names no rig", remedy="add ?rig=FILE to the URL, a preset or a file"
+        )
     return BridgeLink(asked, model)
 
 

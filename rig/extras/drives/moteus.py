@@ -95,7 +95,7 @@ class MoteusConversation:
                 return
             if self._drive in (heard.id & 0x7F, heard.id >> 8 & 0x7F):
                 raise DeviceRefusedError(
-                    f"another program talks to {self._name}: a second master",
+                    f"another program communicates with {self._name}: a second bus master",
                     remedy="close tview, moteus_tool and other programs on this bus",
                 )
 
@@ -146,10 +146,10 @@ class MoteusConversation:
                     return heard.data
                 if source != self._drive:
                     others.add(source)
-        found = f"; there is the id {', '.join(map(str, sorted(others)))}" if others else ""
+        found = f"; ids that replied on this bus: {', '.join(map(str, sorted(others)))}" if others else ""
         raise DeviceNotFoundError(
-            f"{self._name} does not answer{found}",
-            remedy="check its power, the wiring and its id (moteus_tool --info); name it by ?id=NUMBER",
+            f"no reply from {self._name}{found}",
+            remedy="check its power, the wiring and its id (moteus_tool --info); give the id as ?id=NUMBER",
         )
 
     def _send(self, data: bytes, *, reply: bool) -> None:
@@ -238,17 +238,33 @@ REQUIRED: dict[str, tuple[Callable[[float], bool], str, str]] = {
     "servo.timeout_mode": (
         lambda value: value == 0,
         "0",
-        "when this computer falls silent the drive would brake or hold, which is not zero torque",
+        "after a timeout of this computer's commands the drive would brake or hold instead of giving zero torque",
     ),
     "servo.voltage_mode_control": (
         lambda value: value == 0,
         "0",
-        "its torque is not the one that it is told",
+        "the drive would not apply the commanded torque",
     ),
-    "servo.fixed_voltage_mode": (lambda value: value == 0, "0", "its torque is not the one that it is told"),
-    "servo.inertia_feedforward": (lambda value: value == 0, "0", "it would add a torque of its own"),
-    "servo.fault_position_error": (math.isnan, "nan", "it would stop wherever the handle moves"),
-    "servo.fault_velocity_error": (math.isnan, "nan", "it would stop wherever the handle moves"),
+    "servo.fixed_voltage_mode": (
+        lambda value: value == 0,
+        "0",
+        "the drive would not apply the commanded torque",
+    ),
+    "servo.inertia_feedforward": (
+        lambda value: value == 0,
+        "0",
+        "the drive would add torque to the commanded one",
+    ),
+    "servo.fault_position_error": (
+        math.isnan,
+        "nan",
+        "the drive would stop with a fault when the handle moves",
+    ),
+    "servo.fault_velocity_error": (
+        math.isnan,
+        "nan",
+        "the drive would stop with a fault when the handle moves",
+    ),
 }
 
 
@@ -267,8 +283,8 @@ def find(talk: MoteusConversation, drive: int) -> MoteusFacts:
     firmware = f"{version >> 16 & 0xFF}.{version >> 8 & 0xFF}.{version & 0xFF}"
     if registers != REGISTER_MAP:
         raise IncompatibleDeviceError(
-            f"the moteus {drive} has firmware {firmware} with register map {registers}, this package speaks "
-            f"{REGISTER_MAP}",
+            f"the moteus {drive} has firmware {firmware} with register map {registers}; this package supports "
+            f"register map {REGISTER_MAP}",
             remedy="update its firmware (python -m moteus.moteus_tool --flash), or this package",
         )
     mode = _mode_at_rest(talk)
@@ -296,8 +312,9 @@ def _mode_at_rest(talk: MoteusConversation) -> int:
 def _refuse_mode(drive: int, mode: int, fault: int) -> None:
     if mode == FAULTED:
         raise DeviceRefusedError(
-            f"the moteus {drive} has stopped with its fault {fault}",
-            remedy="remove its cause (docs/protocol/registers.md of moteus, 0x00f), then power it off and on",
+            f"the moteus {drive} has stopped with fault {fault}",
+            remedy="look the fault up (docs/protocol/registers.md of moteus, 0x00f), remove its cause, then power it "
+            "off and on",
         )
     if mode != STOPPED:
         name = MODES.get(mode, "unknown")
@@ -340,12 +357,16 @@ def switches_of(texts: Mapping[str, str]) -> Switches:
         match = re.fullmatch(r"aux([12])\.([0-4])", text)
         if match is None:
             raise ConfigError(
-                f"{name} = {text!r} is no pin", remedy="name it like aux1.2: port and bit, from 0"
+                f"{name} = {text!r} is not a pin",
+                remedy="give aux1 or aux2, a dot and a bit from 0 to 4, for example aux1.2",
             )
         ports.add(AUX[int(match[1])])
         bits[name] = 1 << int(match[2])
     if len(ports) > 1:
-        raise ConfigError("hold and stop are on two ports", remedy="wire both to pins of aux1, or of aux2")
+        raise ConfigError(
+            "hold and stop are on different ports",
+            remedy="wire both to pins of aux1, or both to pins of aux2",
+        )
     return Switches(ports.pop() if ports else 0, bits["hold"], bits["stop"])
 
 
@@ -392,7 +413,7 @@ def _differences(found: MoteusFacts, model: RigModel) -> Iterator[Difference]:
         return
     if found.source in ("none", "index", "sensorless", "Hall"):
         yield (
-            f"the output's encoder is {found.source}, which tells no position for a wall",
+            f"the output's encoder is {found.source}, which does not measure the position",
             "set motor_position.output.source to an encoder",
         )
     if not found.rotor_to_output > 0.0 or found.counts <= 0:
@@ -400,8 +421,8 @@ def _differences(found: MoteusFacts, model: RigModel) -> Iterator[Difference]:
         return
     if found.counts_per_turn > STEPS_PER_TURN:
         yield (
-            f"it tells its position in {STEPS_PER_TURN} steps a turn, its encoder has "
-            f"{found.counts_per_turn:.0f} there",
-            "take an encoder at the output, or a motor without a gear",
+            f"the drive reports its position in {STEPS_PER_TURN} steps per turn, too coarse for its encoder's "
+            f"{found.counts_per_turn:.0f} counts per turn of the output",
+            "use an encoder at the output, or a motor without a gear",
         )
     yield from found.output.differences(model)

@@ -89,37 +89,38 @@ READ = (
 )  # fmt: skip
 # Settings that would leave a torque, or change one, or tell too little, and what they should be.
 REQUIRED: tuple[tuple[str, Callable[[Mapping[str, float]], bool], str, str], ...] = (
-    (WATCHDOG, lambda v: v[WATCHDOG] == 1, "True", "the last torque would stay when this computer falls silent"),
+    (WATCHDOG, lambda v: v[WATCHDOG] == 1, "True", "the last torque would persist when this computer stops sending"),
     (
         WATCHDOG_S,
         lambda v: 0.0 < v[WATCHDOG_S] <= LONGEST_WATCHDOG_S * (1.0 + FLOAT),
         "0.005",
-        f"the last torque would stay for so long; {LONGEST_WATCHDOG_S:g} s at most",
+        "the last torque would persist for this time when this computer stops sending; "
+        f"allowed: above 0, at most {LONGEST_WATCHDOG_S:g} s",
     ),
-    (VELOCITY_LIMITED, lambda v: v[VELOCITY_LIMITED] == 0, "False", "it takes torque away, and so changes the wall"),
+    (VELOCITY_LIMITED, lambda v: v[VELOCITY_LIMITED] == 0, "False", "it would reduce the commanded torque"),
     (
         ENCODER_MS,
         lambda v: 1 <= v[ENCODER_MS] <= LONGEST_CYCLE_MS,
         "1",
-        f"it tells no position, or too rarely; 1 to {LONGEST_CYCLE_MS} ms",
+        f"the drive sends its position too rarely or not at all; allowed: 1 to {LONGEST_CYCLE_MS} ms",
     ),
     (
         TORQUES_MS,
         lambda v: v[TORQUES_MS] == v[ENCODER_MS],
         f"odrv0.{ENCODER_MS}",
-        "a position comes with a measured torque",
+        f"it must equal {ENCODER_MS}, since each position needs a measured torque",
     ),
     (
         HEARTBEAT_MS,
         lambda v: 1 <= v[HEARTBEAT_MS] <= max(LONGEST_BEAT_MS, v[ENCODER_MS]),
         f"{LONGEST_BEAT_MS}",
-        "by its heartbeat it tells that it has stopped",
+        f"heartbeats show that the drive has stopped; allowed: 1 to {LONGEST_BEAT_MS} ms, or to {ENCODER_MS} if longer",
     ),
     (
         ENCODER,
         lambda v: v[ENCODER] in (ONBOARD, INCREMENTAL),
         f"{ONBOARD}",
-        f"that encoder's counts are not known here: {ONBOARD} is on the board, {INCREMENTAL} incremental",
+        f"this encoder is not supported; allowed: {ONBOARD} (onboard encoder) and {INCREMENTAL} (incremental encoder)",
     ),
 )  # fmt: skip
 
@@ -147,7 +148,7 @@ class Endpoints:
             return cls.of(place, json.loads(read_regular(place, TABLE_BYTES)))
         except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
             raise ConfigError(
-                f"{place} is no flat_endpoints.json of an ODrive: {error!r}", remedy=WHERE_TO_GET
+                f"{place} is not an ODrive's flat_endpoints.json: {error!r}", remedy=WHERE_TO_GET
             ) from None
 
     @classmethod
@@ -199,7 +200,7 @@ class OdriveConversation:
             node, command = heard.id >> NODE_BITS, heard.id & (1 << NODE_BITS) - 1
             if node == self.node and command in COMMANDS:
                 raise DeviceRefusedError(
-                    f"another program commands {self.name}: a second master",
+                    f"another program sends commands to {self.name}: a second bus master",
                     remedy="end the other programs on this bus",
                 )
             self._others.add(node)
@@ -241,10 +242,10 @@ class OdriveConversation:
                     return heard.data
                 self._others.add(heard.id >> NODE_BITS)
         others = sorted(self._others - {self.node})
-        found = f"; there is the node {', '.join(map(str, others))}" if others else ""
+        found = f"; nodes seen on this bus: {', '.join(map(str, others))}" if others else ""
         raise DeviceNotFoundError(
-            f"{self.name} does not answer{found}",
-            remedy="check its power, bit rate, wiring, protocol (CAN Simple) and node id; name it by ?id=NUMBER",
+            f"no reply from {self.name}{found}",
+            remedy="check its power, bit rate, wiring, protocol (CAN Simple) and node id; give the id as ?id=NUMBER",
         )
 
 
@@ -307,12 +308,12 @@ def find(talk: OdriveConversation) -> OdriveFacts:
     firmware = ".".join(map(str, version))
     if version[:2] != GENERATION:
         raise IncompatibleDeviceError(
-            f"{talk.name} has firmware {firmware}, this package speaks CAN Simple of 0.6",
-            remedy="update its firmware (odrivetool dfu); boards that stay at 0.5 need a port of their own",
+            f"{talk.name} has firmware {firmware}; this package supports CAN Simple of firmware 0.6",
+            remedy="update its firmware (odrivetool dfu); boards that cannot run 0.6 are not supported",
         )
     if firmware != talk.endpoints.firmware:
         raise IncompatibleDeviceError(
-            f"{talk.name} has firmware {firmware}, {talk.endpoints.place} is of {talk.endpoints.firmware}: its "
+            f"{talk.name} has firmware {firmware}, but {talk.endpoints.place} is for {talk.endpoints.firmware}, whose "
             "parameters have other numbers",
             remedy=WHERE_TO_GET,
         )
@@ -341,10 +342,14 @@ def _error_at_rest(talk: OdriveConversation) -> int:
         if time.monotonic() > deadline:
             break
         time.sleep(REST_S / 20.0)
-    what = "closed loop: another program drives it" if state == CLOSED_LOOP else "a procedure of its own"
+    what = (
+        "closed loop: another program drives it"
+        if state == CLOSED_LOOP
+        else "a procedure such as calibration"
+    )
     raise DeviceRefusedError(
-        f"{talk.name} is in state {state}, {what}",
-        remedy="end that program; with odrivetool: odrv0.axis0.requested_state = AxisState.IDLE",
+        f"{talk.name} is in state {state} ({what}); it must be idle",
+        remedy="end that program or procedure; with odrivetool: odrv0.axis0.requested_state = AxisState.IDLE",
     )
 
 
@@ -390,18 +395,20 @@ def _differences(found: OdriveFacts, model: RigModel) -> Iterator[Difference]:
     """What the drive has otherwise than the rig."""
     values = found.values
     if not values[TORQUE_CONSTANT] > 0.0 or not found.output.counts > 0:
-        yield "the motor is not set up (torque_constant or cpr is not above 0)", "run its calibration"
+        yield "the motor is not set up (torque_constant or cpr is not above 0)", "calibrate the motor"
         return
     half_s = 0.5e-3 * values[ENCODER_MS]
     if found.quickest_s > half_s:
         yield (
-            f"an answer takes {1e3 * found.quickest_s:.2g} ms there and back, and may take {1e3 * half_s:g} ms, half "
-            "of the time between two of its positions",
-            "set odrv0.can.config.baud_rate = 1000000, and that of the interface; or a longer encoder_msg_rate_ms",
+            f"the round trip to the drive takes {1e3 * found.quickest_s:.2g} ms; allowed: at most {1e3 * half_s:g} ms, "
+            "half of encoder_msg_rate_ms",
+            "set odrv0.can.config.baud_rate = 1000000 and the same rate at the interface, or a longer "
+            "encoder_msg_rate_ms",
         )
     if values[WATCHDOG_S] < WATCHED_PERIODS * 1e-3 * values[ENCODER_MS] * (1.0 - FLOAT):
         yield (
-            f"its watchdog bites after {1e3 * values[WATCHDOG_S]:g} ms, before two positions have come",
+            f"the drive's watchdog expires after {1e3 * values[WATCHDOG_S]:g} ms, less than "
+            f"{WATCHED_PERIODS:g} times encoder_msg_rate_ms",
             f"set odrv0.{WATCHDOG_S} to five times encoder_msg_rate_ms",
         )
     yield from found.output.differences(model)

@@ -62,16 +62,16 @@ def test_a_drive_that_fits_is_described() -> None:
     [
         ("servo__timeout_mode", "12", "servo.timeout_mode = 12"),
         ("servo__timeout_mode", "15", "brake or hold"),
-        ("servo__voltage_mode_control", "1", "not the one that it is told"),
-        ("servo__fixed_voltage_mode", "1", "not the one that it is told"),
-        ("servo__inertia_feedforward", "0.1", "a torque of its own"),
-        ("servo__fault_position_error", "0.5", "wherever the handle moves"),
-        ("servo__fault_velocity_error", "0.5", "wherever the handle moves"),
+        ("servo__voltage_mode_control", "1", "would not apply the commanded torque"),
+        ("servo__fixed_voltage_mode", "1", "would not apply the commanded torque"),
+        ("servo__inertia_feedforward", "0.1", "would add torque to the commanded one"),
+        ("servo__fault_position_error", "0.5", "when the handle moves"),
+        ("servo__fault_velocity_error", "0.5", "when the handle moves"),
         ("motor__poles", "0", "not calibrated"),
         ("motor__Kv", "0", "not calibrated"),
-        ("motor_position__sources__0__cpr", "8192", "8192 counts a turn, the experiment says 16384"),
-        ("motor__Kv", "500", "N·m/A at the handle, the experiment says 0.1"),
-        ("motor_position__rotor_to_output_ratio", "0.2", "65536 steps a turn"),
+        ("motor_position__sources__0__cpr", "8192", "8192 counts per turn, but the experiment has 16384"),
+        ("motor__Kv", "500", "N·m/A at the handle, but the experiment has 0.1"),
+        ("motor_position__rotor_to_output_ratio", "0.2", "65536 steps per turn"),
     ],
 )
 def test_a_drive_that_is_set_up_otherwise(setting: str, value: str, says: str) -> None:
@@ -90,12 +90,15 @@ def other(**parts: Any) -> RigModel:
 @pytest.mark.parametrize(
     ("model", "says"),
     [
-        (other(amplifier={"effort_per_ampere": 0.05}), "0.1 N·m/A at the handle, the experiment says 0.05"),
-        (other(encoder={"ratio": 2.0 * math.tau}), "the experiment says 0.1"),  # radians for revolutions
-        (other(encoder=Encoder(counts_per_revolution=16384, ratio=2.0)), "the experiment says 65536"),
+        (
+            other(amplifier={"effort_per_ampere": 0.05}),
+            "0.1 N·m/A at the handle, but the experiment has 0.05",
+        ),
+        (other(encoder={"ratio": 2.0 * math.tau}), "the experiment has 0.1"),  # radians for revolutions
+        (other(encoder=Encoder(counts_per_revolution=16384, ratio=2.0)), "the experiment has 65536"),
         (other(amplifier={"drive": "voltage"}), "controls the current"),
         (other(amplifier={"current_monitor": False}), "measures its current"),
-        (other(reference=Reference(index=True, travel=1.0)), "no encoder index"),
+        (other(reference=Reference(index=True, travel=1.0)), "neither an encoder index"),
     ],
 )
 def test_an_experiment_that_is_about_another_rig(model: RigModel, says: str) -> None:
@@ -122,14 +125,14 @@ def test_a_firmware_without_a_setting() -> None:
 
 
 def test_another_id_on_the_bus() -> None:
-    with pytest.raises(DeviceNotFoundError, match="moteus 7 at memory does not answer"):
+    with pytest.raises(DeviceNotFoundError, match="no reply from the moteus 7 at memory"):
         found(moteus(), bridged_rig(), number=7)
 
 
 def test_a_second_master_is_heard_before_a_word_is_said() -> None:
     bus = MemoryBus(moteus())
     bus.heard.append(CanFrame(0x8001, b"\x11\x00"))
-    with pytest.raises(DeviceRefusedError, match="second master"):
+    with pytest.raises(DeviceRefusedError, match="second bus master"):
         find(MoteusConversation(bus, 1), 1)
     assert bus.said == 0
 

@@ -89,16 +89,16 @@ def test_a_file_to_start_from_stays_within_the_limits_of_the_drive(tmp_path: Pat
 @pytest.mark.parametrize(
     ("path", "value", "says"),
     [
-        (odrive.WATCHDOG, "0", "the last torque would stay when this computer falls silent"),
-        (odrive.WATCHDOG_S, "0.2", "the last torque would stay for so long"),
-        (odrive.WATCHDOG_S, "0.0015", "before two positions have come"),
-        (odrive.VELOCITY_LIMITED, "1", "takes torque away"),
-        (odrive.ENCODER_MS, "0", "tells no position"),
+        (odrive.WATCHDOG, "0", "the last torque would persist when this computer stops sending"),
+        (odrive.WATCHDOG_S, "0.2", "the last torque would persist for this time"),
+        (odrive.WATCHDOG_S, "0.0015", "less than 2 times encoder_msg_rate_ms"),
+        (odrive.VELOCITY_LIMITED, "1", "would reduce the commanded torque"),
+        (odrive.ENCODER_MS, "0", "sends its position too rarely"),
         (odrive.TORQUES_MS, "0", "a measured torque"),
-        (odrive.HEARTBEAT_MS, "100", "by its heartbeat"),
-        (odrive.ENCODER, "5", "that encoder's counts are not known here"),
+        (odrive.HEARTBEAT_MS, "100", "heartbeats show that"),
+        (odrive.ENCODER, "5", "this encoder is not supported"),
         (odrive.TORQUE_CONSTANT, "-0.05", "is not set up"),
-        (odrive.TORQUE_CONSTANT, "0.1", "0.2 N·m/A at the handle, the experiment says 0.1"),
+        (odrive.TORQUE_CONSTANT, "0.1", "0.2 N·m/A at the handle, but the experiment has 0.1"),
     ],
 )
 def test_a_drive_that_is_set_up_otherwise(path: str, value: str, says: str) -> None:
@@ -121,7 +121,7 @@ def other(**parts: Any) -> RigModel:
         (other(encoder={"ratio": 2.0 * 6.283185307}), "the experiment says 0.1"),  # radians for revolutions
         (
             other(encoder=Encoder(counts_per_revolution=2048, ratio=2.0)),
-            "16384 counts a turn, the experiment says 8192",
+            "16384 counts per turn, but the experiment has 8192",
         ),
         (other(amplifier={"drive": "voltage"}), "controls the current"),
     ],
@@ -149,14 +149,16 @@ def test_another_version_of_firmware_or_of_the_file() -> None:
 
 
 def test_another_node_on_the_bus() -> None:
-    with pytest.raises(DeviceNotFoundError, match="ODrive 7 at memory does not answer; there is the node 0"):
+    with pytest.raises(
+        DeviceNotFoundError, match="no reply from the ODrive 7 at memory; nodes seen on this bus: 0"
+    ):
         found_odrive(drive_with(), bridged_rig(), node=7)
 
 
 def test_a_second_master_is_heard_before_a_word_is_said() -> None:
     bus = MemoryBus(drive_with())
     bus.heard.append(CanFrame(CanSimpleCommand.SET_INPUT_TORQUE, bytes(4)))
-    with pytest.raises(DeviceRefusedError, match="second master"):
+    with pytest.raises(DeviceRefusedError, match="second bus master"):
         odrive.find(odrive.OdriveConversation(bus, 0, endpoints()))
     assert bus.said == 0
 
@@ -179,19 +181,19 @@ def test_what_a_killed_bridge_left_behind_is_taken() -> None:
 
 def test_an_answer_that_takes_longer_than_half_a_period_is_a_slow_bus() -> None:
     found = odrive.find(odrive.OdriveConversation(MemoryBus(drive_with()), 0, endpoints()))
-    with pytest.raises(DeviceRefusedError, match=r"may take 0\.5 ms") as caught:
+    with pytest.raises(DeviceRefusedError, match=r"at most 0\.5 ms") as caught:
         odrive.fit(replace(found, quickest_s=0.9e-3), bridged_rig())
     assert "baud_rate = 1000000" in str(caught.value.remedy)
 
 
 def test_a_url_names_the_makers_file(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="an ODrive's limits are not known") as caught:
+    with pytest.raises(ConfigError, match="the URL has no endpoints file") as caught:
         address_of(DeviceUrl.parse("odrive://can0"))
     assert "docs.odriverobotics.com" in str(caught.value.remedy)
-    with pytest.raises(ConfigError, match=r"is no flat_endpoints\.json"):
+    with pytest.raises(ConfigError, match=r"is not an ODrive's flat_endpoints\.json"):
         address_of(DeviceUrl.parse(f"odrive://can0?endpoints={tmp_path}"))
     (tmp_path / "list.json").write_text("[]")
-    with pytest.raises(ConfigError, match=r"is no flat_endpoints\.json"):
+    with pytest.raises(ConfigError, match=r"is not an ODrive's flat_endpoints\.json"):
         address_of(DeviceUrl.parse(f"odrive://can0?endpoints={tmp_path / 'list.json'}"))
     place = write_endpoints(tmp_path / "flat_endpoints.json")
     with pytest.raises(ConfigError, match="id = '63'"):

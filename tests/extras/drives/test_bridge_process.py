@@ -154,9 +154,9 @@ def test_a_host_that_goes_ends_its_bridge_and_the_drive_is_told_to_stop() -> Non
 def test_what_is_wrong_with_the_drive_is_said_by_the_link(port: str) -> None:
     model = bridged_rig()
     other = replace(model, amplifier=replace(model.amplifier, effort_per_ampere=1.0))
-    with pytest.raises(DeviceRefusedError, match="the experiment says 1"):
+    with pytest.raises(DeviceRefusedError, match="the experiment has 1"):
         devices.open_device(f"moteus://{port}", other)
-    with pytest.raises(ConfigError, match="must know its rig"):
+    with pytest.raises(ConfigError, match="the URL names no rig"):
         devices.open_device(f"moteus://{port}")
     with pytest.raises(ConfigError, match="whole number"):
         opened(port, "?id=nine")
